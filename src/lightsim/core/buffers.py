@@ -1,0 +1,61 @@
+"""What the renderer hands to relighting, per frame; arrays are [h, w]."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int32
+
+NO_SURFACE = -2
+"""actor_index of a pixel that sees the sky."""
+BACKGROUND = -1
+"""actor_index of a pixel that sees the static background."""
+
+
+@dataclass(frozen=True, eq=False)
+class GBuffers:
+    """Geometry buffers. Without a surface: depth inf, position and normal 0, index -2."""
+
+    depth_z_m: Float32[np.ndarray, "h w"]
+    position_world: Float32[np.ndarray, "h w 3"]
+    normal_world: Float32[np.ndarray, "h w 3"]
+    base_colour: Float32[np.ndarray, "h w 3"]
+    ambient_occlusion: Float32[np.ndarray, "h w"]
+    """Cosine-weighted fraction of the upper hemisphere about the normal that is open; sky 1."""
+    actor_index: Int32[np.ndarray, "h w"]
+    """Index into the frame's list of placed actors, BACKGROUND or NO_SURFACE."""
+
+    @property
+    def has_surface(self) -> Bool[np.ndarray, "h w"]:
+        return np.isfinite(self.depth_z_m)
+
+
+@dataclass(frozen=True, eq=False)
+class ShadowBuffers:
+    """One sky's light on one frame. Irradiances are divided by pi: a white Lambert surface
+    shows exactly this radiance.
+
+    Args:
+        sun_visibility: fraction of the solar disc seen (0 below the horizon of the surface).
+        direct_sun: sun light with visibility.
+        sky: light of the dome without the sun, with visibility.
+        bounce: light from other surfaces.
+        shaded: direct_sun + sky + bounce.
+        unshadowed: the same light without visibility rays and without bounce.
+    """
+
+    sun_visibility: Float32[np.ndarray, "h w"]
+    direct_sun: Float32[np.ndarray, "h w 3"]
+    sky: Float32[np.ndarray, "h w 3"]
+    bounce: Float32[np.ndarray, "h w 3"]
+    shaded: Float32[np.ndarray, "h w 3"]
+    unshadowed: Float32[np.ndarray, "h w 3"]
+
+    @property
+    def ratio(self) -> Float32[np.ndarray, "h w 3"]:
+        """Shadow ratio S on direct light (sun and sky), so that S <= 1; 1 where no light
+        arrives (paper, Sec. 4: I_render / I_render without visibility)."""
+        direct = self.direct_sun + self.sky
+        safe = np.where(self.unshadowed > 0, self.unshadowed, 1.0)
+        return np.where(self.unshadowed > 0, direct / safe, 1.0).astype(np.float32)

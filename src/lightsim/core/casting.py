@@ -1,0 +1,54 @@
+"""What stages ask of a ray caster; `render` brings implementations, pipeline.py hands them on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int32
+
+from lightsim.core.mesh import TriMesh
+
+MISS = -1
+"""face_index of a ray that hit nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class RayHits:
+    """First hits. Misses: distance inf, face and mesh MISS, barycentric 0.
+
+    Args:
+        distance_m: along the unit direction.
+        mesh_index: which of the caster's meshes.
+        face_index: face within that mesh.
+        barycentric: weights of the face's three vertices.
+    """
+
+    distance_m: Float32[np.ndarray, " n"]
+    mesh_index: Int32[np.ndarray, " n"]
+    face_index: Int32[np.ndarray, " n"]
+    barycentric: Float32[np.ndarray, "n 3"]
+
+    @property
+    def is_hit(self) -> Bool[np.ndarray, " n"]:
+        return self.face_index != MISS
+
+
+class RayCaster(Protocol):
+    """Rays against a fixed list of meshes in frame `world`. Directions are unit vectors."""
+
+    @property
+    def meshes(self) -> Sequence[TriMesh]: ...
+
+    def intersect(
+        self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
+    ) -> RayHits: ...
+
+    def is_occluded(
+        self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
+    ) -> Bool[np.ndarray, " n"]: ...
+
+
+MakeCaster = Callable[[Sequence[TriMesh]], RayCaster]

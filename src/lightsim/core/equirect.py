@@ -1,0 +1,54 @@
+"""The equirectangular mapping of sky domes (CONVENTIONS: Sky domes): row 0 is up, the centre
+column looks along world +x, columns grow clockwise seen from above."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+
+def directions_from_uv(uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:
+    """Unit world directions of (u, v) fractions of the width and height."""
+    azimuth = (0.5 - uv[..., 0]) * 2 * np.pi
+    polar = uv[..., 1] * np.pi
+    sine = np.sin(polar)
+    return np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), np.cos(polar)], axis=-1)
+
+
+def uv_from_directions(directions_world: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
+    """(u, v) fractions in [0, 1) x [0, 1] of unit world directions."""
+    x, y, z = np.moveaxis(directions_world, -1, 0)
+    u = (0.5 - np.arctan2(y, x) / (2 * np.pi)) % 1.0
+    v = np.arccos(np.clip(z, -1.0, 1.0)) / np.pi
+    return np.stack([u, v], axis=-1)
+
+
+def pixel_directions(height_px: int) -> Float[np.ndarray, "h w 3"]:
+    """Unit world directions of the pixel centres of an (h, 2h) dome."""
+    u = (np.arange(2 * height_px) + 0.5) / (2 * height_px)
+    v = (np.arange(height_px) + 0.5) / height_px
+    uv = np.stack(np.meshgrid(u, v), axis=-1)
+    return directions_from_uv(uv)
+
+
+def solid_angles_sr(height_px: int) -> Float[np.ndarray, "h 1"]:
+    """Exact solid angle of a pixel of each row; times 2h and summed, this is 4 pi."""
+    edges = np.cos(np.linspace(0.0, np.pi, height_px + 1))
+    return ((edges[:-1] - edges[1:]) * 2 * np.pi / (2 * height_px))[:, None]
+
+
+def sample_bilinear(
+    image: Float[np.ndarray, "h w c"], directions_world: Float[np.ndarray, "*n 3"]
+) -> Float[np.ndarray, "*n c"]:
+    """Bilinear look-up by direction: wraps around in azimuth, clamps at the poles."""
+    height, width = image.shape[:2]
+    uv = uv_from_directions(directions_world)
+    x = uv[..., 0] * width - 0.5
+    y = np.clip(uv[..., 1] * height - 0.5, 0.0, height - 1.0)
+    x0, y0 = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    fx, fy = (x - x0)[..., None], (y - y0)[..., None]
+    y1 = np.minimum(y0 + 1, height - 1)
+    left, right = x0 % width, (x0 + 1) % width
+    top = image[y0, left] * (1 - fx) + image[y0, right] * fx
+    bottom = image[y1, left] * (1 - fx) + image[y1, right] * fx
+    return (top * (1 - fy) + bottom * fy).astype(image.dtype)

@@ -1,0 +1,251 @@
+"""Frame-checked rigid transforms and trajectories (CONVENTIONS: Frames, Transforms)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int64
+
+from lightsim.errors import FrameMismatchError, InputError, OutOfRangeError
+
+_ORTHONORMAL_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class RigidTransform:
+    """`dst_from_src`: maps coordinates in frame `src` to coordinates in frame `dst`.
+
+    Raises:
+        InputError: the matrix is not finite or not a rotation and translation.
+    """
+
+    dst: str
+    src: str
+    matrix: Float[np.ndarray, "4 4"]
+
+    def __post_init__(self) -> None:
+        matrix = np.asarray(self.matrix, dtype=np.float64)
+        object.__setattr__(self, "matrix", matrix)
+        name = f"{self.dst}_from_{self.src}"
+        if not np.isfinite(matrix).all():
+            raise InputError("the transform is not finite", where=name, got=matrix.tolist())
+        rotation = matrix[:3, :3]
+        error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+        if error > _ORTHONORMAL_TOLERANCE or np.linalg.det(rotation) < 0:
+            raise InputError(
+                "the 3x3 block is not a rotation",
+                where=name,
+                got=f"orthonormality error {error:.2e}",
+                remedy="Normalise the quaternion or fix the calibration.",
+            )
+        if not np.allclose(matrix[3], [0, 0, 0, 1]):
+            raise InputError("the last row is not 0 0 0 1", where=name, got=matrix[3].tolist())
+
+    @staticmethod
+    def identity(dst: str, src: str) -> RigidTransform:
+        return RigidTransform(dst, src, np.eye(4))
+
+    @staticmethod
+    def from_rotation(
+        dst: str,
+        src: str,
+        rotation: Float[np.ndarray, "3 3"],
+        translation_m: Float[np.ndarray, "3"],
+    ) -> RigidTransform:
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation
+        matrix[:3, 3] = translation_m
+        return RigidTransform(dst, src, matrix)
+
+    @staticmethod
+    def from_quaternion(
+        dst: str,
+        src: str,
+        quaternion_wxyz: Float[np.ndarray, "4"],
+        translation_m: Float[np.ndarray, "3"],
+    ) -> RigidTransform:
+        """From a (w, x, y, z) quaternion, normalised here; zero length raises InputError."""
+        rotation = matrices_from_quaternions(np.asarray(quaternion_wxyz, dtype=np.float64)[None])
+        return RigidTransform.from_rotation(dst, src, rotation[0], translation_m)
+
+    @staticmethod
+    def from_yaw(
+        dst: str, src: str, yaw_rad: float, translation_m: Float[np.ndarray, "3"]
+    ) -> RigidTransform:
+        """A rotation by `yaw_rad` about z (counter-clockwise seen from above)."""
+        c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return RigidTransform.from_rotation(dst, src, rotation, translation_m)
+
+    @property
+    def rotation(self) -> Float[np.ndarray, "3 3"]:
+        return self.matrix[:3, :3]
+
+    @property
+    def translation_m(self) -> Float[np.ndarray, "3"]:
+        """Origin of `src` in `dst`."""
+        return self.matrix[:3, 3]
+
+    @property
+    def yaw_rad(self) -> float:
+        """Direction of the src x axis in the dst x-y plane."""
+        return float(np.arctan2(self.matrix[1, 0], self.matrix[0, 0]))
+
+    def __matmul__(self, other: RigidTransform) -> RigidTransform:
+        if self.src != other.dst:
+            raise FrameMismatchError(
+                "inner frames differ",
+                where=f"{self.dst}_from_{self.src} @ {other.dst}_from_{other.src}",
+                got=f"'{self.src}' and '{other.dst}'",
+                expected="equal inner frames",
+            )
+        return RigidTransform(self.dst, other.src, self.matrix @ other.matrix)
+
+    def inverse(self) -> RigidTransform:
+        rotation = self.rotation.T
+        return RigidTransform.from_rotation(
+            self.src, self.dst, rotation, -rotation @ self.translation_m
+        )
+
+    def apply(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+        """Points (rows) in `src` to points in `dst`."""
+        return points @ self.rotation.T + self.translation_m
+
+    def rotate(self, vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+        """Free vectors (rows) in `src` to vectors in `dst`."""
+        return points_rotated(vectors, self.rotation)
+
+
+def points_rotated(
+    vectors: Float[np.ndarray, "*n 3"], rotation: Float[np.ndarray, "3 3"]
+) -> Float[np.ndarray, "*n 3"]:
+    return vectors @ rotation.T
+
+
+def matrices_from_quaternions(
+    quaternions_wxyz: Float[np.ndarray, "n 4"],
+) -> Float[np.ndarray, "n 3 3"]:
+    """Rotation matrices of (w, x, y, z) quaternions, normalised first.
+
+    Raises:
+        InputError: a quaternion is not finite or has zero length.
+    """
+    norm = np.linalg.norm(quaternions_wxyz, axis=1, keepdims=True)
+    if not np.isfinite(norm).all() or (norm < 1e-9).any():
+        raise InputError("a quaternion is not finite or has zero length")
+    w, x, y, z = (quaternions_wxyz / norm).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows, dtype=np.float64), -1, 0)
+
+
+def quaternion_from_matrix(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
+    """(w, x, y, z) quaternion of a rotation, w >= 0.
+
+    The eigenvector form is stable for every angle (Bar-Itzhack 2000, doi:10.2514/2.4654).
+    """
+    m = rotation
+    k = (
+        np.array(
+            [
+                [m[0, 0] + m[1, 1] + m[2, 2], 0, 0, 0],
+                [m[2, 1] - m[1, 2], m[0, 0] - m[1, 1] - m[2, 2], 0, 0],
+                [m[0, 2] - m[2, 0], m[1, 0] + m[0, 1], m[1, 1] - m[0, 0] - m[2, 2], 0],
+                [
+                    m[1, 0] - m[0, 1],
+                    m[0, 2] + m[2, 0],
+                    m[2, 1] + m[1, 2],
+                    m[2, 2] - m[0, 0] - m[1, 1],
+                ],
+            ]
+        )
+        / 3.0
+    )
+    _, vectors = np.linalg.eigh(k, UPLO="L")
+    quaternion = vectors[:, -1]
+    return quaternion if quaternion[0] >= 0 else -quaternion
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses `dst_from_src` over time: slerp and lerp between them, nothing beyond them.
+
+    Args:
+        times_ns: strictly increasing integer nanoseconds.
+        matrices: one 4x4 `dst_from_src` each.
+    """
+
+    dst: str
+    src: str
+    times_ns: Int64[np.ndarray, " n"]
+    matrices: Float[np.ndarray, "n 4 4"]
+
+    def __post_init__(self) -> None:
+        if len(self.times_ns) == 0:
+            raise InputError("a trajectory needs at least one pose")
+        if (np.diff(self.times_ns) <= 0).any():
+            raise InputError("the times of a trajectory must increase strictly")
+        for matrix in self.matrices:
+            RigidTransform(self.dst, self.src, matrix)
+
+    def __len__(self) -> int:
+        return len(self.times_ns)
+
+    @property
+    def start_ns(self) -> int:
+        return int(self.times_ns[0])
+
+    @property
+    def end_ns(self) -> int:
+        return int(self.times_ns[-1])
+
+    @property
+    def positions_m(self) -> Float[np.ndarray, "n 3"]:
+        return self.matrices[:, :3, 3]
+
+    def covers(self, time_ns: int, hold_s: float = 0.0) -> bool:
+        hold_ns = int(hold_s * 1e9)
+        return self.start_ns - hold_ns <= time_ns <= self.end_ns + hold_ns
+
+    def at(self, time_ns: int, hold_s: float = 0.0) -> RigidTransform:
+        """Interpolated pose; within `hold_s` beyond an end, the pose of that end.
+
+        Raises:
+            OutOfRangeError: `time_ns` lies outside the trajectory.
+        """
+        if not self.covers(time_ns, hold_s):
+            raise OutOfRangeError(
+                "the time lies outside the trajectory",
+                where=f"{self.dst}_from_{self.src}",
+                got=f"{time_ns} ns",
+                expected=f"{self.start_ns} to {self.end_ns} ns",
+            )
+        time_ns = min(max(time_ns, self.start_ns), self.end_ns)
+        j = int(np.searchsorted(self.times_ns, time_ns, side="left"))
+        if self.times_ns[j] == time_ns:
+            return RigidTransform(self.dst, self.src, self.matrices[j])
+        before, after = self.matrices[j - 1], self.matrices[j]
+        span = int(self.times_ns[j] - self.times_ns[j - 1])
+        fraction = int(time_ns - self.times_ns[j - 1]) / span
+        rotation = _slerp(before[:3, :3], after[:3, :3], fraction)
+        translation = (1 - fraction) * before[:3, 3] + fraction * after[:3, 3]
+        return RigidTransform.from_rotation(self.dst, self.src, rotation, translation)
+
+
+def _slerp(
+    start: Float[np.ndarray, "3 3"], end: Float[np.ndarray, "3 3"], fraction: float
+) -> Float[np.ndarray, "3 3"]:
+    q0, q1 = quaternion_from_matrix(start), quaternion_from_matrix(end)
+    cosine = float(q0 @ q1)
+    if cosine < 0:
+        q1, cosine = -q1, -cosine
+    angle = np.arccos(min(cosine, 1.0))
+    if angle < 1e-7:
+        q = (1 - fraction) * q0 + fraction * q1
+    else:
+        q = (np.sin((1 - fraction) * angle) * q0 + np.sin(fraction * angle) * q1) / np.sin(angle)
+    return matrices_from_quaternions(q[None])[0]

@@ -1,0 +1,74 @@
+"""A recording: cameras, frames, sweeps, the ego's motion, actors and where on Earth it was."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool
+
+from lightsim.core.actors import ActorTrack
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.frames import RigidTransform, Trajectory
+from lightsim.core.sensors import CameraFrame, LazySweep
+from lightsim.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class GeoReference:
+    """Place, time and heading. `enu_from_world` is a rotation about z, or None where the log
+    never moves and no heading was given."""
+
+    latitude_deg: float
+    longitude_deg: float
+    utc_start_ns: int
+    enu_from_world: RigidTransform | None
+    heading_origin: str
+    """How the heading was found: "gps track", "given" or "unknown"."""
+    heading_residual_deg: float | None
+    """One standard deviation of the heading, degrees, where it was fitted."""
+    heading_residual_m: float | None = None
+    """RMS distance between the rotated ego path and the GPS track."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrivingLog:
+    """One recording. All frames, sweeps and tracks are in time order and share one clock."""
+
+    name: str
+    cameras: Mapping[str, PinholeCamera]
+    frames: tuple[CameraFrame, ...]
+    sweeps: tuple[LazySweep, ...]
+    ego: Trajectory
+    actors: tuple[ActorTrack, ...]
+    geo: GeoReference | None
+    own_car_masks: Mapping[str, Bool[np.ndarray, "h w"]]
+    """True where a camera sees the recording car itself; cameras without an entry do not."""
+    notes: tuple[str, ...] = ()
+    """What was odd or substituted while reading: said once, recorded in the artefact."""
+
+    def frames_of(self, camera_name: str) -> tuple[CameraFrame, ...]:
+        """Frames of one camera, in time order.
+
+        Raises:
+            InputError: no such camera.
+        """
+        if camera_name not in self.cameras:
+            raise InputError(
+                f"camera '{camera_name}' is not in the log",
+                where=self.name,
+                expected=f"one of {', '.join(self.cameras)}",
+            )
+        return tuple(f for f in self.frames if f.camera_name == camera_name)
+
+    def actors_at(self, time_ns: int) -> tuple[ActorTrack, ...]:
+        return tuple(actor for actor in self.actors if actor.is_present(time_ns))
+
+    def with_frames(self, frames: tuple[CameraFrame, ...]) -> DrivingLog:
+        return replace(self, frames=frames)
+
+    @property
+    def stems(self) -> tuple[str, ...]:
+        """Distinct frame stems in time order."""
+        return tuple(dict.fromkeys(f.stem for f in self.frames))

@@ -1,0 +1,60 @@
+"""Where the sun stands: ephemeris by pvlib, azimuth clockwise from true north."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from lightsim.core.frames import RigidTransform
+
+
+@dataclass(frozen=True)
+class SolarPosition:
+    """Geometric direction of the sun's centre, refraction included."""
+
+    azimuth_deg: float
+    elevation_deg: float
+
+
+def solar_position(latitude_deg: float, longitude_deg: float, time_ns: int) -> SolarPosition:
+    """NREL's SPA (Reda & Andreas 2004, doi:10.1016/j.solener.2003.12.003) through pvlib."""
+    import pandas as pd
+    from pvlib.solarposition import get_solarposition
+
+    times = pd.DatetimeIndex([pd.Timestamp(time_ns, unit="ns", tz="UTC")])
+    row = get_solarposition(times, latitude_deg, longitude_deg).iloc[0]
+    return SolarPosition(float(row["azimuth"]), float(row["apparent_elevation"]))
+
+
+def direction_enu(azimuth_deg: float, elevation_deg: float) -> Float[np.ndarray, "3"]:
+    """Unit vector in frame `enu` towards (azimuth clockwise from north, elevation)."""
+    azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
+    return np.array(
+        [
+            np.sin(azimuth) * np.cos(elevation),
+            np.cos(azimuth) * np.cos(elevation),
+            np.sin(elevation),
+        ]
+    )
+
+
+def azimuth_elevation(direction: Float[np.ndarray, "3"]) -> SolarPosition:
+    """Inverse of `direction_enu`; azimuth in [0, 360)."""
+    x, y, z = direction / np.linalg.norm(direction)
+    azimuth = float(np.degrees(np.arctan2(x, y)) % 360.0)
+    return SolarPosition(azimuth, float(np.degrees(np.arcsin(z))))
+
+
+def direction_world(
+    azimuth_deg: float, elevation_deg: float, enu_from_world: RigidTransform
+) -> Float[np.ndarray, "3"]:
+    """The direction (azimuth from true north, elevation) in frame `world`."""
+    return enu_from_world.inverse().rotate(direction_enu(azimuth_deg, elevation_deg))
+
+
+def angle_between_deg(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> float:
+    """Angle between two directions, accurate for small angles too."""
+    cross, dot = float(np.linalg.norm(np.cross(a, b))), float(a @ b)
+    return float(np.degrees(np.arctan2(cross, dot)))

@@ -1,0 +1,89 @@
+"""The lighting-aware digital twin: geometry, base colour and sky of one log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32
+
+from lightsim.core.dome import SkyDome
+from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import TriMesh
+
+
+@dataclass(frozen=True, eq=False)
+class ActorAsset:
+    """A reconstructed actor; `mesh` lies in frame `actor` (origin at the box centre)."""
+
+    actor_id: str
+    kind: str
+    mesh: TriMesh
+
+
+@dataclass(frozen=True, eq=False)
+class SceneAssets:
+    """Meshes of a log, and the gain of each camera.
+
+    Args:
+        background: static scene, frame `world`.
+        actors: by actor id.
+        camera_gains: RGB g with linear pixel value = g x scene radiance; geometric mean over
+            the cameras 1 per channel, which fixes the scene unit.
+    """
+
+    background: TriMesh
+    actors: Mapping[str, ActorAsset]
+    camera_gains: Mapping[str, Float32[np.ndarray, "3"]]
+
+
+@dataclass(frozen=True, eq=False)
+class Panorama:
+    """What all cameras saw around one point, equirectangular in frame `world`.
+
+    Args:
+        radiance: linear RGB in scene units (gains divided out), 0 where not seen.
+        is_seen: observed at all.
+        is_sky: observed, and no reconstructed surface on that ray.
+        is_clipped: at least one channel of every contributing pixel was saturated.
+    """
+
+    radiance: Float32[np.ndarray, "h w 3"]
+    is_seen: Bool[np.ndarray, "h w"]
+    is_sky: Bool[np.ndarray, "h w"]
+    is_clipped: Bool[np.ndarray, "h w"]
+
+
+@dataclass(frozen=True, eq=False)
+class SkyEstimate:
+    """The estimated source sky.
+
+    Args:
+        dome: HDR radiance in scene units, the sun included.
+        sun_azimuth_deg: clockwise from true north, or None where the heading is unknown.
+        sun_elevation_deg: above the horizon.
+        origin: "gps+time", "network" or "image".
+        uncertainty_deg: one standard deviation of the sun direction.
+        sun_irradiance_log_std: one standard deviation of the log of the sun's irradiance.
+        sky_irradiance: RGB on level ground, sun excluded.
+        notes: which evidence was used and what was assumed.
+    """
+
+    dome: SkyDome
+    sun_azimuth_deg: float | None
+    sun_elevation_deg: float
+    origin: str
+    uncertainty_deg: float
+    sun_irradiance_log_std: float
+    sky_irradiance: Float32[np.ndarray, "3"]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class DigitalTwin:
+    """Everything relighting needs: the log, its meshes and its sky."""
+
+    log: DrivingLog
+    assets: SceneAssets
+    sky: SkyEstimate

@@ -1,0 +1,60 @@
+"""The exceptions that LightSim raises on purpose: one clear line each, with the remedy."""
+
+from __future__ import annotations
+
+
+class LightSimError(Exception):
+    """Base of every error a user can cause or mend.
+
+    Args:
+        what: what is wrong, as a short sentence without a full stop.
+        where: the file, camera, stage or option concerned.
+        got: what was found.
+        expected: what would have been right, or the available choices.
+        remedy: what the user can do about it.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        where: object = None,
+        got: object = None,
+        expected: object = None,
+        remedy: str | None = None,
+    ) -> None:
+        self.what = what
+        self.where = where
+        self.got = got
+        self.expected = expected
+        self.remedy = remedy
+        super().__init__(self._message())
+
+    def _message(self) -> str:
+        parts = [f"{self.where}: {self.what}" if self.where is not None else self.what]
+        if self.got is not None:
+            parts.append(f"got {self.got}")
+        if self.expected is not None:
+            parts.append(f"expected {self.expected}")
+        head = ", ".join(parts) + "."
+        return f"{head} {self.remedy}" if self.remedy else head
+
+
+class InputError(LightSimError):
+    """A file or value given by the user is missing, broken or out of range."""
+
+
+class FrameMismatchError(LightSimError):
+    """Transforms of unequal inner frames were composed, or a value is in the wrong frame."""
+
+
+class OutOfRangeError(LightSimError):
+    """A time or index lies outside what was recorded; nothing is extrapolated."""
+
+
+class ArtefactError(LightSimError):
+    """An artefact folder is missing, incomplete or of another schema version."""
+
+
+class MissingDependencyError(LightSimError):
+    """An optional package is needed and not installed."""

@@ -1,0 +1,77 @@
+"""Progress of long work: a bar on a terminal, plain lines elsewhere, nothing in tests."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from typing import Protocol, TypeVar
+
+T = TypeVar("T")
+
+
+class Progress(Protocol):
+    """What a stage needs to report: wrap the loop in `track`."""
+
+    def track(
+        self, items: Iterable[T], description: str, total: int | None = None
+    ) -> Iterator[T]: ...
+
+
+class SilentProgress:
+    """Reports nothing (library use, tests)."""
+
+    def track(self, items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
+        yield from items
+
+
+class LineProgress:
+    """One line at the start, then at most one every `every_s` seconds, one at the end."""
+
+    def __init__(self, every_s: float = 10.0) -> None:
+        self._every_s = every_s
+
+    def track(self, items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
+        total = _length(items) if total is None else total
+        start = last = time.monotonic()
+        done = 0
+        for item in items:
+            yield item
+            done += 1
+            now = time.monotonic()
+            if now - last >= self._every_s:
+                last = now
+                self._line(description, done, total, now - start)
+        self._line(description, done, total, time.monotonic() - start)
+
+    @staticmethod
+    def _line(description: str, done: int, total: int | None, seconds: float) -> None:
+        of = f"/{total}" if total is not None else ""
+        left = f", {seconds / done * (total - done):.0f} s left" if total and done else ""
+        sys.stderr.write(f"  {description}: {done}{of}, {seconds:.1f} s{left}\n")
+        sys.stderr.flush()
+
+
+class BarProgress:
+    """A rich progress bar with the estimated time left."""
+
+    def track(self, items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
+        from rich.console import Console
+        from rich.progress import track
+
+        total = _length(items) if total is None else total
+        yield from track(
+            items,
+            description=f"  {description}",
+            total=total,
+            console=Console(stderr=True),
+        )
+
+
+def terminal_progress() -> Progress:
+    """The reporter that fits standard error: a bar on a terminal, lines elsewhere."""
+    return BarProgress() if sys.stderr.isatty() else LineProgress()
+
+
+def _length(items: object) -> int | None:
+    return len(items) if hasattr(items, "__len__") else None  # type: ignore[arg-type]
