@@ -43,4 +43,4 @@ class ActorTrack:
         """Which points lie inside the box (grown by `margin_m`) at a time."""
         actor_from_world = self.world_from_actor(time_ns).inverse()
         points_actor = actor_from_world.apply(points_world)
-        return (np.abs(points_actor) <= self.size_lwh_m / 2 + margin_m).all(axis=1)
+        return np.all(np.abs(points_actor) <= self.size_lwh_m / 2 + margin_m, axis=1)

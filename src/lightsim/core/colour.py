@@ -36,4 +36,4 @@ def srgb8_from_linear(linear: Shaped[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n
 
 
 def luminance(linear: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
-    return linear @ LUMINANCE_WEIGHTS
+    return np.asarray(linear @ LUMINANCE_WEIGHTS)

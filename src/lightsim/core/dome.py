@@ -21,7 +21,6 @@ from lightsim.errors import InputError
 SOLAR_RADIUS_DEG = 0.265
 """Mean angular radius of the solar disc."""
 _SUN_REGION_DEG = 4.0
-_SURROUND_DEG = 7.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,17 +149,19 @@ def disc_directions(
 def split_sun(dome: SkyDome) -> tuple[Float32[np.ndarray, "h w 3"], Sun | None]:
     """The dome without its sun, and the sun with the energy that the image gives it.
 
-    A dome without a known sun is searched for one (`find_sun`). Inside 4 degrees of the sun,
-    what exceeds the brightest tenth of the surrounding ring is the sun's. The two parts add up to
-    the dome's energy.
+    A dome without a known sun is searched for one (`find_sun`). Inside 4 degrees of the sun
+    (more where pixels are coarse), what exceeds the brightest tenth of the surrounding ring is
+    the sun's. The two parts add up to the dome's energy.
     """
     direction = dome.sun.direction_world if dome.sun else _sun_direction(dome.radiance)
     if direction is None:
         return dome.radiance, None
     height = dome.height_px
     cosine = pixel_directions(height) @ direction
-    core = cosine >= np.cos(np.radians(_SUN_REGION_DEG))
-    ring = (cosine >= np.cos(np.radians(_SURROUND_DEG))) & ~core
+    pixel_deg = 180.0 / height
+    core_deg = max(_SUN_REGION_DEG, 1.6 * pixel_deg)
+    core = cosine >= np.cos(np.radians(core_deg))
+    ring = (cosine >= np.cos(np.radians(core_deg + max(3.0, 1.5 * pixel_deg)))) & ~core
     ring_rgb = np.percentile(dome.radiance[ring], 90, axis=0) if ring.any() else np.zeros(3)
     without = dome.radiance.copy()
     without[core] = np.minimum(without[core], ring_rgb.astype(np.float32))
@@ -191,7 +192,8 @@ def _sun_direction(radiance: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, 
     uv = np.array([(column + 0.5) / (2 * height), (row + 0.5) / height])
     peak = directions_from_uv(uv)
     directions = pixel_directions(height)
-    core = directions @ peak >= np.cos(np.radians(_SUN_REGION_DEG / 2))
+    radius_deg = max(_SUN_REGION_DEG / 2, 1.6 * 180.0 / height)
+    core = directions @ peak >= np.cos(np.radians(radius_deg))
     value = luminance(radiance)
     weight = np.where(core & (value > 0.1 * value[row, column]), value, 0) * solid_angles_sr(height)
     centre = np.einsum("hw,hwc->c", weight, directions)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float
@@ -24,7 +25,8 @@ def solar_position(latitude_deg: float, longitude_deg: float, time_ns: int) -> S
     from pvlib.solarposition import get_solarposition
 
     times = pd.DatetimeIndex([pd.Timestamp(time_ns, unit="ns", tz="UTC")])
-    row = get_solarposition(times, latitude_deg, longitude_deg).iloc[0]
+    table = cast(pd.DataFrame, get_solarposition(times, latitude_deg, longitude_deg))
+    row = cast("dict[str, float]", table.iloc[0].to_dict())
     return SolarPosition(float(row["azimuth"]), float(row["apparent_elevation"]))
 
 
