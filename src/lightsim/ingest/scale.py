@@ -1,0 +1,51 @@
+"""A log at another image scale: every later stage then works at that scale unknowingly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import UInt8
+
+from lightsim.core.colour import linear_from_srgb8, srgb8_from_linear
+from lightsim.core.log import DrivingLog
+from lightsim.core.resample import resize_area
+from lightsim.core.sensors import CameraFrame
+from lightsim.errors import InputError
+
+Loader = Callable[[], UInt8[np.ndarray, "h w 3"]]
+
+
+def at_scale(log: DrivingLog, image_scale: float) -> DrivingLog:
+    """Cameras, images and own-car masks resized by `image_scale`; images in linear light.
+
+    Raises:
+        InputError: the scale is not in (0, 1].
+    """
+    if not 0.0 < image_scale <= 1.0:
+        raise InputError("the image scale must lie in (0, 1]", got=image_scale)
+    if image_scale == 1.0:
+        return log
+    cameras = {name: camera.scaled(image_scale) for name, camera in log.cameras.items()}
+    frames = tuple(
+        replace(frame, load_srgb8=_resized_loader(frame, cameras[frame.camera_name].height_px))
+        for frame in log.frames
+    )
+    masks = {
+        name: resize_area(
+            mask[..., None].astype(np.float32), cameras[name].height_px, cameras[name].width_px
+        )[..., 0]
+        > 0.01
+        for name, mask in log.own_car_masks.items()
+    }
+    return replace(log, cameras=cameras, frames=frames, own_car_masks=masks)
+
+
+def _resized_loader(frame: CameraFrame, height_px: int) -> Loader:
+    def load() -> UInt8[np.ndarray, "h w 3"]:
+        full = frame.load_srgb8()
+        width_px = max(1, round(full.shape[1] * height_px / full.shape[0]))
+        return srgb8_from_linear(resize_area(linear_from_srgb8(full), height_px, width_px))
+
+    return load
