@@ -1,0 +1,38 @@
+"""The twin is put together, and checked before anything is rendered from it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lightsim.core.log import DrivingLog
+from lightsim.core.twin import DigitalTwin, SceneAssets, SkyEstimate
+from lightsim.errors import FrameMismatchError, InputError
+
+
+def build_twin(log: DrivingLog, assets: SceneAssets, sky: SkyEstimate) -> DigitalTwin:
+    """Join the parts of a digital twin.
+
+    Raises:
+        InputError: no background surface, a camera without gain, or a base colour out of [0, 1].
+        FrameMismatchError: a mesh lies in the wrong frame.
+    """
+    if len(assets.background.faces) == 0:
+        raise InputError(
+            "the background has no surface",
+            where=log.name,
+            remedy="Check that the log has LiDAR sweeps in the chosen frames.",
+        )
+    missing = [name for name in log.cameras if name not in assets.camera_gains]
+    if missing:
+        raise InputError("cameras have no gain", where=log.name, got=", ".join(missing))
+    meshes = [("background", assets.background, "world")]
+    meshes += [(a.actor_id, a.mesh, "actor") for a in assets.actors.values()]
+    for name, mesh, frame in meshes:
+        if mesh.frame != frame:
+            raise FrameMismatchError(
+                "a mesh lies in the wrong frame", where=name, got=mesh.frame, expected=frame
+            )
+        colour = mesh.base_colour
+        if not np.isfinite(colour).all() or (colour < 0).any() or (colour > 1).any():
+            raise InputError("base colour must lie in [0, 1]", where=name)
+    return DigitalTwin(log, assets, sky)

@@ -1,0 +1,105 @@
+"""log.json: how a log was read and what was found; the recording stays where it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lightsim.core.log import DrivingLog
+from lightsim.core.solar import azimuth_elevation, solar_position
+from lightsim.errors import ArtefactError
+from lightsim.store.artefact import json_ready, read_json, write_json
+
+LOG_NAME = "log.json"
+
+
+@dataclass(frozen=True)
+class LogReading:
+    """The options that a log was read with; reading again with them gives the same log."""
+
+    source: str
+    """Absolute path of the recording."""
+    dataset: str
+    """"auto" or the name of a dataset."""
+    cameras: tuple[str, ...]
+    """Cameras to use; empty means all."""
+    frames: str
+    """START:STOP[:STEP] over the log's own frame numbers; empty means all."""
+    heading_deg: float | None
+    """Azimuth of the world x axis where the log cannot tell it, degrees clockwise from north."""
+    image_scale: float
+    """Factor on the image size of every camera."""
+    hold_out: int
+    """Every n-th frame and sweep is kept from the build, for evaluation; 0 holds out none."""
+
+
+def held_out_stems(log: DrivingLog, hold_out: int) -> frozenset[str]:
+    """Stems of the frames kept from the build: the middle one of every `hold_out`."""
+    if hold_out <= 0:
+        return frozenset()
+    return frozenset(log.stems[hold_out // 2 :: hold_out])
+
+
+def write_log(folder: Path, log: DrivingLog, reading: LogReading) -> None:
+    """Write log.json: the reading, and a summary for people and for `lightsim status`."""
+    write_json(
+        folder / LOG_NAME,
+        {
+            "name": log.name,
+            "reading": json_ready(reading),
+            "cameras": json_ready(dict(log.cameras)),
+            "frames": [[f.camera_name, f.stem, f.time_ns] for f in log.frames],
+            "sweeps": [[s.stem, s.time_ns] for s in log.sweeps],
+            "held_out": sorted(held_out_stems(log, reading.hold_out)),
+            "actors": [
+                {
+                    "actor_id": a.actor_id,
+                    "kind": a.kind,
+                    "size_lwh_m": a.size_lwh_m.tolist(),
+                    "is_moving": a.is_moving,
+                    "poses": len(a.trajectory),
+                }
+                for a in log.actors
+            ],
+            "geo": _geo_summary(log),
+            "notes": list(log.notes),
+        },
+    )
+
+
+def read_reading(folder: Path) -> LogReading:
+    """The options of log.json.
+
+    Raises:
+        ArtefactError: missing or broken.
+    """
+    path = folder / LOG_NAME
+    value = read_json(path)
+    try:
+        reading = dict(value["reading"])
+        return LogReading(**{**reading, "cameras": tuple(reading["cameras"])})
+    except (KeyError, TypeError) as error:
+        raise ArtefactError(
+            "the reading options are broken", where=path, got=error, remedy="Build again."
+        ) from error
+
+
+def _geo_summary(log: DrivingLog) -> dict[str, Any] | None:
+    geo = log.geo
+    if geo is None:
+        return None
+    sun = solar_position(geo.latitude_deg, geo.longitude_deg, log.frames[0].time_ns)
+    heading = None
+    if geo.enu_from_world is not None:
+        heading = azimuth_elevation(geo.enu_from_world.matrix[:3, 0]).azimuth_deg
+    return {
+        "latitude_deg": geo.latitude_deg,
+        "longitude_deg": geo.longitude_deg,
+        "world_x_azimuth_deg": heading,
+        "heading_origin": geo.heading_origin,
+        "heading_residual_deg": geo.heading_residual_deg,
+        "heading_residual_m": geo.heading_residual_m,
+        "sun_azimuth_deg": sun.azimuth_deg,
+        "sun_elevation_deg": sun.elevation_deg,
+    }

@@ -1,0 +1,70 @@
+"""The twin for the world outside: twin.json and glTF meshes that any viewer opens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from lightsim.core.mesh import TriMesh
+from lightsim.core.twin import ActorAsset, DigitalTwin, SceneAssets
+from lightsim.store.artefact import json_ready, read_json, write_json
+from lightsim.store.meshes import read_glb, write_glb
+
+
+def write_twin(folder: Path, twin: DigitalTwin, inferred: TriMesh) -> None:
+    """twin.json, background.glb, inferred.glb and actors/<actor_id>.glb."""
+    write_glb(folder / "background.glb", twin.assets.background)
+    if len(inferred.faces):
+        write_glb(folder / "inferred.glb", inferred)
+    (folder / "actors").mkdir(exist_ok=True)
+    for actor in twin.assets.actors.values():
+        write_glb(folder / "actors" / f"{actor.actor_id}.glb", actor.mesh)
+    tracks = {track.actor_id: track for track in twin.log.actors}
+    write_json(
+        folder / "twin.json",
+        {
+            "log": twin.log.name,
+            "frame": "world, metres, z up (glTF files are y up, as glTF asks)",
+            "background": "background.glb",
+            "background_faces": len(twin.assets.background.faces),
+            "inferred": "inferred.glb" if len(inferred.faces) else None,
+            "camera_gains": json_ready(dict(twin.assets.camera_gains)),
+            "actors": [
+                {
+                    "actor_id": a.actor_id,
+                    "kind": a.kind,
+                    "mesh": f"actors/{a.actor_id}.glb",
+                    "size_lwh_m": tracks[a.actor_id].size_lwh_m.tolist(),
+                    "is_moving": tracks[a.actor_id].is_moving,
+                    "times_ns": tracks[a.actor_id].trajectory.times_ns.tolist(),
+                    "world_from_actor": tracks[a.actor_id].trajectory.matrices.tolist(),
+                }
+                for a in twin.assets.actors.values()
+            ],
+        },
+    )
+
+
+def read_twin_assets(folder: Path) -> tuple[SceneAssets, TriMesh]:
+    """Meshes with base colour, gains, and the inferred shadow casters (empty if none)."""
+    value = read_json(folder / "twin.json")
+    actors = {
+        a["actor_id"]: ActorAsset(a["actor_id"], a["kind"], read_glb(folder / a["mesh"], "actor"))
+        for a in value["actors"]
+    }
+    gains = {name: np.array(g, np.float32) for name, g in value["camera_gains"].items()}
+    background = read_glb(folder / value["background"], "world")
+    inferred = empty_mesh()
+    if value["inferred"] is not None:
+        inferred = read_glb(folder / value["inferred"], "world")
+    return SceneAssets(background, actors, gains), inferred
+
+
+def empty_mesh() -> TriMesh:
+    return TriMesh(
+        "world",
+        np.zeros((0, 3), np.float32),
+        np.zeros((0, 3), np.int32),
+        np.zeros((0, 3), np.float32),
+    )

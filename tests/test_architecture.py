@@ -1,0 +1,78 @@
+"""The rules of the house: stages meet only in pipeline.py, and importing is cheap."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / "src" / "lightsim"
+STAGES = {
+    "ingest", "reconstruct", "assets", "lighting", "assemble", "edit", "render", "relight",
+    "baselines", "video", "evaluate", "view",
+}  # fmt: skip
+HEAVY = ("torch", "mitsuba", "bpy", "viser", "numba", "pandas", "av", "trimesh", "skimage")
+
+
+def imported_modules(path: Path) -> set[str]:
+    """Every lightsim module a file imports, inside functions too."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module)
+            found.update(f"{node.module}.{alias.name}" for alias in node.names)
+    return {name for name in found if name.startswith("lightsim.")}
+
+
+def python_files(*folders: str) -> list[Path]:
+    return [path for folder in folders for path in sorted((PACKAGE / folder).rglob("*.py"))]
+
+
+@pytest.mark.parametrize("stage", sorted(STAGES))
+def test_stages_do_not_import_each_other(stage: str) -> None:
+    for path in python_files(stage):
+        others = {name.split(".")[1] for name in imported_modules(path)} & (STAGES - {stage})
+        assert not others, f"{path.name} imports {others}"
+
+
+def test_core_imports_no_stage_and_no_store() -> None:
+    for path in python_files("core"):
+        names = {name.split(".")[1] for name in imported_modules(path)}
+        assert names <= {"core", "errors"}, path.name
+
+
+def test_only_the_top_imports_the_viewer_and_the_pipeline() -> None:
+    for path in python_files("core", "store", *STAGES):
+        names = {name.split(".")[1] for name in imported_modules(path)}
+        assert not names & {"pipeline", "cli"}, path.name
+
+
+@pytest.mark.parametrize("code", ["import lightsim", "from lightsim.cli import main; main(['-h'])"])
+def test_importing_is_light(code: str) -> None:
+    script = (
+        "import sys\n"
+        "try:\n"
+        f"    {code}\n"
+        "except SystemExit as stop:\n"
+        "    assert not stop.code\n"
+        f"heavy = sorted(m for m in {HEAVY!r} if m in sys.modules)\n"
+        "print('LOADED', heavy)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip().endswith("LOADED []"), done.stdout
+
+
+def test_files_stay_short() -> None:
+    long = {
+        path.name: count
+        for path in PACKAGE.rglob("*.py")
+        if (count := len(path.read_text().splitlines())) > 400
+    }
+    assert not long
