@@ -1,0 +1,106 @@
+"""OpenEXR pictures with one channel or with R, G, B, in half or float."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Float32, Shaped
+
+from lightsim.errors import InputError
+from lightsim.store.atomic import read_bytes, whole_file
+
+EXR_MAGIC = b"\x76\x2f\x31\x01"
+_MAX_PIXELS = 1 << 28
+_HALF_MAX = 65504.0
+_REMEDY = "Download or export the file again."
+
+
+def read_exr(path: Path) -> Float32[np.ndarray, "h w *c"]:
+    """An OpenEXR buffer as it is: [h, w] of one channel, [h, w, 3] of R, G, B; inf and NaN stay.
+
+    Alpha is dropped; R, G, B may carry a layer's name ("ViewLayer.Combined.R").
+
+    Raises:
+        InputError: the file is missing, damaged, truncated, not OpenEXR, cropped, or has other
+            channels.
+    """
+    if not read_bytes(path, "picture").startswith(EXR_MAGIC):
+        raise InputError("not an OpenEXR file", where=path, expected="a .exr picture")
+    import OpenEXR
+
+    try:
+        with OpenEXR.File(str(path), header_only=True) as file:
+            _check_windows(file.header())
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            pixels_by_name = {str(n): channel.pixels for n, channel in file.channels().items()}
+    except (RuntimeError, ValueError, TypeError, LookupError, MemoryError) as error:
+        raise InputError(
+            "the OpenEXR picture cannot be read; it is truncated, damaged or cropped",
+            where=path,
+            got=f"{error}"[:200],
+            remedy=_REMEDY,
+        ) from error
+    return _picture(path, pixels_by_name)
+
+
+def write_exr(path: Path, array: Float[np.ndarray, "h w *c"], half: bool = False) -> None:
+    """Write [h, w] as channel Y, or [h, w, 3] as R, G, B; ZIP compressed, float or half.
+
+    Raises:
+        InputError: another shape, an empty picture, or finite values beyond half's 65504.
+    """
+    if array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,)) or not array.size:
+        raise InputError(
+            "an EXR picture must be [h, w] or [h, w, 3]", where=path, got=list(array.shape)
+        )
+    if half and (np.abs(array[np.isfinite(array)]) > _HALF_MAX).any():
+        raise InputError(
+            "values are too large for half floats", where=path, remedy="Write it with half=False."
+        )
+    import OpenEXR
+
+    pixels = np.ascontiguousarray(array, dtype=np.float16 if half else np.float32)
+    header: dict[str, Any] = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+    }
+    channels: dict[str, Any] = {"Y": pixels} if array.ndim == 2 else {"RGB": pixels}
+    with whole_file(path) as temporary:
+        OpenEXR.File(header, channels).write(str(temporary))
+
+
+def _check_windows(header: Mapping[str, Any]) -> None:
+    """Refuse before pixels are allocated; a cropped picture would shift silently."""
+    data, display = (np.array(header[k], np.int64) for k in ("dataWindow", "displayWindow"))
+    width, height = (data[1] - data[0] + 1).tolist()
+    if width < 1 or height < 1 or width * height > _MAX_PIXELS:
+        raise ValueError(f"the size {width}x{height} px is out of range")
+    if (data != display).any():
+        raise ValueError(f"its data window {data.tolist()} is not its frame {display.tolist()}")
+
+
+def _picture(
+    path: Path, pixels_by_name: Mapping[str, Shaped[np.ndarray, "..."]]
+) -> Float32[np.ndarray, "h w *c"]:
+    names = list(pixels_by_name)
+    picked = [[n for n in names if n.rpartition(".")[2] == letter] for letter in "RGB"]
+    if all(len(found) == 1 for found in picked):
+        chosen = [pixels_by_name[found[0]] for found in picked]
+    elif len(names) == 1:
+        chosen = [pixels_by_name[names[0]]]
+    else:
+        raise InputError(
+            "the OpenEXR picture does not hold one picture",
+            where=path,
+            got=f"channels {sorted(names)[:12]}",
+            expected="R, G, B (once each), or a single channel",
+            remedy="Export one layer as RGB.",
+        )
+    if any(c.ndim != 2 or c.dtype.hasobject or c.shape != chosen[0].shape for c in chosen):
+        raise InputError("its channels are deep or subsampled", where=path, remedy=_REMEDY)
+    if len(chosen) == 1:
+        return chosen[0].astype(np.float32)
+    return np.stack(chosen, axis=-1).astype(np.float32)

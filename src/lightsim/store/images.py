@@ -1,0 +1,249 @@
+"""Pictures on disk: 8-bit sRGB (PNG, JPEG) and linear HDR (Radiance .hdr, OpenEXR)."""
+
+from __future__ import annotations
+
+import io
+import logging
+import struct
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Float32, UInt8
+
+from lightsim.errors import InputError
+from lightsim.store.atomic import read_bytes, whole_file
+from lightsim.store.exr import EXR_MAGIC, read_exr, write_exr
+from lightsim.store.radiance import decode_radiance, encode_radiance
+
+__all__ = [
+    "SkyFile",
+    "read_exr",
+    "read_grey8",
+    "read_hdr",
+    "read_sky",
+    "read_srgb8",
+    "read_srgb8_alpha",
+    "write_exr",
+    "write_grey8",
+    "write_hdr",
+    "write_jpeg",
+    "write_png",
+]
+_LOGGER = logging.getLogger(__name__)
+_READABLE = ("PNG", "JPEG", "WEBP")
+_EIGHT_BIT_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
+_PIL_ERRORS = (OSError, ValueError, SyntaxError, EOFError, LookupError, TypeError, struct.error)
+_ASPECT_TOLERANCE = 0.02
+_NEGATIVE_TOLERANCE = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class SkyFile:
+    """Radiance of a sky file, fit for a SkyDome.
+
+    Args:
+        radiance: linear RGB as stored in the file, non-negative and finite, exactly 2:1.
+        notes: what was changed on the way in, one sentence each; empty for a clean file.
+    """
+
+    radiance: Float32[np.ndarray, "h w 3"]
+    notes: tuple[str, ...]
+
+
+def read_srgb8(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    """8-bit sRGB of a PNG, JPEG or WebP picture; grey is repeated, alpha is dropped.
+
+    Raises:
+        InputError: the file is missing, damaged, truncated, or not 8 bits a channel.
+    """
+    return _read_pil(path, "RGB")
+
+
+def read_srgb8_alpha(
+    path: Path,
+) -> tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w"]]:
+    """8-bit sRGB, and alpha (255 everywhere in a picture without alpha).
+
+    Raises:
+        InputError: as `read_srgb8`.
+    """
+    rgba = _read_pil(path, "RGBA")
+    return np.ascontiguousarray(rgba[..., :3]), np.ascontiguousarray(rgba[..., 3])
+
+
+def read_grey8(path: Path) -> UInt8[np.ndarray, "h w"]:
+    """8-bit grey of a picture (masks).
+
+    Raises:
+        InputError: as `read_srgb8`.
+    """
+    return _read_pil(path, "L")
+
+
+def write_png(path: Path, srgb8: UInt8[np.ndarray, "h w c"]) -> None:
+    """Write a PNG of 8-bit sRGB; [h, w, 4] carries alpha last."""
+    _write_pil(path, srgb8, "PNG", compress_level=4)
+
+
+def write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"], quality: int = 92) -> None:
+    """Write a JPEG of 8-bit sRGB, without chroma subsampling."""
+    _write_pil(path, srgb8, "JPEG", quality=quality, subsampling=0)
+
+
+def write_grey8(path: Path, grey: UInt8[np.ndarray, "h w"]) -> None:
+    """Write a PNG of 8-bit grey (masks)."""
+    _write_pil(path, grey, "PNG", compress_level=4)
+
+
+def read_hdr(path: Path) -> Float32[np.ndarray, "h w 3"]:
+    """Linear RGB of a .hdr or .exr picture, row 0 up; grey is repeated, alpha is dropped.
+
+    The content decides, not the suffix. Negative values are returned as they are.
+
+    Raises:
+        InputError: the file is missing, damaged, truncated, of another kind, or has NaN or inf.
+    """
+    image = _decode_hdr(path)
+    if image.ndim == 2:
+        image = np.repeat(image[..., None], 3, axis=2)
+    bad = int((~np.isfinite(image)).sum())
+    if bad:
+        raise InputError(
+            "the picture has NaN or infinite values",
+            where=path,
+            got=f"{bad} of {image.size}",
+            remedy="Export it again as 32-bit float, or replace them in an image editor.",
+        )
+    return image
+
+
+def write_hdr(path: Path, rgb: Float[np.ndarray, "h w 3"]) -> None:
+    """Write linear RGB as a run-length coded Radiance picture (relative error <= 1/256).
+
+    Raises:
+        InputError: a value is negative, not finite or too large for RGBE.
+    """
+    try:
+        data = encode_radiance(rgb)
+    except ValueError as error:
+        raise InputError("cannot write this picture", where=path, got=error) from error
+    with whole_file(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def read_sky(path: Path) -> SkyFile:
+    """Radiance of a .hdr or .exr sky, made fit for a SkyDome; every change is noted.
+
+    Negative values that hold less than 1 % of the light are clipped; a width within 2 % of twice
+    the height is resampled to it.
+
+    Raises:
+        InputError: as `read_hdr`; or not about 2:1, without light, or too negative.
+    """
+    radiance = read_hdr(path)
+    notes: list[str] = []
+    radiance = _clip_negatives(path, radiance, notes)
+    if not (radiance > 0).any():
+        raise InputError(
+            "the sky is black everywhere", where=path, remedy="Export it again with its light."
+        )
+    radiance = _fit_aspect(path, radiance, notes)
+    for note in notes:
+        _LOGGER.warning("%s: %s", path, note)
+    return SkyFile(radiance, tuple(notes))
+
+
+def _clip_negatives(
+    path: Path, radiance: Float32[np.ndarray, "h w 3"], notes: list[str]
+) -> Float32[np.ndarray, "h w 3"]:
+    count = int((radiance < 0).sum())
+    if not count:
+        return radiance
+    negative = -float(np.minimum(radiance, 0).sum(dtype=np.float64))
+    positive = float(np.maximum(radiance, 0).sum(dtype=np.float64))
+    if negative > _NEGATIVE_TOLERANCE * positive:
+        raise InputError(
+            "the sky has negative radiance",
+            where=path,
+            got=f"{count} values that sum to {-negative:.3g} against {positive:.3g} of light",
+            expected=f"at most {_NEGATIVE_TOLERANCE:.0%} of the light",
+            remedy="Convert it to linear sRGB primaries and clip it at zero.",
+        )
+    notes.append(f"clipped {count} negative values ({negative / positive:.2g} of the light)")
+    return np.maximum(radiance, np.float32(0.0))
+
+
+def _fit_aspect(
+    path: Path, radiance: Float32[np.ndarray, "h w 3"], notes: list[str]
+) -> Float32[np.ndarray, "h v 3"]:
+    height, width = radiance.shape[:2]
+    if width == 2 * height:
+        return radiance
+    if height < 2 or abs(width / (2 * height) - 1) > _ASPECT_TOLERANCE:
+        raise InputError(
+            "a sky must be a full equirectangular panorama, twice as wide as high",
+            where=path,
+            got=f"{width}x{height} px",
+            remedy="Convert light probes, cube maps or cropped panoramas to equirectangular.",
+        )
+    notes.append(f"resampled from {width}x{height} to {2 * height}x{height} px")
+    position = (np.arange(2 * height) + 0.5) * width / (2 * height) - 0.5
+    left = np.floor(position).astype(np.int64)
+    part = (position - left).astype(np.float32)[None, :, None]
+    mixed = radiance[:, left % width] * (1 - part) + radiance[:, (left + 1) % width] * part
+    return mixed.astype(np.float32)
+
+
+def _decode_hdr(path: Path) -> Float32[np.ndarray, "h w *c"]:
+    data = read_bytes(path, "picture")
+    if data.startswith(EXR_MAGIC):
+        return read_exr(path)
+    if not data.startswith(b"#?"):
+        raise InputError(
+            "not an HDR picture",
+            where=path,
+            got=f"a file that starts with {data[:8]!r}",
+            expected="Radiance .hdr or OpenEXR .exr",
+            remedy="LDR pictures hold too little light; export the panorama as .hdr or .exr.",
+        )
+    try:
+        return decode_radiance(data)
+    except ValueError as error:
+        raise InputError(
+            "the Radiance picture cannot be read",
+            where=path,
+            got=error,
+            remedy="Download or export the file again.",
+        ) from error
+
+
+def _read_pil(path: Path, mode: str) -> UInt8[np.ndarray, "h w *c"]:
+    from PIL import Image
+
+    data = read_bytes(path, "picture")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(io.BytesIO(data), formats=_READABLE) as image:
+                if image.mode not in _EIGHT_BIT_MODES:
+                    raise ValueError(f"pixels of mode {image.mode}, not 8 bits a channel")
+                return np.array(image.convert(mode), dtype=np.uint8)
+    except (*_PIL_ERRORS, Image.DecompressionBombError) as error:
+        raise InputError(
+            "the picture cannot be read",
+            where=path,
+            got="an unknown format" if "identify" in str(error) else f"{error}"[:200],
+            expected=f"a whole 8-bit {', '.join(_READABLE)} file",
+            remedy="Download or export the file again.",
+        ) from error
+
+
+def _write_pil(path: Path, pixels: UInt8[np.ndarray, "h w *c"], kind: str, **options: int) -> None:
+    from PIL import Image
+
+    if not pixels.size or (pixels.ndim == 3 and pixels.shape[2] not in (3, 4)):
+        raise InputError("not a picture", where=path, got=f"an array {list(pixels.shape)}")
+    with whole_file(path) as temporary, temporary.open("wb") as handle:
+        Image.fromarray(np.ascontiguousarray(pixels)).save(handle, format=kind, **options)
