@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
@@ -36,6 +36,7 @@ class RayHits:
         return self.face_index != MISS
 
 
+@runtime_checkable
 class RayCaster(Protocol):
     """Rays against a fixed list of meshes in frame `world`. Directions are unit vectors."""
 
