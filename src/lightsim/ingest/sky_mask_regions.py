@@ -1,0 +1,235 @@
+"""Region evidence of the sky matte: log-odds of small regions and how they agree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int
+
+_CERTAIN = 8.0
+"""Log-odds that no neighbour can turn."""
+_HISTOGRAM_SHAPE = (20, 24, 24)
+"""Cells of the colour histogram along L*, a* and b*."""
+
+
+@dataclass(frozen=True, eq=False)
+class ImageEvidence:
+    """What is known of each pixel at working width.
+
+    Args:
+        lab: CIE L*a*b* (D65).
+        elevation_deg: of the pixel's ray above the horizontal.
+        has_hit: a LiDAR return falls into the pixel.
+        is_scanned: below the top of the LiDAR's field of view, as far as that is certain.
+        is_silent: inside the LiDAR's field of view, without a return nearby.
+        is_excluded: own car, or below the horizon.
+    """
+
+    lab: Float32[np.ndarray, "h w 3"]
+    elevation_deg: Float32[np.ndarray, "h w"]
+    has_hit: Bool[np.ndarray, "h w"]
+    is_scanned: Bool[np.ndarray, "h w"]
+    is_silent: Bool[np.ndarray, "h w"]
+    is_excluded: Bool[np.ndarray, "h w"]
+
+
+@dataclass(frozen=True, eq=False)
+class RegionGraph:
+    """Neighbouring regions (i < j) with the length of border they share without an edge."""
+
+    area_px: Float[np.ndarray, " n"]
+    i: Int[np.ndarray, " e"]
+    j: Int[np.ndarray, " e"]
+    agreement_px: Float[np.ndarray, " e"]
+
+
+def region_graph(
+    labels: Int[np.ndarray, "h w"], lab: Float32[np.ndarray, "h w 3"], edge_contrast: float
+) -> RegionGraph:
+    """Adjacency of the regions; each border pixel counts exp(-(step / edge_contrast)^2), times
+    the mean of that along the border, so that a few gaps in an edge do not open it, and
+    falls with the difference of the regions' mean colours."""
+    count = int(labels.max()) + 1
+    pairs, weights = [], []
+    for axis in (0, 1):
+        # Two pixels apart: the lens spreads an edge over more than one.
+        a, b = _shifted(labels, axis)
+        is_border = a != b
+        before, after = _shifted(lab, axis)
+        step = np.linalg.norm(before[is_border] - after[is_border], axis=-1)
+        pairs.append(np.stack([a[is_border], b[is_border]], axis=1))
+        weights.append(0.5 * np.exp(-((step / edge_contrast) ** 2)))
+    ordered = np.sort(np.concatenate(pairs), axis=1)
+    keys, inverse = np.unique(ordered[:, 0] * count + ordered[:, 1], return_inverse=True)
+    agreement = np.bincount(inverse, np.concatenate(weights), minlength=len(keys))
+    agreement *= agreement / (0.5 * np.bincount(inverse, minlength=len(keys)))
+    i, j = keys // count, keys % count
+    mean = _RegionMean(labels)
+    colour = np.stack([mean(lab[..., k]) for k in range(3)], axis=1)
+    difference = np.linalg.norm(colour[i] - colour[j], axis=1)
+    agreement *= np.exp(-((difference / (4.0 * edge_contrast)) ** 2))
+    area = np.bincount(labels.ravel(), minlength=count).astype(np.float64)
+    return RegionGraph(area, i, j, agreement)
+
+
+def _shifted(array: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
+    return (array[:-2], array[2:]) if axis == 0 else (array[:, :-2], array[:, 2:])
+
+
+def region_log_odds(
+    labels: Int[np.ndarray, "h w"], evidence: ImageEvidence
+) -> Float[np.ndarray, " n"]:
+    """Log-odds that each region is sky, from its own pixels only."""
+    mean = _RegionMean(labels)
+    has_lidar = bool(evidence.has_hit.any())
+    odds = np.clip(mean(_colour_log_odds(evidence)), -3.0, 3.5)
+    odds -= np.clip((mean(_texture(evidence.lab)) - 2.0) / 2.0, -0.5, 2.0)
+    elevation = mean(evidence.elevation_deg)
+    odds += np.clip((elevation - 8.0) / 8.0, -1.0, 1.5)
+    if has_lidar:
+        # Walls reach above the field of view: count hits per scanned area, not per area.
+        scanned = np.maximum(mean(evidence.is_scanned | evidence.has_hit), 0.15)
+        odds -= np.minimum(_CERTAIN, mean(evidence.has_hit) / scanned / 0.02 * 4.0)
+        odds += 3.5 * mean(evidence.is_silent)
+        odds -= 2.5 * mean(_under_hits(evidence.has_hit))
+    odds[mean(evidence.is_excluded) > 0.5] = -_CERTAIN
+    return np.clip(odds, -_CERTAIN, _CERTAIN)
+
+
+def _colour_log_odds(evidence: ImageEvidence) -> Float[np.ndarray, "h w"]:
+    """Sky is brighter than what lies on the ground, or blue; it is never green or brown."""
+    lightness, green_red, blue_yellow = np.moveaxis(evidence.lab, -1, 0)
+    is_ground = evidence.has_hit | (evidence.elevation_deg < 0.0)
+    ground = lightness[is_ground]
+    reference = float(np.percentile(ground, 75)) if ground.size > 100 else 45.0
+    brightness = np.clip((lightness - np.clip(reference, 25.0, 75.0)) / 10.0, -2.0, 3.0)
+    blueness = np.clip((-blue_yellow - 3.0) / 6.0, -0.5, 2.0)
+    foliage = np.clip((np.maximum(blue_yellow, 0) - green_red - 12.0) / 6.0, 0.0, 3.0)
+    chroma = np.hypot(green_red, np.maximum(blue_yellow, 0.0))
+    # A low sun turns clouds yellow, but only bright ones.
+    paint = np.clip((chroma - 15.0) / 6.0, 0.0, 3.0) * np.clip((92.0 - lightness) / 20.0, 0.0, 1.0)
+    return brightness + blueness - np.maximum(foliage, paint)
+
+
+def _texture(lab: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
+    """Mean absolute lightness step of the neighbourhood, L* a pixel."""
+    from scipy.ndimage import uniform_filter
+
+    rows = np.abs(np.diff(lab[..., 0], axis=0, append=lab[-1:, :, 0]))
+    columns = np.abs(np.diff(lab[..., 0], axis=1, append=lab[:, -1:, 0]))
+    return uniform_filter(rows + columns, size=5)
+
+
+def _under_hits(has_hit: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Pixels below something solid that gave returns: windows rather than sky.
+
+    Wires and poles do not count: four rows within a tenth of the height must be hit.
+    """
+    from scipy.ndimage import maximum_filter1d
+
+    rows = max(8, has_hit.shape[0] // 10)
+    wide = maximum_filter1d(has_hit, size=5, axis=1)
+    above = np.cumsum(wide, axis=0)
+    recent = above - np.pad(above, ((rows, 0), (0, 0)))[: len(above)]
+    return np.logical_or.accumulate(recent >= 4, axis=0)
+
+
+def with_image_colours(
+    labels: Int[np.ndarray, "h w"],
+    evidence: ImageEvidence,
+    own: Float[np.ndarray, " n"],
+    first: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"]:
+    """`own` plus what the image's own sky and ground colours say, learnt from `first`."""
+    is_sky = (first > 1.5)[labels] & ~evidence.has_hit
+    is_ground = (first < -1.5)[labels] & (evidence.elevation_deg > -10.0)
+    if is_sky.sum() < 200 or is_ground.sum() < 200:
+        return own
+    bins = _colour_bins(evidence.lab)
+    sky, ground = (_histogram(bins, chosen) for chosen in (is_sky, is_ground))
+    ratio = np.clip(np.log(sky[bins] / ground[bins]), -2.5, 2.5)
+    odds = own + _RegionMean(labels)(ratio)
+    is_certain = own <= -_CERTAIN + 1e-6
+    return np.clip(np.where(is_certain, -_CERTAIN, odds), -_CERTAIN, _CERTAIN)
+
+
+def _colour_bins(lab: Float32[np.ndarray, "h w 3"]) -> Int[np.ndarray, "h w"]:
+    """Flat index of each pixel's cell in the colour histogram, 5 units wide per axis."""
+    lightness = np.clip(lab[..., 0] / 5.0, 0, _HISTOGRAM_SHAPE[0] - 1).astype(np.int64)
+    green_red = np.clip(lab[..., 1] / 5.0 + 12.0, 0, _HISTOGRAM_SHAPE[1] - 1).astype(np.int64)
+    blue_yellow = np.clip(lab[..., 2] / 5.0 + 12.0, 0, _HISTOGRAM_SHAPE[2] - 1).astype(np.int64)
+    return (lightness * _HISTOGRAM_SHAPE[1] + green_red) * _HISTOGRAM_SHAPE[2] + blue_yellow
+
+
+def _histogram(
+    bins: Int[np.ndarray, "h w"], chosen: Bool[np.ndarray, "h w"]
+) -> Float[np.ndarray, " c"]:
+    """Smoothed colour density of the chosen pixels, with a floor for unseen colours."""
+    from scipy.ndimage import gaussian_filter
+
+    counts = np.bincount(bins[chosen], minlength=int(np.prod(_HISTOGRAM_SHAPE)))
+    density = counts.reshape(_HISTOGRAM_SHAPE) / max(int(counts.sum()), 1)
+    smooth = np.asarray(gaussian_filter(density, 1.0, mode="constant"))
+    return smooth.ravel() + 1e-4
+
+
+def spread_log_odds(
+    graph: RegionGraph, own: Float[np.ndarray, " n"], smoothing: float
+) -> Float[np.ndarray, " n"]:
+    """Log-odds after neighbours agreed: the minimum of
+    sum_i a_i (x_i - own_i)^2 + smoothing sum_ij b_ij (x_i - x_j)^2 (Grady 2006,
+    doi:10.1109/TPAMI.2006.233, on regions, with priors)."""
+    from scipy.sparse import coo_matrix, diags
+    from scipy.sparse.linalg import spsolve
+
+    count = len(own)
+    # Less than area: confident small regions (LiDAR on a wall) must be able to persuade large
+    # unsure ones.
+    weight = graph.area_px**0.75 * (0.2 + np.abs(own) / _CERTAIN) ** 2
+    rows = np.concatenate([graph.i, graph.j])
+    columns = np.concatenate([graph.j, graph.i])
+    links = coo_matrix((np.tile(smoothing * graph.agreement_px, 2), (rows, columns)))
+    links.resize(count, count)
+    degree = np.asarray(links.sum(axis=1)).ravel()
+    system = (diags(weight + degree) - links).tocsc()
+    return np.asarray(spsolve(system, weight * own))
+
+
+def keep_open_sky(
+    labels: Int[np.ndarray, "h w"],
+    log_odds: Float[np.ndarray, " n"],
+    evidence: ImageEvidence,
+    min_px: int,
+) -> Float32[np.ndarray, "h w"]:
+    """Probability of sky of each pixel; patches that no open sky explains are dropped.
+
+    A patch stays when it holds confident sky and touches the top of the image, or has at least
+    `min_px` pixels; small bright panes in walls have neither.
+    """
+    from skimage.measure import label
+
+    odds = log_odds[labels]
+    patches = np.asarray(label(odds > 0, connectivity=1))
+    count = int(patches.max())
+    index = np.arange(count + 1)
+    size = np.bincount(patches.ravel(), minlength=count + 1)
+    confident = np.bincount(patches.ravel(), (odds > 1.2).ravel(), minlength=count + 1)
+    at_top = np.isin(index, patches[:2])
+    is_kept = (confident > 0.3 * size) & ((at_top & (size >= min_px // 4)) | (size >= min_px))
+    is_kept[0] = False
+    probability = 1.0 / (1.0 + np.exp(-2.0 * odds))
+    kept = is_kept[patches] & ~evidence.is_excluded
+    return np.where(kept, probability, 0.0).astype(np.float32)
+
+
+class _RegionMean:
+    """Averages of pixel values over the regions of one labelling."""
+
+    def __init__(self, labels: Int[np.ndarray, "h w"]) -> None:
+        self._flat = labels.ravel()
+        self._area = np.maximum(np.bincount(self._flat), 1)
+
+    def __call__(self, values: np.ndarray) -> Float[np.ndarray, " n"]:
+        weights = values.ravel().astype(np.float64)
+        return np.bincount(self._flat, weights, minlength=len(self._area)) / self._area
