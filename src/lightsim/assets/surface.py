@@ -1,0 +1,183 @@
+"""Meshes of signed-distance grids: marching cubes in blocks, welded, cleaned and smoothed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64
+from scipy.sparse import coo_matrix, csr_matrix, diags
+from scipy.sparse.csgraph import connected_components
+
+from lightsim.core.fields import BLOCK, SceneFields, TsdfGrid
+from lightsim.core.mesh import TriMesh
+
+_REGION_BLOCKS = 8
+_WELD_FRACTION = 1e-3
+_SHRINK, _SWELL = 0.5, -0.53
+
+
+def extract_surface(grid: TsdfGrid, min_weight: float = 0.0) -> TriMesh:
+    """The zero level set, normals towards positive distance; black.
+
+    Cells with any corner of weight <= `min_weight` are left open: nothing is invented where no
+    ray has been (Lorensen & Cline 1987, doi:10.1145/37402.37422).
+    """
+    from skimage.measure import marching_cubes
+
+    vertices, faces, count = [], [], 0
+    for start, sdf, weight in _regions(grid):
+        is_known = weight > min_weight
+        cells = _complete_cells(is_known)
+        signs = np.where(is_known, np.sign(sdf), 0)
+        if not cells.any() or (signs >= 0).all() or (signs <= 0).all():
+            continue
+        # scikit-image names a cell by its last corner.
+        mask = np.zeros(sdf.shape, dtype=bool)
+        mask[1:, 1:, 1:] = cells
+        try:
+            points, triangles, _, _ = marching_cubes(sdf, 0.0, mask=mask)
+        except RuntimeError:  # raised when no cell under the mask holds a surface
+            continue
+        vertices.append(points.astype(np.float64) + start)
+        faces.append(triangles.astype(np.int64) + count)
+        count += len(points)
+    if not vertices:
+        return make_mesh(grid.frame, np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
+    points, triangles = weld(np.concatenate(vertices), np.concatenate(faces))
+    return make_mesh(grid.frame, grid.origin_m + grid.voxel_m * points, triangles)
+
+
+def make_mesh(
+    frame: str, vertices: Float[np.ndarray, "n 3"], faces: Int64[np.ndarray, "m 3"]
+) -> TriMesh:
+    """A black mesh."""
+    black = np.zeros((len(vertices), 3), dtype=np.float32)
+    return TriMesh(frame, vertices.astype(np.float32), faces.astype(np.int32), black)
+
+
+def _complete_cells(is_known: Bool[np.ndarray, "a b c"]) -> Bool[np.ndarray, "_d _e _f"]:
+    cells = is_known[1:] & is_known[:-1]
+    cells = cells[:, 1:] & cells[:, :-1]
+    return cells[:, :, 1:] & cells[:, :, :-1]
+
+
+def _regions(
+    grid: TsdfGrid,
+) -> Iterator[
+    tuple[Int64[np.ndarray, "3"], Float32[np.ndarray, "s s s"], Float32[np.ndarray, "s s s"]]
+]:
+    """65-sample cubes that share one layer with the next, so that their surfaces meet."""
+    if len(grid.block_coords) == 0:
+        return
+    low = grid.block_coords.min(axis=0)
+    local = (grid.block_coords - low).astype(np.int64)
+    table = np.full(tuple((local.max(axis=0) + _REGION_BLOCKS + 2).tolist()), -1, dtype=np.int64)
+    table[tuple(local.T)] = np.arange(len(local))
+    size = _REGION_BLOCKS * BLOCK + 1
+    side = _REGION_BLOCKS + 1
+    for region in np.unique(local // _REGION_BLOCKS, axis=0):
+        first = region * _REGION_BLOCKS
+        part = table[tuple(slice(f, f + side) for f in first.tolist())]
+        sdf = np.full((side * BLOCK,) * 3, grid.truncation_m, dtype=np.float32)
+        weight = np.zeros_like(sdf)
+        for i, j, k in np.argwhere(part >= 0).tolist():
+            where = tuple(slice(BLOCK * a, BLOCK * (a + 1)) for a in (i, j, k))
+            sdf[where] = grid.sdf_m[part[i, j, k]]
+            weight[where] = grid.weight[part[i, j, k]]
+        yield (
+            (BLOCK * (first + low)).astype(np.int64),
+            sdf[:size, :size, :size],
+            weight[:size, :size, :size],
+        )
+
+
+def weld(
+    vertices: Float64[np.ndarray, "n 3"], faces: Int64[np.ndarray, "m 3"]
+) -> tuple[Float64[np.ndarray, "p 3"], Int64[np.ndarray, "q 3"]]:
+    """Join vertices closer than a thousandth of a sample; faces that collapse disappear."""
+    key = np.rint(vertices / _WELD_FRACTION).astype(np.int64)
+    _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    faces = inverse.reshape(-1)[faces]
+    is_proper = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2])
+    is_proper &= faces[:, 0] != faces[:, 2]
+    return vertices[first], faces[is_proper]
+
+
+def keep_faces(mesh: TriMesh, is_kept: Bool[np.ndarray, " m"]) -> TriMesh:
+    """Some faces of a mesh, without the vertices that nothing uses any more."""
+    faces = mesh.faces[is_kept]
+    used, inverse = np.unique(faces, return_inverse=True)
+    return TriMesh(
+        mesh.frame,
+        mesh.vertices[used],
+        inverse.reshape(-1, 3).astype(np.int32),
+        mesh.base_colour[used],
+        mesh.material,
+    )
+
+
+def drop_floaters(mesh: TriMesh, min_area_m2: float) -> TriMesh:
+    """Without connected pieces smaller than an area: noise that would cast random shadows."""
+    if len(mesh.faces) == 0:
+        return mesh
+    count, piece = connected_components(adjacency(mesh.faces, len(mesh.vertices)), directed=False)
+    face_piece = piece[mesh.faces[:, 0]]
+    area = np.bincount(face_piece, weights=face_areas_m2(mesh), minlength=int(count))
+    return keep_faces(mesh, area[face_piece] >= min_area_m2)
+
+
+def face_areas_m2(mesh: TriMesh) -> Float64[np.ndarray, " m"]:
+    a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(np.float64) for i in range(3))
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+
+
+def adjacency(faces: Int32[np.ndarray, "m 3"], count: int) -> csr_matrix:
+    """Symmetric 0/1 matrix of vertices that share an edge."""
+    i = np.concatenate([faces[:, 0], faces[:, 1], faces[:, 2]])
+    j = np.concatenate([faces[:, 1], faces[:, 2], faces[:, 0]])
+    matrix = coo_matrix((np.ones(len(i), dtype=np.float32), (i, j)), shape=(count, count)).tocsr()
+    matrix = matrix + matrix.T
+    matrix.data[:] = 1.0
+    return matrix
+
+
+def smooth(mesh: TriMesh, rounds: int) -> TriMesh:
+    """Taubin's fair smoothing (1995, doi:10.1145/218380.218473): less noise, no shrinking."""
+    if rounds == 0 or len(mesh.faces) == 0:
+        return mesh
+    neighbours = adjacency(mesh.faces, len(mesh.vertices))
+    degree = np.asarray(neighbours.sum(axis=1)).ravel()
+    mean = diags(1.0 / np.maximum(degree, 1.0)) @ neighbours
+    vertices = mesh.vertices.astype(np.float64)
+    for _ in range(rounds):
+        for step in (_SHRINK, _SWELL):
+            vertices = vertices + step * (mean @ vertices - vertices)
+    return TriMesh(
+        mesh.frame, vertices.astype(np.float32), mesh.faces, mesh.base_colour, mesh.material
+    )
+
+
+def background_levels(fields: SceneFields, min_weight: float) -> list[TriMesh]:
+    """One mesh per background level, each within its own ring around the path."""
+    meshes, inner = [], 0.0
+    for grid, outer in zip(fields.background, fields.background_radius_m, strict=True):
+        mesh = extract_surface(grid, min_weight)
+        distance = path_distance_m(mesh.vertices[mesh.faces].mean(axis=1), fields.path_m)
+        # Rings overlap by one sample of the coarser level, so that no gap opens between them.
+        is_own = (distance <= outer) & (distance >= inner - grid.voxel_m)
+        meshes.append(keep_faces(mesh, is_own))
+        inner = outer
+    return meshes
+
+
+def path_distance_m(
+    points_world: Float32[np.ndarray, "n 3"], path_m: Float[np.ndarray, "k 3"]
+) -> Float[np.ndarray, " n"]:
+    """Horizontal distance from the nearest point of the path."""
+    from scipy.spatial import KDTree
+
+    if len(points_world) == 0:
+        return np.zeros(0)
+    distance, _ = KDTree(path_m[:, :2]).query(points_world[:, :2])
+    return np.asarray(distance)
