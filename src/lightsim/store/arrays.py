@@ -38,6 +38,8 @@ def load_arrays(path: Path) -> dict[str, Shaped[np.ndarray, "..."]]:
         InputError: the file is missing, truncated, damaged, or no .npz file.
     """
     try:
+        if not path.exists():
+            raise FileNotFoundError
         if not zipfile.is_zipfile(path):
             raise ValueError("it is no zip archive")
         with np.load(path, allow_pickle=False) as archive:

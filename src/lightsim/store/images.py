@@ -19,6 +19,7 @@ from lightsim.store.radiance import decode_radiance, encode_radiance
 
 __all__ = [
     "SkyFile",
+    "decode_srgb8",
     "read_exr",
     "read_grey8",
     "read_hdr",
@@ -219,10 +220,32 @@ def _decode_hdr(path: Path) -> Float32[np.ndarray, "h w *c"]:
         ) from error
 
 
-def _read_pil(path: Path, mode: str) -> UInt8[np.ndarray, "h w *c"]:
-    from PIL import Image
+def decode_srgb8(data: bytes) -> UInt8[np.ndarray, "h w 3"]:
+    """8-bit sRGB of the bytes of a PNG, JPEG or WebP picture.
 
+    Raises:
+        ValueError: the bytes are damaged, truncated, or not 8 bits a channel.
+    """
+    return _decode_pil(data, "RGB")
+
+
+def _read_pil(path: Path, mode: str) -> UInt8[np.ndarray, "h w *c"]:
     data = read_bytes(path, "picture")
+    try:
+        return _decode_pil(data, mode)
+    except ValueError as error:
+        raise InputError(
+            "the picture cannot be read",
+            where=path,
+            got=error,
+            expected=f"a whole 8-bit {', '.join(_READABLE)} file",
+            remedy="Download or export the file again.",
+        ) from error
+
+
+def _decode_pil(data: bytes, mode: str) -> UInt8[np.ndarray, "h w *c"]:
+    from PIL import Image, UnidentifiedImageError
+
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -230,14 +253,10 @@ def _read_pil(path: Path, mode: str) -> UInt8[np.ndarray, "h w *c"]:
                 if image.mode not in _EIGHT_BIT_MODES:
                     raise ValueError(f"pixels of mode {image.mode}, not 8 bits a channel")
                 return np.array(image.convert(mode), dtype=np.uint8)
+    except UnidentifiedImageError as error:
+        raise ValueError("an unknown format") from error
     except (*_PIL_ERRORS, Image.DecompressionBombError) as error:
-        raise InputError(
-            "the picture cannot be read",
-            where=path,
-            got="an unknown format" if "identify" in str(error) else f"{error}"[:200],
-            expected=f"a whole 8-bit {', '.join(_READABLE)} file",
-            remedy="Download or export the file again.",
-        ) from error
+        raise ValueError(f"{error}"[:200]) from error
 
 
 def _write_pil(path: Path, pixels: UInt8[np.ndarray, "h w *c"], kind: str, **options: int) -> None:
