@@ -1,0 +1,129 @@
+"""Ray casting with Intel Embree through the pip package embreex."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int32
+
+from lightsim.core.casting import MISS, RayHits
+from lightsim.core.mesh import TriMesh
+from lightsim.errors import FrameMismatchError
+
+_CHUNK_RAYS = 1 << 18
+_MIN_OFFSET_ULPS = 8.0
+
+
+class EmbreeCaster:
+    """A `core.casting.RayCaster` over a fixed list of meshes in frame `world`.
+
+    Embree calculates in float32: at coordinates of 100 m distances are good to about 0.02 mm,
+    at 1 km to 0.2 mm. A ray that starts on a surface may meet that surface again; see
+    `offset_origins`. Both sides of a triangle are hit. The acceleration structure is released
+    with the object.
+    """
+
+    def __init__(self, meshes: Sequence[TriMesh]) -> None:
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
+        for mesh in meshes:
+            if mesh.frame != "world":
+                raise FrameMismatchError(
+                    "rays are cast in frame 'world'", got=mesh.frame, expected="world"
+                )
+        self._meshes = tuple(meshes)
+        filled = [i for i, mesh in enumerate(meshes) if len(mesh.faces)]
+        self._mesh_by_geometry = np.array(filled, dtype=np.int32)
+        self._scene = EmbreeScene() if filled else None
+        self._geometries = [
+            TriangleMesh(
+                self._scene,
+                np.ascontiguousarray(meshes[i].vertices),
+                np.ascontiguousarray(meshes[i].faces),
+            )
+            for i in filled
+        ]
+
+    @property
+    def meshes(self) -> Sequence[TriMesh]:
+        return self._meshes
+
+    def intersect(
+        self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
+    ) -> RayHits:
+        """First hits along unit directions, from distance 0 on."""
+        count = len(origins_world)
+        distance = np.full(count, np.inf, dtype=np.float32)
+        mesh_index = np.full(count, MISS, dtype=np.int32)
+        face_index = np.full(count, MISS, dtype=np.int32)
+        barycentric = np.zeros((count, 3), dtype=np.float32)
+        if self._scene is None:
+            return RayHits(distance, mesh_index, face_index, barycentric)
+        for part, origins, directions in _chunks(origins_world, directions_world):
+            found = self._scene.run(origins, directions, output=True)
+            face = found["primID"]
+            is_hit = face != MISS
+            face_index[part] = face
+            mesh_index[part] = np.where(is_hit, self._mesh_by_geometry[found["geomID"]], MISS)
+            distance[part] = np.where(is_hit, found["tfar"], np.float32(np.inf))
+            barycentric[part] = _weights(found["u"], found["v"], face)
+        return RayHits(distance, mesh_index, face_index, barycentric)
+
+    def is_occluded(
+        self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
+    ) -> Bool[np.ndarray, " n"]:
+        """Whether anything lies on a ray; cheaper than `intersect`."""
+        occluded = np.zeros(len(origins_world), dtype=bool)
+        if self._scene is None:
+            return occluded
+        for part, origins, directions in _chunks(origins_world, directions_world):
+            occluded[part] = self._scene.run(origins, directions, query="OCCLUDED") != MISS
+        return occluded
+
+
+def make_embree_caster(meshes: Sequence[TriMesh]) -> EmbreeCaster:
+    """A caster over meshes in frame `world`; no meshes and meshes without faces are allowed.
+
+    Raises:
+        FrameMismatchError: a mesh lies in another frame.
+    """
+    return EmbreeCaster(meshes)
+
+
+def offset_origins(
+    points_world: Float[np.ndarray, "n 3"],
+    directions_world: Float[np.ndarray, "n 3"],
+    scale_m: float = 1e-3,
+) -> Float32[np.ndarray, "n 3"]:
+    """Ray origins moved off a surface, along its normals or the rays, so that rays leaving it
+    do not meet it again.
+
+    The step is `scale_m`, or eight float32 steps at the point's largest coordinate where that
+    is more (then `scale_m` would be lost in rounding).
+    """
+    largest = np.abs(points_world).max(axis=1, initial=0.0)
+    ulp = np.spacing(largest.astype(np.float32)).astype(np.float64)
+    step = np.maximum(scale_m, _MIN_OFFSET_ULPS * ulp)[:, None]
+    return (points_world + step * directions_world).astype(np.float32)
+
+
+def _chunks(origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]):
+    """Contiguous float32 pieces, so that embreex's temporary copies stay small."""
+    for start in range(0, len(origins), _CHUNK_RAYS):
+        part = slice(start, start + _CHUNK_RAYS)
+        yield (
+            part,
+            np.ascontiguousarray(origins[part], dtype=np.float32),
+            np.ascontiguousarray(directions[part], dtype=np.float32),
+        )
+
+
+def _weights(
+    u: Float32[np.ndarray, " n"], v: Float32[np.ndarray, " n"], face: Int32[np.ndarray, " n"]
+) -> Float32[np.ndarray, "n 3"]:
+    """Vertex weights of Embree's (u, v); 0 where nothing was hit."""
+    u, v = np.clip(u, 0.0, 1.0), np.clip(v, 0.0, 1.0)
+    weights = np.stack([np.maximum(1 - u - v, 0), u, v], axis=1)
+    return np.where((face != MISS)[:, None], weights, np.float32(0))
