@@ -1,0 +1,112 @@
+"""The recording car in its own pictures: what stays put below a fixed edge while the ego moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from lightsim.errors import InputError
+
+
+@dataclass(frozen=True)
+class OwnCarConfig:
+    """How sure the search must be; grey levels run from 0 to 255."""
+
+    n_images: int = 12
+    """Pictures looked at, spread over the drive."""
+    min_path_m: float = 5.0
+    """The ego must have moved this far between the first and the last picture."""
+    search_height: float = 0.4
+    """The outline is looked for in this lower share of the picture."""
+    min_edge: float = 6.0
+    """Grey levels per pixel of a standing edge that counts as outline."""
+    max_step_px: int = 2
+    """Steepness of the outline: rows per column of the reduced picture."""
+    min_columns: float = 0.3
+    """Share of the picture's width over which the outline must stand."""
+    max_change: float = 2.0
+    """Median change in time, in grey levels, of what lies below the outline."""
+    margin_px: int = 2
+    """The mask is grown upwards by this many reduced pixels."""
+
+
+def find_own_car(
+    images: Float32[np.ndarray, "n h w"], config: OwnCarConfig
+) -> Bool[np.ndarray, "h w"]:
+    """True where the recording car covers the picture; all False where none is found.
+
+    Outside, edges wander while the ego moves; those of the own car stand still. So for every
+    column the row of the strongest standing edge is sought, joined to one outline from left to
+    right by dynamic programming in which a column without own car costs nothing. What lies below
+    must moreover hardly change, which a kerb parallel to the motion does not pass.
+
+    Args:
+        images: grey pictures (0 to 255) of one camera, taken along the drive and reduced to a few
+            hundred pixels width.
+        config: thresholds.
+
+    Raises:
+        InputError: fewer than three pictures.
+    """
+    n, height, width = images.shape
+    if n < 3:
+        raise InputError("the own car needs at least three pictures", got=n)
+    top = min(height - 2, int(height * (1.0 - config.search_height)))
+    outline = _outline(_standing_edges(images)[top:] - config.min_edge, config.max_step_px) + top
+    is_car_column = outline < height - 1
+    mask = np.arange(height)[:, None] >= outline[None, :]
+    mask &= is_car_column[None, :]
+    if is_car_column.mean() < config.min_columns:
+        return np.zeros((height, width), dtype=bool)
+    change = np.median(np.abs(images - np.median(images, axis=0)), axis=0)
+    if float(np.median(change[mask])) > config.max_change:
+        return np.zeros((height, width), dtype=bool)
+    return _grown_upwards(mask, config.margin_px)
+
+
+def _standing_edges(images: Float32[np.ndarray, "n h w"]) -> Float64[np.ndarray, "h w"]:
+    """Strength of the vertical gradient that nearly all pictures show with the same sign."""
+    gradient = np.gradient(images.astype(np.float64), axis=1)
+    low, high = np.percentile(gradient, [15, 85], axis=0)
+    return np.maximum(np.maximum(low, -high), 0.0)
+
+
+def _outline(reward: Float64[np.ndarray, "h w"], max_step_px: int) -> Int64[np.ndarray, " w"]:
+    """The row of the outline in each column; the last row stands for no own car."""
+    height, width = reward.shape
+    reward = reward.copy()
+    reward[-1] = 0.0
+    best = np.empty_like(reward)
+    origin = np.zeros((height, width), dtype=np.int64)
+    best[:, 0] = reward[:, 0]
+    rows = np.arange(height)
+    for column in range(1, width):
+        candidates = np.stack(
+            [_shifted(best[:, column - 1], step) for step in range(-max_step_px, max_step_px + 1)]
+        )
+        choice = np.argmax(candidates, axis=0)
+        best[:, column] = candidates[choice, rows] + reward[:, column]
+        origin[:, column] = rows + choice - max_step_px
+    path = np.empty(width, dtype=np.int64)
+    path[-1] = int(np.argmax(best[:, -1]))
+    for column in range(width - 1, 0, -1):
+        path[column - 1] = origin[path[column], column]
+    return path
+
+
+def _shifted(values: Float64[np.ndarray, " h"], step: int) -> Float64[np.ndarray, " h"]:
+    """`values[i + step]`, minus infinity beyond the ends."""
+    shifted = np.full_like(values, -np.inf)
+    rows = np.arange(len(values))
+    is_inside = (rows + step >= 0) & (rows + step < len(values))
+    shifted[is_inside] = values[rows[is_inside] + step]
+    return shifted
+
+
+def _grown_upwards(mask: Bool[np.ndarray, "h w"], n_px: int) -> Bool[np.ndarray, "h w"]:
+    grown = mask.copy()
+    for shift in range(1, n_px + 1):
+        grown[:-shift] |= mask[shift:]
+    return grown

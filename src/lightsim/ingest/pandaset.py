@@ -1,0 +1,260 @@
+"""Reader of PandaSet sequences (Xiao et al. 2021, doi:10.1109/ITSC48978.2021.9565009).
+
+Layout: camera/<name>/{*.jpg, intrinsics.json, poses.json, timestamps.json}, lidar/{*.pkl.gz,
+timestamps.json}, annotations/{cuboids,semseg}/*.pkl.gz, meta/gps.json. A file's number is its
+index into the lists of poses, times and GPS fixes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Int64
+from PIL import Image
+
+from lightsim.core.frames import Trajectory
+from lightsim.core.log import DrivingLog
+from lightsim.core.sensors import CameraFrame, LazySweep
+from lightsim.errors import InputError
+from lightsim.ingest.files import read_json, read_times_ns, require_list, require_numbers
+from lightsim.ingest.geo import GpsTrack, check_heading, locate
+from lightsim.ingest.own_car import OwnCarConfig, find_own_car
+from lightsim.ingest.pandaset_cameras import CameraFolder, numbered_files, read_camera
+from lightsim.ingest.pandaset_rig import Rig, ego_trajectory, read_rig
+from lightsim.ingest.pandaset_sweeps import ScanTiming, SweepSource, load_sweep, measure_timing
+from lightsim.ingest.pandaset_tracks import CuboidFile, read_tracks
+from lightsim.ingest.selection import FrameSelection
+
+_EGO_CAMERA = "front_camera"
+_LABEL_HOLD_S = 0.2
+_SMALL_WIDTH_PX = 480
+
+
+@dataclass(frozen=True)
+class _Sweeps:
+    lazy: tuple[LazySweep, ...]
+    sources: Mapping[int, SweepSource]
+    times_ns: Int64[np.ndarray, " n"]
+    notes: tuple[str, ...]
+
+
+def is_pandaset(source: Path) -> bool:
+    """Whether the folder has PandaSet's layout."""
+    return (source / "camera").is_dir() and any(source.glob("camera/*/intrinsics.json"))
+
+
+def read_pandaset(
+    source: Path,
+    cameras: tuple[str, ...],
+    frames: str,
+    heading_deg: float | None,
+) -> DrivingLog:
+    """The log of one PandaSet sequence; pictures and sweeps are read when asked for.
+
+    Args:
+        source: the sequence's folder, such as pandaset/002.
+        cameras: names of the cameras wanted; () for all.
+        frames: START:STOP[:STEP] of pictures and sweeps; "" for all.
+        heading_deg: azimuth (clockwise from true north) of world +x, if known.
+
+    Raises:
+        InputError: something is missing or broken; the message names the file.
+    """
+    selection = FrameSelection.parse(frames)
+    check_heading(heading_deg)
+    rig = read_rig(source)
+    folders, helpers = _read_cameras(source, cameras, rig)
+    paths = {f.camera.name: f.world_from_camera for f in (*folders, *helpers)}
+    ego = ego_trajectory(rig, paths, source)
+    sweeps = _read_sweeps(source, ego, rig, selection)
+    selected = _select_frames(folders, selection, source)
+    actors, actor_notes = _read_actors(source, ego, sweeps)
+    track = _read_gps(source)
+    geo, geo_notes = locate(track, ego, selected[0].time_ns, heading_deg)
+    masks, mask_notes = _own_car_masks(folders, ego)
+    notes = (*rig.notes, *sweeps.notes, *actor_notes, *geo_notes, *mask_notes)
+    return DrivingLog(
+        source.resolve().name,
+        {folder.camera.name: folder.camera for folder in folders},
+        selected,
+        sweeps.lazy,
+        ego,
+        actors,
+        geo,
+        masks,
+        (*_picture_notes(folders), *notes),
+    )
+
+
+def _read_cameras(
+    source: Path, wanted: tuple[str, ...], rig: Rig
+) -> tuple[list[CameraFolder], list[CameraFolder]]:
+    """The wanted cameras, and others that only serve the ego's path."""
+    parent = source / "camera"
+    available = sorted(p.name for p in parent.iterdir() if p.is_dir()) if parent.is_dir() else []
+    if not available:
+        raise InputError(
+            "the log has no cameras", where=parent, remedy="SOURCE must be one PandaSet sequence."
+        )
+    for name in wanted:
+        if name not in available:
+            raise InputError(
+                f"camera '{name}' is not in the log",
+                where=source,
+                expected=f"one of {', '.join(available)}",
+            )
+    names = tuple(dict.fromkeys(wanted)) or tuple(available)
+    has_path = any(name in rig.camera_from_pandar64 for name in names)
+    needs_helper = _EGO_CAMERA in available and (_EGO_CAMERA not in names or not has_path)
+    helpers = [_EGO_CAMERA] if needs_helper else []
+    return [read_camera(parent / n) for n in names], [read_camera(parent / n) for n in helpers]
+
+
+def _select_frames(
+    folders: list[CameraFolder], selection: FrameSelection, source: Path
+) -> tuple[CameraFrame, ...]:
+    frames = [f for folder in folders for f in folder.frames]
+    selected = [frame for frame in frames if selection.holds(int(frame.stem))]
+    if not selected:
+        numbers = [int(frame.stem) for frame in frames]
+        raise InputError(
+            "the range of frames holds no picture",
+            where=source,
+            expected=f"frames within {min(numbers)}:{max(numbers) + 1}",
+        )
+    return tuple(sorted(selected, key=lambda frame: (frame.time_ns, frame.camera_name)))
+
+
+def _read_sweeps(source: Path, ego: Trajectory, rig: Rig, selection: FrameSelection) -> _Sweeps:
+    folder = source / "lidar"
+    files = numbered_files(folder, ".pkl.gz")
+    has_times = (folder / "timestamps.json").is_file()
+    if not files and not has_times:
+        return _Sweeps((), {}, np.empty(0, dtype=np.int64), ("the log has no LiDAR sweeps",))
+    times_ns = read_times_ns(folder / "timestamps.json")
+    classes = numbered_files(source / "annotations" / "semseg", ".pkl.gz")
+    sources: dict[int, SweepSource] = {}
+    for number, path in files.items():
+        if number >= len(times_ns):
+            raise InputError(
+                "the sweep's number lies beyond the list of times",
+                where=path,
+                got=number,
+                expected=f"0 to {len(times_ns) - 1}",
+            )
+        stem = path.name.removesuffix(".pkl.gz")
+        time_ns = int(times_ns[number])
+        sources[number] = SweepSource(path, classes.get(number), stem, time_ns, ego, rig)
+    lazy = tuple(
+        LazySweep(s.stem, s.time_ns, partial(load_sweep, s))
+        for number, s in sources.items()
+        if selection.holds(number)
+    )
+    return _Sweeps(lazy, sources, times_ns, _gap_notes("LiDAR sweeps", list(files)))
+
+
+def _read_actors(source: Path, ego: Trajectory, sweeps: _Sweeps) -> tuple[tuple, tuple[str, ...]]:
+    files = numbered_files(source / "annotations" / "cuboids", ".pkl.gz")
+    if not files:
+        return (), ("the log has no labelled boxes: moving actors stay in the background",)
+    if len(sweeps.times_ns) == 0:
+        raise InputError(
+            "boxes need the sweeps' times",
+            where=source / "lidar" / "timestamps.json",
+            got="no such file",
+        )
+    notes: tuple[str, ...] = ()
+    timing = ScanTiming.instantaneous()
+    if sweeps.sources:
+        timing = measure_timing(next(iter(sweeps.sources.values())))
+    else:
+        notes = ("without sweeps, boxes are timed at the end of the LiDAR's revolution",)
+    cuboids: list[CuboidFile] = []
+    for number, path in files.items():
+        if number >= len(sweeps.times_ns):
+            raise InputError(
+                "the label file's number lies beyond the list of times",
+                where=path,
+                got=number,
+                expected=f"0 to {len(sweeps.times_ns) - 1}",
+            )
+        time_ns = int(sweeps.times_ns[number])
+        if ego.covers(time_ns, _LABEL_HOLD_S):
+            cuboids.append(CuboidFile(path, time_ns, ego.at(time_ns, _LABEL_HOLD_S)))
+    return read_tracks(cuboids, timing), notes
+
+
+def _read_gps(source: Path) -> GpsTrack | None:
+    path = source / "meta" / "gps.json"
+    if not path.is_file():
+        return None
+    entries = require_list(read_json(path), path)
+    times_ns = read_times_ns(source / "meta" / "timestamps.json")
+    if len(entries) != len(times_ns):
+        raise InputError(
+            "GPS fixes and times differ in number",
+            where=path,
+            got=f"{len(entries)} fixes, {len(times_ns)} times",
+        )
+    fixes = np.stack(
+        [require_numbers(e, ("lat", "long"), f"{path}[{i}]") for i, e in enumerate(entries)]
+    )
+    if (np.abs(fixes[:, 0]) > 90).any() or (np.abs(fixes[:, 1]) > 360).any():
+        raise InputError("a GPS fix lies on no globe", where=path)
+    return GpsTrack(times_ns, fixes[:, 0].copy(), fixes[:, 1].copy())
+
+
+def _own_car_masks(
+    folders: list[CameraFolder], ego: Trajectory
+) -> tuple[dict[str, Bool[np.ndarray, "h w"]], tuple[str, ...]]:
+    config = OwnCarConfig()
+    masks: dict[str, Bool[np.ndarray, "h w"]] = {}
+    notes: list[str] = []
+    for folder in folders:
+        frames = folder.frames
+        path = (
+            ego.at(frames[-1].time_ns, 1.0).translation_m
+            - ego.at(frames[0].time_ns, 1.0).translation_m
+        )
+        if len(frames) < 3 or float(np.linalg.norm(path)) < config.min_path_m:
+            notes.append(
+                f"{folder.camera.name}: too little motion to find the recording car in its pictures"
+            )
+            continue
+        chosen = np.unique(np.linspace(0, len(frames) - 1, config.n_images).round().astype(int))
+        grey = np.stack([_small_grey(frames[i]) for i in chosen])
+        small = find_own_car(grey, config)
+        if small.any():
+            masks[folder.camera.name] = _enlarged(small, folder)
+    return masks, tuple(notes)
+
+
+def _small_grey(frame: CameraFrame) -> np.ndarray:
+    image = Image.fromarray(frame.load_srgb8()).convert("L")
+    height = max(8, round(image.height * _SMALL_WIDTH_PX / image.width))
+    small = image.resize((_SMALL_WIDTH_PX, height), Image.Resampling.BOX)
+    return np.asarray(small, dtype=np.float32)
+
+
+def _enlarged(mask: Bool[np.ndarray, "h w"], folder: CameraFolder) -> Bool[np.ndarray, "h2 w2"]:
+    size = (folder.camera.width_px, folder.camera.height_px)
+    image = Image.fromarray(mask.astype(np.uint8) * 255)
+    return np.asarray(image.resize(size, Image.Resampling.BILINEAR)) >= 128
+
+
+def _picture_notes(folders: list[CameraFolder]) -> tuple[str, ...]:
+    notes = [_gap_notes(f.camera.name, [int(x.stem) for x in f.frames]) for f in folders]
+    return tuple(note for some in notes for note in some)
+
+
+def _gap_notes(what: str, numbers: list[int]) -> tuple[str, ...]:
+    if not numbers:
+        return (f"{what}: none",)
+    missing = sorted(set(range(min(numbers), max(numbers) + 1)) - set(numbers))
+    if not missing:
+        return ()
+    return (f"{what}: missing {', '.join(map(str, missing))} between the first and the last",)

@@ -1,0 +1,191 @@
+"""PandaSet's camera folders: intrinsics, poses, times and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, Int64, UInt8
+from PIL import Image, UnidentifiedImageError
+
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.frames import RigidTransform, Trajectory, matrices_from_quaternions
+from lightsim.core.sensors import CameraFrame
+from lightsim.errors import InputError
+from lightsim.ingest.files import (
+    read_json,
+    read_times_ns,
+    require_list,
+    require_numbers,
+    require_object,
+)
+
+_MAX_PIXELS = 80_000_000
+_IMAGE_ERRORS = (
+    OSError,
+    SyntaxError,
+    ValueError,
+    UnidentifiedImageError,
+    Image.DecompressionBombError,
+)
+_COPY = "Copy the picture again from the original data set."
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFolder:
+    """One camera of the log: model, poses of all listed times, and the pictures that are there."""
+
+    camera: PinholeCamera
+    world_from_camera: Trajectory
+    frames: tuple[CameraFrame, ...]
+
+
+def read_camera(folder: Path) -> CameraFolder:
+    """Everything in one camera folder; pictures are opened for their size only.
+
+    Raises:
+        InputError: a file is missing or broken, pictures differ in size, or a picture's number lies
+            beyond the lists of poses and times.
+    """
+    times_ns = read_times_ns(folder / "timestamps.json")
+    matrices = read_poses(folder / "poses.json")
+    if len(times_ns) != len(matrices):
+        raise InputError(
+            "poses and times differ in number",
+            where=folder / "poses.json",
+            got=f"{len(matrices)} poses, {len(times_ns)} times",
+        )
+    trajectory = Trajectory("world", folder.name, times_ns, matrices)
+    images = numbered_files(folder, ".jpg")
+    if not images:
+        raise InputError("the camera has no pictures", where=folder, expected="files like 00.jpg")
+    last = max(images)
+    if last >= len(times_ns):
+        raise InputError(
+            "the picture's number lies beyond the lists of poses and times",
+            where=images[last],
+            got=last,
+            expected=f"0 to {len(times_ns) - 1}",
+        )
+    camera = _read_intrinsics(folder, list(images.values()))
+    frames = tuple(
+        CameraFrame(
+            folder.name,
+            path.name.removesuffix(".jpg"),
+            int(times_ns[index]),
+            RigidTransform("world", "camera", matrices[index]),
+            partial(load_image, path, camera.width_px, camera.height_px),
+        )
+        for index, path in images.items()
+    )
+    return CameraFolder(camera, trajectory, frames)
+
+
+def load_image(path: Path, width_px: int, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture as 8-bit sRGB.
+
+    Raises:
+        InputError: it is damaged, or no longer of the expected size.
+    """
+    if _image_size(path) != (width_px, height_px):
+        raise InputError("the picture changed its size since the log was read", where=path)
+    try:
+        with Image.open(path) as image:
+            return np.array(image.convert("RGB"), dtype=np.uint8)
+    except _IMAGE_ERRORS as error:
+        raise InputError("the picture is damaged", where=path, got=error, remedy=_COPY) from error
+
+
+def read_poses(path: Path) -> Float64[np.ndarray, "n 4 4"]:
+    """`world_from_sensor` of every entry.
+
+    Raises:
+        InputError: a pose is missing, not finite, or its quaternion has no length.
+    """
+    entries = require_list(read_json(path), path)
+    quaternions = np.empty((len(entries), 4))
+    matrices = np.tile(np.eye(4), (len(entries), 1, 1))
+    for i, entry in enumerate(entries):
+        where = f"{path}[{i}]"
+        parts = require_object(entry, where)
+        for key in ("position", "heading"):
+            if key not in parts:
+                raise InputError(f"the pose has no '{key}'", where=where)
+        matrices[i, :3, 3] = require_numbers(parts["position"], ("x", "y", "z"), where)
+        quaternions[i] = require_numbers(parts["heading"], ("w", "x", "y", "z"), where)
+        length = float(np.linalg.norm(quaternions[i]))
+        if not 0.5 < length < 2.0:
+            raise InputError(
+                "the heading is no unit quaternion",
+                where=where,
+                got=f"length {length:.3g}",
+                remedy="Copy the file again from the original data set.",
+            )
+    matrices[:, :3, :3] = matrices_from_quaternions(quaternions)
+    return matrices
+
+
+def numbered_files(folder: Path, suffix: str) -> dict[int, Path]:
+    """Files such as 42.jpg or 00.pkl.gz by number, in its order, without hidden files.
+
+    Raises:
+        InputError: a file of that kind has no number for its name, or two have the same.
+    """
+    found: dict[int, Path] = {}
+    for path in sorted(folder.glob(f"*{suffix}")):
+        stem = path.name.removesuffix(suffix)
+        if stem.startswith("."):
+            continue
+        if not (stem.isascii() and stem.isdigit() and len(stem) < 9) or int(stem) in found:
+            raise InputError(
+                "the file's name must be a frame number of its own",
+                where=path,
+                expected=f"names like 00{suffix}",
+                remedy="Rename or remove it.",
+            )
+        found[int(stem)] = path
+    return dict(sorted(found.items()))
+
+
+def _read_intrinsics(folder: Path, images: Sequence[Path]) -> PinholeCamera:
+    path = folder / "intrinsics.json"
+    fx, fy, cx, cy = require_numbers(read_json(path), ("fx", "fy", "cx", "cy"), path).tolist()
+    sizes = [_image_size(image) for image in images]
+    for image, size in zip(images, sizes, strict=True):
+        if size != sizes[0]:
+            raise InputError(
+                "the picture's size differs from the camera's other pictures",
+                where=image,
+                got=f"{size[0]}x{size[1]} px",
+                expected=f"{sizes[0][0]}x{sizes[0][1]} px",
+            )
+    width, height = sizes[0]
+    if not (
+        0 < fx < 1e6 and 0 < fy < 1e6 and -width < cx < 2 * width and -height < cy < 2 * height
+    ):
+        raise InputError(
+            "the intrinsics do not fit the picture",
+            where=path,
+            got=f"fx {fx}, fy {fy}, cx {cx}, cy {cy} for {width}x{height} px",
+        )
+    # PandaSet counts from the centre of the first pixel, LightSim from its corner.
+    return PinholeCamera(folder.name, width, height, fx, fy, cx + 0.5, cy + 0.5)
+
+
+def _image_size(path: Path) -> tuple[int, int]:
+    try:
+        with Image.open(path) as image:
+            size = image.size
+    except _IMAGE_ERRORS as error:
+        raise InputError("the picture is damaged", where=path, got=error, remedy=_COPY) from error
+    if size[0] * size[1] > _MAX_PIXELS:
+        raise InputError("the picture is too large", where=path, got=f"{size[0]}x{size[1]} px")
+    return size
+
+
+def camera_times_ns(folders: Sequence[CameraFolder]) -> Int64[np.ndarray, " n"]:
+    """Times of all pictures, in order."""
+    return np.array(sorted(frame.time_ns for folder in folders for frame in folder.frames))
