@@ -63,54 +63,47 @@ def load_sweep(source: SweepSource) -> LidarSweep:
 
 @dataclass(frozen=True, eq=False)
 class ScanTiming:
-    """When within a sweep each direction is measured; boxes are labelled on those points, so this
-    is also the time at which a box is right.
+    """When within a sweep the roof LiDAR measures each direction: boxes are drawn around those
+    points, so this is the time at which a box is right.
 
     Args:
-        roof_offset_s: seconds from the sweep's time, by azimuth in frame ego (72 bins from -180).
-        front_offset_s: the same of the PandarGT, near the horizon.
+        offset_s: seconds from the sweep's time, by azimuth in frame ego (72 bins from -180).
     """
 
-    roof_offset_s: Float64[np.ndarray, " bins"]
-    front_offset_s: float
+    offset_s: Float64[np.ndarray, " bins"]
 
     @staticmethod
     def instantaneous() -> ScanTiming:
-        return ScanTiming(np.zeros(_N_BINS), 0.0)
+        return ScanTiming(np.zeros(_N_BINS))
 
-    def offsets_s(
-        self, points_ego: Float64[np.ndarray, "n 3"], is_front: Bool[np.ndarray, " n"]
-    ) -> Float64[np.ndarray, " n"]:
+    def offsets_s(self, points_ego: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
         """Seconds from the sweep's time at which points in these places are measured."""
-        return np.where(is_front, self.front_offset_s, self.roof_offset_s[_bins(points_ego)])
+        return self.offset_s[_bins(points_ego)]
 
 
 def measure_timing(source: SweepSource) -> ScanTiming:
-    """The scan pattern, from the points' own times in one sweep.
+    """The scan pattern, from the points' own times in one sweep. It is the same in every sweep;
+    the PandarGT's is not (it runs free, 3 ms a sweep in sequence 002) and is left out.
 
     Raises:
         InputError: as `load_sweep`.
     """
     table, is_good = _read_points(source)
     times_ns, device = _times_and_device(table, is_good, source)
-    points = np.stack([table[k][is_good] for k in ("x", "y", "z")], axis=1)
-    pose = source.ego.at(source.time_ns, hold_s=1.0)
-    offsets_s = (times_ns - source.time_ns) * 1e-9
-    points_ego = pose.inverse().rotate(points - _origins(source, times_ns, device))
     is_roof = device == _ROOF
     if not is_roof.any():
         return ScanTiming.instantaneous()
-    bins = _bins(points_ego[is_roof])
-    roof = np.full(_N_BINS, np.nan)
+    points = np.stack([table[k][is_good] for k in ("x", "y", "z")], axis=1)
+    pose = source.ego.at(source.time_ns, hold_s=1.0)
+    rays_ego = pose.inverse().rotate(points - _origins(source, times_ns, device))
+    bins = _bins(rays_ego[is_roof])
+    offsets_s = ((times_ns - source.time_ns) * 1e-9)[is_roof]
+    table_s = np.full(_N_BINS, np.nan)
     for i in np.unique(bins):
-        roof[i] = np.median(offsets_s[is_roof][bins == i])
-    filled = np.flatnonzero(np.isfinite(roof))
+        table_s[i] = np.median(offsets_s[bins == i])
+    filled = np.flatnonzero(np.isfinite(table_s))
     gap = np.abs((np.arange(_N_BINS)[:, None] - filled + _N_BINS // 2) % _N_BINS - _N_BINS // 2)
-    roof = roof[filled[np.argmin(gap, axis=1)]]
-    distance = np.linalg.norm(points_ego, axis=1)
-    is_level = (device == _FRONT) & (np.abs(points_ego[:, 2]) < 0.03 * distance)
-    front = float(np.median(offsets_s[is_level])) if is_level.any() else float(np.median(roof))
-    return ScanTiming(roof, front)
+    return ScanTiming(table_s[filled[np.argmin(gap, axis=1)]])
 
 
 def _bins(points_ego: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:

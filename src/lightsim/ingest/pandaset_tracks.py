@@ -54,7 +54,8 @@ def read_tracks(files: Sequence[CuboidFile], timing: ScanTiming) -> tuple[ActorT
 
     PandaSet labels an actor in the overlap of its two LiDARs twice, as siblings. Here they are
     one: in each sweep the Pandar64's box is taken, else the PandarGT's. A box is right when its
-    actor is scanned, up to 0.1 s before the sweep's time, and is timed so.
+    actor is scanned, up to 0.1 s before the sweep's time, and is timed so (a box of the PandarGT
+    alone, which sequence 002 has none of, as if the Pandar64 had seen it).
 
     Raises:
         InputError: a file is damaged, lacks a column, or holds a box without place or size.
@@ -80,7 +81,7 @@ def _read_boxes(file: CuboidFile, timing: ScanTiming) -> list[_Box]:
     centres, yaw, sizes = _checked_numbers(table, file.path)
     sensors = _sensors(table, file.path)
     ego_from_world = file.world_from_ego.inverse()
-    offsets_s = timing.offsets_s(ego_from_world.apply(centres), sensors == _FRONT)
+    offsets_s = timing.offsets_s(ego_from_world.apply(centres))
     is_moving = _labelled_moving(table)
     siblings = table.get("cuboids.sibling_id", table["uuid"])
     return [
