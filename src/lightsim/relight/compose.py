@@ -1,0 +1,26 @@
+"""Scene radiance to what a camera would have recorded."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from lightsim.core.colour import srgb8_from_linear
+from lightsim.errors import InputError
+
+
+def camera_image(
+    radiance: Float32[np.ndarray, "h w 3"],
+    gain: Float32[np.ndarray, "3"],
+    exposure_ev: float,
+) -> UInt8[np.ndarray, "h w 3"]:
+    """8-bit sRGB of scene radiance: times the camera's gain and 2^EV, clipped at white.
+
+    Raises:
+        InputError: a gain is not positive, or the radiance is not finite.
+    """
+    if not np.isfinite(gain).all() or (gain <= 0).any():
+        raise InputError("a camera gain must be positive", got=gain.tolist())
+    if not np.isfinite(radiance).all():
+        raise InputError("the relit radiance is not finite")
+    return srgb8_from_linear(radiance * gain * np.float32(2.0**exposure_ev))

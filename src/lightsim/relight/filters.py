@@ -1,0 +1,90 @@
+"""Small image filters that relighting is built of: box means, guided filter, hole filling."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float32
+from scipy import ndimage
+
+_EPSILON = np.float32(1e-6)
+
+
+def box_mean(image: Float32[np.ndarray, "h w *c"], radius_px: int) -> Float32[np.ndarray, "h w *c"]:
+    """Mean over a square window of 2 r + 1 pixels, edges repeated."""
+    width = 2 * radius_px + 1
+    return ndimage.uniform_filter(image, size=width, mode="nearest", axes=(0, 1))
+
+
+def weighted_mean(
+    image: Float32[np.ndarray, "h w *c"], weight: Float32[np.ndarray, "h w"], radius_px: int
+) -> tuple[Float32[np.ndarray, "h w *c"], Float32[np.ndarray, "h w"]]:
+    """Mean of what has weight, and the mean weight, over three passes of a square window."""
+    extra = weight.reshape(weight.shape + (1,) * (image.ndim - 2))
+    total, share = image * extra, weight
+    for _ in range(2):
+        total, share = box_mean(total, radius_px), box_mean(share, radius_px)
+    share = np.maximum(share, 0.0)
+    below = (share + _EPSILON).reshape(extra.shape)
+    return (total / below).astype(np.float32), share
+
+
+def guided_filter(
+    guide: Float32[np.ndarray, "h w"],
+    image: Float32[np.ndarray, "h w"],
+    weight: Float32[np.ndarray, "h w"],
+    radius_px: int,
+    epsilon: float,
+) -> Float32[np.ndarray, "h w"]:
+    """The image made locally linear in the guide, so that its edges lie on the guide's.
+
+    He et al., Guided Image Filtering, doi:10.1109/TPAMI.2012.213, with a weight per pixel.
+    """
+    share = box_mean(weight, radius_px) + _EPSILON
+    mean_guide = box_mean(guide * weight, radius_px) / share
+    mean_image = box_mean(image * weight, radius_px) / share
+    covariance = box_mean(guide * image * weight, radius_px) / share - mean_guide * mean_image
+    variance = box_mean(guide * guide * weight, radius_px) / share - mean_guide**2
+    slope = covariance / (np.maximum(variance, 0.0) + np.float32(epsilon))
+    offset = mean_image - slope * mean_guide
+    slope = box_mean(slope * weight, radius_px) / share
+    offset = box_mean(offset * weight, radius_px) / share
+    return (slope * guide + offset).astype(np.float32)
+
+
+def fill_holes(
+    image: Float32[np.ndarray, "h w c"], is_known: Bool[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "h w c"]:
+    """Known pixels as they are, the others from their surroundings (pull-push pyramid).
+
+    Where nothing is known at all the result is 0. Gortler et al., The Lumigraph, Sec. 3.4.
+    """
+    if is_known.all():
+        return image
+    weight = is_known.astype(np.float32)[..., None]
+    smooth = _pull_push(np.where(is_known[..., None], image, 0.0).astype(np.float32), weight)
+    return np.where(is_known[..., None], image, smooth).astype(np.float32)
+
+
+def _pull_push(
+    total: Float32[np.ndarray, "h w c"], weight: Float32[np.ndarray, "h w 1"]
+) -> Float32[np.ndarray, "h w c"]:
+    """`total` is value times weight; coarser levels fill what finer ones do not know."""
+    own = total / np.maximum(weight, _EPSILON)
+    height, width = weight.shape[:2]
+    if max(height, width) == 1 or bool((weight >= 1).all()):
+        return np.where(weight > 0, own, 0.0).astype(np.float32)
+    sums = _halved(weight)
+    clamped = np.minimum(sums, 1.0)
+    coarse = _pull_push(_halved(total) * (clamped / np.maximum(sums, _EPSILON)), clamped)
+    zoom = (height / coarse.shape[0], width / coarse.shape[1], 1)
+    up = np.asarray(ndimage.zoom(coarse, zoom, order=1, mode="nearest", grid_mode=True))
+    trust = np.minimum(weight, 1.0)
+    return (trust * own + (1.0 - trust) * up[:height, :width]).astype(np.float32)
+
+
+def _halved(image: Float32[np.ndarray, "h w c"]) -> Float32[np.ndarray, "_ _ c"]:
+    """Sum of 2x2 blocks."""
+    height, width, channels = image.shape
+    padded = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)))
+    blocks = padded.reshape((height + 1) // 2, 2, (width + 1) // 2, 2, channels)
+    return blocks.sum(axis=(1, 3))

@@ -1,0 +1,64 @@
+"""Camera response, and the small filters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lightsim.core.colour import linear_from_srgb8
+from lightsim.errors import InputError
+from lightsim.relight.compose import camera_image
+from lightsim.relight.filters import box_mean, fill_holes, guided_filter, weighted_mean
+from lightsim.relight.matte import foreground_radiance
+
+
+def test_gain_and_exposure_are_factors_on_linear_light(rng: np.random.Generator) -> None:
+    codes = rng.integers(0, 256, (6, 8, 3)).astype(np.uint8)
+    gain = np.array([0.9, 1.0, 1.1], np.float32)
+    radiance = (linear_from_srgb8(codes) / gain / 2).astype(np.float32)
+    np.testing.assert_array_equal(camera_image(radiance, gain, 1.0), codes)
+    with pytest.raises(InputError, match="gain"):
+        camera_image(radiance, np.zeros(3, np.float32), 0.0)
+    radiance[0, 0, 0] = np.nan
+    with pytest.raises(InputError, match="finite"):
+        camera_image(radiance, gain, 0.0)
+
+
+def test_filters_keep_constants(rng: np.random.Generator) -> None:
+    flat = np.full((20, 30), 0.7, np.float32)
+    guide, weight = (rng.random((20, 30)).astype(np.float32) for _ in range(2))
+    np.testing.assert_allclose(box_mean(flat, 3), 0.7, rtol=1e-5)
+    np.testing.assert_allclose(weighted_mean(flat, weight, 3)[0], 0.7, rtol=1e-3)
+    np.testing.assert_allclose(guided_filter(guide, flat, weight, 3, 0.01), 0.7, rtol=1e-3)
+
+
+def test_guided_filter_puts_edges_where_the_guide_has_them() -> None:
+    guide = np.zeros((20, 40), np.float32)
+    guide[:, 20:] = 1
+    wrong = np.zeros_like(guide)
+    wrong[:, 22:] = 1
+    made = guided_filter(guide, wrong, np.ones_like(guide), 8, 1e-3)
+    assert made[10, 19] < 0.1
+    assert made[10, 20] > 0.5
+
+
+@pytest.mark.parametrize("size", [(16, 16), (13, 29), (1, 5)])
+def test_holes_are_filled_from_around(rng: np.random.Generator, size: tuple[int, int]) -> None:
+    image = np.full((*size, 3), 0.4, np.float32)
+    is_known = rng.random(size) < 0.4
+    is_known[0, 0] = True
+    image[~is_known] = 9.0
+    np.testing.assert_allclose(fill_holes(image, is_known), 0.4, rtol=1e-4)
+    nothing = fill_holes(image, np.zeros(size, bool))
+    np.testing.assert_array_equal(nothing, 0)
+
+
+def test_unmixing_recovers_the_foreground() -> None:
+    """A dark twig in front of a bright sky, 40 % covered."""
+    matte = np.ones((12, 12), np.float32)
+    matte[:, :4] = 0
+    matte[:, 4] = 0.6
+    twig, sky = np.array([0.1, 0.08, 0.05]), np.array([0.6, 0.7, 0.9])
+    image = (1 - matte[..., None]) * twig + matte[..., None] * sky
+    found = foreground_radiance(image.astype(np.float32), matte)
+    np.testing.assert_allclose(found[:, :5], np.broadcast_to(twig, (12, 5, 3)), atol=1e-5)

@@ -1,0 +1,150 @@
+"""Relighting against scenes whose answer is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.relight.scene import (
+    HEIGHT_PX,
+    SKY_ROWS,
+    WIDTH_PX,
+    everywhere_lit,
+    geometry,
+    light,
+    shadow_right_of,
+    sun_towards,
+)
+
+from lightsim.core.buffers import ShadowBuffers
+from lightsim.errors import InputError
+from lightsim.relight.ratio import RatioConfig, RelightInputs, relight_physical
+
+OLD_SKY = np.array([0.7, 0.8, 0.95], np.float32)
+NEW_SKY = np.array([0.9, 0.5, 0.2], np.float32)
+SUN = sun_towards(150.0, 45.0)
+OTHER_SUN = sun_towards(200.0, 25.0)
+
+
+def make_inputs(rng: np.random.Generator, target_visibility: np.ndarray) -> RelightInputs:
+    buffers = geometry(rng)
+    source = light(buffers, SUN, 0.5, shadow_right_of(70))
+    target = light(buffers, OTHER_SUN, 0.3, target_visibility)
+    radiance = buffers.base_colour * source.shaded
+    radiance[:SKY_ROWS] = OLD_SKY
+    matte = np.zeros((HEIGHT_PX, WIDTH_PX), np.float32)
+    matte[:SKY_ROWS] = 1.0
+    return RelightInputs(
+        radiance=radiance,
+        is_clipped=np.any(radiance > 1, axis=-1),
+        sky_matte=matte,
+        buffers=buffers,
+        source=source,
+        target=target,
+        target_sky=np.broadcast_to(NEW_SKY, radiance.shape).copy(),
+        source_sun=SUN,
+        target_sun=OTHER_SUN,
+    )
+
+
+@pytest.fixture
+def inputs(rng: np.random.Generator) -> RelightInputs:
+    return make_inputs(rng, everywhere_lit())
+
+
+def with_target(inputs: RelightInputs, target: ShadowBuffers) -> RelightInputs:
+    return replace(inputs, target=target, target_sun=inputs.source_sun)
+
+
+def test_the_same_sky_gives_the_source_back(inputs: RelightInputs) -> None:
+    """Noise, deep shadow, clipping nearby: whatever the image holds."""
+    noise = np.random.default_rng(1).normal(0, 0.02, inputs.radiance.shape)
+    radiance = np.clip(inputs.radiance + noise, 0, 1).astype(np.float32)
+    same = with_target(replace(inputs, radiance=radiance), inputs.source)
+    relit = relight_physical(same, RatioConfig())
+    keeps = ~same.is_clipped & (same.sky_matte == 0)
+    np.testing.assert_allclose(relit[keeps], radiance[keeps], atol=1e-4)
+
+
+def test_lambert_scene_under_another_sun_is_exact(inputs: RelightInputs) -> None:
+    wanted = inputs.buffers.base_colour * inputs.target.shaded
+    relit = relight_physical(inputs, RatioConfig(are_shadows_refined=False, darkest_share=0.0))
+    ground = np.s_[SKY_ROWS:]
+    np.testing.assert_allclose(relit[ground], wanted[ground], rtol=2e-3)
+
+
+def test_details_that_the_base_colour_lacks_survive(inputs: RelightInputs) -> None:
+    """The base colour is flat grey, the picture has the texture."""
+    flat = np.full_like(inputs.radiance, 0.35)
+    blind = replace(inputs, buffers=replace(inputs.buffers, base_colour=flat))
+    wanted = inputs.buffers.base_colour * inputs.target.shaded
+    relit = relight_physical(blind, RatioConfig(are_shadows_refined=False))
+    error = np.abs(relit - wanted)[SKY_ROWS:].mean()
+    assert error < 0.4 * np.abs(flat * inputs.target.shaded - wanted)[SKY_ROWS:].mean()
+
+
+def test_sky_is_replaced_behind_a_soft_matte(inputs: RelightInputs) -> None:
+    """A half covered row holds half of the new sky and nothing of the old one."""
+    black = np.zeros_like(inputs.radiance)
+    matte = inputs.sky_matte.copy()
+    matte[SKY_ROWS] = 0.5
+    black[:SKY_ROWS] = OLD_SKY
+    black[SKY_ROWS] = 0.5 * OLD_SKY
+    relit = relight_physical(
+        replace(inputs, radiance=black, sky_matte=matte),
+        RatioConfig(are_shadows_refined=False, base_colour_deviation=1e3),
+    )
+    np.testing.assert_allclose(relit[:SKY_ROWS], inputs.target_sky[:SKY_ROWS], atol=1e-6)
+    np.testing.assert_allclose(relit[SKY_ROWS], 0.5 * inputs.target_sky[SKY_ROWS], atol=5e-3)
+
+
+def test_deep_shadow_and_clipping_stay_finite(inputs: RelightInputs) -> None:
+    dark = {name: np.zeros_like(inputs.source.sky) for name in ("direct_sun", "sky", "shaded")}
+    hidden = replace(
+        inputs.source, sun_visibility=np.zeros_like(inputs.source.sun_visibility), **dark
+    )
+    black = np.zeros_like(inputs.radiance)
+    clipped = np.ones_like(inputs.is_clipped)
+    for case in (
+        replace(inputs, source=hidden),
+        replace(inputs, source=hidden, radiance=black),
+        replace(inputs, is_clipped=clipped),
+        replace(inputs, target=hidden),
+        replace(inputs, sky_matte=np.ones_like(inputs.sky_matte)),
+        replace(inputs, sky_matte=np.full_like(inputs.sky_matte, 0.5)),
+    ):
+        relit = relight_physical(case, RatioConfig())
+        assert np.isfinite(relit).all()
+        assert relit.min() >= 0
+        assert relit.max() < 10
+
+
+def test_clipped_pixels_take_the_base_colour(inputs: RelightInputs) -> None:
+    """Over-exposed twice: the recorded value is only a lower bound."""
+    radiance = np.minimum(inputs.radiance, 0.25)
+    clipped = (inputs.radiance >= 0.25).any(axis=-1) & (inputs.sky_matte == 0)
+    relit = relight_physical(replace(inputs, radiance=radiance, is_clipped=clipped), RatioConfig())
+    naive = relight_physical(
+        replace(inputs, radiance=radiance, is_clipped=np.zeros_like(clipped)), RatioConfig()
+    )
+    wanted = inputs.buffers.base_colour * inputs.target.shaded
+    error, naive_error = (np.abs(x - wanted)[clipped].mean() for x in (relit, naive))
+    assert error < 0.6 * naive_error
+
+
+def test_pixels_without_a_mesh_follow_their_surroundings(inputs: RelightInputs) -> None:
+    depth = inputs.buffers.depth_z_m.copy()
+    depth[60:70, 20:30] = np.inf
+    holed = replace(inputs, buffers=replace(inputs.buffers, depth_z_m=depth))
+    relit = relight_physical(holed, RatioConfig(are_shadows_refined=False))
+    wanted = inputs.buffers.base_colour * inputs.target.shaded
+    hole = np.s_[60:70, 20:30]
+    np.testing.assert_allclose(relit[hole], wanted[hole], rtol=0.05)
+
+
+def test_inputs_of_unequal_size_are_named(inputs: RelightInputs) -> None:
+    small = geometry(np.random.default_rng(0))
+    small = replace(small, **{k: v[:4, :4] for k, v in vars(small).items()})
+    with pytest.raises(InputError, match="buffers"):
+        replace(inputs, buffers=small)
