@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightsim.errors import InputError
+from lightsim.store.arrays import load_arrays, save_arrays
+
+
+def test_round_trip(tmp_path: Path, rng: np.random.Generator) -> None:
+    arrays = {
+        "a": rng.random((3, 4)).astype(np.float32),
+        "mask": np.array([True, False]),
+        "names": np.array(["x", "yy"]),
+        "scalar": np.array(3),
+    }
+    save_arrays(tmp_path / "a.npz", arrays)
+    back = load_arrays(tmp_path / "a.npz")
+    assert back.keys() == arrays.keys()
+    for name, array in arrays.items():
+        assert back[name].dtype == array.dtype
+        np.testing.assert_array_equal(back[name], array)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
+
+
+def test_objects_and_pickles_are_refused(tmp_path: Path) -> None:
+    objects = np.array([{"a": 1}], dtype=object)
+    with pytest.raises(InputError, match="Python objects"):
+        save_arrays(tmp_path / "a.npz", {"o": objects})
+    np.savez(tmp_path / "pickled.npz", o=objects, allow_pickle=True)
+    with pytest.raises(InputError, match=r"pickled\.npz"):
+        load_arrays(tmp_path / "pickled.npz")
+
+
+def test_broken_files(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    with pytest.raises(InputError, match="does not exist"):
+        load_arrays(path)
+    save_arrays(path, {"a": np.arange(1000)})
+    whole = path.read_bytes()
+    for end in range(0, len(whole), 97):
+        path.write_bytes(whole[:end])
+        with pytest.raises(InputError, match=r"a\.npz"):
+            load_arrays(path)
+    damaged = bytearray(whole)
+    damaged[400] ^= 255
+    path.write_bytes(bytes(damaged))
+    with pytest.raises(InputError, match="damaged"):
+        load_arrays(path)

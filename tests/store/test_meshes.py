@@ -1,0 +1,210 @@
+"""glTF: loss-free round trip, a standard file for others, and the CAD models."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from lightsim.core.mesh import Material, TriMesh
+from lightsim.errors import InputError
+from lightsim.store.meshes import read_glb, write_glb
+
+UP_TO_2_CM = {"rtol": 0.0, "atol": 0.02}
+
+
+@pytest.fixture
+def mesh(rng: np.random.Generator) -> TriMesh:
+    vertices = rng.normal(0, 100, (40, 3)).astype(np.float32)
+    faces = rng.permuted(np.tile(np.arange(40, dtype=np.int32), (25, 1)), axis=1)[:, :3]
+    colour = rng.random((40, 3)).astype(np.float32)
+    return TriMesh("world", vertices, np.ascontiguousarray(faces), colour, Material(0.4, 0.1))
+
+
+def test_round_trip_is_exact(tmp_path: Path, mesh: TriMesh) -> None:
+    write_glb(tmp_path / "a.glb", mesh)
+    back = read_glb(tmp_path / "a.glb", "world")
+    np.testing.assert_array_equal(back.vertices, mesh.vertices)
+    np.testing.assert_array_equal(back.faces, mesh.faces)
+    np.testing.assert_array_equal(back.base_colour, mesh.base_colour)
+    assert back.material == mesh.material
+    assert back.frame == "world"
+
+
+def test_the_file_keeps_the_standard(tmp_path: Path, mesh: TriMesh) -> None:
+    write_glb(tmp_path / "a.glb", mesh)
+    data = (tmp_path / "a.glb").read_bytes()
+    document, binary = _chunks(data)
+    assert document["asset"]["version"] == "2.0"
+    size = {"SCALAR": 4, "VEC3": 12}
+    for accessor in document["accessors"]:
+        view = document["bufferViews"][accessor["bufferView"]]
+        assert view["byteOffset"] % 4 == 0
+        assert accessor["count"] * size[accessor["type"]] == view["byteLength"]
+        assert view["byteOffset"] + view["byteLength"] <= document["buffers"][0]["byteLength"]
+    assert document["buffers"][0]["byteLength"] == len(binary)
+    positions = document["accessors"][0]
+    np.testing.assert_array_equal(np.float32(positions["min"]), mesh.vertices.min(axis=0))
+    np.testing.assert_array_equal(np.float32(positions["max"]), mesh.vertices.max(axis=0))
+    view = document["bufferViews"][2]
+    indices = np.frombuffer(binary, "<u4", offset=view["byteOffset"])
+    assert indices.max() < positions["count"]
+
+
+def test_another_reader_sees_it_upright(tmp_path: Path, mesh: TriMesh) -> None:
+    write_glb(tmp_path / "a.glb", mesh)
+    scene = trimesh.load(tmp_path / "a.glb")
+    assert isinstance(scene, trimesh.Scene)
+    x, y, z = mesh.vertices.T
+    expected = np.stack([x, z, -y], axis=1)
+    np.testing.assert_allclose(
+        scene.bounds, [expected.min(axis=0), expected.max(axis=0)], atol=1e-4
+    )
+
+
+def test_cad_models(shared_data: Path) -> None:
+    models = sorted((shared_data / "cad").glob("*.glb"))
+    assert len(models) == 10
+    for path in models:
+        mesh = read_glb(path, "actor", texture_edge_m=0.2)
+        scene = trimesh.load(path)
+        low, high = np.asarray(scene.bounds)
+        x, y, z = mesh.vertices.T
+        np.testing.assert_allclose(np.stack([x.min(), z.min(), -y.max()]), low, atol=1e-5)
+        np.testing.assert_allclose(np.stack([x.max(), z.max(), -y.min()]), high, atol=1e-5)
+        assert abs(mesh.vertices[:, 2].min()) < 1e-3
+        assert mesh.base_colour.std() > 0.01
+        area = np.linalg.norm(mesh_cross(mesh), axis=1).sum() / 2
+        assert area == pytest.approx(float(scene.to_mesh().area), rel=1e-4)
+    red = read_glb(shared_data / "cad" / "hatchback_red.glb", "actor").base_colour.mean(axis=0)
+    assert red[0] > 1.5 * red[1]
+
+
+def mesh_cross(mesh: TriMesh) -> np.ndarray:
+    a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(np.float64) for i in range(3))
+    return np.cross(b - a, c - a)
+
+
+def test_texture_becomes_colour_in_linear_light(tmp_path: Path) -> None:
+    """A quad, left half sRGB 188, right half black, times a factor of 0.5."""
+    pixels = np.zeros((8, 8, 3), np.uint8)
+    pixels[:, :4] = 188
+    image = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=_pil(pixels), baseColorFactor=[0.5, 0.5, 0.5, 1.0]
+    )
+    quad = trimesh.Trimesh(
+        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]], process=False
+    )
+    uv = [[0, 0], [1, 0], [1, 1], [0, 1]]
+    quad.visual = trimesh.visual.TextureVisuals(uv=uv, material=image)
+    (tmp_path / "quad.glb").write_bytes(trimesh.Scene(quad).export(file_type="glb"))
+    mesh = read_glb(tmp_path / "quad.glb", "actor", texture_edge_m=0.1)
+    x = mesh.vertices[:, 0]
+    np.testing.assert_allclose(mesh.base_colour[(x > 0.1) & (x < 0.4)], 0.5 * 0.5029, atol=3e-3)
+    np.testing.assert_allclose(mesh.base_colour[(x > 0.6) & (x < 0.9)], 0.0, atol=1e-6)
+    np.testing.assert_allclose(mesh.vertices[:, 1], 0.0, atol=1e-7)
+    assert mesh.vertices[:, 2].max() == 1.0
+    longest = max(
+        float(
+            np.linalg.norm(
+                mesh.vertices[mesh.faces[:, i]] - mesh.vertices[mesh.faces[:, j]], axis=1
+            ).max()
+        )
+        for i, j in ((0, 1), (1, 2), (2, 0))
+    )
+    assert longest <= 0.1
+    assert (mesh_cross(mesh)[:, 1] < 0).all()
+    _assert_watertight_inside(mesh)
+
+
+def _assert_watertight_inside(mesh: TriMesh) -> None:
+    """No T-junctions: every edge is shared by two faces or lies on the quad's border."""
+    edges = np.sort(np.concatenate([mesh.faces[:, [i, (i + 1) % 3]] for i in range(3)]), axis=1)
+    unique, count = np.unique(edges, axis=0, return_counts=True)
+    middle = mesh.vertices[unique[count == 1]].mean(axis=1)[:, [0, 2]]
+    assert (np.isclose(middle, 0) | np.isclose(middle, 1)).any(axis=1).all()
+    assert count.max() == 2
+
+
+def test_broken_models(tmp_path: Path, mesh: TriMesh) -> None:
+    path = tmp_path / "a.glb"
+    with pytest.raises(InputError, match="cannot open"):
+        read_glb(path, "actor")
+    path.write_bytes(b"solid ascii stl")
+    with pytest.raises(InputError, match=r"a\.glb.*glTF"):
+        read_glb(path, "actor")
+    with pytest.raises(InputError, match="without faces"):
+        write_glb(path, TriMesh("world", mesh.vertices, mesh.faces[:0], mesh.base_colour))
+    write_glb(path, mesh)
+    document, binary = _chunks(path.read_bytes())
+    for change, message in _BREAKAGES:
+        broken = json.loads(json.dumps(document))
+        change(broken)
+        path.write_bytes(_join(broken, binary))
+        with pytest.raises(InputError, match=rf"a\.glb.*{message}"):
+            read_glb(path, "actor")
+
+
+_BREAKAGES = [
+    (lambda d: d.update(extensionsRequired=["KHR_draco_mesh_compression"]), "draco"),
+    (lambda d: d["accessors"][0].update(count=10**9), "runs past"),
+    (lambda d: d["bufferViews"][1].update(byteOffset=10**6), "runs past"),
+    (lambda d: d["nodes"][1].update(children=[0]), "loop"),
+    (lambda d: d["nodes"][0].update(matrix=[1.0]), "reshape"),
+    (lambda d: d["meshes"][0]["primitives"][0].update(mode=5), "strips"),
+    (lambda d: d["meshes"][0]["primitives"][0].update(mode=0), "no triangles"),
+    (lambda d: d.pop("meshes"), "meshes"),
+    (lambda d: d["accessors"][0].update(count=2), "names no vertex"),
+]
+
+
+@settings(
+    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(st.data())
+def test_flipped_and_cut_bytes(tmp_path: Path, mesh: TriMesh, data: st.DataObject) -> None:
+    path = tmp_path / "fuzz.glb"
+    write_glb(path, mesh)
+    content = bytearray(path.read_bytes())
+    for _ in range(data.draw(st.integers(1, 4))):
+        content[data.draw(st.integers(0, 1500))] = data.draw(st.integers(0, 255))
+    path.write_bytes(bytes(content[: data.draw(st.integers(0, len(content)))]))
+    message = "fuzz.glb"
+    try:
+        read_glb(path, "actor")
+    except InputError as error:
+        message = str(error)
+    assert "fuzz.glb" in message
+
+
+def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
+    magic, version, total = struct.unpack_from("<4sII", data)
+    assert (magic, version, total) == (b"glTF", 2, len(data))
+    length, kind = struct.unpack_from("<I4s", data, 12)
+    assert kind == b"JSON"
+    assert length % 4 == 0
+    size, kind = struct.unpack_from("<I4s", data, 20 + length)
+    assert kind == b"BIN\0"
+    assert 28 + length + size == total
+    return json.loads(data[20 : 20 + length]), data[28 + length :]
+
+
+def _join(document: dict[str, Any], binary: bytes) -> bytes:
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(binary))
+    json_chunk = struct.pack("<I4s", len(text), b"JSON") + text
+    return head + json_chunk + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+
+
+def _pil(pixels: np.ndarray) -> Any:
+    from PIL import Image
+
+    return Image.fromarray(pixels)
