@@ -217,6 +217,11 @@ CASES: list[tuple[str, Break, str]] = [
         r"lidar/timestamps\.json: a time is no UTC",
     ),
     (
+        "LiDAR times of another drive",
+        change_json("lidar/timestamps.json", lambda t: [x + 100 for x in t]),
+        r"lidar/00\.pkl\.gz: the camera poses do not reach",
+    ),
+    (
         "missing LiDAR times",
         delete("lidar/timestamps.json"),
         r"lidar/timestamps\.json: the file cannot be read",

@@ -30,7 +30,8 @@ from lightsim.ingest.pandaset_tracks import CuboidFile, read_tracks
 from lightsim.ingest.selection import FrameSelection
 
 _EGO_CAMERA = "front_camera"
-_LABEL_HOLD_S = 0.2
+_EGO_HOLD_S = 0.2
+"""Sweeps end a little after the last camera pose."""
 _SMALL_WIDTH_PX = 480
 
 
@@ -148,6 +149,7 @@ def _read_sweeps(source: Path, ego: Trajectory, rig: Rig, selection: FrameSelect
             )
         stem = path.name.removesuffix(".pkl.gz")
         time_ns = int(times_ns[number])
+        _require_covered(ego, time_ns, path)
         sources[number] = SweepSource(path, classes.get(number), stem, time_ns, ego, rig)
     lazy = tuple(
         LazySweep(s.stem, s.time_ns, partial(load_sweep, s))
@@ -155,6 +157,17 @@ def _read_sweeps(source: Path, ego: Trajectory, rig: Rig, selection: FrameSelect
         if selection.holds(number)
     )
     return _Sweeps(lazy, sources, times_ns, _gap_notes("LiDAR sweeps", list(files)))
+
+
+def _require_covered(ego: Trajectory, time_ns: int, path: Path) -> None:
+    if not ego.covers(time_ns, _EGO_HOLD_S):
+        raise InputError(
+            "the camera poses do not reach the file's time in lidar/timestamps.json",
+            where=path,
+            got=f"{time_ns} ns",
+            expected=f"{ego.start_ns} to {ego.end_ns} ns",
+            remedy="Cameras and LiDAR must be of one sequence.",
+        )
 
 
 def _read_actors(source: Path, ego: Trajectory, sweeps: _Sweeps) -> tuple[tuple, tuple[str, ...]]:
@@ -183,8 +196,8 @@ def _read_actors(source: Path, ego: Trajectory, sweeps: _Sweeps) -> tuple[tuple,
                 expected=f"0 to {len(sweeps.times_ns) - 1}",
             )
         time_ns = int(sweeps.times_ns[number])
-        if ego.covers(time_ns, _LABEL_HOLD_S):
-            cuboids.append(CuboidFile(path, time_ns, ego.at(time_ns, _LABEL_HOLD_S)))
+        _require_covered(ego, time_ns, path)
+        cuboids.append(CuboidFile(path, time_ns, ego.at(time_ns, _EGO_HOLD_S)))
     return read_tracks(cuboids, timing), notes
 
 

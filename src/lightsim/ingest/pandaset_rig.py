@@ -130,7 +130,7 @@ def positions_along(
     """World positions of a point fixed to the ego, at constant velocity between its poses.
 
     The last sweep ends some 20 ms after the last camera pose, so the end velocities are continued
-    beyond the poses; the caller bounds by how much.
+    beyond the poses; the reader lets no sweep be more than 0.2 s away from them.
     """
     knots = ego.matrices[:, :3, :3] @ point_ego + ego.positions_m
     if len(ego) == 1:

@@ -94,7 +94,7 @@ def measure_timing(source: SweepSource) -> ScanTiming:
     if not is_roof.any():
         return ScanTiming.instantaneous()
     points = np.stack([table[k][is_good] for k in ("x", "y", "z")], axis=1)
-    pose = source.ego.at(source.time_ns, hold_s=1.0)
+    pose = source.ego.at(source.time_ns, hold_s=_MAX_TIME_OFFSET_S)
     rays_ego = pose.inverse().rotate(points - _origins(source, times_ns, device))
     bins = _bins(rays_ego[is_roof])
     offsets_s = ((times_ns - source.time_ns) * 1e-9)[is_roof]
