@@ -26,11 +26,14 @@ from lightsim.reconstruct.extrude_columns import (
     ColumnConfig,
     columns_from_facades,
     find_facades,
+    free_in_front_of_walls,
 )
 from lightsim.reconstruct.extrude_grid import VoxelEvidence, VoxelGrid
 from lightsim.reconstruct.extrude_kernels import walk_rays
 from lightsim.reconstruct.extrude_mesh import mesh_columns
 
+_LOWEST_RAY = -0.2
+"""Vertical part of the steepest ray that is walked: below, only the road gets carved."""
 _CARVED, _VOTING, _UNUSED = 0, 1, 2
 
 
@@ -103,6 +106,7 @@ def infer_tall_structures(
             continue
         last_position[frame.camera_name] = position
         _add_view(evidence, (frame, camera, matte), caster, config)
+    free_in_front_of_walls(background, evidence, config.columns)
     facades = find_facades(background, grid, config.columns)
     columns = columns_from_facades(facades, evidence, config.min_votes, config.columns)
     return mesh_columns(columns, grid)
@@ -128,7 +132,7 @@ def _add_view(
     ends_m = np.where(kind == _CARVED, np.inf, config.max_range_m)
     ends_m[is_seen] = hits.distance_m[is_seen] - config.surface_margin_m
     kind[is_seen] = _CARVED
-    used = (kind != _UNUSED) & (ends_m > 0)
+    used = (kind != _UNUSED) & (ends_m > 0) & (directions[:, 2] > _LOWEST_RAY)
     grid = evidence.grid
     evidence.view_count += 1
     walk_rays(

@@ -12,6 +12,9 @@ from lightsim.reconstruct.extrude_grid import VoxelEvidence, VoxelGrid
 
 _SAMPLE_AREA_M2 = 0.04
 _MAX_SAMPLES_A_FACE = 200_000
+_FRONT_M = 0.15
+_MAX_GAP = 3
+"""Cells in a row that are filled between columns."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +79,9 @@ def find_facades(mesh: TriMesh, grid: VoxelGrid, config: ColumnConfig) -> Facade
 
     points, normals, colours = _sample_walls(mesh, config.max_normal_z)
     ground = _ground_level(mesh, grid, points)
-    # Half a voxel inwards: a cell then lies behind the surface rather than astride it.
-    cells = grid.cells(points - 0.5 * grid.voxel_m * normals)
+    # A voxel inwards: cells then lie behind the surface. A guess that stuck out in front of a
+    # measured wall would wrongly shade it.
+    cells = grid.cells(points - grid.voxel_m * normals)
     inside = grid.contains(cells)
     cells, normals, colours = cells[inside], normals[inside], colours[inside]
     is_wall = np.zeros(grid.shape, bool)
@@ -118,14 +122,21 @@ def columns_from_facades(
     top = _supported_top(facades, evidence, limit, min_votes, config.min_support)
     top = _level_roofs(facades, top, limit, config, evidence.grid.voxel_m)
     columns: dict[tuple[int, int], Column] = {}
-    for cell, low, high, colour in zip(
-        facades.cells, facades.top + 1, top, facades.colour, strict=True
-    ):
-        if high >= low:
-            key = (int(cell[0]), int(cell[1]))
-            columns[key] = Column(*key, int(low), int(high), _rgb(colour))
+    for n in np.nonzero(top > facades.top)[0]:
+        key = (int(facades.cells[n, 0]), int(facades.cells[n, 1]))
+        low, high = int(facades.top[n]) + 1, int(top[n])
+        columns[key] = Column(*key, low, high, _rgb(facades.colour[n]))
     _add_footprints(columns, facades, top, evidence, config)
+    _close_gaps(columns, evidence)
     return [columns[key] for key in sorted(columns)]
+
+
+def free_in_front_of_walls(mesh: TriMesh, evidence: VoxelEvidence, config: ColumnConfig) -> None:
+    """Mark the voxels that measured walls face as free: a guess there would shade the wall."""
+    points, normals, _ = _sample_walls(mesh, config.max_normal_z)
+    cells = evidence.grid.cells(points + _FRONT_M * normals)
+    cells = cells[evidence.grid.contains(cells)]
+    evidence.is_free[tuple(cells.T)] = 1
 
 
 def _ground_level(
@@ -258,6 +269,29 @@ def _level_roofs(
     can_lend = ~has_seen_top & (distance * voxel_m <= config.level_reach_m)
     lent = np.maximum(smooth, smooth[has_seen_top][index])
     return np.clip(np.where(can_lend, lent, smooth), facades.top, limit)
+
+
+def _close_gaps(columns: dict[tuple[int, int], Column], evidence: VoxelEvidence) -> None:
+    """Fill empty cells between two columns on opposite sides (windows, missed cells) with what
+    both have in common, where no view saw through."""
+    shape = evidence.grid.shape
+    filled: dict[tuple[int, int], Column] = {}
+    for (x, y), first in columns.items():
+        for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
+            steps = range(2, _MAX_GAP + 2)
+            ends = ((k, columns.get((x + k * dx, y + k * dy))) for k in steps)
+            width, second = next(((k, end) for k, end in ends if end is not None), (0, None))
+            if second is None:
+                continue
+            low, high = max(first.low, second.low), min(first.high, second.high)
+            for k in range(1, width):
+                cell = (x + k * dx, y + k * dy)
+                is_inside = 0 <= cell[0] < shape[0] and 0 <= cell[1] < shape[1]
+                if not is_inside or cell in columns or high < low:
+                    continue
+                if not evidence.is_free[cell[0], cell[1], low : high + 1].any():
+                    filled[cell] = Column(*cell, low, high, first.colour)
+    columns.update(filled)
 
 
 def _add_footprints(

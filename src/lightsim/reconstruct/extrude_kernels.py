@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from typing import no_type_check
 
+import numpy as np
 from numba import njit
 
 
@@ -22,10 +23,10 @@ def walk_rays(  # noqa: C901 - one loop, compiled
     its start and `ends_cells` is visited (Amanatides & Woo 1987).
     """
     shape = is_free.shape
-    cell = [0, 0, 0]
-    step = [0, 0, 0]
-    t_next = [0.0, 0.0, 0.0]
-    t_step = [0.0, 0.0, 0.0]
+    cell = np.zeros(3, np.int64)
+    step = np.zeros(3, np.int64)
+    t_next = np.zeros(3)
+    t_step = np.zeros(3)
     for r in range(directions.shape[0]):
         enter, leave = 0.0, ends_cells[r]
         for k in range(3):
