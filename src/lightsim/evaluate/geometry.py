@@ -1,0 +1,273 @@
+"""How well meshes agree with LiDAR, and with true meshes where there are any."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
+
+from lightsim.core.casting import MakeCaster
+from lightsim.core.mesh import TriMesh
+from lightsim.core.sensors import LazySweep, LidarSweep
+from lightsim.errors import InputError
+from lightsim.progress import Progress, SilentProgress
+
+ActorsAt = Callable[[int], Sequence[TriMesh]]
+"""Actor meshes in frame `world` at a time, ns."""
+
+
+@dataclass(frozen=True)
+class GeometryConfig:
+    """How much is measured."""
+
+    returns_per_sweep: int = 20_000
+    """LiDAR returns drawn from each sweep."""
+    least_distance_m: float = 3.0
+    """Nearer returns are the recording car itself."""
+    largest_distance_m: float = 80.0
+    """Farther returns do not count."""
+    samples: int = 100_000
+    """Points drawn from each surface for the F-score."""
+    support_samples: int = 1_000_000
+    """Points by which the nearest triangle of the other surface is found."""
+    thresholds_m: tuple[float, ...] = (0.05, 0.10)
+    """Distances below which a point counts as right."""
+    seen_within_m: float = 0.3
+    """True surface farther than this from every LiDAR return was not seen and is not asked for."""
+
+
+@dataclass(frozen=True)
+class LidarScores:
+    """Distance along the beam, mesh against return. Errors are those of beams that hit.
+
+    Args:
+        count: returns compared.
+        hit_rate: share of the beams that meet a mesh at all.
+        median_abs_m: median of the absolute error.
+        percentile_90_m: 90th percentile of it.
+        median_signed_m: positive where meshes lie behind the returns.
+        within_10_cm: share of all beams whose error is below 10 cm.
+    """
+
+    count: int
+    hit_rate: float
+    median_abs_m: float
+    percentile_90_m: float
+    median_signed_m: float
+    within_10_cm: float
+
+
+@dataclass(frozen=True)
+class SurfaceScores:
+    """Precision, recall and their harmonic mean at one distance (Knapitsch et al. 2017,
+    doi:10.1145/3072959.3073599)."""
+
+    threshold_m: float
+    precision: float
+    recall: float
+
+    @property
+    def f_score(self) -> float:
+        total = self.precision + self.recall
+        return 2 * self.precision * self.recall / total if total > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class GeometryReport:
+    """What was measured; `surface` is empty without a true mesh."""
+
+    lidar: LidarScores
+    surface: tuple[SurfaceScores, ...] = ()
+
+    def to_table(self) -> str:
+        """Markdown."""
+        s = self.lidar
+        lines = [
+            "| LiDAR returns | hit rate | median abs m | 90 % m | median signed m | < 10 cm |",
+            "|---:|---:|---:|---:|---:|---:|",
+            f"| {s.count} | {s.hit_rate:.3f} | {s.median_abs_m:.3f} | {s.percentile_90_m:.3f} "
+            f"| {s.median_signed_m:+.3f} | {s.within_10_cm:.3f} |",
+        ]
+        if self.surface:
+            lines += ["", "| within m | precision | recall | F-score |", "|---:|---:|---:|---:|"]
+        for row in self.surface:
+            lines.append(
+                f"| {row.threshold_m:.2f} | {row.precision:.3f} | {row.recall:.3f} "
+                f"| {row.f_score:.3f} |"
+            )
+        return "\n".join(lines)
+
+    def to_json(self) -> str:
+        surface = [asdict(row) | {"f_score": row.f_score} for row in self.surface]
+        return json.dumps({"lidar": asdict(self.lidar), "surface": surface}, indent=2)
+
+
+def evaluate_lidar(
+    sweeps: Sequence[LazySweep],
+    background: Sequence[TriMesh],
+    actors_at: ActorsAt,
+    config: GeometryConfig,
+    *,
+    make_caster: MakeCaster,
+    rng: np.random.Generator,
+    progress: Progress | None = None,
+) -> LidarScores:
+    """Beams of the sweeps cast again on the meshes. The nearer of background and actors counts.
+
+    Raises:
+        InputError: there is no sweep, or none has a return in range.
+    """
+    progress = progress or SilentProgress()
+    caster = make_caster(background)
+    measured: list[np.ndarray] = []
+    cast: list[np.ndarray] = []
+    for lazy in progress.track(sweeps, "cast LiDAR beams"):
+        origins, directions, distances = _draw_beams(lazy.load(), config, rng)
+        if not len(distances):
+            continue
+        found = caster.intersect(origins, directions).distance_m
+        actors = actors_at(lazy.time_ns)
+        if actors:
+            nearer = make_caster(actors).intersect(origins, directions).distance_m
+            found = np.minimum(found, nearer)
+        measured.append(distances)
+        cast.append(found.astype(np.float64))
+    if not measured:
+        raise InputError("no LiDAR return to compare with", got=f"{len(sweeps)} sweeps")
+    return _lidar_scores(np.concatenate(measured), np.concatenate(cast))
+
+
+def _draw_beams(
+    sweep: LidarSweep, config: GeometryConfig, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """Origins, unit directions and distances of some returns in range."""
+    along = sweep.points_world.astype(np.float64) - sweep.origins_world
+    distances = np.linalg.norm(along, axis=1)
+    in_range = (distances > config.least_distance_m) & (distances < config.largest_distance_m)
+    chosen = np.flatnonzero(in_range)
+    if len(chosen) > config.returns_per_sweep:
+        chosen = rng.choice(chosen, config.returns_per_sweep, replace=False)
+    distances = distances[chosen]
+    return (
+        sweep.origins_world[chosen].astype(np.float64),
+        along[chosen] / distances[:, None],
+        distances,
+    )
+
+
+def _lidar_scores(measured: Float[np.ndarray, " n"], cast: Float[np.ndarray, " n"]) -> LidarScores:
+    is_hit = np.isfinite(cast)
+    if not is_hit.any():
+        nan = float("nan")
+        return LidarScores(len(measured), 0.0, nan, nan, nan, 0.0)
+    signed = cast[is_hit] - measured[is_hit]
+    absolute = np.abs(signed)
+    return LidarScores(
+        count=len(measured),
+        hit_rate=float(is_hit.mean()),
+        median_abs_m=float(np.median(absolute)),
+        percentile_90_m=float(np.percentile(absolute, 90)),
+        median_signed_m=float(np.median(signed)),
+        within_10_cm=float((absolute < 0.10).sum() / len(measured)),
+    )
+
+
+def evaluate_surface(
+    predicted: TriMesh,
+    truth: TriMesh,
+    config: GeometryConfig,
+    *,
+    seen_points_world: Float[np.ndarray, "n 3"] | None = None,
+    rng: np.random.Generator,
+) -> tuple[SurfaceScores, ...]:
+    """Precision and recall of a mesh against the true one, both in frame `world`.
+
+    Args:
+        seen_points_world: LiDAR returns; both surfaces count only near one, so that neither
+            backs of houses are asked for, nor plausible guesses punished.
+
+    Raises:
+        InputError: a mesh is empty or nothing of it was seen.
+    """
+    precision = _distances_m(predicted, truth, config, seen_points_world, rng)
+    recall = _distances_m(truth, predicted, config, seen_points_world, rng)
+    return tuple(
+        SurfaceScores(t, float((precision < t).mean()), float((recall < t).mean()))
+        for t in config.thresholds_m
+    )
+
+
+def _distances_m(
+    mesh: TriMesh,
+    other: TriMesh,
+    config: GeometryConfig,
+    seen_points_world: Float[np.ndarray, "_ 3"] | None,
+    rng: np.random.Generator,
+) -> Float[np.ndarray, " n"]:
+    """Distance from points on `mesh` to the surface of `other`."""
+    points = sample_surface(mesh, config.samples, rng)[0]
+    if seen_points_world is not None:
+        points = points[_is_near(points, seen_points_world, config.seen_within_m)]
+    if not len(points):
+        raise InputError("no seen surface to compare", where=f"mesh in '{mesh.frame}'")
+    support, faces = sample_surface(other, config.support_samples, rng)
+    corners = other.vertices[other.faces].astype(np.float64)
+    nearest = KDTree(support).query(points, k=8, workers=1)[1]
+    best = np.full(len(points), np.inf)
+    for column in np.asarray(nearest).T:
+        best = np.minimum(best, _point_triangle_distance(points, corners[faces[column]]))
+    return best
+
+
+def _is_near(
+    points: Float[np.ndarray, "n 3"], others: Float[np.ndarray, "m 3"], radius_m: float
+) -> Bool[np.ndarray, " n"]:
+    distance = KDTree(others).query(points, distance_upper_bound=radius_m, workers=1)[0]
+    return np.isfinite(np.asarray(distance))
+
+
+def sample_surface(
+    mesh: TriMesh, count: int, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
+    """Points spread evenly by area over a mesh, metres, and the faces they lie on.
+
+    Raises:
+        InputError: the mesh has no area.
+    """
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    edges = corners[:, 1:] - corners[:, :1]
+    area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    if not area.sum() > 0:
+        raise InputError("a mesh without area cannot be compared", where=mesh.frame)
+    faces = rng.choice(len(area), count, p=area / area.sum())
+    u, v = rng.random((2, count))
+    is_outside = u + v > 1
+    u, v = np.where(is_outside, 1 - u, u), np.where(is_outside, 1 - v, v)
+    points = corners[faces, 0] + u[:, None] * edges[faces, 0] + v[:, None] * edges[faces, 1]
+    return points, faces
+
+
+def _point_triangle_distance(
+    points: Float[np.ndarray, "n 3"], corners: Float[np.ndarray, "n 3 3"]
+) -> Float[np.ndarray, " n"]:
+    """Distance of each point to its own triangle: to the plane if it projects inside, else to
+    the nearest edge."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = normal / np.where(length > 0, length, 1.0)
+    is_inside = length[:, 0] > 0
+    to_edges = np.full(len(points), np.inf)
+    for i in range(3):
+        start, edge = corners[:, i], corners[:, (i + 1) % 3] - corners[:, i]
+        offset = points - start
+        is_inside &= np.einsum("nc,nc->n", np.cross(edge, offset), normal) >= 0
+        squared = np.maximum(np.einsum("nc,nc->n", edge, edge), 1e-30)
+        along = np.clip(np.einsum("nc,nc->n", offset, edge) / squared, 0.0, 1.0)
+        distance = np.linalg.norm(offset - along[:, None] * edge, axis=1)
+        to_edges = np.minimum(to_edges, distance)
+    to_plane = np.abs(np.einsum("nc,nc->n", points - corners[:, 0], normal))
+    return np.where(is_inside, to_plane, to_edges)
