@@ -1,0 +1,168 @@
+"""Faces that rays meet: the sky each of them sees, traced once and kept."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Int64, UInt16
+
+from lightsim.core.casting import RayCaster
+from lightsim.core.mesh import TriMesh
+from lightsim.render.embree import offset_origins
+
+_TILE_RAYS = 1 << 20
+
+
+@dataclass(frozen=True)
+class TransportConfig:
+    """The ray table and the sun rays."""
+
+    sky_rays: int = 32
+    """Rays per traced pixel over the hemisphere."""
+    face_rays: int = 16
+    """Rays per face that a pixel ray met, for the bounce; 0 leaves the bounce out."""
+    sun_rays: int = 4
+    """Rays per pixel over the solar disc."""
+    face_sun_rays: int = 2
+    """Sun rays per met face."""
+    sky_cell_rows: int = 90
+    """Rows of the equirectangular grid of sky cells (2 degrees each at 90); at most 180."""
+    shading_step_px: int = 2
+    """One pixel in this many, along rows and columns, is traced; sun rays start from all."""
+    filter_radius: int = 1
+    """Traced neighbours over which sky and bounce light are smoothed along surfaces."""
+    origin_offset_m: float = 2e-3
+    """Distance by which rays start off their surface."""
+
+
+@dataclass(frozen=True, eq=False)
+class FaceSamples:
+    """Faces that rays met, each seen from one side, and the sky that they see.
+
+    Args:
+        sun_points_world: where its sun rays start.
+        normals_world: unit, on the side that was met.
+        base_colour: mean over the face.
+        sky_cells: one for each face ray, `transport_kernels.BLOCKED` where geometry is met.
+    """
+
+    sun_points_world: Float32[np.ndarray, "f s 3"]
+    normals_world: Float32[np.ndarray, "f 3"]
+    base_colour: Float32[np.ndarray, "f 3"]
+    sky_cells: UInt16[np.ndarray, "f m"]
+
+
+class FaceTable:
+    """Sky seen by faces of a fixed list of meshes, traced when first asked for and kept.
+
+    Keep one over the static meshes for all frames of a log: what a wall sees of the sky does
+    not change (actors in front of it are left out there; they do cast sun shadows on it).
+    """
+
+    def __init__(
+        self, meshes: Sequence[TriMesh], caster: RayCaster, config: TransportConfig, seed: int = 0
+    ) -> None:
+        self._meshes = tuple(meshes)
+        self._first_face = np.cumsum([0] + [len(mesh.faces) for mesh in meshes])
+        self._caster = caster
+        self._config = config
+        self._seed = seed
+        self._row_by_side = np.full(2 * self._first_face[-1], -1, dtype=np.int32)
+        self._cells = np.zeros((0, config.face_rays), dtype=np.uint16)
+
+    @property
+    def face_count(self) -> int:
+        return int(self._first_face[-1])
+
+    def samples(self, sides: Int64[np.ndarray, " f"]) -> FaceSamples:
+        """Samples of sides: 2 x (running face number) + (1 where seen from the back)."""
+        new = sides[self._row_by_side[sides] < 0]
+        corners, normals, colour = self._geometry(sides)
+        if len(new):
+            self._row_by_side[new] = len(self._cells) + np.arange(len(new), dtype=np.int32)
+            self._cells = np.concatenate([self._cells, self._trace(new)])
+        count = max(1, self._config.face_sun_rays)
+        points = self._points(sides, corners, count).reshape(-1, 3)
+        starts = offset_origins(
+            points, np.repeat(normals, count, axis=0), self._config.origin_offset_m
+        )
+        return FaceSamples(
+            starts.reshape(-1, count, 3), normals, colour, self._cells[self._row_by_side[sides]]
+        )
+
+    def _geometry(
+        self, sides: Int64[np.ndarray, " f"]
+    ) -> tuple[
+        Float32[np.ndarray, "f 3 3"], Float32[np.ndarray, "f 3"], Float32[np.ndarray, "f 3"]
+    ]:
+        """Corners, normals of the sides and mean base colours."""
+        faces = sides >> 1
+        corners = np.zeros((len(sides), 3, 3), dtype=np.float32)
+        colour = np.zeros((len(sides), 3), dtype=np.float32)
+        for k, mesh in enumerate(self._meshes):
+            low, high = self._first_face[k], self._first_face[k + 1]
+            rows = np.flatnonzero((faces >= low) & (faces < high))
+            vertices = mesh.faces[faces[rows] - low]
+            corners[rows] = mesh.vertices[vertices]
+            colour[rows] = mesh.base_colour[vertices].mean(axis=1)
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        turn = np.where(sides & 1, -1.0, 1.0)[:, None]
+        unit = np.where(length > 0, normals / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
+        return corners, (turn * unit).astype(np.float32), colour
+
+    def _points(
+        self, sides: Int64[np.ndarray, " f"], corners: Float32[np.ndarray, "f 3 3"], count: int
+    ) -> Float32[np.ndarray, "f c 3"]:
+        from lightsim.render.transport_kernels import face_points
+
+        points = np.empty((len(sides), count, 3), dtype=np.float32)
+        face_points(corners, hashed_shifts(sides, self._seed + 1), count, points)
+        return points
+
+    def _trace(self, sides: Int64[np.ndarray, " f"]) -> UInt16[np.ndarray, "f m"]:
+        from lightsim.render.transport_kernels import BLOCKED
+
+        rays = self._config.face_rays
+        cells = np.empty((len(sides), rays), dtype=np.uint16)
+        tile = max(1, _TILE_RAYS // max(1, rays))
+        for start in range(0, len(sides) if rays else 0, tile):
+            part = slice(start, start + tile)
+            corners, normals, _ = self._geometry(sides[part])
+            shifts = hashed_shifts(sides[part], self._seed)
+            directions, found = hemisphere_directions(
+                normals, shifts, rays, self._config.sky_cell_rows
+            )
+            points = self._points(sides[part], corners, rays).reshape(-1, 3)
+            origins = offset_origins(
+                points, np.repeat(normals, rays, axis=0), self._config.origin_offset_m
+            )
+            blocked = self._caster.is_occluded(origins, directions.reshape(-1, 3))
+            cells[part] = np.where(blocked.reshape(-1, rays), BLOCKED, found)
+        return cells
+
+
+def hemisphere_directions(
+    normals: Float32[np.ndarray, "n 3"], shifts: Float32[np.ndarray, "n 2"], rays: int, rows: int
+) -> tuple[Float32[np.ndarray, "n k 3"], UInt16[np.ndarray, "n k"]]:
+    from lightsim.render.transport_kernels import hemisphere_rays
+
+    directions = np.empty((len(normals), rays, 3), dtype=np.float32)
+    cells = np.empty((len(normals), rays), dtype=np.uint16)
+    hemisphere_rays(normals, shifts, rays, rows, directions, cells)
+    return directions, cells
+
+
+def hashed_shifts(numbers: Int64[np.ndarray, " n"], seed: int) -> Float32[np.ndarray, "n 2"]:
+    """Two uniform numbers in [0, 1) for each integer (SplitMix64; Steele et al. 2014)."""
+    shifts = np.empty((len(numbers), 2), dtype=np.float32)
+    for axis in range(2):
+        with np.errstate(over="ignore"):
+            z = numbers.astype(np.uint64) * np.uint64(2) + np.uint64(2 * seed * 1000003 + axis)
+            z = (z + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+            z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+            z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        shifts[:, axis] = ((z ^ (z >> np.uint64(31))) >> np.uint64(40)).astype(np.float64) / 2**24
+    return shifts

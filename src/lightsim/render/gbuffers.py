@@ -1,0 +1,131 @@
+"""Geometry buffers of one camera by primary rays through the pixel centres."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Float32, Shaped
+
+from lightsim.core.buffers import NO_SURFACE, GBuffers
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.casting import RayHits
+from lightsim.core.frames import RigidTransform
+from lightsim.core.mesh import TriMesh
+from lightsim.errors import FrameMismatchError
+from lightsim.render.scene import FrameScene
+
+
+@dataclass(frozen=True)
+class GBufferConfig:
+    """Geometry buffers."""
+
+    max_distance_m: float = float("inf")
+    """Surfaces farther along the ray than this are left out."""
+
+
+def render_gbuffers(
+    scene: FrameScene,
+    camera: PinholeCamera,
+    world_from_camera: RigidTransform,
+    config: GBufferConfig | None = None,
+) -> GBuffers:
+    """Depth, position, normal, base colour and actor of every pixel (paper, Sec. 3.3).
+
+    Normals are interpolated between vertices and face the camera. Ambient occlusion is 1:
+    `trace_transport` measures it from the rays it traces, see `with_ambient_occlusion`.
+
+    Raises:
+        FrameMismatchError: the pose does not map `camera` to `world`.
+    """
+    config = config or GBufferConfig()
+    if (world_from_camera.dst, world_from_camera.src) != ("world", "camera"):
+        raise FrameMismatchError(
+            "the camera pose must be world_from_camera",
+            got=f"{world_from_camera.dst}_from_{world_from_camera.src}",
+        )
+    shape = (camera.height_px, camera.width_px)
+    directions_camera = camera.directions(camera.pixel_centres()).reshape(-1, 3)
+    directions = world_from_camera.rotate(directions_camera)
+    origin = world_from_camera.translation_m
+    hits = scene.camera_caster.intersect(np.broadcast_to(origin, directions.shape), directions)
+    is_seen = hits.is_hit & (hits.distance_m <= config.max_distance_m)
+    pixels = np.flatnonzero(is_seen)
+    hits = _select(hits, pixels)
+    distance = hits.distance_m.astype(np.float64)
+    depth = distance * directions_camera[pixels, 2]
+    position = origin + distance[:, None] * directions[pixels]
+    normal, colour = _surface(scene, hits, directions[pixels])
+    return GBuffers(
+        _image(depth, pixels, shape, np.float32, np.inf),
+        _image(position, pixels, shape, np.float32, 0),
+        _image(normal, pixels, shape, np.float32, 0),
+        _image(colour, pixels, shape, np.float32, 0),
+        np.ones(shape, dtype=np.float32),
+        _image(scene.actor_index[hits.mesh_index], pixels, shape, np.int32, NO_SURFACE),
+    )
+
+
+def with_ambient_occlusion(
+    gbuffers: GBuffers, ambient_occlusion: Float32[np.ndarray, "h w"]
+) -> GBuffers:
+    """The buffers with measured ambient occlusion."""
+    return replace(gbuffers, ambient_occlusion=ambient_occlusion)
+
+
+def _select(hits: RayHits, rows: Shaped[np.ndarray, " k"]) -> RayHits:
+    return RayHits(
+        hits.distance_m[rows], hits.mesh_index[rows], hits.face_index[rows], hits.barycentric[rows]
+    )
+
+
+def _image(
+    values: Shaped[np.ndarray, "k ..."],
+    pixels: Shaped[np.ndarray, " k"],
+    shape: tuple[int, int],
+    dtype: type,
+    empty: float | int,
+) -> Shaped[np.ndarray, "h w ..."]:
+    """Values of some pixels as an image; `empty` elsewhere."""
+    image = np.full((shape[0] * shape[1], *values.shape[1:]), empty, dtype=dtype)
+    image[pixels] = values
+    return image.reshape(*shape, *values.shape[1:])
+
+
+def _surface(
+    scene: FrameScene, hits: RayHits, directions_world: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
+    """Shading normal that faces the ray, and base colour, at each hit."""
+    meshes: Sequence[TriMesh] = scene.camera_meshes
+    normal = np.zeros((len(hits.distance_m), 3))
+    colour = np.zeros((len(hits.distance_m), 3), dtype=np.float32)
+    order = np.argsort(hits.mesh_index, kind="stable")
+    bounds = np.searchsorted(hits.mesh_index[order], np.arange(len(meshes) + 1))
+    for k, mesh in enumerate(meshes):
+        rows = order[bounds[k] : bounds[k + 1]]
+        if len(rows) == 0:
+            continue
+        corners = mesh.faces[hits.face_index[rows]]
+        weights = hits.barycentric[rows, :, None]
+        colour[rows] = (weights * mesh.base_colour[corners]).sum(axis=1)
+        smooth = (weights * scene.camera_normals[k][corners]).sum(axis=1)
+        a, b, c = (mesh.vertices[corners[:, i]].astype(np.float64) for i in range(3))
+        flat = np.cross(b - a, c - a)
+        normal[rows] = _facing(smooth, flat, directions_world[rows])
+    return normal, colour
+
+
+def _facing(
+    smooth: Float[np.ndarray, "n 3"],
+    flat: Float[np.ndarray, "n 3"],
+    directions_world: Float[np.ndarray, "n 3"],
+) -> Float[np.ndarray, "n 3"]:
+    """Unit smooth normals on the side of the face that the ray meets; the face's own normal
+    where the smooth one is (nearly) perpendicular to it or absent."""
+    flat = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-30)
+    smooth = smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-30)
+    agreement = (smooth * flat).sum(axis=1)[:, None]
+    smooth = np.where(np.abs(agreement) < 0.1, flat, np.where(agreement < 0, -smooth, smooth))
+    away = (flat * directions_world).sum(axis=1) > 0
+    return np.where(away[:, None], -smooth, smooth)

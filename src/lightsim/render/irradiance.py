@@ -1,0 +1,112 @@
+"""Light on arbitrary surface points (mesh vertices, evidence samples), for delighting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from lightsim.core.dome import SkyDome
+from lightsim.render.faces import FaceSamples, FaceTable, hashed_shifts
+from lightsim.render.light import SkyCells, light_points, prepare_sky
+from lightsim.render.scene import FrameScene
+from lightsim.render.transport import TransportConfig, static_face_table, trace_points
+
+_TILE_POINTS = 1 << 16
+
+
+@dataclass(frozen=True)
+class IrradianceConfig:
+    """Light on surface points."""
+
+    transport: TransportConfig = field(default_factory=lambda: TransportConfig(sky_rays=64))
+    """Numbers of rays; pixel settings are not used."""
+    bounce_albedo: float | None = None
+    """One bounce off surfaces of this grey albedo; None leaves the bounce out. A constant, since
+    the true base colour is what delighting is looking for."""
+
+
+@dataclass(frozen=True, eq=False)
+class PointIrradiance:
+    """Light on n points.
+
+    Args:
+        irradiance_over_pi: RGB of sun, sky and bounce; a white Lambert surface shows it.
+        sun_visibility: fraction of the solar disc seen, 0 behind the surface's own horizon.
+        sky_visibility: cosine-weighted fraction of the hemisphere that is open.
+        sun: the part of `irradiance_over_pi` that the sun gives.
+        sky: the part of the open sky.
+        bounce: the part of other surfaces.
+    """
+
+    irradiance_over_pi: Float32[np.ndarray, "n 3"]
+    sun_visibility: Float32[np.ndarray, " n"]
+    sky_visibility: Float32[np.ndarray, " n"]
+    sun: Float32[np.ndarray, "n 3"]
+    sky: Float32[np.ndarray, "n 3"]
+    bounce: Float32[np.ndarray, "n 3"]
+
+
+def irradiance_at(
+    points_world: Float[np.ndarray, "n 3"],
+    normals_world: Float[np.ndarray, "n 3"],
+    scene: FrameScene,
+    dome: SkyDome,
+    config: IrradianceConfig | None = None,
+    seed: int = 0,
+) -> PointIrradiance:
+    """Light of a dome on surface points with unit normals, in frame `world`.
+
+    Scenes without actors come from `render.scene.without_actors`.
+    """
+    config = config or IrradianceConfig()
+    rays = config.transport
+    if config.bounce_albedo is None:
+        rays = replace(rays, face_rays=0)
+    cells = prepare_sky(dome, rays)
+    table = static_face_table(scene, rays, seed)
+    out = np.zeros((len(points_world), 14), dtype=np.float32)
+    for start in range(0, len(points_world), _TILE_POINTS):
+        part = slice(start, start + _TILE_POINTS)
+        numbers = np.arange(start, min(start + _TILE_POINTS, len(points_world)), dtype=np.int64)
+        out[part] = _tile(
+            (points_world[part].astype(np.float32), normals_world[part].astype(np.float32)),
+            hashed_shifts(numbers, seed),
+            scene,
+            (cells, table),
+            replace(config, transport=rays),
+        )
+    return PointIrradiance(
+        out[:, :3], out[:, 3], out[:, 4], out[:, 5:8], out[:, 8:11], out[:, 11:14]
+    )
+
+
+def _tile(
+    surface: tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]],
+    shifts: Float32[np.ndarray, "n 2"],
+    scene: FrameScene,
+    shared: tuple[SkyCells, FaceTable],
+    config: IrradianceConfig,
+) -> Float32[np.ndarray, "n 14"]:
+    """Columns: total, sun visibility, openness, sun, sky, bounce."""
+    points, normals = surface
+    cells, face_table = shared
+    table = trace_points(scene, points, normals, shifts, config.transport, face_table)
+    if config.bounce_albedo is not None:
+        table = replace(table, faces=_grey(table.faces, config.bounce_albedo))
+    lit = light_points(table, scene, points, normals, cells, config.transport)
+    total = lit.direct_sun + lit.sky + lit.bounce
+    columns = [
+        total,
+        lit.sun_visibility[:, None],
+        table.openness[:, None],
+        lit.direct_sun,
+        lit.sky,
+        lit.bounce,
+    ]
+    return np.concatenate(columns, axis=1)
+
+
+def _grey(faces: FaceSamples, albedo: float) -> FaceSamples:
+    return replace(faces, base_colour=np.full_like(faces.base_colour, albedo))

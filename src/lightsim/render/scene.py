@@ -1,0 +1,141 @@
+"""What is rendered: the static scene, built once per log, and the actors of one moment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Int32
+
+from lightsim.core.buffers import BACKGROUND
+from lightsim.core.casting import MakeCaster, RayCaster
+from lightsim.core.mesh import TriMesh
+from lightsim.core.scenario import Scenario
+from lightsim.render.composite import CompositeCaster
+from lightsim.render.embree import make_embree_caster
+
+
+@dataclass(frozen=True, eq=False)
+class StaticScene:
+    """Everything that does not move. Make it with `make_static_scene`.
+
+    Args:
+        visible: meshes that cameras see, in frame `world`.
+        shadow_only: inferred meshes that stop light and reflect it, but that cameras do not see.
+        visible_caster: over `visible`.
+        shadow_caster: over `shadow_only`.
+        normals: vertex normals of `visible`, then of `shadow_only`.
+    """
+
+    visible: tuple[TriMesh, ...]
+    shadow_only: tuple[TriMesh, ...]
+    visible_caster: RayCaster
+    shadow_caster: RayCaster
+    normals: tuple[Float32[np.ndarray, "_ 3"], ...]
+
+    @property
+    def meshes(self) -> tuple[TriMesh, ...]:
+        return self.visible + self.shadow_only
+
+    @property
+    def caster(self) -> CompositeCaster:
+        """Over `visible`, then `shadow_only`: what light meets."""
+        return CompositeCaster([self.visible_caster, self.shadow_caster])
+
+
+@dataclass(frozen=True, eq=False)
+class FrameScene:
+    """The scene at one moment.
+
+    Args:
+        static: the part shared by all frames.
+        actors: meshes of the placed actors in frame `world`, in the order of
+            `Scenario.placements_at`.
+        actor_caster: over `actors`.
+        actor_normals: vertex normals of `actors`.
+    """
+
+    static: StaticScene
+    actors: tuple[TriMesh, ...]
+    actor_caster: RayCaster
+    actor_normals: tuple[Float32[np.ndarray, "_ 3"], ...]
+
+    @property
+    def meshes(self) -> tuple[TriMesh, ...]:
+        """Static meshes (visible, then shadow-only), then actors."""
+        return self.static.meshes + self.actors
+
+    @property
+    def caster(self) -> CompositeCaster:
+        """What light meets; mesh_index counts `meshes`."""
+        static = self.static
+        return CompositeCaster([static.visible_caster, static.shadow_caster, self.actor_caster])
+
+    @property
+    def camera_caster(self) -> CompositeCaster:
+        """What cameras see; mesh_index counts `camera_meshes`."""
+        return CompositeCaster([self.static.visible_caster, self.actor_caster])
+
+    @property
+    def camera_meshes(self) -> tuple[TriMesh, ...]:
+        return self.static.visible + self.actors
+
+    @property
+    def camera_normals(self) -> tuple[Float32[np.ndarray, "_ 3"], ...]:
+        """Vertex normals of `camera_meshes`."""
+        return self.static.normals[: len(self.static.visible)] + self.actor_normals
+
+    @property
+    def actor_index(self) -> Int32[np.ndarray, " m"]:
+        """For each of `camera_meshes`: BACKGROUND, or which placement it is."""
+        background = np.full(len(self.static.visible), BACKGROUND, dtype=np.int32)
+        return np.concatenate([background, np.arange(len(self.actors), dtype=np.int32)])
+
+
+def make_static_scene(
+    background: Sequence[TriMesh],
+    inferred: Sequence[TriMesh] = (),
+    *,
+    inferred_is_visible: bool = False,
+    make_caster: MakeCaster = make_embree_caster,
+) -> StaticScene:
+    """Static meshes with their ray casting structures.
+
+    Args:
+        background: reconstructed meshes in frame `world`.
+        inferred: meshes that no sensor saw (roofs, upper facades), known from their shadows.
+        inferred_is_visible: cameras see the inferred meshes too, which gives pixels beyond the
+            reach of the LiDAR a surface.
+        make_caster: which ray caster to use.
+    """
+    visible = tuple(background) + (tuple(inferred) if inferred_is_visible else ())
+    shadow_only = () if inferred_is_visible else tuple(inferred)
+    return StaticScene(
+        visible,
+        shadow_only,
+        make_caster(visible),
+        make_caster(shadow_only),
+        tuple(mesh.vertex_normals() for mesh in visible + shadow_only),
+    )
+
+
+def place(
+    static: StaticScene,
+    scenario: Scenario,
+    time_ns: int,
+    make_caster: MakeCaster = make_embree_caster,
+) -> FrameScene:
+    """The static scene with the scenario's actors where they are at `time_ns`."""
+    actors = tuple(
+        placement.asset.mesh.moved(placement.world_from_actor(time_ns))
+        for placement in scenario.placements_at(time_ns)
+    )
+    return FrameScene(
+        static, actors, make_caster(actors), tuple(mesh.vertex_normals() for mesh in actors)
+    )
+
+
+def without_actors(static: StaticScene) -> FrameScene:
+    """The static scene alone."""
+    return FrameScene(static, (), make_embree_caster(()), ())

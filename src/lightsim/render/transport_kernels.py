@@ -1,0 +1,205 @@
+"""The inner loops of the ray table, compiled by numba.
+
+`no_type_check` keeps the tests' run-time type checker out of compiled code.
+"""
+
+# numba infers the types of its functions' parameters.
+# pyright: reportMissingParameterType=false
+
+from __future__ import annotations
+
+from typing import no_type_check
+
+import numpy as np
+from numba import njit, prange
+
+BLOCKED = np.uint16(65535)
+"""Sky cell of a face ray that meets geometry."""
+_GOLDEN_2D = (0.7548776662466927, 0.5698402909980532)
+"""The R2 sequence (Roberts 2018): even cover of the unit square by any number of points."""
+
+
+@njit(cache=True, inline="always")
+@no_type_check
+def _cell_of(x, y, z, rows):
+    """Index of the equirectangular sky cell that a direction falls into."""
+    row = min(int(np.arccos(min(max(z, -1.0), 1.0)) * (rows / np.pi)), rows - 1)
+    columns = 2 * rows
+    column = int((0.5 - np.arctan2(y, x) / (2.0 * np.pi)) * columns)
+    return row * columns + column % columns
+
+
+@njit(cache=True, inline="always")
+@no_type_check
+def _cosine_direction(nx, ny, nz, u, v):
+    """Cosine-distributed direction about a normal (basis: Duff et al. 2017, JCGT 6(1))."""
+    sign = 1.0 if nz >= 0.0 else -1.0
+    a = -1.0 / (sign + nz)
+    b = nx * ny * a
+    radius, angle = np.sqrt(u), 2.0 * np.pi * v
+    p, q, r = radius * np.cos(angle), radius * np.sin(angle), np.sqrt(max(0.0, 1.0 - u))
+    x = p * (1.0 + sign * nx * nx * a) + q * b + r * nx
+    y = p * sign * b + q * (sign + ny * ny * a) + r * ny
+    z = -p * sign * nx - q * ny + r * nz
+    return x, y, z
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
+def hemisphere_rays(normals, shifts, count, rows, directions, cells):
+    """`count` cosine-stratified directions for each normal, and the sky cell of each.
+
+    All points use one R2 pattern, turned on the unit torus by their own shift (Cranley and
+    Patterson 1976), so that neighbours make different errors.
+    """
+    for p in prange(normals.shape[0]):
+        for k in range(count):
+            u = (shifts[p, 0] + (k + 0.5) / count) % 1.0
+            v = (shifts[p, 1] + (k + 1) * _GOLDEN_2D[1]) % 1.0
+            x, y, z = _cosine_direction(normals[p, 0], normals[p, 1], normals[p, 2], u, v)
+            directions[p, k, 0], directions[p, k, 1], directions[p, k, 2] = x, y, z
+            cells[p, k] = _cell_of(x, y, z, rows)
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
+def face_points(corners, shifts, count, points):
+    """`count` points spread evenly over each triangle (Heitz 2019 warps the square)."""
+    for f in prange(corners.shape[0]):
+        for k in range(count):
+            u = (shifts[f, 0] + (k + 1) * _GOLDEN_2D[0]) % 1.0
+            v = (shifts[f, 1] + (k + 1) * _GOLDEN_2D[1]) % 1.0
+            if v > u:
+                b, c = 0.5 * u, v - 0.5 * u
+            else:
+                b, c = u - 0.5 * v, 0.5 * v
+            for i in range(3):
+                points[f, k, i] = (
+                    (1.0 - b - c) * corners[f, 0, i] + b * corners[f, 1, i] + c * corners[f, 2, i]
+                )
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
+def face_light(cells, sky, out):
+    """Mean sky radiance over the rays of each face; blocked rays bring nothing."""
+    count = cells.shape[1]
+    for f in prange(cells.shape[0]):
+        r = g = b = 0.0
+        for k in range(count):
+            c = cells[f, k]
+            if c != BLOCKED:
+                r += sky[c, 0]
+                g += sky[c, 1]
+                b += sky[c, 2]
+        out[f, 0], out[f, 1], out[f, 2] = r / count, g / count, b / count
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
+def point_light(cells, face_rows, sky, radiosity, out):
+    """The embedding-bag sum: columns 0-2 open sky, 3-5 light of hit faces, 6-8 all sky."""
+    count = cells.shape[1]
+    for p in prange(cells.shape[0]):
+        total = np.zeros(9)
+        for k in range(count):
+            c, f = cells[p, k], face_rows[p, k]
+            for i in range(3):
+                total[6 + i] += sky[c, i]
+                if f < 0:
+                    total[i] += sky[c, i]
+                else:
+                    total[3 + i] += radiosity[f, i]
+        for i in range(9):
+            out[p, i] = total[i] / count
+
+
+@njit(cache=True, inline="always")
+@no_type_check
+def _likeness(position, normal, other_position, other_normal, tolerance):
+    """How likely two points lie on one smooth surface: 1 same plane and normal, 0 unrelated."""
+    gap = 0.0
+    cosine = 0.0
+    for i in range(3):
+        gap += (other_position[i] - position[i]) * normal[i]
+        cosine += normal[i] * other_normal[i]
+    if cosine <= 0.0:
+        return 0.0
+    return cosine**8 * np.exp(-((gap / tolerance) ** 2))
+
+
+@njit(cache=True)
+@no_type_check
+def _neighbours(index, block, grid, offset, surface, traced, rows, weights):
+    """Rows and weights (sum 1) of the traced points that shade one pixel; returns how many.
+
+    `grid` is (step, radius), `offset` the pixel within its block, `surface` its position, normal
+    and depth. The ring outside the radius is searched for the likest point only.
+    """
+    step, radius = grid
+    tolerance = 0.004 * surface[6] + 0.02
+    wide = radius + 1
+    found, best_row, best, total = 0, -1, -1.0, 0.0
+    for m in range((2 * wide + 1) ** 2):
+        di, dj = m // (2 * wide + 1) - wide, m % (2 * wide + 1) - wide
+        i, j = block[0] + di, block[1] + dj
+        if i < 0 or j < 0 or i >= index.shape[0] or j >= index.shape[1] or index[i, j] < 0:
+            continue
+        k = index[i, j]
+        dr = di + 0.5 - (offset[0] + 0.5) / step
+        dc = dj + 0.5 - (offset[1] + 0.5) / step
+        near = np.exp(-0.5 * (dr * dr + dc * dc))
+        likeness = _likeness(surface[:3], surface[3:6], traced[k, :3], traced[k, 3:], tolerance)
+        if (likeness + 1e-9) * near > best:
+            best, best_row = (likeness + 1e-9) * near, k
+        if max(abs(di), abs(dj)) <= radius and likeness > 1e-3:
+            weights[found], rows[found] = likeness * near, k
+            total += likeness * near
+            found += 1
+    if found == 0 and best_row >= 0:
+        weights[0], rows[0], total, found = 1.0, best_row, 1.0, 1
+    weights[:found] /= total if total > 0.0 else 1.0
+    return found
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
+def spread(index, values, grid, positions, normals, depths, traced, out):
+    """Joint bilateral filter from the traced pixels to all (Kopf et al. 2007).
+
+    `index[i, j]` is the row of `values` for block (i, j), or -1. `traced` holds position and
+    normal of the traced points. Weights: distance in the image, and distance from the pixel's
+    tangent plane relative to its depth. Where no neighbour is alike, a wider search takes the
+    likest one: thin things must not turn black.
+    """
+    step, radius = grid
+    for row in prange(depths.shape[0]):
+        weights = np.zeros((2 * radius + 1) ** 2)
+        rows = np.zeros((2 * radius + 1) ** 2, dtype=np.int64)
+        surface = np.zeros(7)
+        for column in range(depths.shape[1]):
+            if not np.isfinite(depths[row, column]):
+                continue
+            surface[:3] = positions[row, column]
+            surface[3:6] = normals[row, column]
+            surface[6] = depths[row, column]
+            block, offset = (row // step, column // step), (row % step, column % step)
+            found = _neighbours(index, block, grid, offset, surface, traced, rows, weights)
+            for m in range(found):
+                for c in range(values.shape[1]):
+                    out[row, column, c] += weights[m] * values[rows[m], c]
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
+def meets_back(mesh, vertices, faces, mesh_index, face_index, directions, out):
+    """Whether rays that meet mesh number `mesh` meet the clockwise side of their face."""
+    for r in prange(len(mesh_index)):
+        if mesh_index[r] != mesh:
+            continue
+        f = face_index[r]
+        a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
+        nx = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
+        ny = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
+        nz = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        out[r] = nx * directions[r, 0] + ny * directions[r, 1] + nz * directions[r, 2] > 0
