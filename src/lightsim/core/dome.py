@@ -74,7 +74,7 @@ class SkyDome:
         """RGB irradiance on level ground, sun included."""
         return irradiance(self.radiance, np.array([0.0, 0.0, 1.0]))
 
-    def scaled(self, factor: ArrayLike) -> SkyDome:
+    def scaled(self, factor: ArrayLike | float) -> SkyDome:
         """Radiance and sun times a number or an RGB factor."""
         rgb = np.broadcast_to(np.asarray(factor, dtype=np.float32), (3,))
         sun = self.sun and Sun(

@@ -1,0 +1,274 @@
+"""Lit and shadowed surface points as the cameras saw them: they tell the sun's strength."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int
+
+from lightsim.core.casting import MakeCaster, RayCaster, RayHits
+from lightsim.core.colour import linear_from_srgb8
+from lightsim.core.dome import disc_directions
+from lightsim.core.frames import RigidTransform
+from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import TriMesh
+from lightsim.core.sensors import CameraFrame
+from lightsim.core.twin import SceneAssets
+from lightsim.progress import Progress, SilentProgress
+
+
+@dataclass(frozen=True)
+class EvidenceConfig:
+    """How surface points are sampled."""
+
+    sample_count: int = 40000
+    """Camera pixels that are cast, over all frames and cameras."""
+    frame_count: int = 6
+    """Moments of the log that are used, evenly spread."""
+    max_distance_m: float = 50.0
+    """Farther points are dropped: a pixel covers too much there."""
+    darkest_code: int = 4
+    """8-bit codes below this are noise."""
+    clip_code: int = 250
+    """8-bit codes from this on are saturated."""
+    lift_m: float = 0.08
+    """Rays start this far above the surface, so that they miss the surface itself."""
+    shadow_margin_deg: float = 2.0
+    """Radius about the sun within which visibility must not flip."""
+    shadow_margin_m: float = 0.15
+    """Shift along the surface within which visibility must not flip."""
+    sky_rays: int = 32
+    """Cosine-weighted rays that measure how much sky a point sees."""
+
+
+@dataclass(frozen=True, eq=False)
+class LightEvidence:
+    """Surface points in frame `world`.
+
+    Args:
+        position_world: metres.
+        normal_world: unit, towards the camera.
+        radiance: observed linear RGB with the gain divided out, scene units.
+        sun_cosine: max(0, normal . sun).
+        is_lit: no surface between point and sun, jitter included.
+        sky_visibility: cosine-weighted fraction of the hemisphere that is open.
+        group: one number per image: only points of one image are compared, because exposures
+            may drift.
+    """
+
+    position_world: Float[np.ndarray, "n 3"]
+    normal_world: Float[np.ndarray, "n 3"]
+    radiance: Float32[np.ndarray, "n 3"]
+    sun_cosine: Float[np.ndarray, " n"]
+    is_lit: Bool[np.ndarray, " n"]
+    sky_visibility: Float[np.ndarray, " n"]
+    group: Int[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.group)
+
+
+@dataclass(frozen=True, eq=False)
+class _Points:
+    position_world: Float[np.ndarray, "n 3"]
+    normal_world: Float[np.ndarray, "n 3"]
+    radiance: Float32[np.ndarray, "n 3"]
+
+
+def collect_evidence(
+    log: DrivingLog,
+    assets: SceneAssets,
+    make_caster: MakeCaster,
+    sun_direction_world: Float[np.ndarray, "3"],
+    config: EvidenceConfig,
+    rng: np.random.Generator,
+    *,
+    occluders: Sequence[TriMesh] = (),
+    progress: Progress | None = None,
+) -> LightEvidence:
+    """Random surface points of the static scene with what they saw of sun and sky.
+
+    Points are dropped that are saturated, dark, far, seen at a grazing angle, on the own car or
+    on a moving actor, or whose sun visibility flips within the margins. `occluders` are further
+    surfaces in frame `world` that cast shadows but are not sampled (inferred roofs).
+    """
+    static = make_caster([assets.background, *_static_meshes(log, assets), *occluders])
+    stems = log.stems
+    picks = np.linspace(0, len(stems) - 1, min(config.frame_count, len(stems))).round().astype(int)
+    chosen = {stems[i] for i in picks}
+    frames = [f for f in log.frames if f.stem in chosen]
+    count = max(1, config.sample_count // max(1, len(frames)))
+    parts: list[LightEvidence] = []
+    for group, frame in enumerate(
+        (progress or SilentProgress()).track(frames, "collecting lit and shadowed points")
+    ):
+        moving = _moving_caster(log, assets, frame.time_ns, make_caster)
+        gain = assets.camera_gains[frame.camera_name]
+        casters = [static] if moving is None else [static, moving]
+        points = _seen_points(log, frame, casters, gain, count, config, rng)
+        parts.append(_measure(points, casters, sun_direction_world, config, group, rng))
+    return _joined(parts)
+
+
+def _static_meshes(log: DrivingLog, assets: SceneAssets) -> list[TriMesh]:
+    """Parked actors at the pose of their first label."""
+    return [
+        _placed(assets.actors[a.actor_id].mesh, a.trajectory.at(a.trajectory.start_ns))
+        for a in log.actors
+        if not a.is_moving and a.actor_id in assets.actors
+    ]
+
+
+def _moving_caster(
+    log: DrivingLog, assets: SceneAssets, time_ns: int, make_caster: MakeCaster
+) -> RayCaster | None:
+    meshes = [
+        _placed(assets.actors[a.actor_id].mesh, a.world_from_actor(time_ns))
+        for a in log.actors_at(time_ns)
+        if a.is_moving and a.actor_id in assets.actors
+    ]
+    return make_caster(meshes) if meshes else None
+
+
+def _placed(mesh: TriMesh, world_from_actor: RigidTransform) -> TriMesh:
+    return mesh.moved(RigidTransform("world", mesh.frame, world_from_actor.matrix))
+
+
+def _seen_points(
+    log: DrivingLog,
+    frame: CameraFrame,
+    casters: Sequence[RayCaster],
+    gain: Float32[np.ndarray, "3"],
+    count: int,
+    config: EvidenceConfig,
+    rng: np.random.Generator,
+) -> _Points:
+    camera = log.cameras[frame.camera_name]
+    uv = rng.random((count, 2)) * [camera.width_px, camera.height_px]
+    column, row = uv.astype(np.int64).T
+    srgb8 = frame.load_srgb8()[row, column]
+    is_good = (srgb8 >= config.darkest_code).all(1) & (srgb8 < config.clip_code).all(1)
+    if frame.camera_name in log.own_car_masks:
+        is_good &= ~log.own_car_masks[frame.camera_name][row, column]
+    directions = frame.world_from_camera.rotate(camera.directions(uv[is_good]))
+    origins = np.broadcast_to(frame.world_from_camera.translation_m, directions.shape)
+    hits = casters[0].intersect(origins, directions)
+    keep = hits.is_hit & (hits.distance_m < config.max_distance_m)
+    if len(casters) > 1:
+        keep &= casters[1].intersect(origins, directions).distance_m > hits.distance_m
+    normals = _hit_normals(casters[0], hits)
+    facing = np.einsum("ij,ij->i", normals, directions)
+    normals = np.where(facing[:, None] > 0, -normals, normals)
+    keep &= np.abs(facing) > 0.1
+    for actor in log.actors_at(frame.time_ns):
+        if actor.is_moving and keep.any():
+            points = origins + directions * np.where(keep, hits.distance_m, 0.0)[:, None]
+            keep &= ~actor.contains(points, frame.time_ns, 0.5)
+    positions = (origins + directions * np.where(keep, hits.distance_m, 0.0)[:, None])[keep]
+    radiance = (linear_from_srgb8(srgb8[is_good][keep]) / gain).astype(np.float32)
+    return _Points(positions, normals[keep], radiance)
+
+
+def _hit_normals(caster: RayCaster, hits: RayHits) -> Float[np.ndarray, "n 3"]:
+    """Unit normals of the hit faces; zero for misses."""
+    normals = np.zeros((len(hits.face_index), 3))
+    for index in np.unique(hits.mesh_index[hits.is_hit]):
+        chosen = hits.is_hit & (hits.mesh_index == index)
+        mesh = caster.meshes[int(index)]
+        corners = mesh.vertices[mesh.faces[hits.face_index[chosen]]].astype(np.float64)
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        normals[chosen] = normal / np.where(length > 0, length, 1.0)
+    return normals
+
+
+def _measure(
+    points: _Points,
+    casters: Sequence[RayCaster],
+    sun: Float[np.ndarray, "3"],
+    config: EvidenceConfig,
+    group: int,
+    rng: np.random.Generator,
+) -> LightEvidence:
+    """Sun and sky visibility; points near a shadow's edge are dropped."""
+    start = points.position_world + config.lift_m * points.normal_world
+    cosine = points.normal_world @ sun
+    hidden = np.stack(
+        [
+            _occluded(casters, start + shift, direction)
+            for direction, shift in _jitters(points.normal_world, sun, config)
+        ]
+    )
+    is_stable = (hidden.all(0) | ~hidden.any(0)) & (np.abs(cosine) > 0.05)
+    is_lit = ~hidden.any(0) & (cosine > 0)
+    open_sum = np.zeros(len(start))
+    for _ in range(config.sky_rays):
+        directions = _cosine_directions(points.normal_world, rng)
+        is_up = directions[:, 2] > 0
+        open_sum += is_up & ~_occluded(casters, start, directions)
+    kept = is_stable
+    return LightEvidence(
+        points.position_world[kept],
+        points.normal_world[kept],
+        points.radiance[kept],
+        np.maximum(cosine, 0.0)[kept],
+        is_lit[kept],
+        (open_sum / config.sky_rays)[kept],
+        np.full(int(kept.sum()), group),
+    )
+
+
+def _jitters(
+    normals: Float[np.ndarray, "n 3"], sun: Float[np.ndarray, "3"], config: EvidenceConfig
+) -> list[tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]]:
+    """(direction, shift) of the rays that must agree: the centre, a ring about the sun, and
+    four shifts along the surface."""
+    still = np.zeros_like(normals)
+    centre = np.broadcast_to(sun, normals.shape)
+    disc = disc_directions(sun, config.shadow_margin_deg, 64)
+    ring = disc[np.argsort(disc @ sun)[:16]][::4]
+    helper = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    tangent = np.cross(normals, helper)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    other = np.cross(normals, tangent)
+    step = config.shadow_margin_m
+    shifts = [step * tangent, -step * tangent, step * other, -step * other]
+    found = [(centre, still)]
+    found += [(np.broadcast_to(d, normals.shape), still) for d in ring]
+    found += [(centre, shift) for shift in shifts]
+    return found
+
+
+def _occluded(
+    casters: Sequence[RayCaster],
+    origins: Float[np.ndarray, "n 3"],
+    directions: Float[np.ndarray, "n 3"],
+) -> Bool[np.ndarray, " n"]:
+    hidden = np.zeros(len(origins), dtype=bool)
+    for caster in casters:
+        hidden |= caster.is_occluded(origins, directions)
+    return hidden
+
+
+def _cosine_directions(
+    normals: Float[np.ndarray, "n 3"], rng: np.random.Generator
+) -> Float[np.ndarray, "n 3"]:
+    """One cosine-distributed direction about each normal: normal + a point on the sphere."""
+    sphere = rng.normal(size=normals.shape)
+    sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
+    directions = normals + sphere * (1 - 1e-6)
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def _joined(parts: list[LightEvidence]) -> LightEvidence:
+    return LightEvidence(
+        np.concatenate([p.position_world for p in parts]),
+        np.concatenate([p.normal_world for p in parts]),
+        np.concatenate([p.radiance for p in parts]),
+        np.concatenate([p.sun_cosine for p in parts]),
+        np.concatenate([p.is_lit for p in parts]),
+        np.concatenate([p.sky_visibility for p in parts]),
+        np.concatenate([p.group for p in parts]),
+    )

@@ -1,0 +1,86 @@
+"""The sky of a single equirectangular picture, without a log."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from lightsim.core.colour import linear_from_srgb8
+from lightsim.core.equirect import pixel_directions
+from lightsim.core.resample import resize_area
+from lightsim.core.twin import Panorama, SkyEstimate
+from lightsim.errors import InputError
+from lightsim.lighting.estimate import SkyConfig, estimate_sky
+from lightsim.lighting.sun import SunDirection, sun_from_panorama
+
+_CLIP_CODE = 250
+
+
+def estimate_from_panorama(
+    srgb8: UInt8[np.ndarray, "h w 3"],
+    is_observed: Bool[np.ndarray, "h w"] | None,
+    sun: SunDirection | None,
+    config: SkyConfig,
+) -> SkyEstimate:
+    """The HDR dome of a picture in frame `world` (centre column = world +x).
+
+    Scene unit: radiance 1 is the picture's white. What is observed above the horizon,
+    bright and not clearly red or green counts as sky. Without `sun`, the picture gives its
+    direction (clipped spot, else the sky's gradient). No shadows are read here, so the sun's
+    strength is the analytic model's.
+
+    Raises:
+        InputError: the picture is not 2:1, or nothing was observed above the horizon.
+    """
+    panorama = panorama_from_image(srgb8, is_observed)
+    if sun is None:
+        sun = sun_from_panorama(panorama)
+    return estimate_sky(panorama, sun, None, config)
+
+
+def panorama_from_image(
+    srgb8: UInt8[np.ndarray, "h w 3"],
+    is_observed: Bool[np.ndarray, "h w"] | None,
+    height_px: int = 512,
+) -> Panorama:
+    """A picture as a `Panorama` of `height_px` rows.
+
+    Raises:
+        InputError: as `estimate_from_panorama`.
+    """
+    height, width = srgb8.shape[:2]
+    if width != 2 * height:
+        raise InputError(
+            "a panorama must be twice as wide as high",
+            got=f"{width}x{height} px",
+            remedy="Crop or pad it to an equirectangular image.",
+        )
+    seen = np.ones((height, width), bool) if is_observed is None else is_observed
+    weight = seen.astype(np.float32)[..., None]
+    linear = linear_from_srgb8(srgb8) * weight
+    clipped = np.any(srgb8 >= _CLIP_CODE, axis=-1, keepdims=True) * weight
+    coverage = resize_area(weight, height_px, 2 * height_px)
+    share = np.maximum(coverage, 1e-6)
+    radiance = resize_area(linear, height_px, 2 * height_px) / share
+    is_seen = coverage[..., 0] > 0.5
+    is_clipped = is_seen & ((resize_area(clipped, height_px, 2 * height_px) / share)[..., 0] > 0.5)
+    is_sky = is_seen & _sky_like(radiance)
+    if not is_sky.any():
+        raise InputError(
+            "nothing that looks like sky was observed above the horizon",
+            remedy="Check that row 0 is up and that the mask keeps some sky.",
+        )
+    radiance[~is_seen] = 0.0
+    return Panorama(radiance.astype(np.float32), is_seen, is_sky, is_clipped)
+
+
+def _sky_like(radiance: Float[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
+    """Above the horizon, brighter in blue than a third of the upper half's 90th percentile, and
+    not clearly red or green."""
+    height = radiance.shape[0]
+    is_up = pixel_directions(height)[..., 2] > 0
+    blue = radiance[..., 2]
+    bright = float(np.percentile(blue[is_up], 90))
+    is_neutral = blue >= 0.75 * radiance[..., :2].max(axis=-1)
+    is_saturated = radiance.min(axis=-1) > 0.9
+    return is_up & (blue > bright / 3) & (is_neutral | is_saturated)

@@ -1,0 +1,216 @@
+"""Clear and overcast skies, sun directions, target forms, the picture's sky."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from lightsim.core.colour import luminance, srgb8_from_linear
+from lightsim.core.dome import SkyDome, Sun, add_sun, split_sun
+from lightsim.core.equirect import pixel_directions
+from lightsim.core.frames import RigidTransform
+from lightsim.core.log import GeoReference
+from lightsim.core.solar import angle_between_deg, direction_enu
+from lightsim.core.twin import Panorama
+from lightsim.errors import InputError
+from lightsim.lighting.clear_sky import clear_sky, clear_sky_parts, overcast_sky
+from lightsim.lighting.estimate import SkyConfig, estimate_sky
+from lightsim.lighting.image_sky import estimate_from_panorama
+from lightsim.lighting.sun import SunDirection, find_sun_blob, sun_from_geo, sun_from_panorama
+from lightsim.lighting.target import dome_from_array, scale_to_source, target_sky
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def _geo(yaw_rad: float | None) -> GeoReference:
+    start_ns = int(datetime(2019, 5, 11, 1, 59, 16, tzinfo=UTC).timestamp()) * 10**9
+    turn = (
+        None if yaw_rad is None else RigidTransform.from_yaw("enu", "world", yaw_rad, np.zeros(3))
+    )
+    return GeoReference(37.7749, -122.4194, start_ns, turn, "given", 0.1)
+
+
+def test_a_clear_sky_is_symmetric_about_the_sun_and_redder_when_low():
+    forward = np.array([np.cos(0.7), 0.0, np.sin(0.7)])
+    radiance, sun = clear_sky_parts(forward, 3.0, 0.2, 64)
+    np.testing.assert_allclose(radiance, radiance[:, ::-1], rtol=1e-4, atol=1e-6)
+    assert (radiance[:32] > 0).all()
+    low = clear_sky_parts(np.array([np.cos(0.05), 0.0, np.sin(0.05)]), 3.0, 0.2, 16)[1]
+    assert low.irradiance[0] / low.irradiance[1] > sun.irradiance[0] / sun.irradiance[1]
+    assert low.irradiance.sum() < 0.5 * sun.irradiance.sum()
+
+
+def test_scene_units_a_white_level_surface_has_luminance_one_at_45_degrees():
+    dome = clear_sky(direction_enu(200.0, 45.0), height_px=128)
+    assert luminance(dome.horizontal_irradiance()) / np.pi == pytest.approx(1.0, abs=0.01)
+    assert dome.sun is not None
+    level_sun = dome.sun.irradiance * dome.sun.direction_world[2]
+    ratio = luminance(level_sun) / luminance(dome.horizontal_irradiance() - level_sun)
+    assert 2.5 < ratio < 6.0
+
+
+def test_turning_a_sky_keeps_its_energy():
+    dome = clear_sky(direction_enu(100.0, 30.0), height_px=64)
+    turned = dome.turned(37.3)
+    np.testing.assert_allclose(
+        turned.horizontal_irradiance(), dome.horizontal_irradiance(), rtol=1e-4
+    )
+
+
+@pytest.mark.parametrize("turbidity", [0.5, 11.0])
+def test_turbidity_out_of_range_is_refused(turbidity: float):
+    with pytest.raises(InputError, match="turbidity"):
+        clear_sky(direction_enu(0.0, 40.0), turbidity)
+
+
+def test_twilight_is_refused():
+    with pytest.raises(InputError, match="below the horizon"):
+        clear_sky(direction_enu(0.0, -1.0))
+
+
+def test_an_overcast_sky_has_its_irradiance_and_is_three_times_brighter_at_the_zenith():
+    level = np.array([1.0, 2.0, 3.0])
+    dome = overcast_sky(level, height_px=64)
+    np.testing.assert_allclose(dome.horizontal_irradiance(), level, rtol=1e-4)
+    assert dome.radiance[0, 0, 0] / dome.radiance[31, 0, 0] == pytest.approx(3.0, rel=0.06)
+
+
+def test_the_sun_of_log_002_and_its_turn_into_the_world():
+    time_ns = _geo(0.0).utc_start_ns
+    sun = sun_from_geo(_geo(0.0), time_ns)
+    assert angle_between_deg(sun.direction_world, direction_enu(283.25, 12.07)) < 0.1
+    turned = sun_from_geo(_geo(0.5), time_ns)
+    back = RigidTransform.from_yaw("enu", "world", 0.5, np.zeros(3)).rotate(turned.direction_world)
+    np.testing.assert_allclose(back, sun.direction_world, atol=1e-12)
+    assert turned.azimuth_deg == sun.azimuth_deg
+    with pytest.raises(InputError, match="--heading-deg"):
+        sun_from_geo(_geo(None), time_ns)
+
+
+def _picture(dome: SkyDome, height_px: int = 128) -> Panorama:
+    """What ideal cameras see of a dome: its upper half, saturated at 1."""
+    radiance = np.minimum(dome.radiance, 1.0)
+    is_sky = pixel_directions(height_px)[..., 2] > 0
+    return Panorama(radiance, np.ones_like(is_sky), is_sky, (radiance >= 1.0).any(-1) & is_sky)
+
+
+def test_a_clipped_spot_is_found_across_the_seam_and_wide_clouds_are_not():
+    direction = np.array([-np.cos(0.5), 0.0, np.sin(0.5)])
+    cosine = pixel_directions(128) @ direction
+    radiance = np.full((128, 256, 3), 0.3, np.float32)
+    radiance[cosine > np.cos(np.radians(4.0))] = 1.5
+    blob = find_sun_blob(_picture(SkyDome(radiance, None)))
+    assert blob is not None
+    assert angle_between_deg(blob.direction_world, direction) < 0.3
+    assert blob.radius_deg == pytest.approx(4.0, abs=0.5)
+    radiance[cosine > np.cos(np.radians(40.0))] = 1.5
+    assert find_sun_blob(_picture(SkyDome(radiance, None))) is None
+
+
+def test_without_a_spot_the_gradient_gives_the_sun_with_an_honest_uncertainty():
+    direction = direction_enu(130.0, 35.0)
+    radiance, _ = clear_sky_parts(direction, 4.0, 0.2, 128)
+    panorama = _picture(SkyDome(0.3 * radiance, None))
+    hidden = pixel_directions(128) @ direction > np.cos(np.radians(25.0))
+    hidden |= pixel_directions(128)[..., 2] > 0.6
+    panorama = Panorama(
+        panorama.radiance,
+        ~hidden,
+        panorama.is_sky & ~hidden,
+        np.zeros_like(hidden),
+    )
+    sun = sun_from_panorama(panorama)
+    assert sun.origin == "image"
+    assert angle_between_deg(sun.direction_world, direction) < 15.0
+    assert sun.uncertainty_deg >= 15.0
+
+
+def test_the_dome_of_a_partly_seen_clear_sky_matches_the_truth():
+    direction = direction_enu(250.0, 40.0)
+    truth = clear_sky(direction, 3.0, height_px=128).scaled(0.6)
+    panorama = _picture(truth)
+    seen = (pixel_directions(128)[..., 2] < np.sin(np.radians(40.0))) & (
+        pixel_directions(128)[..., 1] > -0.8
+    )
+    panorama = Panorama(
+        panorama.radiance * seen[..., None],
+        seen,
+        panorama.is_sky & seen,
+        panorama.is_clipped & seen,
+    )
+    sun = SunDirection(direction, 250.0, 40.0, "gps+time", 0.1)
+    sky = estimate_sky(panorama, sun, None, SkyConfig(height_px=128))
+    _, true_sun = split_sun(truth)
+    assert true_sun is not None
+    expected = truth.horizontal_irradiance() - true_sun.irradiance * direction[2]
+    np.testing.assert_allclose(sky.sky_irradiance, expected, rtol=0.08)
+    assert sky.dome.sun is not None
+    assert truth.sun is not None
+    np.testing.assert_allclose(sky.dome.sun.irradiance, truth.sun.irradiance, rtol=0.15)
+    level_sun = sky.dome.sun.irradiance * direction[2]
+    np.testing.assert_allclose(
+        sky.dome.horizontal_irradiance(), sky.sky_irradiance + level_sun, rtol=0.02
+    )
+
+
+def test_a_picture_alone_gives_a_sky():
+    truth = clear_sky(direction_enu(80.0, 50.0), 3.0, height_px=64).scaled(0.5)
+    sky = estimate_from_panorama(
+        srgb8_from_linear(truth.radiance), None, None, SkyConfig(height_px=64)
+    )
+    assert sky.origin == "image"
+    assert sky.sun_azimuth_deg is None
+    assert angle_between_deg(sky.dome.sun.direction_world, direction_enu(80.0, 50.0)) < 5.0
+
+
+def test_target_forms():
+    geo = _geo(0.3)
+    dome, _, facts = target_sky("sun:120,35", geo=geo, source=None, height_px=32)
+    assert dome.sun is not None
+    assert facts["turbidity"] == 3.0
+    in_enu = geo.enu_from_world.rotate(dome.sun.direction_world)
+    assert angle_between_deg(in_enu, direction_enu(120.0, 35.0)) < 1e-3
+    facts = target_sky("time:2019-05-11T01:59:16Z", geo=geo, source=None, height_px=32)[2]
+    assert facts["azimuth_deg"] == pytest.approx(283.25, abs=0.1)
+    facts = target_sky("sun:10,20,5", geo=None, source=None, height_px=32)[2]
+    assert "heading" in facts["assumed"]
+
+
+@pytest.mark.parametrize(
+    "spec",
+    ["noon", "sun:", "sun:1", "sun:a,b", "sun:1,nan", "sun:1,-5", "sun:1,95", "sun:1,2,3,4"]
+    + ["time:soon", "time:2019-05-11T01:59:16Z", "source", "sun:10,20,40"],
+)
+def test_bad_target_forms_are_refused(spec: str):
+    with pytest.raises(InputError):
+        target_sky(spec, geo=None, source=None, height_px=32)
+
+
+def test_scaling_to_the_source():
+    source = clear_sky(direction_enu(0.0, 30.0), height_px=32).scaled(0.4)
+    dome = clear_sky(direction_enu(90.0, 60.0), height_px=32)
+    scaled, factor = scale_to_source(dome, source, "auto")
+    assert luminance(scaled.horizontal_irradiance()) == pytest.approx(
+        float(luminance(source.horizontal_irradiance())), rel=1e-4
+    )
+    assert scaled.sun.irradiance[0] == pytest.approx(dome.sun.irradiance[0] * factor, rel=1e-5)
+    assert scale_to_source(dome, None, "none")[1] == 1.0
+    assert scale_to_source(dome, None, 2.5)[1] == 2.5
+    for mode in ("auto", -1.0):
+        with pytest.raises(InputError):
+            scale_to_source(dome, None, mode)
+
+
+def test_files_become_domes_with_their_sun():
+    direction = direction_enu(33.0, 44.0)
+    image = add_sun(
+        np.full((64, 128, 3), 0.2, np.float32), Sun(direction, np.full(3, 5.0, np.float32))
+    ).radiance
+    dome = dome_from_array(image)
+    assert angle_between_deg(dome.sun.direction_world, direction) < 1.5
+    assert dome_from_array(image[:, :-1]).radiance.shape[1] == 126
+    for bad in (image[:, :100], image * np.nan, image - 1.0, image * 0.0):
+        with pytest.raises(InputError):
+            dome_from_array(bad)
