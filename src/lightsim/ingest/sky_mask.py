@@ -50,7 +50,7 @@ class SkyMaskConfig:
     """Largest angle between neighbouring beams in that band."""
     edge_contrast: float = 4.0
     """CIE Lab step over two pixels at which two regions stop agreeing."""
-    smoothing: float = 3.0
+    smoothing: float = 1.5
     """Weight of agreement between neighbours against a region's own evidence."""
     border_px: int = 3
     """Half width of the soft border, working pixels."""

@@ -83,18 +83,40 @@ def region_log_odds(
     """Log-odds that each region is sky, from its own pixels only."""
     mean = _RegionMean(labels)
     has_lidar = bool(evidence.has_hit.any())
-    odds = np.clip(mean(_colour_log_odds(evidence)), -3.0, 3.5)
+    odds = np.clip(mean(_colour_log_odds(evidence)), -3.0, 4.0)
     odds -= np.clip((mean(_texture(evidence.lab)) - 2.0) / 2.0, -0.5, 2.0)
     elevation = mean(evidence.elevation_deg)
     odds += np.clip((elevation - 8.0) / 8.0, -1.0, 1.5)
     if has_lidar:
-        # Walls reach above the field of view: count hits per scanned area, not per area.
-        scanned = np.maximum(mean(evidence.is_scanned | evidence.has_hit), 0.15)
-        odds -= np.minimum(_CERTAIN, mean(evidence.has_hit) / scanned / 0.02 * 4.0)
+        odds -= np.minimum(_CERTAIN, _hit_density(labels, evidence) / 0.01)
         odds += 3.5 * mean(evidence.is_silent)
         odds -= 2.5 * mean(_under_hits(evidence.has_hit))
     odds[mean(evidence.is_excluded) > 0.5] = -_CERTAIN
     return np.clip(odds, -_CERTAIN, _CERTAIN)
+
+
+def _hit_density(
+    labels: Int[np.ndarray, "h w"], evidence: ImageEvidence
+) -> Float[np.ndarray, " n"]:
+    """Returns a scanned pixel of each region, about 0.06 on a wall under a 64-beam sweep.
+
+    Walls reach above the field of view, so scanned pixels count rather than all; and hits
+    beside a border may belong to the wire or roof next to it, so a region with an inside is
+    judged by its inside.
+    """
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    inside = np.asarray(maximum_filter(labels, 5) == minimum_filter(labels, 5))
+    is_scanned = evidence.is_scanned | evidence.has_hit
+    count = int(labels.max()) + 1
+    inner = np.bincount(labels[inside], minlength=count)
+    density = np.zeros((2, count))
+    for row, part in enumerate((np.ones_like(inside), inside)):
+        hits = np.bincount(labels[part & evidence.has_hit], minlength=count)
+        scanned = np.bincount(labels[part & is_scanned], minlength=count)
+        area = np.bincount(labels[part], minlength=count)
+        density[row] = hits / np.maximum(np.maximum(scanned, 0.15 * area), 1)
+    return np.where(inner >= 40, density[1], density[0])
 
 
 def _colour_log_odds(evidence: ImageEvidence) -> Float[np.ndarray, "h w"]:
@@ -103,8 +125,8 @@ def _colour_log_odds(evidence: ImageEvidence) -> Float[np.ndarray, "h w"]:
     is_ground = evidence.has_hit | (evidence.elevation_deg < 0.0)
     ground = lightness[is_ground]
     reference = float(np.percentile(ground, 75)) if ground.size > 100 else 45.0
-    brightness = np.clip((lightness - np.clip(reference, 25.0, 75.0)) / 10.0, -2.0, 3.0)
-    blueness = np.clip((-blue_yellow - 3.0) / 6.0, -0.5, 2.0)
+    brightness = np.clip((lightness - np.clip(reference, 25.0, 75.0)) / 10.0, -1.5, 3.0)
+    blueness = np.clip((-blue_yellow - 3.0) / 5.0, -0.5, 3.5)
     foliage = np.clip((np.maximum(blue_yellow, 0) - green_red - 12.0) / 6.0, 0.0, 3.0)
     chroma = np.hypot(green_red, np.maximum(blue_yellow, 0.0))
     # A low sun turns clouds yellow, but only bright ones.
