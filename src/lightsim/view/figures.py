@@ -1,0 +1,138 @@
+"""Pictures for reports: sky previews, strips, and colour maps of buffers (8-bit sRGB)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Float32, UInt8
+
+from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.colour import luminance, srgb8_from_linear
+from lightsim.core.dome import SkyDome
+from lightsim.core.equirect import uv_from_directions
+from lightsim.errors import InputError
+
+_NO_SURFACE_GREY = 24
+_NEAR_M = 2.0
+_GAP_GREY = 128
+_MARKER = np.array([255, 64, 32], dtype=np.uint8)
+_KEY = 0.35
+"""Linear value that the median luminance of a preview is brought to."""
+_TURBO = np.array(
+    [
+        [0.13572138, 4.61539260, -42.66032258, 132.13108234, -152.94239396, 59.28637943],
+        [0.09140261, 2.19418839, 4.84296658, -14.18503333, 4.27729857, 2.82956604],
+        [0.10667330, 12.64194608, -60.58204836, 110.36276771, -89.90310912, 27.34824973],
+    ]
+)
+"""Polynomial of the Turbo colour map (Mikhailov 2019), sRGB in [0, 1]."""
+
+
+def tone_mapped(
+    linear: Float[np.ndarray, "h w 3"], exposure_ev: float | None = None
+) -> UInt8[np.ndarray, "h w 3"]:
+    """A picture of HDR radiance; highlights are rolled off, so that suns keep their shape.
+
+    Without `exposure_ev` (stops), the median luminance above zero comes to 0.35.
+    """
+    value = luminance(linear)
+    if exposure_ev is None:
+        lit = value[value > 0]
+        gain = _KEY / float(np.median(lit)) if len(lit) else 1.0
+    else:
+        gain = float(2.0**exposure_ev)
+    # Linear up to 0.6, then a smooth shoulder that reaches 1 at infinity; hue is kept.
+    exposed = np.maximum(value * gain, 1e-9)
+    over = np.maximum(exposed - 0.6, 0.0)
+    mapped = np.minimum(exposed, 0.6) + 0.4 * over / (over + 0.4)
+    return srgb8_from_linear(linear * (gain * mapped / exposed)[..., None])
+
+
+def dome_preview(
+    dome: SkyDome, width_px: int = 768, exposure_ev: float | None = None
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The tone-mapped dome, its centre column along world +x, a ring around the known sun."""
+    step = max(1, dome.radiance.shape[1] // width_px)
+    height, width = dome.height_px // step, dome.radiance.shape[1] // step
+    cropped = dome.radiance[: height * step, : width * step]
+    small = cropped.reshape(height, step, width, step, 3).mean(axis=(1, 3))
+    enlarge = max(1, width_px // width)
+    picture = tone_mapped(small, exposure_ev).repeat(enlarge, axis=0).repeat(enlarge, axis=1)
+    if dome.sun is not None:
+        uv = uv_from_directions(dome.sun.direction_world)
+        _draw_ring(picture, float(uv[0]), float(uv[1]))
+    return picture
+
+
+def strip(
+    pictures: Sequence[UInt8[np.ndarray, "..."]], gap_px: int = 6
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Pictures of one height side by side.
+
+    Raises:
+        InputError: there is none, or their heights differ.
+    """
+    heights = {picture.shape[0] for picture in pictures}
+    if len(heights) != 1:
+        raise InputError("a strip needs pictures of one height", got=sorted(heights))
+    gap = np.full((heights.pop(), gap_px, 3), _GAP_GREY, dtype=np.uint8)
+    parts = [part for picture in pictures for part in (picture, gap)]
+    return np.concatenate(parts[:-1], axis=1)
+
+
+def relight_strip(
+    source_srgb8: UInt8[np.ndarray, "h w 3"],
+    relit_srgb8: UInt8[np.ndarray, "h w 3"],
+    light: ShadowBuffers,
+) -> UInt8[np.ndarray, "h w2 3"]:
+    """source | relit | shading of the target sky | its shadow ratio."""
+    shading = tone_mapped(light.shaded)
+    return strip([source_srgb8, relit_srgb8, shading, ratio_grey(light.ratio)])
+
+
+def ratio_grey(ratio: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+    """Shadow ratio: black in full shadow, white in full light."""
+    return np.round(np.clip(ratio, 0.0, 1.0) * 255).astype(np.uint8)
+
+
+def depth_colours(
+    depth_z_m: Float[np.ndarray, "h w"], far_m: float = 80.0
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Depth in Turbo colours, near (2 m) red to far blue on a logarithmic scale; dark grey
+    where there is no surface."""
+    part = np.log(np.clip(depth_z_m, _NEAR_M, far_m) / far_m) / np.log(_NEAR_M / far_m)
+    return _on_surface(_turbo(0.08 + 0.84 * part), np.isfinite(depth_z_m))
+
+
+def error_colours(error: Float[np.ndarray, "h w"], largest: float) -> UInt8[np.ndarray, "h w 3"]:
+    """|error| from 0 (dark blue) to `largest` (dark red); grey where it is not finite."""
+    part = np.clip(np.abs(np.nan_to_num(error, posinf=0.0, neginf=0.0)) / largest, 0.0, 1.0)
+    return _on_surface(_turbo(part), np.isfinite(error))
+
+
+def normal_colours(buffers: GBuffers) -> UInt8[np.ndarray, "h w 3"]:
+    """World normals as (n + 1) / 2: red east of x, green along y, blue up."""
+    colours = np.round((buffers.normal_world + 1.0) * 127.5)
+    return _on_surface(np.clip(colours, 0, 255).astype(np.uint8), buffers.has_surface)
+
+
+def _on_surface(
+    colours: UInt8[np.ndarray, "h w 3"], is_surface: np.ndarray
+) -> UInt8[np.ndarray, "h w 3"]:
+    return np.where(is_surface[..., None], colours, np.uint8(_NO_SURFACE_GREY)).astype(np.uint8)
+
+
+def _turbo(part: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
+    powers = np.stack([part.astype(np.float64) ** k for k in range(6)], axis=-1)
+    return np.round(np.clip(powers @ _TURBO.T, 0.0, 1.0) * 255).astype(np.uint8)
+
+
+def _draw_ring(picture: UInt8[np.ndarray, "h w 3"], u: float, v: float) -> None:
+    """A ring around (u, v), fractions of width and height; wraps around in u."""
+    height, width = picture.shape[:2]
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    dx = np.abs(x - u * width)
+    distance = np.hypot(np.minimum(dx, width - dx), y - v * height)
+    radius = max(6.0, height / 24)
+    picture[np.abs(distance - radius) < max(1.0, height / 250)] = _MARKER

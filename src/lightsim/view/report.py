@@ -1,0 +1,151 @@
+"""Reports: one HTML file with its pictures inside, readable in light and dark, no scripts."""
+
+from __future__ import annotations
+
+import base64
+import io
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from lightsim import __version__
+from lightsim.errors import InputError
+
+_TEMPLATE = "report.html.jinja"
+Cell = str | int | float | None
+
+
+@dataclass(frozen=True)
+class Card:
+    """One key number: what it is, its value with unit, and what it means."""
+
+    label: str
+    value: str
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of cells under column names; numbers are set flush right, None as a dash."""
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    caption: str = ""
+
+    def __post_init__(self) -> None:
+        wrong = [len(row) for row in self.rows if len(row) != len(self.columns)]
+        if wrong:
+            raise InputError(
+                "a table row has another length than the header",
+                where=f"table '{self.caption}'",
+                got=wrong[0],
+                expected=len(self.columns),
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """A picture, 8-bit sRGB; `is_wide` lets it take the whole width of the page."""
+
+    caption: str
+    image: UInt8[np.ndarray, "h w 3"]
+    is_wide: bool = False
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Inline SVG made by `lightsim.view.charts` (it is put into the page as it is)."""
+
+    caption: str
+    svg: str
+
+
+@dataclass(frozen=True)
+class Video:
+    """A film beside the report; `source` is a path relative to the report."""
+
+    caption: str
+    source: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the report; paragraphs of `text` are separated by an empty line."""
+
+    title: str
+    text: str = ""
+    cards: Sequence[Card] = ()
+    tables: Sequence[Table] = ()
+    figures: Sequence[Figure] = ()
+    charts: Sequence[Chart] = ()
+    videos: Sequence[Video] = ()
+
+
+def render_report(
+    title: str, sections: Sequence[Section], *, subtitle: str = "", cards: Sequence[Card] = ()
+) -> str:
+    """The report as one HTML page; all text is escaped."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["data_uri"] = _data_uri
+    environment.filters["cell"] = _format_cell
+    environment.tests["numeric"] = _is_number
+    return environment.get_template(_TEMPLATE).render(
+        title=title, subtitle=subtitle, cards=cards, sections=sections, version=__version__
+    )
+
+
+def write_report(
+    path: Path,
+    title: str,
+    sections: Sequence[Section],
+    *,
+    subtitle: str = "",
+    cards: Sequence[Card] = (),
+) -> None:
+    """Write `render_report`'s page; the file appears whole or not at all.
+
+    Raises:
+        InputError: the folder does not exist.
+    """
+    if not path.parent.is_dir():
+        raise InputError("the folder to write to does not exist", where=path.parent)
+    page = render_report(title, sections, subtitle=subtitle, cards=cards)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        temporary.write_text(page, encoding="utf-8")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _data_uri(image: UInt8[np.ndarray, "h w 3"]) -> str:
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(image)).save(stream, "JPEG", quality=88)
+    return "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
+
+
+def _is_number(value: Cell) -> bool:
+    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+
+
+def _format_cell(value: Cell) -> str:
+    """Floats with four significant digits, thousands apart; None as a dash."""
+    if value is None:
+        return "–"
+    if isinstance(value, float):
+        return f"{value:,.0f}" if 1000 <= abs(value) < 1e7 else f"{value:.4g}"
+    return f"{value:,}" if isinstance(value, int) and not isinstance(value, bool) else str(value)
