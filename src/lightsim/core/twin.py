@@ -31,11 +31,13 @@ class SceneAssets:
         actors: by actor id.
         camera_gains: RGB g with linear pixel value = g x scene radiance; geometric mean over
             the cameras 1 per channel, which fixes the scene unit.
+        notes: what was substituted, such as default shapes of actors with too few returns.
     """
 
     background: TriMesh
     actors: Mapping[str, ActorAsset]
     camera_gains: Mapping[str, Float32[np.ndarray, "3"]]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,8 @@ class FuseConfig:
     """Sample distance of the actors' own grids."""
     actor_min_points: int = 60
     """Actors with fewer returns over the whole log get no grid."""
+    actor_fine_points: int = 4000
+    """Actors with fewer returns than this get samples of twice the distance."""
     box_margin_m: float = 0.12
     """Labelled boxes are grown by this before returns are assigned to actors."""
     box_floor_m: float = 0.12

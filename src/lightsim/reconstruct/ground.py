@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64
+from jaxtyping import Bool, Float, Float32
 from scipy import ndimage
-from scipy.sparse import csr_matrix
-from scipy.sparse.linalg import cg
 
 from lightsim.core.fields import GroundMap
+from lightsim.core.laplace import fill_smoothly, nearest_known
 from lightsim.errors import InputError
 
 _MAX_SLOPE = 0.25
@@ -64,7 +63,7 @@ def _is_ground(
     height: Float[np.ndarray, "nx ny"], is_seen: Bool[np.ndarray, "nx ny"], cell_m: float
 ) -> Bool[np.ndarray, "nx ny"]:
     """Progressive morphological filter (Zhang et al. 2003, doi:10.1109/TGRS.2003.810682)."""
-    surface = _nearest_known(height, is_seen)
+    surface = nearest_known(height, is_seen)
     is_ground = is_seen.copy()
     size = 3
     while size * cell_m <= _OPENING_M:
@@ -73,47 +72,3 @@ def _is_ground(
         surface = np.minimum(surface, opened + _STEP_M)
         size = 2 * size + 1
     return is_ground
-
-
-def _nearest_known(
-    values: Float[np.ndarray, "nx ny"], is_known: Bool[np.ndarray, "nx ny"]
-) -> Float[np.ndarray, "nx ny"]:
-    nearest = np.asarray(
-        ndimage.distance_transform_edt(~is_known, return_distances=False, return_indices=True)
-    )
-    return values[nearest[0], nearest[1]]
-
-
-def fill_smoothly(
-    values: Float64[np.ndarray, "nx ny"], is_known: Bool[np.ndarray, "nx ny"]
-) -> Float64[np.ndarray, "nx ny"]:
-    """Solve Laplace's equation where values are unknown, with mirrored borders."""
-    unknown = np.flatnonzero(~is_known)
-    if len(unknown) == 0 or not is_known.any():
-        return values
-    start = _nearest_known(values, is_known)
-    number = np.full(values.size, -1, dtype=np.int64)
-    number[unknown] = np.arange(len(unknown))
-    index = np.arange(values.size).reshape(values.shape)
-    rows, columns, right, degree = [], [], np.zeros(len(unknown)), np.zeros(len(unknown))
-    for here, there in (
-        (index[:-1], index[1:]),
-        (index[1:], index[:-1]),
-        (index[:, :-1], index[:, 1:]),
-        (index[:, 1:], index[:, :-1]),
-    ):
-        a, b = here.ravel(), there.ravel()
-        a, b = a[number[a] >= 0], b[number[a] >= 0]
-        np.add.at(degree, number[a], 1.0)
-        is_free = number[b] >= 0
-        rows.append(number[a[is_free]])
-        columns.append(number[b[is_free]])
-        np.add.at(right, number[a[~is_free]], values.ravel()[b[~is_free]])
-    i = np.concatenate([*rows, np.arange(len(unknown))])
-    j = np.concatenate([*columns, np.arange(len(unknown))])
-    off_diagonal = -np.ones(len(i) - len(unknown))
-    matrix = csr_matrix((np.concatenate([off_diagonal, degree]), (i, j)))
-    solution, _ = cg(matrix, right, x0=start.ravel()[unknown], rtol=1e-5, maxiter=500)
-    result = values.copy().ravel()
-    result[unknown] = solution
-    return result.reshape(values.shape)

@@ -32,14 +32,14 @@ class RangeImage:
 
     Args:
         pixel: first elevation, first azimuth, elevation step, azimuth step; radians.
-        image: distance and unit normal towards the sensor.
+        image: distance, unit normal towards the sensor, and 1 where the surface is ground.
         labels: 0 static, i + 1 actor i, FREE_ONLY or NOTHING.
     """
 
     origin_world: Float64[np.ndarray, "3"]
     time_ns: int
     pixel: tuple[float, float, float, float]
-    image: Float32[np.ndarray, "h w 4"]
+    image: Float32[np.ndarray, "h w 5"]
     labels: Int32[np.ndarray, "h w"]
 
     def surface_points(self) -> tuple[Float64[np.ndarray, "n 3"], Int32[np.ndarray, " n"]]:
@@ -79,7 +79,7 @@ def make_range_image(view: View, ground: GroundMap, config: FuseConfig) -> Range
     """
     rays = _rays(view, ground, config)
     shape, pixel = _layout(rays, config)
-    image = np.zeros((*shape, 4), dtype=np.float32)
+    image = np.zeros((*shape, 5), dtype=np.float32)
     labels = np.full(shape, NOTHING, dtype=np.int32)
     if len(rays.distances) < 3 or np.ptp(rays.elevation) < 1e-9:
         return RangeImage(view.origin_world, view.time_ns, pixel, image, labels)
@@ -88,6 +88,7 @@ def make_range_image(view: View, ground: GroundMap, config: FuseConfig) -> Range
     face_labels = _classify(rays, faces, cosine, config)
     normals = _vertex_normals(faces, face_normals, face_labels >= 0, len(rays.distances))
     is_drawn = face_labels != NOTHING
+    drawn = faces[is_drawn]
     corners_px = np.stack(
         [(rays.elevation - pixel[0]) / pixel[2], (rays.azimuth - pixel[1]) / pixel[3]], axis=1
     )
@@ -96,15 +97,15 @@ def make_range_image(view: View, ground: GroundMap, config: FuseConfig) -> Range
         rays.relative / rays.distances[:, None],
         rays.distances,
         normals,
-        faces[is_drawn],
+        drawn,
         face_labels[is_drawn],
-        rays.distances[faces[is_drawn]].min(axis=1),
+        np.stack([rays.distances[drawn].min(axis=1), rays.is_ground[drawn].all(axis=1)], axis=1),
         pixel,
         image,
         labels,
     )
-    length = np.linalg.norm(image[..., 1:], axis=-1, keepdims=True)
-    image[..., 1:] /= np.where(length > 0, length, 1)
+    length = np.linalg.norm(image[..., 1:4], axis=-1, keepdims=True)
+    image[..., 1:4] /= np.where(length > 0, length, 1)
     labels[(labels >= 0) & (length[..., 0] < 1e-6)] = FREE_ONLY
     return RangeImage(view.origin_world, view.time_ns, pixel, image, labels)
 

@@ -15,11 +15,13 @@ from lightsim.core.fields import BLOCK, GroundMap, SceneFields, TsdfGrid
 from lightsim.core.log import DrivingLog
 from lightsim.errors import InputError
 from lightsim.progress import Progress
-from lightsim.reconstruct.fuse_config import FuseConfig
+from lightsim.reconstruct.fuse_config import FuseConfig, draft, paper, standard
 from lightsim.reconstruct.ground import GroundBuilder
 from lightsim.reconstruct.range_image import RangeImage, make_range_image
 from lightsim.reconstruct.sweep_views import centre_line, label_points, views_of_sweep
 from lightsim.reconstruct.tsdf_kernels import integrate_view, mark_blocks
+
+__all__ = ["FuseConfig", "draft", "fuse_log", "paper", "standard"]
 
 _LEVEL_OVERLAP_M = 1.0
 _ACTOR_PADDING_M = 0.2
@@ -47,7 +49,7 @@ def fuse_log(log: DrivingLog, config: FuseConfig, *, progress: Progress) -> Scen
     ground, counts = _scan(log, path, config, progress)
     levels = tuple(_Level(i, path, ground, config) for i in range(len(config.voxel_m)))
     actors = {
-        i: _ActorFusion(log.actors[i], config)
+        i: _ActorFusion(log.actors[i], config, int(counts[i + 1]))
         for i in np.flatnonzero(counts[1:] >= config.actor_min_points).tolist()
     }
     for lazy in progress.track(sweeps, "fuse sweeps", len(sweeps)):
@@ -182,11 +184,12 @@ class _Level:
 class _ActorFusion:
     """The dense little grid of one actor, in its box frame."""
 
-    def __init__(self, actor: ActorTrack, config: FuseConfig) -> None:
+    def __init__(self, actor: ActorTrack, config: FuseConfig, returns: int) -> None:
         self._actor = actor
         low = -actor.size_lwh_m / 2 - _ACTOR_PADDING_M
         extent = actor.size_lwh_m + 2 * _ACTOR_PADDING_M
-        voxel = config.actor_voxel_m
+        # Few returns mean a distant actor: finer samples would hold nothing but noise.
+        voxel = config.actor_voxel_m * (1.0 if returns >= config.actor_fine_points else 2.0)
         shape = np.ceil(extent / (voxel * BLOCK)).astype(np.int64)
         # Symmetric about y = 0, so that completion can mirror samples exactly.
         low[1] = -voxel * (BLOCK * shape[1] - 1) / 2

@@ -21,13 +21,14 @@ _EPSILON = 1e-9
 @njit(cache=True, nogil=True)
 @no_type_check
 def rasterise_triangles(  # noqa: PLR0913 - compiled code takes plain arrays
-    corners_px, directions, distances, normals, faces, labels, nearest, pixel, image, label_image
+    corners_px, directions, distances, normals, faces, labels, face_info, pixel, image, label_image
 ):
     """Draw triangles of a sweep into a range image, the nearest surface winning.
 
     `corners_px` holds (row, column) of each return. `pixel` = (first elevation, first azimuth,
-    elevation step, azimuth step) in radians. `image` [h, w, 4] receives distance and normal. A
-    face with label FREE_ONLY draws the distance `nearest` and no normal, only where nothing was.
+    elevation step, azimuth step) in radians. `face_info` holds each face's nearest distance and
+    whether it is ground. `image` [h, w, 5] receives distance, normal and the ground flag. A face
+    with label FREE_ONLY draws its nearest distance alone, and only where nothing was.
     """
     height, width = label_image.shape
     for f in range(faces.shape[0]):
@@ -60,8 +61,10 @@ def rasterise_triangles(  # noqa: PLR0913 - compiled code takes plain arrays
                 column = unwrapped % width
                 old = label_image[row, column]
                 if labels[f] == FREE_ONLY:
-                    if old == NOTHING or (old == FREE_ONLY and nearest[f] < image[row, column, 0]):
-                        image[row, column, 0] = nearest[f]
+                    if old == NOTHING or (
+                        old == FREE_ONLY and face_info[f, 0] < image[row, column, 0]
+                    ):
+                        image[row, column, 0] = face_info[f, 0]
                         label_image[row, column] = FREE_ONLY
                     continue
                 azimuth = pixel[1] + unwrapped * pixel[3]
@@ -75,6 +78,7 @@ def rasterise_triangles(  # noqa: PLR0913 - compiled code takes plain arrays
                 if old >= 0 and image[row, column, 0] <= distance:
                     continue
                 image[row, column, 0] = distance
+                image[row, column, 4] = face_info[f, 1]
                 for k in range(3):
                     image[row, column, 1 + k] = (
                         w0 * normals[a, k] + w1 * normals[b, k] + w2 * normals[c, k]
@@ -91,7 +95,9 @@ def integrate_view(  # noqa: PLR0913 - compiled code takes plain arrays
 
     `grid` = (origin x, y, z, voxel, truncation, largest distance). `rotation`, `shift` map grid
     coordinates to world axes relative to the view's origin. Pixels whose label is not `target`
-    only prove free space in front of them.
+    only prove free space in front of them. Behind a surface the evidence fades, across the
+    surface for the ground (seen at grazing angles) and along the ray for anything else, lest
+    silhouettes grow tails.
     """
     height, width = label_image.shape
     voxel, truncation, furthest = grid[3], grid[4], grid[5]
@@ -138,9 +144,15 @@ def integrate_view(  # noqa: PLR0913 - compiled code takes plain arrays
                 if signed < -truncation:
                     continue
                 cosine = max(0.05, -(dx * nx + dy * ny + dz * nz))
-                confidence = math.sqrt(cosine) / (1.0 + (measured / 30.0) ** 2)
-                if signed < 0.0:
-                    confidence *= max(0.1, 1.0 + signed / truncation)
+                if image[row, column, 4] > 0.0:
+                    depth = -signed / truncation
+                    cosine = math.sqrt(cosine)
+                else:
+                    depth = 0.5 * (distance - measured) / truncation
+                if depth > 1.0:
+                    continue
+                confidence = cosine / (1.0 + (measured / 30.0) ** 2)
+                confidence *= min(1.0, max(0.1, 1.0 - depth))
                 signed = min(signed, truncation)
             total = weight[b, i, j, k] + confidence
             sdf[b, i, j, k] += (signed - sdf[b, i, j, k]) * confidence / total

@@ -1,0 +1,83 @@
+"""Exposure and white balance of each camera, from surfaces that several cameras saw."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Float64, Int16
+
+_DARK, _BRIGHT = 0.01, 0.85
+_HUBER = 0.15
+_ROUNDS = 10
+_MIN_SHARED = 20
+
+
+def solve_gains(
+    colours: Float32[np.ndarray, "n k 3"],
+    weights: Float32[np.ndarray, "n k"],
+    cameras: Int16[np.ndarray, "n k"],
+    camera_count: int,
+    strength: float,
+) -> Float32[np.ndarray, "camera_count 3"]:
+    """RGB gains g with pixel value = g x radiance; geometric mean over the cameras 1.
+
+    For every pair of cameras the robust mean of the log ratios of shared vertices is one
+    observation, weighted n / (n + strength); a weak prior holds unconnected cameras at 1.
+
+    Args:
+        colours: linear pixel values of each vertex's samples.
+        weights: 0 where a slot is empty.
+        cameras: index of the camera of each sample.
+        strength: shared vertices at which an observation counts half.
+    """
+    means, is_seen = _camera_means(colours, weights, cameras, camera_count)
+    rows, targets, trust = [], [], []
+    for i in range(camera_count):
+        for j in range(i + 1, camera_count):
+            is_shared = is_seen[i] & is_seen[j]
+            shared = int(is_shared.sum())
+            if shared < _MIN_SHARED:
+                continue
+            row = np.zeros(camera_count)
+            row[i], row[j] = 1.0, -1.0
+            rows.append(row)
+            targets.append(_robust_mean(means[i, is_shared] - means[j, is_shared]))
+            trust.append(shared / (shared + strength))
+    prior = 0.01
+    matrix = np.concatenate(
+        [np.array(rows).reshape(-1, camera_count) * np.array(trust)[:, None]]
+        + [prior * np.eye(camera_count), np.ones((1, camera_count))]
+    )
+    right = np.zeros((len(matrix), 3))
+    if rows:
+        right[: len(rows)] = np.array(targets) * np.array(trust)[:, None]
+    log_gains, *_ = np.linalg.lstsq(matrix, right, rcond=None)
+    return np.exp(log_gains - log_gains.mean(axis=0)).astype(np.float32)
+
+
+def _camera_means(
+    colours: Float32[np.ndarray, "n k 3"],
+    weights: Float32[np.ndarray, "n k"],
+    cameras: Int16[np.ndarray, "n k"],
+    camera_count: int,
+) -> tuple[Float64[np.ndarray, "camera_count n 3"], Bool[np.ndarray, "camera_count n"]]:
+    """Log of each camera's mean pixel value at each vertex, where neither dark nor clipped."""
+    is_fair = (colours.min(axis=2) > _DARK) & (colours.max(axis=2) < _BRIGHT) & (weights > 0)
+    means = np.zeros((camera_count, len(colours), 3))
+    is_seen = np.zeros((camera_count, len(colours)), dtype=bool)
+    for camera in range(camera_count):
+        share = np.where(is_fair & (cameras == camera), weights, 0.0)
+        total = share.sum(axis=1)
+        is_seen[camera] = total > 0
+        mean = (share[:, :, None] * colours).sum(axis=1) / np.where(total > 0, total, 1)[:, None]
+        means[camera] = np.log(np.where(total[:, None] > 0, mean, 1.0))
+    return means, is_seen
+
+
+def _robust_mean(values: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "3"]:
+    """Huber's location per channel, by reweighting from the median."""
+    centre = np.median(values, axis=0)
+    for _ in range(_ROUNDS):
+        distance = np.abs(values - centre)
+        weight = np.minimum(1.0, _HUBER / np.maximum(distance, 1e-9))
+        centre = (weight * values).sum(axis=0) / weight.sum(axis=0)
+    return centre.astype(np.float64)
