@@ -1,3 +1,23 @@
-"""LightSim: a lighting simulator for driving logs."""
+"""LightSim: a lighting simulator for driving logs.
+
+The functions below do what the commands of the same name do; they are loaded on first use, so
+that `import lightsim` stays quick.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from lightsim.api import build_twin, load_log, load_twin, relight
 
 __version__ = "0.1.0"
+__all__ = ["build_twin", "load_log", "load_twin", "relight"]
+
+
+def __getattr__(name: str) -> object:
+    if name in __all__:
+        from lightsim import api
+
+        return getattr(api, name)
+    raise AttributeError(f"module 'lightsim' has no attribute '{name}'")

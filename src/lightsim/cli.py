@@ -52,7 +52,7 @@ class Build:
 
 @dataclass(frozen=True)
 class SkyOptions:
-    sky: str
+    sky: str = "source"
     """A .hdr or .exr file, sun:AZIMUTH,ELEVATION[,TURBIDITY], time:ISO, or source."""
     sky_yaw_deg: float = 0.0
     """Turn the sky, clockwise seen from above."""

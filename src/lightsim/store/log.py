@@ -77,12 +77,16 @@ def read_reading(folder: Path) -> LogReading:
     path = folder / LOG_NAME
     value = read_json(path)
     try:
-        reading = dict(value["reading"])
-        return LogReading(**{**reading, "cameras": tuple(reading["cameras"])})
+        return reading_from_json(value["reading"])
     except (KeyError, TypeError) as error:
         raise ArtefactError(
             "the reading options are broken", where=path, got=error, remedy="Build again."
         ) from error
+
+
+def reading_from_json(value: dict[str, Any]) -> LogReading:
+    """Inverse of `json_ready(reading)`; a KeyError or TypeError tells a broken value."""
+    return LogReading(**{**value, "cameras": tuple(value["cameras"])})
 
 
 def _geo_summary(log: DrivingLog) -> dict[str, Any] | None:

@@ -1,0 +1,232 @@
+"""The measurements behind `lightsim evaluate`: twin against recording, and against truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+
+from lightsim.baselines.colour_transfer import BASELINES
+from lightsim.core.colour import srgb8_from_linear
+from lightsim.core.dome import SkyDome
+from lightsim.core.mesh import TriMesh
+from lightsim.core.scenario import ActorPlacement, Scenario
+from lightsim.core.sensors import CameraFrame
+from lightsim.core.solar import direction_world, solar_position
+from lightsim.core.twin import ActorAsset, DigitalTwin
+from lightsim.edit.timeline import replay
+from lightsim.errors import InputError
+from lightsim.evaluate.frames import (
+    FramesConfig,
+    FramesReport,
+    FrameTask,
+    apply_baseline,
+    pair_folders,
+    score_frames,
+)
+from lightsim.evaluate.geometry import (
+    GeometryConfig,
+    GeometryReport,
+    evaluate_lidar,
+    evaluate_surface,
+)
+from lightsim.evaluate.sky import SkyReport, evaluate_sky
+from lightsim.lighting.sun import find_sun_blob
+from lightsim.progress import Progress
+from lightsim.relighting import RelightOptions, relight, sky_image
+from lightsim.render.embree import make_embree_caster
+from lightsim.render.transport import TransportConfig
+from lightsim.scene_setup import FrameRenderer
+from lightsim.skies import SkyChoice
+from lightsim.store.arrays import load_arrays
+from lightsim.store.images import read_hdr, read_srgb8
+from lightsim.workspace import Workspace
+
+LoadMask = Bool[np.ndarray, "h w"]
+
+
+def held_out_frames(work: Path, progress: Progress, *, with_lpips: bool = True) -> FramesReport:
+    """Novel-view images of the twin at held-out frames, against the camera.
+
+    The twin's observed radiance is rendered through each held-out camera; beside it stands the
+    trivial baseline, the nearest training image of the same camera. The region `masked` leaves
+    out sky and own car.
+
+    Raises:
+        InputError: the build held nothing out.
+    """
+    workspace = Workspace(work)
+    log, held_out = workspace.log, workspace.held_out
+    if not held_out:
+        raise InputError(
+            "nothing was held out", where=work, remedy="Build with --hold-out 8 or another number."
+        )
+    assets, dome = workspace.assets, workspace.sky.dome
+    renderer = FrameRenderer(assets.background, workspace.inferred, TransportConfig(), 0)
+    scenario = replay(DigitalTwin(log, assets, workspace.sky), "held-out", log.frames)
+
+    def render(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
+        camera = log.cameras[frame.camera_name]
+        buffers = renderer.geometry(scenario, frame, camera)
+        sky = sky_image(dome, camera, frame)
+        radiance = np.where(buffers.has_surface[..., None], buffers.base_colour, sky)
+        return srgb8_from_linear(radiance * assets.camera_gains[frame.camera_name])
+
+    def is_valid(frame: CameraFrame) -> LoadMask:
+        valid = workspace.sky_matte(frame) < 0.5
+        own_car = log.own_car_masks.get(frame.camera_name)
+        return valid if own_car is None else valid & ~own_car
+
+    tasks = []
+    for frame in log.frames:
+        if frame.stem not in held_out:
+            continue
+        others = [f for f in log.frames_of(frame.camera_name) if f.stem not in held_out]
+        nearest = min(others, key=lambda f, t=frame.time_ns: abs(f.time_ns - t))
+        tasks.append(
+            FrameTask(
+                frame.camera_name,
+                frame.camera_name,
+                frame.stem,
+                frame.load_srgb8,
+                {"twin": partial(render, frame), "nearest image": nearest.load_srgb8},
+                partial(is_valid, frame),
+            )
+        )
+    return score_frames(tasks, FramesConfig(with_lpips=with_lpips), progress=progress)
+
+
+def relit_frames(work: Path, truth: Path, progress: Progress) -> FramesReport:
+    """Relit frames against the ground truth of a synthetic log, beside copy, oracle affine copy
+    and colour transfer; one condition for each target sky in TRUTH/relit.
+
+    Skies are taken in scene units, without scaling. `masked` leaves out the (true) sky.
+
+    Raises:
+        InputError: `truth` is not a folder that `lightsim synthesize` wrote.
+    """
+    workspace = Workspace(work)
+    conditions = sorted(p.name for p in (truth / "relit").glob("*") if p.is_dir())
+    if not conditions:
+        raise InputError("no relit ground truth", where=truth / "relit", expected="NAME/<camera>/")
+    masks = TrueSurfaces(truth / "scene.npz", workspace)
+    tasks: list[FrameTask] = []
+    for name in conditions:
+        folder = truth / "relit" / name
+        stems = sorted({int(p.stem) for p in folder.glob("*/*") if p.stem.isdigit()})
+        step = int(np.gcd.reduce(np.diff(stems))) if len(stems) > 1 else 1
+        options = RelightOptions(
+            f"truth-{name}",
+            SkyChoice(str(truth / "skies" / f"{name}.exr"), scale="none"),
+            frames=f"{stems[0]}:{stems[-1] + 1}:{step}",
+            image_scale=1.0,
+        )
+        relit = relight(work, options, progress) / "frames"
+        source = Path(workspace.reading.source) / "camera"
+        for camera, stem, files in pair_folders(
+            {"relit": relit, "truth": folder, "source": source}
+        ):
+            load = {key: partial(read_srgb8, path) for key, path in files.items()}
+            valid = partial(masks.is_surface, camera, stem)
+            methods = {"LightSim": load["relit"]}
+            for label, baseline in BASELINES.items():
+                methods[label] = partial(
+                    apply_baseline, baseline, load["source"], load["truth"], valid
+                )
+            tasks.append(FrameTask(name, camera, stem, load["truth"], methods, valid))
+    return score_frames(tasks, FramesConfig(), progress=progress)
+
+
+class TrueSurfaces:
+    """Where the true geometry of a synthetic log covers the sky, pixel centre by pixel centre."""
+
+    def __init__(self, path: Path, workspace: Workspace) -> None:
+        self.meshes = read_true_meshes(path)
+        self._log = workspace.log_at(1.0)
+        background = self.meshes["background"]
+        tracks = {track.actor_id: track for track in self._log.actors}
+        placements = tuple(
+            ActorPlacement(ActorAsset(name, tracks[name].kind, mesh), tracks[name])
+            for name, mesh in self.meshes.items()
+            if name in tracks
+        )
+        self.scenario = Scenario("truth", self._log.frames, placements)
+        empty = replace(background, faces=background.faces[:0])
+        self._renderer = FrameRenderer(background, empty, TransportConfig(), 0)
+
+    def is_surface(self, camera_name: str, stem: str) -> Bool[np.ndarray, "h w"]:
+        frame = next(f for f in self._log.frames_of(camera_name) if f.stem == stem)
+        camera = self._log.cameras[camera_name]
+        return self._renderer.geometry(self.scenario, frame, camera).has_surface
+
+
+def read_true_meshes(path: Path) -> dict[str, TriMesh]:
+    """Background (frame `world`) and actors (frame `actor`) of a synthetic log's scene.npz."""
+    arrays = load_arrays(path)
+    meshes = {}
+    for name in dict.fromkeys(key.split("/")[0] for key in arrays):
+        vertices = arrays[f"{name}/vertices"].astype(np.float32)
+        frame = "world" if name == "background" else "actor"
+        faces = arrays[f"{name}/faces"].astype(np.int32)
+        meshes[name] = TriMesh(frame, vertices, faces, np.full_like(vertices, 0.5))
+    return meshes
+
+
+def geometry(work: Path, truth: Path | None, progress: Progress) -> tuple[GeometryReport, bool]:
+    """LiDAR errors, on held-out sweeps where there are any (then the flag is true), and
+    F-scores against a synthetic log's true background near LiDAR returns."""
+    workspace = Workspace(work)
+    log, assets = workspace.log, workspace.assets
+    held = tuple(s for s in log.sweeps if s.stem in workspace.held_out)
+    sweeps = held or log.sweeps
+    config, rng = GeometryConfig(), np.random.default_rng(0)
+
+    def actors_at(time_ns: int) -> list[TriMesh]:
+        return [
+            assets.actors[track.actor_id].mesh.moved(track.world_from_actor(time_ns))
+            for track in log.actors_at(time_ns)
+            if track.actor_id in assets.actors
+        ]
+
+    lidar = evaluate_lidar(
+        sweeps,
+        [assets.background],
+        actors_at,
+        config,
+        make_caster=make_embree_caster,
+        rng=rng,
+        progress=progress,
+    )
+    if truth is None:
+        return GeometryReport(lidar), bool(held)
+    seen = np.concatenate([s.load().points_world[::7] for s in log.sweeps]).astype(np.float64)
+    true_background = read_true_meshes(truth / "scene.npz")["background"]
+    surface = evaluate_surface(
+        assets.background, true_background, config, seen_points_world=seen, rng=rng
+    )
+    return GeometryReport(lidar, surface), bool(held)
+
+
+def sky(work: Path, truth: Path | None) -> SkyReport:
+    """The source sky against ephemeris, the sun seen in the panorama, and a true source sky."""
+    workspace = Workspace(work)
+    estimate, geo = workspace.sky, workspace.log.geo
+    ephemeris = None
+    if geo is not None and geo.enu_from_world is not None:
+        frames = workspace.log.frames
+        at = solar_position(geo.latitude_deg, geo.longitude_deg, frames[len(frames) // 2].time_ns)
+        ephemeris = direction_world(at.azimuth_deg, at.elevation_deg, geo.enu_from_world)
+    near = None if estimate.dome.sun is None else estimate.dome.sun.direction_world
+    blob = find_sun_blob(workspace.panorama, near)
+    true_dome = None
+    if truth is not None:
+        true_dome = SkyDome(read_hdr(truth / "skies" / "source.exr"), None)
+    return evaluate_sky(
+        estimate,
+        truth=true_dome,
+        ephemeris_world=ephemeris,
+        observed_sun_world=None if blob is None else blob.direction_world,
+    )

@@ -1,0 +1,276 @@
+"""From a twin and a target sky to relit frames and video: scenario -> buffers -> frames -> mp4.
+
+One frame is in memory at a time; a finished frame is a finished file, so an interrupted run goes
+on where it stopped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.colour import linear_from_srgb8
+from lightsim.core.dome import SkyDome
+from lightsim.core.frames import points_rotated
+from lightsim.core.log import DrivingLog
+from lightsim.core.resample import resize_area
+from lightsim.core.scenario import Scenario
+from lightsim.core.sensors import CameraFrame
+from lightsim.edit.timeline import replay
+from lightsim.errors import InputError
+from lightsim.ingest.selection import FrameSelection
+from lightsim.progress import Progress
+from lightsim.relight.compose import camera_image
+from lightsim.relight.ratio import RatioConfig, RelightInputs, relight_physical
+from lightsim.render.transport import TransportConfig
+from lightsim.scene_setup import FrameRenderer
+from lightsim.skies import SkyChoice, TargetSky, resolve_sky
+from lightsim.store.artefact import (
+    Recipe,
+    json_ready,
+    make_artefact,
+    read_record,
+    write_json,
+)
+from lightsim.store.images import read_srgb8, write_exr, write_png
+from lightsim.store.mp4 import Mp4Writer
+from lightsim.workspace import Workspace
+
+_SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class RelightOptions:
+    """What `lightsim relight` is asked for.
+
+    Args:
+        name: of the result folder.
+        sky: target sky.
+        method: "physical".
+        exposure_ev: exposure of the output, stops.
+        cameras: empty for all.
+        frames: START:STOP[:STEP] over the log's own frame numbers, empty for all.
+        image_scale: factor on the log's image size; None for that of the build.
+        is_linear_written: also write linear EXR frames.
+        seed: of the sampling of rays.
+    """
+
+    name: str
+    sky: SkyChoice
+    method: str = "physical"
+    exposure_ev: float = 0.0
+    cameras: tuple[str, ...] = ()
+    frames: str = ""
+    image_scale: float | None = None
+    is_linear_written: bool = False
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class RelitFrame:
+    """One relit frame and what it was made of.
+
+    Args:
+        frame: of the log.
+        image_srgb8: as the camera would have recorded it.
+        radiance: linear, scene units, before gain and exposure.
+        buffers: geometry.
+        source: light of the source sky.
+        target: light of the target sky.
+        source_srgb8: the recorded image.
+    """
+
+    frame: CameraFrame
+    image_srgb8: UInt8[np.ndarray, "h w 3"]
+    radiance: Float32[np.ndarray, "h w 3"]
+    buffers: GBuffers
+    source: ShadowBuffers
+    target: ShadowBuffers
+    source_srgb8: UInt8[np.ndarray, "h w 3"]
+
+
+def relight(work: Path, options: RelightOptions, progress: Progress) -> Path:
+    """Relight the log of a work folder; returns WORK/scenarios/NAME.
+
+    Raises:
+        ArtefactError: the twin has not been built.
+        InputError: the sky, a camera or a frame range is wrong.
+    """
+    workspace = Workspace(work)
+    scale = options.image_scale or workspace.reading.image_scale
+    log = workspace.log_at(scale)
+    frames = select_frames(log, options.cameras, options.frames)
+    target = resolve_sky(options.sky, workspace)
+    twin_record = read_record(workspace.need("twin"))
+    assert twin_record is not None
+    config = json_ready(replace(options, image_scale=scale))
+    inputs = {"twin": twin_record["key"], "sky": options.sky.input_key}
+    recipe = Recipe("relight", _SCHEMA, config, inputs, options.seed)
+    folder = work / "scenarios" / options.name
+    folder.parent.mkdir(exist_ok=True)
+
+    def make(partial: Path) -> Iterable[str]:
+        twin = replace(workspace.twin, log=log)
+        scenario = replay(twin, options.name, frames)
+        relighter = Relighter(workspace, log, target, options)
+        _write_frames(partial, scenario, relighter, options, progress)
+        _write_videos(partial, scenario, progress)
+        write_json(partial / "scenario.json", scenario_summary(scenario, log, target, options))
+        from lightsim.reports import write_relight_report
+
+        write_relight_report(partial / "report.html", partial, scenario, relighter, target)
+        return ()
+
+    make_artefact(folder, recipe, make)
+    return folder
+
+
+def select_frames(
+    log: DrivingLog, cameras: tuple[str, ...], frames: str
+) -> tuple[CameraFrame, ...]:
+    """The frames of the named cameras whose stem lies in START:STOP[:STEP]."""
+    chosen = FrameSelection.parse(frames)
+    names = cameras or tuple(log.cameras)
+    found = tuple(f for name in names for f in log.frames_of(name) if chosen.holds(int(f.stem)))
+    if not found:
+        raise InputError(
+            "no frame lies in the chosen range",
+            where=f"--frames {frames}",
+            expected=f"frames {log.stems[0]} to {log.stems[-1]}",
+        )
+    return found
+
+
+class Relighter:
+    """Renders and relights single frames of one workspace under one target sky."""
+
+    def __init__(
+        self, workspace: Workspace, log: DrivingLog, target: TargetSky, options: RelightOptions
+    ) -> None:
+        self.log = log
+        self.target = target
+        self._workspace = workspace
+        self._options = options
+        self._renderer = FrameRenderer(
+            workspace.twin.assets.background,
+            workspace.shadow_casters,
+            TransportConfig(),
+            options.seed,
+        )
+        self._skies = [self._renderer.prepare(dome) for dome in (workspace.sky.dome, target.dome)]
+
+    def relit(self, frame: CameraFrame, scenario: Scenario) -> RelitFrame:
+        """One frame under the target sky."""
+        camera = self.log.cameras[frame.camera_name]
+        gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
+        buffers, (source, target) = self._renderer.render(scenario, frame, camera, self._skies)
+        source_srgb8 = frame.load_srgb8()
+        matte = resize_area(
+            self._workspace.sky_matte(frame)[..., None], camera.height_px, camera.width_px
+        )[..., 0]
+        inputs = RelightInputs(
+            radiance=(linear_from_srgb8(source_srgb8) / gain).astype(np.float32),
+            is_clipped=np.any(source_srgb8 >= 254, axis=-1),
+            sky_matte=matte,
+            buffers=buffers,
+            source=source,
+            target=target,
+            target_sky=sky_image(self.target.dome, camera, frame),
+            source_sun=self._skies[0].sun,
+            target_sun=self._skies[1].sun,
+        )
+        radiance = relight_physical(inputs, RatioConfig())
+        image = camera_image(radiance, gain, self._options.exposure_ev)
+        return RelitFrame(frame, image, radiance, buffers, source, target, source_srgb8)
+
+
+def sky_image(
+    dome: SkyDome, camera: PinholeCamera, frame: CameraFrame
+) -> Float32[np.ndarray, "h w 3"]:
+    """The dome as a camera sees it, pixel by pixel."""
+    directions = camera.directions(camera.pixel_centres())
+    rotation = frame.world_from_camera.rotation
+    return dome.look_up(points_rotated(directions, rotation)).astype(np.float32)
+
+
+def _write_frames(
+    folder: Path,
+    scenario: Scenario,
+    relighter: Relighter,
+    options: RelightOptions,
+    progress: Progress,
+) -> None:
+    for frame in progress.track(scenario.frames, "relight", len(scenario.frames)):
+        path = folder / "frames" / frame.camera_name / f"{frame.stem}.png"
+        linear = folder / "linear" / frame.camera_name / f"{frame.stem}.exr"
+        if path.exists():
+            continue
+        result = relighter.relit(frame, scenario)
+        if options.is_linear_written:
+            linear.parent.mkdir(parents=True, exist_ok=True)
+            write_exr(linear, result.radiance)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # The PNG comes last: it marks the frame as finished.
+        write_png(path, result.image_srgb8)
+
+
+def _write_videos(folder: Path, scenario: Scenario, progress: Progress) -> None:
+    (folder / "video").mkdir(exist_ok=True)
+    cameras = list(dict.fromkeys(f.camera_name for f in scenario.frames))
+    for name in progress.track(cameras, "video", len(cameras)):
+        frames = [f for f in scenario.frames if f.camera_name == name]
+        images = (read_srgb8(folder / "frames" / name / f"{f.stem}.png") for f in frames)
+        first = read_srgb8(folder / "frames" / name / f"{frames[0].stem}.png")
+        height, width = first.shape[:2]
+        with Mp4Writer(
+            folder / "video" / f"{name}.mp4", width, height, frame_rate(frames)
+        ) as video:
+            for image in images:
+                video.write(image)
+
+
+def frame_rate(frames: list[CameraFrame]) -> float:
+    """Frames per second of one camera by the median interval; 10 for a single frame."""
+    if len(frames) < 2:
+        return 10.0
+    intervals_s = np.diff([f.time_ns for f in frames]) / 1e9
+    return float(round(1.0 / float(np.median(intervals_s)), 3))
+
+
+def scenario_summary(
+    scenario: Scenario, log: DrivingLog, target: TargetSky, options: RelightOptions
+) -> dict[str, Any]:
+    """scenario.json: the sky, the options, and the actors' boxes of every frame."""
+    frames = [
+        {
+            "camera": frame.camera_name,
+            "frame": frame.stem,
+            "time_ns": frame.time_ns,
+            "world_from_camera": frame.world_from_camera.matrix.tolist(),
+            "actors": [
+                {
+                    "actor_id": track.actor_id,
+                    "kind": track.kind,
+                    "size_lwh_m": track.size_lwh_m.tolist(),
+                    "world_from_actor": track.world_from_actor(frame.time_ns).matrix.tolist(),
+                }
+                for track in log.actors_at(frame.time_ns)
+            ],
+        }
+        for frame in scenario.frames
+    ]
+    return {
+        "version": 1,
+        "name": scenario.name,
+        "options": json_ready(options),
+        "sky": target.facts,
+        "edits": list(scenario.edits),
+        "frames": frames,
+    }

@@ -1,0 +1,227 @@
+"""What each stage of the build does: load, call one function, save. Order: pipeline.py."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.assemble.build import build_twin
+from lightsim.assets.build import AssetConfig, build_assets
+from lightsim.assets.delight import DelightConfig, base_colour_from_radiance
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.frames import RigidTransform
+from lightsim.core.mesh import TriMesh
+from lightsim.core.sensors import CameraFrame
+from lightsim.ingest.sky_mask import SkyMaskConfig, sky_mattes
+from lightsim.lighting.estimate import SkyConfig, estimate_sky
+from lightsim.lighting.evidence import EvidenceConfig, collect_evidence
+from lightsim.lighting.stitch import StitchConfig, stitch_panorama
+from lightsim.lighting.sun import SunDirection, sun_from_geo, sun_from_panorama
+from lightsim.progress import Progress
+from lightsim.reconstruct.extrude import ExtrudeConfig, infer_tall_structures
+from lightsim.reconstruct.fuse_config import FuseConfig
+from lightsim.reconstruct.tsdf import fuse_log
+from lightsim.render.embree import make_embree_caster
+from lightsim.render.gbuffers import render_gbuffers
+from lightsim.render.irradiance import IrradianceConfig, irradiance_at
+from lightsim.render.scene import make_static_scene, without_actors
+from lightsim.render.transport import TransportConfig
+from lightsim.scene_setup import parked_actor_meshes
+from lightsim.store.assets import write_assets, write_mesh
+from lightsim.store.fields import write_fields
+from lightsim.store.images import write_grey8
+from lightsim.store.log import LogReading, write_log
+from lightsim.store.sky import write_panorama, write_panorama_pictures, write_sky
+from lightsim.store.twin import write_twin
+from lightsim.workspace import Workspace
+
+
+@dataclass(frozen=True)
+class Context:
+    """What every stage gets besides its inputs."""
+
+    progress: Progress
+    seed: int
+    preset: str
+
+
+@dataclass(frozen=True)
+class SkyStageConfig:
+    """Evidence and fit of the source sky."""
+
+    evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
+    sky: SkyConfig = field(default_factory=SkyConfig)
+
+
+@dataclass(frozen=True)
+class TwinConfig:
+    """From observed radiance to base colour."""
+
+    irradiance: IrradianceConfig = field(
+        default_factory=lambda: IrradianceConfig(TransportConfig(sky_rays=32, face_rays=8), 0.25)
+    )
+    """Light at the vertices; one bounce off grey surfaces."""
+    delight: DelightConfig = field(default_factory=DelightConfig)
+    """The division."""
+
+
+def make_log(work: Workspace, config: LogReading, folder: Path, context: Context) -> Iterable[str]:
+    write_log(folder, work.log, config)
+    return work.log.notes
+
+
+def make_masks(
+    work: Workspace, config: SkyMaskConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    """One matte a frame; those that an interrupted run left are kept."""
+
+    def path_of(frame: CameraFrame) -> Path:
+        return folder / frame.camera_name / f"{frame.stem}.png"
+
+    missing = tuple(f for f in work.log.frames if not path_of(f).exists())
+    for camera in work.log.cameras:
+        (folder / camera).mkdir(exist_ok=True)
+    for frame, matte in sky_mattes(work.log.with_frames(missing), 1.0, config, context.progress):
+        write_grey8(path_of(frame), np.round(matte * 255).astype(np.uint8))
+    return ()
+
+
+def make_fields(
+    work: Workspace, config: FuseConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    fields = fuse_log(work.training_log, config, progress=context.progress)
+    write_fields(folder, fields)
+    return fields.notes
+
+
+def make_assets(
+    work: Workspace, config: AssetConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    assets = build_assets(
+        work.training_log,
+        work.fields,
+        config,
+        make_caster=make_embree_caster,
+        progress=context.progress,
+    )
+    write_assets(folder, assets)
+    return assets.notes
+
+
+def make_inferred(
+    work: Workspace, config: ExtrudeConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    log = work.training_log
+    silhouettes = ((f, log.cameras[f.camera_name], work.sky_matte(f)) for f in log.frames)
+    inferred = infer_tall_structures(
+        work.assets.background,
+        silhouettes,
+        config,
+        make_caster=make_embree_caster,
+        progress=context.progress,
+    )
+    write_mesh(folder / "inferred.npz", inferred)
+    return (f"{len(inferred.faces)} faces are inferred from sky silhouettes, not measured",)
+
+
+def make_panorama(
+    work: Workspace, config: StitchConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    log, assets = work.training_log, work.assets
+    scene = without_actors(
+        make_static_scene([assets.background, *parked_actor_meshes(log, assets)])
+    )
+
+    def cast_depth(frame: CameraFrame, camera: PinholeCamera) -> Float32[np.ndarray, "h w"]:
+        return render_gbuffers(scene, camera, frame.world_from_camera).depth_z_m
+
+    def sky_matte(frame: CameraFrame, camera: PinholeCamera) -> Float32[np.ndarray, "h w"]:
+        return work.sky_matte(frame)
+
+    panorama = stitch_panorama(
+        log, assets.camera_gains, cast_depth, sky_matte, config, progress=context.progress
+    )
+    write_panorama(folder, panorama)
+    return ()
+
+
+def make_sky(
+    work: Workspace, config: SkyStageConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    log = work.training_log
+    sun = source_sun(work)
+    evidence = collect_evidence(
+        log,
+        work.assets,
+        make_embree_caster,
+        sun.direction_world,
+        config.evidence,
+        np.random.default_rng(context.seed),
+        occluders=[work.inferred],
+        progress=context.progress,
+    )
+    sky = estimate_sky(work.panorama, sun, evidence, config.sky, progress=context.progress)
+    write_sky(folder, sky)
+    write_panorama_pictures(folder, work.panorama)
+    return (*log_sun_notes(work), *sky.notes)
+
+
+def source_sun(work: Workspace) -> SunDirection:
+    """By ephemeris where place, time and heading are known, else from the panorama."""
+    log = work.training_log
+    middle_ns = log.frames[len(log.frames) // 2].time_ns
+    if log.geo is not None and log.geo.enu_from_world is not None:
+        return sun_from_geo(log.geo, middle_ns)
+    return sun_from_panorama(work.panorama)
+
+
+def log_sun_notes(work: Workspace) -> tuple[str, ...]:
+    geo = work.log.geo
+    if geo is not None and geo.enu_from_world is not None:
+        return ()
+    return ("no GPS, time or heading: the sun comes from the images; --heading-deg may help",)
+
+
+def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Context) -> Iterable[str]:
+    """Divide the observed radiance by the source light, mesh by mesh, and write the twin."""
+    assets, inferred, dome = work.assets, work.inferred, work.sky.dome
+    parked = parked_actor_meshes(work.log, assets)
+    scene = without_actors(make_static_scene([assets.background, *parked], [inferred]))
+
+    def base_colour(mesh: TriMesh, world_from_mesh: RigidTransform) -> TriMesh:
+        normals = mesh.vertex_normals().astype(np.float64)
+        found = irradiance_at(
+            world_from_mesh.apply(mesh.vertices.astype(np.float64)),
+            world_from_mesh.rotate(normals),
+            scene,
+            dome,
+            config.irradiance,
+            context.seed,
+        )
+        return base_colour_from_radiance(mesh, found.irradiance_over_pi, config.delight)
+
+    identity = RigidTransform.identity("world", "world")
+    background = base_colour(assets.background, identity)
+    tracks = {track.actor_id: track for track in work.log.actors}
+    actors = {}
+    for actor in context.progress.track(assets.actors.values(), "base colour", len(assets.actors)):
+        trajectory = tracks[actor.actor_id].trajectory
+        middle = int(trajectory.times_ns[len(trajectory) // 2])
+        mesh = base_colour(actor.mesh, trajectory.at(middle))
+        actors[actor.actor_id] = replace(actor, mesh=mesh)
+    if len(inferred.faces):
+        inferred = base_colour(inferred, identity)
+    done = replace(assets, background=background, actors=actors)
+    write_twin(folder, build_twin(work.log, done, work.sky), inferred)
+    return ()
+
+
+def make_report(work: Workspace, config: None, folder: Path, context: Context) -> Iterable[str]:
+    from lightsim.reports import write_build_report
+
+    write_build_report(folder / "index.html", work)
+    return ()
