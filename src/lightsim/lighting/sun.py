@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from lightsim.core.colour import luminance
-from lightsim.core.dome import SOLAR_RADIUS_DEG
 from lightsim.core.equirect import pixel_directions, solid_angles_sr
 from lightsim.core.log import GeoReference
 from lightsim.core.solar import (
@@ -27,7 +26,9 @@ _EPHEMERIS_STD_DEG = 0.05
 _CLOCK_STD_S = 1.0
 _SKY_TURN_DEG_PER_S = 360.0 / 86164.0
 _BLOB_MAX_RADIUS_DEG = 12.0
-_BLOB_MIN_FILL = 0.4
+_BLOB_MIN_FILL = 0.1
+_BLOB_MIN_RADIUS_DEG = 0.5
+_PIECE_GAP_DEG = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,10 +105,14 @@ def find_sun_blob(
     """The clipped spot of the sky that looks most like the sun, or None.
 
     A candidate is connected, smaller than a disc of 12 degrees radius, and fills its own
-    bounding disc by 40 %. With `near_world`, it must touch or lie within `within_deg` of it.
+    bounding disc by 10 %. With `near_world`, it must touch or lie within `within_deg` of it.
     """
     mask = panorama.is_sky & panorama.is_clipped & panorama.is_seen
-    labels = _wrapped_labels(mask)
+    # Thin cloud and cables tear the spot apart: pieces a degree apart belong together.
+    pieces_px = max(1, round(mask.shape[0] * _PIECE_GAP_DEG / 180.0))
+    padded = np.pad(mask, ((0, 0), (pieces_px, pieces_px)), mode="wrap")
+    grown = ndimage.binary_dilation(padded, iterations=pieces_px)[:, pieces_px:-pieces_px]
+    labels = np.where(mask, _wrapped_labels(grown), 0)
     unseen = ndimage.binary_dilation(~panorama.is_sky, iterations=2)
     best: tuple[float, SunBlob] | None = None
     for index in np.unique(labels[labels > 0]):
@@ -132,17 +137,16 @@ def _describe_blob(
     row, column = np.nonzero(mask)
     weight = solid_angles_sr(height)[row, 0]
     area_sr = float(weight.sum())
-    # Smaller spots than half the solar disc are glints or hot pixels.
-    if area_sr < 0.5 * np.pi * np.radians(SOLAR_RADIUS_DEG) ** 2:
-        return None
     directions = pixel_directions(height)[row, column]
     centre = weight @ directions
     centre /= np.linalg.norm(centre)
     radius_deg = float(np.degrees(np.sqrt(area_sr / np.pi)))
     cosine = np.clip(directions @ centre, -1.0, 1.0)
-    extent_deg = float(np.degrees(np.arccos(np.percentile(cosine, 2))))
+    extent_deg = float(np.degrees(np.arccos(np.percentile(cosine, 10))))
     fill = (radius_deg / max(extent_deg, radius_deg)) ** 2
-    if radius_deg > _BLOB_MAX_RADIUS_DEG or fill < _BLOB_MIN_FILL:
+    # Lens and air spread the sun; smaller spots are glints or lamps.
+    is_sized = _BLOB_MIN_RADIUS_DEG <= radius_deg <= _BLOB_MAX_RADIUS_DEG
+    if not is_sized or fill < _BLOB_MIN_FILL:
         return None
     return SunBlob(centre, radius_deg, bool((mask & unseen).any()))
 

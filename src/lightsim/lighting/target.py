@@ -41,7 +41,7 @@ def target_sky(
         azimuth_deg, elevation_deg, turbidity = _parse_sun(spec)
         facts: dict[str, Any] = {}
     elif spec.startswith("time:"):
-        time_ns = _parse_time(spec)
+        time_ns = parse_time(spec)
         if geo is None:
             raise InputError(
                 "the log has no place on Earth, so a time does not give a sun",
@@ -99,7 +99,7 @@ def _parse_sun(spec: str) -> tuple[float, float, float]:
     return azimuth_deg, elevation_deg, numbers[2] if len(numbers) == 3 else _DEFAULT_TURBIDITY
 
 
-def _parse_time(spec: str) -> int:
+def parse_time(spec: str) -> int:
     """Nanoseconds UTC of time:ISO; a time without an offset is UTC."""
     try:
         moment = datetime.fromisoformat(spec.removeprefix("time:"))

@@ -1,0 +1,161 @@
+"""The panorama and the evidence of a box room with known colours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from lightsim.core.actors import ActorTrack
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.casting import MISS, RayHits
+from lightsim.core.colour import srgb8_from_linear
+from lightsim.core.equirect import pixel_directions
+from lightsim.core.frames import RigidTransform, Trajectory
+from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import TriMesh
+from lightsim.core.sensors import CameraFrame
+from lightsim.core.twin import SceneAssets
+from lightsim.errors import InputError
+from lightsim.lighting.evidence import EvidenceConfig, collect_evidence
+from lightsim.lighting.stitch import StitchConfig, stitch_panorama
+
+HALF_M = 6.0
+GAIN = np.array([1.2, 0.9, 1.1], np.float32)
+
+
+def _truth(directions: np.ndarray) -> np.ndarray:
+    """Sky above the horizon, walls and floor below: colours that vary with direction."""
+    up = directions[..., 2:3]
+    sky = np.concatenate([0.2 + 0.1 * up, 0.3 + 0 * up, 0.5 - 0.2 * up], axis=-1)
+    ground = np.broadcast_to([0.25, 0.2, 0.15], sky.shape)
+    return np.where(up > 0, sky, ground)
+
+
+def _log(gain: np.ndarray, actors: tuple[ActorTrack, ...] = ()) -> DrivingLog:
+    """Four cameras look horizontally in four directions, at two moments 1 m apart."""
+    cameras, frames = {}, []
+    opencv = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    for i in range(4):
+        camera = PinholeCamera(f"camera_{i}", 160, 120, 75.0, 75.0, 80.0, 60.0)
+        cameras[camera.name] = camera
+        turn = RigidTransform.from_yaw("world", "rig", i * np.pi / 2, np.zeros(3)).rotation
+        for moment in range(2):
+            origin = np.array([float(moment), 0.0, 0.0])
+            pose = RigidTransform.from_rotation("world", "camera", turn @ opencv, origin)
+            directions = pose.rotate(camera.directions(camera.pixel_centres()))
+            image = srgb8_from_linear((_truth(directions) * gain).astype(np.float32))
+            frames.append(
+                CameraFrame(camera.name, f"{moment:02d}", moment * 10**8, pose, lambda i=image: i)
+            )
+    ego = Trajectory("world", "ego", np.array([0, 10**8]), np.stack([np.eye(4)] * 2))
+    frames.sort(key=lambda f: f.time_ns)
+    return DrivingLog("box", cameras, tuple(frames), (), ego, actors, None, {})
+
+
+def _sky_matte(frame: CameraFrame, camera: PinholeCamera) -> np.ndarray:
+    directions = frame.world_from_camera.rotate(camera.directions(camera.pixel_centres()))
+    return (directions[..., 2] > 0).astype(np.float32)
+
+
+def _depth(frame: CameraFrame, camera: PinholeCamera) -> np.ndarray:
+    return np.full((camera.height_px, camera.width_px), HALF_M, np.float32)
+
+
+def _stitch(log: DrivingLog, gain: np.ndarray = GAIN):
+    gains = {name: gain.astype(np.float32) for name in log.cameras}
+    return stitch_panorama(log, gains, _depth, _sky_matte, StitchConfig(height_px=96))
+
+
+def test_known_colours_come_back_with_gains_divided_out():
+    panorama = _stitch(_log(GAIN))
+    directions = pixel_directions(96)
+    assert panorama.is_seen[48 - 14 : 48 + 14].mean() > 0.97
+    clear = panorama.is_sky & (directions[..., 2] > 0.05)
+    assert clear.mean() > 0.1
+    np.testing.assert_allclose(panorama.radiance[clear], _truth(directions)[clear], atol=0.012)
+    below = panorama.is_seen & (directions[..., 2] < -0.1)
+    assert not panorama.is_sky[below].any()
+    assert np.median(panorama.radiance[below], axis=0) == pytest.approx(
+        [0.25, 0.2, 0.15], abs=0.005
+    )
+    assert not panorama.is_clipped.any()
+    assert (panorama.radiance[~panorama.is_seen] == 0).all()
+
+
+def test_saturated_sky_is_marked():
+    panorama = _stitch(_log(GAIN * 4), GAIN * 4)
+    assert panorama.is_clipped[panorama.is_sky].mean() > 0.9
+
+
+def test_moving_actors_are_left_out():
+    matrix = np.eye(4)
+    matrix[:3, 3] = [5.0, 0.0, -1.0]
+    track = ActorTrack(
+        "a",
+        "car",
+        np.array([2.0, 2.0, 2.0]),
+        Trajectory("world", "actor", np.array([0, 10**8]), np.stack([matrix, matrix])),
+        True,
+    )
+    hidden = _stitch(_log(GAIN)).is_seen & ~_stitch(_log(GAIN, (track,))).is_seen
+    rows, columns = np.nonzero(hidden)
+    assert len(rows) > 20
+    assert np.abs(columns - 96).max() < 30
+    assert rows.min() > 40
+
+
+def test_a_camera_without_gain_is_refused():
+    with pytest.raises(InputError, match="gain"):
+        stitch_panorama(_log(GAIN), {}, _depth, _sky_matte, StitchConfig(height_px=32))
+
+
+class _PlateCaster:
+    """A floor at z = -1 and a square plate at z = 1 that shades part of it, in closed form."""
+
+    def __init__(self, meshes: Sequence[TriMesh]) -> None:
+        self.meshes = meshes
+
+    def intersect(self, origins_world: np.ndarray, directions_world: np.ndarray) -> RayHits:
+        with np.errstate(divide="ignore"):
+            distance = (-1.0 - origins_world[:, 2]) / directions_world[:, 2]
+        is_hit = distance > 1e-6
+        return RayHits(
+            np.where(is_hit, distance, np.inf).astype(np.float32),
+            np.where(is_hit, 0, MISS).astype(np.int32),
+            np.where(is_hit, 0, MISS).astype(np.int32),
+            np.zeros((len(distance), 3), np.float32),
+        )
+
+    def is_occluded(self, origins_world: np.ndarray, directions_world: np.ndarray) -> np.ndarray:
+        up = directions_world[:, 2]
+        distance = (1.0 - origins_world[:, 2]) / np.where(up > 0, up, 1.0)
+        at = origins_world + directions_world * distance[:, None]
+        return (up > 0) & (np.abs(at[:, 0] - 3.0) < 1.0) & (np.abs(at[:, 1]) < 1.0)
+
+
+def test_evidence_knows_lit_from_shadowed(rng: np.random.Generator):
+    floor = TriMesh(
+        "world",
+        np.array([[-50, -50, -1], [50, -50, -1], [0, 80, -1]], np.float32),
+        np.array([[0, 1, 2]], np.int32),
+        np.full((3, 3), 0.3, np.float32),
+    )
+    log = _log(GAIN)
+    assets = SceneAssets(floor, {}, {name: GAIN for name in log.cameras})
+    config = EvidenceConfig(sample_count=16000, frame_count=2)
+    sun = np.array([0.0, 0.0, 1.0])
+    evidence = collect_evidence(log, assets, _PlateCaster, sun, config, rng)
+    x, y = evidence.position_world[:, 0], evidence.position_world[:, 1]
+    under = (np.abs(x - 3.0) < 1.0) & (np.abs(y) < 1.0)
+    assert under.sum() > 20
+    np.testing.assert_array_equal(evidence.is_lit, ~under)
+    np.testing.assert_allclose(evidence.normal_world, np.tile(sun, (len(evidence), 1)), atol=1e-6)
+    np.testing.assert_allclose(
+        evidence.radiance, np.tile([0.25, 0.2, 0.15], (len(x), 1)), atol=0.01
+    )
+    # A 2 x 2 m plate 2 m above a point hides 4 A / pi of the cosine-weighted hemisphere.
+    far = np.hypot(x - 3.0, y) > 12.0
+    assert evidence.sky_visibility[far].mean() > 0.97
+    assert 0.6 < evidence.sky_visibility[under].mean() < 0.9
