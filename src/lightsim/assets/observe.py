@@ -77,14 +77,7 @@ def collect_samples(
     names = list(log.cameras)
     for frame in progress.track(frames, "colour the meshes", len(frames)):
         camera = log.cameras[frame.camera_name]
-        image = frame.load_srgb8()
-        if image.shape[:2] != (camera.height_px, camera.width_px):
-            raise InputError(
-                "the image is not as large as its camera says",
-                where=f"{frame.camera_name}/{frame.stem}",
-                got=f"{image.shape[1]}x{image.shape[0]} px",
-                expected=f"{camera.width_px}x{camera.height_px} px",
-            )
+        image = _load(frame, camera)
         weight_map = _weight_map(image, log.own_car_masks.get(frame.camera_name), config)
         parts, moving = scene.at(frame, config.max_view_m)
         index = names.index(frame.camera_name)
@@ -177,6 +170,18 @@ def _is_ahead(
     camera_from_world = frame.world_from_camera.inverse()
     centre = camera_from_world.apply(np.asarray(centre_world, dtype=np.float64))
     return bool(centre[2] > -reach_m and np.linalg.norm(centre) < max_view_m + reach_m)
+
+
+def _load(frame: CameraFrame, camera: PinholeCamera) -> UInt8[np.ndarray, "h w 3"]:
+    image = frame.load_srgb8()
+    if image.shape[:2] != (camera.height_px, camera.width_px):
+        raise InputError(
+            "the image is not as large as its camera says",
+            where=f"{frame.camera_name}/{frame.stem}",
+            got=f"{image.shape[1]}x{image.shape[0]} px",
+            expected=f"{camera.width_px}x{camera.height_px} px",
+        )
+    return image
 
 
 def _weight_map(

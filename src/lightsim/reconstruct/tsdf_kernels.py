@@ -20,6 +20,62 @@ _EPSILON = 1e-9
 
 @njit(cache=True, nogil=True)
 @no_type_check
+def _direction(pixel, row, column):
+    """Unit direction of a pixel's centre."""
+    elevation = pixel[0] + row * pixel[2]
+    azimuth = pixel[1] + column * pixel[3]
+    flat = math.cos(elevation)
+    return flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _shares(row, column, a, b, c, area):
+    """Barycentric shares of three (row, column) corners at a pixel."""
+    w1 = ((row - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (column - a[1])) / area
+    w2 = ((b[0] - a[0]) * (column - a[1]) - (row - a[0]) * (b[1] - a[1])) / area
+    return 1.0 - w1 - w2, w1, w2
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _draw(  # noqa: PLR0913 - compiled code takes plain arrayscorners, distances, normals, plane, pixel, label, info, image, label_image):
+    """Draw one triangle; the arguments are those of its three corners."""
+    height, width = label_image.shape
+    a, b, c = corners[0], corners[1], corners[2]
+    area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
+    if abs(area) < _EPSILON:
+        return
+    first_row = max(0, math.ceil(corners[:, 0].min()))
+    last_row = min(height - 1, math.floor(corners[:, 0].max()))
+    first_column, last_column = math.ceil(corners[:, 1].min()), math.floor(corners[:, 1].max())
+    for row in range(first_row, last_row + 1):
+        for unwrapped in range(first_column, last_column + 1):
+            w0, w1, w2 = _shares(row, unwrapped, a, b, c, area)
+            if min(w0, w1, w2) < -1e-6:
+                continue
+            column = unwrapped % width
+            pixel_out, old = image[row, column], label_image[row, column]
+            if label == FREE_ONLY:
+                if old == NOTHING or (old == FREE_ONLY and info[0] < pixel_out[0]):
+                    pixel_out[0] = info[0]
+                    label_image[row, column] = FREE_ONLY
+                continue
+            x, y, z = _direction(pixel, row, unwrapped)
+            slope = plane[0] * x + plane[1] * y + plane[2] * z
+            distance = distances[0] * w0 + distances[1] * w1 + distances[2] * w2
+            if abs(slope) > _EPSILON and 0.5 * distance < plane[3] / slope < 2.0 * distance:
+                distance = plane[3] / slope
+            if old >= 0 and pixel_out[0] <= distance:
+                continue
+            pixel_out[0], pixel_out[4] = distance, info[1]
+            for k in range(3):
+                pixel_out[1 + k] = w0 * normals[0, k] + w1 * normals[1, k] + w2 * normals[2, k]
+            label_image[row, column] = label
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
 def rasterise_triangles(  # noqa: PLR0913 - compiled code takes plain arrays
     corners_px, directions, distances, normals, faces, labels, face_info, pixel, image, label_image
 ):
@@ -30,60 +86,53 @@ def rasterise_triangles(  # noqa: PLR0913 - compiled code takes plain arrays
     whether it is ground. `image` [h, w, 5] receives distance, normal and the ground flag. A face
     with label FREE_ONLY draws its nearest distance alone, and only where nothing was.
     """
-    height, width = label_image.shape
+    plane = np.zeros(4)
     for f in range(faces.shape[0]):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        r0, c0 = corners_px[a, 0], corners_px[a, 1]
-        r1, c1 = corners_px[b, 0], corners_px[b, 1]
-        r2, c2 = corners_px[c, 0], corners_px[c, 1]
-        area = (r1 - r0) * (c2 - c0) - (r2 - r0) * (c1 - c0)
-        if abs(area) < _EPSILON:
-            continue
-        pa, pb, pc = (
-            directions[a] * distances[a],
-            directions[b] * distances[b],
-            directions[c] * distances[c],
+        ends = faces[f]
+        at = directions[ends[0]] * distances[ends[0]]
+        b = directions[ends[1]] * distances[ends[1]] - at
+        c = directions[ends[2]] * distances[ends[2]] - at
+        plane[0] = b[1] * c[2] - b[2] * c[1]
+        plane[1] = b[2] * c[0] - b[0] * c[2]
+        plane[2] = b[0] * c[1] - b[1] * c[0]
+        plane[3] = plane[0] * at[0] + plane[1] * at[1] + plane[2] * at[2]
+        _draw(
+            corners_px[ends],
+            distances[ends],
+            normals[ends],
+            plane,
+            pixel,
+            labels[f],
+            face_info[f],
+            image,
+            label_image,
         )
-        plane = np.cross(pb - pa, pc - pa)
-        offset = plane[0] * pa[0] + plane[1] * pa[1] + plane[2] * pa[2]
-        first_row = max(0, math.ceil(min(r0, r1, r2)))
-        last_row = min(height - 1, math.floor(max(r0, r1, r2)))
-        first_column = math.ceil(min(c0, c1, c2))
-        last_column = math.floor(max(c0, c1, c2))
-        for row in range(first_row, last_row + 1):
-            elevation = pixel[0] + row * pixel[2]
-            for unwrapped in range(first_column, last_column + 1):
-                w1 = ((row - r0) * (c2 - c0) - (r2 - r0) * (unwrapped - c0)) / area
-                w2 = ((r1 - r0) * (unwrapped - c0) - (row - r0) * (c1 - c0)) / area
-                w0 = 1.0 - w1 - w2
-                if w0 < -1e-6 or w1 < -1e-6 or w2 < -1e-6:
-                    continue
-                column = unwrapped % width
-                old = label_image[row, column]
-                if labels[f] == FREE_ONLY:
-                    if old == NOTHING or (
-                        old == FREE_ONLY and face_info[f, 0] < image[row, column, 0]
-                    ):
-                        image[row, column, 0] = face_info[f, 0]
-                        label_image[row, column] = FREE_ONLY
-                    continue
-                azimuth = pixel[1] + unwrapped * pixel[3]
-                dx = math.cos(elevation) * math.cos(azimuth)
-                dy = math.cos(elevation) * math.sin(azimuth)
-                dz = math.sin(elevation)
-                slope = plane[0] * dx + plane[1] * dy + plane[2] * dz
-                distance = distances[a] * w0 + distances[b] * w1 + distances[c] * w2
-                if abs(slope) > _EPSILON and 0.5 * distance < offset / slope < 2.0 * distance:
-                    distance = offset / slope
-                if old >= 0 and image[row, column, 0] <= distance:
-                    continue
-                image[row, column, 0] = distance
-                image[row, column, 4] = face_info[f, 1]
-                for k in range(3):
-                    image[row, column, 1 + k] = (
-                        w0 * normals[a, k] + w1 * normals[b, k] + w2 * normals[c, k]
-                    )
-                label_image[row, column] = labels[f]
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _evidence(x, y, z, distance, seen, ray, truncation):
+    """Signed distance and confidence that a pixel gives a sample at (x, y, z) from the view.
+
+    Behind a surface the evidence fades: across the surface for the ground (seen at grazing
+    angles), along the ray for anything else, lest silhouettes grow tails.
+    """
+    measured = seen[0]
+    nx, ny, nz = seen[1], seen[2], seen[3]
+    signed = (
+        (x - measured * ray[0]) * nx + (y - measured * ray[1]) * ny + (z - measured * ray[2]) * nz
+    )
+    cosine = max(0.05, -(ray[0] * nx + ray[1] * ny + ray[2] * nz))
+    if seen[4] > 0.0:
+        depth = -signed / truncation
+        cosine = math.sqrt(cosine)
+    else:
+        depth = max(0.5 * (distance - measured), -signed) / truncation
+    if depth > 1.0:
+        return 0.0, 0.0
+    confidence = cosine / (1.0 + (measured / 30.0) ** 2)
+    confidence *= min(1.0, max(0.1, 1.0 - depth))
+    return min(signed, truncation), confidence
 
 
 @njit(cache=True, parallel=True, nogil=True)
@@ -95,9 +144,7 @@ def integrate_view(  # noqa: PLR0913 - compiled code takes plain arrays
 
     `grid` = (origin x, y, z, voxel, truncation, largest distance). `rotation`, `shift` map grid
     coordinates to world axes relative to the view's origin. Pixels whose label is not `target`
-    only prove free space in front of them. Behind a surface the evidence fades, across the
-    surface for the ground (seen at grazing angles) and along the ray for anything else, lest
-    silhouettes grow tails.
+    only prove free space in front of them.
     """
     height, width = label_image.shape
     voxel, truncation, furthest = grid[3], grid[4], grid[5]
@@ -117,46 +164,18 @@ def integrate_view(  # noqa: PLR0913 - compiled code takes plain arrays
             if row < 0 or row >= height:
                 continue
             column = round((math.atan2(py, px) - pixel[1]) / pixel[3]) % width
-            label = label_image[row, column]
-            if label == NOTHING:
-                continue
-            measured = image[row, column, 0]
-            if label != target:
-                if distance > measured - truncation:
-                    continue
-                signed, confidence = truncation, 0.3 / (1.0 + (measured / 30.0) ** 2)
+            label, seen = label_image[row, column], image[row, column]
+            if label == target:
+                ray = _direction(pixel, row, column)
+                signed, gained = _evidence(px, py, pz, distance, seen, ray, truncation)
+            elif label != NOTHING and distance <= seen[0] - truncation:
+                signed, gained = truncation, 0.3 / (1.0 + (seen[0] / 30.0) ** 2)
             else:
-                elevation = pixel[0] + row * pixel[2]
-                azimuth = pixel[1] + column * pixel[3]
-                dx = math.cos(elevation) * math.cos(azimuth)
-                dy = math.cos(elevation) * math.sin(azimuth)
-                dz = math.sin(elevation)
-                nx, ny, nz = (
-                    image[row, column, 1],
-                    image[row, column, 2],
-                    image[row, column, 3],
-                )
-                signed = (
-                    (px - measured * dx) * nx
-                    + (py - measured * dy) * ny
-                    + (pz - measured * dz) * nz
-                )
-                if signed < -truncation:
-                    continue
-                cosine = max(0.05, -(dx * nx + dy * ny + dz * nz))
-                if image[row, column, 4] > 0.0:
-                    depth = -signed / truncation
-                    cosine = math.sqrt(cosine)
-                else:
-                    depth = 0.5 * (distance - measured) / truncation
-                if depth > 1.0:
-                    continue
-                confidence = cosine / (1.0 + (measured / 30.0) ** 2)
-                confidence *= min(1.0, max(0.1, 1.0 - depth))
-                signed = min(signed, truncation)
-            total = weight[b, i, j, k] + confidence
-            sdf[b, i, j, k] += (signed - sdf[b, i, j, k]) * confidence / total
-            weight[b, i, j, k] = total
+                continue
+            if gained > 0.0:
+                total = weight[b, i, j, k] + gained
+                sdf[b, i, j, k] += (signed - sdf[b, i, j, k]) * gained / total
+                weight[b, i, j, k] = total
 
 
 @njit(cache=True, nogil=True)
