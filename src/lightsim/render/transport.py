@@ -17,7 +17,13 @@ from lightsim.core.buffers import GBuffers
 from lightsim.core.casting import RayCaster
 from lightsim.core.mesh import TriMesh
 from lightsim.render.embree import offset_origins
-from lightsim.render.faces import FaceSamples, FaceTable, TransportConfig, hemisphere_directions
+from lightsim.render.faces import (
+    FaceSamples,
+    FaceTable,
+    TransportConfig,
+    hashed_shifts,
+    hemisphere_directions,
+)
 from lightsim.render.scene import FrameScene
 
 OPEN = -1
@@ -208,13 +214,14 @@ def _traced_pixels(
 def _pixel_shifts(
     rows: Int64[np.ndarray, " n"], columns: Int64[np.ndarray, " n"], step: int, seed: int
 ) -> Float32[np.ndarray, "n 2"]:
-    """Interleaved gradient noise (Jimenez 2014): every 3x3 neighbourhood covers [0, 1) evenly,
-    which is what the smoothing afterwards wants."""
+    """One coordinate by interleaved gradient noise (Jimenez 2014), which covers [0, 1) evenly in
+    every 3x3 neighbourhood, as the smoothing afterwards wants; the other by hashing, since two
+    such patterns together show as stripes."""
     offset = np.random.default_rng(seed).random(2) * 64.0
     i, j = rows // step + offset[0], columns // step + offset[1]
     u = (52.9829189 * ((0.06711056 * j + 0.00583715 * i) % 1.0)) % 1.0
-    v = (52.9829189 * ((0.06711056 * i + 0.00583715 * j) % 1.0)) % 1.0
-    return np.stack([u, v], axis=1).astype(np.float32)
+    numbers = (rows // step) * (1 << 20) + columns // step
+    return np.stack([u, hashed_shifts(numbers, seed)[:, 0]], axis=1).astype(np.float32)
 
 
 def spread_to_pixels(

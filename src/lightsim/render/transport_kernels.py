@@ -19,7 +19,7 @@ _GOLDEN_2D = (0.7548776662466927, 0.5698402909980532)
 """The R2 sequence (Roberts 2018): even cover of the unit square by any number of points."""
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", fastmath=True)
 @no_type_check
 def _cell_of(x, y, z, rows):
     """Index of the equirectangular sky cell that a direction falls into."""
@@ -29,7 +29,7 @@ def _cell_of(x, y, z, rows):
     return row * columns + column % columns
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", fastmath=True)
 @no_type_check
 def _cosine_direction(nx, ny, nz, u, v):
     """Cosine-distributed direction about a normal (basis: Duff et al. 2017, JCGT 6(1))."""
@@ -44,7 +44,7 @@ def _cosine_direction(nx, ny, nz, u, v):
     return x, y, z
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, fastmath=True)
 @no_type_check
 def hemisphere_rays(normals, shifts, count, rows, directions, cells):
     """`count` cosine-stratified directions for each normal, and the sky cell of each.

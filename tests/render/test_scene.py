@@ -1,0 +1,148 @@
+"""Composite casters, placed actors and geometry buffers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rendering_scenes import box, camera, look_at, mesh, plane, sphere, sun_sky
+
+from lightsim.core.actors import ActorTrack
+from lightsim.core.buffers import BACKGROUND, NO_SURFACE
+from lightsim.core.frames import RigidTransform, Trajectory
+from lightsim.core.mesh import TriMesh
+from lightsim.core.scenario import ActorPlacement, Scenario
+from lightsim.core.twin import ActorAsset
+from lightsim.errors import FrameMismatchError
+from lightsim.render.composite import CompositeCaster
+from lightsim.render.embree import make_embree_caster
+from lightsim.render.gbuffers import render_gbuffers
+from lightsim.render.light import light
+from lightsim.render.scene import FrameScene, make_static_scene, place, without_actors
+from lightsim.render.transport import exact, trace_transport
+
+_ABOVE = look_at((0.0, 0.0, 30.0), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0))
+
+
+def _meshes() -> list[TriMesh]:
+    return [
+        plane(9.0, 4),
+        sphere((1, 1, 1), 1.0),
+        box((-2, 0, 1.1), (1, 2, 2)),
+        sphere((1, 1, 1.3), 2),
+    ]
+
+
+def test_composite_equals_one_caster(rng):
+    meshes = _meshes()
+    one = make_embree_caster(meshes)
+    parts = [meshes[:0], meshes[:2], meshes[2:3], [], meshes[3:]]
+    many = CompositeCaster([make_embree_caster(p) for p in parts])
+    directions = rng.normal(size=(5000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    origins = rng.uniform(-4, 4, (5000, 3))
+    a, b = one.intersect(origins, directions), many.intersect(origins, directions)
+    for name in ("distance_m", "mesh_index", "face_index", "barycentric"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+    expected = one.is_occluded(origins, directions)
+    np.testing.assert_array_equal(many.is_occluded(origins, directions), expected)
+    assert [m is n for m, n in zip(many.meshes, meshes, strict=True)] == [True] * 4
+
+
+def test_no_casters_hit_nothing():
+    rays = np.eye(3)
+    assert not CompositeCaster([]).intersect(rays, rays).is_hit.any()
+    assert not CompositeCaster([]).is_occluded(rays, rays).any()
+
+
+def _placement(name: str, speed_m_s: float, start_ns: int) -> ActorPlacement:
+    """A 4 x 2 x 1 m box that drives along world y, turned by 90 degrees."""
+    body = replace(box((0, 0, 0), (4, 2, 1), (0.9, 0.1, 0.1)), frame="actor")
+    times = np.array([start_ns, start_ns + 10**9], dtype=np.int64)
+    poses = [
+        RigidTransform.from_yaw("world", "actor", np.pi / 2, np.array([3.0, y, 0.5])).matrix
+        for y in (0.0, speed_m_s)
+    ]
+    track = ActorTrack(
+        name,
+        "Car",
+        np.array([4.0, 2, 1]),
+        Trajectory("world", "actor", times, np.array(poses)),
+        True,
+    )
+    return ActorPlacement(ActorAsset(name, "Car", body), track)
+
+
+def test_actors_stand_where_their_track_says_and_carry_their_index():
+    late = _placement("late", 0.0, 10**10)
+    car = _placement("car", 4.0, 0)
+    scene = place(make_static_scene([plane()]), Scenario("s", (), (late, car)), 5 * 10**8)
+    buffers = render_gbuffers(scene, camera(96, 96, 250.0), _ABOVE)
+    is_car = buffers.actor_index == 0
+    assert set(np.unique(buffers.actor_index)) == {BACKGROUND, 0}
+    points = buffers.position_world[is_car]
+    np.testing.assert_allclose(points.min(0), [2.0, 0.0, 1.0], atol=0.15)
+    np.testing.assert_allclose(points.max(0), [4.0, 4.0, 1.0], atol=0.15)
+    np.testing.assert_allclose(
+        buffers.base_colour[is_car], [[0.9, 0.1, 0.1]] * int(is_car.sum()), rtol=1e-5
+    )
+
+
+def test_buffers_of_a_plane_and_a_sphere_match_the_formulas():
+    ball = sphere((0, 0, 0), 1.0, 5)
+    eye = np.array([0.0, -5.0, 0.0])
+    view = look_at(eye, (0, 0, 0))
+    scene = without_actors(make_static_scene([ball]))
+    buffers = render_gbuffers(scene, camera(64, 48, 60.0), view)
+    seen = buffers.has_surface
+    points, normals = buffers.position_world[seen], buffers.normal_world[seen]
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), 1, atol=3e-3)
+    assert ((normals * points).sum(1) > 0.995).all()
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+    in_camera = view.inverse().apply(points.astype(np.float64))
+    np.testing.assert_allclose(buffers.depth_z_m[seen], in_camera[:, 2], atol=1e-5)
+    uv, _ = camera(64, 48, 60.0).project(in_camera)
+    np.testing.assert_allclose(uv, camera(64, 48).pixel_centres()[seen], atol=1e-3)
+    assert (buffers.actor_index[~seen] == NO_SURFACE).all()
+    assert np.isinf(buffers.depth_z_m[~seen]).all()
+
+
+def test_normals_face_the_camera_on_both_sides_of_a_face():
+    flat = plane()
+    flipped = mesh(flat.vertices, flat.faces[:, ::-1])
+    for surface in (flat, flipped):
+        scene = without_actors(make_static_scene([surface]))
+        normal = render_gbuffers(scene, camera(), _ABOVE).normal_world
+        np.testing.assert_allclose(normal[24, 32], [0, 0, 1], atol=1e-6)
+
+
+def test_inferred_meshes_cast_shadows_and_are_seen_only_on_request():
+    roof = plane(4.0, z_m=5.0)
+    for is_visible in (False, True):
+        static = make_static_scene([plane()], [roof], inferred_is_visible=is_visible)
+        scene: FrameScene = without_actors(static)
+        buffers = render_gbuffers(scene, camera(), _ABOVE)
+        assert buffers.position_world[24, 32, 2] == pytest.approx(5.0 * is_visible, abs=1e-4)
+        out = light(
+            trace_transport(scene, buffers, exact()), scene, buffers, sun_sky(0.0, 90.0), exact()
+        )
+        assert out.sun_visibility[24, 32] == float(is_visible)
+        assert out.sun_visibility[2, 2] == 1.0
+
+
+def test_a_pose_of_other_frames_is_refused():
+    scene = without_actors(make_static_scene([plane()]))
+    with pytest.raises(FrameMismatchError, match="world_from_camera"):
+        render_gbuffers(scene, camera(), _ABOVE.inverse())
+
+
+def test_an_empty_scene_is_all_sky():
+    scene = without_actors(make_static_scene([]))
+    buffers = render_gbuffers(scene, camera(), _ABOVE)
+    assert not buffers.has_surface.any()
+    out = light(
+        trace_transport(scene, buffers, exact()), scene, buffers, sun_sky(0.0, 40.0), exact()
+    )
+    np.testing.assert_array_equal(out.shaded, 0)
+    np.testing.assert_array_equal(out.ratio, 1)
