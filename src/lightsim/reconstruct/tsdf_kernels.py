@@ -39,7 +39,9 @@ def _shares(row, column, a, b, c, area):
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _draw(  # noqa: PLR0913 - compiled code takes plain arrayscorners, distances, normals, plane, pixel, label, info, image, label_image):
+def _draw(  # noqa: PLR0913 - compiled code takes plain arrays
+    corners, distances, normals, plane, pixel, label, info, image, label_image
+):
     """Draw one triangle; the arguments are those of its three corners."""
     height, width = label_image.shape
     a, b, c = corners[0], corners[1], corners[2]
