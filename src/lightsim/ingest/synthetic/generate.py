@@ -157,7 +157,7 @@ def _render(
         environment(sky, config.environment_height_px),
         sky.sun,
     )
-    for shot in progress.track(shots, f"rendering '{sky.spec.name}'"):
+    for shot in progress.track(shots, f"rendering '{sky.spec.name}' ({tracer.variant})"):
         mounted = shot.mounted
         time_s = SWEEP_S * shot.index + mounted.time_offset_s
         tracer.place(_poses(street, time_s))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import ctypes.util
 import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,11 +30,13 @@ other surfaces reaches a path tracer as rare, very bright samples, and is left o
 
 
 def choose_variant() -> str:
-    """`llvm_ad_rgb` where an LLVM of at least version 17 is named or found, else `scalar_rgb`.
+    """`llvm_ad_rgb` where DRJIT_LIBLLVM_PATH names an LLVM of at least version 17, else
+    `scalar_rgb`.
 
-    Older versions cannot translate Mitsuba's kernels for every processor and end the process.
+    Versions 14 to 16 cannot translate Mitsuba's kernels for every processor and end the process,
+    and Mitsuba by itself takes the first one it finds; so LLVM is used only when named.
     """
-    named = os.environ.get("DRJIT_LIBLLVM_PATH") or ctypes.util.find_library("LLVM") or ""
+    named = Path(os.environ.get("DRJIT_LIBLLVM_PATH", "")).name
     version = re.search(r"LLVM(?:-|\.so\.)(\d+)", named)
     return "llvm_ad_rgb" if version and int(version.group(1)) >= _MIN_LLVM else "scalar_rgb"
 
@@ -62,7 +64,8 @@ class PathTracer:
         import mitsuba
 
         mi: Any = mitsuba
-        mi.set_variant(variant or choose_variant())
+        self.variant = variant or choose_variant()
+        mi.set_variant(self.variant)
         self._mi: Any = mi
         bsdfs = {name: _bsdf(mi, finish) for name, finish in finishes.items()}
         self._actors = {placed.key: placed.parts for placed in actors}
