@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 
 from lightsim.core.colour import luminance
 from lightsim.core.dome import Sun, add_sun, irradiance
-from lightsim.core.equirect import pixel_directions
+from lightsim.core.equirect import pixel_directions, solid_angles_sr
 from lightsim.core.solar import angle_between_deg
 from lightsim.core.twin import Panorama, SkyEstimate
 from lightsim.lighting.clear_sky import clear_sky_parts, overcast_shape, with_ground
@@ -100,7 +100,7 @@ def estimate_sky(
         sun.elevation_deg,
         sun.origin,
         sun.uncertainty_deg,
-        strength.log_std,
+        float(np.hypot(strength.log_std, _level_log_std(panorama))),
         sky_irradiance.astype(np.float32),
         (*sun.notes, *_sky_notes(panorama, analytic, sun), *strength.notes),
     )
@@ -266,6 +266,15 @@ def _blur(image: Float[np.ndarray, "h w"], sigma_px: float) -> Float[np.ndarray,
     """Gaussian, wrapping around in azimuth."""
     rows = ndimage.gaussian_filter1d(image, sigma_px, axis=0, mode="nearest")
     return np.asarray(ndimage.gaussian_filter1d(rows, sigma_px, axis=1, mode="wrap"))
+
+
+def _level_log_std(panorama: Panorama) -> float:
+    """Log standard deviation of the sky's irradiance: 0.3 for a sky that was not seen at all (the
+    error of extrapolating from the horizon strip), less by the share of it that was seen."""
+    height = panorama.radiance.shape[0]
+    weight = np.clip(pixel_directions(height)[..., 2], 0.0, None) * solid_angles_sr(height)
+    seen = panorama.is_sky & panorama.is_seen & ~panorama.is_clipped
+    return float(0.3 * (1.0 - weight[seen].sum() / weight.sum()))
 
 
 def _ground_radiance(

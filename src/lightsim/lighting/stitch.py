@@ -23,7 +23,7 @@ from lightsim.progress import Progress, SilentProgress
 CastDepth = Callable[[CameraFrame, PinholeCamera], Float32[np.ndarray, "h w"]]
 """depth_z_m of the reconstructed scene at a camera's size; inf without a surface."""
 SkyMatte = Callable[[CameraFrame, PinholeCamera], Float32[np.ndarray, "h w"]]
-"""Sky alpha in [0, 1] at a camera's size."""
+"""Sky alpha in [0, 1], at the camera's size or at that of the image."""
 
 
 @dataclass(frozen=True)
@@ -175,13 +175,14 @@ def _load_view(
     if frame.camera_name in log.own_car_masks:
         own_car = log.own_car_masks[frame.camera_name].astype(np.float32)[..., None]
         is_valid &= resize_area(own_car, *size)[..., 0] == 0
+    matte = sky_matte(frame, camera)
     return _View(
         camera,
         frame,
         (linear / gain).astype(np.float32),
         is_valid,
         clipped[..., 0] > 0.5,
-        sky_matte(frame, camera) >= config.sky_threshold,
+        resize_area(matte[..., None], *size)[..., 0] >= config.sky_threshold,
         cast_depth(frame, camera),
     )
 

@@ -174,7 +174,8 @@ def sun_from_panorama(panorama: Panorama) -> SunDirection:
     blob = find_sun_blob(panorama)
     if blob is not None:
         elevation_deg = azimuth_elevation(blob.direction_world).elevation_deg
-        std_deg = float(np.hypot(0.5, blob.radius_deg / (1.0 if blob.is_cut else 3.0)))
+        # A cut spot may be the edge of a glow whose middle was not seen.
+        std_deg = float(np.hypot(0.5, blob.radius_deg * (4.0 if blob.is_cut else 0.33)))
         note = f"clipped spot of {blob.radius_deg:.1f} degrees radius in the sky"
         return SunDirection(blob.direction_world, None, elevation_deg, "image", std_deg, (note,))
     return _sun_from_gradient(panorama)
