@@ -163,3 +163,31 @@ def _show(report: _Report, out: Path | None) -> None:
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(report.to_json() + "\n")
+
+
+def estimate_sky(command: cli.SkyEstimateCommand) -> None:
+    from lightsim.lighting.estimate import SkyConfig
+    from lightsim.lighting.image_sky import estimate_from_panorama
+    from lightsim.skies import sun_of_command
+    from lightsim.store.images import read_srgb8_alpha
+    from lightsim.store.sky import write_sky
+
+    picture, alpha = read_srgb8_alpha(command.panorama)
+    sun = sun_of_command(command.time, command.latitude, command.longitude, command.heading_deg)
+    estimate = estimate_from_panorama(picture, alpha > 127, sun, SkyConfig())
+    command.out.mkdir(parents=True, exist_ok=True)
+    write_sky(command.out, estimate, "sky.exr")
+    _say(f"sky: {command.out / 'sky.exr'}")
+    _say(f"sun: {command.out / 'sun.json'}")
+
+
+def show_sky(command: cli.SkyShow) -> None:
+    from lightsim.skies import SkyChoice, sky_alone
+    from lightsim.store.images import write_png
+    from lightsim.view.figures import dome_preview
+
+    sky = sky_alone(SkyChoice(command.sky))
+    for name, value in sky.facts.items():
+        _say(f"{name}: {value}")
+    write_png(command.out, dome_preview(sky.dome))
+    _say(f"picture: {command.out}")

@@ -6,9 +6,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from lightsim.core.dome import SkyDome, find_sun
+from lightsim.core.frames import RigidTransform
+from lightsim.core.log import GeoReference
+from lightsim.core.twin import SkyEstimate
 from lightsim.errors import InputError
+from lightsim.lighting.sun import SunDirection, sun_from_geo
+from lightsim.lighting.target import dome_from_array, parse_time, scale_to_source, target_sky
 from lightsim.store.artefact import fingerprint
+from lightsim.store.images import read_sky
 from lightsim.workspace import Workspace
 
 SKY_HEIGHT_PX = 256
@@ -39,12 +47,7 @@ class SkyChoice:
         """Hash of the file's bytes, or the words themselves."""
         if self.path is None:
             return self.sky
-        if not self.path.is_file():
-            raise InputError(
-                "the sky is neither a file nor a known form",
-                where=f"--sky {self.sky}",
-                expected="a .hdr or .exr file, sun:AZ,EL[,TURBIDITY], time:ISO or source",
-            )
+        _check_file(self)
         return fingerprint(self.path)
 
 
@@ -62,38 +65,78 @@ def resolve_sky(choice: SkyChoice, workspace: Workspace) -> TargetSky:
     Raises:
         InputError: the words or the file are wrong, or the sun is below the horizon.
     """
-    from lightsim.lighting.target import dome_from_array, scale_to_source, target_sky
-    from lightsim.store.images import read_sky
-
-    notes: tuple[str, ...] = ()
-    facts: dict[str, Any] = {"sky": choice.sky}
-    if choice.path is None:
-        dome, description, found = target_sky(
-            choice.sky,
-            geo=workspace.log.geo,
-            source=workspace.sky,
-            height_px=workspace.sky.dome.height_px,
-        )
-        facts |= {"description": description, **found}
-    else:
-        if not choice.path.is_file():
-            _ = choice.input_key
-        file = read_sky(choice.path)
-        dome, notes = dome_from_array(file.radiance, str(choice.path)), file.notes
+    dome, facts = _dome_of(choice, workspace.log.geo, workspace.sky)
     if choice.yaw_deg:
         dome = dome.turned(-choice.yaw_deg)
     dome, factor = scale_to_source(dome, workspace.sky.dome, _scale_mode(choice.scale))
+    facts |= {"yaw_deg": choice.yaw_deg, "scale": choice.scale, "scale_factor": factor}
+    return TargetSky(dome, facts | _light_facts(dome))
+
+
+def sky_alone(choice: SkyChoice) -> TargetSky:
+    """A sky without a log: world axes are taken as east, north, up; nothing is scaled."""
+    dome, facts = _dome_of(choice, None, None)
+    return TargetSky(dome, facts | _light_facts(dome))
+
+
+def sun_of_command(
+    time: str | None,
+    latitude_deg: float | None,
+    longitude_deg: float | None,
+    heading_deg: float | None,
+) -> SunDirection | None:
+    """The sun of a place, a time and a heading (azimuth of world +x), or None if none is given.
+
+    Raises:
+        InputError: only some of them are given, or the time is not ISO 8601.
+    """
+    given = (time, latitude_deg, longitude_deg, heading_deg)
+    if all(value is None for value in given):
+        return None
+    if time is None or latitude_deg is None or longitude_deg is None or heading_deg is None:
+        raise InputError(
+            "the sun needs all of --time, --latitude, --longitude and --heading-deg",
+            remedy="Give all four, or none to find the sun in the picture.",
+        )
+    time_ns = parse_time(f"time:{time}")
+    yaw_rad = np.radians(90.0 - heading_deg)
+    enu_from_world = RigidTransform.from_yaw("enu", "world", float(yaw_rad), np.zeros(3))
+    geo = GeoReference(latitude_deg, longitude_deg, time_ns, enu_from_world, "given", None)
+    return sun_from_geo(geo, time_ns)
+
+
+def _dome_of(
+    choice: SkyChoice, geo: GeoReference | None, source: SkyEstimate | None
+) -> tuple[SkyDome, dict[str, Any]]:
+    """The dome as its words or its file give it, and what is to be recorded."""
+    facts: dict[str, Any] = {"sky": choice.sky}
+    if choice.path is None:
+        height_px = SKY_HEIGHT_PX if source is None else source.dome.height_px
+        dome, description, found = target_sky(
+            choice.sky, geo=geo, source=source, height_px=height_px
+        )
+        return dome, facts | {"description": description, **found}
+    _check_file(choice)
+    file = read_sky(choice.path)
+    return dome_from_array(file.radiance, str(choice.path)), facts | {"notes": list(file.notes)}
+
+
+def _light_facts(dome: SkyDome) -> dict[str, Any]:
     sun = dome.sun or find_sun(dome.radiance)
-    facts |= {
-        "yaw_deg": choice.yaw_deg,
-        "scale": choice.scale,
-        "scale_factor": factor,
+    return {
         "horizontal_irradiance": dome.horizontal_irradiance().tolist(),
         "sun_direction_world": None if sun is None else sun.direction_world.tolist(),
         "sun_irradiance": None if sun is None else sun.irradiance.tolist(),
-        "notes": list(notes),
     }
-    return TargetSky(dome, facts)
+
+
+def _check_file(choice: SkyChoice) -> None:
+    if choice.path is not None and not choice.path.is_file():
+        raise InputError(
+            "the sky is neither a file nor a known form",
+            where=f"--sky {choice.sky}",
+            expected="a .hdr or .exr file, sun:AZ,EL[,TURBIDITY], time:ISO or source",
+        )
 
 
 def _scale_mode(scale: str) -> Literal["auto", "none"] | float:

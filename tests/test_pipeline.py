@@ -1,0 +1,156 @@
+"""The whole way on a small part of the shipped street: build, interrupt, resume, relight."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import pytest
+
+from lightsim.errors import ArtefactError, InputError
+from lightsim.ingest.synthetic import shipped_street
+from lightsim.pipeline import BuildOptions, build, status
+from lightsim.progress import SilentProgress
+from lightsim.relighting import RelightOptions, relight
+from lightsim.rendering import RenderOptions, render
+from lightsim.skies import SkyChoice
+from lightsim.store.images import read_exr, read_srgb8
+from lightsim.store.log import LogReading
+from lightsim.store.mp4 import read_video
+from lightsim.workspace import Workspace
+
+T = TypeVar("T")
+CAMERAS = ("front_camera", "left_camera")
+
+
+def options() -> BuildOptions:
+    source = str(shipped_street() / "log")
+    return BuildOptions(LogReading(source, "auto", CAMERAS, "0:4", None, 0.5, 3), "draft", 0)
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("street")
+    build(folder, options(), SilentProgress())
+    return folder
+
+
+class Interrupting(SilentProgress):
+    """Raises KeyboardInterrupt at the n-th step of all tracked loops."""
+
+    def __init__(self, after: int) -> None:
+        self.left = after
+
+    def track(self, items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
+        for item in items:
+            self.left -= 1
+            if self.left == 0:
+                raise KeyboardInterrupt
+            yield item
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {
+        str(p.relative_to(folder)): p.read_bytes()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file() and p.name != "artefact.json"
+    }
+
+
+@pytest.mark.slow
+def test_an_interrupted_build_gives_the_same_twin(work: Path, tmp_path: Path) -> None:
+    for after in (3, 12, 20, 31):
+        try:
+            build(tmp_path, options(), Interrupting(after))
+        except KeyboardInterrupt:
+            continue
+    build(tmp_path, options(), SilentProgress())
+    for stage in ("twin", "sky", "masks", "inferred"):
+        assert contents(tmp_path / stage) == contents(work / stage), stage
+    assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.slow
+def test_a_second_build_makes_nothing_and_status_knows(work: Path) -> None:
+    before = {p: p.stat().st_mtime_ns for p in work.glob("*/artefact.json")}
+    build(work, options(), SilentProgress())
+    assert {p: p.stat().st_mtime_ns for p in before} == before
+    assert {line.state for line in status(work)} == {"made"}
+    write_options = (work / "build.json").read_text()
+    (work / "build.json").write_text(write_options.replace('"seed": 0', '"seed": 1'))
+    assert {line.state for line in status(work)} == {"stale"}
+    (work / "build.json").write_text(write_options)
+
+
+@pytest.mark.slow
+def test_sun_comes_from_gps_and_time(work: Path) -> None:
+    sun = json.loads((work / "sky" / "sun.json").read_text())
+    truth = json.loads((shipped_street() / "truth" / "skies" / "source.json").read_text())
+    assert sun["origin"] == "gps+time"
+    assert sun["azimuth_deg"] == pytest.approx(truth["azimuth_deg"], abs=0.5)
+    assert sun["elevation_deg"] == pytest.approx(truth["elevation_deg"], abs=0.5)
+
+
+@pytest.mark.slow
+def test_relight_writes_what_the_interface_promises(work: Path) -> None:
+    chosen = RelightOptions("noon", SkyChoice("sun:180,60"), frames="0:2", is_linear_written=True)
+    folder = relight(work, chosen, SilentProgress())
+    assert folder == work / "scenarios" / "noon"
+    log = Workspace(work).log
+    for camera in CAMERAS:
+        stems = [p.stem for p in sorted((folder / "frames" / camera).iterdir())]
+        assert stems == [f.stem for f in log.frames_of(camera)[:2]]
+        image = read_srgb8(folder / "frames" / camera / f"{stems[0]}.png")
+        linear = read_exr(folder / "linear" / camera / f"{stems[0]}.exr")
+        assert image.shape == linear.shape == (135, 240, 3)
+        assert np.isfinite(linear).all()
+        assert len(list(read_video(folder / "video" / f"{camera}.mp4"))) == 2
+    scenario = json.loads((folder / "scenario.json").read_text())
+    assert len(scenario["frames"]) == 4
+    assert scenario["frames"][0]["actors"]
+    assert (folder / "report.html").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_relighting_with_the_source_sky_returns_the_image(work: Path) -> None:
+    chosen = RelightOptions("same", SkyChoice("source"), cameras=("left_camera",), frames="0:1")
+    folder = relight(work, chosen, SilentProgress())
+    workspace = Workspace(work)
+    frame = workspace.log.frames_of("left_camera")[0]
+    source = frame.load_srgb8()
+    relit = read_srgb8(folder / "frames" / "left_camera" / f"{frame.stem}.png")
+    inside = (workspace.sky_matte(frame) == 0) & (source < 250).all(-1)
+    difference = np.abs(relit.astype(int) - source.astype(int))[inside]
+    assert np.percentile(difference, 99) <= 2
+
+
+@pytest.mark.slow
+def test_buffers_are_written_as_exr(work: Path, tmp_path: Path) -> None:
+    what = ("depth", "normal", "albedo", "shadow", "ao")
+    chosen = RenderOptions(what, SkyChoice("source"), cameras=("front_camera",), frames="0:1")
+    render(work, tmp_path, chosen, SilentProgress())
+    stem = Workspace(work).log.stems[0]
+    depth = read_exr(tmp_path / "depth" / "front_camera" / f"{stem}.exr")
+    normal = read_exr(tmp_path / "normal" / "front_camera" / f"{stem}.exr")
+    shadow = read_exr(tmp_path / "shadow" / "front_camera" / f"{stem}.exr")
+    assert (depth > 0).all()
+    length = np.linalg.norm(normal, axis=-1)
+    np.testing.assert_allclose(length[np.isfinite(depth)], 1.0, atol=1e-4)
+    assert shadow.min() >= 0
+    assert shadow.max() <= 1
+
+
+def test_wrong_words_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ArtefactError, match="lightsim build"):
+        status(tmp_path)
+    with pytest.raises(InputError, match="shiny"):
+        RenderOptions(("depth", "shiny"), SkyChoice("source"))
+    with pytest.raises(InputError, match="sun:AZ,EL"):
+        _ = SkyChoice("no_such_file.hdr").input_key
+    broken = replace(options().reading, source=str(tmp_path / "nowhere"))
+    with pytest.raises((InputError, OSError)):
+        build(tmp_path / "work", BuildOptions(broken, "draft", 0), SilentProgress())
