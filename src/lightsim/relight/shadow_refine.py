@@ -17,7 +17,7 @@ from scipy import ndimage
 from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.colour import luminance
 from lightsim.core.dome import Sun
-from lightsim.relight.filters import guided_filter, weighted_mean
+from lightsim.relight.filters import box_mean, guided_filter, weighted_mean
 
 _DARKEST = np.float32(1e-4)
 
@@ -26,22 +26,24 @@ _DARKEST = np.float32(1e-4)
 class ShadowRefineConfig:
     """How the evidence is weighed."""
 
-    geometry_error_m: float = 0.3
+    geometry_error_m: float = 0.2
     """Distance from a rendered shadow edge over which it gains the trust of one logit."""
     largest_prior_logit: float = 3.0
     """Trust in the rendered visibility far from its edges."""
     luminance_deviation: float = 0.4
     """Standard deviation of log luminance of an image against base colour times light."""
-    chroma_deviation: float = 0.15
+    chroma_deviation: float = 0.3
     """The same of the log of red over blue and of green over the two."""
     largest_image_logit: float = 4.0
     """Most that the look of one pixel may say."""
-    smoothness_logit: float = 2.0
+    smoothness_logit: float = 8.0
     """Weight of the neighbours' vote."""
     neighbourhood_share: float = 1 / 100
     """Radius of the neighbourhood as a share of the image width."""
     calibration_share: float = 1 / 16
     """Radius, as a share of the width, over which base colour is calibrated on the image."""
+    smallest_share: float = 1 / 240
+    """Width of a strip, as a share of the image width, below which a change is taken for noise."""
     iterations: int = 5
     """Rounds of calibration, evidence and vote."""
     least_contrast: float = 0.15
@@ -75,7 +77,23 @@ def refine_sun_visibility(
     )
     step = np.log1p(sunlight / ambient)
     visibility = _infer(residual, step, prior, luminance(radiance), is_open, config)
-    return np.where(is_open, visibility, shadows.sun_visibility).astype(np.float32)
+    share = is_open * _changed_share(visibility, shadows.sun_visibility, config)
+    rendered = shadows.sun_visibility
+    return np.where(share > 0, rendered + share * (visibility - rendered), rendered)
+
+
+def _changed_share(
+    visibility: Float32[np.ndarray, "h w"],
+    rendered: Float32[np.ndarray, "h w"],
+    config: ShadowRefineConfig,
+) -> Float32[np.ndarray, "h w"]:
+    """1 where lit and shadowed are exchanged, fading to 0 beside: elsewhere rendered edges are
+    sharper than found ones. Specks are left out."""
+    smallest = max(2, round(rendered.shape[1] * config.smallest_share))
+    is_changed = (visibility > 0.5) != (rendered > 0.5)
+    is_changed = ndimage.binary_opening(is_changed, np.ones((smallest, smallest)))
+    grown = np.asarray(ndimage.binary_dilation(is_changed, np.ones((3, 3))))
+    return np.clip(3 * box_mean(grown.astype(np.float32), smallest), 0.0, 1.0)
 
 
 def unoccluded_sun(
