@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.solar import angle_between_deg, direction_world, solar_position
 from lightsim.errors import InputError
 from lightsim.ingest.reader import read_log
-from lightsim.ingest.synthetic import shipped_street
+from lightsim.ingest.synthetic import shipped_street, synthesize
 from lightsim.ingest.synthetic.geometry import Snapshot
 from lightsim.ingest.synthetic.lidar import scan
 from lightsim.ingest.synthetic.plan import StreetConfig, plan_street
@@ -32,6 +33,7 @@ from lightsim.ingest.synthetic.street import (
 )
 from lightsim.ingest.synthetic.textures import Finish, brick, constant
 from lightsim.ingest.synthetic.tracer import PathTracer
+from lightsim.progress import SilentProgress
 from lightsim.store.images import read_exr
 
 _MAX_BYTES = 12_000_000
@@ -220,6 +222,24 @@ def test_shipped_relit_frames_are_complete() -> None:
         assert (folder / "truth" / "skies" / f"{name}.exr").is_file()
         found = {(p.parent.name, p.stem) for p in (folder / f"truth/relit/{name}").glob("*/*.jpg")}
         assert found == {(c, s) for c in truth["camera_gains"] for s in truth["relit_stems"]}
+
+
+@pytest.mark.slow
+def test_a_finished_street_is_kept_and_a_lost_sweep_is_made_again(tmp_path: Path) -> None:
+    folder = tmp_path / "street"
+    shutil.copytree(shipped_street(), folder)
+    lost = folder / "log" / "lidar" / "04.pkl.gz"
+    lost.unlink()
+    kept = {p: p.read_bytes() for p in folder.rglob("*") if p.suffix in (".jpg", ".gz", ".npz")}
+    truth = json.loads((folder / "truth" / "truth.json").read_text())
+    synthesize(folder, seed=0, size="small", progress=SilentProgress())
+    assert all(path.read_bytes() == data for path, data in kept.items())
+    assert json.loads((folder / "truth" / "truth.json").read_text()) == truth
+    again, shipped = (
+        next(s for s in read_log(f / "log").sweeps if s.stem == "04").load()
+        for f in (folder, shipped_street())
+    )
+    np.testing.assert_allclose(again.points_world, shipped.points_world, atol=0.01)
 
 
 def test_a_missing_street_is_said_clearly(monkeypatch: pytest.MonkeyPatch) -> None:
