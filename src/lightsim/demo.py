@@ -23,7 +23,7 @@ def run_demo(out: Path, seed: int, progress: Progress) -> Path:
     for name, sky in DEMO_SKIES.items():
         relight(work, RelightOptions(name, SkyChoice(sky), seed=seed), progress)
     from lightsim.evaluation import relit_frames
-    from lightsim.reports import write_demo_report
+    from lightsim.reports import QUICK, write_demo_report
 
-    report = relit_frames(work, street / "truth", progress)
+    report = relit_frames(work, street / "truth", progress, QUICK)
     return write_demo_report(out / "index.html", work, tuple(DEMO_SKIES), report)

@@ -48,10 +48,13 @@ from lightsim.workspace import Workspace
 LoadMask = Bool[np.ndarray, "h w"]
 
 
-def held_out_frames(work: Path, progress: Progress, *, with_lpips: bool = True) -> FramesReport:
+def held_out_frames(
+    work: Path, progress: Progress, config: FramesConfig | None = None
+) -> FramesReport:
     """Novel-view images of the twin at held-out frames, against the camera.
 
-    The twin's observed radiance is rendered through each held-out camera; beside it stands the
+    The twin's observed radiance is rendered through each held-out camera, inferred upper facades
+    included; beside it stands the
     trivial baseline, the nearest training image of the same camera. The region `masked` leaves
     out sky and own car.
 
@@ -65,7 +68,9 @@ def held_out_frames(work: Path, progress: Progress, *, with_lpips: bool = True) 
             "nothing was held out", where=work, remedy="Build with --hold-out 8 or another number."
         )
     assets, dome = workspace.assets, workspace.sky.dome
-    renderer = FrameRenderer(assets.background, workspace.inferred, TransportConfig(), 0)
+    renderer = FrameRenderer(
+        assets.background, workspace.inferred, TransportConfig(), 0, inferred_is_visible=True
+    )
     scenario = replay(DigitalTwin(log, assets, workspace.sky), "held-out", log.frames)
 
     def render(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
@@ -96,10 +101,12 @@ def held_out_frames(work: Path, progress: Progress, *, with_lpips: bool = True) 
                 partial(is_valid, frame),
             )
         )
-    return score_frames(tasks, FramesConfig(with_lpips=with_lpips), progress=progress)
+    return score_frames(tasks, config or FramesConfig(), progress=progress)
 
 
-def relit_frames(work: Path, truth: Path, progress: Progress) -> FramesReport:
+def relit_frames(
+    work: Path, truth: Path, progress: Progress, config: FramesConfig | None = None
+) -> FramesReport:
     """Relit frames against the ground truth of a synthetic log, beside copy, oracle affine copy
     and colour transfer; one condition for each target sky in TRUTH/relit.
 
@@ -137,7 +144,7 @@ def relit_frames(work: Path, truth: Path, progress: Progress) -> FramesReport:
                     apply_baseline, baseline, load["source"], load["truth"], valid
                 )
             tasks.append(FrameTask(name, camera, stem, load["truth"], methods, valid))
-    return score_frames(tasks, FramesConfig(), progress=progress)
+    return score_frames(tasks, config or FramesConfig(), progress=progress)
 
 
 class TrueSurfaces:

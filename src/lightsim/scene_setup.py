@@ -32,10 +32,18 @@ class FrameRenderer:
     """Buffers and light of single frames; what is static is prepared once."""
 
     def __init__(
-        self, background: TriMesh, inferred: TriMesh, transport: TransportConfig, seed: int
+        self,
+        background: TriMesh,
+        inferred: TriMesh,
+        transport: TransportConfig,
+        seed: int,
+        *,
+        inferred_is_visible: bool = False,
     ) -> None:
         shadow_only = [inferred] if len(inferred.faces) else []
-        self._static = make_static_scene([background], shadow_only)
+        self._static = make_static_scene(
+            [background], shadow_only, inferred_is_visible=inferred_is_visible
+        )
         self._transport = transport
         self._seed = seed
         self._faces: FaceTable | None = None

@@ -37,7 +37,7 @@ class FramesConfig:
     """What is measured."""
 
     with_lpips: bool = True
-    """LPIPS takes about one second per half megapixel and image on two cores."""
+    """LPIPS of raw images; about one second per half megapixel and image on two cores."""
     with_exposure: bool = True
     """Also score with one exposure factor per sequence (condition, camera, method)."""
 
@@ -175,12 +175,15 @@ def _score_sequence(tasks: Sequence[FrameTask], config: FramesConfig) -> Iterato
     scores: dict[tuple[str, Region, bool], list[ImageScores]] = {}
     for task in tasks:
         truth = _unit(task.load_truth())
+        loaded = {method: _load_prediction(task, method, truth) for method in methods}
+        truth_features = _features(truth, config)
         for region, is_valid in _regions(task):
-            truth_features = _features(truth, config)
             for (method, is_exposed), factor in factors.items():
-                predicted = _load_prediction(task, method, truth)
+                predicted = loaded[method]
                 predicted = expose(predicted, factor) if is_exposed else predicted
-                one = _score(predicted, truth, is_valid, truth_features)
+                # LPIPS is slow; raw images are what it is asked for.
+                features = None if is_exposed else truth_features
+                one = _score(predicted, truth, is_valid, features)
                 scores.setdefault((method, region, is_exposed), []).append(one)
     for (method, region, is_exposed), list_of_scores in scores.items():
         yield FrameRow(

@@ -246,6 +246,9 @@ def _read_pil(path: Path, mode: str) -> UInt8[np.ndarray, "h w *c"]:
 def _decode_pil(data: bytes, mode: str) -> UInt8[np.ndarray, "h w *c"]:
     from PIL import Image, UnidentifiedImageError
 
+    # Pillow takes a PNG whose pixels are whole but whose end is cut off.
+    if data.startswith(b"\x89PNG") and b"IEND" not in data[-12:]:
+        raise ValueError("the PNG is truncated")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
