@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from lightsim.errors import InputError
 from lightsim.progress import terminal_progress
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from lightsim.skies import SkyChoice
 
 
+@runtime_checkable
 class _Report(Protocol):
     def to_table(self) -> str: ...
 

@@ -37,6 +37,8 @@ _READABLE = ("PNG", "JPEG", "WEBP")
 _EIGHT_BIT_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
 _PIL_ERRORS = (OSError, ValueError, SyntaxError, EOFError, LookupError, TypeError, struct.error)
 _ASPECT_TOLERANCE = 0.02
+_PNG_END = b"IEND\xaeB`\x82"
+"""Type and check sum of a PNG's last chunk."""
 _NEGATIVE_TOLERANCE = 0.01
 
 
@@ -247,7 +249,7 @@ def _decode_pil(data: bytes, mode: str) -> UInt8[np.ndarray, "h w *c"]:
     from PIL import Image, UnidentifiedImageError
 
     # Pillow takes a PNG whose pixels are whole but whose end is cut off.
-    if data.startswith(b"\x89PNG") and b"IEND" not in data[-12:]:
+    if data.startswith(b"\x89PNG") and _PNG_END not in data:
         raise ValueError("the PNG is truncated")
     try:
         with warnings.catch_warnings():
