@@ -11,7 +11,7 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "lightsim"
 STAGES = {
-    "ingest", "reconstruct", "assets", "lighting", "assemble", "edit", "render", "relight",
+    "ingest", "reconstruct", "assets", "lighting", "assemble", "edit", "render", "relighting",
     "baselines", "video", "evaluate", "view",
 }  # fmt: skip
 HEAVY = ("torch", "mitsuba", "bpy", "viser", "numba", "pandas", "av", "trimesh", "skimage")

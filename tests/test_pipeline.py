@@ -15,8 +15,8 @@ from lightsim.errors import ArtefactError, InputError
 from lightsim.ingest.synthetic import shipped_street
 from lightsim.pipeline import BuildOptions, build, status
 from lightsim.progress import SilentProgress
-from lightsim.relighting import RelightOptions, relight
 from lightsim.rendering import RenderOptions, render
+from lightsim.scenarios import RelightOptions, relight
 from lightsim.skies import SkyChoice
 from lightsim.store.images import read_exr, read_srgb8
 from lightsim.store.log import LogReading

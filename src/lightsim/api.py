@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lightsim import pipeline, relighting
+from lightsim import pipeline, scenarios
 from lightsim.core.log import DrivingLog
 from lightsim.core.twin import DigitalTwin
 from lightsim.ingest.reader import read_log
@@ -62,12 +62,12 @@ def relight(
     sky: str,
     name: str,
     *,
-    options: relighting.RelightOptions | None = None,
+    options: scenarios.RelightOptions | None = None,
     progress: Progress | None = None,
 ) -> Path:
     """Relight the log of a work folder under a sky; returns the folder of the result.
 
     `options`, where given, replaces `sky` and `name` too.
     """
-    chosen = options or relighting.RelightOptions(name, SkyChoice(sky))
-    return relighting.relight(Path(work), chosen, progress or SilentProgress())
+    chosen = options or scenarios.RelightOptions(name, SkyChoice(sky))
+    return scenarios.relight(Path(work), chosen, progress or SilentProgress())

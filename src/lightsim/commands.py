@@ -69,9 +69,9 @@ def build(command: cli.Build) -> None:
 
 
 def relight(command: cli.Relight) -> None:
-    from lightsim import relighting
+    from lightsim import scenarios
 
-    options = relighting.RelightOptions(
+    options = scenarios.RelightOptions(
         name=command.name,
         sky=sky_choice(command.sky),
         method=command.method,
@@ -82,7 +82,7 @@ def relight(command: cli.Relight) -> None:
         is_linear_written=command.linear,
         seed=command.seed,
     )
-    folder = relighting.relight(command.work, options, terminal_progress())
+    folder = scenarios.relight(command.work, options, terminal_progress())
     _say(f"frames: {folder / 'frames'}")
     _say(f"video:  {folder / 'video'}")
     _say(f"report: {folder / 'report.html'}")

@@ -7,11 +7,12 @@ from pathlib import Path
 from lightsim.ingest.synthetic import shipped_street
 from lightsim.pipeline import BuildOptions, build
 from lightsim.progress import Progress
-from lightsim.relighting import RelightOptions, relight
+from lightsim.scenarios import RelightOptions, relight
 from lightsim.skies import SkyChoice
 from lightsim.store.log import LogReading
 
 DEMO_SKIES = {"morning": "sun:100,25", "evening": "sun:265,12"}
+DEMO_CAMERAS = ("front_camera", "left_camera", "front_left_camera")
 
 
 def run_demo(out: Path, seed: int, progress: Progress) -> Path:
@@ -21,7 +22,9 @@ def run_demo(out: Path, seed: int, progress: Progress) -> Path:
     work = out / "street"
     build(work, BuildOptions(reading, "standard", seed), progress)
     for name, sky in DEMO_SKIES.items():
-        relight(work, RelightOptions(name, SkyChoice(sky), seed=seed), progress)
+        relight(
+            work, RelightOptions(name, SkyChoice(sky), cameras=DEMO_CAMERAS, seed=seed), progress
+        )
     from lightsim.evaluation import relit_frames
     from lightsim.reports import QUICK, write_demo_report
 

@@ -36,9 +36,9 @@ from lightsim.evaluate.geometry import (
 from lightsim.evaluate.sky import SkyReport, evaluate_sky
 from lightsim.lighting.sun import find_sun_blob
 from lightsim.progress import Progress
-from lightsim.relighting import RelightOptions, relight, sky_image
 from lightsim.render.embree import make_embree_caster
 from lightsim.render.transport import TransportConfig
+from lightsim.scenarios import RelightOptions, relight, sky_image
 from lightsim.scene_setup import FrameRenderer
 from lightsim.skies import SkyChoice
 from lightsim.store.arrays import load_arrays

@@ -12,8 +12,8 @@ from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.edit.timeline import replay
 from lightsim.errors import InputError
 from lightsim.progress import Progress
-from lightsim.relighting import select_frames
 from lightsim.render.transport import TransportConfig
+from lightsim.scenarios import select_frames
 from lightsim.scene_setup import FrameRenderer
 from lightsim.skies import SkyChoice, resolve_sky
 from lightsim.store.images import write_exr

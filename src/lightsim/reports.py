@@ -17,8 +17,8 @@ from lightsim.edit.timeline import replay
 from lightsim.evaluate.frames import FramesConfig, FramesReport
 from lightsim.evaluate.geometry import GeometryReport
 from lightsim.progress import SilentProgress
-from lightsim.relighting import Relighter
 from lightsim.render.transport import TransportConfig
+from lightsim.scenarios import Relighter
 from lightsim.scene_setup import FrameRenderer
 from lightsim.skies import TargetSky
 from lightsim.store.artefact import read_json, read_record

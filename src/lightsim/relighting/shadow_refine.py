@@ -17,7 +17,7 @@ from scipy import ndimage
 from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.colour import luminance
 from lightsim.core.dome import Sun
-from lightsim.relight.filters import box_mean, guided_filter, weighted_mean
+from lightsim.relighting.filters import box_mean, guided_filter, weighted_mean
 
 _DARKEST = np.float32(1e-4)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float32
 
-from lightsim.relight.filters import fill_holes
+from lightsim.relighting.filters import fill_holes
 
 _PURE = np.float32(0.02)
 """A matte this close to 0 or 1 counts as unmixed."""

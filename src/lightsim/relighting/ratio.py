@@ -17,9 +17,9 @@ from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.dome import Sun
 from lightsim.core.solar import angle_between_deg
 from lightsim.errors import InputError
-from lightsim.relight.filters import fill_holes
-from lightsim.relight.matte import composite, foreground_radiance
-from lightsim.relight.shadow_refine import (
+from lightsim.relighting.filters import fill_holes
+from lightsim.relighting.matte import composite, foreground_radiance
+from lightsim.relighting.shadow_refine import (
     ShadowRefineConfig,
     refine_sun_visibility,
     unoccluded_sun,

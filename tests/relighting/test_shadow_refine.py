@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.relight.scene import SKY_ROWS, light, shadow_right_of
-from tests.relight.test_ratio import SUN, make_inputs
+from tests.relighting.scene import SKY_ROWS, light, shadow_right_of
+from tests.relighting.test_ratio import SUN, make_inputs
 
-from lightsim.relight.ratio import RatioConfig, RelightInputs, relight_physical
-from lightsim.relight.shadow_refine import (
+from lightsim.relighting.ratio import RatioConfig, RelightInputs, relight_physical
+from lightsim.relighting.shadow_refine import (
     ShadowRefineConfig,
     refine_sun_visibility,
     unoccluded_sun,

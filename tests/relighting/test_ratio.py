@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.relight.scene import (
+from tests.relighting.scene import (
     HEIGHT_PX,
     SKY_ROWS,
     WIDTH_PX,
@@ -19,7 +19,7 @@ from tests.relight.scene import (
 
 from lightsim.core.buffers import ShadowBuffers
 from lightsim.errors import InputError
-from lightsim.relight.ratio import RatioConfig, RelightInputs, relight_physical
+from lightsim.relighting.ratio import RatioConfig, RelightInputs, relight_physical
 
 OLD_SKY = np.array([0.7, 0.8, 0.95], np.float32)
 NEW_SKY = np.array([0.9, 0.5, 0.2], np.float32)

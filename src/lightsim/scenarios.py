@@ -27,8 +27,8 @@ from lightsim.edit.timeline import replay
 from lightsim.errors import InputError
 from lightsim.ingest.selection import FrameSelection
 from lightsim.progress import Progress
-from lightsim.relight.compose import camera_image
-from lightsim.relight.ratio import RatioConfig, RelightInputs, relight_physical
+from lightsim.relighting.compose import camera_image
+from lightsim.relighting.ratio import RatioConfig, RelightInputs, relight_physical
 from lightsim.render.transport import TransportConfig
 from lightsim.scene_setup import FrameRenderer
 from lightsim.skies import SkyChoice, TargetSky, resolve_sky
