@@ -25,7 +25,7 @@ def main(work: Path) -> None:
     )
     twin = lightsim.build_twin(reading, work, preset="draft", progress=progress)
     sys.stdout.write(f"{len(twin.assets.actors)} actors, sun from {twin.sky.origin}\n")
-    folder = lightsim.relighting(work, "sun:150,30", "afternoon", progress=progress)
+    folder = lightsim.relight(work, "sun:150,30", "afternoon", progress=progress)
     sys.stdout.write(f"relit frames: {folder / 'frames'}\n")
 
 
