@@ -11,7 +11,7 @@ from jaxtyping import Bool, UInt8
 
 from lightsim.baselines.colour_transfer import BASELINES
 from lightsim.core.colour import srgb8_from_linear
-from lightsim.core.dome import SkyDome
+from lightsim.core.dome import SkyDome, Sun
 from lightsim.core.mesh import TriMesh
 from lightsim.core.scenario import ActorPlacement, Scenario
 from lightsim.core.sensors import CameraFrame
@@ -42,6 +42,7 @@ from lightsim.scenarios import RelightOptions, relight, sky_image
 from lightsim.scene_setup import FrameRenderer
 from lightsim.skies import SkyChoice
 from lightsim.store.arrays import load_arrays
+from lightsim.store.artefact import read_json
 from lightsim.store.images import read_hdr, read_srgb8
 from lightsim.workspace import Workspace
 
@@ -230,7 +231,11 @@ def sky(work: Path, truth: Path | None) -> SkyReport:
     blob = find_sun_blob(workspace.panorama, near)
     true_dome = None
     if truth is not None:
-        true_dome = SkyDome(read_hdr(truth / "skies" / "source.exr"), None)
+        # The disc is smaller than a pixel of the file: its exact direction stands beside it.
+        beside = read_json(truth / "skies" / "source.json")
+        direction = np.array(beside["direction_world"], dtype=np.float64)
+        true_sun = Sun(direction, np.array(beside["irradiance"], dtype=np.float32))
+        true_dome = SkyDome(read_hdr(truth / "skies" / "source.exr"), true_sun)
     return evaluate_sky(
         estimate,
         truth=true_dome,

@@ -164,6 +164,8 @@ class Relighter:
             TransportConfig(),
             options.seed,
         )
+        level = [d.horizontal_irradiance() for d in (workspace.sky.dome, target.dome)]
+        self._level_ratio = (level[1] / np.maximum(level[0], 1e-9)).astype(np.float32)
         self._skies = [self._renderer.prepare(dome) for dome in (workspace.sky.dome, target.dome)]
 
     def relit(self, frame: CameraFrame, scenario: Scenario) -> RelitFrame:
@@ -187,6 +189,10 @@ class Relighter:
             target_sun=self._skies[1].sun,
         )
         radiance = relight_physical(inputs, RatioConfig())
+        own_car = self.log.own_car_masks.get(frame.camera_name)
+        if own_car is not None:
+            # It moves with the camera and has no mesh: lit as a level surface in the open.
+            radiance[own_car] = inputs.radiance[own_car] * self._level_ratio
         image = camera_image(radiance, gain, self._options.exposure_ev)
         return RelitFrame(frame, image, radiance, buffers, source, target, source_srgb8)
 
