@@ -204,7 +204,7 @@ class Synthesize:
     """Folder to write: log/ and truth/."""
     seed: int = 0
     """Another seed, another street."""
-    size: Literal["small", "full"] = "small"
+    size: Literal["small", "medium", "full"] = "small"
     """Image size and number of frames."""
     verbose: Verbose = False
     """Show the trace of an error."""

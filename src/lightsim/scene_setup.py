@@ -58,7 +58,7 @@ class FrameRenderer:
     def geometry(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> GBuffers:
         """Geometry buffers alone (ambient occlusion 1)."""
         scene = self.scene(scenario, frame.time_ns)
-        return render_gbuffers(scene, camera, frame.world_from_camera)
+        return render_gbuffers(scene, camera, frame)
 
     def render(
         self,
@@ -71,7 +71,7 @@ class FrameRenderer:
         scene = self.scene(scenario, frame.time_ns)
         if self._faces is None:
             self._faces = static_face_table(scene, self._transport, self._seed)
-        buffers = render_gbuffers(scene, camera, frame.world_from_camera)
+        buffers = render_gbuffers(scene, camera, frame)
         table = trace_transport(scene, buffers, self._transport, self._seed, self._faces)
         buffers = with_ambient_occlusion(buffers, table.ambient_occlusion)
         lights = [light(table, scene, buffers, sky, self._transport) for sky in skies]

@@ -137,7 +137,7 @@ def make_panorama(
     )
 
     def cast_depth(frame: CameraFrame, camera: PinholeCamera) -> Float32[np.ndarray, "h w"]:
-        return render_gbuffers(scene, camera, frame.world_from_camera).depth_z_m
+        return render_gbuffers(scene, camera, frame).depth_z_m
 
     def sky_matte(frame: CameraFrame, camera: PinholeCamera) -> Float32[np.ndarray, "h w"]:
         return work.sky_matte(frame)

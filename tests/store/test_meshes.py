@@ -25,7 +25,7 @@ def mesh(rng: np.random.Generator) -> TriMesh:
     vertices = rng.normal(0, 100, (40, 3)).astype(np.float32)
     faces = rng.permuted(np.tile(np.arange(40, dtype=np.int32), (25, 1)), axis=1)[:, :3]
     colour = rng.random((40, 3)).astype(np.float32)
-    return TriMesh("world", vertices, np.ascontiguousarray(faces), colour, Material(0.4, 0.1))
+    return TriMesh("world", vertices, np.ascontiguousarray(faces), colour, (Material(0.4, 0.1),))
 
 
 def test_round_trip_is_exact(tmp_path: Path, mesh: TriMesh) -> None:

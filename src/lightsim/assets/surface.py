@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64
@@ -10,7 +11,7 @@ from scipy.sparse import coo_matrix, csr_matrix, diags
 from scipy.sparse.csgraph import connected_components
 
 from lightsim.core.fields import BLOCK, SceneFields, TsdfGrid
-from lightsim.core.mesh import TriMesh
+from lightsim.core.mesh import Texture, TriMesh
 
 _REGION_BLOCKS = 8
 _WELD_FRACTION = 1e-3
@@ -108,12 +109,16 @@ def keep_faces(mesh: TriMesh, is_kept: Bool[np.ndarray, " m"]) -> TriMesh:
     """Some faces of a mesh, without the vertices that nothing uses any more."""
     faces = mesh.faces[is_kept]
     used, inverse = np.unique(faces, return_inverse=True)
-    return TriMesh(
-        mesh.frame,
-        mesh.vertices[used],
-        inverse.reshape(-1, 3).astype(np.int32),
-        mesh.base_colour[used],
-        mesh.material,
+    return replace(
+        mesh,
+        vertices=mesh.vertices[used],
+        faces=inverse.reshape(-1, 3).astype(np.int32),
+        base_colour=mesh.base_colour[used],
+        face_material=None if mesh.face_material is None else mesh.face_material[is_kept],
+        texture=None
+        if mesh.texture is None
+        else Texture(mesh.texture.image, mesh.texture.corner_uv[is_kept]),
+        confidence=None if mesh.confidence is None else mesh.confidence[used],
     )
 
 
@@ -153,9 +158,7 @@ def smooth(mesh: TriMesh, rounds: int) -> TriMesh:
     for _ in range(rounds):
         for step in (_SHRINK, _SWELL):
             vertices = vertices + step * (mean @ vertices - vertices)
-    return TriMesh(
-        mesh.frame, vertices.astype(np.float32), mesh.faces, mesh.base_colour, mesh.material
-    )
+    return replace(mesh, vertices=vertices.astype(np.float32))
 
 
 def background_levels(fields: SceneFields, min_weight: float) -> list[TriMesh]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Float32, Int32
+from jaxtyping import Float, Float32, Int, Int32, UInt8
 
 from lightsim.core.frames import RigidTransform
 from lightsim.errors import FrameMismatchError, InputError
@@ -13,10 +13,47 @@ from lightsim.errors import FrameMismatchError, InputError
 
 @dataclass(frozen=True)
 class Material:
-    """Principled parameters (Burley 2012); base colour lies on the mesh."""
+    """Principled parameters (Burley 2012) of one class of surfaces; base colour lies on the mesh.
+
+    Args:
+        name: the class, such as "car paint"; unique within a mesh.
+    """
 
     roughness: float = 0.9
     metallic: float = 0.0
+    name: str = "matte"
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """Colour at image resolution.
+
+    Args:
+        image: linear; what it means is what `TriMesh.base_colour` means.
+        corner_uv: (u, v) of each face's three corners, in pixels of `image` (CONVENTIONS: Pixels:
+            the first pixel's centre is (0.5, 0.5)). Bilinear look-up between pixel centres is
+            safe everywhere inside a face.
+    """
+
+    image: Float32[np.ndarray, "h w 3"]
+    corner_uv: Float32[np.ndarray, "m 3 2"]
+
+    def look_up(
+        self, face: Int[np.ndarray, " n"], barycentric: Float[np.ndarray, "n 3"]
+    ) -> Float32[np.ndarray, "n 3"]:
+        """Bilinear colour at points of faces."""
+        height, width = self.image.shape[:2]
+        uv = (barycentric[:, :, None] * self.corner_uv[face]).sum(axis=1)
+        x = np.clip(uv[:, 0] - 0.5, 0, width - 1)
+        y = np.clip(uv[:, 1] - 0.5, 0, height - 1)
+        j = np.minimum(x.astype(np.int64), max(width - 2, 0))
+        i = np.minimum(y.astype(np.int64), max(height - 2, 0))
+        fx, fy = (x - j).astype(np.float32)[:, None], (y - i).astype(np.float32)[:, None]
+        i1, j1 = np.minimum(i + 1, height - 1), np.minimum(j + 1, width - 1)
+        image = self.image
+        top = (1 - fx) * image[i, j] + fx * image[i, j1]
+        low = (1 - fx) * image[i1, j] + fx * image[i1, j1]
+        return (1 - fy) * top + fy * low
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,13 +64,21 @@ class TriMesh:
         vertices: metres.
         faces: vertex indices.
         base_colour: linear diffuse albedo of each vertex, in [0, 1].
+        materials: the classes that occur; a mesh without `face_material` is all of the first.
+        face_material: index into `materials` for each face.
+        texture: the base colour at image resolution; renderers for cameras prefer it to the
+            vertices' colour, which is its local mean and serves bounced light.
+        confidence: of each vertex's base colour, 0 (guessed) to 1 (observed, light known).
     """
 
     frame: str
     vertices: Float32[np.ndarray, "n 3"]
     faces: Int32[np.ndarray, "m 3"]
     base_colour: Float32[np.ndarray, "n 3"]
-    material: Material = field(default_factory=Material)
+    materials: tuple[Material, ...] = (Material(),)
+    face_material: UInt8[np.ndarray, " m"] | None = None
+    texture: Texture | None = None
+    confidence: Float32[np.ndarray, " n"] | None = None
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.vertices).all():
@@ -43,6 +88,22 @@ class TriMesh:
         )
         if is_out:
             raise InputError("a face names no vertex", where=f"mesh in '{self.frame}'")
+        if self.texture is not None and len(self.texture.corner_uv) != len(self.faces):
+            raise InputError("the texture has other faces", where=f"mesh in '{self.frame}'")
+
+    @property
+    def material(self) -> Material:
+        """Of the first class."""
+        return self.materials[0]
+
+    def colour_at(
+        self, face: Int[np.ndarray, " n"], barycentric: Float[np.ndarray, "n 3"]
+    ) -> Float32[np.ndarray, "n 3"]:
+        """Base colour at points of faces: of the texture, else between the vertices."""
+        if self.texture is not None:
+            return self.texture.look_up(face, barycentric)
+        corners = self.base_colour[self.faces[face]]
+        return (barycentric[:, :, None] * corners).sum(axis=1).astype(np.float32)
 
     def moved(self, transform: RigidTransform) -> TriMesh:
         """The same mesh in frame `transform.dst`."""
@@ -53,7 +114,7 @@ class TriMesh:
                 expected=self.frame,
             )
         vertices = transform.apply(self.vertices.astype(np.float64)).astype(np.float32)
-        return TriMesh(transform.dst, vertices, self.faces, self.base_colour, self.material)
+        return replace(self, frame=transform.dst, vertices=vertices)
 
     def face_normals(self) -> Float[np.ndarray, "m 3"]:
         """Unit normals; zero for degenerate faces."""
@@ -77,12 +138,18 @@ class TriMesh:
 
 
 def concatenate_meshes(meshes: list[TriMesh]) -> TriMesh:
-    """One mesh of several in the same frame (the first one's material)."""
+    """One mesh of several in the same frame. Materials of equal name must be equal.
+
+    Textures are dropped (they belong to single meshes); confidence stays where all have it.
+    """
     if not meshes:
         raise InputError("no meshes to concatenate")
     if len({mesh.frame for mesh in meshes}) > 1:
         raise FrameMismatchError("meshes lie in several frames")
     offsets = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes[:-1]])
+    materials = tuple(dict.fromkeys(m for mesh in meshes for m in mesh.materials))
+    face_material = [_renumbered(mesh, materials) for mesh in meshes]
+    confidence = [m.confidence for m in meshes if m.confidence is not None]
     return TriMesh(
         meshes[0].frame,
         np.concatenate([mesh.vertices for mesh in meshes]),
@@ -90,5 +157,16 @@ def concatenate_meshes(meshes: list[TriMesh]) -> TriMesh:
             [mesh.faces + np.int32(o) for mesh, o in zip(meshes, offsets, strict=True)]
         ).astype(np.int32),
         np.concatenate([mesh.base_colour for mesh in meshes]),
-        meshes[0].material,
+        materials,
+        np.concatenate(face_material) if len(materials) > 1 else None,
+        None,
+        np.concatenate(confidence) if len(confidence) == len(meshes) else None,
     )
+
+
+def _renumbered(mesh: TriMesh, materials: tuple[Material, ...]) -> UInt8[np.ndarray, " m"]:
+    """The mesh's face materials as indices into a longer list."""
+    number = np.array([materials.index(m) for m in mesh.materials], dtype=np.uint8)
+    if mesh.face_material is None:
+        return np.full(len(mesh.faces), number[0], dtype=np.uint8)
+    return number[mesh.face_material]

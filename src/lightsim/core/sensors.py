@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, Int16, UInt8
+from jaxtyping import Bool, Float, Float32, Int16, UInt8
 
+from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 
 
@@ -20,6 +21,21 @@ class CameraFrame:
     time_ns: int
     world_from_camera: RigidTransform
     load_srgb8: Callable[[], UInt8[np.ndarray, "h w 3"]]
+
+    def pixel_rays(
+        self, camera: PinholeCamera, uv: Float[np.ndarray, "n 2"]
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+        """Origins and unit directions of the rays through (u, v), frame `world`."""
+        directions = self.world_from_camera.rotate(camera.directions(uv))
+        origins = np.broadcast_to(self.world_from_camera.translation_m, directions.shape)
+        return origins.copy(), directions
+
+    def project(
+        self, camera: PinholeCamera, points_world: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
+        """(u, v) at which points appear, and whether that lies inside the image; NaN behind it."""
+        points = self.world_from_camera.inverse().apply(points_world.astype(np.float64))
+        return camera.project(points)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import RayHits
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
+from lightsim.core.sensors import CameraFrame
 from lightsim.errors import FrameMismatchError
 from lightsim.render.scene import FrameScene
 
@@ -28,11 +29,12 @@ class GBufferConfig:
 def render_gbuffers(
     scene: FrameScene,
     camera: PinholeCamera,
-    world_from_camera: RigidTransform,
+    view: CameraFrame | RigidTransform,
     config: GBufferConfig | None = None,
 ) -> GBuffers:
     """Depth, position, normal, base colour and actor of every pixel (paper, Sec. 3.3).
 
+    `view` is a recorded frame, or the pose world_from_camera of a still camera.
     Normals are interpolated between vertices and face the camera. Ambient occlusion is 1:
     `trace_transport` measures it from the rays it traces, see `with_ambient_occlusion`.
 
@@ -40,22 +42,16 @@ def render_gbuffers(
         FrameMismatchError: the pose does not map `camera` to `world`.
     """
     config = config or GBufferConfig()
-    if (world_from_camera.dst, world_from_camera.src) != ("world", "camera"):
-        raise FrameMismatchError(
-            "the camera pose must be world_from_camera",
-            got=f"{world_from_camera.dst}_from_{world_from_camera.src}",
-        )
     shape = (camera.height_px, camera.width_px)
-    directions_camera = camera.directions(camera.pixel_centres()).reshape(-1, 3)
-    directions = world_from_camera.rotate(directions_camera)
-    origin = world_from_camera.translation_m
-    hits = scene.camera_caster.intersect(np.broadcast_to(origin, directions.shape), directions)
+    uv = camera.pixel_centres().reshape(-1, 2)
+    origins, directions = _rays(view, camera, uv)
+    hits = scene.camera_caster.intersect(origins, directions)
     is_seen = hits.is_hit & (hits.distance_m <= config.max_distance_m)
     pixels = np.flatnonzero(is_seen)
     hits = _select(hits, pixels)
     distance = hits.distance_m.astype(np.float64)
-    depth = distance * directions_camera[pixels, 2]
-    position = origin + distance[:, None] * directions[pixels]
+    depth = distance * camera.directions(uv[pixels])[:, 2]
+    position = origins[pixels] + distance[:, None] * directions[pixels]
     normal, colour = _surface(scene, hits, directions[pixels])
     return GBuffers(
         _image(depth, pixels, shape, np.float32, np.inf),
@@ -65,6 +61,21 @@ def render_gbuffers(
         np.ones(shape, dtype=np.float32),
         _image(scene.actor_index[hits.mesh_index], pixels, shape, np.int32, NO_SURFACE),
     )
+
+
+def _rays(
+    view: CameraFrame | RigidTransform, camera: PinholeCamera, uv: Float[np.ndarray, "n 2"]
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Origins and directions of pixels: of a recorded frame, or of a still camera at a pose."""
+    if isinstance(view, CameraFrame):
+        return view.pixel_rays(camera, uv)
+    if (view.dst, view.src) != ("world", "camera"):
+        raise FrameMismatchError(
+            "the camera pose must be world_from_camera",
+            got=f"{view.dst}_from_{view.src}",
+        )
+    directions = view.rotate(camera.directions(uv))
+    return np.broadcast_to(view.translation_m, directions.shape).copy(), directions
 
 
 def with_ambient_occlusion(
@@ -108,7 +119,7 @@ def _surface(
             continue
         corners = mesh.faces[hits.face_index[rows]]
         weights = hits.barycentric[rows, :, None]
-        colour[rows] = (weights * mesh.base_colour[corners]).sum(axis=1)
+        colour[rows] = mesh.colour_at(hits.face_index[rows], hits.barycentric[rows])
         smooth = (weights * scene.camera_normals[k][corners]).sum(axis=1)
         a, b, c = (mesh.vertices[corners[:, i]].astype(np.float64) for i in range(3))
         flat = np.cross(b - a, c - a)

@@ -41,7 +41,7 @@ def read_mesh(path: Path, frame: str) -> TriMesh:
             arrays["vertices"],
             arrays["faces"],
             arrays["base_colour"],
-            Material(roughness, metallic),
+            (Material(roughness, metallic),),
         )
     except KeyError as error:
         raise ArtefactError("an array of the mesh is missing", where=path, got=error) from error

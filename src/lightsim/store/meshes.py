@@ -100,7 +100,7 @@ def read_glb(path: Path, frame: str, texture_edge_m: float = 0.06) -> TriMesh:
             vertices.astype(np.float32),
             np.concatenate(faces).astype(np.int32),
             colour.astype(np.float32),
-            Material(float(roughness), float(metallic)),
+            (Material(float(roughness), float(metallic)),),
         )
     except InputError as error:
         raise InputError(error.what, where=path, remedy=_REMEDY) from error

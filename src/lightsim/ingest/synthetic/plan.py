@@ -11,7 +11,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.solar import SolarPosition, solar_position
 from lightsim.errors import InputError
 
-Size = Literal["small", "full"]
+Size = Literal["small", "medium", "full"]
 
 _PLACES = (
     (37.7749, -122.4194),
@@ -57,9 +57,15 @@ class StreetConfig:
 
 
 def config_of(size: Size) -> StreetConfig:
-    """`small` fits into the package; `full` is for training and evaluation."""
+    """`small` fits into the package; `medium` has the length and the LiDAR of `full`, but small
+    images, for measuring reconstruction; `full` is for training and evaluation."""
     if size == "small":
         return StreetConfig()
+    if size == "medium":
+        stems = (12, 28)
+        return StreetConfig(
+            frame_count=40, azimuth_count=1800, truth_stems=stems, buffer_stems=stems
+        )
     stems = (5, 12, 19, 26, 33)
     return StreetConfig(
         width_px=960,
