@@ -11,31 +11,96 @@ from jaxtyping import Bool, Float, Float32, Int16, UInt8
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 
+_PROJECTION_ROUNDS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class RollingShutter:
+    """The camera moves while its rows are read from top to bottom: each row has its own pose.
+
+    Args:
+        readout_s: seconds from the top edge of the image to the bottom edge.
+        reference: height, as a fraction of the image from its top, of the row read at the
+            frame's time: 0 where times mark the start of the readout, 0.5 its middle.
+        velocity_m_s: of the camera, frame `world`.
+        angular_velocity_rad_s: of the camera, frame `world`, right-handed.
+    """
+
+    readout_s: float
+    reference: float
+    velocity_m_s: Float[np.ndarray, "3"]
+    angular_velocity_rad_s: Float[np.ndarray, "3"]
+
+    def seconds(self, v: Float[np.ndarray, " n"], height_px: int) -> Float[np.ndarray, " n"]:
+        """When rows are read, relative to the frame's time; rows outside count as the nearest."""
+        return (np.clip(v / height_px, 0.0, 1.0) - self.reference) * self.readout_s
+
+    def turned(
+        self, vectors_world: Float[np.ndarray, "n 3"], seconds: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "n 3"]:
+        """Vectors fixed to the camera at the frame's time, as they point `seconds` later."""
+        speed = float(np.linalg.norm(self.angular_velocity_rad_s))
+        if speed < 1e-12:
+            return vectors_world
+        axis = self.angular_velocity_rad_s / speed
+        sine, cosine = np.sin(speed * seconds)[:, None], np.cos(speed * seconds)[:, None]
+        along = (vectors_world @ axis)[:, None] * axis
+        return (
+            vectors_world * cosine
+            + np.cross(np.broadcast_to(axis, vectors_world.shape), vectors_world) * sine
+            + along * (1.0 - cosine)
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class CameraFrame:
-    """One image of one camera. `stem` is the log's own file stem and names every output."""
+    """One image of one camera. `stem` is the log's own file stem and names every output.
+
+    Args:
+        world_from_camera: pose at `time_ns`.
+        shutter: motion during the readout; None where all rows are read at once. Whatever maps
+            pixels to rays or points to pixels goes through `pixel_rays` and `project`.
+    """
 
     camera_name: str
     stem: str
     time_ns: int
     world_from_camera: RigidTransform
     load_srgb8: Callable[[], UInt8[np.ndarray, "h w 3"]]
+    shutter: RollingShutter | None = None
 
     def pixel_rays(
         self, camera: PinholeCamera, uv: Float[np.ndarray, "n 2"]
     ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
         """Origins and unit directions of the rays through (u, v), frame `world`."""
         directions = self.world_from_camera.rotate(camera.directions(uv))
-        origins = np.broadcast_to(self.world_from_camera.translation_m, directions.shape)
-        return origins.copy(), directions
+        origins = np.broadcast_to(self.world_from_camera.translation_m, directions.shape).copy()
+        if self.shutter is None:
+            return origins, directions
+        seconds = self.shutter.seconds(uv[:, 1], camera.height_px)
+        origins += seconds[:, None] * self.shutter.velocity_m_s
+        return origins, self.shutter.turned(directions, seconds)
 
     def project(
         self, camera: PinholeCamera, points_world: Float[np.ndarray, "n 3"]
     ) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
-        """(u, v) at which points appear, and whether that lies inside the image; NaN behind it."""
-        points = self.world_from_camera.inverse().apply(points_world.astype(np.float64))
-        return camera.project(points)
+        """(u, v) at which points appear, and whether that lies inside the image; NaN behind it.
+
+        With a rolling shutter the row decides the pose and the pose the row: solved by fixed-point
+        iteration, whose error shrinks by the image's speed in rows per row, a few percent.
+        """
+        points = points_world.astype(np.float64)
+        uv, inside = camera.project(self.world_from_camera.inverse().apply(points))
+        if self.shutter is None:
+            return uv, inside
+        relative = points - self.world_from_camera.translation_m
+        rotation = self.world_from_camera.rotation
+        for _ in range(_PROJECTION_ROUNDS):
+            rows = np.where(np.isnan(uv[:, 1]), 0.0, uv[:, 1])
+            seconds = self.shutter.seconds(rows, camera.height_px)
+            moved = relative - seconds[:, None] * self.shutter.velocity_m_s
+            uv, inside = camera.project(self.shutter.turned(moved, -seconds) @ rotation)
+        return uv, inside
 
 
 @dataclass(frozen=True, eq=False)
