@@ -69,7 +69,7 @@ def test_an_interrupted_build_gives_the_same_twin(work: Path, tmp_path: Path) ->
         except KeyboardInterrupt:
             continue
     build(tmp_path, options(), SilentProgress())
-    for stage in ("twin", "sky", "masks", "inferred"):
+    for stage in ("twin", "sky", "masks", "geometry"):
         assert contents(tmp_path / stage) == contents(work / stage), stage
     assert not list(tmp_path.glob(".*"))
 

@@ -15,12 +15,12 @@ from typing import Any
 
 from lightsim import stages
 from lightsim.assets import config as asset_config
+from lightsim.assets import mesh_config
 from lightsim.errors import ArtefactError
 from lightsim.ingest.sky_mask import SkyMaskConfig
 from lightsim.lighting.stitch import StitchConfig
 from lightsim.progress import Progress
 from lightsim.reconstruct import fuse_config
-from lightsim.reconstruct.extrude import ExtrudeConfig
 from lightsim.store.artefact import (
     Recipe,
     State,
@@ -41,6 +41,7 @@ OPTIONS_NAME = "build.json"
 
 
 _FUSE = {"draft": fuse_config.draft, "standard": fuse_config.standard, "paper": fuse_config.paper}
+_MESHES = {"draft": mesh_config.draft, "standard": mesh_config.standard, "paper": mesh_config.paper}
 _ASSETS = {
     "draft": asset_config.draft,
     "standard": asset_config.standard,
@@ -86,19 +87,25 @@ STAGES = (
     Stage("log", 1, (), lambda o: o.reading, stages.make_log),
     Stage("masks", 1, ("log",), lambda o: SkyMaskConfig(), stages.make_masks),
     Stage("fields", 1, ("log",), lambda o: _FUSE[o.preset](), stages.make_fields),
-    Stage("assets", 1, ("log", "fields"), lambda o: _ASSETS[o.preset](), stages.make_assets),
-    Stage("inferred", 1, ("masks", "assets"), lambda o: ExtrudeConfig(), stages.make_inferred),
+    Stage(
+        "geometry",
+        1,
+        ("log", "masks", "fields"),
+        lambda o: stages.GeometryConfig(_MESHES[o.preset]()),
+        stages.make_geometry,
+    ),
+    Stage(
+        "assets", 2, ("log", "masks", "geometry"), lambda o: _ASSETS[o.preset](), stages.make_assets
+    ),
     Stage("panorama", 1, ("masks", "assets"), lambda o: StitchConfig(), stages.make_panorama),
     Stage(
         "sky",
         1,
-        ("assets", "inferred", "panorama"),
+        ("assets", "panorama"),
         lambda o: stages.SkyStageConfig(),
         stages.make_sky,
     ),
-    Stage(
-        "twin", 1, ("assets", "inferred", "sky"), lambda o: stages.TwinConfig(), stages.make_twin
-    ),
+    Stage("twin", 1, ("assets", "sky"), lambda o: stages.TwinConfig(), stages.make_twin),
     Stage("report", 1, ("masks", "fields", "twin"), lambda o: None, stages.make_report),
 )
 

@@ -11,7 +11,10 @@ from jaxtyping import Float32
 
 from lightsim.assemble.build import build_twin
 from lightsim.assets.build import AssetConfig, build_assets
+from lightsim.assets.colour import colour_of_nearest
 from lightsim.assets.delight import DelightConfig, base_colour_from_radiance
+from lightsim.assets.mesh_config import MeshConfig
+from lightsim.assets.mesh_scene import mesh_scene
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
@@ -31,7 +34,7 @@ from lightsim.render.irradiance import IrradianceConfig, irradiance_at
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport import TransportConfig
 from lightsim.scene_setup import parked_actor_meshes
-from lightsim.store.assets import write_assets, write_mesh
+from lightsim.store.assets import read_mesh, write_assets, write_mesh
 from lightsim.store.fields import write_fields
 from lightsim.store.images import write_grey8
 from lightsim.store.log import LogReading, write_log
@@ -47,6 +50,16 @@ class Context:
     progress: Progress
     seed: int
     preset: str
+
+
+@dataclass(frozen=True)
+class GeometryConfig:
+    """From fields to meshes, measured and inferred."""
+
+    mesh: MeshConfig = field(default_factory=MeshConfig)
+    """Measured surfaces."""
+    tall: ExtrudeConfig = field(default_factory=ExtrudeConfig)
+    """Upper facades and roofs."""
 
 
 @dataclass(frozen=True)
@@ -98,34 +111,43 @@ def make_fields(
     return fields.notes
 
 
+def make_geometry(
+    work: Workspace, config: GeometryConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    """Everything that has a shape, before it has a colour; casters of shadows apart."""
+    log = work.training_log
+    meshes = mesh_scene(
+        log, work.fields, config.mesh, make_caster=make_embree_caster, progress=context.progress
+    )
+    casters = infer_tall_structures(
+        meshes.background,
+        ((f, log.cameras[f.camera_name], work.sky_matte(f)) for f in log.frames),
+        config.tall,
+        make_caster=make_embree_caster,
+        progress=context.progress,
+    )
+    write_assets(folder, meshes)
+    write_mesh(folder / "inferred.npz", casters)
+    return (
+        *meshes.notes,
+        f"{len(casters.faces)} faces that cast shadows are inferred, not measured",
+    )
+
+
 def make_assets(
     work: Workspace, config: AssetConfig, folder: Path, context: Context
 ) -> Iterable[str]:
     assets = build_assets(
         work.training_log,
-        work.fields,
+        work.meshes,
         config,
         make_caster=make_embree_caster,
         progress=context.progress,
     )
     write_assets(folder, assets)
-    return assets.notes
-
-
-def make_inferred(
-    work: Workspace, config: ExtrudeConfig, folder: Path, context: Context
-) -> Iterable[str]:
-    log = work.training_log
-    silhouettes = ((f, log.cameras[f.camera_name], work.sky_matte(f)) for f in log.frames)
-    inferred = infer_tall_structures(
-        work.assets.background,
-        silhouettes,
-        config,
-        make_caster=make_embree_caster,
-        progress=context.progress,
-    )
-    write_mesh(folder / "inferred.npz", inferred)
-    return (f"{len(inferred.faces)} faces are inferred from sky silhouettes, not measured",)
+    casters = read_mesh(work.need("geometry") / "inferred.npz", "world")
+    write_mesh(folder / "inferred.npz", colour_of_nearest(casters, assets.background))
+    return ()
 
 
 def make_panorama(

@@ -100,14 +100,19 @@ class Workspace:
         return read_fields(self.need("fields"))
 
     @cached_property
+    def meshes(self) -> SceneAssets:
+        """The same without colour."""
+        return read_assets(self.need("geometry"))
+
+    @cached_property
     def assets(self) -> SceneAssets:
         """Meshes whose colour is the observed radiance under the source sky."""
         return read_assets(self.need("assets"))
 
     @cached_property
     def inferred(self) -> TriMesh:
-        """Upper facades and roofs that no sensor measured but the sky silhouette implies."""
-        return read_mesh(self.need("inferred") / "inferred.npz", "world")
+        """Roofs and rear walls that no sensor measured but that cast shadows."""
+        return read_mesh(self.need("assets") / "inferred.npz", "world")
 
     @cached_property
     def panorama(self) -> Panorama:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lightsim.assets.complete import actor_surface, mirrored
-from lightsim.assets.config import AssetConfig
+from lightsim.assets.mesh_config import MeshConfig
 from lightsim.core.actors import ActorTrack
 from lightsim.core.fields import TsdfGrid
 from lightsim.core.frames import Trajectory
@@ -36,7 +36,7 @@ def _volume_m3(mesh: TriMesh) -> float:
     ],
 )
 def test_every_kind_has_a_closed_shape_in_its_box(kind, size, fill) -> None:
-    mesh = actor_surface(_track(kind, size), None, AssetConfig())
+    mesh = actor_surface(_track(kind, size), None, MeshConfig())
     assert (np.abs(mesh.vertices) <= size / 2 + 0.03).all()
     assert mesh.vertices[:, 2].max() > 0.9 * size[2] / 2
     assert fill[0] < _volume_m3(mesh) / float(np.prod(size)) < fill[1]
@@ -62,7 +62,7 @@ def _half_seen_box() -> TsdfGrid:
 
 
 def test_the_unseen_half_mirrors_the_seen_one() -> None:
-    mesh = actor_surface(_track("car"), _half_seen_box(), AssetConfig())
+    mesh = actor_surface(_track("car"), _half_seen_box(), MeshConfig())
     side = np.abs(mesh.vertices[:, 0]) < 1.5
     side &= np.abs(mesh.vertices[:, 2]) < 0.4
     seen = mesh.vertices[side & (mesh.vertices[:, 1] > 0), 1]

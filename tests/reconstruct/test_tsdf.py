@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lightsim.assets.build import mesh_background
-from lightsim.assets.config import AssetConfig
+from lightsim.assets.mesh_config import MeshConfig
+from lightsim.assets.mesh_scene import mesh_background
 from lightsim.assets.surface import extract_surface
 from lightsim.core.actors import ActorTrack
 from lightsim.core.fields import SceneFields
@@ -163,7 +163,7 @@ def test_no_triangle_where_no_ray_has_been(fields: SceneFields) -> None:
 
 def test_ground_is_closed_in_blind_spots(fields: SceneFields) -> None:
     """Under the parked car, and in its shadow, straight down hits ground at z = 0."""
-    mesh = mesh_background(fields, AssetConfig(ground_radius_m=12.0), make_embree_caster)
+    mesh = mesh_background(fields, MeshConfig(ground_radius_m=12.0), make_embree_caster)
     x, y = np.meshgrid(np.arange(-6, 12, 0.31), np.arange(-9, 3, 0.31))
     top = np.stack([x, y, np.full_like(x, 0.3)], -1).reshape(-1, 3)
     hits = make_embree_caster([mesh]).intersect(top, np.tile([0.0, 0.0, -1.0], (len(top), 1)))

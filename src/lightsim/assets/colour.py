@@ -54,6 +54,16 @@ def paint(
     return painted
 
 
+def colour_of_nearest(mesh: TriMesh, coloured: TriMesh) -> TriMesh:
+    """A mesh that no image shows, with the colours of the nearest vertices of another."""
+    from scipy.spatial import KDTree
+
+    if len(mesh.vertices) == 0 or len(coloured.vertices) == 0:
+        return mesh
+    _, index = KDTree(coloured.vertices).query(mesh.vertices)
+    return replace(mesh, base_colour=coloured.base_colour[index])
+
+
 def fill_unseen(
     mesh: TriMesh,
     colour: Float32[np.ndarray, "n 3"],

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64
 from scipy import ndimage
 
-from lightsim.assets.config import AssetConfig
+from lightsim.assets.mesh_config import MeshConfig
 from lightsim.assets.proxy import is_vehicle, proxy_distance_m
 from lightsim.assets.surface import extract_surface, make_mesh, path_distance_m
 from lightsim.core.actors import ActorTrack
@@ -21,7 +21,7 @@ _SINK_M = 0.01
 _MIN_UP = 0.5
 
 
-def actor_surface(track: ActorTrack, grid: TsdfGrid | None, config: AssetConfig) -> TriMesh:
+def actor_surface(track: ActorTrack, grid: TsdfGrid | None, config: MeshConfig) -> TriMesh:
     """A closed mesh in frame `actor`.
 
     Vehicles seen from one side borrow the mirrored half; the default shape of the kind decides
@@ -97,7 +97,7 @@ def ground_patches(
     background: TriMesh,
     ground: GroundMap,
     path_m: Float[np.ndarray, "k 3"],
-    config: AssetConfig,
+    config: MeshConfig,
     make_caster: MakeCaster,
 ) -> TriMesh:
     """Ground that the background lacks: under parked cars, behind them, under the recording car.
@@ -121,7 +121,7 @@ def ground_patches(
 
 
 def _nodes(
-    path_m: Float[np.ndarray, "k 3"], config: AssetConfig
+    path_m: Float[np.ndarray, "k 3"], config: MeshConfig
 ) -> tuple[Float64[np.ndarray, "nx ny 2"], tuple[int, int]]:
     cell, radius = config.ground_cell_m, config.ground_radius_m
     low = path_m[:, :2].min(axis=0) - radius
@@ -141,7 +141,7 @@ def _cast_down(
     background: TriMesh,
     xy: Float64[np.ndarray, "n 2"],
     height: Float[np.ndarray, " n"],
-    config: AssetConfig,
+    config: MeshConfig,
     make_caster: MakeCaster,
 ) -> tuple[Float64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """Height of the surface near the ground map, and whether an upward-facing one is there."""

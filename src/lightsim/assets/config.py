@@ -1,4 +1,4 @@
-"""Settings of the step from fields to coloured meshes."""
+"""Settings of the step from meshes to coloured meshes."""
 
 from __future__ import annotations
 
@@ -7,26 +7,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class AssetConfig:
-    """How fields become coloured meshes."""
+    """How meshes get their colour."""
 
-    min_weight: float = 0.03
-    """Grid samples with less evidence than this count as unknown."""
-    min_piece_m2: float = 0.25
-    """Connected pieces of the background smaller than this are dropped."""
-    smoothing_rounds: int = 3
-    """Rounds of fair smoothing of the background."""
-    mirror_weight: float = 0.2
-    """Evidence from a vehicle's mirrored half counts this much."""
-    prior_weight: float = 0.03
-    """Evidence of the box's default shape, decisive only where no ray has been."""
-    ground_cell_m: float = 0.25
-    """Grid on which holes in the ground are found and closed."""
-    ground_radius_m: float = 40.0
-    """Holes are closed up to this distance from the path."""
-    ground_band_m: float = 0.35
-    """A surface within this height of the ground map counts as ground."""
-    ground_reach_m: float = 8.0
-    """Holes are closed up to this far from observed ground."""
     samples_per_vertex: int = 10
     """The best views kept for each vertex."""
     every_nth_frame: int = 1

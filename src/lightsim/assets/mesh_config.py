@@ -1,0 +1,41 @@
+"""Settings of the step from fields to meshes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class MeshConfig:
+    """How fields become meshes, before they are coloured."""
+
+    min_weight: float = 0.03
+    """Grid samples with less evidence than this count as unknown."""
+    min_piece_m2: float = 0.25
+    """Connected pieces of the background smaller than this are dropped."""
+    smoothing_rounds: int = 3
+    """Rounds of fair smoothing of the background."""
+    mirror_weight: float = 0.2
+    """Evidence from a vehicle's mirrored half counts this much."""
+    prior_weight: float = 0.03
+    """Evidence of the box's default shape, decisive only where no ray has been."""
+    ground_cell_m: float = 0.25
+    """Grid on which holes in the ground are found and closed."""
+    ground_radius_m: float = 40.0
+    """Holes are closed up to this distance from the path."""
+    ground_band_m: float = 0.35
+    """A surface within this height of the ground map counts as ground."""
+    ground_reach_m: float = 8.0
+    """Holes are closed up to this far from observed ground."""
+
+
+def draft() -> MeshConfig:
+    return MeshConfig()
+
+
+def standard() -> MeshConfig:
+    return MeshConfig()
+
+
+def paper() -> MeshConfig:
+    return MeshConfig()
