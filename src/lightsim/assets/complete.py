@@ -15,7 +15,7 @@ from lightsim.core.fields import BLOCK, GroundMap, TsdfGrid
 from lightsim.core.laplace import fill_smoothly
 from lightsim.core.mesh import TriMesh
 
-_PROXY_VOXEL_M = 0.12
+PROXY_VOXEL_M = 0.12
 _PADDING_M = 0.2
 _SINK_M = 0.01
 _MIN_UP = 0.5
@@ -53,7 +53,7 @@ def mirrored(
 
 
 def _empty_grid(track: ActorTrack) -> TsdfGrid:
-    voxel = _PROXY_VOXEL_M
+    voxel = PROXY_VOXEL_M
     extent = track.size_lwh_m + 2 * _PADDING_M
     shape = np.ceil(extent / (voxel * BLOCK)).astype(np.int64)
     coords = np.argwhere(np.ones(tuple(shape.tolist()), dtype=bool)).astype(np.int32)

@@ -13,8 +13,14 @@ class MeshConfig:
     """Grid samples with less evidence than this count as unknown."""
     min_piece_m2: float = 0.25
     """Connected pieces of the background smaller than this are dropped."""
-    smoothing_rounds: int = 3
-    """Rounds of fair smoothing of the background."""
+    normal_rounds: int = 12
+    """Rounds of normal filtering; 0 leaves the surface as extracted."""
+    max_move_voxels: float = 0.5
+    """Filtering moves no vertex further than this many samples of its level."""
+    error_voxels: float = 0.1
+    """Simplification may deviate by this many samples of a level (RMS); 0 keeps every face."""
+    edge_voxels: float = 6.0
+    """Simplification makes no edge longer than this many samples of a level."""
     mirror_weight: float = 0.2
     """Evidence from a vehicle's mirrored half counts this much."""
     prior_weight: float = 0.03

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from lightsim.assets.complete import actor_surface, ground_patches
+import numpy as np
+
+from lightsim.assets.complete import PROXY_VOXEL_M, actor_surface, ground_patches
 from lightsim.assets.mesh_config import MeshConfig
-from lightsim.assets.surface import background_levels, drop_floaters, smooth
+from lightsim.assets.simplify import denoise, simplify
+from lightsim.assets.surface import background_levels, drop_floaters
 from lightsim.core.casting import MakeCaster
 from lightsim.core.fields import SceneFields
 from lightsim.core.log import DrivingLog
@@ -26,7 +29,8 @@ def mesh_scene(
     actors, notes = {}, list(fields.notes)
     for track in progress.track(log.actors, "mesh the actors", len(log.actors)):
         grid = fields.actors.get(track.actor_id)
-        mesh = actor_surface(track, grid, config)
+        voxel_m = PROXY_VOXEL_M if grid is None else grid.voxel_m
+        mesh = _refined(actor_surface(track, grid, config), voxel_m, config)
         actors[track.actor_id] = ActorAsset(track.actor_id, track.kind, mesh)
         if grid is None:
             notes.append(f"actor {track.actor_id} ({track.kind}): default shape, too few returns")
@@ -36,9 +40,25 @@ def mesh_scene(
 def mesh_background(fields: SceneFields, config: MeshConfig, make_caster: MakeCaster) -> TriMesh:
     """All levels of the static scene in one mesh, ground closed; black."""
     levels = [
-        smooth(drop_floaters(level, config.min_piece_m2), config.smoothing_rounds)
-        for level in background_levels(fields, config.min_weight)
+        _refined(drop_floaters(level, config.min_piece_m2), grid.voxel_m, config)
+        for level, grid in zip(
+            background_levels(fields, config.min_weight), fields.background, strict=True
+        )
     ]
     surface = concatenate_meshes(levels)
     patches = ground_patches(surface, fields.ground, fields.path_m, config, make_caster)
     return concatenate_meshes([surface, patches])
+
+
+def _refined(mesh: TriMesh, voxel_m: float, config: MeshConfig) -> TriMesh:
+    """Without noise of marching cubes, and with no more faces than the shape needs."""
+    if config.normal_rounds > 0:
+        mesh = denoise(mesh, config.max_move_voxels * voxel_m, normal_rounds=config.normal_rounds)
+    if config.error_voxels == 0:
+        return mesh
+    count = len(mesh.vertices)
+    return simplify(
+        mesh,
+        np.full(count, config.error_voxels * voxel_m),
+        np.full(count, config.edge_voxels * voxel_m),
+    )

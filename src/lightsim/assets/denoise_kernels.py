@@ -1,0 +1,102 @@
+"""Compiled loops of mesh denoising: bilateral filtering of normals, vertices that follow.
+
+`no_type_check` keeps the tests' run-time type checker out of compiled code.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from numba import njit, prange
+
+_MAX_NEAR = 24
+
+
+@njit(cache=True, nogil=True, parallel=True)
+@no_type_check
+def neighbour_faces(faces, start, members):
+    """Up to 24 faces that share a vertex with each face, and how many."""
+    near = np.full((faces.shape[0], _MAX_NEAR), -1, np.int32)
+    count = np.zeros(faces.shape[0], np.int32)
+    for f in prange(faces.shape[0]):
+        n = 0
+        for k in range(3):
+            v = faces[f, k]
+            for s in range(start[v], start[v + 1]):
+                g = members[s]
+                is_new = g != f and n < _MAX_NEAR
+                for q in range(n):
+                    is_new = is_new and near[f, q] != g
+                if is_new:
+                    near[f, n] = g
+                    n += 1
+        count[f] = n
+    return near, count
+
+
+@njit(cache=True, nogil=True, parallel=True)
+@no_type_check
+def filter_normals(points, faces, near, count, rounds, spread):
+    """Unit normals, each the weighted mean of its neighbours' that differ little from it."""
+    m = faces.shape[0]
+    normals = np.zeros((m, 3))
+    centres = np.zeros((m, 3))
+    area = np.zeros(m)
+    for f in prange(m):
+        a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
+        n = np.cross(b - a, c - a)
+        length = math.sqrt((n * n).sum())
+        area[f] = 0.5 * length
+        centres[f] = (a + b + c) / 3.0
+        if length > 0.0:
+            normals[f] = n / length
+    reach = 2.0 * area.mean()
+    for _ in range(rounds):
+        new = np.empty_like(normals)
+        for f in prange(m):
+            total = area[f] * normals[f]
+            for q in range(count[f]):
+                g = near[f, q]
+                far = ((centres[f] - centres[g]) ** 2).sum()
+                other = ((normals[f] - normals[g]) ** 2).sum()
+                share = math.exp(-0.5 * far / reach - 0.5 * other / (spread * spread))
+                total = total + area[g] * share * normals[g]
+            length = math.sqrt((total * total).sum())
+            if length > 0.0:
+                new[f] = total / length
+            else:
+                new[f] = normals[f]
+        normals = new
+    return normals
+
+
+@njit(cache=True, nogil=True, parallel=True)
+@no_type_check
+def fit_vertices(points, faces, start, members, normals, rounds):
+    """Vertices moved along the normals around them until each face is square to its normal."""
+    moved = points.copy()
+    for _ in range(rounds):
+        new = moved.copy()
+        for v in prange(points.shape[0]):
+            n = start[v + 1] - start[v]
+            if n == 0:
+                continue
+            x, y, z = 0.0, 0.0, 0.0
+            for s in range(start[v], start[v + 1]):
+                f = members[s]
+                along = 0.0
+                for k in range(3):
+                    centre = (
+                        moved[faces[f, 0], k] + moved[faces[f, 1], k] + moved[faces[f, 2], k]
+                    ) / 3.0
+                    along += normals[f, k] * (centre - moved[v, k])
+                x += normals[f, 0] * along
+                y += normals[f, 1] * along
+                z += normals[f, 2] * along
+            new[v, 0] += x / n
+            new[v, 1] += y / n
+            new[v, 2] += z / n
+        moved = new
+    return moved

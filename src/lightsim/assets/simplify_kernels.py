@@ -1,0 +1,328 @@
+"""Compiled loops of mesh simplification: quadrics, edge costs and one round of collapses.
+
+`no_type_check` keeps the tests' run-time type checker out of compiled code.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from numba import njit, prange
+
+FREE, BORDER, FIXED = 0, 1, 2
+"""Kinds of vertices: inside a surface, on a border, where more than two faces meet."""
+_BORDER_WEIGHT = 4.0
+_MIN_COSINE = 0.5
+_MIN_QUALITY = 0.03
+"""Area over the square of the longest edge; 0.43 for an equilateral triangle."""
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def faces_by_vertex(faces, count):
+    """Start of each vertex's list of faces, and the lists, one after another."""
+    start = np.zeros(count + 1, np.int64)
+    for f in range(faces.shape[0]):
+        for k in range(3):
+            start[faces[f, k] + 1] += 1
+    for v in range(count):
+        start[v + 1] += start[v]
+    place = start[:-1].copy()
+    members = np.empty(start[-1], np.int64)
+    for f in range(faces.shape[0]):
+        for k in range(3):
+            v = faces[f, k]
+            members[place[v]] = f
+            place[v] += 1
+    return start, members
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _neighbours(v, faces, start, members, found, uses, groups, group):
+    """Neighbours of a vertex, how many faces share each edge (100 where their groups differ)."""
+    n = 0
+    for s in range(start[v], start[v + 1]):
+        f = members[s]
+        if faces[f, 0] < 0:
+            continue
+        for k in range(3):
+            w = faces[f, k]
+            if w == v:
+                continue
+            at = -1
+            for q in range(n):
+                if found[q] == w:
+                    at = q
+            if at < 0:
+                if n == found.shape[0]:
+                    return -1
+                at = n
+                found[at], uses[at], group[at] = w, 0, groups[f]
+                n += 1
+            uses[at] += 1
+            if group[at] != groups[f]:
+                uses[at] += 100
+    return n
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def list_edges(faces, groups, start, members):
+    """Every edge once (first < second), the faces that share it, and the kind of each vertex."""
+    count = start.shape[0] - 1
+    edges = np.empty((members.shape[0], 2), np.int64)
+    shares = np.empty(members.shape[0], np.int64)
+    kind = np.zeros(count, np.int8)
+    found, uses = np.empty(64, np.int64), np.empty(64, np.int64)
+    group = np.empty(64, np.int64)
+    n = 0
+    for v in range(count):
+        k = _neighbours(v, faces, start, members, found, uses, groups, group)
+        if k < 0:
+            kind[v] = FIXED
+            continue
+        for q in range(k):
+            if uses[q] > 2 and uses[q] < 100:
+                kind[v] = FIXED
+            elif uses[q] != 2:
+                kind[v] = max(kind[v], BORDER)
+            if v < found[q]:
+                edges[n, 0], edges[n, 1], shares[n] = v, found[q], uses[q]
+                n += 1
+    return edges[:n].copy(), shares[:n].copy(), kind
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _add_plane(quadric, nx, ny, nz, d, weight):
+    quadric[0] += weight * nx * nx
+    quadric[1] += weight * nx * ny
+    quadric[2] += weight * nx * nz
+    quadric[3] += weight * ny * ny
+    quadric[4] += weight * ny * nz
+    quadric[5] += weight * nz * nz
+    quadric[6] += weight * nx * d
+    quadric[7] += weight * ny * d
+    quadric[8] += weight * nz * d
+    quadric[9] += weight * d * d
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def vertex_quadrics(points, faces, groups, start, members):
+    """Area-weighted plane quadrics (Garland & Heckbert 1997) and the total weight of each vertex;
+    borders add planes across them, which keep their course."""
+    quadrics = np.zeros((points.shape[0], 10))
+    weight = np.zeros(points.shape[0])
+    found, uses = np.empty(64, np.int64), np.empty(64, np.int64)
+    group = np.empty(64, np.int64)
+    for f in range(faces.shape[0]):
+        a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
+        n = np.cross(b - a, c - a)
+        length = math.sqrt((n * n).sum())
+        if length < 1e-12:
+            continue
+        n /= length
+        d = -(n * a).sum()
+        for k in range(3):
+            _add_plane(quadrics[faces[f, k]], n[0], n[1], n[2], d, length / 6.0)
+            weight[faces[f, k]] += length / 6.0
+        for k in range(3):
+            v, w = faces[f, k], faces[f, (k + 1) % 3]
+            size = _neighbours(v, faces, start, members, found, uses, groups, group)
+            is_border = False
+            for q in range(size):
+                is_border = is_border or (found[q] == w and uses[q] != 2)
+            if not is_border:
+                continue
+            along = points[w] - points[v]
+            across = np.cross(along, n)
+            size_m = math.sqrt((across * across).sum())
+            if size_m < 1e-12:
+                continue
+            across /= size_m
+            e = -(across * points[v]).sum()
+            for u in (v, w):
+                _add_plane(
+                    quadrics[u],
+                    across[0],
+                    across[1],
+                    across[2],
+                    e,
+                    _BORDER_WEIGHT * size_m * size_m,
+                )
+    return quadrics, weight
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _error(q, p):
+    x, y, z = p[0], p[1], p[2]
+    total = q[0] * x * x + q[3] * y * y + q[5] * z * z + q[9]
+    total += 2 * (q[1] * x * y + q[2] * x * z + q[4] * y * z)
+    return total + 2 * (q[6] * x + q[7] * y + q[8] * z)
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _best_place(quadrics, points, v, w, q, out):
+    """The point of least error near the edge: regularised towards the middle of the edge, so
+    that flat and straight surroundings leave it there. `q` receives the sum of the quadrics."""
+    for k in range(10):
+        q[k] = quadrics[v, k] + quadrics[w, k]
+    x = 0.5 * (points[v, 0] + points[w, 0])
+    y = 0.5 * (points[v, 1] + points[w, 1])
+    z = 0.5 * (points[v, 2] + points[w, 2])
+    eps = 1e-3 * (q[0] + q[3] + q[5]) + 1e-12
+    m00, m11, m22 = q[0] + eps, q[3] + eps, q[5] + eps
+    m01, m02, m12 = q[1], q[2], q[4]
+    r0, r1, r2 = eps * x - q[6], eps * y - q[7], eps * z - q[8]
+    c00, c01, c02 = m11 * m22 - m12 * m12, m02 * m12 - m01 * m22, m01 * m12 - m02 * m11
+    det = m00 * c00 + m01 * c01 + m02 * c02
+    c11, c12, c22 = m00 * m22 - m02 * m02, m01 * m02 - m00 * m12, m00 * m11 - m01 * m01
+    out[0] = (c00 * r0 + c01 * r1 + c02 * r2) / det
+    out[1] = (c01 * r0 + c11 * r1 + c12 * r2) / det
+    out[2] = (c02 * r0 + c12 * r1 + c22 * r2) / det
+    far = (out[0] - x) ** 2 + (out[1] - y) ** 2 + (out[2] - z) ** 2
+    if not far < _square(points, v, w):
+        out[0], out[1], out[2] = x, y, z
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _square(points, v, w):
+    """Squared distance between two vertices."""
+    x, y = points[v, 0] - points[w, 0], points[v, 1] - points[w, 1]
+    z = points[v, 2] - points[w, 2]
+    return x * x + y * y + z * z
+
+
+@njit(cache=True, nogil=True, parallel=True)
+@no_type_check
+def edge_costs(points, edges, shares, kind, quadrics, weight, max_error, max_edge):
+    """Where each edge would collapse to and the RMS distance from the planes around; inf where
+    it must stay."""
+    cost = np.full(edges.shape[0], np.inf)
+    place = np.empty((edges.shape[0], 3))
+    sums = np.empty((edges.shape[0], 10))
+    for e in prange(edges.shape[0]):
+        v, w = edges[e, 0], edges[e, 1]
+        is_border_pair = kind[v] == BORDER and kind[w] == BORDER
+        if kind[v] == FIXED or kind[w] == FIXED or (is_border_pair and shares[e] == 2):
+            continue
+        square = _square(points, v, w)
+        if square > min(max_edge[v], max_edge[w]) ** 2:
+            continue
+        _best_place(quadrics, points, v, w, sums[e], place[e])
+        if kind[v] != kind[w]:
+            kept = v if kind[v] == BORDER else w
+            for k in range(3):
+                place[e, k] = points[kept, k]
+        error = max(_error(sums[e], place[e]), 0.0)
+        rms = math.sqrt(error / max(weight[v] + weight[w], 1e-12))
+        if rms <= min(max_error[v], max_error[w]):
+            # Short edges first where all is flat: triangles stay round.
+            cost[e] = rms + 1e-3 * math.sqrt(square)
+    return cost, place
+
+
+@njit(cache=True, nogil=True, inline="always")
+@no_type_check
+def _cross(ax, ay, az, bx, by, bz, cx, cy, cz):
+    """Twice the area vector of a triangle, in scalars: arrays here would be allocated."""
+    ux, uy, uz = bx - ax, by - ay, bz - az
+    vx, vy, vz = cx - ax, cy - ay, cz - az
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _is_sound(v, other, p, points, faces, start, members, limit):
+    """Whether the faces around v (without those at `other`) keep their side, a decent shape and
+    short edges when v moves to p."""
+    for s in range(start[v], start[v + 1]):
+        f = members[s]
+        if faces[f, 0] < 0:
+            continue
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        if i == other or j == other or k == other:
+            continue
+        while i != v:
+            i, j, k = j, k, i
+        ax, ay, az = points[i, 0], points[i, 1], points[i, 2]
+        bx, by, bz = points[j, 0], points[j, 1], points[j, 2]
+        cx, cy, cz = points[k, 0], points[k, 1], points[k, 2]
+        ox, oy, oz = _cross(ax, ay, az, bx, by, bz, cx, cy, cz)
+        nx, ny, nz = _cross(p[0], p[1], p[2], bx, by, bz, cx, cy, cz)
+        longest = (bx - p[0]) ** 2 + (by - p[1]) ** 2 + (bz - p[2]) ** 2
+        longest = max(longest, (cx - p[0]) ** 2 + (cy - p[1]) ** 2 + (cz - p[2]) ** 2)
+        if longest > limit * limit:
+            return False
+        longest = max(longest, (cx - bx) ** 2 + (cy - by) ** 2 + (cz - bz) ** 2)
+        size = math.sqrt(nx * nx + ny * ny + nz * nz)
+        before = math.sqrt(ox * ox + oy * oy + oz * oz)
+        if size * 0.5 < _MIN_QUALITY * longest:
+            return False
+        if nx * ox + ny * oy + nz * oz < _MIN_COSINE * size * before:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def collapse_round(
+    points, faces, groups, start, members, edges, shares, cost, place, order,
+    quadrics, weight, max_error, max_edge,
+):  # fmt: skip
+    """Collapse edges in order of cost, each vertex ring at most once. Dead faces get index -1.
+
+    Returns the number of collapses.
+    """
+    is_touched = np.zeros(points.shape[0], np.bool_)
+    near_v, near_w = np.empty(64, np.int64), np.empty(64, np.int64)
+    uses, group = np.empty(64, np.int64), np.empty(64, np.int64)
+    done = 0
+    for at in range(order.shape[0]):
+        e = order[at]
+        v, w = edges[e, 0], edges[e, 1]
+        if is_touched[v] or is_touched[w]:
+            continue
+        n_v = _neighbours(v, faces, start, members, near_v, uses, groups, group)
+        n_w = _neighbours(w, faces, start, members, near_w, uses, groups, group)
+        common, blocked = 0, n_v < 0 or n_w < 0
+        for i in range(n_v):
+            blocked = blocked or is_touched[near_v[i]]
+            for j in range(n_w):
+                common += near_v[i] == near_w[j]
+        for j in range(n_w):
+            blocked = blocked or is_touched[near_w[j]]
+        # The link condition: two faces share the edge and nothing else joins its ends.
+        if blocked or common != shares[e] % 100:
+            continue
+        limit = min(max_edge[v], max_edge[w])
+        if not _is_sound(v, w, place[e], points, faces, start, members, limit):
+            continue
+        if not _is_sound(w, v, place[e], points, faces, start, members, limit):
+            continue
+        for s in range(start[w], start[w + 1]):
+            f = members[s]
+            if faces[f, 0] == v or faces[f, 1] == v or faces[f, 2] == v:
+                faces[f, :] = -1
+            for k in range(3):
+                if faces[f, k] == w:
+                    faces[f, k] = v
+        points[v] = place[e]
+        quadrics[v] += quadrics[w]
+        weight[v] += weight[w]
+        max_error[v] = min(max_error[v], max_error[w])
+        max_edge[v] = limit
+        for i in range(n_v):
+            is_touched[near_v[i]] = True
+        for j in range(n_w):
+            is_touched[near_w[j]] = True
+        is_touched[v] = True
+        done += 1
+    return done
