@@ -31,6 +31,7 @@ front_camera:
       rotation: {w: 0.0, x: 0.0, y: 0.70710678118654757,
         z: -0.70710678118654757}
       translation: {x: 0.0, y: 0.0, z: -0.5}
+  readout_s: 0.0
 main_pandar64:
   extrinsic:
     transform:

@@ -123,6 +123,31 @@ def points_rotated(
     return vectors @ rotation.T
 
 
+def turned_by(
+    vectors: Float[np.ndarray, "n 3"], rotation_vectors_rad: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Each vector turned about its own axis by its own angle (Rodrigues' formula)."""
+    angle = np.linalg.norm(rotation_vectors_rad, axis=1, keepdims=True)
+    axis = rotation_vectors_rad / np.where(angle > 1e-15, angle, 1.0)
+    along = (vectors * axis).sum(axis=1, keepdims=True) * axis
+    across = np.cross(axis, vectors)
+    return vectors * np.cos(angle) + across * np.sin(angle) + along * (1.0 - np.cos(angle))
+
+
+def rotation_from_vector(rotation_vector_rad: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """The matrix that turns about `rotation_vector_rad` by its length."""
+    return turned_by(np.eye(3), np.tile(rotation_vector_rad, (3, 1))).T
+
+
+def vector_from_rotation(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
+    """Axis times angle of a rotation, angle in [0, pi]."""
+    w, *axis = quaternion_from_matrix(rotation)
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-15:
+        return np.zeros(3)
+    return np.array(axis) / sine * 2.0 * np.arctan2(sine, w)
+
+
 def matrices_from_quaternions(
     quaternions_wxyz: Float[np.ndarray, "n 4"],
 ) -> Float[np.ndarray, "n 3 3"]:

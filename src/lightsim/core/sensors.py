@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int16, UInt8
 
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.frames import RigidTransform
+from lightsim.core.frames import RigidTransform, turned_by
 
 _PROJECTION_ROUNDS = 4
 
@@ -19,37 +19,25 @@ class RollingShutter:
     """The camera moves while its rows are read from top to bottom: each row has its own pose.
 
     Args:
-        readout_s: seconds from the top edge of the image to the bottom edge.
-        reference: height, as a fraction of the image from its top, of the row read at the
-            frame's time: 0 where times mark the start of the readout, 0.5 its middle.
+        readout_s: seconds from the top edge of the image to the bottom edge; the frame's time
+            and pose are those of the middle row.
         velocity_m_s: of the camera, frame `world`.
         angular_velocity_rad_s: of the camera, frame `world`, right-handed.
     """
 
     readout_s: float
-    reference: float
     velocity_m_s: Float[np.ndarray, "3"]
     angular_velocity_rad_s: Float[np.ndarray, "3"]
 
     def seconds(self, v: Float[np.ndarray, " n"], height_px: int) -> Float[np.ndarray, " n"]:
         """When rows are read, relative to the frame's time; rows outside count as the nearest."""
-        return (np.clip(v / height_px, 0.0, 1.0) - self.reference) * self.readout_s
+        return (np.clip(v / height_px, 0.0, 1.0) - 0.5) * self.readout_s
 
     def turned(
         self, vectors_world: Float[np.ndarray, "n 3"], seconds: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, "n 3"]:
         """Vectors fixed to the camera at the frame's time, as they point `seconds` later."""
-        speed = float(np.linalg.norm(self.angular_velocity_rad_s))
-        if speed < 1e-12:
-            return vectors_world
-        axis = self.angular_velocity_rad_s / speed
-        sine, cosine = np.sin(speed * seconds)[:, None], np.cos(speed * seconds)[:, None]
-        along = (vectors_world @ axis)[:, None] * axis
-        return (
-            vectors_world * cosine
-            + np.cross(np.broadcast_to(axis, vectors_world.shape), vectors_world) * sine
-            + along * (1.0 - cosine)
-        )
+        return turned_by(vectors_world, seconds[:, None] * self.angular_velocity_rad_s)
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ from lightsim.ingest.files import read_json, read_times_ns, require_list, requir
 from lightsim.ingest.geo import GpsTrack, check_heading, locate
 from lightsim.ingest.own_car import OwnCarConfig, find_own_car
 from lightsim.ingest.pandaset_cameras import CameraFolder, numbered_files, read_camera
-from lightsim.ingest.pandaset_rig import Rig, ego_trajectory, read_rig
+from lightsim.ingest.pandaset_rig import READOUT_S, Rig, ego_trajectory, read_rig
 from lightsim.ingest.pandaset_sweeps import ScanTiming, SweepSource, load_sweep, measure_timing
 from lightsim.ingest.pandaset_tracks import CuboidFile, read_tracks
 from lightsim.ingest.selection import FrameSelection
@@ -112,7 +112,11 @@ def _read_cameras(
     has_path = any(name in rig.camera_from_pandar64 for name in names)
     needs_helper = _EGO_CAMERA in available and (_EGO_CAMERA not in names or not has_path)
     helpers = [_EGO_CAMERA] if needs_helper else []
-    return [read_camera(parent / n) for n in names], [read_camera(parent / n) for n in helpers]
+
+    def read(name: str) -> CameraFolder:
+        return read_camera(parent / name, rig.readout_s_by_camera.get(name, READOUT_S))
+
+    return [read(n) for n in names], [read(n) for n in helpers]
 
 
 def _select_frames(

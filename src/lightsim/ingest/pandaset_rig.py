@@ -20,12 +20,16 @@ from lightsim.errors import InputError
 
 CALIBRATION_FILE = "static_extrinsic_calibration.yaml"
 EGO_BELOW_LIDAR_M = 2.2
+READOUT_S = 0.03
+"""PandaSet's cameras read their rows one after another. The published calibration does not say
+how fast; where it has a line `readout_s:` for a camera, that holds."""
 _FRONT = "front_camera"
 _LIDAR = "main_pandar64"
 _FRONT_LIDAR = "front_gt"
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _PAIRS = rf"\s*\{{?((?:\s*[wxyz]:\s*{_NUMBER},?)+)\s*\}}?"
+_READOUT = re.compile(rf"^\s+readout_s:\s*({_NUMBER})\s*$", re.MULTILINE)
 _SENSOR = re.compile(r"^(\w+):[ \t]*$(.*?)(?=^\w|\Z)", re.MULTILINE | re.DOTALL)
 
 
@@ -36,11 +40,13 @@ class Rig:
     Args:
         camera_from_pandar64: by camera name.
         front_lidar_pandar64: origin of the forward PandarGT, metres in frame `pandar64`.
+        readout_s_by_camera: cameras whose readout the calibration gives; READOUT_S for others.
         notes: what was assumed.
     """
 
     camera_from_pandar64: Mapping[str, RigidTransform]
     front_lidar_pandar64: Float64[np.ndarray, "3"]
+    readout_s_by_camera: Mapping[str, float]
     notes: tuple[str, ...] = ()
 
 
@@ -63,6 +69,7 @@ def nominal_rig() -> Rig:
     return Rig(
         {_FRONT: transform},
         np.array([0.0, -0.6, -0.3]),
+        {},
         (
             f"no {CALIBRATION_FILE} beside the log: the ego's path rests on a nominal mounting of "
             "the front camera",
@@ -180,10 +187,14 @@ def _parse_rig(path: Path) -> Rig:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError("the calibration cannot be read", where=path, got=error) from error
     transforms: dict[str, RigidTransform] = {}
+    readouts: dict[str, float] = {}
     for name, block in _SENSOR.findall(text):
         quaternion = _pairs("rotation", "wxyz", block, f"{path}, '{name}'")
         translation = _pairs("translation", "xyz", block, f"{path}, '{name}'")
         transforms[name] = _transform(name, quaternion, translation, path)
+        readout = _READOUT.search(block)
+        if readout is not None:
+            readouts[name] = float(readout.group(1))
     if not transforms:
         raise InputError(
             "the calibration names no sensor",
@@ -194,8 +205,8 @@ def _parse_rig(path: Path) -> Rig:
     if _FRONT_LIDAR in transforms:
         # Unlike the cameras' entries this one reads pandar64_from_sensor: its scan lines lie in
         # planes through that point (0.17 against 0.61 degrees the other way round).
-        return Rig(others, transforms[_FRONT_LIDAR].translation_m.copy())
-    return Rig(others, nominal_rig().front_lidar_pandar64)
+        return Rig(others, transforms[_FRONT_LIDAR].translation_m.copy(), readouts)
+    return Rig(others, nominal_rig().front_lidar_pandar64, readouts)
 
 
 def _pairs(key: str, letters: str, block: str, where: str) -> Float64[np.ndarray, " n"]:

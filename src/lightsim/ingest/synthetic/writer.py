@@ -197,6 +197,7 @@ def _write_calibration(path: Path, cameras: Sequence[MountedCamera]) -> None:
             "    transform:",
             f"      rotation: {{w: {w:.12f}, x: {x:.12f}, y: {y:.12f}, z: {z:.12f}}}",
             f"      translation: {{x: {tx:.9f}, y: {ty:.9f}, z: {tz:.9f}}}",
+            "  readout_s: 0.0",
             "  intrinsic:",
             "    D: [0, 0, 0, 0, 0]",
             f"    K: [{camera.fx}, 0, {camera.cx - 0.5}, "

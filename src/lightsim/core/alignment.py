@@ -1,0 +1,169 @@
+"""Corrections that bring the sensors, the ego's path and the boxes of a log into agreement."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float, Int64
+
+from lightsim.core.actors import ActorTrack
+from lightsim.core.frames import RigidTransform, Trajectory, rotation_from_vector, turned_by
+from lightsim.core.log import DrivingLog
+from lightsim.core.sensors import CameraFrame, LazySweep, LidarSweep
+
+
+@dataclass(frozen=True, eq=False)
+class PathCorrection:
+    """A small rigid motion of the world as recorded at each time, linear between its knots and
+    constant beyond them: all that was located by the ego's pose at that time moves along.
+
+    Args:
+        times_ns: of the knots, increasing.
+        pivot_world: point about which it turns, metres.
+        rotations_rad: rotation vectors, frame `world`.
+        shifts_m: frame `world`.
+    """
+
+    times_ns: Int64[np.ndarray, " n"]
+    pivot_world: Float[np.ndarray, "3"]
+    rotations_rad: Float[np.ndarray, "n 3"]
+    shifts_m: Float[np.ndarray, "n 3"]
+
+    def _between(
+        self, values: Float[np.ndarray, "n 3"], times_ns: Int64[np.ndarray, " m"]
+    ) -> Float[np.ndarray, "m 3"]:
+        knots = (self.times_ns - self.times_ns[0]) * 1e-9
+        seconds = (times_ns - self.times_ns[0]) * 1e-9
+        return np.stack([np.interp(seconds, knots, values[:, k]) for k in range(3)], axis=1)
+
+    def moved(
+        self, points_world: Float[np.ndarray, "m 3"], times_ns: Int64[np.ndarray, " m"]
+    ) -> Float[np.ndarray, "m 3"]:
+        """Points that were located at the given times, corrected."""
+        turned = turned_by(
+            points_world - self.pivot_world, self._between(self.rotations_rad, times_ns)
+        )
+        return turned + self.pivot_world + self._between(self.shifts_m, times_ns)
+
+    def at(self, time_ns: int) -> RigidTransform:
+        """The motion of the world as recorded at a time, `world_from_world`."""
+        times = np.array([time_ns], dtype=np.int64)
+        rotation = rotation_from_vector(self._between(self.rotations_rad, times)[0])
+        shift = self.pivot_world - rotation @ self.pivot_world
+        shift += self._between(self.shifts_m, times)[0]
+        return RigidTransform.from_rotation("world", "world", rotation, shift)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraCorrection:
+    """How one camera sits and ticks otherwise than recorded, all through the log.
+
+    Args:
+        rotation_rad: rotation vector of the true camera's axes, in frame `camera`.
+        shift_m: true position, in frame `camera` as recorded.
+        time_offset_s: true time minus recorded time; the pose is then that of the true time.
+    """
+
+    rotation_rad: Float[np.ndarray, "3"]
+    shift_m: Float[np.ndarray, "3"]
+    time_offset_s: float
+
+    def recorded_from_true(self) -> RigidTransform:
+        rotation = rotation_from_vector(self.rotation_rad)
+        return RigidTransform.from_rotation("camera", "camera", rotation, self.shift_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """Everything that `align` found; None or an absent name leaves things as recorded.
+
+    Args:
+        path: of the ego; sweeps, cameras and boxes move along with it.
+        cameras: by camera name.
+        actors: corrected `world_from_actor` of each pose of a track, by actor id.
+        has_rolling_shutter: whether frames keep the shutter that the log's reader gave them.
+        numbers: what was measured, by name; for reports.
+        notes: for people.
+    """
+
+    path: PathCorrection | None = None
+    cameras: Mapping[str, CameraCorrection] = field(default_factory=dict)
+    actors: Mapping[str, Float[np.ndarray, "_ 4 4"]] = field(default_factory=dict)
+    has_rolling_shutter: bool = True
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def applied_to(self, log: DrivingLog) -> DrivingLog:
+        """The log with all corrections; sweeps are corrected when they are read."""
+        frames = [self._frame(log, frame) for frame in log.frames]
+        frames.sort(key=lambda frame: (frame.time_ns, frame.camera_name))
+        return replace(
+            log,
+            frames=tuple(frames),
+            sweeps=tuple(self._sweep(sweep) for sweep in log.sweeps),
+            ego=self._trajectory(log.ego),
+            actors=tuple(self._actor(actor) for actor in log.actors),
+        )
+
+    def _trajectory(self, trajectory: Trajectory) -> Trajectory:
+        if self.path is None:
+            return trajectory
+        moves = np.stack([self.path.at(int(t)).matrix for t in trajectory.times_ns])
+        return replace(trajectory, matrices=moves @ trajectory.matrices)
+
+    def _actor(self, actor: ActorTrack) -> ActorTrack:
+        if actor.actor_id in self.actors:
+            matrices = self.actors[actor.actor_id]
+            return replace(actor, trajectory=replace(actor.trajectory, matrices=matrices))
+        return replace(actor, trajectory=self._trajectory(actor.trajectory))
+
+    def _sweep(self, sweep: LazySweep) -> LazySweep:
+        if self.path is None:
+            return sweep
+        return replace(sweep, load=_corrected_loader(sweep.load, self.path))
+
+    def _frame(self, log: DrivingLog, frame: CameraFrame) -> CameraFrame:
+        correction = self.cameras.get(frame.camera_name)
+        if correction is not None:
+            later_ns = frame.time_ns + round(correction.time_offset_s * 1e9)
+            pose = _carried(log.ego, frame.world_from_camera, frame.time_ns, later_ns)
+            pose = pose @ correction.recorded_from_true()
+            frame = replace(frame, time_ns=later_ns, world_from_camera=pose)
+        if self.path is not None:
+            pose = self.path.at(frame.time_ns) @ frame.world_from_camera
+            frame = replace(frame, world_from_camera=pose)
+        return frame if self.has_rolling_shutter else replace(frame, shutter=None)
+
+
+def _carried(
+    ego: Trajectory, world_from_camera: RigidTransform, from_ns: int, to_ns: int
+) -> RigidTransform:
+    """The pose that a camera fixed to the car has at another time; at the ends of the ego's path
+    it goes on as in its last interval."""
+    inner_ns = min(max(from_ns, ego.start_ns), ego.end_ns)
+    outer_ns = inner_ns + (to_ns - from_ns)
+    if ego.covers(outer_ns):
+        return ego.at(outer_ns) @ ego.at(inner_ns).inverse() @ world_from_camera
+    back_ns = 2 * inner_ns - outer_ns
+    if not ego.covers(back_ns):
+        return world_from_camera
+    return ego.at(inner_ns) @ ego.at(back_ns).inverse() @ world_from_camera
+
+
+def _corrected_loader(
+    load: Callable[[], LidarSweep], path: PathCorrection
+) -> Callable[[], LidarSweep]:
+    def load_corrected() -> LidarSweep:
+        sweep = load()
+        times_ns = sweep.time_ns + (sweep.time_offset_s.astype(np.float64) * 1e9).astype(np.int64)
+        points = path.moved(sweep.points_world.astype(np.float64), times_ns)
+        origins = path.moved(sweep.origins_world.astype(np.float64), times_ns)
+        return replace(
+            sweep,
+            points_world=points.astype(np.float32),
+            origins_world=origins.astype(np.float32),
+        )
+
+    return load_corrected
