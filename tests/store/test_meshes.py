@@ -13,7 +13,8 @@ import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from lightsim.core.mesh import Material, TriMesh
+from lightsim.core.colour import linear_from_srgb8, srgb8_from_linear
+from lightsim.core.mesh import Material, Texture, TriMesh
 from lightsim.errors import InputError
 from lightsim.store.meshes import read_glb, write_glb
 
@@ -56,6 +57,62 @@ def test_the_file_keeps_the_standard(tmp_path: Path, mesh: TriMesh) -> None:
     view = document["bufferViews"][2]
     indices = np.frombuffer(binary, "<u4", offset=view["byteOffset"])
     assert indices.max() < positions["count"]
+
+
+def _rich(mesh: TriMesh, rng: np.random.Generator, *, textured: bool) -> TriMesh:
+    """Every vertex used, two materials, confidence, and a texture."""
+    faces = np.arange(39, dtype=np.int32).reshape(-1, 3)
+    faces = np.concatenate([faces, [[39, 0, 1]]]).astype(np.int32)
+    number = (np.arange(len(faces)) > 5).astype(np.uint8)
+    materials = (Material(0.3, 0.4, "car paint"), Material(0.9, 0.0, "asphalt"))
+    codes = rng.integers(0, 256, (50, 70, 3)).astype(np.uint8)
+    uv = (np.floor(rng.uniform(0, 50, (len(faces), 3, 2))) + 0.5).astype(np.float32)
+    texture = Texture(linear_from_srgb8(codes), uv) if textured else None
+    confidence = rng.random(40).astype(np.float32)
+    return TriMesh(
+        "world", mesh.vertices, faces, mesh.base_colour, materials, number, texture, confidence
+    )
+
+
+def _assert_equal(back: TriMesh, mesh: TriMesh) -> None:
+    for name in ("vertices", "faces", "base_colour", "face_material", "confidence"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(mesh, name))
+    assert back.materials == mesh.materials
+    assert back.frame == mesh.frame
+    if mesh.texture is None or back.texture is None:
+        assert mesh.texture is back.texture
+        return
+    np.testing.assert_array_equal(back.texture.corner_uv, mesh.texture.corner_uv)
+    np.testing.assert_allclose(back.texture.image, mesh.texture.image, atol=1e-6)
+
+
+@pytest.mark.parametrize("textured", [False, True])
+def test_materials_texture_and_confidence_come_back(
+    tmp_path: Path, mesh: TriMesh, rng: np.random.Generator, textured: bool
+) -> None:
+    rich = _rich(mesh, rng, textured=textured)
+    write_glb(tmp_path / "a.glb", rich)
+    _assert_equal(read_glb(tmp_path / "a.glb", "world"), rich)
+
+
+def test_another_reader_sees_texture_and_materials(
+    tmp_path: Path, mesh: TriMesh, rng: np.random.Generator
+) -> None:
+    rich = _rich(mesh, rng, textured=True)
+    write_glb(tmp_path / "a.glb", rich)
+    parts = list(trimesh.load(tmp_path / "a.glb").geometry.values())
+    assert [len(part.faces) for part in parts] == [6, 8]
+    material = parts[0].visual.material
+    assert material.name == "car paint"
+    assert (material.roughnessFactor, material.metallicFactor) == (0.3, 0.4)
+    assert material.baseColorTexture.size == (70, 50)
+    assert rich.texture is not None
+    pixels = np.asarray(material.baseColorTexture.convert("RGB"))
+    np.testing.assert_array_equal(pixels, srgb8_from_linear(rich.texture.image))
+    # trimesh counts v from the bottom.
+    uv = np.asarray(parts[0].visual.uv) * [70, 50]
+    uv[:, 1] = 50 - uv[:, 1]
+    np.testing.assert_allclose(uv, rich.texture.corner_uv[:6].reshape(-1, 2), atol=1e-3)
 
 
 def test_another_reader_sees_it_upright(tmp_path: Path, mesh: TriMesh) -> None:

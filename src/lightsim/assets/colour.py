@@ -1,67 +1,16 @@
-"""Vertex colours from samples: gains divided out, outliers left out, gaps filled."""
+"""Colours of vertices that no image saw."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 from scipy.sparse import diags
 
-from lightsim.assets.colour_kernels import robust_means
-from lightsim.assets.observe import Samples
 from lightsim.assets.surface import adjacency
 from lightsim.core.mesh import TriMesh
 
 _NEIGHBOURS = 6
 _SPREAD_ROUNDS = 30
-_UNSEEN = 0.2
-
-
-def mean_radiance(
-    samples: Samples, gains: Float32[np.ndarray, "c 3"], outlier_ratio: float
-) -> tuple[Float32[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
-    """Mean observed radiance of every vertex, and whether any image saw it."""
-    means = np.zeros((len(samples.weights), 3))
-    total = np.zeros(len(samples.weights))
-    robust_means(
-        samples.colours,
-        samples.weights,
-        samples.cameras,
-        1.0 / gains.astype(np.float64),
-        outlier_ratio,
-        means,
-        total,
-    )
-    return means.astype(np.float32), total > 0
-
-
-def paint(
-    meshes: Sequence[TriMesh],
-    radiance: Float32[np.ndarray, "n 3"],
-    is_seen: Bool[np.ndarray, " n"],
-) -> list[TriMesh]:
-    """The meshes with their share of the table as base colour; unseen vertices take the colour
-    of their neighbours on the surface, then of the nearest seen vertices."""
-    painted, first = [], 0
-    usual = np.median(radiance[is_seen], axis=0) if is_seen.any() else np.full(3, _UNSEEN)
-    for mesh in meshes:
-        part = slice(first, first + len(mesh.vertices))
-        first = part.stop
-        colour = fill_unseen(mesh, radiance[part], is_seen[part], usual.astype(np.float32))
-        painted.append(replace(mesh, base_colour=colour))
-    return painted
-
-
-def colour_of_nearest(mesh: TriMesh, coloured: TriMesh) -> TriMesh:
-    """A mesh that no image shows, with the colours of the nearest vertices of another."""
-    from scipy.spatial import KDTree
-
-    if len(mesh.vertices) == 0 or len(coloured.vertices) == 0:
-        return mesh
-    _, index = KDTree(coloured.vertices).query(mesh.vertices)
-    return replace(mesh, base_colour=coloured.base_colour[index])
 
 
 def fill_unseen(

@@ -1,102 +1,55 @@
-"""What the cameras saw at each vertex: visible samples, weighted by how well they see it."""
+"""What each image shows of the meshes: the faces in it and their depth."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int16, Int64, UInt8
+from jaxtyping import Bool, Float, Float16, Float32, Int32, UInt8
+from scipy import ndimage
 
-from lightsim.assets.colour_kernels import insert_samples
+from lightsim.assets.bake_kernels import touching_faces
 from lightsim.assets.config import AssetConfig
 from lightsim.core.actors import ActorTrack
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.casting import MakeCaster, RayCaster
-from lightsim.core.colour import linear_from_srgb8
+from lightsim.core.casting import MakeCaster, RayCaster, RayHits
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
-from lightsim.progress import Progress
+
+SkyMatte = Callable[[CameraFrame], Float32[np.ndarray, "h w"]]
+"""Sky alpha of a frame at its image's size, 1 = sky."""
 
 _HOLD_S = 0.1
-_MIN_COSINE = 0.08
 _CLIPPED_WEIGHT = 0.02
-_BORDER_PX = 2.0
+_SKY_ALPHA = 0.5
+_MIN_COSINE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
-    """The best samples of every vertex of all meshes, in one table.
+class View:
+    """One image's look at the scene.
 
     Args:
-        colours: linear pixel values, gains not divided out.
-        weights: 0 where a slot is empty.
-        cameras: index into the log's cameras.
+        inverse_depth: 1 / depth along the optical axis, one ray for `depth_step_px` pixels;
+            0 where nothing was hit.
+        faces: of the scene, seen or beside a seen one.
     """
 
-    colours: Float32[np.ndarray, "n k 3"]
-    weights: Float32[np.ndarray, "n k"]
-    cameras: Int16[np.ndarray, "n k"]
+    frame: CameraFrame
+    inverse_depth: Float16[np.ndarray, "h w"]
+    faces: Int32[np.ndarray, " c"]
 
 
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """Vertices placed in frame `world` at one time, and their rows of the table."""
+class PlacedScene:
+    """All meshes in one table of vertices and faces, placed where they are at a time.
 
-    rows: Int64[np.ndarray, " n"]
-    vertices: Float32[np.ndarray, "n 3"]
-    normals: Float32[np.ndarray, "n 3"]
-
-
-def collect_samples(
-    log: DrivingLog,
-    background: TriMesh,
-    actors: Mapping[str, TriMesh],
-    config: AssetConfig,
-    *,
-    make_caster: MakeCaster,
-    progress: Progress,
-) -> Samples:
-    """Sample every vertex in every image that sees it; the table holds the background first,
-    then the actors in their order.
-
-    Actors stand where they were when each image was taken, and hide what lies behind them.
+    The background comes first, then the actors in their order. `vertices` and `normals` lie in
+    frame `world` and are those of the last call of `place`.
     """
-    count = len(background.vertices) + sum(len(mesh.vertices) for mesh in actors.values())
-    shape = (count, config.samples_per_vertex)
-    samples = Samples(
-        np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.int16)
-    )
-    scene = _Scene(log, background, actors, make_caster)
-    frames = [
-        frame for name in log.cameras for frame in log.frames_of(name)[:: config.every_nth_frame]
-    ]
-    names = list(log.cameras)
-    for frame in progress.track(frames, "colour the meshes", len(frames)):
-        camera = log.cameras[frame.camera_name]
-        image = _load(frame, camera)
-        weight_map = _weight_map(image, log.own_car_masks.get(frame.camera_name), config)
-        parts, moving = scene.at(frame, config.max_view_m)
-        index = names.index(frame.camera_name)
-        for part in parts:
-            _sample_part(
-                part,
-                frame,
-                camera,
-                (image, weight_map),
-                (scene.fixed, moving),
-                index,
-                config,
-                samples,
-            )
-    return samples
-
-
-class _Scene:
-    """The static caster, and the placed actors of a frame."""
 
     def __init__(
         self,
@@ -106,62 +59,79 @@ class _Scene:
         make_caster: MakeCaster,
     ) -> None:
         self._make_caster = make_caster
-        tracks = [track for track in log.actors if track.actor_id in actors]
-        first_by_id, first = {}, len(background.vertices)
-        for actor_id, mesh in actors.items():
-            first_by_id[actor_id] = first
-            first += len(mesh.vertices)
-        self._moving = [
-            (track, actors[track.actor_id], first_by_id[track.actor_id])
-            for track in tracks
-            if track.is_moving
-        ]
-        self._normals = [mesh.vertex_normals() for _, mesh, _ in self._moving]
-        self._fixed_parts = [_part(background, np.arange(len(background.vertices), dtype=np.int64))]
-        meshes = [background]
+        self.meshes = [background, *actors.values()]
+        self.first_vertex = np.cumsum([0] + [len(m.vertices) for m in self.meshes]).tolist()
+        self.first_face = np.cumsum([0] + [len(m.faces) for m in self.meshes]).tolist()
+        self.vertices = np.concatenate([m.vertices for m in self.meshes])
+        self.normals = np.concatenate([m.vertex_normals() for m in self.meshes])
+        self.faces = np.concatenate(
+            [m.faces + np.int32(o) for m, o in zip(self.meshes, self.first_vertex, strict=False)]
+        ).astype(np.int32)
+        number = {actor_id: k + 1 for k, actor_id in enumerate(actors)}
+        tracks = [track for track in log.actors if track.actor_id in number]
+        self._moving = [(track, number[track.actor_id]) for track in tracks if track.is_moving]
+        fixed, self._fixed_numbers = [background], [0]
         for track in tracks:
             if not track.is_moving:
-                mesh = actors[track.actor_id].moved(_pose(track, track.trajectory.start_ns))
-                index = first_by_id[track.actor_id] + np.arange(len(mesh.vertices))
-                meshes.append(mesh)
-                self._fixed_parts.append(_part(mesh, index.astype(np.int64)))
-        self.fixed: RayCaster = make_caster(meshes)
-        self._fixed_parts = [_joined(self._fixed_parts)]
+                fixed.append(self._put(track, number[track.actor_id], track.trajectory.start_ns))
+                self._fixed_numbers.append(number[track.actor_id])
+        self._fixed: RayCaster = make_caster(fixed)
 
-    def at(self, frame: CameraFrame, max_view_m: float) -> tuple[list[_Part], RayCaster]:
-        """Parts to colour in an image, and the caster of what moves in it."""
-        parts, moving = list(self._fixed_parts), []
-        for (track, mesh, first), normals in zip(self._moving, self._normals, strict=True):
+    def place(self, frame: CameraFrame, max_view_m: float) -> list[tuple[RayCaster, list[int]]]:
+        """Move the actors to a frame's time; casters, each with the numbers of its meshes."""
+        placed, numbers = [], []
+        for track, number in self._moving:
             if not track.is_present(frame.time_ns, _HOLD_S):
                 continue
-            pose = _pose(track, frame.time_ns)
+            centre = track.world_from_actor(frame.time_ns, _HOLD_S).translation_m
             reach = float(np.linalg.norm(track.size_lwh_m))
-            if not _is_ahead(frame, pose.translation_m, reach, max_view_m):
-                continue
-            placed = mesh.moved(pose)
-            moving.append(placed)
-            turned = pose.rotate(normals.astype(np.float64)).astype(np.float32)
-            index = first + np.arange(len(mesh.vertices))
-            parts.append(_Part(index.astype(np.int64), placed.vertices, turned))
-        return parts, self._make_caster(moving)
+            if _is_ahead(frame, centre, reach, max_view_m):
+                placed.append(self._put(track, number, frame.time_ns))
+                numbers.append(number)
+        return [(self._fixed, self._fixed_numbers), (self._make_caster(placed), numbers)]
+
+    def _put(self, track: ActorTrack, number: int, time_ns: int) -> TriMesh:
+        pose = track.world_from_actor(time_ns, _HOLD_S)
+        mesh = self.meshes[number].moved(pose)
+        part = slice(self.first_vertex[number], self.first_vertex[number + 1])
+        self.vertices[part] = mesh.vertices
+        self.normals[part] = mesh.vertex_normals()
+        return mesh
 
 
-def _part(mesh: TriMesh, rows: Int64[np.ndarray, " n"]) -> _Part:
-    return _Part(rows, mesh.vertices, mesh.vertex_normals())
-
-
-def _joined(parts: Sequence[_Part]) -> _Part:
-    return _Part(
-        np.concatenate([p.rows for p in parts]),
-        np.concatenate([p.vertices for p in parts]),
-        np.concatenate([p.normals for p in parts]),
+def look(
+    scene: PlacedScene, frame: CameraFrame, camera: PinholeCamera, config: AssetConfig
+) -> View:
+    """Cast one ray for `depth_step_px` x `depth_step_px` pixels."""
+    step = config.depth_step_px
+    shape = (-(-camera.height_px // step), -(-camera.width_px // step))
+    v, u = np.indices(shape).reshape(2, -1)
+    uv = (np.stack([u, v], axis=1) + 0.5) * step
+    origins, directions = frame.pixel_rays(camera, uv)
+    distance = np.full(len(uv), np.inf, dtype=np.float32)
+    face = np.full(len(uv), -1, dtype=np.int32)
+    for caster, numbers in scene.place(frame, config.max_view_m):
+        hits = caster.intersect(origins, directions)
+        is_nearer = hits.is_hit & (hits.distance_m < distance)
+        distance[is_nearer] = hits.distance_m[is_nearer]
+        face[is_nearer] = _scene_faces(scene, numbers, hits, is_nearer)
+    forward = frame.world_from_camera.rotation[:, 2]
+    depth = distance * np.maximum(directions @ forward, 1e-6)
+    inverse = np.where(face >= 0, 1.0 / np.maximum(depth, 1e-3), 0.0)
+    is_hit = (face >= 0) & (distance < config.max_view_m)
+    near, _ = touching_faces(scene.faces, np.unique(face[is_hit]), len(scene.vertices))
+    return View(
+        frame,
+        inverse.astype(np.float16).reshape(shape),
+        np.flatnonzero(near).astype(np.int32),
     )
 
 
-def _pose(track: ActorTrack, time_ns: int) -> RigidTransform:
-    return track.world_from_actor(
-        time_ns if track.is_moving else track.trajectory.start_ns, _HOLD_S
-    )
+def _scene_faces(
+    scene: PlacedScene, numbers: Sequence[int], hits: RayHits, chosen: Bool[np.ndarray, " n"]
+) -> Int32[np.ndarray, " k"]:
+    first = np.array([scene.first_face[k] for k in numbers], dtype=np.int64)
+    return (first[hits.mesh_index[chosen]] + hits.face_index[chosen]).astype(np.int32)
 
 
 def _is_ahead(
@@ -172,7 +142,27 @@ def _is_ahead(
     return bool(centre[2] > -reach_m and np.linalg.norm(centre) < max_view_m + reach_m)
 
 
-def _load(frame: CameraFrame, camera: PinholeCamera) -> UInt8[np.ndarray, "h w 3"]:
+def pixels_per_metre(
+    points_world: Float32[np.ndarray, "n 3"],
+    normals_world: Float32[np.ndarray, "n 3"],
+    world_from_camera: RigidTransform,
+    camera: PinholeCamera,
+) -> Float32[np.ndarray, " n"]:
+    """Root of the pixels that a square metre of surface covers; 0 where it faces away."""
+    ray = points_world - world_from_camera.translation_m.astype(np.float32)
+    distance = np.maximum(np.linalg.norm(ray, axis=1), 0.1)
+    cosine = -(ray * normals_world).sum(axis=1) / distance
+    return np.where(
+        cosine > _MIN_COSINE, camera.fx * np.sqrt(np.maximum(cosine, 0)) / distance, 0
+    ).astype(np.float32)
+
+
+def load_image(frame: CameraFrame, camera: PinholeCamera) -> UInt8[np.ndarray, "h w 3"]:
+    """The frame's image.
+
+    Raises:
+        InputError: it is not as large as its camera says.
+    """
     image = frame.load_srgb8()
     if image.shape[:2] != (camera.height_px, camera.width_px):
         raise InputError(
@@ -184,98 +174,36 @@ def _load(frame: CameraFrame, camera: PinholeCamera) -> UInt8[np.ndarray, "h w 3
     return image
 
 
-def _weight_map(
+def pixel_weights(
     image: UInt8[np.ndarray, "h w 3"],
     own_car: Bool[np.ndarray, "h w"] | None,
+    sky_alpha: Float32[np.ndarray, "h w"] | None,
+    inverse_depth: Float32[np.ndarray, "h2 w2"],
     config: AssetConfig,
 ) -> Float32[np.ndarray, "h w"]:
-    """Little where a channel is clipped, nothing on the recording car."""
-    is_clipped = image.max(axis=2) >= config.clipped_code
-    weight = np.where(is_clipped, _CLIPPED_WEIGHT, 1.0).astype(np.float32)
+    """Little where a channel is clipped or an outline is near, nothing on own car and sky."""
+    weight = np.where(image.max(axis=2) >= config.clipped_code, _CLIPPED_WEIGHT, 1.0)
+    step = config.depth_step_px
+    is_outline = outlines(inverse_depth, config.edge_step, config.edge_radius_px / step)
+    is_outline = is_outline.repeat(step, axis=0).repeat(step, axis=1)
+    weight[is_outline[: len(weight), : weight.shape[1]]] *= config.edge_weight
     if own_car is not None:
         weight[own_car] = 0.0
-    return weight
+    if sky_alpha is not None:
+        weight[sky_alpha > _SKY_ALPHA] = 0.0
+    return weight.astype(np.float32)
 
 
-def _sample_part(
-    part: _Part,
-    frame: CameraFrame,
-    camera: PinholeCamera,
-    images: tuple[UInt8[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"]],
-    casters: Sequence[RayCaster],
-    camera_index: int,
-    config: AssetConfig,
-    samples: Samples,
-) -> None:
-    origin = frame.world_from_camera.translation_m
-    chosen, uv, weight, rays, distance = _candidates(part, frame, camera, config)
-    is_open = np.ones(len(chosen), dtype=bool)
-    limit = distance * 0.99 - config.occlusion_tolerance_m
-    for caster in casters:
-        test = np.flatnonzero(is_open)
-        origins = np.broadcast_to(origin, (len(test), 3)).copy()
-        is_open[test] = caster.intersect(origins, rays[test]).distance_m >= limit[test]
-    chosen, uv, weight = chosen[is_open], uv[is_open], weight[is_open]
-    colour, mask = sample_pixels(images[0], images[1], uv)
-    insert_samples(
-        part.rows[chosen],
-        colour,
-        (weight * mask).astype(np.float32),
-        camera_index,
-        samples.colours,
-        samples.weights,
-        samples.cameras,
-    )
-
-
-def _candidates(
-    part: _Part, frame: CameraFrame, camera: PinholeCamera, config: AssetConfig
-) -> tuple[
-    Int64[np.ndarray, " n"],
-    Float64[np.ndarray, "n 2"],
-    Float64[np.ndarray, " n"],
-    Float64[np.ndarray, "n 3"],
-    Float64[np.ndarray, " n"],
-]:
-    """Vertices in the image that face it: index, (u, v), weight, ray and distance.
-
-    The weight is the area of the image that a unit of surface covers: near, frontal and tele
-    views count most.
-    """
-    points = frame.world_from_camera.inverse().apply(part.vertices.astype(np.float64))
-    uv, is_inside = camera.project(points)
-    border = _BORDER_PX
-    is_inside &= (uv >= border).all(axis=1) & (uv[:, 0] < camera.width_px - border)
-    is_inside &= uv[:, 1] < camera.height_px - border
-    chosen = np.flatnonzero(is_inside)
-    rays = part.vertices[chosen].astype(np.float64) - frame.world_from_camera.translation_m
-    distance = np.linalg.norm(rays, axis=1)
-    rays /= np.maximum(distance, 1e-6)[:, None]
-    cosine = -(rays * part.normals[chosen]).sum(axis=1)
-    is_good = (cosine > _MIN_COSINE) & (distance < config.max_view_m) & (distance > 0.5)
-    weight = camera.fx**2 * 1e-4 * cosine**2 / np.maximum(distance, 1.0) ** 2
-    return chosen[is_good], uv[chosen[is_good]], weight[is_good], rays[is_good], distance[is_good]
-
-
-def sample_pixels(
-    image: UInt8[np.ndarray, "h w 3"],
-    weight_map: Float32[np.ndarray, "h w"],
-    uv: Float64[np.ndarray, "n 2"],
-) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, " n"]]:
-    """Linear colour, bilinear between pixel centres, and the least weight of the four pixels."""
-    height, width = weight_map.shape
-    x = np.clip(uv[:, 0] - 0.5, 0, width - 1)
-    y = np.clip(uv[:, 1] - 0.5, 0, height - 1)
-    j, i = np.minimum(x.astype(np.int64), width - 2), np.minimum(y.astype(np.int64), height - 2)
-    fx, fy = (x - j).astype(np.float32), (y - i).astype(np.float32)
-    colour = np.zeros((len(uv), 3), dtype=np.float32)
-    weight = np.full(len(uv), np.inf, dtype=np.float32)
-    for di, dj, share in (
-        (0, 0, (1 - fx) * (1 - fy)),
-        (0, 1, fx * (1 - fy)),
-        (1, 0, (1 - fx) * fy),
-        (1, 1, fx * fy),
-    ):
-        colour += share[:, None] * linear_from_srgb8(image[i + di, j + dj])
-        weight = np.minimum(weight, weight_map[i + di, j + dj])
-    return colour, weight
+def outlines(
+    inverse_depth: Float32[np.ndarray, "h w"], step: float, radius: float
+) -> Bool[np.ndarray, "h w"]:
+    """Where one surface ends in front of another: planes have no second difference there."""
+    bend = np.zeros_like(inverse_depth)
+    for axis in (0, 1):
+        middle = np.abs(np.diff(inverse_depth, n=2, axis=axis))
+        inner = [slice(None), slice(None)]
+        inner[axis] = slice(1, -1)
+        bend[tuple(inner)] = np.maximum(bend[tuple(inner)], middle)
+    is_edge = bend > step * np.maximum(ndimage.maximum_filter(inverse_depth, 3), 1e-4)
+    size = 2 * round(radius) + 1
+    return np.asarray(ndimage.maximum_filter(is_edge, size))

@@ -8,13 +8,14 @@ from __future__ import annotations
 import base64
 import json
 import struct
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int32, Shaped, UInt8
 
+from lightsim.core.mesh import Material
 from lightsim.store.images import decode_srgb8
 
 GLB_MAGIC = b"glTF"
@@ -36,7 +37,9 @@ class Primitive:
         faces: vertex indices, counter-clockwise seen from outside.
         colour: linear base colour of each vertex without the texture.
         uv: texture coordinates, (0, 0) at the texture's top left; None without texture.
-        texture: 8-bit sRGB, multiplies `colour`; None without texture.
+        texture: 8-bit sRGB, multiplies `colour`; None without texture. Primitives that share an
+            image share this array.
+        own: attributes whose name starts with "_", which are no part of the standard.
     """
 
     vertices: Float64[np.ndarray, "n 3"]
@@ -44,8 +47,8 @@ class Primitive:
     colour: Float32[np.ndarray, "n 3"]
     uv: Float64[np.ndarray, "n 2"] | None
     texture: UInt8[np.ndarray, "h w 3"] | None
-    roughness: float
-    metallic: float
+    material: Material
+    own: Mapping[str, Float32[np.ndarray, "n _"]]
 
 
 def parse_glb(data: bytes) -> list[Primitive]:
@@ -97,6 +100,7 @@ def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
 class _File:
     document: dict[str, Any]
     binary: bytes
+    images: dict[int, UInt8[np.ndarray, "_ _ 3"]] = field(default_factory=dict)
 
     def placed_meshes(self) -> Iterator[tuple[Float64[np.ndarray, "4 4"], int]]:
         """(scene_from_mesh, mesh index) of every node with a mesh."""
@@ -139,8 +143,14 @@ class _File:
             colour = self.accessor(attributes["COLOR_0"])[:, :3].astype(np.float32)
         colour = colour * np.array(pbr.get("baseColorFactor", [1.0] * 4), np.float32)[:3]
         uv, texture = self._texture(pbr, attributes)
-        roughness, metallic = pbr.get("roughnessFactor", 1.0), pbr.get("metallicFactor", 0.0)
-        return Primitive(vertices, faces, colour, uv, texture, float(roughness), float(metallic))
+        own = {
+            name: self.accessor(index).astype(np.float32)
+            for name, index in attributes.items()
+            if name.startswith("_")
+        }
+        if any(len(values) != len(vertices) for values in own.values()):
+            raise ValueError("an attribute has other vertices")
+        return Primitive(vertices, faces, colour, uv, texture, _material(material, value), own)
 
     def _texture(
         self, pbr: dict[str, Any], attributes: dict[str, Any]
@@ -155,7 +165,10 @@ class _File:
         if uv.shape[1] != 2 or not np.isfinite(uv).all():
             raise ValueError("a texture coordinate is broken")
         texture = self.document["textures"][reference["index"]]
-        return uv, decode_srgb8(self._image_bytes(self.document["images"][texture["source"]]))
+        source = int(texture["source"])
+        if source not in self.images:
+            self.images[source] = decode_srgb8(self._image_bytes(self.document["images"][source]))
+        return uv, self.images[source]
 
     def _image_bytes(self, image: dict[str, Any]) -> bytes:
         if "bufferView" in image:
@@ -194,6 +207,13 @@ class _File:
         if not accessor.get("normalized", False):
             return rows.copy()
         return np.maximum(rows.astype(np.float32) / np.iinfo(dtype).max, np.float32(-1.0))
+
+
+def _material(material: dict[str, Any], primitive: dict[str, Any]) -> Material:
+    pbr = material.get("pbrMetallicRoughness", {})
+    name = material.get("name", f"material {primitive.get('material', 'by default')}")
+    roughness, metallic = pbr.get("roughnessFactor", 1.0), pbr.get("metallicFactor", 0.0)
+    return Material(float(roughness), float(metallic), str(name))
 
 
 def _node_matrix(node: dict[str, Any]) -> Float64[np.ndarray, "4 4"]:

@@ -1,30 +1,29 @@
 """Triangle meshes as glTF 2.0 binary (.glb), the form that viewers and CAD libraries use.
 
 glTF is y up; our frames are z up with x forward. The vertex data stay as they are in memory, and
-a root node `gltf_from_<frame>` turns them upright for viewers. Vertex colours are linear in glTF
-as they are here; they are stored as float32 (COLOR_0 allows it), so nothing is lost.
+a root node `gltf_from_<frame>` turns them upright for viewers. Geometry and vertex colours
+(linear in glTF as they are here) are float32, nothing of them is lost; textures become 8-bit sRGB.
 """
 
 from __future__ import annotations
 
-import json
 import struct
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int32, UInt8
+from jaxtyping import Float, Float32, Float64, Int, Int32, UInt8
 
 from lightsim.core.colour import linear_from_srgb8
-from lightsim.core.mesh import Material, TriMesh
+from lightsim.core.mesh import Material, Texture, TriMesh
 from lightsim.errors import InputError
 from lightsim.store.atomic import read_bytes, whole_file
-from lightsim.store.gltf import BINARY_CHUNK, GLB_MAGIC, JSON_CHUNK, Primitive, parse_glb
+from lightsim.store.gltf import Primitive, parse_glb
+from lightsim.store.gltf_writer import CONFIDENCE, VERTEX_COLOUR, VERTEX_NUMBER, glb_pieces
 
 _REMEDY = "Export the model again as glTF 2.0 binary (.glb) with triangles."
 _MAX_FACES = 1_000_000
-_FLOAT, _UNSIGNED_INT = 5126, 5125
-_ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
+_MAX_MATERIALS = 256
+_STEPS_PER_PX = 256
 _GLTF_FROM_Z_UP = np.array(
     [[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]], dtype=np.float64
 )
@@ -32,43 +31,27 @@ _GLTF_FROM_Z_UP = np.array(
 
 
 def write_glb(path: Path, mesh: TriMesh) -> None:
-    """Write one mesh with linear float vertex colours and its material's two numbers.
+    """Write one mesh: its texture as 8-bit sRGB, or linear float vertex colours without one.
+
+    Faces are grouped by material; materials without faces are left out.
 
     Raises:
         InputError: the mesh has no face, or the folder does not exist.
     """
     if not len(mesh.faces):
         raise InputError("a mesh without faces is not written", where=path)
-    arrays = (
-        (mesh.vertices, _ARRAY_BUFFER),
-        (np.clip(mesh.base_colour, 0.0, 1.0), _ARRAY_BUFFER),
-        (mesh.faces.reshape(-1).astype("<u4"), _ELEMENT_ARRAY_BUFFER),
-    )
-    blobs = [np.ascontiguousarray(array).tobytes() for array, _ in arrays]
-    offsets = np.cumsum([0] + [len(blob) for blob in blobs]).tolist()
-    document = _document(mesh)
-    document["buffers"] = [{"byteLength": offsets[-1]}]
-    document["bufferViews"] = [
-        {"buffer": 0, "byteOffset": offset, "byteLength": len(blob), "target": target}
-        for offset, blob, (_, target) in zip(offsets, blobs, arrays, strict=False)
-    ]
-    text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
-    text += b" " * (-len(text) % 4)
-    total = 12 + 8 + len(text) + 8 + offsets[-1]
+    pieces = glb_pieces(mesh, _GLTF_FROM_Z_UP)
     with whole_file(path) as temporary, temporary.open("wb") as handle:
-        handle.write(struct.pack("<4sII", GLB_MAGIC, 2, total))
-        handle.write(struct.pack("<II", len(text), JSON_CHUNK) + text)
-        handle.write(struct.pack("<II", offsets[-1], BINARY_CHUNK))
-        handle.writelines(blobs)
+        handle.writelines(pieces)
 
 
 def read_glb(path: Path, frame: str, texture_edge_m: float = 0.06) -> TriMesh:
     """All triangles of a .glb file as one mesh in `frame` (z up, x forward, metres).
 
-    Nodes are placed by their transforms and turned from glTF's y up. A textured triangle is split
-    until no edge is longer than `texture_edge_m` (at most a million faces), then the texture is
-    sampled at its vertices, in linear light. Roughness and metallic are the face-weighted means
-    of the materials.
+    Nodes are placed by their transforms and turned from glTF's y up. A file of ours keeps its
+    texture. In other files, a textured triangle is split until no edge is longer than
+    `texture_edge_m` (at most a million faces), then the texture is sampled at its vertices, in
+    linear light.
 
     Raises:
         InputError: the file is missing, damaged, or has no triangles.
@@ -78,7 +61,8 @@ def read_glb(path: Path, frame: str, texture_edge_m: float = 0.06) -> TriMesh:
         primitives = parse_glb(data)
         if not primitives:
             raise ValueError("it has no triangles")
-        parts = [_textured(p, texture_edge_m) for p in primitives]
+        mesh = _joined(primitives, frame)
+        return _foreign(primitives, frame, texture_edge_m) if mesh is None else mesh
     except (ValueError, LookupError, TypeError, AttributeError, struct.error) as error:
         raise InputError(
             "the model cannot be read",
@@ -87,75 +71,87 @@ def read_glb(path: Path, frame: str, texture_edge_m: float = 0.06) -> TriMesh:
             expected="glTF 2.0 binary (.glb)",
             remedy=_REMEDY,
         ) from error
-    offsets = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts[:-1]])
-    faces = [f + np.int32(o) for (_, f, _), o in zip(parts, offsets, strict=True)]
-    vertices = np.concatenate([v for v, _, _ in parts]) @ _GLTF_FROM_Z_UP[:3, :3]
-    colour = np.clip(np.concatenate([c for _, _, c in parts]), 0.0, 1.0)
-    weights = np.array([len(f) for f in faces], dtype=np.float64)
-    materials = np.array([[p.roughness, p.metallic] for p in primitives])
-    roughness, metallic = (weights @ materials / weights.sum()).tolist()
-    try:
-        return TriMesh(
-            frame,
-            vertices.astype(np.float32),
-            np.concatenate(faces).astype(np.int32),
-            colour.astype(np.float32),
-            (Material(float(roughness), float(metallic)),),
-        )
     except InputError as error:
         raise InputError(error.what, where=path, remedy=_REMEDY) from error
 
 
-def _document(mesh: TriMesh) -> dict[str, Any]:
-    count = len(mesh.vertices)
-    accessors: list[dict[str, Any]] = [
-        {
-            "bufferView": 0,
-            "componentType": _FLOAT,
-            "count": count,
-            "type": "VEC3",
-            "min": mesh.vertices.min(axis=0).tolist(),
-            "max": mesh.vertices.max(axis=0).tolist(),
-        },
-        {"bufferView": 1, "componentType": _FLOAT, "count": count, "type": "VEC3"},
-        {
-            "bufferView": 2,
-            "componentType": _UNSIGNED_INT,
-            "count": 3 * len(mesh.faces),
-            "type": "SCALAR",
-        },
-    ]
-    return {
-        "asset": {"version": "2.0", "generator": "LightSim"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [
-            {
-                "name": f"gltf_from_{mesh.frame}",
-                "matrix": _GLTF_FROM_Z_UP.T.reshape(-1).tolist(),
-                "children": [1],
-            },
-            {"name": mesh.frame, "mesh": 0},
-        ],
-        "meshes": [
-            {
-                "primitives": [
-                    {"attributes": {"POSITION": 0, "COLOR_0": 1}, "indices": 2, "material": 0}
-                ]
-            }
-        ],
-        "materials": [
-            {
-                "pbrMetallicRoughness": {
-                    "baseColorFactor": [1.0, 1.0, 1.0, 1.0],
-                    "roughnessFactor": float(mesh.material.roughness),
-                    "metallicFactor": float(mesh.material.metallic),
-                },
-                "doubleSided": True,
-            }
-        ],
-        "accessors": accessors,
+def _foreign(primitives: list[Primitive], frame: str, texture_edge_m: float) -> TriMesh:
+    """Textures become vertex colours."""
+    parts = [_textured(p, texture_edge_m) for p in primitives]
+    offsets = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts[:-1]])
+    faces = [f + np.int32(o) for (_, f, _), o in zip(parts, offsets, strict=True)]
+    vertices = np.concatenate([v for v, _, _ in parts]) @ _GLTF_FROM_Z_UP[:3, :3]
+    colour = np.clip(np.concatenate([c for _, _, c in parts]), 0.0, 1.0)
+    materials, face_material = _materials(primitives, [len(f) for f in faces])
+    return TriMesh(
+        frame,
+        vertices.astype(np.float32),
+        np.concatenate(faces).astype(np.int32),
+        colour.astype(np.float32),
+        materials,
+        face_material,
+    )
+
+
+def _materials(
+    primitives: list[Primitive], counts: list[int]
+) -> tuple[tuple[Material, ...], UInt8[np.ndarray, " m"] | None]:
+    """The materials that occur, and each face's; beyond 256 their face-weighted mean."""
+    of_primitive = [p.material for p in primitives]
+    materials = tuple(dict.fromkeys(of_primitive))
+    if len(materials) > _MAX_MATERIALS:
+        weights = np.array(counts, dtype=np.float64) / sum(counts)
+        numbers = np.array([[m.roughness, m.metallic] for m in of_primitive])
+        roughness, metallic = (weights @ numbers).tolist()
+        return (Material(float(roughness), float(metallic)),), None
+    if len(materials) == 1:
+        return materials, None
+    numbers = np.array([materials.index(m) for m in of_primitive], dtype=np.uint8)
+    return materials, np.repeat(numbers, counts)
+
+
+def _joined(primitives: list[Primitive], frame: str) -> TriMesh | None:
+    """A mesh that `write_glb` took apart; None where the corners do not fit together."""
+    if any(VERTEX_NUMBER not in p.own for p in primitives):
+        return None
+    if any(p.texture is not primitives[0].texture for p in primitives):
+        return None
+    is_textured = primitives[0].texture is not None
+    if is_textured and any(VERTEX_COLOUR not in p.own or p.uv is None for p in primitives):
+        return None
+    number = np.concatenate([p.own[VERTEX_NUMBER][:, 0] for p in primitives])
+    _, first, vertex = np.unique(number, return_index=True, return_inverse=True)
+    vertices = np.concatenate([p.vertices for p in primitives])
+    if not np.array_equal(vertices[first][vertex], vertices):
+        return None
+    offsets = np.cumsum([0] + [len(p.vertices) for p in primitives[:-1]])
+    corners = np.concatenate([p.faces + o for p, o in zip(primitives, offsets, strict=True)])
+    own = {
+        name: np.concatenate([p.own[name] for p in primitives])[first]
+        for name in (VERTEX_COLOUR, CONFIDENCE)
+        if all(name in p.own for p in primitives)
     }
+    colour = own[VERTEX_COLOUR] if is_textured else np.concatenate([p.colour for p in primitives])
+    materials, face_material = _materials(primitives, [len(p.faces) for p in primitives])
+    return TriMesh(
+        frame,
+        (vertices[first] @ _GLTF_FROM_Z_UP[:3, :3]).astype(np.float32),
+        vertex[corners].astype(np.int32),
+        (colour if is_textured else colour[first]).astype(np.float32),
+        materials,
+        face_material,
+        _texture(primitives, corners) if is_textured else None,
+        own[CONFIDENCE][:, 0].astype(np.float32) if CONFIDENCE in own else None,
+    )
+
+
+def _texture(primitives: list[Primitive], corners: Int[np.ndarray, "m 3"]) -> Texture:
+    """In pixels; rounded to what float32 coordinates in [0, 1] keep of them."""
+    image = primitives[0].texture
+    assert image is not None
+    uv = np.concatenate([p.uv for p in primitives if p.uv is not None])
+    pixels = np.rint(uv * np.array(image.shape[1::-1]) * _STEPS_PER_PX) / _STEPS_PER_PX
+    return Texture(linear_from_srgb8(image), pixels[corners].astype(np.float32))
 
 
 def _textured(

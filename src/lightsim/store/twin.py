@@ -30,6 +30,7 @@ def write_twin(folder: Path, twin: DigitalTwin, inferred: TriMesh) -> None:
             "background_faces": len(twin.assets.background.faces),
             "inferred": "inferred.glb" if len(inferred.faces) else None,
             "camera_gains": json_ready(dict(twin.assets.camera_gains)),
+            "notes": list(twin.assets.notes),
             "actors": [
                 {
                     "actor_id": a.actor_id,
@@ -58,7 +59,8 @@ def read_twin_assets(folder: Path) -> tuple[SceneAssets, TriMesh]:
     inferred = empty_mesh()
     if value["inferred"] is not None:
         inferred = read_glb(folder / value["inferred"], "world")
-    return SceneAssets(background, actors, gains), inferred
+    notes = tuple(value["notes"]) if "notes" in value else ()
+    return SceneAssets(background, actors, gains, notes), inferred
 
 
 def empty_mesh() -> TriMesh:

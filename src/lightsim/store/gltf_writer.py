@@ -1,0 +1,191 @@
+"""A writer of binary glTF 2.0: one mesh, one primitive for each material, no extensions.
+
+A textured mesh has a vertex for each corner of each face, as glTF asks where texture coordinates
+jump. Attributes of our own (names start with "_", as glTF asks) say which vertex a corner was,
+and carry its colour and confidence, so that `meshes.read_glb` joins the mesh again.
+
+Reference: Khronos glTF 2.0 specification (registry.khronos.org/glTF/specs/2.0).
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int32, Shaped, UInt8
+
+from lightsim.core.colour import srgb8_from_linear
+from lightsim.core.mesh import TriMesh
+from lightsim.store.gltf import BINARY_CHUNK, GLB_MAGIC, JSON_CHUNK
+
+VERTEX_NUMBER, VERTEX_COLOUR, CONFIDENCE = "_VERTEX", "_BASE_COLOUR", "_CONFIDENCE"
+_FLOAT, _UNSIGNED_INT = 5126, 5125
+_ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
+_LINEAR, _CLAMP_TO_EDGE = 9729, 33071
+_KIND_BY_WIDTH = {1: "SCALAR", 2: "VEC2", 3: "VEC3"}
+_PNG_LEVEL = 2
+
+
+@dataclass(eq=False)
+class _File:
+    """A glTF document in the making, and its binary part."""
+
+    document: dict[str, Any]
+    blobs: list[bytes] = field(default_factory=list)
+    size: int = 0
+
+    def add_view(self, blob: bytes, target: int | None = None) -> int:
+        blob += b"\0" * (-len(blob) % 4)
+        view = {"buffer": 0, "byteOffset": self.size, "byteLength": len(blob)}
+        if target is not None:
+            view["target"] = target
+        self.document["bufferViews"].append(view)
+        self.blobs.append(blob)
+        self.size += len(blob)
+        return len(self.document["bufferViews"]) - 1
+
+    def add_accessor(self, values: Shaped[np.ndarray, "n *c"], target: int = _ARRAY_BUFFER) -> int:
+        """Float attributes, or (as element array) vertex indices."""
+        is_index = target == _ELEMENT_ARRAY_BUFFER
+        array = np.ascontiguousarray(values, dtype="<u4" if is_index else "<f4")
+        accessor: dict[str, Any] = {
+            "bufferView": self.add_view(array.tobytes(), target),
+            "componentType": _UNSIGNED_INT if is_index else _FLOAT,
+            "count": len(array),
+            "type": _KIND_BY_WIDTH[array.shape[1] if array.ndim == 2 else 1],
+        }
+        self.document["accessors"].append(accessor)
+        return len(self.document["accessors"]) - 1
+
+    def add_positions(self, positions: Float32[np.ndarray, "n 3"]) -> int:
+        """Positions, whose bounds glTF asks for."""
+        index = self.add_accessor(positions)
+        low, high = positions.min(axis=0).tolist(), positions.max(axis=0).tolist()
+        self.document["accessors"][index] |= {"min": low, "max": high}
+        return index
+
+    def to_bytes(self) -> list[bytes]:
+        """The whole file in pieces."""
+        self.document["buffers"] = [{"byteLength": self.size}]
+        text = json.dumps(self.document, separators=(",", ":"), allow_nan=False).encode()
+        text += b" " * (-len(text) % 4)
+        total = 12 + 8 + len(text) + 8 + self.size
+        head = struct.pack("<4sII", GLB_MAGIC, 2, total)
+        head += struct.pack("<II", len(text), JSON_CHUNK) + text
+        return [head, struct.pack("<II", self.size, BINARY_CHUNK), *self.blobs]
+
+
+def glb_pieces(mesh: TriMesh, gltf_from_mesh: Float64[np.ndarray, "4 4"]) -> list[bytes]:
+    """The bytes of a .glb file with one mesh, in pieces.
+
+    Base colour is an 8-bit sRGB texture, or linear float vertex colours where the mesh has none.
+    Faces are grouped by material.
+    """
+    file = _File(_document(mesh, gltf_from_mesh))
+    if mesh.texture is None:
+        primitives = _with_vertex_colours(file, mesh)
+    else:
+        _add_texture(file, srgb8_from_linear(mesh.texture.image))
+        primitives = _with_texture(file, mesh)
+    file.document["meshes"] = [{"primitives": primitives}]
+    return file.to_bytes()
+
+
+def _document(mesh: TriMesh, gltf_from_mesh: Float64[np.ndarray, "4 4"]) -> dict[str, Any]:
+    texture = {} if mesh.texture is None else {"baseColorTexture": {"index": 0}}
+    return {
+        "asset": {"version": "2.0", "generator": "LightSim"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [
+            {
+                "name": f"gltf_from_{mesh.frame}",
+                "matrix": gltf_from_mesh.T.reshape(-1).tolist(),
+                "children": [1],
+            },
+            {"name": mesh.frame, "mesh": 0},
+        ],
+        "materials": [
+            {
+                "name": material.name,
+                "pbrMetallicRoughness": {
+                    "baseColorFactor": [1.0, 1.0, 1.0, 1.0],
+                    "roughnessFactor": float(material.roughness),
+                    "metallicFactor": float(material.metallic),
+                    **texture,
+                },
+                "doubleSided": True,
+            }
+            for material in mesh.materials
+        ],
+        "accessors": [],
+        "bufferViews": [],
+    }
+
+
+def _add_texture(file: _File, srgb8: UInt8[np.ndarray, "h w 3"]) -> None:
+    """Without mipmaps: patches of different faces lie side by side."""
+    from PIL import Image
+
+    handle = io.BytesIO()
+    Image.fromarray(srgb8).save(handle, format="PNG", compress_level=_PNG_LEVEL)
+    file.document["images"] = [
+        {"bufferView": file.add_view(handle.getvalue()), "mimeType": "image/png"}
+    ]
+    wrap = {"wrapS": _CLAMP_TO_EDGE, "wrapT": _CLAMP_TO_EDGE}
+    file.document["samplers"] = [{"magFilter": _LINEAR, "minFilter": _LINEAR, **wrap}]
+    file.document["textures"] = [{"source": 0, "sampler": 0}]
+
+
+def _groups(mesh: TriMesh) -> list[tuple[int, Int32[np.ndarray, " k"]]]:
+    """Faces of each material that has any."""
+    if mesh.face_material is None:
+        return [(0, np.arange(len(mesh.faces), dtype=np.int32))]
+    groups = [
+        (number, np.flatnonzero(mesh.face_material == number).astype(np.int32))
+        for number in range(len(mesh.materials))
+    ]
+    return [(number, faces) for number, faces in groups if len(faces)]
+
+
+def _with_vertex_colours(file: _File, mesh: TriMesh) -> list[dict[str, Any]]:
+    attributes = {
+        "POSITION": file.add_positions(mesh.vertices),
+        "COLOR_0": file.add_accessor(np.clip(mesh.base_colour, 0.0, 1.0)),
+    }
+    groups = _groups(mesh)
+    if mesh.confidence is not None:
+        attributes[CONFIDENCE] = file.add_accessor(mesh.confidence)
+    if len(groups) > 1 or mesh.confidence is not None:
+        attributes[VERTEX_NUMBER] = file.add_accessor(np.arange(len(mesh.vertices)))
+    return [
+        {
+            "attributes": attributes,
+            "indices": file.add_accessor(mesh.faces[faces].reshape(-1), _ELEMENT_ARRAY_BUFFER),
+            "material": material,
+        }
+        for material, faces in groups
+    ]
+
+
+def _with_texture(file: _File, mesh: TriMesh) -> list[dict[str, Any]]:
+    assert mesh.texture is not None
+    size = np.array(mesh.texture.image.shape[1::-1], dtype=np.float32)
+    primitives: list[dict[str, Any]] = []
+    for material, faces in _groups(mesh):
+        corners = mesh.faces[faces].reshape(-1)
+        uv = mesh.texture.corner_uv[faces].reshape(-1, 2) / size
+        attributes = {
+            "POSITION": file.add_positions(mesh.vertices[corners]),
+            "TEXCOORD_0": file.add_accessor(uv),
+            VERTEX_NUMBER: file.add_accessor(corners),
+            VERTEX_COLOUR: file.add_accessor(np.clip(mesh.base_colour[corners], 0.0, 1.0)),
+        }
+        if mesh.confidence is not None:
+            attributes[CONFIDENCE] = file.add_accessor(mesh.confidence[corners])
+        primitives.append({"attributes": attributes, "material": material})
+    return primitives
