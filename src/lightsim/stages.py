@@ -12,12 +12,11 @@ from jaxtyping import Float32
 from lightsim.assemble.build import build_twin
 from lightsim.assets.build import AssetConfig, build_assets
 from lightsim.assets.colour import colour_of_nearest
-from lightsim.assets.delight import DelightConfig, base_colour_from_radiance
+from lightsim.assets.delight import DelightConfig, delight
 from lightsim.assets.mesh_config import MeshConfig
 from lightsim.assets.mesh_scene import mesh_scene
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
-from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.ingest.sky_mask import SkyMaskConfig, sky_mattes
 from lightsim.lighting.estimate import SkyConfig, estimate_sky
@@ -30,10 +29,11 @@ from lightsim.reconstruct.fuse_config import FuseConfig
 from lightsim.reconstruct.tsdf import fuse_log
 from lightsim.render.embree import make_embree_caster
 from lightsim.render.gbuffers import render_gbuffers
-from lightsim.render.irradiance import IrradianceConfig, irradiance_at
+from lightsim.render.irradiance import IrradianceConfig
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport import TransportConfig
 from lightsim.scene_setup import parked_actor_meshes
+from lightsim.source_light import SourceLight, static_returns
 from lightsim.store.assets import read_mesh, write_assets, write_mesh
 from lightsim.store.fields import write_fields
 from lightsim.store.images import write_grey8
@@ -79,7 +79,9 @@ class TwinConfig:
     )
     """Light at the vertices; one bounce off grey surfaces."""
     delight: DelightConfig = field(default_factory=DelightConfig)
-    """The division."""
+    """How shadows are found."""
+    lidar_returns: int = 1_500_000
+    """LiDAR returns whose intensity is asked."""
 
 
 def make_log(work: Workspace, config: LogReading, folder: Path, context: Context) -> Iterable[str]:
@@ -209,37 +211,31 @@ def log_sun_notes(work: Workspace) -> tuple[str, ...]:
 
 
 def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Context) -> Iterable[str]:
-    """Divide the observed radiance by the source light, mesh by mesh, and write the twin."""
-    assets, inferred, dome = work.assets, work.inferred, work.sky.dome
-    parked = parked_actor_meshes(work.log, assets)
-    scene = without_actors(make_static_scene([assets.background, *parked], [inferred]))
-
-    def base_colour(mesh: TriMesh, world_from_mesh: RigidTransform) -> TriMesh:
-        normals = mesh.vertex_normals().astype(np.float64)
-        found = irradiance_at(
-            world_from_mesh.apply(mesh.vertices.astype(np.float64)),
-            world_from_mesh.rotate(normals),
-            scene,
-            dome,
-            config.irradiance,
-            context.seed,
-        )
-        return base_colour_from_radiance(mesh, found.irradiance_over_pi, config.delight)
-
+    """Find and remove the source light, mesh by mesh, and write the twin."""
+    assets, inferred, log = work.assets, work.inferred, work.training_log
+    source = SourceLight(log, assets, inferred, work.sky.dome, config.irradiance, context.seed)
+    rng = np.random.default_rng(context.seed)
     identity = RigidTransform.identity("world", "world")
-    background = base_colour(assets.background, identity)
-    tracks = {track.actor_id: track for track in work.log.actors}
+    street = delight(
+        assets.background,
+        source.on(identity),
+        config.delight,
+        rng,
+        returns=static_returns(log, config.lidar_returns, rng),
+    )
+    tracks = {track.actor_id: track for track in log.actors}
     actors = {}
     for actor in context.progress.track(assets.actors.values(), "base colour", len(assets.actors)):
         trajectory = tracks[actor.actor_id].trajectory
-        middle = int(trajectory.times_ns[len(trajectory) // 2])
-        mesh = base_colour(actor.mesh, trajectory.at(middle))
-        actors[actor.actor_id] = replace(actor, mesh=mesh)
+        pose = trajectory.at(int(trajectory.times_ns[len(trajectory) // 2]))
+        done = delight(actor.mesh, source.on(pose), config.delight, rng, scales=street.scales)
+        actors[actor.actor_id] = replace(actor, mesh=done.mesh)
     if len(inferred.faces):
-        inferred = base_colour(inferred, identity)
-    done = replace(assets, background=background, actors=actors)
-    write_twin(folder, build_twin(work.log, done, work.sky), inferred)
-    return ()
+        found = delight(inferred, source.on(identity), config.delight, rng, scales=street.scales)
+        inferred = found.mesh
+    assets = replace(assets, background=street.mesh, actors=actors)
+    write_twin(folder, build_twin(work.log, assets, work.sky), inferred)
+    return street.notes
 
 
 def make_report(work: Workspace, config: None, folder: Path, context: Context) -> Iterable[str]:

@@ -1,120 +1,157 @@
-"""Base colour from observed radiance: the source light divided out, shadows inpainted."""
+"""Base colour without the source light: shadows found in the pictures, the light divided out.
+
+The paper bakes shadows into the base colour and names that its main failure (Sec. 5). Here the
+source light is rendered on the reconstructed surface; what it says about shadows is a prior, and
+the pictures decide (delight_labels).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Float32, Float64
 
-from lightsim.core.colour import LUMINANCE_WEIGHTS
+from lightsim.assets.delight_config import DelightConfig
+from lightsim.assets.delight_divide import base_colour_from_radiance
+from lightsim.assets.delight_edges import LabelField, refine_visibility
+from lightsim.assets.delight_labels import Observed, label_shadows, predict_tone_steps
+from lightsim.assets.delight_light import LightAt, LightScales, SurfaceLight
+from lightsim.assets.delight_surfels import (
+    LidarReturns,
+    Surfels,
+    connect,
+    lidar_tone,
+    make_surfels,
+)
 from lightsim.core.mesh import TriMesh
 from lightsim.errors import InputError
 
+__all__ = ["DelightConfig", "Delit", "LidarReturns", "LightScales", "SurfaceLight", "delight"]
 
-@dataclass(frozen=True)
-class DelightConfig:
-    """How radiance becomes base colour."""
-
-    low: float = 0.02
-    """Least base colour."""
-    high: float = 0.95
-    """Greatest base colour."""
-    dark_fraction: float = 0.02
-    """Light below this share of the mesh's bright light (95th percentile) is not trusted."""
-    max_step: float = 0.25
-    """Where the log of the light changes more than this to a neighbour, a shadow edge is near,
-    and its exact place is not trusted."""
-    edge_rings: int = 2
-    """Vertices this many edges from such a step are not trusted either."""
-    neighbours: int = 12
-    """Trusted vertices from which an untrusted one takes its colour."""
-    normal_power: float = 4.0
-    """How quickly a neighbour loses influence as its normal turns away."""
-    max_distance_m: float = 3.0
-    """Beyond this, trusted vertices say nothing about an untrusted one."""
+_LEAST_RADIANCE = 1e-3
+_TONE_REACH_M = 0.3
+_LEAST_SURFELS = 50
 
 
-def base_colour_from_radiance(
-    mesh: TriMesh, irradiance_over_pi: Float32[np.ndarray, "n 3"], config: DelightConfig
-) -> TriMesh:
-    """The mesh with its base colour, which must hold radiance, divided by the source light.
-
-    Where the light is tiny, or changes abruptly (a shadow edge whose true place may differ by a
-    little), the quotient is replaced by that of similar-facing trusted neighbours, and blended
-    by how far the light can be trusted. Where no trusted neighbour is near, the quotient stays.
+@dataclass(frozen=True, eq=False)
+class Delit:
+    """A mesh without its light.
 
     Args:
-        mesh: `base_colour` is the mean observed radiance (assets.build.build_assets).
-        irradiance_over_pi: source light at each vertex, divided by pi.
+        mesh: with base colour and confidence.
+        visibility: of the sun, at each vertex, as found.
+        scales: of the light, as found or as given.
+        notes: the evidence.
+    """
+
+    mesh: TriMesh
+    visibility: Float32[np.ndarray, " n"]
+    scales: LightScales
+    notes: tuple[str, ...]
+
+
+def delight(
+    mesh: TriMesh,
+    light_at: LightAt,
+    config: DelightConfig,
+    rng: np.random.Generator,
+    *,
+    returns: LidarReturns | None = None,
+    scales: LightScales | None = None,
+) -> Delit:
+    """The mesh with base colour in place of the radiance that it must hold.
+
+    Args:
+        mesh: `base_colour` is the mean observed radiance (assets.build.build_assets);
+            `confidence`, where there is one, says which vertices were seen.
+        light_at: the source light at points of the mesh's frame.
+        returns: LiDAR, whose intensity knows no shadows.
+        scales: strength of the light, known from a larger surface; None to find it here.
 
     Raises:
-        InputError: the light is negative or not finite, or not one per vertex.
+        InputError: the light is negative or not finite, or not one per point.
     """
-    if len(irradiance_over_pi) != len(mesh.vertices):
-        raise InputError(
-            "the light must be given for every vertex",
-            got=len(irradiance_over_pi),
-            expected=len(mesh.vertices),
-        )
-    if not np.isfinite(irradiance_over_pi).all() or (irradiance_over_pi < 0).any():
-        raise InputError("the light of a mesh is negative or not finite")
     if len(mesh.vertices) == 0:
-        return mesh
-    light = irradiance_over_pi.astype(np.float64)
-    brightness = light @ LUMINANCE_WEIGHTS.astype(np.float64)
-    floor = max(config.dark_fraction * float(np.percentile(brightness, 95)), 1e-6)
-    quotient = mesh.base_colour / np.maximum(light, floor)
-    is_trusted = (brightness > floor) & ~_near_light_steps(mesh, brightness + floor, config)
-    colour = _inpaint(mesh, np.clip(quotient, config.low, config.high), is_trusted, config)
-    return replace(mesh, base_colour=colour.astype(np.float32))
+        return Delit(mesh, np.zeros(0, np.float32), scales or _unknown(), ())
+    vertices = mesh.vertices.astype(np.float64)
+    light = light_at(vertices, mesh.vertex_normals().astype(np.float64)).floored()
+    if len(light.sun) != len(mesh.vertices):
+        raise InputError(
+            "the light must be given for every vertex", got=len(light.sun), expected=len(vertices)
+        )
+    if config.method == "divide":
+        return _divided(mesh, light, config)
+    surfels = make_surfels(mesh, config.surfel_m, rng)
+    if len(surfels) < _LEAST_SURFELS:
+        known = scales or _unknown()
+        return _finished(mesh, light, light.visibility[:, 1], known, config)
+    observed, tone_gain = _observe(surfels, light_at, config, rng, returns)
+    labels = label_shadows(observed, config, scales)
+    field = LabelField.of(observed, labels)
+    visibility = refine_visibility(
+        field, vertices, mesh.vertex_normals().astype(np.float64), mesh.base_colour, light
+    )
+    done = _finished(mesh, light, visibility, labels.scales, config)
+    return replace(done, notes=_notes(labels.scales, tone_gain) if scales is None else ())
 
 
-def _near_light_steps(
-    mesh: TriMesh, brightness: Float64[np.ndarray, " n"], config: DelightConfig
-) -> Bool[np.ndarray, " n"]:
-    """Vertices close to an abrupt change of the light that their orientation does not explain."""
-    edges = _edges(mesh)
-    normals = mesh.vertex_normals()
-    turn = (normals[edges[:, 0]] * normals[edges[:, 1]]).sum(axis=1)
-    logs = np.log(brightness)
-    is_step = np.abs(logs[edges[:, 0]] - logs[edges[:, 1]]) > config.max_step
-    is_step &= turn > 0.9
-    is_near = np.zeros(len(mesh.vertices), dtype=bool)
-    is_near[edges[is_step].ravel()] = True
-    for _ in range(config.edge_rings):
-        touched = edges[is_near[edges].any(axis=1)]
-        is_near[touched.ravel()] = True
-    return is_near
+def _unknown() -> LightScales:
+    return LightScales.assumed(np.inf)
 
 
-def _edges(mesh: TriMesh) -> Int64[np.ndarray, "e 2"]:
-    faces = mesh.faces.astype(np.int64)
-    return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-
-
-def _inpaint(
-    mesh: TriMesh,
-    colour: Float64[np.ndarray, "n 3"],
-    is_trusted: Bool[np.ndarray, " n"],
+def _observe(
+    surfels: Surfels,
+    light_at: LightAt,
     config: DelightConfig,
-) -> Float64[np.ndarray, "n 3"]:
-    """Untrusted vertices take the colour of trusted ones near by that face the same way."""
-    from scipy.spatial import KDTree
+    rng: np.random.Generator,
+    returns: LidarReturns | None,
+) -> tuple[Observed, float]:
+    """What is known of the surfels, and the gain from LiDAR intensity to base colour."""
+    graph = connect(surfels, config.reach_m, rng)
+    light = light_at(surfels.position, surfels.normal).floored()
+    log_radiance = np.log(np.maximum(surfels.radiance, _LEAST_RADIANCE))
+    step, gain = np.zeros(len(graph.pairs)), 0.0
+    if returns is not None and len(returns.intensity):
+        tone = lidar_tone(surfels, returns, _TONE_REACH_M)
+        step, gain = predict_tone_steps(graph, log_radiance, tone, light.visibility)
+    return Observed(surfels, graph, log_radiance, step, light, config.surfel_m), gain
 
-    trusted, other = np.flatnonzero(is_trusted), np.flatnonzero(~is_trusted)
-    if len(other) == 0 or len(trusted) == 0:
-        return colour
-    k = min(config.neighbours, len(trusted))
-    distance, index = KDTree(mesh.vertices[trusted]).query(mesh.vertices[other], k=k)
-    distance, index = distance.reshape(len(other), k), trusted[index.reshape(len(other), k)]
-    normals = mesh.vertex_normals().astype(np.float64)
-    facing = np.clip((normals[other][:, None] * normals[index]).sum(axis=2), 0.0, 1.0)
-    share = facing**config.normal_power / np.maximum(distance, 0.02) ** 2
-    share *= distance < config.max_distance_m
-    total = share.sum(axis=1)
-    is_found = total > 1e-9
-    found = (share[:, :, None] * colour[index]).sum(axis=1)
-    result = colour.copy()
-    result[other[is_found]] = found[is_found] / total[is_found, None]
-    return result
+
+def _finished(
+    mesh: TriMesh,
+    light: SurfaceLight,
+    visibility: Float32[np.ndarray, " n"],
+    scales: LightScales,
+    config: DelightConfig,
+) -> Delit:
+    """Radiance over light; confidence falls where the sun's share hangs on an unsure label."""
+    total = light.total(scales, visibility.astype(np.float64))
+    colour = np.clip(mesh.base_colour / total, config.low, config.high)
+    share = light.direct(scales).sum(axis=1) / np.maximum(total.sum(axis=1), 1e-9)
+    unsure = 4 * visibility * (1 - visibility) * np.minimum(share, 1.0)
+    seen = np.ones(len(unsure)) if mesh.confidence is None else mesh.confidence
+    confidence = (seen * (1 - 0.8 * unsure)).astype(np.float32)
+    done = replace(mesh, base_colour=colour.astype(np.float32), confidence=confidence, texture=None)
+    return Delit(done, visibility.astype(np.float32), scales, ())
+
+
+def _divided(mesh: TriMesh, light: SurfaceLight, config: DelightConfig) -> Delit:
+    """The baseline, with the light as the sky stage estimated it."""
+    visibility = light.visibility[:, 1]
+    scales = _unknown()
+    total: Float64[np.ndarray, "n 3"] = light.total(scales, visibility.astype(np.float64))
+    done = base_colour_from_radiance(mesh, total.astype(np.float32), config.divide)
+    return Delit(done, visibility, scales, ("base colour: divided by the rendered light",))
+
+
+def _notes(scales: LightScales, tone_gain: float) -> tuple[str, ...]:
+    tone = f"LiDAR intensity predicts base colour with exponent {tone_gain:.2f}"
+    if scales.pair_count == 0:
+        return ("too few lit and shadowed neighbours to correct the sun's strength", tone)
+    factors = ", ".join(f"{value:.2f}" for value in scales.sun)
+    return (
+        f"the sun's irradiance times ({factors}) agrees with {scales.pair_count} lit/shadowed "
+        f"pairs (log std {scales.log_std:.2f}); the sky is the gauge",
+        tone,
+    )

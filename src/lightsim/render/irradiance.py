@@ -9,7 +9,7 @@ from jaxtyping import Float, Float32
 
 from lightsim.core.dome import SkyDome
 from lightsim.render.faces import FaceSamples, FaceTable, hashed_shifts
-from lightsim.render.light import SkyCells, light_points, prepare_sky
+from lightsim.render.light import SkyCells, light_points, light_table, prepare_sky
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport import TransportConfig, static_face_table, trace_points
 
@@ -38,6 +38,7 @@ class PointIrradiance:
         sun: the part of `irradiance_over_pi` that the sun gives.
         sky: the part of the open sky.
         bounce: the part of other surfaces.
+        bounce_of_sky: what of `bounce` is skylight; the rest is sunlight.
     """
 
     irradiance_over_pi: Float32[np.ndarray, "n 3"]
@@ -46,6 +47,7 @@ class PointIrradiance:
     sun: Float32[np.ndarray, "n 3"]
     sky: Float32[np.ndarray, "n 3"]
     bounce: Float32[np.ndarray, "n 3"]
+    bounce_of_sky: Float32[np.ndarray, "n 3"]
 
 
 def irradiance_at(
@@ -66,7 +68,7 @@ def irradiance_at(
         rays = replace(rays, face_rays=0)
     cells = prepare_sky(dome, rays)
     table = static_face_table(scene, rays, seed)
-    out = np.zeros((len(points_world), 14), dtype=np.float32)
+    out = np.zeros((len(points_world), 17), dtype=np.float32)
     for start in range(0, len(points_world), _TILE_POINTS):
         part = slice(start, start + _TILE_POINTS)
         numbers = np.arange(start, min(start + _TILE_POINTS, len(points_world)), dtype=np.int64)
@@ -78,7 +80,13 @@ def irradiance_at(
             replace(config, transport=rays),
         )
     return PointIrradiance(
-        out[:, :3], out[:, 3], out[:, 4], out[:, 5:8], out[:, 8:11], out[:, 11:14]
+        out[:, :3],
+        out[:, 3],
+        out[:, 4],
+        out[:, 5:8],
+        out[:, 8:11],
+        out[:, 11:14],
+        out[:, 14:17],
     )
 
 
@@ -88,8 +96,8 @@ def _tile(
     scene: FrameScene,
     shared: tuple[SkyCells, FaceTable],
     config: IrradianceConfig,
-) -> Float32[np.ndarray, "n 14"]:
-    """Columns: total, sun visibility, openness, sun, sky, bounce."""
+) -> Float32[np.ndarray, "n 17"]:
+    """Columns: total, sun visibility, openness, sun, sky, bounce, bounce of sky."""
     points, normals = surface
     cells, face_table = shared
     table = trace_points(scene, points, normals, shifts, config.transport, face_table)
@@ -97,6 +105,10 @@ def _tile(
         table = replace(table, faces=_grey(table.faces, config.bounce_albedo))
     lit = light_points(table, scene, points, normals, cells, config.transport)
     total = lit.direct_sun + lit.sky + lit.bounce
+    sky_alone = None
+    if cells.sun is not None and config.bounce_albedo is not None:
+        no_sun = SkyCells(cells.radiance, None)
+        sky_alone = light_table(table, scene.caster, no_sun, config.transport)
     columns = [
         total,
         lit.sun_visibility[:, None],
@@ -104,6 +116,7 @@ def _tile(
         lit.direct_sun,
         lit.sky,
         lit.bounce,
+        lit.bounce if sky_alone is None else sky_alone[:, 3:6],
     ]
     return np.concatenate(columns, axis=1)
 

@@ -1,0 +1,120 @@
+"""The baseline: the rendered source light divided out, its shadow edges inpainted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from lightsim.core.colour import LUMINANCE_WEIGHTS
+from lightsim.core.mesh import TriMesh
+from lightsim.errors import InputError
+
+
+@dataclass(frozen=True)
+class DivideConfig:
+    """Division by the rendered light."""
+
+    low: float = 0.02
+    """Least base colour."""
+    high: float = 0.95
+    """Greatest base colour."""
+    dark_fraction: float = 0.02
+    """Light below this share of the mesh's bright light (95th percentile) is not trusted."""
+    max_step: float = 0.25
+    """Where the log of the light changes more than this to a neighbour, a shadow edge is near,
+    and its exact place is not trusted."""
+    edge_rings: int = 2
+    """Vertices this many edges from such a step are not trusted either."""
+    neighbours: int = 12
+    """Trusted vertices from which an untrusted one takes its colour."""
+    normal_power: float = 4.0
+    """How quickly a neighbour loses influence as its normal turns away."""
+    max_distance_m: float = 3.0
+    """Beyond this, trusted vertices say nothing about an untrusted one."""
+
+
+def base_colour_from_radiance(
+    mesh: TriMesh, irradiance_over_pi: Float32[np.ndarray, "n 3"], config: DivideConfig
+) -> TriMesh:
+    """The mesh with its base colour, which must hold radiance, divided by the source light.
+
+    Where the light is tiny, or changes abruptly (a shadow edge whose true place may differ by a
+    little), the quotient is replaced by that of similar-facing trusted neighbours, and blended
+    by how far the light can be trusted. Where no trusted neighbour is near, the quotient stays.
+
+    Args:
+        mesh: `base_colour` is the mean observed radiance (assets.build.build_assets).
+        irradiance_over_pi: source light at each vertex, divided by pi.
+
+    Raises:
+        InputError: the light is negative or not finite, or not one per vertex.
+    """
+    if len(irradiance_over_pi) != len(mesh.vertices):
+        raise InputError(
+            "the light must be given for every vertex",
+            got=len(irradiance_over_pi),
+            expected=len(mesh.vertices),
+        )
+    if not np.isfinite(irradiance_over_pi).all() or (irradiance_over_pi < 0).any():
+        raise InputError("the light of a mesh is negative or not finite")
+    if len(mesh.vertices) == 0:
+        return mesh
+    light = irradiance_over_pi.astype(np.float64)
+    brightness = light @ LUMINANCE_WEIGHTS.astype(np.float64)
+    floor = max(config.dark_fraction * float(np.percentile(brightness, 95)), 1e-6)
+    quotient = mesh.base_colour / np.maximum(light, floor)
+    is_trusted = (brightness > floor) & ~_near_light_steps(mesh, brightness + floor, config)
+    colour = _inpaint(mesh, np.clip(quotient, config.low, config.high), is_trusted, config)
+    return replace(mesh, base_colour=colour.astype(np.float32))
+
+
+def _near_light_steps(
+    mesh: TriMesh, brightness: Float64[np.ndarray, " n"], config: DivideConfig
+) -> Bool[np.ndarray, " n"]:
+    """Vertices close to an abrupt change of the light that their orientation does not explain."""
+    edges = _edges(mesh)
+    normals = mesh.vertex_normals()
+    turn = (normals[edges[:, 0]] * normals[edges[:, 1]]).sum(axis=1)
+    logs = np.log(brightness)
+    is_step = np.abs(logs[edges[:, 0]] - logs[edges[:, 1]]) > config.max_step
+    is_step &= turn > 0.9
+    is_near = np.zeros(len(mesh.vertices), dtype=bool)
+    is_near[edges[is_step].ravel()] = True
+    for _ in range(config.edge_rings):
+        touched = edges[is_near[edges].any(axis=1)]
+        is_near[touched.ravel()] = True
+    return is_near
+
+
+def _edges(mesh: TriMesh) -> Int64[np.ndarray, "e 2"]:
+    faces = mesh.faces.astype(np.int64)
+    return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+
+
+def _inpaint(
+    mesh: TriMesh,
+    colour: Float64[np.ndarray, "n 3"],
+    is_trusted: Bool[np.ndarray, " n"],
+    config: DivideConfig,
+) -> Float64[np.ndarray, "n 3"]:
+    """Untrusted vertices take the colour of trusted ones near by that face the same way."""
+    from scipy.spatial import KDTree
+
+    trusted, other = np.flatnonzero(is_trusted), np.flatnonzero(~is_trusted)
+    if len(other) == 0 or len(trusted) == 0:
+        return colour
+    k = min(config.neighbours, len(trusted))
+    distance, index = KDTree(mesh.vertices[trusted]).query(mesh.vertices[other], k=k)
+    distance, index = distance.reshape(len(other), k), trusted[index.reshape(len(other), k)]
+    normals = mesh.vertex_normals().astype(np.float64)
+    facing = np.clip((normals[other][:, None] * normals[index]).sum(axis=2), 0.0, 1.0)
+    share = facing**config.normal_power / np.maximum(distance, 0.02) ** 2
+    share *= distance < config.max_distance_m
+    total = share.sum(axis=1)
+    is_found = total > 1e-9
+    found = (share[:, :, None] * colour[index]).sum(axis=1)
+    result = colour.copy()
+    result[other[is_found]] = found[is_found] / total[is_found, None]
+    return result
