@@ -234,17 +234,23 @@ def _finish(
         part = slice(scene.first_vertex[k], scene.first_vertex[k + 1])
         colour[part] = fill_unseen(mesh, colour[part], is_known[part], usual.astype(np.float32))
     fill_unseen_texels(table.patch, scene.faces, colour, radiance, is_seen)
-    return [_textured(table, k, edges_m, colour, radiance) for k in range(len(scene.meshes))]
+    return [
+        _textured(table, k, edges_m, (colour, is_known), radiance) for k in range(len(scene.meshes))
+    ]
 
 
 def _textured(
     table: _Table,
     number: int,
     edges_m: Float32[np.ndarray, "m 3"],
-    colour: Float32[np.ndarray, "n 3"],
+    painted: tuple[Float32[np.ndarray, "n 3"], Bool[np.ndarray, " n"]],
     radiance: Float32[np.ndarray, "t 3"],
 ) -> TriMesh:
-    """One mesh with its colours and its own texture."""
+    """One mesh with its colours and its own texture; confidence 0 where no image saw it.
+
+    Args:
+        painted: colour of the vertices, and whether an image saw them.
+    """
     scene = table.scene
     mesh = scene.meshes[number]
     faces = slice(scene.first_face[number], scene.first_face[number + 1])
@@ -255,4 +261,13 @@ def _textured(
     start = int(table.first[faces.start])
     image[pixel] = radiance[start : start + len(pixel)]
     image = image.reshape(patches.height_px, patches.width_px, 3)
-    return replace(mesh, base_colour=colour[vertices], texture=Texture(image, patches.corner_uv()))
+    colour, is_seen = painted
+    confidence = is_seen[vertices].astype(np.float32)
+    if mesh.confidence is not None:
+        confidence *= mesh.confidence
+    return replace(
+        mesh,
+        base_colour=colour[vertices],
+        texture=Texture(image, patches.corner_uv()),
+        confidence=confidence,
+    )
