@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 from scipy.sparse import diags
@@ -11,6 +13,16 @@ from lightsim.core.mesh import TriMesh
 
 _NEIGHBOURS = 6
 _SPREAD_ROUNDS = 30
+
+
+def colour_of_nearest(mesh: TriMesh, coloured: TriMesh) -> TriMesh:
+    """A mesh that no image shows, with the colours of the nearest vertices of another."""
+    from scipy.spatial import KDTree
+
+    if len(mesh.vertices) == 0 or len(coloured.vertices) == 0:
+        return mesh
+    _, index = KDTree(coloured.vertices).query(mesh.vertices)
+    return replace(mesh, base_colour=coloured.base_colour[index])
 
 
 def fill_unseen(
