@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from lightsim.assets.complete import PROXY_VOXEL_M, actor_surface, ground_patches
+from lightsim.assets.materials import classify_background, material_of
 from lightsim.assets.mesh_config import MeshConfig
 from lightsim.assets.simplify import denoise, simplify
 from lightsim.assets.surface import background_levels, drop_floaters
@@ -26,11 +29,13 @@ def mesh_scene(
 ) -> SceneAssets:
     """Background and actors as black meshes; no gains yet (assets.build.build_assets)."""
     background = mesh_background(fields, config, make_caster)
+    background = classify_background(background, log, fields.ground)
     actors, notes = {}, list(fields.notes)
     for track in progress.track(log.actors, "mesh the actors", len(log.actors)):
         grid = fields.actors.get(track.actor_id)
         voxel_m = PROXY_VOXEL_M if grid is None else grid.voxel_m
         mesh = _refined(actor_surface(track, grid, config), voxel_m, config)
+        mesh = replace(mesh, materials=(material_of(track.kind),))
         actors[track.actor_id] = ActorAsset(track.actor_id, track.kind, mesh)
         if grid is None:
             notes.append(f"actor {track.actor_id} ({track.kind}): default shape, too few returns")

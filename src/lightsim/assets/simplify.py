@@ -18,7 +18,7 @@ from lightsim.assets.simplify_kernels import (
 from lightsim.core.mesh import TriMesh
 
 _MAX_ROUNDS = 40
-_WORTHWHILE = 5e-3
+_WORTHWHILE = 1e-2
 """A round that removes a smaller part of the vertices is the last."""
 
 

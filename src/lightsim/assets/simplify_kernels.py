@@ -231,7 +231,7 @@ def edge_costs(points, edges, shares, kind, quadrics, weight, max_error, max_edg
 
 @njit(cache=True, nogil=True, inline="always")
 @no_type_check
-def _cross(ax, ay, az, bx, by, bz, cx, cy, cz):
+def _cross(ax, ay, az, bx, by, bz, cx, cy, cz):  # noqa: PLR0913 - scalars of one triangle
     """Twice the area vector of a triangle, in scalars: arrays here would be allocated."""
     ux, uy, uz = bx - ax, by - ay, bz - az
     vx, vy, vz = cx - ax, cy - ay, cz - az
@@ -273,7 +273,7 @@ def _is_sound(v, other, p, points, faces, start, members, limit):
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def collapse_round(
+def collapse_round(  # noqa: C901, PLR0913 - one compiled loop over flat arrays
     points, faces, groups, start, members, edges, shares, cost, place, order,
     quadrics, weight, max_error, max_edge,
 ):  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool
@@ -47,6 +47,8 @@ class DrivingLog:
     """True where a camera sees the recording car itself; cameras without an entry do not."""
     notes: tuple[str, ...] = ()
     """What was odd or substituted while reading: said once, recorded in the artefact."""
+    semantic_names: Mapping[int, str] = field(default_factory=dict[int, str])
+    """The log's own name of each id in `LidarSweep.semantic_class`; empty where unlabelled."""
 
     def frames_of(self, camera_name: str) -> tuple[CameraFrame, ...]:
         """Frames of one camera, in time order.

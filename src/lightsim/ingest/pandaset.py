@@ -25,7 +25,13 @@ from lightsim.ingest.geo import GpsTrack, check_heading, locate
 from lightsim.ingest.own_car import OwnCarConfig, find_own_car
 from lightsim.ingest.pandaset_cameras import CameraFolder, numbered_files, read_camera
 from lightsim.ingest.pandaset_rig import READOUT_S, Rig, ego_trajectory, read_rig
-from lightsim.ingest.pandaset_sweeps import ScanTiming, SweepSource, load_sweep, measure_timing
+from lightsim.ingest.pandaset_sweeps import (
+    ScanTiming,
+    SweepSource,
+    load_sweep,
+    measure_timing,
+    read_class_names,
+)
 from lightsim.ingest.pandaset_tracks import CuboidFile, read_tracks
 from lightsim.ingest.selection import FrameSelection
 
@@ -88,6 +94,7 @@ def read_pandaset(
         geo,
         masks,
         (*_picture_notes(folders), *notes),
+        read_class_names(source / "annotations" / "semseg" / "classes.json"),
     )
 
 

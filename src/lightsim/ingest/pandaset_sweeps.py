@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float64, Int64
 from lightsim.core.frames import Trajectory
 from lightsim.core.sensors import LidarSweep
 from lightsim.errors import InputError
+from lightsim.ingest.files import read_json, require_object
 from lightsim.ingest.pandaset_rig import Rig, ego_from_pandar64, positions_along
 from lightsim.ingest.safe_pickle import Table, read_table
 
@@ -185,3 +186,19 @@ def _read_classes(source: SweepSource, n: int) -> np.ndarray:
             expected=f"{n} integers",
         )
     return classes.astype(np.int16)
+
+
+def read_class_names(path: Path) -> dict[int, str]:
+    """Names of the point classes by id; none where the sequence has no such labels.
+
+    Raises:
+        InputError: the file is broken.
+    """
+    if not path.is_file():
+        return {}
+    names = require_object(read_json(path), path)
+    if not all(key.isdigit() and isinstance(name, str) for key, name in names.items()):
+        raise InputError(
+            "the class names are not a table of number: name", where=path, got=str(names)[:60]
+        )
+    return {int(key): name for key, name in names.items()}

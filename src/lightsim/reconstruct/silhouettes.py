@@ -1,0 +1,53 @@
+"""What the sky mattes say, view by view."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+from jaxtyping import Float32, Int8
+
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.sensors import CameraFrame
+from lightsim.errors import InputError
+
+_SKY_ALPHA = 0.8
+_SOLID_ALPHA = 0.2
+
+View = tuple[CameraFrame, PinholeCamera, Float32[np.ndarray, "h w"]]
+
+
+def spaced_views(views: Iterable[View], min_baseline_m: float) -> Iterator[View]:
+    """Views without those whose camera moved less than this since its last used view."""
+    last: dict[str, np.ndarray] = {}
+    for frame, camera, matte in views:
+        position = frame.world_from_camera.translation_m
+        before = last.get(frame.camera_name)
+        if before is not None and np.linalg.norm(position - before) < min_baseline_m:
+            continue
+        last[frame.camera_name] = position
+        yield frame, camera, matte
+
+
+def classify_matte(
+    camera: PinholeCamera, matte: Float32[np.ndarray, "h w"], erode_px: int = 1
+) -> Int8[np.ndarray, "h w"]:
+    """1 where a pixel and its neighbours are sky, -1 where it shows matter, 0 where it is mixed.
+
+    Raises:
+        InputError: matte and camera differ in size.
+    """
+    from scipy.ndimage import minimum_filter
+
+    if matte.shape != (camera.height_px, camera.width_px):
+        raise InputError(
+            "the sky matte and the camera differ in size",
+            where=f"camera '{camera.name}'",
+            got=f"{matte.shape[1]}x{matte.shape[0]} px",
+            expected=f"{camera.width_px}x{camera.height_px} px",
+        )
+    kind = np.zeros(matte.shape, dtype=np.int8)
+    kind[matte <= _SOLID_ALPHA] = -1
+    is_sky = np.asarray(minimum_filter(matte, 2 * erode_px + 1)) >= _SKY_ALPHA
+    kind[is_sky] = 1
+    return kind

@@ -1,0 +1,168 @@
+"""Planar walls in a mesh: what a facade's missing parts are hung on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from lightsim.core.mesh import TriMesh
+
+_SEEDS = 120
+_MAX_WALLS = 120
+_COS_NORMAL = float(np.cos(np.radians(15.0)))
+_BIN_M = 0.5
+
+
+@dataclass(frozen=True)
+class WallConfig:
+    """What counts as a wall."""
+
+    max_normal_z: float = 0.25
+    """Faces with a larger vertical part of the normal belong to no wall."""
+    thickness_m: float = 0.2
+    """Faces this near a plane belong to it."""
+    min_area_m2: float = 6.0
+    """Measured surface of a wall."""
+    min_width_m: float = 2.0
+    """Poles and trunks are narrower."""
+    min_height_m: float = 1.8
+    """Vehicles' flanks and garden walls are lower."""
+    max_gap_m: float = 3.0
+    """A wider gap along the plane separates two walls."""
+    min_density: float = 0.25
+    """Measured surface over the rectangle it spans; foliage and fences have less."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wall:
+    """A rectangle of an upright plane that measured faces lie on, frame world.
+
+    Args:
+        origin_m: a point of the plane at height 0 and s = 0.
+        normal: horizontal, away from the building.
+        along: horizontal, in the plane; from left to right seen from outside.
+        span_m: lowest and highest s.
+        height_m: lowest and highest z.
+    """
+
+    origin_m: Float64[np.ndarray, "3"]
+    normal: Float64[np.ndarray, "3"]
+    along: Float64[np.ndarray, "3"]
+    span_m: tuple[float, float]
+    height_m: tuple[float, float]
+
+    def at(
+        self, s: Float64[np.ndarray, "*n"], z: Float64[np.ndarray, "*n"], out_m: float = 0.0
+    ) -> Float64[np.ndarray, "*n 3"]:
+        """World position of (s, z), `out_m` in front of the plane."""
+        up = np.array([0.0, 0.0, 1.0])
+        place = s[..., None] * self.along + z[..., None] * up
+        return self.origin_m + place + out_m * self.normal
+
+
+def find_walls(mesh: TriMesh, config: WallConfig, seed: int = 0) -> list[Wall]:
+    """Upright planes with much measured surface, greatest first.
+
+    RANSAC with one face as hypothesis (Fischler & Bolles 1981, doi:10.1145/358669.358692):
+    position and normal of a face fix an upright plane.
+    """
+    normals = mesh.face_normals()
+    is_upright = (np.abs(normals[:, 2]) < config.max_normal_z) & (np.abs(normals).sum(axis=1) > 0)
+    corners = mesh.vertices[mesh.faces[is_upright]].astype(np.float64)
+    area = 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    flat = normals[is_upright, :2]
+    flat = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-9)
+    centres = corners.mean(axis=1)
+    rng = np.random.default_rng(seed)
+    is_free = area > 0
+    walls: list[Wall] = []
+    for _ in range(_MAX_WALLS):
+        rows = np.flatnonzero(is_free)
+        if len(rows) == 0 or area[rows].sum() < config.min_area_m2:
+            break
+        best = _best_plane(centres[rows], flat[rows], area[rows], config, rng)
+        chosen = rows[best]
+        found = _pieces(centres[chosen], flat[chosen], area[chosen], corners[chosen], config)
+        if area[chosen].sum() < config.min_area_m2:
+            break
+        walls.extend(found)
+        is_free[chosen] = False
+    return walls
+
+
+def _best_plane(
+    centres: Float64[np.ndarray, "n 3"],
+    flat: Float64[np.ndarray, "n 2"],
+    area: Float64[np.ndarray, " n"],
+    config: WallConfig,
+    rng: np.random.Generator,
+) -> Bool[np.ndarray, " n"]:
+    """Faces on the plane that holds the most area among random hypotheses, refined twice."""
+    best, best_area = np.zeros(len(area), dtype=bool), -1.0
+    for seed in rng.choice(len(area), size=min(_SEEDS, len(area)), p=area / area.sum()):
+        inside = _near_plane(centres, flat, centres[seed, :2], flat[seed], config)
+        total = float(area[inside].sum())
+        if total > best_area:
+            best, best_area = inside, total
+    for _ in range(2):
+        centre = np.average(centres[best, :2], axis=0, weights=area[best])
+        offset = centres[best, :2] - centre
+        _, vectors = np.linalg.eigh((offset * area[best, None]).T @ offset)
+        normal = vectors[:, 0] * np.sign(
+            (flat[best] * area[best, None]).sum(axis=0) @ vectors[:, 0]
+        )
+        refined = _near_plane(centres, flat, centre, normal, config)
+        if area[refined].sum() < best_area:
+            break
+        best, best_area = refined, float(area[refined].sum())
+    return best
+
+
+def _near_plane(
+    centres: Float64[np.ndarray, "n 3"],
+    flat: Float64[np.ndarray, "n 2"],
+    place: Float64[np.ndarray, "2"],
+    normal: Float64[np.ndarray, "2"],
+    config: WallConfig,
+) -> Bool[np.ndarray, " n"]:
+    distance = np.abs((centres[:, :2] - place) @ normal)
+    return (distance < config.thickness_m) & (flat @ normal > _COS_NORMAL)
+
+
+def _pieces(
+    centres: Float64[np.ndarray, "n 3"],
+    flat: Float64[np.ndarray, "n 2"],
+    area: Float64[np.ndarray, " n"],
+    corners: Float64[np.ndarray, "n 3 3"],
+    config: WallConfig,
+) -> list[Wall]:
+    """The walls that lie on one plane, apart from each other."""
+    centre = np.average(centres[:, :2], axis=0, weights=area)
+    offset = centres[:, :2] - centre
+    _, vectors = np.linalg.eigh((offset * area[:, None]).T @ offset)
+    normal = vectors[:, 0] * np.sign((flat * area[:, None]).sum(axis=0) @ vectors[:, 0])
+    along = np.array([-normal[1], normal[0]])
+    origin = np.array([*centre, 0.0])
+    s = (corners[..., :2] - centre) @ along
+    low, high = s.min(axis=1), s.max(axis=1)
+    order = np.argsort(low)
+    reach = np.maximum.accumulate(high[order])
+    starts = np.flatnonzero(np.r_[True, low[order][1:] > reach[:-1] + config.max_gap_m])
+    walls = []
+    for piece in np.split(order, starts[1:]):
+        span = (float(low[piece].min()), float(high[piece].max()))
+        z = corners[piece, :, 2]
+        height = (float(z.min()), float(z.max()))
+        width, tall = span[1] - span[0], height[1] - height[0]
+        measured = float(area[piece].sum())
+        is_wall = width >= config.min_width_m and tall >= config.min_height_m
+        is_wall &= measured >= max(config.min_area_m2, config.min_density * width * tall)
+        if is_wall:
+            walls.append(
+                Wall(origin, np.array([*normal, 0.0]), np.array([*along, 0.0]), span, height)
+            )
+    return walls
