@@ -8,8 +8,9 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from lightsim.assets.atlas import choose_resolution, edge_lengths_m, pack, texels_of
 from lightsim.assets.delight import DelightConfig, LidarReturns, SurfaceLight, delight
-from lightsim.core.mesh import TriMesh
+from lightsim.core.mesh import Texture, TriMesh
 from lightsim.errors import InputError
 
 _SUN = np.array([1.0, 0.9, 0.7])
@@ -133,3 +134,41 @@ def test_broken_light_is_refused():
         delight(mesh, lambda p, n: short, DelightConfig(), np.random.default_rng(0))
     with pytest.raises(InputError, match="negative"):
         replace(short, sky=-short.sky)
+
+
+def _textured(mesh: TriMesh, texel_m: float) -> tuple[TriMesh, np.ndarray, np.ndarray]:
+    """The mesh with a radiance texture; where its texels lie, and their pixels."""
+    edges = edge_lengths_m(mesh.vertices, mesh.faces)
+    seen = np.full(len(mesh.faces), texel_m, np.float32)
+    patches = pack(choose_resolution(edges, seen, texel_m, 64, 1 << 20), edges)
+    texels = texels_of(patches)
+    corners = mesh.vertices[mesh.faces[texels.face]]
+    points = (texels.barycentric[:, :, None] * corners).sum(axis=1)
+    lit = (_is_lit(points) & ~_unknown_shadow(points)).astype(float)
+    radiance = _albedo(points)[:, None] * (_SKY + lit[:, None] * _SUN)
+    image = np.zeros((patches.height_px * patches.width_px, 3), np.float32)
+    image[texels.pixel] = radiance
+    image = image.reshape(patches.height_px, patches.width_px, 3)
+    textured = replace(mesh, texture=Texture(image, patches.corner_uv()))
+    return textured, points, texels.pixel
+
+
+def test_a_texture_loses_its_shadows_texel_by_texel_on_coarse_faces():
+    mesh = _ground(cells=25)
+    lit = (_is_lit(mesh.vertices) & ~_unknown_shadow(mesh.vertices)).astype(float)
+    radiance = _albedo(mesh.vertices)[:, None] * (_SKY + lit[:, None] * _SUN)
+    mesh, points, pixel = _textured(replace(mesh, base_colour=radiance.astype(np.float32)), 0.1)
+
+    def light_at(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
+        return _light(points, _is_lit(points, shift_m=0.4), sun=2.2)
+
+    done = delight(mesh, light_at, DelightConfig(), np.random.default_rng(0)).mesh
+    assert done.texture is not None
+    assert mesh.texture is not None
+    assert done.texture.image.shape == mesh.texture.image.shape
+    colour = done.texture.image.reshape(-1, 3)[pixel]
+    error = np.abs(np.log(colour / _albedo(points)[:, None])).mean(axis=1)
+    assert np.median(error) < 0.05
+    assert (error > np.log(1.5)).mean() < 0.02
+    assert done.confidence is not None
+    assert np.median(done.confidence) > 0.9

@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32
 
 from lightsim.assets.delight_config import DelightConfig
 from lightsim.assets.delight_divide import base_colour_from_radiance
-from lightsim.assets.delight_edges import LabelField, refine_visibility
+from lightsim.assets.delight_edges import LabelField, Seen, label_field, refine_visibility
 from lightsim.assets.delight_labels import Observed, label_shadows, predict_tone_steps
 from lightsim.assets.delight_light import LightAt, LightScales, SurfaceLight
 from lightsim.assets.delight_surfels import (
@@ -24,6 +24,7 @@ from lightsim.assets.delight_surfels import (
     lidar_tone,
     make_surfels,
 )
+from lightsim.assets.delight_texture import VertexLight, texture_without_light
 from lightsim.core.mesh import TriMesh
 from lightsim.errors import InputError
 
@@ -84,15 +85,20 @@ def delight(
         return _divided(mesh, light, config)
     surfels = make_surfels(mesh, config.surfel_m, rng)
     if len(surfels) < _LEAST_SURFELS:
-        known = scales or _unknown()
-        return _finished(mesh, light, light.visibility[:, 1], known, config)
+        known = VertexLight(light, scales or _unknown(), light.visibility[:, 1])
+        return _finished(mesh, known, None, config)
     observed, tone_gain = _observe(surfels, light_at, config, rng, returns)
     labels = label_shadows(observed, config, scales)
-    field = LabelField.of(observed, labels)
-    visibility = refine_visibility(
-        field, vertices, mesh.vertex_normals().astype(np.float64), mesh.base_colour, light
+    field = label_field(observed, labels)
+    seen = Seen(
+        vertices,
+        mesh.vertex_normals().astype(np.float64),
+        mesh.base_colour.astype(np.float64),
+        light.diffuse(labels.scales),
+        light.direct(labels.scales),
     )
-    done = _finished(mesh, light, visibility, labels.scales, config)
+    found = VertexLight(light, labels.scales, refine_visibility(field, seen))
+    done = _finished(mesh, found, field, config)
     return replace(done, notes=_notes(labels.scales, tone_gain) if scales is None else ())
 
 
@@ -119,30 +125,37 @@ def _observe(
 
 
 def _finished(
-    mesh: TriMesh,
-    light: SurfaceLight,
-    visibility: Float32[np.ndarray, " n"],
-    scales: LightScales,
-    config: DelightConfig,
+    mesh: TriMesh, found: VertexLight, field: LabelField | None, config: DelightConfig
 ) -> Delit:
     """Radiance over light; confidence falls where the sun's share hangs on an unsure label."""
-    total = light.total(scales, visibility.astype(np.float64))
+    visibility = found.visibility.astype(np.float64)
+    total = np.maximum(found.light.total(found.scales, visibility), 1e-6)
     colour = np.clip(mesh.base_colour / total, config.low, config.high)
-    share = light.direct(scales).sum(axis=1) / np.maximum(total.sum(axis=1), 1e-9)
+    share = found.light.direct(found.scales).sum(axis=1) / total.sum(axis=1)
     unsure = 4 * visibility * (1 - visibility) * np.minimum(share, 1.0)
     seen = np.ones(len(unsure)) if mesh.confidence is None else mesh.confidence
-    confidence = (seen * (1 - 0.8 * unsure)).astype(np.float32)
-    done = replace(mesh, base_colour=colour.astype(np.float32), confidence=confidence, texture=None)
-    return Delit(done, visibility.astype(np.float32), scales, ())
+    texture = mesh.texture
+    if texture is not None:
+        limits = (config.low, config.high)
+        texture = texture_without_light(mesh, texture, found, field, limits)
+    done = replace(
+        mesh,
+        base_colour=colour.astype(np.float32),
+        confidence=(seen * (1 - 0.8 * unsure)).astype(np.float32),
+        texture=texture,
+    )
+    return Delit(done, found.visibility, found.scales, ())
 
 
 def _divided(mesh: TriMesh, light: SurfaceLight, config: DelightConfig) -> Delit:
     """The baseline, with the light as the sky stage estimated it."""
-    visibility = light.visibility[:, 1]
-    scales = _unknown()
-    total: Float64[np.ndarray, "n 3"] = light.total(scales, visibility.astype(np.float64))
+    found = VertexLight(light, _unknown(), light.visibility[:, 1])
+    total = light.total(found.scales, found.visibility.astype(np.float64))
     done = base_colour_from_radiance(mesh, total.astype(np.float32), config.divide)
-    return Delit(done, visibility, scales, ("base colour: divided by the rendered light",))
+    if mesh.texture is not None:
+        limits = (config.low, config.high)
+        done = replace(done, texture=texture_without_light(mesh, mesh.texture, found, None, limits))
+    return Delit(done, found.visibility, found.scales, ("divided by the rendered light",))
 
 
 def _notes(scales: LightScales, tone_gain: float) -> tuple[str, ...]:

@@ -1,0 +1,108 @@
+"""Light taken out of a texture, texel by texel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int32
+from scipy.spatial import KDTree
+
+from lightsim.assets.atlas import texture_texels
+from lightsim.assets.delight_edges import LabelField, Seen, refine_visibility
+from lightsim.assets.delight_light import LightScales, SurfaceLight
+from lightsim.core.mesh import Texture, TriMesh
+
+_CHUNK = 1 << 19
+
+
+@dataclass(frozen=True, eq=False)
+class VertexLight:
+    """Light at a mesh's vertices as delighting found it.
+
+    Args:
+        visibility: of the sun.
+    """
+
+    light: SurfaceLight
+    scales: LightScales
+    visibility: Float32[np.ndarray, " n"]
+
+
+def texture_without_light(
+    mesh: TriMesh,
+    texture: Texture,
+    found: VertexLight,
+    field: LabelField | None,
+    limits: tuple[float, float],
+) -> Texture:
+    """The texture of radiance divided by the light at each texel.
+
+    Light is interpolated between the vertices. On faces near a shadow's edge visibility is found
+    for each texel; without `field` it is interpolated as well.
+
+    Args:
+        mesh: carries `texture`.
+        limits: least and greatest base colour.
+    """
+    texels = texture_texels(texture)
+    attributes = _VertexAttributes(
+        mesh.vertices.astype(np.float64),
+        mesh.vertex_normals().astype(np.float64),
+        found.light.diffuse(found.scales),
+        found.light.direct(found.scales),
+        found.visibility.astype(np.float64),
+    )
+    is_edge = np.zeros(len(mesh.faces), dtype=bool) if field is None else edge_faces(mesh, field)
+    image = texture.image.reshape(-1, 3).copy()
+    for start in range(0, len(texels.pixel), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        face, pixel = texels.face[part], texels.pixel[part]
+        seen, visibility = attributes.between(
+            mesh.faces[face], texels.barycentric[part].astype(np.float64), image[pixel]
+        )
+        rows = np.flatnonzero(is_edge[face])
+        if field is not None and len(rows):
+            visibility[rows] = refine_visibility(field, seen.at(rows))
+        light = seen.diffuse + np.clip(visibility, 0.0, 1.0)[:, None] * seen.direct
+        image[pixel] = np.clip(seen.radiance / np.maximum(light, 1e-6), *limits)
+    return Texture(image.reshape(texture.image.shape), texture.corner_uv)
+
+
+@dataclass(frozen=True, eq=False)
+class _VertexAttributes:
+    """What is interpolated between the vertices."""
+
+    points: Float64[np.ndarray, "n 3"]
+    normals: Float64[np.ndarray, "n 3"]
+    diffuse: Float64[np.ndarray, "n 3"]
+    direct: Float64[np.ndarray, "n 3"]
+    visibility: Float64[np.ndarray, " n"]
+
+    def between(
+        self,
+        corners: Int32[np.ndarray, "t 3"],
+        barycentric: Float64[np.ndarray, "t 3"],
+        radiance: Float32[np.ndarray, "t 3"],
+    ) -> tuple[Seen, Float64[np.ndarray, " t"]]:
+        """Points inside triangles, and the visibility between the corners'."""
+        weights = barycentric[:, :, None]
+        points, normals, diffuse, direct = (
+            (weights * values[corners]).sum(axis=1)
+            for values in (self.points, self.normals, self.diffuse, self.direct)
+        )
+        visibility = (barycentric * self.visibility[corners]).sum(axis=1)
+        light = np.maximum(diffuse, 1e-6), np.maximum(direct, 0.0)
+        return Seen(points, normals, radiance.astype(np.float64), *light), visibility
+
+
+def edge_faces(mesh: TriMesh, field: LabelField) -> Bool[np.ndarray, " m"]:
+    """Faces that come near a surfel at which light and shadow meet."""
+    mixed = field.tree.data[field.is_mixed]
+    if len(mixed) == 0:
+        return np.zeros(len(mesh.faces), dtype=bool)
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    centre = corners.mean(axis=1)
+    radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+    distance = np.asarray(KDTree(mixed).query(centre)[0])
+    return distance < radius + 1.5 * field.surfel_m
