@@ -10,18 +10,16 @@ section 3; used by UniSim (doi:10.1109/CVPR52729.2023.00140) and LightSim for th
 from __future__ import annotations
 
 import importlib
-import math
-from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, Literal
 
-import numpy as np
 import torch
-from jaxtyping import Float, Float32, Int64
+from jaxtyping import Float, Int64
 from torch import Tensor
 
 from lightsim.errors import InputError
 from lightsim.reconstruct import hash_grid_cpu
+from lightsim.reconstruct.hash_grid_spec import HashGridSpec
 from lightsim.reconstruct.sparse_adam import (
     SparseGradient,
     new_sparse_gradient,
@@ -33,45 +31,6 @@ Implementation = Literal["auto", "torch", "numba", "triton"]
 PRIMES = (1, 2654435761, 805459861)
 """Factors of the x, y and z cell in the hash (Mueller et al., equation 4)."""
 SALT_PRIME = 3674653429
-
-
-@dataclass(frozen=True)
-class HashGridSpec:
-    """Size of a hash grid; cell sizes grow geometrically between the two ends."""
-
-    levels: int = 12
-    """Grids of different cell size."""
-    features: int = 2
-    """Numbers per entry."""
-    log2_entries: int = 20
-    """Entries per level, as a power of two; all levels are hashed."""
-    coarsest_m: float = 4.0
-    """Cell size of the first level."""
-    finest_m: float = 0.1
-    """Cell size of the last level."""
-
-    def __post_init__(self) -> None:
-        sizes = self.levels >= 1 and self.features >= 1 and 3 <= self.log2_entries <= 28
-        if not sizes or not 0.0 < self.finest_m <= self.coarsest_m < math.inf:
-            raise InputError(
-                "the hash grid has an impossible size",
-                got=self,
-                expected="levels, features >= 1, log2_entries 3 to 28, 0 < finest_m <= coarsest_m",
-            )
-
-    @property
-    def output_dim(self) -> int:
-        """Features of one point over all levels."""
-        return self.levels * self.features
-
-    def table_shape(self) -> tuple[int, int]:
-        """(entries over all levels, features)."""
-        return self.levels * 2**self.log2_entries, self.features
-
-    def cells_per_m(self) -> Float32[np.ndarray, "levels"]:
-        """Inverse cell size of each level, coarsest first."""
-        sizes = np.geomspace(self.coarsest_m, self.finest_m, self.levels)
-        return (1.0 / sizes).astype(np.float32)
 
 
 def make_table(
@@ -141,17 +100,18 @@ def encode_plainly(
 ) -> Float[Tensor, "n d"]:
     """The same as `hash_encode`, in plain torch and any float type: the definition of the grid."""
     size = 2**spec.log2_entries
+    corners = torch.tensor([[c & 1, c >> 1 & 1, c >> 2] for c in range(8)], device=points.device)
+    grids = table.reshape(spec.levels, size, spec.features).unbind()
     outputs = []
-    for level, cells_per_m in enumerate(spec.cells_per_m().tolist()):
+    for grid, cells_per_m in zip(grids, spec.cells_per_m().tolist(), strict=True):
         scaled = points * cells_per_m
         cell = torch.floor(scaled.detach())
         inside = scaled - cell
         total = points.new_zeros((len(points), spec.features))
-        for corner in range(8):
-            offset = torch.tensor([corner & 1, corner >> 1 & 1, corner >> 2], device=points.device)
-            weight = torch.where(offset.bool(), inside, 1.0 - inside).prod(dim=1, keepdim=True)
-            entry = _hash(cell.long() + offset, salt) % size
-            total = total + weight * table[level * size + entry]
+        for corner in corners:
+            weight = torch.where(corner.bool(), inside, 1.0 - inside).prod(dim=1, keepdim=True)
+            entry = _hash(cell.long() + corner, salt) % size
+            total = total + weight * grid.index_select(0, entry)
         outputs.append(total)
     return torch.cat(outputs, dim=1)
 

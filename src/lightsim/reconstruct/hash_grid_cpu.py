@@ -10,14 +10,13 @@ from jaxtyping import Float32, Int64, UInt32
 from torch import Tensor
 
 from lightsim.reconstruct import hash_grid_kernels as kernels
-from lightsim.reconstruct.hash_grid_threads import for_each, for_ranges, thread_count
+from lightsim.reconstruct.hash_grid_threads import for_each, for_ranges
 from lightsim.reconstruct.sparse_adam import SparseGradient
 
 if TYPE_CHECKING:
     from lightsim.reconstruct.hash_grid import HashGridSpec
 
 _SMALLEST_PART = 1024
-_SALT_PRIME = np.uint32(3674653429)
 
 
 def look_up(
@@ -28,8 +27,8 @@ def look_up(
 ) -> Float32[Tensor, "n d"]:
     """Features of points; see `hash_grid.hash_encode`."""
     out = torch.empty((len(points), spec.output_dim))
-    arrays = points.detach().numpy(), _salt_bits(salt, len(points)), table.detach().numpy()
-    scales, features, target = spec.cells_per_m(), (0,) * spec.features, out.numpy()
+    arrays = _flat(points), _salt_bits(salt, len(points)), _flat(table)
+    scales, features, target = spec.cells_per_m(), (0,) * spec.features, _flat(out)
 
     def part(first: int, last: int) -> None:
         kernels.look_up(*arrays, scales, features, first, last, target)
@@ -47,9 +46,9 @@ def point_gradient(
 ) -> Float32[Tensor, "n 3"]:
     """d loss / d points, from `upstream` = d loss / d features."""
     out = torch.empty((len(points), 3))
-    arrays = points.detach().numpy(), _salt_bits(salt, len(points)), table.detach().numpy()
+    arrays = _flat(points), _salt_bits(salt, len(points)), _flat(table)
     scales, features = spec.cells_per_m(), (0,) * spec.features
-    source, target = upstream.numpy(), out.numpy()
+    source, target = _flat(upstream), _flat(out)
 
     def part(first: int, last: int) -> None:
         kernels.point_gradient(*arrays, scales, features, first, last, source, target)
@@ -66,28 +65,23 @@ def scatter(
     sparse: SparseGradient,
 ) -> None:
     """Add d loss / d table to `sparse`. Each level belongs to one thread: always the same sum."""
-    arrays = points.detach().numpy(), _salt_bits(salt, len(points)), spec.cells_per_m()
-    features, source = (0,) * spec.features, upstream.numpy()
-    values, is_touched = sparse.values.numpy(), sparse.is_touched.numpy()
+    arrays = _flat(points), _salt_bits(salt, len(points)), spec.cells_per_m()
+    features, source = (0,) * spec.features, _flat(upstream)
+    values, is_touched = _flat(sparse.values), sparse.is_touched.numpy()
 
-    def part(of_levels: np.ndarray) -> None:
-        kernels.scatter(*arrays, features, of_levels, source, values, is_touched)
+    def part(level: int) -> None:
+        kernels.scatter(*arrays, features, level, source, values, is_touched)
 
-    for_each(part, [(group,) for group in _deal(spec.levels, thread_count())])
+    # The finest level takes longest; started last, the other threads would wait for it.
+    for_each(part, [(level,) for level in reversed(range(spec.levels))])
 
 
-def _deal(levels: int, hands: int) -> list[np.ndarray]:
-    """Levels dealt forth and back to `hands` groups: fine levels cost more than coarse ones."""
-    groups: list[list[int]] = [[] for _ in range(min(hands, levels))]
-    order = list(range(len(groups)))
-    for start in range(0, levels, len(groups)):
-        for hand, level in zip(order, range(start, levels), strict=False):
-            groups[hand].append(level)
-        order.reverse()
-    return [np.array(group) for group in groups]
+def _flat(tensor: Float32[Tensor, "n k"]) -> Float32[np.ndarray, "nk"]:
+    """The tensor's own memory."""
+    return tensor.detach().numpy().reshape(-1)
 
 
 def _salt_bits(salt: Int64[Tensor, "n"] | None, count: int) -> UInt32[np.ndarray, "n"]:
     if salt is None:
         return np.zeros(count, np.uint32)
-    return salt.numpy().astype(np.uint32) * _SALT_PRIME
+    return salt.numpy().astype(np.uint32) * kernels.PRIME_SALT

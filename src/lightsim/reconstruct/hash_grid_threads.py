@@ -6,6 +6,7 @@ launch loops at the same time, its OpenMP one refuses forks and spins against to
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -13,19 +14,18 @@ from functools import cache
 import torch
 
 
-def thread_count() -> int:
-    """As many threads as torch uses (OMP_NUM_THREADS, torch.set_num_threads)."""
-    return torch.get_num_threads()
-
-
 @cache
 def _pool(workers: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(workers, thread_name_prefix="hash-grid")
 
 
+# A forked process inherits the pool but not its threads, and would wait for them forever.
+os.register_at_fork(after_in_child=_pool.cache_clear)
+
+
 def for_each(work: Callable[..., None], tasks: Sequence[tuple]) -> None:
-    """Call `work(*task)` for every task, several at a time; returns when all are done."""
-    workers = thread_count()
+    """Call `work(*task)` for every task, on as many threads as torch uses; wait for all."""
+    workers = torch.get_num_threads()
     if workers == 1 or len(tasks) <= 1:
         for task in tasks:
             work(*task)
@@ -36,5 +36,5 @@ def for_each(work: Callable[..., None], tasks: Sequence[tuple]) -> None:
 
 def for_ranges(work: Callable[[int, int], None], size: int, *, smallest: int) -> None:
     """Call `work(first, last)` on parts of [0, size), about four for each thread."""
-    step = max(smallest, -(-size // (4 * thread_count())))
+    step = max(smallest, -(-size // (4 * torch.get_num_threads())))
     for_each(work, [(first, min(size, first + step)) for first in range(0, size, step)])

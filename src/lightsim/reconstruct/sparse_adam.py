@@ -136,20 +136,14 @@ class SparseAdam:
         self.zero_grad()
 
     def _step_blocks(self, rates: tuple[float, float, float, float, float]) -> None:
-        values, slopes, mean, square = (
-            tensor.detach().numpy().reshape(-1)
-            for tensor in (
-                self.table,
-                self.gradient.values,
-                self.first_moment,
-                self.second_moment,
-            )
-        )
+        tensors = self.table, self.gradient.values, self.first_moment, self.second_moment
+        arrays = [tensor.detach().numpy().reshape(-1) for tensor in tensors]
+        features = (0,) * self.table.shape[1]
         marks = self.gradient.is_touched.numpy()
         single = tuple(np.float32(rate) for rate in rates)
 
         def update(first: int, last: int) -> None:
-            kernels.update_touched(values, slopes, mean, square, marks, first, last, single)
+            kernels.update_touched(*arrays, marks, features, first, last, single)
 
         for_ranges(update, marks.size, smallest=4096)
 

@@ -1,0 +1,50 @@
+"""Size of a hash grid; apart from hash_grid.py so that a configuration loads no torch."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.errors import InputError
+
+
+@dataclass(frozen=True)
+class HashGridSpec:
+    """Size of a hash grid; cell sizes grow geometrically between the two ends."""
+
+    levels: int = 12
+    """Grids of different cell size."""
+    features: int = 2
+    """Numbers per entry."""
+    log2_entries: int = 20
+    """Entries per level, as a power of two; all levels are hashed."""
+    coarsest_m: float = 4.0
+    """Cell size of the first level."""
+    finest_m: float = 0.1
+    """Cell size of the last level."""
+
+    def __post_init__(self) -> None:
+        sizes = self.levels >= 1 and self.features >= 1 and 3 <= self.log2_entries <= 28
+        if not sizes or not 0.0 < self.finest_m <= self.coarsest_m < math.inf:
+            raise InputError(
+                "the hash grid has an impossible size",
+                got=self,
+                expected="levels, features >= 1, log2_entries 3 to 28, 0 < finest_m <= coarsest_m",
+            )
+
+    @property
+    def output_dim(self) -> int:
+        """Features of one point over all levels."""
+        return self.levels * self.features
+
+    def table_shape(self) -> tuple[int, int]:
+        """(entries over all levels, features)."""
+        return self.levels * 2**self.log2_entries, self.features
+
+    def cells_per_m(self) -> Float32[np.ndarray, "levels"]:
+        """Inverse cell size of each level, coarsest first."""
+        sizes = np.geomspace(self.coarsest_m, self.finest_m, self.levels)
+        return (1.0 / sizes).astype(np.float32)
