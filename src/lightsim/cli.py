@@ -197,6 +197,20 @@ class EvaluateSky:
 
 
 @dataclass(frozen=True)
+class EvaluateBaseColour:
+    """Base colour against a synthetic log's truth: error, and how much of the shadows is left."""
+
+    work: tyro.conf.Positional[Path]
+    """Work folder."""
+    truth: Path
+    """Ground truth of a synthetic log."""
+    out: Path | None = None
+    """Also write the table as JSON here."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+
+@dataclass(frozen=True)
 class Synthesize:
     """Make a synthetic street log with exact ground truth."""
 
@@ -249,12 +263,13 @@ Evaluate = (
     | Annotated[EvaluateRelight, _command("relight")]
     | Annotated[EvaluateGeometry, _command("geometry")]
     | Annotated[EvaluateSky, _command("sky")]
+    | Annotated[EvaluateBaseColour, _command("base-colour")]
 )
 
 
 @dataclass(frozen=True)
 class EvaluateGroup:
-    """Measure frames, relighting, geometry or the sky."""
+    """Measure frames, relighting, geometry, the sky or base colour."""
 
     measure: tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[Evaluate]]
 
@@ -296,6 +311,7 @@ def run(command: object) -> None:
         EvaluateRelight: commands.evaluate_relight,
         EvaluateGeometry: commands.evaluate_geometry,
         EvaluateSky: commands.evaluate_sky,
+        EvaluateBaseColour: commands.evaluate_base_colour,
         Synthesize: commands.synthesize,
         Demo: commands.demo,
         Doctor: commands.doctor,

@@ -159,6 +159,13 @@ def evaluate_sky(command: cli.EvaluateSky) -> None:
     _show(evaluation.sky(command.work, command.truth), command.out)
 
 
+def evaluate_base_colour(command: cli.EvaluateBaseColour) -> None:
+    from lightsim import evaluation
+
+    report = evaluation.base_colour(command.work, command.truth, terminal_progress())
+    _show(report, command.out)
+
+
 def _show(report: _Report, out: Path | None) -> None:
     _say(report.to_table())
     if out is not None:

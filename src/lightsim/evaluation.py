@@ -7,11 +7,15 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float32, UInt8
 
+from lightsim.assets.delight import delight
 from lightsim.baselines.colour_transfer import BASELINES
+from lightsim.core.buffers import BACKGROUND
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.dome import SkyDome, Sun
+from lightsim.core.frames import RigidTransform
+from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
 from lightsim.core.scenario import ActorPlacement, Scenario
 from lightsim.core.sensors import CameraFrame
@@ -19,6 +23,11 @@ from lightsim.core.solar import direction_world, solar_position
 from lightsim.core.twin import ActorAsset, DigitalTwin
 from lightsim.edit.timeline import replay
 from lightsim.errors import InputError
+from lightsim.evaluate.base_colour import (
+    BaseColourReport,
+    BaseColourTask,
+    score_base_colour,
+)
 from lightsim.evaluate.frames import (
     FramesConfig,
     FramesReport,
@@ -37,12 +46,17 @@ from lightsim.evaluate.sky import SkyReport, evaluate_sky
 from lightsim.lighting.sun import find_sun_blob
 from lightsim.progress import Progress
 from lightsim.render.embree import make_embree_caster
+from lightsim.render.gbuffers import render_gbuffers
+from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport import TransportConfig
 from lightsim.scenarios import RelightOptions, relight, sky_image
 from lightsim.scene_setup import FrameRenderer
 from lightsim.skies import SkyChoice
+from lightsim.source_light import SourceLight
+from lightsim.stages import TwinConfig
 from lightsim.store.arrays import load_arrays
 from lightsim.store.artefact import read_json
+from lightsim.store.exr import read_exr
 from lightsim.store.images import read_hdr, read_srgb8
 from lightsim.workspace import Workspace
 
@@ -241,4 +255,72 @@ def sky(work: Path, truth: Path | None) -> SkyReport:
         truth=true_dome,
         ephemeris_world=ephemeris,
         observed_sun_world=None if blob is None else blob.direction_world,
+    )
+
+
+def base_colour(work: Path, truth: Path, progress: Progress) -> BaseColourReport:
+    """Base colour of the twin's background against a synthetic log's truth, beside the plain
+    division by the rendered light and the radiance itself.
+
+    Compared is where the twin's surface lies within 5 cm + 2 % of the distance of the true one.
+
+    Raises:
+        InputError: `truth` is not a folder that `lightsim synthesize` wrote, or holds no frame of
+            the build.
+    """
+    workspace = Workspace(work)
+    radiance, twin = workspace.assets.background, workspace.twin
+    config = TwinConfig()
+    source = SourceLight(
+        workspace.training_log,
+        workspace.assets,
+        workspace.inferred,
+        workspace.sky.dome,
+        config.irradiance,
+        0,
+    )
+    identity = RigidTransform.identity("world", "world")
+    baseline = replace(config.delight, method="divide")
+    divided = delight(radiance, source.on(identity), baseline, np.random.default_rng(0)).mesh
+    meshes = {"labels": twin.assets.background, "divide": divided, "radiance": radiance}
+    log = workspace.log_at(1.0)
+    paths = sorted((truth / "base_colour").glob("*/*.exr"))
+    frames = {(f.camera_name, f.stem): f for f in log.frames}
+    known = [p for p in paths if (p.parent.name, p.stem) in frames]
+    if not known:
+        raise InputError(
+            "no true base colour of a frame of the build",
+            where=truth / "base_colour",
+            remedy="Give the folder truth that lightsim synthesize wrote beside the log.",
+        )
+    tasks = (_base_colour_task(truth, frames[p.parent.name, p.stem], log, meshes) for p in known)
+    return score_base_colour(tasks, progress=progress)
+
+
+def _base_colour_task(
+    truth: Path, frame: CameraFrame, log: DrivingLog, meshes: dict[str, TriMesh]
+) -> BaseColourTask:
+    """One frame: the truth, and each mesh's colour through its camera."""
+    camera = log.cameras[frame.camera_name]
+
+    def read(what: str) -> Float32[np.ndarray, "h w *c"]:
+        return read_exr(truth / what / frame.camera_name / f"{frame.stem}.exr")
+
+    def colour(mesh: TriMesh) -> Float32[np.ndarray, "h w 3"]:
+        scene = without_actors(make_static_scene([mesh]))
+        return render_gbuffers(scene, camera, frame).base_colour
+
+    scene = without_actors(make_static_scene([next(iter(meshes.values()))]))
+    depth = render_gbuffers(scene, camera, frame).depth_z_m
+    true_depth = read("depth_z_m").reshape(depth.shape)
+    is_static = np.rint(read("actor_index").reshape(depth.shape)) == BACKGROUND
+    is_valid = is_static & np.isfinite(depth) & np.isfinite(true_depth)
+    gap = np.abs(np.where(is_valid, depth, 0.0) - np.where(is_valid, true_depth, 0.0))
+    is_valid &= gap < 0.05 + 0.02 * np.where(is_valid, true_depth, 0.0)
+    return BaseColourTask(
+        read("base_colour"),
+        read("sun_visibility").reshape(depth.shape),
+        read("normal_world"),
+        is_valid,
+        {name: partial(colour, mesh) for name, mesh in meshes.items()},
     )
