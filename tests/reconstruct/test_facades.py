@@ -8,7 +8,7 @@ import pytest
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
-from lightsim.core.sensors import CameraFrame
+from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.errors import FrameMismatchError
 from lightsim.reconstruct.facades import FacadeConfig, complete_facades
 from lightsim.reconstruct.walls import WallConfig, find_walls
@@ -54,11 +54,24 @@ def _views(truth: TriMesh) -> list:
     return views
 
 
+def _over_the_low_end() -> LidarSweep:
+    """Beams that pass over x > 14 and return from a house 10 m behind."""
+    x, z = np.meshgrid(np.arange(26.0, 36.0, 0.05), np.arange(7.0, 16.0, 0.2))
+    points = np.stack([x, np.full_like(x, 20.0), z], axis=-1).reshape(-1, 3).astype(np.float32)
+    n = len(points)
+    zero = np.zeros(n, np.float32)
+    origins = np.tile(np.array([[4.0, 0.0, 1.8]], np.float32), (n, 1))
+    none = np.full(n, -1, np.int16)
+    return LidarSweep("0", 0, points, origins, zero, zero, none, none)
+
+
 @pytest.fixture(scope="module")
 def completed() -> TriMesh:
     truth = _wall(-6.0, 18.0, TOP_M, [GATE])
     seen = _wall(-6.0, 18.0, SEEN_M, [GATE, WINDOW])
-    return complete_facades(seen, _views(truth), FacadeConfig(), make_caster=EmbreeCaster)
+    return complete_facades(
+        seen, _views(truth), [_over_the_low_end()], FacadeConfig(), make_caster=EmbreeCaster
+    )
 
 
 def _is_hit(mesh: TriMesh, x_m: float, z_m: float) -> bool:
@@ -74,10 +87,15 @@ def test_windows_close_and_the_wall_reaches_its_top(completed: TriMesh) -> None:
     x = completed.vertices[completed.faces[window]].reshape(-1, 3)
     np.testing.assert_allclose(x.min(axis=0)[[0, 2]], WINDOW[::2], atol=0.26)
     np.testing.assert_allclose(x.max(axis=0)[[0, 2]], WINDOW[1::2], atol=0.26)
-    for x_m in np.arange(-5.5, 17.5, 0.9):
+    for x_m in np.arange(-5.5, 13.5, 0.9):
         if not GATE[0] - 0.6 < x_m < GATE[1] + 0.6:
             assert _is_hit(completed, float(x_m), 8.4), x_m
             assert not _is_hit(completed, float(x_m), TOP_M + 0.4), x_m
+
+
+def test_a_wall_that_beams_pass_over_ends_there(completed: TriMesh) -> None:
+    for z_m in (5.6, 7.6):
+        assert not _is_hit(completed, 16.6, z_m)
 
 
 def test_gates_open_to_the_sky_stay_open_and_faces_look_out(completed: TriMesh) -> None:
@@ -100,7 +118,7 @@ def test_no_walls_no_facades_and_only_in_world() -> None:
         np.zeros((0, 3), np.int32),
         np.zeros((0, 3), np.float32),
     )
-    assert len(complete_facades(empty, [], FacadeConfig(), make_caster=EmbreeCaster).faces) == 0
+    assert len(complete_facades(empty, [], [], FacadeConfig(), make_caster=EmbreeCaster).faces) == 0
     lost = TriMesh("actor", empty.vertices, empty.faces, empty.base_colour)
     with pytest.raises(FrameMismatchError):
-        complete_facades(lost, [], FacadeConfig(), make_caster=EmbreeCaster)
+        complete_facades(lost, [], [], FacadeConfig(), make_caster=EmbreeCaster)

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float32, Float64, Int8, Int32
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import MakeCaster, RayCaster
 from lightsim.core.mesh import Material, TriMesh, concatenate_meshes
-from lightsim.core.sensors import CameraFrame
+from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.errors import FrameMismatchError
 from lightsim.reconstruct.silhouettes import classify_matte, spaced_views
 from lightsim.reconstruct.walls import Wall, WallConfig, find_walls
@@ -28,6 +28,10 @@ UPPER = Material(0.85, 0.0, "inferred facade")
 _FRONT_M = 0.5
 _BEHIND_M = 0.6
 _OFFSET_LIMIT_M = 0.3
+_LEVEL_M = 1.0
+"""Roof lines are medians over this far to either side."""
+_OVERLAP_M = 0.03
+"""Fillings reach one cell behind the measured wall around them, this deep."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +53,16 @@ class FacadeConfig:
     min_baseline_m: float = 2.0
     """Views of a camera that moved less than this since its last used view are skipped."""
     max_sky_share: float = 0.3
-    """Cells that more than this share of the views shows as sky are open."""
+    """Cells above the measured wall that more than this share of the views shows as sky are
+    open."""
+    max_hole_sky_share: float = 0.7
+    """The same within the measured wall, where glass reflects the sky."""
     min_votes: int = 2
     """Views that must show matter in a cell above the measured wall."""
+    min_passes: int = 2
+    """Beams through a cell that returned from behind the wall: there is no wall."""
+    every_nth_return: int = 4
+    """LiDAR returns used for that."""
     min_support: float = 0.5
     """Share of the cells between measured and inferred top that have those votes."""
 
@@ -67,6 +78,7 @@ class WallCells:
         offset_m: of that surface in front of the plane; 0 elsewhere.
         sky: views that show sky.
         matter: views that show something, with nothing measured before it.
+        passes: beams that went through and returned from behind.
     """
 
     wall: Wall
@@ -75,6 +87,7 @@ class WallCells:
     offset_m: Float64[np.ndarray, "s z"]
     sky: Int32[np.ndarray, "s z"]
     matter: Int32[np.ndarray, "s z"]
+    passes: Int32[np.ndarray, "s z"]
 
     def centres(self, out_m: float = 0.0) -> Float64[np.ndarray, "s z 3"]:
         ns, nz = self.is_covered.shape
@@ -87,6 +100,7 @@ class WallCells:
 def complete_facades(
     background: TriMesh,
     silhouettes: Iterable[tuple[CameraFrame, PinholeCamera, Float32[np.ndarray, "h w"]]],
+    sweeps: Iterable[LidarSweep],
     config: FacadeConfig,
     *,
     make_caster: MakeCaster,
@@ -96,6 +110,7 @@ def complete_facades(
     Args:
         background: measured static surfaces, frame world, outward faces counter-clockwise.
         silhouettes: frames with their camera (of the matte's size) and sky matte.
+        sweeps: beams that went over a wall tell that it ends there.
         config: settings.
         make_caster: builds the ray caster.
 
@@ -112,6 +127,9 @@ def complete_facades(
         kind = classify_matte(camera, matte)
         for wall_cells in cells:
             _look(wall_cells, (frame, camera, kind), caster, config)
+    for sweep in sweeps:
+        for wall_cells in cells:
+            _pass(wall_cells, sweep, config)
     parts = [part for c in cells for part in _fill(c, config)]
     if not parts:
         nothing = np.zeros((0, 3), dtype=np.float32)
@@ -130,8 +148,7 @@ def _measure(wall: Wall, caster: RayCaster, config: FacadeConfig) -> WallCells:
         cell,
         np.zeros(shape, dtype=bool),
         np.zeros(shape),
-        np.zeros(shape, dtype=np.int32),
-        np.zeros(shape, dtype=np.int32),
+        *(np.zeros(shape, dtype=np.int32) for _ in range(3)),
     )
     start = cells.centres(_FRONT_M).reshape(-1, 3)
     hits = caster.intersect(start, np.broadcast_to(-wall.normal, start.shape).copy())
@@ -169,16 +186,34 @@ def _look(
     cells.matter.reshape(-1)[rows[matter[is_open]]] += 1
 
 
+def _pass(cells: WallCells, sweep: LidarSweep, config: FacadeConfig) -> None:
+    """Count the beams of a sweep that crossed the plane and returned from well behind it."""
+    wall, step = cells.wall, config.every_nth_return
+    start = sweep.origins_world[::step].astype(np.float64) - wall.origin_m
+    end = sweep.points_world[::step].astype(np.float64) - wall.origin_m
+    before, after = start @ wall.normal, end @ wall.normal
+    crosses = (before > _FRONT_M) & (after < -2 * _BEHIND_M)
+    start, end = start[crosses], end[crosses]
+    share = (before[crosses] / (before[crosses] - after[crosses]))[:, None]
+    place = start + share * (end - start)
+    i = np.floor((place @ wall.along - wall.span_m[0]) / cells.cell_m).astype(np.int64)
+    j = np.floor((place[:, 2] - wall.height_m[0]) / cells.cell_m).astype(np.int64)
+    shape = cells.passes.shape
+    is_inside = (i >= 0) & (i < shape[0]) & (j >= 0) & (j < shape[1])
+    np.add.at(cells.passes, (i[is_inside], j[is_inside]), 1)
+
+
 def _fill(cells: WallCells, config: FacadeConfig) -> list[TriMesh]:
-    seen = cells.sky + cells.matter
-    is_open = (cells.sky > 0) & (cells.sky > config.max_sky_share * seen)
+    seen = np.maximum(cells.sky + cells.matter, 1)
     levels = np.arange(cells.is_covered.shape[1])
     measured = np.where(cells.is_covered, levels, -1).max(axis=1)
-    top = _raised(cells, is_open, measured, config)
-    is_missing = ~cells.is_covered & ~is_open
-    is_hole = _closed_holes(cells, is_missing & (levels <= measured[:, None]), config)
-    is_upper = is_missing & (levels > measured[:, None]) & (levels <= top[:, None])
-    is_upper &= (measured >= 0)[:, None]
+    is_above = levels > measured[:, None]
+    is_open = cells.sky > config.max_sky_share * seen
+    is_open |= cells.passes >= config.min_passes
+    top = _raised(cells, is_open & is_above, measured, config)
+    is_inner = ~is_above & ~cells.is_covered & (cells.sky <= config.max_hole_sky_share * seen)
+    is_hole = _closed_holes(cells, is_inner, config)
+    is_upper = is_above & (levels <= top[:, None]) & (measured >= 0)[:, None]
     offset = _spread_offset(cells)
     parts = [(is_hole, WINDOW), (is_upper, UPPER)]
     return [_mesh_cells(cells, mask, offset, m) for mask, m in parts if mask.any()]
@@ -191,23 +226,26 @@ def _raised(
     config: FacadeConfig,
 ) -> np.ndarray:
     """Highest cell of each column up to which images show matter, levelled along the wall."""
-    from scipy.ndimage import median_filter
 
     levels = np.arange(is_open.shape[1])
     is_above = levels > measured[:, None]
-    blocked = is_open & is_above
-    first = np.where(blocked.any(axis=1), blocked.argmax(axis=1), len(levels))
+    first = np.where(is_open.any(axis=1), is_open.argmax(axis=1), len(levels))
     has_votes = (cells.matter >= config.min_votes) & is_above
     is_judged = (cells.sky + cells.matter > 0) & is_above
     supported = np.cumsum(has_votes, axis=1)
     judged = np.maximum(np.cumsum(is_judged, axis=1), 1)
+    # Medians along the wall: panes that mirror the sky are narrower than a roof's steps.
+    first = _levelled(first, cells.cell_m)
     is_good = has_votes & (supported >= config.min_support * judged)
     is_good &= levels < first[:, None]
     top = np.where(is_good.any(axis=1), np.where(is_good, levels, -1).max(axis=1), measured)
-    size = 2 * round(1.0 / config.cell_m) + 1
-    smooth = np.asarray(median_filter(top, size, mode="nearest"))
-    # Not above sky, with the view's own precision instead of the neighbours'.
-    return np.minimum(np.maximum(smooth, top), first - 1)
+    return np.minimum(np.maximum(_levelled(top, cells.cell_m), top), first - 1)
+
+
+def _levelled(row: np.ndarray, cell_m: float) -> np.ndarray:
+    from scipy.ndimage import median_filter
+
+    return np.asarray(median_filter(row, 2 * round(_LEVEL_M / cell_m) + 1, mode="nearest"))
 
 
 def _closed_holes(
@@ -261,14 +299,18 @@ def _mesh_cells(
     material: Material,
 ) -> TriMesh:
     """Two triangles a cell, corners shared."""
-    i, j = np.nonzero(is_filled)
+    from scipy.ndimage import binary_dilation
+
+    is_drawn = np.asarray(binary_dilation(is_filled, np.ones((3, 3), dtype=bool)))
+    is_drawn = is_filled | (is_drawn & cells.is_covered)
+    i, j = np.nonzero(is_drawn)
     across = is_filled.shape[1] + 1
     corner = i * across + j
     # `along` runs from left to right seen from outside.
     quads = np.stack([corner, corner + across, corner + across + 1, corner + 1], axis=1)
     used, index = np.unique(quads, return_inverse=True)
     index = index.reshape(-1, 4)
-    padded = np.pad(offset, ((0, 1), (0, 1)), mode="edge")
+    padded = np.pad(offset, ((0, 1), (0, 1)), mode="edge") - _OVERLAP_M
     place = used // across, used % across
     s = cells.wall.span_m[0] + place[0] * cells.cell_m
     z = cells.wall.height_m[0] + place[1] * cells.cell_m
