@@ -40,10 +40,15 @@ class Build:
     """Quality of the reconstruction."""
     image_scale: float = 0.5
     """Factor on the image size."""
+    no_refine: str = ""
+    """Comma-separated parts of the alignment to leave out: rolling_shutter, lidar_poses,
+    actor_tracks, camera_poses."""
     heading_deg: float | None = None
     """Azimuth of the world x axis, where the log cannot tell it (clockwise from north)."""
     device: Device = "auto"
-    """Where to compute. Every stage of this version runs on the CPU."""
+    """Where the neural field is trained; auto takes CUDA where there is one."""
+    neural_steps: int | None = None
+    """Training steps of the neural field; by default the preset's; 0 keeps the fused LiDAR."""
     seed: int = 0
     """Of all random numbers."""
     verbose: Verbose = False

@@ -47,12 +47,6 @@ def build(command: cli.Build) -> None:
             where=command.source,
             remedy="Give the folder of one log, for example pandaset/002.",
         )
-    if command.device == "cuda":
-        raise InputError(
-            "no stage of this version computes on CUDA",
-            where="--device",
-            expected="auto or cpu",
-        )
     reading = LogReading(
         str(command.source.resolve()),
         command.dataset,
@@ -62,7 +56,14 @@ def build(command: cli.Build) -> None:
         command.image_scale,
         command.hold_out,
     )
-    options = pipeline.BuildOptions(reading, command.preset, command.seed)
+    options = pipeline.BuildOptions(
+        reading,
+        command.preset,
+        command.seed,
+        command.neural_steps,
+        command.device,
+        _names(command.no_refine),
+    )
     pipeline.build(command.work, options, terminal_progress())
     _say(f"twin:   {command.work / 'twin' / 'twin.json'}")
     _say(f"report: {command.work / 'report' / 'index.html'}")

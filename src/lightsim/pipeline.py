@@ -9,18 +9,19 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from lightsim import stages
+from lightsim.align.config import AlignConfig
 from lightsim.assets import config as asset_config
 from lightsim.assets import mesh_config
 from lightsim.errors import ArtefactError
 from lightsim.ingest.sky_mask import SkyMaskConfig
 from lightsim.lighting.stitch import StitchConfig
 from lightsim.progress import Progress
-from lightsim.reconstruct import fuse_config
+from lightsim.reconstruct import fuse_config, neural_config
 from lightsim.store.artefact import (
     Recipe,
     State,
@@ -41,6 +42,11 @@ OPTIONS_NAME = "build.json"
 
 
 _FUSE = {"draft": fuse_config.draft, "standard": fuse_config.standard, "paper": fuse_config.paper}
+_NEURAL = {
+    "draft": neural_config.draft,
+    "standard": neural_config.standard,
+    "paper": neural_config.paper,
+}
 _MESHES = {"draft": mesh_config.draft, "standard": mesh_config.standard, "paper": mesh_config.paper}
 _ASSETS = {
     "draft": asset_config.draft,
@@ -57,11 +63,17 @@ class BuildOptions:
         reading: how to read the log.
         preset: "draft", "standard" or "paper".
         seed: of all random numbers.
+        neural_steps: of training the neural field; None is the preset's, 0 goes without.
+        device: "auto", "cpu" or "cuda", for training; results on the CPU do not depend on it.
+        no_refine: parts of the alignment to leave out (align/config.py: PARTS).
     """
 
     reading: LogReading
     preset: str = "standard"
     seed: int = 0
+    neural_steps: int | None = None
+    device: str = "auto"
+    no_refine: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -83,14 +95,27 @@ class Stage:
     make: Callable[[Workspace, Any, Path, stages.Context], Iterable[str]]
 
 
+def _neural_config(options: BuildOptions) -> neural_config.NeuralConfig:
+    config = _NEURAL[options.preset]()
+    return config if options.neural_steps is None else replace(config, steps=options.neural_steps)
+
+
 STAGES = (
     Stage("log", 1, (), lambda o: o.reading, stages.make_log),
     Stage("masks", 1, ("log",), lambda o: SkyMaskConfig(), stages.make_masks),
-    Stage("fields", 1, ("log",), lambda o: _FUSE[o.preset](), stages.make_fields),
+    Stage(
+        "alignment",
+        1,
+        ("log",),
+        lambda o: AlignConfig().without(o.no_refine),
+        stages.make_alignment,
+    ),
+    Stage("fields", 1, ("log", "alignment"), lambda o: _FUSE[o.preset](), stages.make_fields),
+    Stage("neural", 1, ("log", "masks", "fields"), _neural_config, stages.make_neural),
     Stage(
         "geometry",
         1,
-        ("log", "masks", "fields"),
+        ("log", "masks", "neural"),
         lambda o: stages.GeometryConfig(_MESHES[o.preset]()),
         stages.make_geometry,
     ),
@@ -137,7 +162,7 @@ def build(work: Path, options: BuildOptions, progress: Progress) -> Workspace:
     by_stage = recipes(options)
     write_json(work / OPTIONS_NAME, options)
     workspace = Workspace(work, options.reading)
-    context = stages.Context(progress, options.seed, options.preset)
+    context = stages.Context(progress, options.seed, options.preset, options.device)
     for stage in STAGES:
         recipe = by_stage[stage.name]
         folder = work / stage.name
@@ -201,7 +226,14 @@ def _read_options(work: Path) -> BuildOptions:
     value = read_json(path)
     try:
         reading = reading_from_json(value["reading"])
-        return BuildOptions(reading, value["preset"], value["seed"])
+        return BuildOptions(
+            reading,
+            value["preset"],
+            value["seed"],
+            value["neural_steps"],
+            value["device"],
+            tuple(value["no_refine"]),
+        )
     except (KeyError, TypeError) as error:
         raise ArtefactError(
             "the options of the build are broken", where=path, got=error, remedy="Build again."

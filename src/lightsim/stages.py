@@ -9,12 +9,16 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
+from lightsim.align.build import align_log
+from lightsim.align.config import AlignConfig
 from lightsim.assemble.build import build_twin
 from lightsim.assets.build import AssetConfig, build_assets
 from lightsim.assets.colour import colour_of_nearest
 from lightsim.assets.delight import DelightConfig, delight
 from lightsim.assets.mesh_config import MeshConfig
 from lightsim.assets.mesh_scene import mesh_scene
+from lightsim.assets.simplify import simplify_planar
+from lightsim.assets.surface import background_levels, extract_surface
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.core.sensors import CameraFrame
@@ -25,7 +29,10 @@ from lightsim.lighting.stitch import StitchConfig, stitch_panorama
 from lightsim.lighting.sun import SunDirection, sun_from_geo, sun_from_panorama
 from lightsim.progress import Progress
 from lightsim.reconstruct.extrude import ExtrudeConfig, infer_tall_structures
+from lightsim.reconstruct.facades import FacadeConfig, complete_facades
+from lightsim.reconstruct.far_field import FarFieldConfig, build_far_field
 from lightsim.reconstruct.fuse_config import FuseConfig
+from lightsim.reconstruct.neural_config import NeuralConfig
 from lightsim.reconstruct.tsdf import fuse_log
 from lightsim.render.embree import make_embree_caster
 from lightsim.render.gbuffers import render_gbuffers
@@ -34,7 +41,9 @@ from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport import TransportConfig
 from lightsim.scene_setup import parked_actor_meshes
 from lightsim.source_light import SourceLight, static_returns
+from lightsim.store.alignment import write_alignment
 from lightsim.store.assets import read_mesh, write_assets, write_mesh
+from lightsim.store.checkpoint import FolderJournal, write_weights
 from lightsim.store.fields import write_fields
 from lightsim.store.images import write_grey8
 from lightsim.store.log import LogReading, write_log
@@ -50,6 +59,7 @@ class Context:
     progress: Progress
     seed: int
     preset: str
+    device: str = "auto"
 
 
 @dataclass(frozen=True)
@@ -58,8 +68,12 @@ class GeometryConfig:
 
     mesh: MeshConfig = field(default_factory=MeshConfig)
     """Measured surfaces."""
+    facades: FacadeConfig = field(default_factory=FacadeConfig)
+    """Windows and upper facades: visible."""
+    far: FarFieldConfig = field(default_factory=FarFieldConfig)
+    """What stands beyond the LiDAR's reach: visible."""
     tall: ExtrudeConfig = field(default_factory=ExtrudeConfig)
-    """Upper facades and roofs."""
+    """Roofs and rear walls: they only cast shadows."""
 
 
 @dataclass(frozen=True)
@@ -85,8 +99,21 @@ class TwinConfig:
 
 
 def make_log(work: Workspace, config: LogReading, folder: Path, context: Context) -> Iterable[str]:
-    write_log(folder, work.log, config)
-    return work.log.notes
+    write_log(folder, work.recorded_log, config)
+    return work.recorded_log.notes
+
+
+def make_alignment(
+    work: Workspace, config: AlignConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    alignment = align_log(
+        work.recorded_training_log,
+        config,
+        rng=np.random.default_rng(context.seed),
+        progress=context.progress,
+    )
+    write_alignment(folder, alignment)
+    return alignment.notes
 
 
 def make_masks(
@@ -97,10 +124,11 @@ def make_masks(
     def path_of(frame: CameraFrame) -> Path:
         return folder / frame.camera_name / f"{frame.stem}.png"
 
-    missing = tuple(f for f in work.log.frames if not path_of(f).exists())
-    for camera in work.log.cameras:
+    missing = tuple(f for f in work.recorded_log.frames if not path_of(f).exists())
+    for camera in work.recorded_log.cameras:
         (folder / camera).mkdir(exist_ok=True)
-    for frame, matte in sky_mattes(work.log.with_frames(missing), 1.0, config, context.progress):
+    wanted = work.recorded_log.with_frames(missing)
+    for frame, matte in sky_mattes(wanted, 1.0, config, context.progress):
         write_grey8(path_of(frame), np.round(matte * 255).astype(np.uint8))
     return ()
 
@@ -113,26 +141,80 @@ def make_fields(
     return fields.notes
 
 
+def make_neural(
+    work: Workspace, config: NeuralConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    """The neural field, trained on images and LiDAR from where the fused LiDAR stands."""
+    fused, journal = work.fused, FolderJournal(folder)
+    if config.steps == 0:
+        write_fields(folder, fused)
+        return (*fused.notes, "no neural field was trained; geometry is fused LiDAR alone")
+    from lightsim.reconstruct.neural import Training, refine_by_field
+
+    at_origin = RigidTransform.identity("world", "actor")
+    training = Training(
+        make_embree_caster(background_levels(fused, 0.03)),
+        {
+            actor_id: make_embree_caster([extract_surface(grid, 0.03).moved(at_origin)])
+            for actor_id, grid in fused.actors.items()
+        },
+        work.sky_matte,
+        journal,
+        context.seed,
+        context.device,
+    )
+    fields, field = refine_by_field(
+        work.training_log, fused, config, training, progress=context.progress
+    )
+    write_fields(folder, fields)
+    write_weights(folder / "field.safetensors", field.state_dict())
+    journal.finish()
+    return fields.notes
+
+
 def make_geometry(
     work: Workspace, config: GeometryConfig, folder: Path, context: Context
 ) -> Iterable[str]:
     """Everything that has a shape, before it has a colour; casters of shadows apart."""
-    log = work.training_log
+    log, fields = work.training_log, work.fields
     meshes = mesh_scene(
-        log, work.fields, config.mesh, make_caster=make_embree_caster, progress=context.progress
+        log, fields, config.mesh, make_caster=make_embree_caster, progress=context.progress
+    )
+
+    def views() -> Iterable[tuple[CameraFrame, PinholeCamera, Float32[np.ndarray, "h w"]]]:
+        return ((f, log.cameras[f.camera_name], work.sky_matte(f)) for f in log.frames)
+
+    background = meshes.background
+    facades = complete_facades(
+        background,
+        views(),
+        (sweep.load() for sweep in log.sweeps),
+        config.facades,
+        make_caster=make_embree_caster,
+    )
+    background = concatenate_meshes([background, simplify_planar(facades)])
+    far = build_far_field(
+        background,
+        views(),
+        fields.ground,
+        fields.path_m,
+        config.far,
+        make_caster=make_embree_caster,
     )
     casters = infer_tall_structures(
-        meshes.background,
-        ((f, log.cameras[f.camera_name], work.sky_matte(f)) for f in log.frames),
+        background,
+        views(),
         config.tall,
         make_caster=make_embree_caster,
         progress=context.progress,
     )
-    write_assets(folder, meshes)
+    background = concatenate_meshes([background, far])
+    write_assets(folder, replace(meshes, background=background))
     write_mesh(folder / "inferred.npz", casters)
     return (
         *meshes.notes,
-        f"{len(casters.faces)} faces that cast shadows are inferred, not measured",
+        f"{len(facades.faces)} faces close windows and raise facades, {len(far.faces)} stand "
+        f"beyond the LiDAR's reach, {len(casters.faces)} only cast shadows: inferred, not measured",
     )
 
 

@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
+from lightsim.core.alignment import Alignment
 from lightsim.core.fields import SceneFields
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import DigitalTwin, Panorama, SceneAssets, SkyEstimate
 from lightsim.errors import ArtefactError
+from lightsim.store.alignment import read_alignment
 from lightsim.store.artefact import read_record
 from lightsim.store.assets import read_assets, read_mesh
 from lightsim.store.fields import read_fields
@@ -55,8 +57,17 @@ class Workspace:
 
     @cached_property
     def log(self) -> DrivingLog:
-        """All frames at the scale of the build."""
-        return self.log_at(self.reading.image_scale)
+        """All frames at the scale of the build; sensors, path and boxes aligned."""
+        return self.alignment.applied_to(self.recorded_log)
+
+    @cached_property
+    def recorded_log(self) -> DrivingLog:
+        """The same as recorded."""
+        return self._recorded_at(self.reading.image_scale)
+
+    @cached_property
+    def alignment(self) -> Alignment:
+        return read_alignment(self.need("alignment"))
 
     @cached_property
     def _full_log(self) -> DrivingLog:
@@ -72,6 +83,10 @@ class Workspace:
         )
 
     def log_at(self, image_scale: float) -> DrivingLog:
+        """The aligned log at another image scale."""
+        return self.alignment.applied_to(self._recorded_at(image_scale))
+
+    def _recorded_at(self, image_scale: float) -> DrivingLog:
         from lightsim.ingest.scale import at_scale
 
         return at_scale(self._full_log, image_scale)
@@ -83,11 +98,19 @@ class Workspace:
     @cached_property
     def training_log(self) -> DrivingLog:
         """The log without held-out frames and sweeps: all that building may look at."""
+        return self._without_held_out(self.log)
+
+    @cached_property
+    def recorded_training_log(self) -> DrivingLog:
+        """The same as recorded: what is aligned."""
+        return self._without_held_out(self.recorded_log)
+
+    def _without_held_out(self, log: DrivingLog) -> DrivingLog:
         out = self.held_out
         return replace(
-            self.log,
-            frames=tuple(f for f in self.log.frames if f.stem not in out),
-            sweeps=tuple(s for s in self.log.sweeps if s.stem not in out),
+            log,
+            frames=tuple(f for f in log.frames if f.stem not in out),
+            sweeps=tuple(s for s in log.sweeps if s.stem not in out),
         )
 
     def sky_matte(self, frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
@@ -96,8 +119,14 @@ class Workspace:
         return read_grey8(path).astype(np.float32) / 255.0
 
     @cached_property
-    def fields(self) -> SceneFields:
+    def fused(self) -> SceneFields:
+        """The fused LiDAR."""
         return read_fields(self.need("fields"))
+
+    @cached_property
+    def fields(self) -> SceneFields:
+        """The geometry that is meshed: the fused LiDAR as the neural field has refined it."""
+        return read_fields(self.need("neural"))
 
     @cached_property
     def meshes(self) -> SceneAssets:

@@ -1,0 +1,119 @@
+"""Compiled look-up in stacked signed-distance grids, and boxes along rays.
+
+A stack is a tuple of plain arrays, see `tsdf_prior.TsdfPrior.stack`. `no_type_check` keeps the
+tests' run-time type checker out of compiled code.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from numba import njit, prange
+
+
+@njit(cache=True, nogil=True, inline="always")
+@no_type_check
+def _block_at(stack, g, i, j, k):
+    """Row of the block that holds sample (i, j, k) of grid g, or -1."""
+    table, start, low, shape = stack[0], stack[1], stack[2], stack[3]
+    bi, bj, bk = (i >> 3) - low[g, 0], (j >> 3) - low[g, 1], (k >> 3) - low[g, 2]
+    if bi < 0 or bj < 0 or bk < 0 or bi >= shape[g, 0] or bj >= shape[g, 1] or bk >= shape[g, 2]:
+        return -1
+    return table[start[g] + (bi * shape[g, 1] + bj) * shape[g, 2] + bk]
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _interpolated(stack, g, x, y, z):
+    """(distance, weight) by trilinear interpolation over the corners that are known, as long as
+    they hold half of the shares; weight 0 otherwise."""
+    geometry, sdf, weight = stack[4], stack[5], stack[6]
+    voxel = geometry[g, 3]
+    fx = (x - geometry[g, 0]) / voxel
+    fy = (y - geometry[g, 1]) / voxel
+    fz = (z - geometry[g, 2]) / voxel
+    i, j, k = math.floor(fx), math.floor(fy), math.floor(fz)
+    fx, fy, fz = fx - i, fy - j, fz - k
+    value, evidence, total = 0.0, 0.0, 0.0
+    for corner in range(8):
+        di, dj, dk = corner >> 2, (corner >> 1) & 1, corner & 1
+        share = (fx if di else 1.0 - fx) * (fy if dj else 1.0 - fy) * (fz if dk else 1.0 - fz)
+        block = _block_at(stack, g, i + di, j + dj, k + dk)
+        if block < 0:
+            continue
+        at = (((i + di) & 7) * 8 + ((j + dj) & 7)) * 8 + ((k + dk) & 7)
+        w = weight[block, at]
+        if w > 0.0:
+            value += share * sdf[block, at]
+            evidence += share * w
+            total += share
+    if total < 0.5:
+        return 0.0, 0.0
+    return value / total, evidence
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _finest(stack, first, last, x, y, z):
+    """(distance, weight, truncation) of the finest grid of [first, last) that knows a point;
+    weight 0 where none does."""
+    for g in range(first, last):
+        value, weight = _interpolated(stack, g, x, y, z)
+        if weight > 0.0:
+            return value, weight, stack[4][g, 4]
+    return 0.0, 0.0, 0.0
+
+
+@njit(cache=True, nogil=True, parallel=True)
+@no_type_check
+def look_up(stack, points, first, last, found):
+    """Distance, weight and truncation of points; `first`, `last` are each one's range of grids."""
+    for p in prange(points.shape[0]):
+        value, weight, truncation = _finest(
+            stack, first[p], last[p], points[p, 0], points[p, 1], points[p, 2]
+        )
+        found[p, 0], found[p, 1], found[p, 2] = value, weight, truncation
+
+
+@njit(cache=True, nogil=True, parallel=True)
+@no_type_check
+def enter_boxes(origins, directions, world_to_box, half, index, entry, leave):
+    """The first boxes along each ray: which (or -1), and where the ray enters and leaves.
+
+    `world_to_box` [b, 3, 4]; boxes [-half, half]. As many boxes as `index` has columns are kept,
+    in the order of entry.
+    """
+    slots = index.shape[1]
+    for r in prange(origins.shape[0]):
+        for s in range(slots):
+            index[r, s] = -1
+            entry[r, s] = np.inf
+            leave[r, s] = np.inf
+        for b in range(half.shape[0]):
+            near, far = 0.0, np.inf
+            for a in range(3):
+                m = world_to_box[b, a]
+                o = m[0] * origins[r, 0] + m[1] * origins[r, 1] + m[2] * origins[r, 2] + m[3]
+                d = m[0] * directions[r, 0] + m[1] * directions[r, 1] + m[2] * directions[r, 2]
+                if abs(d) < 1e-9:
+                    if abs(o) > half[b, a]:
+                        far = -1.0
+                    continue
+                t0, t1 = (-half[b, a] - o) / d, (half[b, a] - o) / d
+                near, far = max(near, min(t0, t1)), min(far, max(t0, t1))
+            if far <= near:
+                continue
+            at = slots
+            while at > 0 and near < entry[r, at - 1]:
+                at -= 1
+            if at == slots:
+                continue
+            for s in range(slots - 1, at, -1):
+                index[r, s], entry[r, s], leave[r, s] = (
+                    index[r, s - 1],
+                    entry[r, s - 1],
+                    leave[r, s - 1],
+                )
+            index[r, at], entry[r, at], leave[r, at] = b, near, far

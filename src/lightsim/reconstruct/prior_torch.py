@@ -1,0 +1,73 @@
+"""The prior's look-up in plain torch: the readable version, and the one that runs on CUDA."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from lightsim.core.fields import BLOCK
+
+_CORNERS = tuple((i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1))
+
+
+class TorchPrior:
+    """A `TsdfPrior.stack` on a device; `look_up` is that of `TsdfPrior`, tensors instead of
+    arrays."""
+
+    def __init__(self, stack: tuple[np.ndarray, ...], device: torch.device) -> None:
+        moved = [torch.from_numpy(array).to(device) for array in stack]
+        self._table, self._start, self._low, self._shape = (a.to(torch.int64) for a in moved[:4])
+        self._geometry = moved[4].to(torch.float32)
+        self._sdf, self._weight = moved[5].reshape(-1), moved[6].reshape(-1)
+
+    def look_up(
+        self, points: Float[Tensor, "n 3"], ranges: Int[Tensor, "n 2"]
+    ) -> Float[Tensor, "n 3"]:
+        """Signed distance [m], weight and truncation [m]; see `TsdfPrior.look_up`."""
+        found = points.new_zeros((len(points), 3))
+        rounds = int((ranges[:, 1] - ranges[:, 0]).max()) if len(points) else 0
+        for level in range(rounds):
+            rows = torch.nonzero((found[:, 1] <= 0) & (ranges[:, 0] + level < ranges[:, 1]))[:, 0]
+            if len(rows) == 0:
+                break
+            grid = ranges[rows, 0].to(torch.int64) + level
+            value, weight = self._interpolated(points[rows], grid)
+            answer = torch.stack([value, weight, self._geometry[grid, 4]], dim=1)
+            found[rows] = torch.where(weight[:, None] > 0, answer, torch.zeros_like(answer))
+        return found
+
+    def _interpolated(
+        self, points: Float[Tensor, "m 3"], grid: Int[Tensor, " m"]
+    ) -> tuple[Float[Tensor, " m"], Float[Tensor, " m"]]:
+        """Trilinear over the known corners, as long as they hold half of the shares."""
+        geometry = self._geometry[grid]
+        scaled = (points - geometry[:, :3]) / geometry[:, 3:4]
+        cell = torch.floor(scaled)
+        inner = scaled - cell
+        cell = cell.to(torch.int64)
+        value, evidence, total = (torch.zeros_like(scaled[:, 0]) for _ in range(3))
+        for corner in _CORNERS:
+            offset = torch.tensor(corner, device=points.device)
+            share = torch.where(offset.bool(), inner, 1 - inner).prod(dim=1)
+            at = self._sample(cell + offset, grid)
+            weight = torch.where(at >= 0, self._weight[at.clamp(min=0)], torch.zeros_like(share))
+            share = torch.where(weight > 0, share, torch.zeros_like(share))
+            value += share * self._sdf[at.clamp(min=0)]
+            evidence += share * weight
+            total += share
+        is_known = total >= 0.5
+        value = torch.where(is_known, value / total.clamp(min=0.5), torch.zeros_like(value))
+        return value, torch.where(is_known, evidence, torch.zeros_like(evidence))
+
+    def _sample(self, index: Int[Tensor, "m 3"], grid: Int[Tensor, " m"]) -> Int[Tensor, " m"]:
+        """Flat position of a sample in the block arrays, -1 where its block is absent."""
+        block = torch.div(index, BLOCK, rounding_mode="floor") - self._low[grid]
+        shape = self._shape[grid]
+        inside = ((block >= 0) & (block < shape)).all(dim=1)
+        flat = (block[:, 0] * shape[:, 1] + block[:, 1]) * shape[:, 2] + block[:, 2]
+        row = self._table[torch.where(inside, self._start[grid] + flat, torch.zeros_like(flat))]
+        local = torch.remainder(index, BLOCK)
+        inner = (local[:, 0] * BLOCK + local[:, 1]) * BLOCK + local[:, 2]
+        return torch.where(inside & (row >= 0), row * BLOCK**3 + inner, torch.full_like(row, -1))

@@ -1,0 +1,78 @@
+"""Checkpoints and metrics of training: whole files, plain tensors, no pickled code."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from lightsim.errors import ArtefactError
+from lightsim.store.atomic import whole_file
+
+CHECKPOINT_NAME = "checkpoint.pt"
+METRICS_NAME = "metrics.jsonl"
+
+
+def write_weights(path: Path, tensors: Mapping[str, Any]) -> None:
+    """Tensors in half precision as safetensors."""
+    import torch
+    from safetensors.torch import save_file
+
+    halved = {k: v.detach().cpu().to(torch.float16).contiguous() for k, v in tensors.items()}
+    with whole_file(path) as temporary:
+        save_file(halved, str(temporary))
+
+
+class FolderJournal:
+    """Checkpoint and metrics.jsonl in one folder; see `reconstruct.train.Journal`."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def load(self) -> dict[str, Any] | None:
+        """The last state saved, or None.
+
+        Raises:
+            ArtefactError: the file is damaged.
+        """
+        import torch
+
+        path = self._folder / CHECKPOINT_NAME
+        if not path.is_file():
+            return None
+        try:
+            # weights_only: an allow-list unpickler, tensors and plain containers alone.
+            state = torch.load(path, map_location="cpu", weights_only=True)
+        except Exception as error:
+            raise ArtefactError(
+                "the checkpoint cannot be read",
+                where=path,
+                got=f"{type(error).__name__}: {error}"[:200],
+                remedy="Delete the file; training then starts again.",
+            ) from error
+        self._forget_after(int(state["step"]))
+        return state
+
+    def save(self, state: Mapping[str, Any]) -> None:
+        import torch
+
+        with whole_file(self._folder / CHECKPOINT_NAME) as temporary:
+            torch.save(dict(state), temporary)
+
+    def record(self, metrics: Mapping[str, float]) -> None:
+        with (self._folder / METRICS_NAME).open("a") as handle:
+            handle.write(json.dumps({k: round(v, 6) for k, v in metrics.items()}) + "\n")
+
+    def finish(self) -> None:
+        """Drop the checkpoint; what remains of training are weights and metrics."""
+        (self._folder / CHECKPOINT_NAME).unlink(missing_ok=True)
+
+    def _forget_after(self, step: int) -> None:
+        """Drop lines of steps that will be done again."""
+        path = self._folder / METRICS_NAME
+        if not path.is_file():
+            return
+        lines = [line for line in path.read_text().splitlines() if line.strip()]
+        kept = [line for line in lines if json.loads(line)["step"] < step]
+        path.write_text("".join(line + "\n" for line in kept))
