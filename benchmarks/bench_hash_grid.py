@@ -5,8 +5,8 @@
 Measured: forward, backward (to the table) and sparse Adam, alone and as a whole step; then the
 step with two layers of 64 behind the grid. All implementations take turns within one run, so that
 other work on the machine slows all of them; figures are medians, ratios are medians of the ratios
-within a turn. `--torch` adds the plain implementation, much slower. The C++ reference (hash_grid_reference.cpp) needs g++ and is left out without it.
-With a CUDA device the Triton implementation joins.
+within a turn. `--torch` adds the plain implementation, much slower. The C++ reference
+(hash_grid_reference.cpp) needs g++ and is left out without it. With a CUDA device Triton joins.
 """
 
 from __future__ import annotations
@@ -193,7 +193,7 @@ def with_network(runners: list[Any], repeats: int) -> dict[str, np.ndarray]:
 def report(title: str, columns: tuple[str, ...], times: dict[str, np.ndarray]) -> None:
     base_name = "C++" if "C++" in times else "numba"
     base = times[base_name].sum(axis=1)
-    sys.stdout.write(f"\n{title}\n| ms | {' | '.join(columns)} | step | step / {base_name} |\n")
+    sys.stdout.write(f"\n{title}\n| ms | {' | '.join((*columns, 'step'))} | step / {base_name} |\n")
     sys.stdout.write("|---" + "|---:" * (len(columns) + 2) + "|\n")
     for name, rows in times.items():
         medians = [f"{value:.1f}" for value in np.median(rows, axis=0)] if columns else []

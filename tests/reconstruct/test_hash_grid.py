@@ -36,8 +36,8 @@ def _gradients(
 ) -> list[torch.Tensor]:
     points, table = points.clone().requires_grad_(), table.detach().clone().requires_grad_()
     features = hash_encode(points, table, spec, salt=salt, implementation=implementation)
-    generator = torch.Generator().manual_seed(2)
-    (features * torch.randn(features.shape, generator=generator)).sum().backward()
+    upstream = torch.randn(features.shape, generator=torch.Generator().manual_seed(2))
+    features.backward(upstream.to(features.device))
     gradients = [tensor.grad for tensor in (points, table) if tensor.grad is not None]
     return [features.detach(), *gradients]
 
@@ -191,3 +191,28 @@ def test_wrong_input_is_refused_in_one_sentence():
         hash_encode(points, table, SPEC, implementation="triton")
     with pytest.raises(InputError, match="impossible size"):
         HashGridSpec(finest_m=-1.0)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@pytest.mark.parametrize("features", [2, 3])
+def test_triton_gives_what_plain_torch_gives(features: int):
+    spec = HashGridSpec(levels=5, features=features, log2_entries=10)
+    points, table = (tensor.detach().cuda() for tensor in _batch(spec))
+    salt = torch.arange(len(points), device="cuda") % 5
+    for got, expected in zip(
+        _gradients("triton", points, table, spec, salt),
+        _gradients("torch", points, table, spec, salt),
+        strict=True,
+    ):
+        _assert_close(got, expected)
+    stepped = []
+    for implementation in ("triton", "torch"):
+        parameter = torch.nn.Parameter(table.clone())
+        optimiser = SparseAdam(parameter, learning_rate=0.1)
+        for _ in range(2):
+            features_of = hash_encode(points, parameter, spec, implementation=implementation)
+            features_of.square().sum().backward()
+            optimiser.step()
+        stepped.append(parameter.detach())
+    _assert_close(stepped[0], stepped[1], 1e-3)

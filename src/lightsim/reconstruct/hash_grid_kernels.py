@@ -214,13 +214,13 @@ def update_touched(  # noqa: PLR0913 - compiled code takes plain arrays
         count += is_touched[block]
         is_touched[block] = 0
     for j in range(count):
-        later = starts[min(j + _BLOCKS_AHEAD, count - 1)]
+        start, later = starts[j], starts[min(j + _BLOCKS_AHEAD, count - 1)]
         _fetch(values, later)
         _fetch(gradient, later)
         _fetch(first_moment, later)
         _fetch(second_moment, later)
         for k in range(BLOCK_ENTRIES * len(features)):
-            i = starts[j] + np.uint64(k)
+            i = start + np.uint64(k)
             slope, mean, square = gradient[i], first_moment[i], second_moment[i]
             is_used = slope != _ZERO
             new_mean = beta1 * mean + (_ONE - beta1) * slope
