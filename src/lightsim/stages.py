@@ -21,6 +21,7 @@ from lightsim.assets.simplify import simplify_planar
 from lightsim.assets.surface import background_levels, extract_surface
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
+from lightsim.core.mesh import concatenate_meshes
 from lightsim.core.sensors import CameraFrame
 from lightsim.ingest.sky_mask import SkyMaskConfig, sky_mattes
 from lightsim.lighting.estimate import SkyConfig, estimate_sky
