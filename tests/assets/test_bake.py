@@ -121,6 +121,29 @@ def test_gains_and_texels_come_back() -> None:
     assert colour[middle, 0].min() > 4 * colour[middle, 1].max()
 
 
+def test_ground_beside_a_moving_actor_takes_other_views() -> None:
+    """Two images, the car elsewhere in the second; the first shows its shade on the ground."""
+    track, lid = _box_track()
+    poses = np.stack([track.trajectory.matrices[0]] * 2)
+    poses[1, 0, 3] = 3.0
+    times = np.array([0, 10**9], dtype=np.int64)
+    track = replace(track, trajectory=Trajectory("world", "actor", times, poses))
+    camera = PinholeCamera("a", 160, 160, 120.0, 120.0, 80.0, 80.0)
+    pose = RigidTransform.from_rotation("world", "camera", DOWN, np.array([0.0, 0.0, 5.0]))
+    shaded = np.full((160, 160, 3), 40, np.uint8)
+    lit = np.full((160, 160, 3), 60, np.uint8)
+    frames = (
+        CameraFrame("a", "0", 0, pose, lambda: shaded),
+        CameraFrame("a", "1", 10**9, pose, lambda: lit),
+    )
+    log = replace(_log((track,), None), cameras={"a": camera}, frames=frames)
+    config = replace(CONFIG, shade_margin_m=0.6, outlier_ratio=1.01)
+    (ground, _), _ = _bake(log, _plane(8.0, 0.1), {"box": lid}, config)
+    points, colour = _texels(ground)
+    beside = (np.abs(points[:, 0]) < 0.8) & (np.abs(points[:, 1]) < 0.4)
+    np.testing.assert_allclose(srgb8_from_linear(colour[beside]), 60, atol=1)
+
+
 def test_vertex_colour_is_the_local_mean_of_the_texture() -> None:
     plane = _plane(8.0, 0.4)
     (ground,), _ = _bake(_log((), None), plane, {})

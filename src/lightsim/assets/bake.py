@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,11 +23,13 @@ from lightsim.assets.observe import (
     PlacedScene,
     SkyMatte,
     View,
-    load_image,
+    in_moving_shade,
+    load_images,
     look,
     pixel_weights,
     pixels_per_metre,
 )
+from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import MakeCaster
 from lightsim.core.colour import linear_from_srgb8
 from lightsim.core.log import DrivingLog
@@ -35,6 +37,7 @@ from lightsim.core.mesh import Texture, TriMesh
 from lightsim.progress import Progress
 
 _WEIGHT_UNIT_PX = 30.0
+_SHADE_WEIGHT = 0.02
 _UNSEEN = 0.2
 
 
@@ -79,7 +82,7 @@ def bake(
     edges = edge_lengths_m(scene.vertices, scene.faces)
     resolution = choose_resolution(
         edges,
-        _footprints_m(scene, views, log, config),
+        footprints_m(views, len(scene.faces)),
         config.texel_m,
         config.max_resolution,
         config.max_texels,
@@ -108,20 +111,11 @@ class _Table:
         return self.resolution, self.corner, self.first
 
 
-def _footprints_m(
-    scene: PlacedScene, views: list[View], log: DrivingLog, config: AssetConfig
-) -> Float32[np.ndarray, " m"]:
+def footprints_m(views: Sequence[View], face_count: int) -> Float32[np.ndarray, " face_count"]:
     """Size of the finest pixel on each face; inf where no image shows it."""
-    best = np.zeros(len(scene.faces), dtype=np.float32)
+    best = np.zeros(face_count, dtype=np.float32)
     for view in views:
-        scene.place(view.frame, config.max_view_m)
-        camera = log.cameras[view.frame.camera_name]
-        corners = scene.vertices[scene.faces[view.faces]]
-        normals = scene.normals[scene.faces[view.faces]].mean(axis=1)
-        sharp = pixels_per_metre(
-            corners.mean(axis=1), normals, view.frame.world_from_camera, camera
-        )
-        best[view.faces] = np.maximum(best[view.faces], sharp)
+        best[view.faces] = np.maximum(best[view.faces], view.pixels_per_m)
     return np.where(best > 0, 1.0 / np.maximum(best, 1e-9), np.inf).astype(np.float32)
 
 
@@ -138,41 +132,67 @@ def _collect(
     samples = TexelSamples(
         np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.uint8), np.zeros(shape, np.uint16)
     )
-    count = len(scene.vertices)
-    uv = np.zeros((count, 2), np.float32)
-    depth, weight = np.zeros(count, np.float32), np.zeros(count, np.float32)
-    for index, view in enumerate(progress.track(views, "bake the textures", len(views))):
-        frame, camera = view.frame, log.cameras[view.frame.camera_name]
-        scene.place(frame, config.max_view_m)
-        image = load_image(frame, camera)
+    corners = _Corners.empty(len(scene.vertices))
+    images = load_images(views, log)
+    for index, (view, image) in enumerate(progress.track(images, "bake the textures", len(views))):
+        frame = view.frame
         inverse_depth = view.inverse_depth.astype(np.float32)
         alpha = None if sky_matte is None else sky_matte(frame)
         own_car = log.own_car_masks.get(frame.camera_name)
         pixel_weight = pixel_weights(image, own_car, alpha, inverse_depth, config)
-        used = np.unique(scene.faces[view.faces])
-        points = scene.vertices[used]
-        uv[used] = frame.project(camera, points.astype(np.float64))[0]
-        depth[used] = frame.world_from_camera.inverse().apply(points.astype(np.float64))[:, 2]
-        sharp = pixels_per_metre(points, scene.normals[used], frame.world_from_camera, camera)
-        weight[used] = (sharp / _WEIGHT_UNIT_PX) ** (2 * config.sharpness_power)
+        scene.place(frame, config.max_view_m)
+        _project(corners, scene, view, log.cameras[frame.camera_name], config)
+        step, tolerance = float(config.depth_step_px), config.occlusion_tolerance_m
         sample_texels(
             view.faces,
             table.patch,
             scene.faces,
-            uv,
-            depth,
-            weight,
-            (
-                image,
-                pixel_weight,
-                inverse_depth,
-                float(config.depth_step_px),
-                config.occlusion_tolerance_m,
-                index,
-            ),
+            corners.uv,
+            corners.depth_m,
+            corners.weight,
+            (image, pixel_weight, inverse_depth, step, tolerance, index),
             (samples.colours, samples.codes, samples.frames),
         )
     return samples
+
+
+@dataclass(frozen=True, eq=False)
+class _Corners:
+    """Where the vertices of a scene appear in one image; only those of its faces are set."""
+
+    uv: Float32[np.ndarray, "n 2"]
+    depth_m: Float32[np.ndarray, " n"]
+    weight: Float32[np.ndarray, " n"]
+
+    @staticmethod
+    def empty(count: int) -> _Corners:
+        return _Corners(
+            np.zeros((count, 2), np.float32),
+            np.zeros(count, np.float32),
+            np.zeros(count, np.float32),
+        )
+
+
+def _project(
+    corners: _Corners,
+    scene: PlacedScene,
+    view: View,
+    camera: PinholeCamera,
+    config: AssetConfig,
+) -> None:
+    """Project a view's vertices and weigh how well they are seen."""
+    frame = view.frame
+    is_used = np.zeros(len(scene.vertices), dtype=bool)
+    is_used[scene.faces[view.faces].ravel()] = True
+    used = np.flatnonzero(is_used)
+    points = scene.vertices[used].astype(np.float64)
+    pose = frame.world_from_camera
+    corners.uv[used] = frame.project(camera, points)[0]
+    corners.depth_m[used] = (points - pose.translation_m) @ pose.rotation[:, 2]
+    sharp = pixels_per_metre(scene.vertices[used], scene.normals[used], pose, camera)
+    weight = (sharp / _WEIGHT_UNIT_PX) ** (2 * config.sharpness_power)
+    shade = in_moving_shade(scene, used, frame.time_ns, config.shade_margin_m)
+    corners.weight[used] = np.where(shade, _SHADE_WEIGHT * weight, weight)
 
 
 def _gains(

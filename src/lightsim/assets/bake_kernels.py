@@ -52,23 +52,19 @@ def fill_texels(patch, origin, turned, width, pixel, face, barycentric):
                 t += 1
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def touching_faces(faces, hit_faces, vertex_count):
-    """Whether each face shares a vertex with a hit face, and whether a vertex is of such a face."""
+    """Whether each face shares a vertex with a hit face (hits of -1 are none)."""
     is_hit = np.zeros(vertex_count, dtype=np.bool_)
     for k in range(hit_faces.shape[0]):
-        for c in range(3):
-            is_hit[faces[hit_faces[k], c]] = True
-    is_near = np.zeros(faces.shape[0], dtype=np.bool_)
-    for f in prange(faces.shape[0]):
-        is_near[f] = is_hit[faces[f, 0]] or is_hit[faces[f, 1]] or is_hit[faces[f, 2]]
-    is_used = np.zeros(vertex_count, dtype=np.bool_)
-    for f in range(faces.shape[0]):
-        if is_near[f]:
+        if hit_faces[k] >= 0:
             for c in range(3):
-                is_used[faces[f, c]] = True
-    return is_near, is_used
+                is_hit[faces[hit_faces[k], c]] = True
+    is_near = np.zeros(faces.shape[0], dtype=np.bool_)
+    for f in range(faces.shape[0]):
+        is_near[f] = is_hit[faces[f, 0]] or is_hit[faces[f, 1]] or is_hit[faces[f, 2]]
+    return is_near
 
 
 @njit(cache=True, nogil=True)

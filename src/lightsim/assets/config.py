@@ -33,6 +33,8 @@ class AssetConfig:
     """Pixels this near an outline may show another surface."""
     edge_weight: float = 0.1
     """They count this much."""
+    shade_margin_m: float = 1.0
+    """The static scene this near a moving actor may lie in its shade and counts little."""
     clipped_code: int = 250
     """Pixels with a channel at or above this 8-bit code count little."""
     outlier_ratio: float = 1.4
