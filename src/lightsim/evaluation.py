@@ -39,6 +39,7 @@ from lightsim.evaluate.frames import (
 from lightsim.evaluate.geometry import (
     GeometryConfig,
     GeometryReport,
+    SeenSurface,
     evaluate_lidar,
     evaluate_surface,
 )
@@ -224,11 +225,14 @@ def geometry(work: Path, truth: Path | None, progress: Progress) -> tuple[Geomet
     )
     if truth is None:
         return GeometryReport(lidar), bool(held)
-    seen = np.concatenate([s.load().points_world[::7] for s in log.sweeps]).astype(np.float64)
-    true_background = read_true_meshes(truth / "scene.npz")["background"]
-    surface = evaluate_surface(
-        assets.background, true_background, config, seen_points_world=seen, rng=rng
+    loaded = [s.load() for s in log.sweeps]
+    seen = SeenSurface(
+        np.concatenate([sweep.points_world[::7] for sweep in loaded]).astype(np.float64),
+        np.stack([sweep.origins_world.mean(axis=0) for sweep in loaded]).astype(np.float64),
+        make_embree_caster,
     )
+    true_background = read_true_meshes(truth / "scene.npz")["background"]
+    surface = evaluate_surface(assets.background, true_background, config, seen=seen, rng=rng)
     return GeometryReport(lidar, surface), bool(held)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from lightsim.core.casting import MISS, RayHits
 from lightsim.core.dome import SkyDome, Sun, add_sun
-from lightsim.core.mesh import TriMesh
+from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.sensors import LazySweep, LidarSweep
 from lightsim.core.solar import direction_enu
 from lightsim.core.twin import SkyEstimate
@@ -18,6 +18,7 @@ from lightsim.errors import InputError
 from lightsim.evaluate.geometry import (
     GeometryConfig,
     GeometryReport,
+    SeenSurface,
     evaluate_lidar,
     evaluate_surface,
 )
@@ -133,8 +134,18 @@ def test_f_score_of_a_parallel_and_of_a_half_wall(rng: np.random.Generator) -> N
     seen = np.array(
         [[10.0, y, z] for y in np.arange(-2, 2.1, 0.2) for z in np.arange(-2, 2.1, 0.2)]
     )
-    fair = evaluate_surface(wall(10.0, 2.5), wall(10.0), config, seen_points_world=seen, rng=rng)
+    sensor = SeenSurface(seen, np.zeros((1, 3)), make_caster)
+    fair = evaluate_surface(wall(10.0, 2.5), wall(10.0), config, seen=sensor, rng=rng)
     assert fair[0].f_score > 0.99
+
+
+def test_hidden_side_of_the_truth_is_not_asked_for(rng: np.random.Generator) -> None:
+    """A wall 20 cm thick whose far side no beam can have met."""
+    config = GeometryConfig(samples=4000, support_samples=4000)
+    thick = concatenate_meshes([wall(10.0), wall(10.2)])
+    seen = np.array([[10.0, y, z] for y in np.arange(-5, 5, 0.2) for z in np.arange(-5, 5, 0.2)])
+    sensor = SeenSurface(seen, np.zeros((1, 3)), make_caster)
+    assert evaluate_surface(wall(10.0), thick, config, seen=sensor, rng=rng)[0].recall > 0.99
 
 
 def test_geometry_report_prints(sweep: LazySweep, rng: np.random.Generator) -> None:

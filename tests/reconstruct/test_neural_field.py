@@ -141,7 +141,7 @@ def test_samples_are_sorted_and_surround_the_surface() -> None:
 def test_training_corrects_a_displaced_prior() -> None:
     """The prior stands 6 cm off with little evidence: returns pull the surface back."""
     fields = _fields(0.06, weight=0.1)
-    config = _config(steps=150)
+    config = _config(steps=80)
     field = _field(config, fields)
     rays = TrainingRays(_pool(4000, False), _pool(4000, True))
     train_field(field, rays, _Memory(), 0, progress=SilentProgress())
@@ -173,7 +173,9 @@ def test_interrupted_training_equals_uninterrupted(
     train_field(second, rays, FolderJournal(tmp_path), 7, progress=SilentProgress())
     for name, value in whole.state_dict().items():
         assert torch.equal(value, second.state_dict()[name]), name
-    steps = [json.loads(line)["step"] for line in (tmp_path / "metrics.jsonl").open()]
+    steps = [
+        json.loads(line)["step"] for line in (tmp_path / "metrics.jsonl").read_text().splitlines()
+    ]
     assert steps == [0, 11]
 
 

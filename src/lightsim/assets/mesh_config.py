@@ -13,9 +13,9 @@ class MeshConfig:
     """Grid samples with less evidence than this count as unknown."""
     min_piece_m2: float = 0.25
     """Connected pieces of the background smaller than this are dropped."""
-    normal_rounds: int = 12
+    normal_rounds: int = 4
     """Rounds of normal filtering; 0 leaves the surface as extracted."""
-    max_move_voxels: float = 0.5
+    max_move_voxels: float = 0.2
     """Filtering moves no vertex further than this many samples of its level."""
     error_voxels: float = 0.1
     """Simplification may deviate by this many samples of a level (RMS); 0 keeps every face."""

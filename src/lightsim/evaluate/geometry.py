@@ -16,6 +16,8 @@ from lightsim.core.sensors import LazySweep, LidarSweep
 from lightsim.errors import InputError
 from lightsim.progress import Progress, SilentProgress
 
+_MOST_ROUNDS = 30
+_IN_SIGHT_M = 0.02
 ActorsAt = Callable[[int], Sequence[TriMesh]]
 """Actor meshes in frame `world` at a time, ns."""
 
@@ -38,6 +40,37 @@ class GeometryConfig:
     """Distances below which a point counts as right."""
     seen_within_m: float = 0.3
     """True surface farther than this from every LiDAR return was not seen and is not asked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenSurface:
+    """What sensors can have seen of a scene.
+
+    Args:
+        points_world: LiDAR returns; surface near one counts.
+        viewpoints_world: sensor positions; true surface counts only where a straight line leads
+            to one of them, so that the far side of a thin wall is not asked for.
+        make_caster: of rays against the true mesh.
+    """
+
+    points_world: Float[np.ndarray, "n 3"]
+    viewpoints_world: Float[np.ndarray, "k 3"]
+    make_caster: MakeCaster
+
+    def is_visible(
+        self, points_world: Float[np.ndarray, "n 3"], truth: TriMesh
+    ) -> Bool[np.ndarray, " n"]:
+        """Which points on the true mesh are in sight of a sensor position."""
+        caster = self.make_caster([truth])
+        visible = np.zeros(len(points_world), dtype=bool)
+        for viewpoint in self.viewpoints_world:
+            rows = np.flatnonzero(~visible)
+            offset = points_world[rows] - viewpoint
+            distance = np.linalg.norm(offset, axis=1)
+            directions = offset / np.maximum(distance, 1e-9)[:, None]
+            hits = caster.intersect(np.broadcast_to(viewpoint, offset.shape).copy(), directions)
+            visible[rows] = hits.distance_m > distance - _IN_SIGHT_M
+        return visible
 
 
 @dataclass(frozen=True)
@@ -181,20 +214,20 @@ def evaluate_surface(
     truth: TriMesh,
     config: GeometryConfig,
     *,
-    seen_points_world: Float[np.ndarray, "n 3"] | None = None,
+    seen: SeenSurface | None = None,
     rng: np.random.Generator,
 ) -> tuple[SurfaceScores, ...]:
     """Precision and recall of a mesh against the true one, both in frame `world`.
 
     Args:
-        seen_points_world: LiDAR returns; both surfaces count only near one, so that neither
-            backs of houses are asked for, nor plausible guesses punished.
+        seen: what sensors saw; both surfaces count only there, so that neither backs of houses are
+            asked for, nor plausible guesses punished.
 
     Raises:
         InputError: a mesh is empty or nothing of it was seen.
     """
-    precision = _distances_m(predicted, truth, config, seen_points_world, rng)
-    recall = _distances_m(truth, predicted, config, seen_points_world, rng)
+    precision = _distances_m(predicted, truth, config, seen, False, rng)
+    recall = _distances_m(truth, predicted, config, seen, True, rng)
     return tuple(
         SurfaceScores(t, float((precision < t).mean()), float((recall < t).mean()))
         for t in config.thresholds_m
@@ -205,16 +238,19 @@ def _distances_m(
     mesh: TriMesh,
     other: TriMesh,
     config: GeometryConfig,
-    seen_points_world: Float[np.ndarray, "_ 3"] | None,
+    seen: SeenSurface | None,
+    is_truth: bool,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, " n"]:
     """Distance from points on `mesh` to the surface of `other`."""
-    points = sample_surface(mesh, config.samples, rng)[0]
-    if seen_points_world is not None:
-        points = points[_is_near(points, seen_points_world, config.seen_within_m)]
+    radius = config.seen_within_m
+    points = _sample_near(mesh, config.samples, seen, radius, rng)[0]
+    if seen is not None and is_truth and len(points):
+        points = points[seen.is_visible(points, mesh)]
     if not len(points):
         raise InputError("no seen surface to compare", where=f"mesh in '{mesh.frame}'")
-    support, faces = sample_surface(other, config.support_samples, rng)
+    # The nearest triangle of the other surface may lie a little further out.
+    support, faces = _sample_near(other, config.support_samples, seen, 3 * radius, rng)
     corners = other.vertices[other.faces].astype(np.float64)
     nearest = KDTree(support).query(points, k=8, workers=1)[1]
     best = np.full(len(points), np.inf)
@@ -223,11 +259,33 @@ def _distances_m(
     return best
 
 
-def _is_near(
-    points: Float[np.ndarray, "n 3"], others: Float[np.ndarray, "m 3"], radius_m: float
-) -> Bool[np.ndarray, " n"]:
-    distance = KDTree(others).query(points, distance_upper_bound=radius_m, workers=1)[0]
-    return np.isfinite(np.asarray(distance))
+def _sample_near(
+    mesh: TriMesh,
+    count: int,
+    seen: SeenSurface | None,
+    radius_m: float,
+    rng: np.random.Generator,
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
+    """About `count` points on the seen part of a mesh, evenly by area, and their faces.
+
+    The density must not depend on how much of the mesh lies elsewhere (a far backdrop, the outer
+    ground): samples are drawn until enough lie near what was seen.
+    """
+    if seen is None:
+        return sample_surface(mesh, count, rng)
+    tree = KDTree(seen.points_world)
+    parts: list[tuple[np.ndarray, np.ndarray]] = []
+    found = 0
+    for _ in range(_MOST_ROUNDS):
+        points, faces = sample_surface(mesh, count, rng)
+        distance = tree.query(points, distance_upper_bound=radius_m, workers=1)[0]
+        is_near = np.isfinite(np.asarray(distance))
+        parts.append((points[is_near], faces[is_near]))
+        found += int(is_near.sum())
+        if found >= count:
+            break
+    points, faces = (np.concatenate([part[k] for part in parts]) for k in range(2))
+    return points[:count], faces[:count]
 
 
 def sample_surface(
