@@ -11,8 +11,8 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "lightsim"
 STAGES = {
-    "ingest", "reconstruct", "assets", "lighting", "assemble", "edit", "render", "relighting",
-    "baselines", "video", "evaluate", "view",
+    "align", "ingest", "reconstruct", "assets", "lighting", "assemble", "edit", "render",
+    "relighting", "baselines", "video", "evaluate", "view",
 }  # fmt: skip
 HEAVY = ("torch", "mitsuba", "bpy", "viser", "numba", "pandas", "av", "trimesh", "skimage")
 

@@ -37,7 +37,17 @@ from lightsim.workspace import Workspace
 QUICK = FramesConfig(with_lpips=False, with_exposure=False)
 """Scores that a report can afford: raw PSNR and SSIM."""
 _PICTURE_WIDTH = 640
-STAGE_NAMES = ("log", "masks", "fields", "geometry", "assets", "panorama", "sky", "twin")
+STAGE_NAMES = (
+    "log",
+    "masks",
+    "alignment",
+    "fields",
+    "geometry",
+    "assets",
+    "panorama",
+    "sky",
+    "twin",
+)
 Image = UInt8[np.ndarray, "h w 3"]
 
 

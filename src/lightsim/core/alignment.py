@@ -127,14 +127,21 @@ class Alignment:
     def _frame(self, log: DrivingLog, frame: CameraFrame) -> CameraFrame:
         correction = self.cameras.get(frame.camera_name)
         if correction is not None:
-            later_ns = frame.time_ns + round(correction.time_offset_s * 1e9)
-            pose = _carried(log.ego, frame.world_from_camera, frame.time_ns, later_ns)
-            pose = pose @ correction.recorded_from_true()
-            frame = replace(frame, time_ns=later_ns, world_from_camera=pose)
+            frame = corrected_frame(frame, correction, log.ego)
         if self.path is not None:
             pose = self.path.at(frame.time_ns) @ frame.world_from_camera
             frame = replace(frame, world_from_camera=pose)
         return frame if self.has_rolling_shutter else replace(frame, shutter=None)
+
+
+def corrected_frame(
+    frame: CameraFrame, correction: CameraCorrection, ego: Trajectory
+) -> CameraFrame:
+    """The frame at its true time, seen from where the car carried the true camera by then."""
+    later_ns = frame.time_ns + round(correction.time_offset_s * 1e9)
+    pose = _carried(ego, frame.world_from_camera, frame.time_ns, later_ns)
+    pose = pose @ correction.recorded_from_true()
+    return replace(frame, time_ns=later_ns, world_from_camera=pose)
 
 
 def _carried(

@@ -1,0 +1,102 @@
+"""One pass over the sweeps: what the path, the boxes and the cameras are aligned by."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from lightsim.align.edges import depth_edges
+from lightsim.align.planes import Cloud, first_of_voxels
+from lightsim.core.actors import ActorTrack
+from lightsim.core.log import DrivingLog
+from lightsim.core.sensors import LidarSweep
+from lightsim.progress import Progress
+
+_VOXEL_M = 0.15
+_RANGE_M = 80.0
+_HOLD_S = 0.15
+_MARGIN_M = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """Returns of all sweeps.
+
+    Args:
+        static: thinned returns outside every box.
+        returns_by_actor: returns in and around each actor's grown box.
+        edges_by_stem: depth edges of the sweeps that were asked for.
+    """
+
+    static: Cloud
+    returns_by_actor: Mapping[str, Cloud]
+    edges_by_stem: Mapping[str, Float64[np.ndarray, "_ 3"]]
+
+
+def gather(
+    log: DrivingLog,
+    edge_stems: Collection[str],
+    *,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> Gathered:
+    """Read every sweep once."""
+    static: list[Cloud] = []
+    by_actor: dict[str, list[Cloud]] = {}
+    edges: dict[str, Float64[np.ndarray, "_ 3"]] = {}
+    for index, lazy in enumerate(progress.track(log.sweeps, "reading sweeps", len(log.sweeps))):
+        sweep = lazy.load()
+        if sweep.stem in edge_stems:
+            edges[sweep.stem] = depth_edges(sweep, log.actors, rng)
+        cloud = _cloud(sweep, index)
+        is_static = np.linalg.norm(cloud.points_world - sweep.origins_world, axis=1) < _RANGE_M
+        for actor in log.actors:
+            rows = rows_near_box(cloud, actor, sweep.time_ns)
+            if len(rows):
+                is_static[rows] = False
+                by_actor.setdefault(actor.actor_id, []).append(cloud.rows(rows))
+        kept = cloud.rows(is_static)
+        static.append(kept.rows(first_of_voxels(kept.points_world, _VOXEL_M)))
+    joined = {name: joined_clouds(clouds) for name, clouds in by_actor.items()}
+    return Gathered(joined_clouds(static), joined, edges)
+
+
+def joined_clouds(clouds: list[Cloud]) -> Cloud:
+    return Cloud(
+        np.concatenate([c.points_world for c in clouds]),
+        np.concatenate([c.times_ns for c in clouds]),
+        np.concatenate([c.sweep for c in clouds]),
+    )
+
+
+def _cloud(sweep: LidarSweep, index: int) -> Cloud:
+    times_ns = sweep.time_ns + (sweep.time_offset_s.astype(np.float64) * 1e9).astype(np.int64)
+    number = np.full(len(times_ns), index, dtype=np.int64)
+    return Cloud(sweep.points_world.astype(np.float64), times_ns, number)
+
+
+def rows_near_box(cloud: Cloud, actor: ActorTrack, time_ns: int) -> Int64[np.ndarray, " n"]:
+    """Rows of one sweep inside the grown box of an actor at the time it was scanned."""
+    if not actor.is_present(time_ns, _HOLD_S):
+        return np.empty(0, dtype=np.int64)
+    centre = actor.world_from_actor(time_ns, _HOLD_S).translation_m
+    reach = float(np.linalg.norm(actor.size_lwh_m)) / 2 + 3.0
+    near = np.flatnonzero((np.abs(cloud.points_world[:, :2] - centre[:2]) < reach).all(axis=1))
+    if len(near) == 0:
+        return near
+    scanned_ns = int(np.median(cloud.times_ns[near]))
+    if not actor.is_present(scanned_ns, _HOLD_S):
+        scanned_ns = time_ns
+    inside = actor_contains(actor, cloud.points_world[near], scanned_ns)
+    return near[inside]
+
+
+def actor_contains(
+    actor: ActorTrack, points_world: Float64[np.ndarray, "n 3"], time_ns: int
+) -> Bool[np.ndarray, " n"]:
+    """Inside the box grown sideways and upwards."""
+    local = actor.world_from_actor(time_ns, _HOLD_S).inverse().apply(points_world)
+    return np.all(np.abs(local) <= actor.size_lwh_m / 2 + _MARGIN_M, axis=1)

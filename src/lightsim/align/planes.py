@@ -1,0 +1,109 @@
+"""Local planes of a point map, and how far returns lie from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+from scipy.spatial import KDTree
+
+_NEIGHBOURS = 24
+_LEAST_NEIGHBOURS = 8
+_RADIUS_M = 0.6
+_FLAT_M = 0.05
+_LEAST_WIDTH_M = 0.1
+_LARGEST_RESIDUAL_M = 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Thinned returns of many sweeps.
+
+    Args:
+        points_world: metres.
+        times_ns: when each was measured.
+        sweep: index of its sweep.
+    """
+
+    points_world: Float64[np.ndarray, "n 3"]
+    times_ns: Int64[np.ndarray, " n"]
+    sweep: Int64[np.ndarray, " n"]
+
+    def rows(self, which: np.ndarray) -> Cloud:
+        return Cloud(self.points_world[which], self.times_ns[which], self.sweep[which])
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """Returns and the planes through their neighbours of other sweeps.
+
+    Args:
+        rows: of the compared cloud.
+        neighbours: rows of the map, -1 where fewer were found.
+        normals: of the planes, unit.
+        residuals_m: signed distance of the return from its plane.
+    """
+
+    rows: Int64[np.ndarray, " m"]
+    neighbours: Int64[np.ndarray, "m k"]
+    normals: Float64[np.ndarray, "m 3"]
+    residuals_m: Float64[np.ndarray, " m"]
+
+
+def match_planes(cloud: Cloud, reference: Cloud, tree: KDTree) -> Matches:
+    """Planes of `reference` (whose search tree is `tree`) at the points of `cloud`.
+
+    Only neighbours of other sweeps count, and only where they are flat and no line.
+    """
+    distance, near = tree.query(
+        cloud.points_world, k=_NEIGHBOURS, distance_upper_bound=_RADIUS_M, workers=2
+    )
+    is_found = np.isfinite(distance)
+    near = np.where(is_found, near, 0)
+    is_found &= reference.sweep[near] != cloud.sweep[:, None]
+    rows = np.flatnonzero(is_found.sum(axis=1) >= _LEAST_NEIGHBOURS)
+    near, is_found = near[rows], is_found[rows]
+    weights = is_found / is_found.sum(axis=1, keepdims=True)
+    mean = (weights[..., None] * reference.points_world[near]).sum(axis=1)
+    local = reference.points_world[near] - mean[:, None]
+    covariance = np.einsum("nk,nki,nkj->nij", weights, local, local)
+    values, vectors = np.linalg.eigh(covariance)
+    deviation = np.sqrt(np.maximum(values, 0.0))
+    normals = vectors[:, :, 0]
+    residuals = np.einsum("ni,ni->n", normals, cloud.points_world[rows] - mean)
+    is_good = (deviation[:, 0] < _FLAT_M) & (deviation[:, 1] > _LEAST_WIDTH_M)
+    is_good &= (deviation[:, 1] > 3.0 * deviation[:, 0]) & (np.abs(residuals) < _LARGEST_RESIDUAL_M)
+    return Matches(
+        rows[is_good],
+        np.where(is_found, near, -1)[is_good].astype(np.int64),
+        normals[is_good],
+        residuals[is_good],
+    )
+
+
+def first_of_voxels(points: Float64[np.ndarray, "n 3"], voxel_m: float) -> Int64[np.ndarray, " m"]:
+    """Rows of the first point in each occupied voxel, in order."""
+    cells = np.floor(points / voxel_m).astype(np.int64)
+    cells -= cells.min(axis=0, initial=0)
+    size = cells.max(axis=0, initial=0) + 1
+    key = (cells[:, 0] * size[1] + cells[:, 1]) * size[2] + cells[:, 2]
+    return np.sort(np.unique(key, return_index=True)[1]).astype(np.int64)
+
+
+def robust_weights(
+    residuals_m: Float64[np.ndarray, " n"], scale_m: float
+) -> Float64[np.ndarray, " n"]:
+    """Weights of iteratively reweighted least squares; the loss is Cauchy's."""
+    return 1.0 / (1.0 + np.square(residuals_m / scale_m))
+
+
+def is_sampled(
+    sweep: Int64[np.ndarray, " n"], count: int, rng: np.random.Generator
+) -> Bool[np.ndarray, " n"]:
+    """At most `count` random rows of every sweep."""
+    chosen = np.zeros(len(sweep), dtype=bool)
+    for index in np.unique(sweep):
+        members = np.flatnonzero(sweep == index)
+        chosen[rng.permutation(members)[:count]] = True
+    return chosen

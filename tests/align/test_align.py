@@ -1,0 +1,94 @@
+"""Known errors of path, mounting and clock are found; a right log stays as it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.align.scene import CAMERA, make_log, mounting
+
+from lightsim.align.build import align_log
+from lightsim.align.config import AlignConfig
+from lightsim.align.edges import depth_edges
+from lightsim.core.alignment import Alignment
+from lightsim.core.frames import RigidTransform, rotation_from_vector
+from lightsim.core.log import DrivingLog
+from lightsim.errors import InputError
+from lightsim.progress import SilentProgress
+from lightsim.store.alignment import read_alignment, write_alignment
+
+COUNT = 12
+
+
+def aligned(log: DrivingLog, *parts: str) -> Alignment:
+    others = {"lidar_poses", "camera_poses", "actor_tracks"} - set(parts)
+    config = AlignConfig().without(tuple(others))
+    return align_log(
+        log,
+        config,
+        rng=np.random.default_rng(0),
+        progress=SilentProgress(),
+    )
+
+
+def test_a_wandering_path_is_straightened() -> None:
+    phase = np.linspace(0.0, np.pi, COUNT)
+    error = 0.06 * np.stack([np.zeros(COUNT), np.sin(phase), 0.7 * np.cos(phase)], axis=1)
+    found = aligned(make_log(COUNT, path_error_m=error), "lidar_poses")
+    assert found.path is not None
+    left = found.path.shifts_m[:COUNT] + error
+    before = error - error.mean(axis=0)
+    after = left - left.mean(axis=0)
+    assert np.abs(after[:, 1:]).max() < 0.35 * np.abs(before[:, 1:]).max()
+    assert found.numbers["path residual after, m"] < 0.6 * found.numbers["path residual before, m"]
+
+
+def test_a_turned_camera_is_turned_back() -> None:
+    turn = np.radians([0.2, 0.3, -0.1])
+    wrong = RigidTransform.from_rotation(
+        "camera", "camera", rotation_from_vector(turn), np.zeros(3)
+    )
+    log = make_log(COUNT, ego_from_camera=mounting() @ wrong)
+    found = aligned(log, "camera_poses")
+    assert misplaced_px(found.applied_to(log), log, wrong) < 0.3 * misplaced_px(log, log, wrong)
+
+
+def misplaced_px(log: DrivingLog, recorded: DrivingLog, wrong: RigidTransform) -> float:
+    """How far depth edges appear from where the true camera saw them, median."""
+    apart = []
+    for sweep, frame, claimed in zip(log.sweeps, log.frames, recorded.frames, strict=True):
+        points = depth_edges(sweep.load(), (), np.random.default_rng(0))
+        true = replace(claimed, world_from_camera=claimed.world_from_camera @ wrong)
+        expected, is_seen = true.project(CAMERA, points)
+        uv, _ = frame.project(CAMERA, points)
+        apart.append(np.linalg.norm(uv - expected, axis=1)[is_seen])
+    return float(np.median(np.concatenate(apart)))
+
+
+def test_a_right_log_stays_nearly_as_it_is() -> None:
+    found = aligned(make_log(COUNT), "lidar_poses", "camera_poses")
+    if found.path is not None:
+        assert np.abs(found.path.shifts_m).max() < 0.01
+    for correction in found.cameras.values():
+        assert np.degrees(np.linalg.norm(correction.rotation_rad)) < 0.1
+
+
+def test_alignments_survive_the_disk(tmp_path: Path) -> None:
+    error = np.zeros((COUNT, 3))
+    error[:, 2] = 0.05 * np.sin(np.arange(COUNT))
+    made = aligned(make_log(COUNT, path_error_m=error), "lidar_poses")
+    made = replace(made, actors={"a/b": np.tile(np.eye(4), (3, 1, 1))})
+    write_alignment(tmp_path, made)
+    read = read_alignment(tmp_path)
+    assert made.path is not None
+    assert read.path is not None
+    np.testing.assert_array_equal(read.path.shifts_m, made.path.shifts_m)
+    assert list(read.actors) == ["a/b"]
+    assert (read.notes, read.numbers) == (made.notes, dict(made.numbers))
+
+
+def test_unknown_parts_are_refused() -> None:
+    with pytest.raises(InputError, match="lidar_poses"):
+        AlignConfig().without(("wheels",))
