@@ -31,7 +31,7 @@ class DelightConfig:
     """Probability that something unseen shadows a patch that every rendering lights."""
     least_lit: float = 0.02
     """Probability that a patch is lit although every rendering shadows it."""
-    prior_weight: float = 0.15
+    prior_weight: float = 0.25
     """What these say of one patch counts this much: neighbours share their errors."""
     tone_std: float = 0.2
     """Spread of log base colour within a material."""
@@ -43,7 +43,7 @@ class DelightConfig:
     """Weight of what pictures say against the rendered prior."""
     potts: float = 0.3
     """Energy of a shadow's edge itself, nats."""
-    island_m2: float = 2.0
+    island_m2: float = 5.0
     """Smaller shadows that no rendering knows, amid light (or the reverse), are dark or bright
     things such as windows and lane marks."""
     rounds: int = 3

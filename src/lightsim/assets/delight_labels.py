@@ -30,7 +30,10 @@ from lightsim.assets.delight_surfels import Graph, Surfels
 _FIRM = 0.8
 _ENCLOSED = 0.4
 """Share of bounced light that meets a surface again, in a street."""
-_SWEEPS, _DAMPING = 40, 0.3
+_MOST_REFLECTED = 0.3
+"""Greatest mean base colour of a street's surfaces."""
+_SWEEPS, _DAMPING = 16, 0.2
+_MAX_PAIRS = 15_000
 _BLOCK_M = 4.0
 """Pairs within a block of this size count as one observation."""
 
@@ -81,8 +84,9 @@ def label_shadows(
     block = light_blocks(observed.surfels.position, _BLOCK_M)
     found = scales or _fit(observed, prior, block, LightScales.assumed(np.inf), config)
     lit = prior
+    messages = np.zeros((len(observed.graph.pairs), 2))
     for _ in range(config.rounds):
-        lit = infer_labels(observed, prior, found, config)
+        lit = infer_labels(observed, prior, found, config, messages)
         if scales is None:
             found = _fit(observed, lit, block, found, config)
     return Labels(lit, prior, found)
@@ -107,11 +111,17 @@ def bounce_factor(
     observed: Observed, lit: Float64[np.ndarray, " n"], scales: LightScales
 ) -> Float64[np.ndarray, "3"]:
     """Bounced light of surroundings of the scene's own mean colour over that of the grey ones it
-    was rendered with, further bounces included as a geometric series."""
+    was rendered with, further bounces included as a geometric series.
+
+    The mean is geometric, because the brightest estimates are the least certain ones, and not
+    above what streets reflect: too dark a sky would feed on itself otherwise.
+    """
     surfels, light = observed.surfels, observed.light
     colour = np.exp(observed.log_radiance) / np.maximum(light.total(scales, lit), 1e-6)
     weight = surfels.area_m2 * surfels.confidence + 1e-12
-    mean = (np.clip(colour, 0.02, 0.9) * weight[:, None]).sum(axis=0) / weight.sum()
+    logs = np.log(np.clip(colour, 0.02, 0.9))
+    mean = np.exp((logs * weight[:, None]).sum(axis=0) / weight.sum())
+    mean *= min(1.0, _MOST_REFLECTED / float(mean.mean()))
     return mean / (1 - _ENCLOSED * mean) / light.bounce_albedo
 
 
@@ -121,6 +131,7 @@ def shadow_pairs(observed: Observed, lit: Float64[np.ndarray, " n"]) -> ShadowPa
     can_differ = is_lit_enough(observed.light, LightScales.assumed(0.0))
     difference = np.where(can_differ[first] & can_differ[second], lit[first] - lit[second], 0.0)
     chosen = np.flatnonzero(np.abs(difference) > _FIRM)
+    chosen = chosen[:: max(1, len(chosen) // _MAX_PAIRS)]
     is_first = difference[chosen] > 0
     a, b = first[chosen], second[chosen]
     step = observed.tone_step[chosen]
@@ -158,15 +169,21 @@ def infer_labels(
     prior: Float64[np.ndarray, " n"],
     scales: LightScales,
     config: DelightConfig,
+    messages: Float64[np.ndarray, "e 2"],
 ) -> Float64[np.ndarray, " n"]:
-    """Probability of being lit by loopy belief propagation."""
+    """Probability of being lit by loopy belief propagation.
+
+    Args:
+        messages: 0, or those of the last call; updated in place.
+    """
     from lightsim.assets.delight_kernels import propagate
 
     energy = pair_energies(observed, scales, config)
     unary = config.prior_weight * np.log(prior / (1 - prior))
-    messages = np.zeros((len(energy), 2))
     belief = np.empty(len(unary))
-    propagate(unary, observed.graph.pairs, energy, messages, belief, _SWEEPS, _DAMPING)
+    propagate(unary, observed.graph.pairs, energy, messages, belief, _MOST_REFLECTED = 0.3
+"""Greatest mean base colour of a street's surfaces."""
+_SWEEPS, _DAMPING)
     belief += (1 - config.prior_weight) * np.log(prior / (1 - prior))
     lit = 1 / (1 + np.exp(-np.clip(belief, -30, 30)))
     return without_islands(observed, lit, prior, config.island_m2)

@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from lightsim.core.mesh import TriMesh
 
-_NEAR, _FAR = 10, 8
+_NEAR, _FAR = 8, 5
 """Nearest patches that each is compared with, and random ones, to see past thin things."""
 _MIN_RETURNS = 3
 _RANGE_EDGES_M = (0.0, 4.0, 6.0, 8.0, 11.0, 15.0, 20.0, 27.0, 36.0, 50.0, 70.0, 1e9)
