@@ -181,9 +181,7 @@ def infer_labels(
     energy = pair_energies(observed, scales, config)
     unary = config.prior_weight * np.log(prior / (1 - prior))
     belief = np.empty(len(unary))
-    propagate(unary, observed.graph.pairs, energy, messages, belief, _MOST_REFLECTED = 0.3
-"""Greatest mean base colour of a street's surfaces."""
-_SWEEPS, _DAMPING)
+    propagate(unary, observed.graph.pairs, energy, messages, belief, _SWEEPS, _DAMPING)
     belief += (1 - config.prior_weight) * np.log(prior / (1 - prior))
     lit = 1 / (1 + np.exp(-np.clip(belief, -30, 30)))
     return without_islands(observed, lit, prior, config.island_m2)
