@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +21,9 @@ from lightsim.assets.simplify import simplify_planar
 from lightsim.assets.surface import background_levels, extract_surface
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
-from lightsim.core.mesh import concatenate_meshes
+from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
+from lightsim.core.twin import SceneAssets
 from lightsim.ingest.sky_mask import SkyMaskConfig, sky_mattes
 from lightsim.lighting.estimate import SkyConfig, estimate_sky
 from lightsim.lighting.evidence import EvidenceConfig, collect_evidence
@@ -43,6 +44,7 @@ from lightsim.render.transport import TransportConfig
 from lightsim.scene_setup import parked_actor_meshes
 from lightsim.source_light import SourceLight, static_returns
 from lightsim.store.alignment import write_alignment
+from lightsim.store.artefact import write_json
 from lightsim.store.assets import read_mesh, write_assets, write_mesh
 from lightsim.store.checkpoint import FolderJournal, write_weights
 from lightsim.store.fields import write_fields
@@ -50,7 +52,7 @@ from lightsim.store.images import write_grey8
 from lightsim.store.log import LogReading, write_log
 from lightsim.store.sky import write_panorama, write_panorama_pictures, write_sky
 from lightsim.store.twin import write_twin
-from lightsim.workspace import Workspace
+from lightsim.workspace import FIELD_CONFIG_NAME, FIELD_NAME, Workspace
 
 
 @dataclass(frozen=True)
@@ -168,7 +170,8 @@ def make_neural(
         work.training_log, fused, config, training, progress=context.progress
     )
     write_fields(folder, fields)
-    write_weights(folder / "field.safetensors", field.state_dict())
+    write_weights(folder / FIELD_NAME, field.state_dict())
+    write_json(folder / FIELD_CONFIG_NAME, asdict(config))
     journal.finish()
     return fields.notes
 
@@ -228,11 +231,40 @@ def make_assets(
         config,
         make_caster=make_embree_caster,
         progress=context.progress,
+        sky_matte=work.sky_matte,
     )
+    if config.colour != "texture":
+        assets = _vertex_coloured(work, assets, config)
     write_assets(folder, assets)
     casters = read_mesh(work.need("geometry") / "inferred.npz", "world")
     write_mesh(folder / "inferred.npz", colour_of_nearest(casters, assets.background))
     return ()
+
+
+def _vertex_coloured(work: Workspace, assets: SceneAssets, config: AssetConfig) -> SceneAssets:
+    """Colours at the vertices alone: means of the texture, or the neural field's k_d."""
+
+    def plain(mesh: TriMesh, actor: int) -> TriMesh:
+        mesh = replace(mesh, texture=None)
+        if field is None:
+            return mesh
+        return replace(mesh, base_colour=vertex_radiance(field, mesh, actor))
+
+    gains = assets.camera_gains
+    field = None
+    if config.colour == "field":
+        from lightsim.reconstruct.refine import vertex_radiance
+
+        field = work.scene_field
+        gains = field.radiance_gains()
+    numbers = {actor.actor_id: number for number, actor in enumerate(work.training_log.actors)}
+    actors = {
+        actor_id: replace(actor, mesh=plain(actor.mesh, numbers[actor_id]))
+        for actor_id, actor in assets.actors.items()
+    }
+    return replace(
+        assets, background=plain(assets.background, -1), actors=actors, camera_gains=gains
+    )
 
 
 def make_panorama(

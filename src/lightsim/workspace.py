@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float32
@@ -17,13 +18,19 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import DigitalTwin, Panorama, SceneAssets, SkyEstimate
 from lightsim.errors import ArtefactError
 from lightsim.store.alignment import read_alignment
-from lightsim.store.artefact import read_record
+from lightsim.store.artefact import read_json, read_record
 from lightsim.store.assets import read_assets, read_mesh
 from lightsim.store.fields import read_fields
 from lightsim.store.images import read_grey8
 from lightsim.store.log import LogReading, held_out_stems, read_reading
 from lightsim.store.sky import read_estimate, read_panorama
 from lightsim.store.twin import read_twin_assets
+
+if TYPE_CHECKING:
+    from lightsim.reconstruct.sdf_field import SceneField
+
+FIELD_NAME = "field.safetensors"
+FIELD_CONFIG_NAME = "field.json"
 
 
 class Workspace:
@@ -127,6 +134,23 @@ class Workspace:
     def fields(self) -> SceneFields:
         """The geometry that is meshed: the fused LiDAR as the neural field has refined it."""
         return read_fields(self.need("neural"))
+
+    @cached_property
+    def scene_field(self) -> SceneField:
+        """The trained neural field.
+
+        Raises:
+            ArtefactError: the build trained none.
+        """
+        from lightsim.reconstruct.neural import make_field
+        from lightsim.reconstruct.neural_config import config_from_json
+        from lightsim.store.checkpoint import read_weights
+
+        folder = self.need("neural")
+        config = config_from_json(read_json(folder / FIELD_CONFIG_NAME))
+        field = make_field(self.training_log, self.fused, config, 0)
+        field.load_state_dict(read_weights(folder / FIELD_NAME))
+        return field
 
     @cached_property
     def meshes(self) -> SceneAssets:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 
 @dataclass(frozen=True)
 class AssetConfig:
     """How meshes get their colour."""
 
+    colour: Literal["texture", "vertex", "field"] = "texture"
+    """"texture": baked from the images. "vertex": its mean around each vertex. "field": the
+    neural field's k_d at each vertex, as the paper does."""
     texel_m: float = 0.01
     """No texel is smaller than this; it is as large as the finest pixel that saw it."""
     max_resolution: int = 32
@@ -54,4 +58,5 @@ def standard() -> AssetConfig:
 
 
 def paper() -> AssetConfig:
-    return AssetConfig(samples_per_texel=12)
+    """The paper's vertex colours (its appendix: "querying the appearance head")."""
+    return AssetConfig(colour="field")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from lightsim.reconstruct.hash_grid_spec import HashGridSpec
 
@@ -83,6 +84,20 @@ class NeuralConfig:
     """Learning rate of the grids."""
     head_rate: float = 2e-3
     """Learning rate of everything else."""
+
+
+def config_from_json(value: Mapping[str, Any]) -> NeuralConfig:
+    """Inverse of `dataclasses.asdict`.
+
+    Raises:
+        KeyError, TypeError: fields are missing or unknown.
+    """
+    nested = {
+        "background_grid": HashGridSpec(**value["background_grid"]),
+        "actor_grid": HashGridSpec(**value["actor_grid"]),
+        "weights": LossWeights(**value["weights"]),
+    }
+    return NeuralConfig(**{**value, **nested})
 
 
 def draft() -> NeuralConfig:

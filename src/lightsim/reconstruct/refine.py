@@ -8,7 +8,9 @@ import numpy as np
 import torch
 from jaxtyping import Float32
 
+from lightsim.core.colour import linear_from_srgb
 from lightsim.core.fields import BLOCK, SceneFields, TsdfGrid
+from lightsim.core.mesh import TriMesh
 from lightsim.progress import Progress
 from lightsim.reconstruct.sdf_field import SceneField
 
@@ -59,3 +61,18 @@ def signed_distances(
             owner = torch.full((len(part),), actor, dtype=torch.int64, device=device)
             parts.append(field(part, owner)[0].cpu().numpy())
     return np.concatenate(parts)
+
+
+def vertex_radiance(field: SceneField, mesh: TriMesh, actor: int) -> Float32[np.ndarray, "n 3"]:
+    """k_d of the field at each vertex as linear radiance, camera gains left out.
+
+    The paper's base colour (appendix, "Neural Scene Reconstruction").
+    """
+    device = next(field.parameters()).device
+    parts = [np.zeros((0, 3), np.float32)]
+    with torch.no_grad():
+        for start in range(0, len(mesh.vertices), _BATCH):
+            part = torch.from_numpy(mesh.vertices[start : start + _BATCH]).to(device)
+            owner = torch.full((len(part),), actor, dtype=torch.int64, device=device)
+            parts.append(field(part, owner)[1].cpu().numpy())
+    return linear_from_srgb(np.concatenate(parts)).astype(np.float32)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Float32, Int
 from torch import Tensor, nn
 
 from lightsim.reconstruct.hash_grid import HashGridSpec, hash_encode, make_table
@@ -20,6 +20,8 @@ _RESIDUAL_REACH = 0.5
 """Share of the truncation by which the field may differ from the prior."""
 _FREE_REACH_M = 1e3
 _POSITION_SCALE = {"background": 50.0, "actors": 3.0}
+_ENCODING_POWER = 2.2
+"""The sRGB curve is close to this power: a gain on radiance is its root on pixel values."""
 _FIRST_BETA = 40.0
 
 
@@ -146,6 +148,14 @@ class SceneField(nn.Module):
             return colour
         gains = self.log_gains - self.log_gains.mean(dim=0, keepdim=True)
         return colour * torch.exp(gains)[camera]
+
+    def radiance_gains(self) -> dict[str, Float32[np.ndarray, "3"]]:
+        """The learned gains as factors on linear radiance, by camera name."""
+        logs = (self.log_gains - self.log_gains.mean(dim=0, keepdim=True)).detach().cpu().numpy()
+        if not self.config.has_camera_gains:
+            logs = np.zeros_like(logs)
+        gains = np.exp(_ENCODING_POWER * logs).astype(np.float32)
+        return {name: gains[i] for i, name in enumerate(self.camera_names)}
 
     def sky(self, direction: Float[Tensor, "r 3"]) -> Float[Tensor, "r 3"]:
         """Colour of the sky, for training only."""

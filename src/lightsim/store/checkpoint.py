@@ -24,6 +24,24 @@ def write_weights(path: Path, tensors: Mapping[str, Any]) -> None:
         save_file(halved, str(temporary))
 
 
+def read_weights(path: Path) -> dict[str, Any]:
+    """Single-precision tensors of a file that `write_weights` wrote.
+
+    Raises:
+        ArtefactError: it is missing or damaged.
+    """
+    import torch
+    from safetensors import SafetensorError
+    from safetensors.torch import load_file
+
+    try:
+        return {name: tensor.to(torch.float32) for name, tensor in load_file(path).items()}
+    except (OSError, SafetensorError) as error:
+        raise ArtefactError(
+            "the weights cannot be read", where=path, got=error, remedy="Build again."
+        ) from error
+
+
 class FolderJournal:
     """Checkpoint and metrics.jsonl in one folder; see `reconstruct.train.Journal`."""
 
