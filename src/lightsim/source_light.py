@@ -15,6 +15,7 @@ from lightsim.core.twin import SceneAssets
 from lightsim.render.irradiance import IrradianceConfig, irradiance_at
 from lightsim.render.light import sun_visibility, unshadowed_sun
 from lightsim.render.scene import make_static_scene, without_actors
+from lightsim.render.transport import static_face_table
 from lightsim.scene_setup import parked_actor_meshes
 
 
@@ -36,6 +37,9 @@ class SourceLight:
         self._measured = without_actors(make_static_scene(measured))
         self._all = without_actors(make_static_scene(measured, [inferred]))
         self._dome, self._config, self._seed = dome, config, seed
+        self._faces = None
+        if config.bounce_albedo is not None:
+            self._faces = static_face_table(self._all, config.transport, seed)
 
     def on(self, world_from_mesh: RigidTransform) -> LightAt:
         """Light at points of a mesh at a pose."""
@@ -51,7 +55,9 @@ class SourceLight:
         self, points_world: Float[np.ndarray, "n 3"], normals_world: Float[np.ndarray, "n 3"]
     ) -> SurfaceLight:
         config, dome = self._config, self._dome
-        found = irradiance_at(points_world, normals_world, self._all, dome, config, self._seed)
+        found = irradiance_at(
+            points_world, normals_world, self._all, dome, config, self._seed, self._faces
+        )
         rays = config.transport
         columns = [found.sun_visibility, found.sun_visibility]
         direct = np.zeros((len(points_world), 3), dtype=np.float32)

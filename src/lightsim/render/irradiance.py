@@ -57,17 +57,22 @@ def irradiance_at(
     dome: SkyDome,
     config: IrradianceConfig | None = None,
     seed: int = 0,
+    faces: FaceTable | None = None,
 ) -> PointIrradiance:
     """Light of a dome on surface points with unit normals, in frame `world`.
 
     Scenes without actors come from `render.scene.without_actors`.
+
+    Args:
+        faces: what an earlier call with the same scene, rays and seed has traced already
+            (`static_face_table`); it grows, which makes many small calls cheap.
     """
     config = config or IrradianceConfig()
     rays = config.transport
     if config.bounce_albedo is None:
         rays = replace(rays, face_rays=0)
     cells = prepare_sky(dome, rays)
-    table = static_face_table(scene, rays, seed)
+    table = static_face_table(scene, rays, seed) if faces is None else faces
     out = np.zeros((len(points_world), 17), dtype=np.float32)
     for start in range(0, len(points_world), _TILE_POINTS):
         part = slice(start, start + _TILE_POINTS)
