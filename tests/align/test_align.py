@@ -33,6 +33,7 @@ def aligned(log: DrivingLog, *parts: str) -> Alignment:
     )
 
 
+@pytest.mark.slow
 def test_a_wandering_path_is_straightened() -> None:
     phase = np.linspace(0.0, np.pi, COUNT)
     error = 0.06 * np.stack([np.zeros(COUNT), np.sin(phase), 0.7 * np.cos(phase)], axis=1)
@@ -45,6 +46,7 @@ def test_a_wandering_path_is_straightened() -> None:
     assert found.numbers["path residual after, m"] < 0.6 * found.numbers["path residual before, m"]
 
 
+@pytest.mark.slow
 def test_a_turned_camera_is_turned_back() -> None:
     turn = np.radians([0.2, 0.3, -0.1])
     wrong = RigidTransform.from_rotation(
@@ -67,6 +69,7 @@ def misplaced_px(log: DrivingLog, recorded: DrivingLog, wrong: RigidTransform) -
     return float(np.median(np.concatenate(apart)))
 
 
+@pytest.mark.slow
 def test_a_right_log_stays_nearly_as_it_is() -> None:
     found = aligned(make_log(COUNT), "lidar_poses", "camera_poses")
     if found.path is not None:
@@ -75,6 +78,7 @@ def test_a_right_log_stays_nearly_as_it_is() -> None:
         assert np.degrees(np.linalg.norm(correction.rotation_rad)) < 0.1
 
 
+@pytest.mark.slow
 def test_alignments_survive_the_disk(tmp_path: Path) -> None:
     error = np.zeros((COUNT, 3))
     error[:, 2] = 0.05 * np.sin(np.arange(COUNT))
@@ -87,6 +91,20 @@ def test_alignments_survive_the_disk(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read.path.shifts_m, made.path.shifts_m)
     assert list(read.actors) == ["a/b"]
     assert (read.notes, read.numbers) == (made.notes, dict(made.numbers))
+
+
+def test_parked_boxes_stop_jittering() -> None:
+    log = make_log(COUNT)
+    jitter = np.random.default_rng(1).normal(0.0, 0.03, (len(log.actors[0].trajectory), 3))
+    poses = log.actors[0].trajectory.matrices.copy()
+    poses[:, :3, 3] += jitter
+    shaken = replace(log.actors[0], trajectory=replace(log.actors[0].trajectory, matrices=poses))
+    moving = replace(shaken, actor_id="moving", is_moving=True)
+    walker = replace(shaken, actor_id="walker", kind="pedestrian")
+    found = aligned(replace(log, actors=(shaken, moving, walker)), "actor_tracks")
+    assert list(found.actors) == ["none"]
+    assert np.ptp(found.actors["none"], axis=0).max() == 0.0
+    np.testing.assert_allclose(found.actors["none"][0, :3, 3], [500.0, 0.0, 0.0], atol=0.05)
 
 
 def test_unknown_parts_are_refused() -> None:

@@ -11,7 +11,8 @@ from lightsim.align.cameras import CameraFit, align_cameras, chosen_frames
 from lightsim.align.config import AlignConfig
 from lightsim.align.gather import Gathered, gather
 from lightsim.align.path import PathFit, align_path
-from lightsim.core.alignment import Alignment
+from lightsim.align.tracks import TrackFit, settle_parked
+from lightsim.core.alignment import Alignment, PathCorrection
 from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import CameraFrame
 from lightsim.progress import Progress
@@ -33,22 +34,30 @@ def align_log(
     notes: list[str] = []
     numbers: dict[str, float] = {}
     frames = _frames_to_compare(log, config)
-    needs_sweeps = config.lidar_poses or config.camera_poses or config.actor_tracks
+    needs_sweeps = config.lidar_poses or config.camera_poses
     if len(log.sweeps) < _LEAST_SWEEPS or not needs_sweeps:
         if needs_sweeps:
             notes.append(f"{len(log.sweeps)} sweeps are too few to align anything")
-        return Alignment(has_rolling_shutter=config.rolling_shutter, notes=tuple(notes))
+        tracks = _settled_tracks(log, None, config, notes)
+        return Alignment(
+            actors={fit.actor_id: fit.matrices for fit in tracks},
+            has_rolling_shutter=config.rolling_shutter,
+            notes=tuple(notes),
+        )
     stems = {frame.stem for some in frames.values() for frame in some}
     found = gather(log, stems, rng=rng, progress=progress)
     path = _aligned_path(log, found, config, rng, notes, numbers)
+    correction = path.correction if path is not None and path.is_kept else None
+    tracks = _settled_tracks(log, correction, config, notes)
     fits = _aligned_cameras(log, frames, found, config, rng, progress)
     notes += [_camera_note(fit) for fit in fits]
     for fit in fits:
         numbers[f"{fit.camera_name} edge score before"] = fit.score_before
         numbers[f"{fit.camera_name} edge score after"] = fit.score_after
     return Alignment(
-        path=path.correction if path is not None and path.is_kept else None,
+        path=correction,
         cameras={fit.camera_name: fit.correction for fit in fits if fit.is_kept},
+        actors={fit.actor_id: fit.matrices for fit in tracks},
         has_rolling_shutter=config.rolling_shutter,
         numbers=numbers,
         notes=tuple(notes),
@@ -90,6 +99,21 @@ def _aligned_path(
         f"{shifts_cm.max():.1f} cm, {turns.max():.3f} deg at most"
     )
     return fit
+
+
+def _settled_tracks(
+    log: DrivingLog, path: PathCorrection | None, config: AlignConfig, notes: list[str]
+) -> list[TrackFit]:
+    fits = settle_parked(log.actors, path) if config.actor_tracks else []
+    if fits:
+        shift = np.array([fit.shift_rms_m for fit in fits])
+        yaw = np.array([fit.yaw_rms_deg for fit in fits])
+        notes.append(
+            f"{len(fits)} parked boxes were given one pose each; their labels jittered by "
+            f"{100 * float(np.sqrt(np.mean(shift**2))):.1f} cm, "
+            f"{float(np.sqrt(np.mean(yaw**2))):.2f} deg rms"
+        )
+    return fits
 
 
 def _aligned_cameras(

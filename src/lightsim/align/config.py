@@ -19,7 +19,7 @@ class AlignConfig:
     lidar_poses: bool = True
     """Refine the ego's path by the agreement of the sweeps."""
     actor_tracks: bool = True
-    """Refine the boxes of vehicles by the agreement of their returns."""
+    """Give parked vehicles one constant box; moving ones stay as labelled."""
     camera_poses: bool = True
     """Refine the mounting and the time offset of each camera by depth edges."""
     held_back: int = 4
@@ -36,10 +36,6 @@ class AlignConfig:
     """Expected size of a correction of the path (one standard deviation)."""
     path_rotation_deg: float = 0.1
     """The same for its rotation."""
-    track_shift_m: float = 0.15
-    """Expected size of a correction of a box (one standard deviation)."""
-    track_yaw_deg: float = 2.0
-    """The same for its heading."""
     camera_frames: int = 12
     """Frames of each camera that are compared with depth edges."""
     edges_per_frame: int = 1200

@@ -27,12 +27,10 @@ class Gathered:
 
     Args:
         static: thinned returns outside every box.
-        returns_by_actor: returns in and around each actor's grown box.
         edges_by_stem: depth edges of the sweeps that were asked for.
     """
 
     static: Cloud
-    returns_by_actor: Mapping[str, Cloud]
     edges_by_stem: Mapping[str, Float64[np.ndarray, "_ 3"]]
 
 
@@ -45,7 +43,6 @@ def gather(
 ) -> Gathered:
     """Read every sweep once."""
     static: list[Cloud] = []
-    by_actor: dict[str, list[Cloud]] = {}
     edges: dict[str, Float64[np.ndarray, "_ 3"]] = {}
     for index, lazy in enumerate(progress.track(log.sweeps, "reading sweeps", len(log.sweeps))):
         sweep = lazy.load()
@@ -54,14 +51,10 @@ def gather(
         cloud = _cloud(sweep, index)
         is_static = np.linalg.norm(cloud.points_world - sweep.origins_world, axis=1) < _RANGE_M
         for actor in log.actors:
-            rows = rows_near_box(cloud, actor, sweep.time_ns)
-            if len(rows):
-                is_static[rows] = False
-                by_actor.setdefault(actor.actor_id, []).append(cloud.rows(rows))
+            is_static[rows_near_box(cloud, actor, sweep.time_ns)] = False
         kept = cloud.rows(is_static)
         static.append(kept.rows(first_of_voxels(kept.points_world, _VOXEL_M)))
-    joined = {name: joined_clouds(clouds) for name, clouds in by_actor.items()}
-    return Gathered(joined_clouds(static), joined, edges)
+    return Gathered(joined_clouds(static), edges)
 
 
 def joined_clouds(clouds: list[Cloud]) -> Cloud:

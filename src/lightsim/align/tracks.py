@@ -1,0 +1,63 @@
+"""Boxes of parked actors: labels drawn sweep by sweep jitter, a parked car does not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from lightsim.core.actors import ActorTrack
+from lightsim.core.alignment import PathCorrection
+
+_LARGEST_MOVE_M = 0.3
+_LEAST_POSES = 3
+_ALIVE = ("pedestrian", "bicycle", "motorcycle", "animal", "scooter", "mobility")
+
+
+@dataclass(frozen=True, eq=False)
+class TrackFit:
+    """The corrected poses of one actor, `world_from_actor`, and how far its box moved."""
+
+    actor_id: str
+    matrices: Float64[np.ndarray, "n 4 4"]
+    shift_rms_m: float
+    yaw_rms_deg: float
+
+
+def settle_parked(actors: tuple[ActorTrack, ...], path: PathCorrection | None) -> list[TrackFit]:
+    """One constant pose, after the path's correction, for every vehicle that stands still.
+
+    What lives or moves, and a box that wanders by more than labels jitter, stays as labelled.
+    """
+    fits: list[TrackFit] = []
+    for actor in actors:
+        poses = actor.trajectory.matrices
+        positions = actor.trajectory.positions_m
+        is_alive = any(word in actor.kind for word in _ALIVE)
+        spread = float(np.linalg.norm(positions - np.median(positions, axis=0), axis=1).max())
+        if actor.is_moving or is_alive or len(poses) < _LEAST_POSES or spread > _LARGEST_MOVE_M:
+            continue
+        if path is not None:
+            moves = [path.at(int(t)).matrix for t in actor.trajectory.times_ns]
+            poses = np.stack(moves) @ poses
+        fits.append(_settled(actor.actor_id, poses))
+    return fits
+
+
+def _settled(actor_id: str, poses: Float64[np.ndarray, "n 4 4"]) -> TrackFit:
+    """Median position and mean rotation of all poses, at each of their times."""
+    centre = np.median(poses[:, :3, 3], axis=0)
+    u, _, vt = np.linalg.svd(poses[:, :3, :3].mean(axis=0))
+    pose = np.eye(4)
+    pose[:3, :3] = u @ np.diag([1.0, 1.0, float(np.linalg.det(u @ vt))]) @ vt
+    pose[:3, 3] = centre
+    shift = np.linalg.norm(poses[:, :3, 3] - centre, axis=1)
+    turned = poses[:, :3, 0] @ pose[:3, :2]
+    yaw = np.degrees(np.arctan2(turned[:, 1], turned[:, 0]))
+    return TrackFit(
+        actor_id,
+        np.tile(pose, (len(poses), 1, 1)),
+        float(np.sqrt(np.mean(shift**2))),
+        float(np.sqrt(np.mean(yaw**2))),
+    )
