@@ -31,7 +31,7 @@ class MeshConfig:
     """Holes are closed up to this distance from the path."""
     ground_band_m: float = 0.35
     """A surface within this height of the ground map counts as ground."""
-    ground_reach_m: float = 8.0
+    ground_reach_m: float = 40.0
     """Holes are closed up to this far from observed ground."""
 
 

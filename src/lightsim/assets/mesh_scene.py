@@ -9,7 +9,7 @@ import numpy as np
 from lightsim.assets.complete import PROXY_VOXEL_M, actor_surface, ground_patches
 from lightsim.assets.materials import classify_background, material_of
 from lightsim.assets.mesh_config import MeshConfig
-from lightsim.assets.simplify import denoise, simplify
+from lightsim.assets.simplify import denoise, simplify, simplify_planar
 from lightsim.assets.surface import background_levels, drop_floaters
 from lightsim.core.casting import MakeCaster
 from lightsim.core.fields import SceneFields
@@ -52,7 +52,7 @@ def mesh_background(fields: SceneFields, config: MeshConfig, make_caster: MakeCa
     ]
     surface = concatenate_meshes(levels)
     patches = ground_patches(surface, fields.ground, fields.path_m, config, make_caster)
-    return concatenate_meshes([surface, patches])
+    return concatenate_meshes([surface, simplify_planar(patches)])
 
 
 def _refined(mesh: TriMesh, voxel_m: float, config: MeshConfig) -> TriMesh:

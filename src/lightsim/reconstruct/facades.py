@@ -252,10 +252,10 @@ def _closed_holes(
     cells: WallCells, is_missing: Bool[np.ndarray, "s z"], config: FacadeConfig
 ) -> Bool[np.ndarray, "s z"]:
     """Missing parts that measured wall surrounds, with a measured lintel."""
-    from scipy.ndimage import find_objects, label
+    from scipy.ndimage import find_objects
+    from skimage.measure import label
 
-    pieces, _ = label(is_missing)
-    pieces = np.asarray(pieces)
+    pieces = np.asarray(label(is_missing, connectivity=1))
     covered = np.pad(cells.is_covered, 1)
     kept = np.zeros_like(is_missing)
     for number, box in enumerate(find_objects(pieces), start=1):
