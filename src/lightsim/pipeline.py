@@ -16,6 +16,7 @@ from typing import Any
 from lightsim import stages
 from lightsim.align.config import AlignConfig
 from lightsim.assets import config as asset_config
+from lightsim.assets.config import Colour
 from lightsim.assets import mesh_config
 from lightsim.errors import ArtefactError
 from lightsim.ingest.sky_mask import SkyMaskConfig
@@ -66,6 +67,7 @@ class BuildOptions:
         neural_steps: of training the neural field; None is the preset's, 0 goes without.
         device: "auto", "cpu" or "cuda", for training; results on the CPU do not depend on it.
         no_refine: parts of the alignment to leave out (align/config.py: PARTS).
+        colour: "texture", "vertex" or "field" (assets/config.py); None is the preset's.
     """
 
     reading: LogReading
@@ -74,6 +76,7 @@ class BuildOptions:
     neural_steps: int | None = None
     device: str = "auto"
     no_refine: tuple[str, ...] = ()
+    colour: Colour | None = None
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,11 @@ class Stage:
     make: Callable[[Workspace, Any, Path, stages.Context], Iterable[str]]
 
 
+def _asset_config(options: BuildOptions) -> asset_config.AssetConfig:
+    config = _ASSETS[options.preset]()
+    return config if options.colour is None else replace(config, colour=options.colour)
+
+
 def _neural_config(options: BuildOptions) -> neural_config.NeuralConfig:
     config = _NEURAL[options.preset]()
     return config if options.neural_steps is None else replace(config, steps=options.neural_steps)
@@ -105,7 +113,7 @@ STAGES = (
     Stage("masks", 1, ("log",), lambda o: SkyMaskConfig(), stages.make_masks),
     Stage(
         "alignment",
-        1,
+        2,
         ("log",),
         lambda o: AlignConfig().without(o.no_refine),
         stages.make_alignment,
@@ -119,9 +127,7 @@ STAGES = (
         lambda o: stages.GeometryConfig(_MESHES[o.preset]()),
         stages.make_geometry,
     ),
-    Stage(
-        "assets", 2, ("log", "masks", "geometry"), lambda o: _ASSETS[o.preset](), stages.make_assets
-    ),
+    Stage("assets", 2, ("log", "masks", "geometry"), _asset_config, stages.make_assets),
     Stage("panorama", 1, ("masks", "assets"), lambda o: StitchConfig(), stages.make_panorama),
     Stage(
         "sky",
@@ -152,8 +158,11 @@ def _as_mapping(stage: Stage, options: BuildOptions) -> dict[str, Any]:
     return config if isinstance(config, dict) else {"value": config}
 
 
-def build(work: Path, options: BuildOptions, progress: Progress) -> Workspace:
-    """Make what is missing or stale in `work`, in order; finished artefacts are kept.
+def build(
+    work: Path, options: BuildOptions, progress: Progress, until: str = "report"
+) -> Workspace:
+    """Make what is missing or stale in `work`, in order, up to the stage `until`; finished
+    artefacts are kept.
 
     Raises:
         InputError: the log is broken, or an option is out of range.
@@ -185,6 +194,8 @@ def build(work: Path, options: BuildOptions, progress: Progress) -> Workspace:
         )
         for note in record["notes"]:
             logger.info("          note: %s", note)
+        if stage.name == until:
+            break
     return workspace
 
 
@@ -233,6 +244,7 @@ def _read_options(work: Path) -> BuildOptions:
             value["neural_steps"],
             value["device"],
             tuple(value["no_refine"]),
+            value["colour"],
         )
     except (KeyError, TypeError) as error:
         raise ArtefactError(

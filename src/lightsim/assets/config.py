@@ -6,11 +6,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 
+Colour = Literal["texture", "vertex", "field"]
+
+
 @dataclass(frozen=True)
 class AssetConfig:
     """How meshes get their colour."""
 
-    colour: Literal["texture", "vertex", "field"] = "texture"
+    colour: Colour = "texture"
     """"texture": baked from the images. "vertex": its mean around each vertex. "field": the
     neural field's k_d at each vertex, as the paper does."""
     texel_m: float = 0.01
@@ -23,7 +26,7 @@ class AssetConfig:
     """The best views kept for each texel."""
     every_nth_frame: int = 1
     """Use only every n-th image of each camera for colours."""
-    depth_step_px: int = 2
+    """Surfaces further from a camera take no colour from it; the backdrop stands at 160 m or more."""
     """Visibility is tested against a depth image with one ray for this many pixels."""
     max_view_m: float = 120.0
     """Surfaces further from a camera take no colour from it."""
