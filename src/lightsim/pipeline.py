@@ -16,8 +16,8 @@ from typing import Any
 from lightsim import stages
 from lightsim.align.config import AlignConfig
 from lightsim.assets import config as asset_config
-from lightsim.assets.config import Colour
 from lightsim.assets import mesh_config
+from lightsim.assets.config import Colour
 from lightsim.errors import ArtefactError
 from lightsim.ingest.sky_mask import SkyMaskConfig
 from lightsim.lighting.stitch import StitchConfig
@@ -113,7 +113,7 @@ STAGES = (
     Stage("masks", 1, ("log",), lambda o: SkyMaskConfig(), stages.make_masks),
     Stage(
         "alignment",
-        2,
+        1,
         ("log",),
         lambda o: AlignConfig().without(o.no_refine),
         stages.make_alignment,
@@ -122,7 +122,7 @@ STAGES = (
     Stage("neural", 1, ("log", "masks", "fields"), _neural_config, stages.make_neural),
     Stage(
         "geometry",
-        1,
+        2,
         ("log", "masks", "neural"),
         lambda o: stages.GeometryConfig(_MESHES[o.preset]()),
         stages.make_geometry,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-
 Colour = Literal["texture", "vertex", "field"]
 
 
@@ -26,10 +25,10 @@ class AssetConfig:
     """The best views kept for each texel."""
     every_nth_frame: int = 1
     """Use only every n-th image of each camera for colours."""
-    """Surfaces further from a camera take no colour from it; the backdrop stands at 160 m or more."""
+    depth_step_px: int = 2
     """Visibility is tested against a depth image with one ray for this many pixels."""
-    max_view_m: float = 120.0
-    """Surfaces further from a camera take no colour from it."""
+    max_view_m: float = 400.0
+    """Surfaces further from a camera take no colour from it; the backdrop is nearer."""
     sharpness_power: float = 1.0
     """A view counts by the pixels it has on a unit of surface, to this power."""
     occlusion_tolerance_m: float = 0.12
