@@ -40,6 +40,9 @@ class Build:
     """Quality of the reconstruction."""
     image_scale: float = 0.5
     """Factor on the image size."""
+    colour: Literal["texture", "vertex", "field"] | None = None
+    """Colour of the meshes: at image resolution, at vertices, or (the paper's) the neural field's
+    at vertices; by default the preset's."""
     no_refine: str = ""
     """Comma-separated parts of the alignment to leave out: rolling_shutter, lidar_poses,
     actor_tracks, camera_poses."""

@@ -63,6 +63,7 @@ def build(command: cli.Build) -> None:
         command.neural_steps,
         command.device,
         _names(command.no_refine),
+        command.colour,
     )
     pipeline.build(command.work, options, terminal_progress())
     _say(f"twin:   {command.work / 'twin' / 'twin.json'}")

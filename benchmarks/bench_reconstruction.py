@@ -1,0 +1,173 @@
+"""Reconstruction, variant by variant, on held-out frames and sweeps; prints Markdown tables.
+
+    python benchmarks/bench_reconstruction.py SOURCE --out DIR [--truth DIR] [--scale 0.5]
+        [--variants tsdf,standard,paper] [--lpips] [--hold-out 8]
+
+Each variant is a build of its own in DIR/<variant> (masks are shared), in a process of its own, so
+that memory peaks are its own. Finished stages are kept: an interrupted run goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from lightsim import evaluation, pipeline
+from lightsim.evaluate.frames import FramesConfig
+from lightsim.evaluate.geometry import GeometryConfig
+from lightsim.progress import LineProgress, SilentProgress
+from lightsim.store.artefact import read_record
+from lightsim.store.log import LogReading
+from lightsim.workspace import Workspace
+
+PARTS = ("rolling_shutter", "lidar_poses", "actor_tracks", "camera_poses")
+VARIANTS: dict[str, dict] = {
+    "tsdf": {"neural_steps": 0, "colour": "vertex"},
+    "tsdf+texture": {"neural_steps": 0},
+    "draft": {"preset": "draft"},
+    "standard": {},
+    "paper": {"preset": "paper", "neural_steps": 2000},
+    "paper+texture": {"preset": "paper", "neural_steps": 2000, "colour": "texture"},
+    "recorded": {"neural_steps": 0, "no_refine": PARTS},
+    **{f"no {part}": {"neural_steps": 0, "no_refine": (part,)} for part in PARTS},
+}
+STAGES = ("alignment", "fields", "neural", "geometry", "assets")
+
+
+def main() -> None:
+    options = _arguments()
+    if options.one:
+        _build_and_measure(options, options.one)
+        return
+    names = options.variants.split(",")
+    _make_masks(options)
+    for name in names:
+        command = [sys.executable, *sys.argv, "--one", name]
+        subprocess.run(command, check=True)
+    _print_tables(options, names)
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("source", type=Path)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--truth", type=Path)
+    parser.add_argument("--scale", type=float, default=0.5)
+    parser.add_argument("--hold-out", type=int, default=8)
+    parser.add_argument("--variants", default="tsdf,tsdf+texture,standard,paper")
+    parser.add_argument("--lpips", action="store_true")
+    parser.add_argument("--one", help=argparse.SUPPRESS)
+    return parser.parse_args()
+
+
+def _options(options: argparse.Namespace, name: str) -> pipeline.BuildOptions:
+    reading = LogReading(
+        str(options.source.resolve()), image_scale=options.scale, hold_out=options.hold_out
+    )
+    return replace(pipeline.BuildOptions(reading), **VARIANTS[name])
+
+
+def _make_masks(options: argparse.Namespace) -> None:
+    pipeline.build(
+        options.out / "masks", _options(options, "standard"), LineProgress(), until="masks"
+    )
+
+
+def _build_and_measure(options: argparse.Namespace, name: str) -> None:
+    """Build one variant as far as the sky, and write its scores.json."""
+    work = options.out / name
+    for stage in ("log", "masks"):
+        if not (work / stage).exists():
+            shutil.copytree(options.out / "masks" / stage, work / stage)
+    pipeline.build(work, _options(options, name), LineProgress(), until="sky")
+    frames = evaluation.held_out_frames(
+        work, SilentProgress(), FramesConfig(with_lpips=options.lpips, with_exposure=False)
+    )
+    geometry, _ = evaluation.geometry(work, options.truth, SilentProgress())
+    records = {stage: read_record(work / stage) for stage in STAGES}
+    workspace = Workspace(work)
+    assets = workspace.assets
+    scores = {
+        "frames": json.loads(frames.to_json())["rows"],
+        "geometry": json.loads(geometry.to_json()),
+        "seconds": {stage: record["seconds"] for stage, record in records.items() if record},
+        "peak_memory_mb": max(r["peak_memory_mb"] for r in records.values() if r),
+        "faces": len(assets.background.faces)
+        + sum(len(actor.mesh.faces) for actor in assets.actors.values()),
+        "texels": sum(
+            0 if mesh.texture is None else mesh.texture.image.shape[0] * mesh.texture.image.shape[1]
+            for mesh in (assets.background, *(actor.mesh for actor in assets.actors.values()))
+        ),
+        "normal_error_deg": None
+        if options.truth is None
+        else evaluation.normal_error_deg(work, options.truth),
+    }
+    (work / "scores.json").write_text(json.dumps(scores, indent=1))
+
+
+def _print_tables(options: argparse.Namespace, names: list[str]) -> None:
+    scores = {name: json.loads((options.out / name / "scores.json").read_text()) for name in names}
+    rows = [r for r in scores[names[0]]["frames"] if r["region"] == "masked"]
+    cameras = list(dict.fromkeys(r["condition"] for r in rows))
+    _say(
+        f"\nHeld-out frames of {options.source.name}, without sky and own car: PSNR dB / SSIM / LPIPS\n"
+    )
+    _say("| | " + " | ".join(c.removesuffix("_camera") for c in cameras) + " | mean |")
+    _say("|---|" + "---:|" * (len(cameras) + 1))
+    for method, label in (("nearest image", "nearest image"), ("twin", "")):
+        for name in names[:1] if label else names:
+            _say(_frame_line(label or name, method, scores[name]["frames"], cameras))
+    _say(
+        "\n| | median abs cm | 90 % cm | hit | F@5 cm | F@10 cm | normals deg | faces | texels | s | MB |"
+    )
+    _say("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
+    for name in names:
+        _say(_geometry_line(name, scores[name]))
+
+
+def _frame_line(label: str, method: str, rows: list[dict], cameras: list[str]) -> str:
+    cells, table = [], []
+    for camera in cameras:
+        row = next(
+            r
+            for r in rows
+            if (r["condition"], r["method"], r["region"]) == (camera, method, "masked")
+        )
+        s = row["scores"]
+        table.append([s["psnr_db"], s["ssim"], np.nan if s["lpips"] is None else s["lpips"]])
+        cells.append(_cell(table[-1]))
+    return f"| {label} | " + " | ".join([*cells, _cell(np.mean(table, axis=0).tolist())]) + " |"
+
+
+def _cell(values: list[float]) -> str:
+    psnr, ssim, lpips = values
+    return f"{psnr:.2f} / {ssim:.3f}" + ("" if np.isnan(lpips) else f" / {lpips:.3f}")
+
+
+def _geometry_line(name: str, scores: dict) -> str:
+    lidar, surface = scores["geometry"]["lidar"], scores["geometry"].get("surface") or []
+    f_scores = [f"{row['f_score']:.3f}" for row in surface] or ["-", "-"]
+    normals = scores["normal_error_deg"]
+    return (
+        f"| {name} | {100 * lidar['median_abs_m']:.1f} | {100 * lidar['percentile_90_m']:.1f} "
+        f"| {lidar['hit_rate']:.3f} | {f_scores[0]} | {f_scores[1]} "
+        f"| {'-' if normals is None else f'{normals:.1f}'} | {scores['faces'] / 1e3:.0f} k "
+        f"| {scores['texels'] / 1e6:.1f} M | {sum(scores['seconds'].values()):.0f} "
+        f"| {scores['peak_memory_mb']} |"
+    )
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(line + "\n")
+
+
+if __name__ == "__main__":
+    assert GeometryConfig().thresholds_m == (0.05, 0.10)
+    main()
