@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from lightsim.api import build_twin, load_log, load_twin, relight
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = ["build_twin", "load_log", "load_twin", "relight"]
 
 

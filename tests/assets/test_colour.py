@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lightsim.assets.colour import fill_unseen
-from lightsim.assets.delight import DelightConfig, base_colour_from_radiance
+from lightsim.assets.delight_divide import DivideConfig, base_colour_from_radiance
 from lightsim.assets.gains import solve_gains
 from lightsim.assets.surface import make_mesh
 from lightsim.core.mesh import TriMesh
@@ -60,7 +60,7 @@ def test_baked_shadows_disappear() -> None:
     light = np.where(is_shadow, 0.25, 1.0)[:, None] * np.array([1.0, 1.0, 1.1])
     source = np.where(believed, 0.25, 1.0)[:, None] * np.array([1.0, 1.0, 1.1])
     baked = TriMesh("world", plane.vertices, plane.faces, (albedo * light).astype(np.float32))
-    result = base_colour_from_radiance(baked, source.astype(np.float32), DelightConfig())
+    result = base_colour_from_radiance(baked, source.astype(np.float32), DivideConfig())
     inside, outside = (np.abs(x) < 1.0) & (y > -1.8), (np.abs(x) > 1.5) & (y > -1.8)
     truth = albedo[outside].mean() / albedo[inside].mean()
     before = baked.base_colour[outside].mean() / baked.base_colour[inside].mean()
@@ -74,8 +74,8 @@ def test_baked_shadows_disappear() -> None:
 def test_light_must_fit_the_mesh() -> None:
     plane = _plane(1.0, 0.5)
     with pytest.raises(InputError, match="every vertex"):
-        base_colour_from_radiance(plane, np.ones((2, 3), np.float32), DelightConfig())
+        base_colour_from_radiance(plane, np.ones((2, 3), np.float32), DivideConfig())
     dark = np.zeros((len(plane.vertices), 3), np.float32)
-    result = base_colour_from_radiance(plane, dark, DelightConfig())
+    result = base_colour_from_radiance(plane, dark, DivideConfig())
     assert np.isfinite(result.base_colour).all()
     assert result.base_colour.min() >= np.float32(0.02)
