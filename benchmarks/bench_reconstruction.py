@@ -23,11 +23,14 @@ from lightsim import evaluation, pipeline
 from lightsim.evaluate.frames import FramesConfig
 from lightsim.evaluate.geometry import GeometryConfig
 from lightsim.progress import LineProgress, SilentProgress
-from lightsim.store.artefact import read_record
+from lightsim.store.artefact import read_record, state_of
 from lightsim.store.log import LogReading
 from lightsim.workspace import Workspace
 
-PARTS = ("rolling_shutter", "lidar_poses", "actor_tracks", "camera_poses")
+OFF = ("camera_poses",)
+"""What `lightsim build` leaves out by default."""
+QUICK: dict = {"preset": "draft", "neural_steps": 0}
+"""Ablations of the alignment: fused LiDAR and textures of every fourth image."""
 VARIANTS: dict[str, dict] = {
     "tsdf": {"neural_steps": 0, "colour": "vertex"},
     "tsdf+texture": {"neural_steps": 0},
@@ -35,8 +38,12 @@ VARIANTS: dict[str, dict] = {
     "standard": {},
     "paper": {"preset": "paper", "neural_steps": 2000},
     "paper+texture": {"preset": "paper", "neural_steps": 2000, "colour": "texture"},
-    "recorded": {"neural_steps": 0, "no_refine": PARTS},
-    **{f"no {part}": {"neural_steps": 0, "no_refine": (part,)} for part in PARTS},
+    "aligned": QUICK,
+    "and camera_poses": {**QUICK, "no_refine": ()},
+    "no rolling_shutter": {**QUICK, "no_refine": ("rolling_shutter", *OFF)},
+    "no lidar_poses": {**QUICK, "no_refine": ("lidar_poses", *OFF)},
+    "no actor_tracks": {**QUICK, "no_refine": ("actor_tracks", *OFF)},
+    "recorded": {**QUICK, "no_refine": ("rolling_shutter", "lidar_poses", "actor_tracks", *OFF)},
 }
 STAGES = ("alignment", "fields", "neural", "geometry", "assets")
 
@@ -83,9 +90,7 @@ def _make_masks(options: argparse.Namespace) -> None:
 def _build_and_measure(options: argparse.Namespace, name: str) -> None:
     """Build one variant as far as the sky, and write its scores.json."""
     work = options.out / name
-    for stage in ("log", "masks"):
-        if not (work / stage).exists():
-            shutil.copytree(options.out / "masks" / stage, work / stage)
+    _take_from_siblings(options.out, work, _options(options, name))
     pipeline.build(work, _options(options, name), LineProgress(), until="sky")
     frames = evaluation.held_out_frames(
         work, SilentProgress(), FramesConfig(with_lpips=options.lpips, with_exposure=False)
@@ -112,22 +117,32 @@ def _build_and_measure(options: argparse.Namespace, name: str) -> None:
     (work / "scores.json").write_text(json.dumps(scores, indent=1))
 
 
+def _take_from_siblings(out: Path, work: Path, options: pipeline.BuildOptions) -> None:
+    """Artefacts that another variant has made from the same recipe need not be made again."""
+    for stage, recipe in pipeline.recipes(options).items():
+        for other in sorted(out.glob("*/")):
+            if state_of(work / stage, recipe) == "made":
+                break
+            if state_of(other / stage, recipe) == "made":
+                shutil.copytree(other / stage, work / stage, dirs_exist_ok=True)
+
+
 def _print_tables(options: argparse.Namespace, names: list[str]) -> None:
     scores = {name: json.loads((options.out / name / "scores.json").read_text()) for name in names}
     rows = [r for r in scores[names[0]]["frames"] if r["region"] == "masked"]
     cameras = list(dict.fromkeys(r["condition"] for r in rows))
-    _say(
-        f"\nHeld-out frames of {options.source.name}, without sky and own car: PSNR dB / SSIM / LPIPS\n"
-    )
+    where = f"{options.source.name}, without sky and own car"
+    _say(f"\nHeld-out frames of {where}: PSNR dB / SSIM / LPIPS\n")
     _say("| | " + " | ".join(c.removesuffix("_camera") for c in cameras) + " | mean |")
     _say("|---|" + "---:|" * (len(cameras) + 1))
     for method, label in (("nearest image", "nearest image"), ("twin", "")):
         for name in names[:1] if label else names:
             _say(_frame_line(label or name, method, scores[name]["frames"], cameras))
     _say(
-        "\n| | median abs cm | 90 % cm | hit | F@5 cm | F@10 cm | normals deg | faces | texels | s | MB |"
+        "\n| | median abs cm | across cm | 90 % cm | hit | F@5 cm | F@10 cm | normals deg "
+        "| faces | texels | s | MB |"
     )
-    _say("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
+    _say("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
     for name in names:
         _say(_geometry_line(name, scores[name]))
 
@@ -155,8 +170,10 @@ def _geometry_line(name: str, scores: dict) -> str:
     lidar, surface = scores["geometry"]["lidar"], scores["geometry"].get("surface") or []
     f_scores = [f"{row['f_score']:.3f}" for row in surface] or ["-", "-"]
     normals = scores["normal_error_deg"]
+    across = 100 * lidar["median_across_m"]
     return (
-        f"| {name} | {100 * lidar['median_abs_m']:.1f} | {100 * lidar['percentile_90_m']:.1f} "
+        f"| {name} | {100 * lidar['median_abs_m']:.1f} | {across:.1f} "
+        f"| {100 * lidar['percentile_90_m']:.1f} "
         f"| {lidar['hit_rate']:.3f} | {f_scores[0]} | {f_scores[1]} "
         f"| {'-' if normals is None else f'{normals:.1f}'} | {scores['faces'] / 1e3:.0f} k "
         f"| {scores['texels'] / 1e6:.1f} M | {sum(scores['seconds'].values()):.0f} "
