@@ -76,7 +76,7 @@ def _arguments() -> argparse.Namespace:
 
 def _options(options: argparse.Namespace, name: str) -> pipeline.BuildOptions:
     reading = LogReading(
-        str(options.source.resolve()), image_scale=options.scale, hold_out=options.hold_out
+        str(options.source.resolve()), "auto", (), "", None, options.scale, options.hold_out
     )
     return replace(pipeline.BuildOptions(reading), **VARIANTS[name])
 
