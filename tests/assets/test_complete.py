@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lightsim.assets.cabin import ClosedCabin, close_cabin
 from lightsim.assets.complete import actor_surface, mirrored
 from lightsim.assets.mesh_config import MeshConfig
 from lightsim.core.actors import ActorTrack
@@ -36,7 +37,7 @@ def _volume_m3(mesh: TriMesh) -> float:
     ],
 )
 def test_every_kind_has_a_closed_shape_in_its_box(kind, size, fill) -> None:
-    mesh = actor_surface(_track(kind, size), None, MeshConfig())
+    mesh, _ = actor_surface(_track(kind, size), None, MeshConfig())
     assert (np.abs(mesh.vertices) <= size / 2 + 0.03).all()
     assert mesh.vertices[:, 2].max() > 0.9 * size[2] / 2
     assert fill[0] < _volume_m3(mesh) / float(np.prod(size)) < fill[1]
@@ -62,7 +63,7 @@ def _half_seen_box() -> TsdfGrid:
 
 
 def test_the_unseen_half_mirrors_the_seen_one() -> None:
-    mesh = actor_surface(_track("car"), _half_seen_box(), MeshConfig())
+    mesh, _ = actor_surface(_track("car"), _half_seen_box(), MeshConfig())
     side = np.abs(mesh.vertices[:, 0]) < 1.5
     side &= np.abs(mesh.vertices[:, 2]) < 0.4
     seen = mesh.vertices[side & (mesh.vertices[:, 1] > 0), 1]
@@ -77,3 +78,25 @@ def test_observation_outweighs_its_mirror_image() -> None:
     mixed, total = mirrored(sdf, weight, 0.25)
     np.testing.assert_allclose(mixed.ravel(), [1.0, 1.0])
     np.testing.assert_allclose(total.ravel(), [1.0, 0.25])
+
+
+def test_hollow_cabin_is_closed_and_its_panes_are_named() -> None:
+    """A box whose upper half has pillars at its corners alone, as a cabin seen through glass."""
+    voxel = 0.06
+    low = np.array([-2.2, -0.9, -0.8])
+    axes = [low[i] + voxel * np.arange(n) for i, n in enumerate((74, 31, 27))]
+    x, y, z = np.meshgrid(*axes, indexing="ij")
+    size = np.array([4.0, 1.6, 1.4])
+    box = np.maximum(np.maximum(np.abs(x) - 2.0, np.abs(y) - 0.8), np.abs(z) - 0.7)
+    pillar = (np.abs(x) > 1.8) & (np.abs(y) > 0.65)
+    is_window_band = (z > 0.1) & (z < 0.6)
+    sdf = np.where(is_window_band & ~pillar, 0.18, np.clip(box, -0.18, 0.18)).astype(np.float32)
+    closed = close_cabin("car", sdf, low, voxel, size)
+    inside = is_window_band & (box < -2 * voxel)
+    assert (sdf[inside & ~pillar] > 0).all()
+    assert (closed[inside] < 0).all()
+    assert (closed[box > 2 * voxel] > 0).all()
+    assert np.array_equal(close_cabin("pickup truck", sdf, low, voxel, size), sdf)
+    cabin = ClosedCabin(low, voxel, sdf - closed)
+    panes = np.array([[0.0, 0.72, 0.35], [0.0, 0.78, -0.4]])
+    assert cabin.is_glass(panes).tolist() == [True, False]

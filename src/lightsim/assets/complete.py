@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64
 from scipy import ndimage
 
+from lightsim.assets.cabin import ClosedCabin, close_cabin
 from lightsim.assets.mesh_config import MeshConfig
 from lightsim.assets.proxy import is_vehicle, proxy_distance_m
 from lightsim.assets.surface import extract_surface, make_mesh, path_distance_m
@@ -21,11 +22,13 @@ _SINK_M = 0.01
 _MIN_UP = 0.5
 
 
-def actor_surface(track: ActorTrack, grid: TsdfGrid | None, config: MeshConfig) -> TriMesh:
-    """A closed mesh in frame `actor`.
+def actor_surface(
+    track: ActorTrack, grid: TsdfGrid | None, config: MeshConfig
+) -> tuple[TriMesh, ClosedCabin]:
+    """A closed mesh in frame `actor`, and what tells its window panes.
 
     Vehicles seen from one side borrow the mirrored half; the default shape of the kind decides
-    where nothing was seen. Without a grid the mesh is that shape.
+    where nothing was seen; cabins are closed. Without a grid the mesh is the default shape.
     """
     if grid is None:
         grid = _empty_grid(track)
@@ -37,8 +40,10 @@ def actor_surface(track: ActorTrack, grid: TsdfGrid | None, config: MeshConfig) 
     prior = proxy_distance_m(track.kind, track.size_lwh_m, low + grid.voxel_m * steps)
     prior = np.clip(prior, -grid.truncation_m, grid.truncation_m)
     total = weight + config.prior_weight
-    sdf = (sdf * weight + prior * config.prior_weight) / total
-    return extract_surface(_from_dense(grid, sdf.astype(np.float32), total.astype(np.float32)))
+    measured = ((sdf * weight + prior * config.prior_weight) / total).astype(np.float32)
+    closed = close_cabin(track.kind, measured, low, grid.voxel_m, track.size_lwh_m)
+    mesh = extract_surface(_from_dense(grid, closed, total.astype(np.float32)))
+    return mesh, ClosedCabin(low, grid.voxel_m, measured - closed)
 
 
 def mirrored(

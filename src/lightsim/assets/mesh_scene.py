@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from lightsim.assets.cabin import ClosedCabin
 from lightsim.assets.complete import PROXY_VOXEL_M, actor_surface, ground_patches
-from lightsim.assets.materials import classify_background, material_of
+from lightsim.assets.materials import GLASS, classify_background, material_of
 from lightsim.assets.mesh_config import MeshConfig
 from lightsim.assets.simplify import denoise, simplify, simplify_planar
 from lightsim.assets.surface import background_levels, drop_floaters
+from lightsim.core.actors import ActorTrack
 from lightsim.core.casting import MakeCaster
 from lightsim.core.fields import SceneFields
 from lightsim.core.log import DrivingLog
@@ -34,12 +36,22 @@ def mesh_scene(
     for track in progress.track(log.actors, "mesh the actors", len(log.actors)):
         grid = fields.actors.get(track.actor_id)
         voxel_m = PROXY_VOXEL_M if grid is None else grid.voxel_m
-        mesh = _refined(actor_surface(track, grid, config), voxel_m, config)
-        mesh = replace(mesh, materials=(material_of(track.kind),))
+        surface, cabin = actor_surface(track, grid, config)
+        mesh = _with_materials(_refined(surface, voxel_m, config), track, cabin)
         actors[track.actor_id] = ActorAsset(track.actor_id, track.kind, mesh)
         if grid is None:
             notes.append(f"actor {track.actor_id} ({track.kind}): default shape, too few returns")
     return SceneAssets(background, actors, {}, tuple(notes))
+
+
+def _with_materials(mesh: TriMesh, track: ActorTrack, cabin: ClosedCabin) -> TriMesh:
+    """Body and, on closed cabins, window panes."""
+    body = material_of(track.kind)
+    centres = mesh.vertices[mesh.faces].mean(axis=1).astype(np.float64)
+    is_glass = cabin.is_glass(centres)
+    if not is_glass.any():
+        return replace(mesh, materials=(body,))
+    return replace(mesh, materials=(body, GLASS), face_material=is_glass.astype(np.uint8))
 
 
 def mesh_background(fields: SceneFields, config: MeshConfig, make_caster: MakeCaster) -> TriMesh:
