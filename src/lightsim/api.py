@@ -41,10 +41,17 @@ def build_twin(
     *,
     preset: str = "standard",
     seed: int = 0,
+    neural_steps: int | None = None,
+    device: str = "auto",
     progress: Progress | None = None,
 ) -> DigitalTwin:
-    """Make what is missing or stale in the work folder, and load the twin."""
-    options = pipeline.BuildOptions(reading, preset, seed)
+    """Make what is missing or stale in the work folder, and load the twin.
+
+    Args:
+        neural_steps: of training the neural field; None is the preset's, 0 goes without.
+        device: "auto", "cpu" or "cuda", for that training.
+    """
+    options = pipeline.BuildOptions(reading, preset, seed, neural_steps, device)
     return pipeline.build(Path(work), options, progress or SilentProgress()).twin
 
 

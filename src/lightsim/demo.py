@@ -12,6 +12,8 @@ from lightsim.skies import SkyChoice
 from lightsim.store.log import LogReading
 
 DEMO_SKIES = {"morning": "sun:100,25", "evening": "sun:265,12"}
+DEMO_STEPS = 600
+"""Training steps of the neural field: a minute on two cores."""
 DEMO_CAMERAS = ("front_camera", "left_camera", "front_left_camera")
 
 
@@ -20,7 +22,7 @@ def run_demo(out: Path, seed: int, progress: Progress) -> Path:
     street = shipped_street()
     reading = LogReading(str((street / "log").resolve()), "pandaset", (), "", None, 1.0, 5)
     work = out / "street"
-    build(work, BuildOptions(reading, "standard", seed), progress)
+    build(work, BuildOptions(reading, "standard", seed, DEMO_STEPS), progress)
     for name, sky in DEMO_SKIES.items():
         relight(
             work, RelightOptions(name, SkyChoice(sky), cameras=DEMO_CAMERAS, seed=seed), progress
