@@ -63,7 +63,7 @@ def close_cabin(
     y = low_m[1] + voxel_m * np.arange(sdf_m.shape[1])
     plan = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
     half = size_lwh_m[:2] / 2
-    in_box = (np.abs(plan) <= half).all(axis=-1)
+    in_box = np.all(np.abs(plan) <= half, axis=-1)
     widest = _body_reach_m((sdf_m < 0) & in_box[:, :, None], y, heights, float(belt))
     in_box &= np.abs(plan[..., 1]) <= widest + 0.5 * voxel_m
     for k in np.flatnonzero(heights > belt):
