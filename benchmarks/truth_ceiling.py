@@ -1,0 +1,69 @@
+"""PSNR that a noise-free, anti-aliased render of the true scene reaches on a street's pictures.
+
+    python benchmarks/truth_ceiling.py WORK --seed 1 --size medium [--stem 20] [--samples 256]
+
+Pictures of a synthetic log carry the path tracer's noise: no reconstruction can score higher.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from lightsim.evaluate.metrics import psnr
+from lightsim.ingest.synthetic.generate import _poses
+from lightsim.ingest.synthetic.plan import config_of, plan_street
+from lightsim.ingest.synthetic.rig import SWEEP_S, mount_cameras
+from lightsim.ingest.synthetic.sensor import develop
+from lightsim.ingest.synthetic.skies import build_sky, environment, sky_specs
+from lightsim.ingest.synthetic.street import build_street
+from lightsim.ingest.synthetic.tracer import PathTracer, Placed
+from lightsim.ingest.synthetic.writer import camera_pose
+from lightsim.workspace import Workspace
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--size", default="medium")
+    parser.add_argument("--stem", type=int, default=20)
+    parser.add_argument("--samples", type=int, default=256)
+    options = parser.parse_args()
+    config, plan = config_of(options.size), plan_street(options.seed)
+    street, cameras = build_street(plan, config.ego_speed_m_s), mount_cameras(plan, config)
+    sky = build_sky(sky_specs(plan)[0], plan)
+    tracer = PathTracer(
+        [part.moved(plan.world_from_street) for part in street.background],
+        [Placed(f"actor{i}", actor.parts) for i, actor in enumerate(street.participants)],
+        street.finishes,
+        environment(sky, config.environment_height_px),
+        sky.sun,
+    )
+    work = Workspace(options.work)
+    scores = []
+    for mounted in cameras:
+        time_s = SWEEP_S * options.stem + mounted.time_offset_s
+        tracer.place(_poses(street, time_s))
+        pose = camera_pose(plan, config, mounted, time_s)
+        radiance = tracer.render(mounted.camera, mounted.margin_px, pose, options.samples, 987654)
+        clean = develop(radiance, mounted.gain, np.random.default_rng(0))
+        frame = next(
+            f for f in work.log.frames_of(mounted.camera.name) if int(f.stem) == options.stem
+        )
+        own_car = work.log.own_car_masks.get(frame.camera_name)
+        valid = work.sky_matte(frame) < 0.5
+        valid &= True if own_car is None else ~own_car
+        score = psnr(
+            clean.astype(np.float32) / 255, frame.load_srgb8().astype(np.float32) / 255, valid
+        )
+        scores.append(score)
+        sys.stdout.write(f"{mounted.camera.name}: {score:.2f} dB\n")
+    sys.stdout.write(f"mean: {np.mean(scores):.2f} dB\n")
+
+
+if __name__ == "__main__":
+    main()
