@@ -18,6 +18,7 @@ from lightsim.core.fields import SceneFields
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.twin import ActorAsset, SceneAssets
+from lightsim.errors import InputError
 from lightsim.progress import Progress
 
 
@@ -63,6 +64,11 @@ def mesh_background(fields: SceneFields, config: MeshConfig, make_caster: MakeCa
         )
     ]
     surface = concatenate_meshes(levels)
+    if len(surface.faces) == 0:
+        raise InputError(
+            "the reconstructed field has no surface",
+            remedy="Train longer (--neural-steps), or start from fused LiDAR (--preset standard).",
+        )
     patches = ground_patches(surface, fields.ground, fields.path_m, config, make_caster)
     return concatenate_meshes([surface, simplify_planar(patches)])
 
