@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plane_mesh import plane_mesh
 
 from lightsim.assets.atlas import texture_texels
 from lightsim.assets.bake import TexelSamples, bake, mean_radiance
@@ -27,21 +28,6 @@ from lightsim.render.embree import make_embree_caster
 GAINS = {"a": np.array([1.3, 1.0, 0.9]), "b": np.array([0.8, 0.7, 1.1]), "c": np.array([1, 1.2, 1])}
 DOWN = np.diag([1.0, -1.0, -1.0])
 CONFIG = AssetConfig(occlusion_tolerance_m=0.05, gain_strength=10.0)
-
-
-def _plane(side_m: float, step_m: float, z: float = 0.0) -> TriMesh:
-    n = round(side_m / step_m) + 1
-    x, y = np.meshgrid(*[np.linspace(-side_m / 2, side_m / 2, n)] * 2, indexing="ij")
-    index = np.arange(n * n).reshape(n, n)
-    a, b, c, d = (
-        index[:-1, :-1].ravel(),
-        index[1:, :-1].ravel(),
-        index[1:, 1:].ravel(),
-        index[:-1, 1:].ravel(),
-    )
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    points = np.stack([x.ravel(), y.ravel(), np.full(n * n, z)], axis=1)
-    return make_mesh("world", points, faces)
 
 
 def _pattern(xy: np.ndarray) -> np.ndarray:
@@ -75,7 +61,7 @@ def _box_track() -> tuple[ActorTrack, TriMesh]:
     matrix[2, 3] = 0.5
     pose = Trajectory("world", "actor", np.array([0], dtype=np.int64), matrix[None])
     track = ActorTrack("box", "car", np.array([1.0, 1.0, 1.0]), pose, True)
-    lid = _plane(1.0, 0.25, 0.5)
+    lid = plane_mesh(1.0, 0.25, 0.5)
     return track, make_mesh("actor", lid.vertices, lid.faces.astype(np.int64))
 
 
@@ -104,7 +90,7 @@ def _texels(mesh: TriMesh) -> tuple[np.ndarray, np.ndarray]:
 def test_gains_and_texels_come_back() -> None:
     """Known gains within 1 %, known radiance within 2 %, the moving box not on the ground."""
     track, lid = _box_track()
-    plane = _plane(8.0, 0.8)
+    plane = plane_mesh(8.0, 0.8)
     (ground, top), gains = _bake(_log((track,), np.zeros(2)), plane, {"box": lid})
     np.testing.assert_allclose(gains, _gain_array(), rtol=0.01)
     np.testing.assert_allclose(np.log(gains).mean(axis=0), 0, atol=1e-6)
@@ -138,14 +124,14 @@ def test_ground_beside_a_moving_actor_takes_other_views() -> None:
     )
     log = replace(_log((track,), None), cameras={"a": camera}, frames=frames)
     config = replace(CONFIG, shade_margin_m=0.6, outlier_ratio=1.01)
-    (ground, _), _ = _bake(log, _plane(8.0, 0.1), {"box": lid}, config)
+    (ground, _), _ = _bake(log, plane_mesh(8.0, 0.1), {"box": lid}, config)
     points, colour = _texels(ground)
     beside = (np.abs(points[:, 0]) < 0.8) & (np.abs(points[:, 1]) < 0.4)
     np.testing.assert_allclose(srgb8_from_linear(colour[beside]), 60, atol=1)
 
 
 def test_vertex_colour_is_the_local_mean_of_the_texture() -> None:
-    plane = _plane(8.0, 0.4)
+    plane = plane_mesh(8.0, 0.4)
     (ground,), _ = _bake(_log((), None), plane, {})
     scale = np.exp(np.log(np.array(list(GAINS.values()))).mean(axis=0))
     inner = (np.abs(plane.vertices[:, :2]) < 2).all(axis=1)
@@ -155,7 +141,7 @@ def test_vertex_colour_is_the_local_mean_of_the_texture() -> None:
 
 def test_texels_are_as_fine_as_the_pixels() -> None:
     """A camera 5 m above with f = 120 px has pixels of 4 cm on the ground."""
-    plane = _plane(4.0, 1.0)
+    plane = plane_mesh(4.0, 1.0)
     (ground,), _ = _bake(_log((), None), plane, {})
     assert ground.texture is not None
     uv = ground.texture.corner_uv
@@ -171,7 +157,7 @@ def test_a_wrong_image_size_is_named() -> None:
     log = _log((), None)
     camera = replace(log.cameras["a"], width_px=150)
     with pytest.raises(InputError, match=r"a/0.*160x160"):
-        _bake(replace(log, cameras={**log.cameras, "a": camera}), _plane(4.0, 1.0), {})
+        _bake(replace(log, cameras={**log.cameras, "a": camera}), plane_mesh(4.0, 1.0), {})
 
 
 def test_outliers_do_not_enter_the_mean() -> None:
@@ -204,7 +190,7 @@ def test_outlines_are_where_depth_jumps_not_where_it_slopes() -> None:
 
 
 def test_texture_look_up_gives_the_texels() -> None:
-    (ground,), _ = _bake(_log((), None), _plane(4.0, 1.0), {})
+    (ground,), _ = _bake(_log((), None), plane_mesh(4.0, 1.0), {})
     texture = ground.texture
     assert isinstance(texture, Texture)
     texels = texture_texels(texture)

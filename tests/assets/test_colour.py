@@ -4,28 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from plane_mesh import plane_mesh
 
 from lightsim.assets.colour import fill_unseen
 from lightsim.assets.delight_divide import DivideConfig, base_colour_from_radiance
 from lightsim.assets.gains import solve_gains
-from lightsim.assets.surface import make_mesh
 from lightsim.core.mesh import TriMesh
 from lightsim.errors import InputError
-
-
-def _plane(side_m: float, step_m: float, z: float = 0.0) -> TriMesh:
-    n = round(side_m / step_m) + 1
-    x, y = np.meshgrid(*[np.linspace(-side_m / 2, side_m / 2, n)] * 2, indexing="ij")
-    index = np.arange(n * n).reshape(n, n)
-    a, b, c, d = (
-        index[:-1, :-1].ravel(),
-        index[1:, :-1].ravel(),
-        index[1:, 1:].ravel(),
-        index[:-1, 1:].ravel(),
-    )
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    points = np.stack([x.ravel(), y.ravel(), np.full(n * n, z)], axis=1)
-    return make_mesh("world", points, faces)
 
 
 def test_cameras_without_overlap_keep_gain_one() -> None:
@@ -38,7 +23,7 @@ def test_cameras_without_overlap_keep_gain_one() -> None:
 
 
 def test_unseen_vertices_take_the_colour_around_them() -> None:
-    plane = _plane(4.0, 0.2)
+    plane = plane_mesh(4.0, 0.2)
     colour = (0.4 + 0.05 * plane.vertices[:, :1] * np.ones(3)).astype(np.float32)
     is_known = np.linalg.norm(plane.vertices, axis=1) > 0.7
     holed = np.where(is_known[:, None], colour, 0).astype(np.float32)
@@ -52,7 +37,7 @@ def test_unseen_vertices_take_the_colour_around_them() -> None:
 def test_baked_shadows_disappear() -> None:
     """A pole's shadow at a quarter of the light: albedo ratio 4 before, under 1.2 after, with
     the shadow edge two vertices off."""
-    plane = _plane(10.0, 0.1)
+    plane = plane_mesh(10.0, 0.1)
     x, y = plane.vertices[:, 0], plane.vertices[:, 1]
     albedo = (0.3 + 0.1 * np.sin(3 * y))[:, None] * np.array([1.0, 0.9, 0.8])
     is_shadow = (np.abs(x) < 1.0) & (y > -2)
@@ -72,7 +57,7 @@ def test_baked_shadows_disappear() -> None:
 
 
 def test_light_must_fit_the_mesh() -> None:
-    plane = _plane(1.0, 0.5)
+    plane = plane_mesh(1.0, 0.5)
     with pytest.raises(InputError, match="every vertex"):
         base_colour_from_radiance(plane, np.ones((2, 3), np.float32), DivideConfig())
     dark = np.zeros((len(plane.vertices), 3), np.float32)
