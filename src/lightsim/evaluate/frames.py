@@ -37,7 +37,8 @@ class FramesConfig:
     """What is measured."""
 
     with_lpips: bool = True
-    """LPIPS of raw images; about one second per half megapixel and image on two cores."""
+    """LPIPS of raw images, in the region `masked` where there is a mask; about one second per half
+    megapixel and image on two cores."""
     with_exposure: bool = True
     """Also score with one exposure factor per sequence (condition, camera, method)."""
 
@@ -181,8 +182,10 @@ def _score_sequence(tasks: Sequence[FrameTask], config: FramesConfig) -> Iterato
             for (method, is_exposed), factor in factors.items():
                 predicted = loaded[method]
                 predicted = expose(predicted, factor) if is_exposed else predicted
-                # LPIPS is slow; raw images are what it is asked for.
-                features = None if is_exposed else truth_features
+                # LPIPS is slow: asked for raw images only, and where a mask says what counts,
+                # for what counts only.
+                is_extra = is_exposed or (region == "whole" and task.load_is_valid is not None)
+                features = None if is_extra else truth_features
                 one = _score(predicted, truth, is_valid, features)
                 scores.setdefault((method, region, is_exposed), []).append(one)
     for (method, region, is_exposed), list_of_scores in scores.items():
