@@ -1,0 +1,67 @@
+"""What the lighting networks are trained on and what they say: the contract between data, networks
+and estimate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float32
+
+
+@dataclass(frozen=True, eq=False)
+class LightingBatch:
+    """Panoramas under known skies. Directions are in the panorama's own frame (z up; row 0 the
+    zenith; columns as in core/equirect.py); exposure is random, and 1 is where pixels clip.
+
+    Args:
+        panorama: complete LDR panoramas, sRGB in [0, 1], tone-mapped and clipped.
+        visibility: what a camera rig with its own blind spots saw of them.
+        front: pictures of one camera of limited field of view, sRGB in [0, 1].
+        sky: linear radiance of the upper half, sun included, in units of the clipping value.
+            Where scene hides the sky it is there all the same.
+        sky_seen: where the panorama's upper half shows sky and not scene.
+        sun_direction: unit vectors; of the brightest spot where the sun is hidden.
+        log_peak: natural logarithm of the luminance of the dome's brightest pixel.
+        is_sunny: the sun is clear of clouds: it casts shadows.
+    """
+
+    panorama: Float32[np.ndarray, "n h w 3"]
+    visibility: Bool[np.ndarray, "n h w"]
+    front: Float32[np.ndarray, "n fh fw 3"]
+    sky: Float32[np.ndarray, "n h/2 w 3"]
+    sky_seen: Bool[np.ndarray, "n h/2 w"]
+    sun_direction: Float32[np.ndarray, "n 3"]
+    log_peak: Float32[np.ndarray, " n"]
+    is_sunny: Bool[np.ndarray, " n"]
+
+
+@runtime_checkable
+class LightingData(Protocol):
+    """An endless source of batches. The same seed and index give the same batch."""
+
+    height_px: int
+
+    def batch(self, size: int, seed: int, index: int, *, only_sunny: bool) -> LightingBatch: ...
+
+
+@dataclass(frozen=True, eq=False)
+class SkyPrediction:
+    """What a network reads off one completed LDR panorama; frame and units as in LightingBatch.
+
+    Args:
+        sun_direction: unit vector.
+        concentration: kappa of the von Mises-Fisher density around it (1 / rad^2 when large).
+        log_peak: see LightingBatch.
+        log_peak_std: one standard deviation.
+        sunny_probability: that the sun casts shadows.
+        latent: appearance of the sky (paper: z_sky).
+    """
+
+    sun_direction: Float32[np.ndarray, "3"]
+    concentration: float
+    log_peak: float
+    log_peak_std: float
+    sunny_probability: float
+    latent: Float32[np.ndarray, "64"]
