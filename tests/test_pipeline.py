@@ -74,6 +74,12 @@ def test_an_interrupted_build_gives_the_same_meshes(work: Path, tmp_path: Path) 
     assert not list(tmp_path.glob(".*"))
 
 
+def test_a_build_stops_where_told_also_when_that_stage_is_there(tmp_path: Path) -> None:
+    for _ in range(2):
+        build(tmp_path, options(), SilentProgress(), until="log")
+    assert [path.parent.name for path in tmp_path.glob("*/artefact.json")] == ["log"]
+
+
 @pytest.mark.slow
 def test_a_second_build_makes_nothing_and_status_knows(work: Path) -> None:
     before = {p: p.stat().st_mtime_ns for p in work.glob("*/artefact.json")}

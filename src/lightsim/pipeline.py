@@ -172,7 +172,7 @@ def build(
     write_json(work / OPTIONS_NAME, options)
     workspace = Workspace(work, options.reading)
     context = stages.Context(progress, options.seed, options.preset, options.device)
-    for stage in STAGES:
+    for stage in _stages_until(until):
         recipe = by_stage[stage.name]
         folder = work / stage.name
         if state_of(folder, recipe) == "made":
@@ -194,9 +194,12 @@ def build(
         )
         for note in record["notes"]:
             logger.info("          note: %s", note)
-        if stage.name == until:
-            break
     return workspace
+
+
+def _stages_until(name: str) -> tuple[Stage, ...]:
+    """The table's rows up to one, with it."""
+    return STAGES[: [stage.name for stage in STAGES].index(name) + 1]
 
 
 @dataclass(frozen=True)
