@@ -113,7 +113,7 @@ STAGES = (
     Stage("masks", 1, ("log",), lambda o: SkyMaskConfig(), stages.make_masks),
     Stage(
         "alignment",
-        1,
+        2,
         ("log",),
         lambda o: AlignConfig().without(o.no_refine),
         stages.make_alignment,

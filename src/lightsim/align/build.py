@@ -10,8 +10,9 @@ import numpy as np
 from lightsim.align.cameras import CameraFit, align_cameras, chosen_frames
 from lightsim.align.config import AlignConfig
 from lightsim.align.gather import Gathered, gather
+from lightsim.align.movers import settle_moving
 from lightsim.align.path import PathFit, align_path
-from lightsim.align.tracks import TrackFit, settle_parked
+from lightsim.align.tracks import TrackFit, is_vehicle, settle_parked
 from lightsim.core.alignment import Alignment, PathCorrection
 from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import CameraFrame
@@ -34,7 +35,7 @@ def align_log(
     notes: list[str] = []
     numbers: dict[str, float] = {}
     frames = _frames_to_compare(log, config)
-    needs_sweeps = config.lidar_poses or config.camera_poses
+    needs_sweeps = config.lidar_poses or config.camera_poses or config.actor_tracks
     if len(log.sweeps) < _LEAST_SWEEPS or not needs_sweeps:
         if needs_sweeps:
             notes.append(f"{len(log.sweeps)} sweeps are too few to align anything")
@@ -49,6 +50,7 @@ def align_log(
     path = _aligned_path(log, found, config, rng, notes, numbers)
     correction = path.correction if path is not None and path.is_kept else None
     tracks = _settled_tracks(log, correction, config, notes)
+    tracks += _moved_tracks(log, found, correction, config, rng, notes)
     fits = _aligned_cameras(log, frames, found, config, rng, progress)
     notes += [_camera_note(fit) for fit in fits]
     for fit in fits:
@@ -111,6 +113,29 @@ def _settled_tracks(
         notes.append(
             f"{len(fits)} parked boxes were given one pose each; their labels jittered by "
             f"{100 * float(np.sqrt(np.mean(shift**2))):.1f} cm, "
+            f"{float(np.sqrt(np.mean(yaw**2))):.2f} deg rms"
+        )
+    return fits
+
+
+def _moved_tracks(
+    log: DrivingLog,
+    found: Gathered,
+    path: PathCorrection | None,
+    config: AlignConfig,
+    rng: np.random.Generator,
+    notes: list[str],
+) -> list[TrackFit]:
+    if not config.actor_tracks:
+        return []
+    fits = settle_moving(log.actors, found.moving, path, config, rng)
+    moving = sum(actor.is_moving and is_vehicle(actor) for actor in log.actors)
+    if moving:
+        shift = np.array([fit.shift_rms_m for fit in fits] or [0.0])
+        yaw = np.array([fit.yaw_rms_deg for fit in fits] or [0.0])
+        notes.append(
+            f"{len(fits)} of {moving} moving boxes follow their returns better than their labels "
+            f"do; moved {100 * float(np.sqrt(np.mean(shift**2))):.1f} cm, "
             f"{float(np.sqrt(np.mean(yaw**2))):.2f} deg rms"
         )
     return fits

@@ -19,7 +19,7 @@ class AlignConfig:
     lidar_poses: bool = True
     """Refine the ego's path by the agreement of the sweeps."""
     actor_tracks: bool = True
-    """Give parked vehicles one constant box; moving ones stay as labelled."""
+    """Give parked vehicles one constant box, and place moving ones by their returns."""
     camera_poses: bool = True
     """Refine the mounting and the time offset of each camera by depth edges."""
     held_back: int = 4

@@ -27,10 +27,12 @@ class Gathered:
 
     Args:
         static: thinned returns outside every box.
+        moving: returns inside the boxes of actors that move, by actor id.
         edges_by_stem: depth edges of the sweeps that were asked for.
     """
 
     static: Cloud
+    moving: Mapping[str, Cloud]
     edges_by_stem: Mapping[str, Float64[np.ndarray, "_ 3"]]
 
 
@@ -43,6 +45,7 @@ def gather(
 ) -> Gathered:
     """Read every sweep once."""
     static: list[Cloud] = []
+    moving: dict[str, list[Cloud]] = {}
     edges: dict[str, Float64[np.ndarray, "_ 3"]] = {}
     for index, lazy in enumerate(progress.track(log.sweeps, "reading sweeps", len(log.sweeps))):
         sweep = lazy.load()
@@ -51,10 +54,14 @@ def gather(
         cloud = _cloud(sweep, index)
         is_static = np.linalg.norm(cloud.points_world - sweep.origins_world, axis=1) < _RANGE_M
         for actor in log.actors:
-            is_static[rows_near_box(cloud, actor, sweep.time_ns)] = False
+            inside = rows_near_box(cloud, actor, sweep.time_ns)
+            is_static[inside] = False
+            if actor.is_moving and len(inside):
+                moving.setdefault(actor.actor_id, []).append(cloud.rows(inside))
         kept = cloud.rows(is_static)
         static.append(kept.rows(first_of_voxels(kept.points_world, _VOXEL_M)))
-    return Gathered(joined_clouds(static), edges)
+    joined = {actor_id: joined_clouds(clouds) for actor_id, clouds in moving.items()}
+    return Gathered(joined_clouds(static), joined, edges)
 
 
 def joined_clouds(clouds: list[Cloud]) -> Cloud:

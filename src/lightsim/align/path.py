@@ -1,11 +1,15 @@
-"""The ego's path, by the agreement of all sweeps: point to plane, smooth in time."""
+"""How what was located sweep by sweep wanders, by the agreement of all sweeps: point to plane.
+
+For the ego's path the sweeps of the whole street are compared in frame `world`; for a moving actor
+the returns inside its box, in its own frame (movers.py).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 from scipy.spatial import KDTree
 
 from lightsim.align.config import AlignConfig
@@ -22,18 +26,34 @@ from lightsim.core.frames import Trajectory
 
 _KNOT_S = 0.1
 _SCALE_M = 0.03
-_SMOOTH_SHIFT_M = 0.01
-_SMOOTH_RAD = np.radians(0.01)
-"""Expected second differences of a correction between knots."""
 _NOISE_M = 0.02
 _CORRELATED = 50.0
 """So many neighbouring returns are worth one independent measurement."""
 _BATCH = 20_000
 
 
+@dataclass(frozen=True)
+class Wander:
+    """What is expected of a correction, one standard deviation for each axis of its frame.
+
+    Args:
+        turns_deg: rotation at a knot.
+        shifts_m: shift at a knot.
+        turn_changes_deg: second differences of the rotation between knots.
+        shift_changes_m: second differences of the shift.
+        flat_m: deviation of returns from a plane before they are corrected.
+    """
+
+    turns_deg: tuple[float, float, float]
+    shifts_m: tuple[float, float, float]
+    turn_changes_deg: float
+    shift_changes_m: float
+    flat_m: float
+
+
 @dataclass(frozen=True, eq=False)
 class PathFit:
-    """The path's correction and the held-back sweeps' median distance from the map's planes."""
+    """The correction and the held-back returns' median distance from the map's planes."""
 
     correction: PathCorrection
     residual_before_m: float
@@ -52,38 +72,64 @@ class PathFit:
 def align_path(
     cloud: Cloud, ego: Trajectory, config: AlignConfig, rng: np.random.Generator
 ) -> PathFit:
-    """Correct the path by the sweeps; every `config.held_back`-th sweep only judges.
+    """Correct the path by the sweeps; every `config.held_back`-th sweep only judges."""
+    is_judge = cloud.sweep % config.held_back == config.held_back // 2
+    still = still_correction(cloud, ego.positions_m.mean(axis=0))
+    # The size is expected of the path as a whole, not of each knot.
+    whole = float(np.sqrt(len(still.times_ns)))
+    turn_deg, shift_m = config.path_rotation_deg * whole, config.path_shift_m * whole
+    wander = Wander((turn_deg, turn_deg, turn_deg), (shift_m, shift_m, shift_m), 0.01, 0.01, 0.05)
+    return align_returns(cloud, is_judge, still, wander, config, rng)
+
+
+def align_returns(
+    cloud: Cloud,
+    is_judge: Bool[np.ndarray, " n"],
+    still: PathCorrection,
+    wander: Wander,
+    config: AlignConfig,
+    rng: np.random.Generator,
+) -> PathFit:
+    """Correct what wanders by the agreement of the sweeps.
 
     All knots are solved for at once, both ends of each match moving: a sweep may not simply
     follow a map that is as wrong as itself.
+
+    Args:
+        cloud: returns in a frame in which the scene should stand still.
+        is_judge: returns that shape nothing; the correction is kept if they agree better with it.
+        still: knots and pivot of the correction, all zero.
+        wander: how large corrections may be.
     """
-    is_judge = cloud.sweep % config.held_back == config.held_back // 2
     fitted, judging = cloud.rows(~is_judge), cloud.rows(is_judge)
     asked = fitted.rows(is_sampled(fitted.sweep, config.points_per_sweep, rng))
     reference = _thinned(fitted, config.plane_voxel_m, rng)
     judging = judging.rows(is_sampled(judging.sweep, config.points_per_sweep, rng))
-    correction = _still(cloud, ego)
-    before = held_back_residual_m(judging, reference, correction)
+    correction = still
+    before = held_back_residual_m(judging, reference, correction, wander.flat_m)
     for _ in range(config.path_rounds):
-        correction = _solved(correction, asked, reference, config)
-    after = held_back_residual_m(judging, reference, correction)
+        correction = _solved(correction, asked, reference, wander)
+    after = held_back_residual_m(judging, reference, correction, wander.flat_m)
     return PathFit(correction, before, after, after < before * (1.0 - config.least_gain))
 
 
-def held_back_residual_m(judging: Cloud, reference: Cloud, correction: PathCorrection) -> float:
+def held_back_residual_m(
+    judging: Cloud, reference: Cloud, correction: PathCorrection, flat_m: float
+) -> float:
     """Median distance of returns from the planes of a map of other sweeps."""
     reference = _moved(reference, correction)
     tree = KDTree(reference.points_world)
-    matches = match_planes(_moved(judging, correction), reference, tree)
+    matches = match_planes(_moved(judging, correction), reference, tree, flat_m)
     return float(np.median(np.abs(matches.residuals_m))) if len(matches.rows) else float("nan")
 
 
-def _still(cloud: Cloud, ego: Trajectory) -> PathCorrection:
+def still_correction(cloud: Cloud, pivot: Float64[np.ndarray, "3"]) -> PathCorrection:
+    """Knots over the time of the returns, with no correction yet."""
     start, end = int(cloud.times_ns.min()), int(cloud.times_ns.max())
     count = max(2, int(np.ceil((end - start) * 1e-9 / _KNOT_S)) + 1)
     times = np.linspace(start, end, count).astype(np.int64)
     zero = np.zeros((count, 3))
-    return PathCorrection(times, ego.positions_m.mean(axis=0), zero, zero.copy())
+    return PathCorrection(times, pivot, zero, zero.copy())
 
 
 def _thinned(cloud: Cloud, voxel_m: float, rng: np.random.Generator) -> Cloud:
@@ -98,11 +144,11 @@ def _moved(cloud: Cloud, correction: PathCorrection) -> Cloud:
 
 
 def _solved(
-    correction: PathCorrection, asked: Cloud, reference: Cloud, config: AlignConfig
+    correction: PathCorrection, asked: Cloud, reference: Cloud, wander: Wander
 ) -> PathCorrection:
     """One Gauss-Newton step with the priors; information of dense returns is discounted."""
     asked, reference = _moved(asked, correction), _moved(reference, correction)
-    matches = match_planes(asked, reference, KDTree(reference.points_world))
+    matches = match_planes(asked, reference, KDTree(reference.points_world), wander.flat_m)
     count = len(correction.times_ns)
     weights = robust_weights(matches.residuals_m, _SCALE_M) / (_NOISE_M**2 * _CORRELATED)
     hessian, gradient = np.zeros((count * 6, count * 6)), np.zeros(count * 6)
@@ -113,7 +159,7 @@ def _solved(
         hessian += weighted.T @ rows
         gradient += weighted.T @ matches.residuals_m[part].astype(np.float32)
     state = np.concatenate([correction.rotations_rad, correction.shifts_m], axis=1).ravel()
-    prior = _prior(count, config)
+    prior = _prior(count, wander)
     step = np.linalg.solve(hessian + prior, -(gradient + prior @ state))
     found = (state + step).reshape(count, 6)
     return PathCorrection(
@@ -155,13 +201,13 @@ def _add_motion(
     rows[index, knot + 1] += motion * fraction[:, None]
 
 
-def _prior(count: int, config: AlignConfig) -> Float64[np.ndarray, "m m"]:
+def _prior(count: int, wander: Wander) -> Float64[np.ndarray, "m m"]:
     """Information of the expected size and smoothness, for knots of (rotation, shift)."""
-    size = np.array([np.radians(config.path_rotation_deg)] * 3 + [config.path_shift_m] * 3)
-    smooth = np.array([_SMOOTH_RAD] * 3 + [_SMOOTH_SHIFT_M] * 3)
+    size = np.concatenate([np.radians(wander.turns_deg), wander.shifts_m])
+    changes = [np.radians(wander.turn_changes_deg)] * 3 + [wander.shift_changes_m] * 3
     second = np.zeros((max(count - 2, 0), count))
     for i in range(len(second)):
         second[i, i : i + 3] = (1.0, -2.0, 1.0)
-    return np.kron(np.eye(count) / count, np.diag(size**-2.0)) + np.kron(
-        second.T @ second, np.diag(smooth**-2.0)
+    return np.kron(np.eye(count), np.diag(size**-2.0)) + np.kron(
+        second.T @ second, np.diag(np.array(changes) ** -2.0)
     )

@@ -11,7 +11,6 @@ from scipy.spatial import KDTree
 _NEIGHBOURS = 24
 _LEAST_NEIGHBOURS = 8
 _RADIUS_M = 0.6
-_FLAT_M = 0.05
 _LEAST_WIDTH_M = 0.1
 _LARGEST_RESIDUAL_M = 0.4
 
@@ -51,10 +50,11 @@ class Matches:
     residuals_m: Float64[np.ndarray, " m"]
 
 
-def match_planes(cloud: Cloud, reference: Cloud, tree: KDTree) -> Matches:
+def match_planes(cloud: Cloud, reference: Cloud, tree: KDTree, flat_m: float) -> Matches:
     """Planes of `reference` (whose search tree is `tree`) at the points of `cloud`.
 
-    Only neighbours of other sweeps count, and only where they are flat and no line.
+    Only neighbours of other sweeps count, and only where they are flat (a deviation below
+    `flat_m`) and no line.
     """
     distance, near = tree.query(
         cloud.points_world, k=_NEIGHBOURS, distance_upper_bound=_RADIUS_M, workers=2
@@ -72,7 +72,7 @@ def match_planes(cloud: Cloud, reference: Cloud, tree: KDTree) -> Matches:
     deviation = np.sqrt(np.maximum(values, 0.0))
     normals = vectors[:, :, 0]
     residuals = np.einsum("ni,ni->n", normals, cloud.points_world[rows] - mean)
-    is_good = (deviation[:, 0] < _FLAT_M) & (deviation[:, 1] > _LEAST_WIDTH_M)
+    is_good = (deviation[:, 0] < flat_m) & (deviation[:, 1] > _LEAST_WIDTH_M)
     is_good &= (deviation[:, 1] > 3.0 * deviation[:, 0]) & (np.abs(residuals) < _LARGEST_RESIDUAL_M)
     return Matches(
         rows[is_good],

@@ -25,6 +25,11 @@ class TrackFit:
     yaw_rms_deg: float
 
 
+def is_vehicle(actor: ActorTrack) -> bool:
+    """Rigid: neither walks nor is ridden."""
+    return not any(word in actor.kind.lower() for word in _ALIVE)
+
+
 def settle_parked(actors: tuple[ActorTrack, ...], path: PathCorrection | None) -> list[TrackFit]:
     """One constant pose, after the path's correction, for every vehicle that stands still.
 
@@ -34,9 +39,9 @@ def settle_parked(actors: tuple[ActorTrack, ...], path: PathCorrection | None) -
     for actor in actors:
         poses = actor.trajectory.matrices
         positions = actor.trajectory.positions_m
-        is_alive = any(word in actor.kind for word in _ALIVE)
         spread = float(np.linalg.norm(positions - np.median(positions, axis=0), axis=1).max())
-        if actor.is_moving or is_alive or len(poses) < _LEAST_POSES or spread > _LARGEST_MOVE_M:
+        is_rigid = is_vehicle(actor) and not actor.is_moving
+        if not is_rigid or len(poses) < _LEAST_POSES or spread > _LARGEST_MOVE_M:
             continue
         if path is not None:
             moves = [path.at(int(t)).matrix for t in actor.trajectory.times_ns]
