@@ -25,7 +25,7 @@ from lightsim.evaluate.geometry import GeometryConfig
 from lightsim.progress import LineProgress, SilentProgress
 from lightsim.store.artefact import read_record, state_of
 from lightsim.store.log import LogReading
-from lightsim.workspace import Workspace
+from lightsim.workspace import FIELD_NAME, Workspace
 
 OFF = ("camera_poses",)
 """What `lightsim build` leaves out by default."""
@@ -43,6 +43,9 @@ VARIANTS: dict[str, dict] = {
     "no rolling_shutter": {**QUICK, "no_refine": ("rolling_shutter", *OFF)},
     "no lidar_poses": {**QUICK, "no_refine": ("lidar_poses", *OFF)},
     "no actor_tracks": {**QUICK, "no_refine": ("actor_tracks", *OFF)},
+    "no point_times": {**QUICK, "no_refine": ("point_times", *OFF)},
+    "no own_car_masks": {**QUICK, "no_refine": ("own_car_masks", *OFF)},
+    "no camera_gains": {**QUICK, "no_refine": ("camera_gains", *OFF)},
     "recorded": {**QUICK, "no_refine": ("rolling_shutter", "lidar_poses", "actor_tracks", *OFF)},
 }
 STAGES = ("alignment", "fields", "neural", "geometry", "assets")
@@ -70,6 +73,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--hold-out", type=int, default=8)
     parser.add_argument("--variants", default="tsdf,tsdf+texture,standard,paper")
     parser.add_argument("--lpips", action="store_true")
+    parser.add_argument("--field", action="store_true", help="also score the field itself")
     parser.add_argument("--one", help=argparse.SUPPRESS)
     return parser.parse_args()
 
@@ -93,7 +97,10 @@ def _build_and_measure(options: argparse.Namespace, name: str) -> None:
     _take_from_siblings(options.out, work, _options(options, name))
     pipeline.build(work, _options(options, name), LineProgress(), until="sky")
     frames = evaluation.held_out_frames(
-        work, SilentProgress(), FramesConfig(with_lpips=options.lpips, with_exposure=False)
+        work,
+        SilentProgress(),
+        FramesConfig(with_lpips=options.lpips, with_exposure=False),
+        with_field=options.field and (work / "neural" / FIELD_NAME).exists(),
     )
     geometry, _ = evaluation.geometry(work, options.truth, SilentProgress())
     records = {stage: read_record(work / stage) for stage in STAGES}
@@ -138,6 +145,9 @@ def _print_tables(options: argparse.Namespace, names: list[str]) -> None:
     for method, label in (("nearest image", "nearest image"), ("twin", "")):
         for name in names[:1] if label else names:
             _say(_frame_line(label or name, method, scores[name]["frames"], cameras))
+    for name in names if options.field else ():
+        if any(row["method"] == "field" for row in scores[name]["frames"]):
+            _say(_frame_line(f"{name}, volume-rendered", "field", scores[name]["frames"], cameras))
     _say(
         "\n| | median abs cm | across cm | 90 % cm | hit | F@5 cm | F@10 cm | normals deg "
         "| faces | texels | s | MB |"

@@ -44,8 +44,8 @@ class Build:
     """Colour of the meshes: at image resolution, at vertices, or (the paper's) the neural field's
     at vertices; by default the preset's."""
     no_refine: str = "camera_poses"
-    """Comma-separated parts of the alignment to leave out: rolling_shutter, lidar_poses,
-    actor_tracks, camera_poses; empty to refine all."""
+    """Comma-separated physics of the log to leave out: rolling_shutter, point_times,
+    own_car_masks, lidar_poses, actor_tracks, camera_poses, camera_gains; empty to use all."""
     heading_deg: float | None = None
     """Azimuth of the world x axis, where the log cannot tell it (clockwise from north)."""
     device: Device = "auto"
@@ -156,6 +156,8 @@ class EvaluateFrames:
 
     work: tyro.conf.Positional[Path]
     """Work folder built with --hold-out."""
+    field: bool = False
+    """Also volume-render the neural field (seconds a frame)."""
     out: Path | None = None
     """Also write the table as JSON here."""
     verbose: Verbose = False

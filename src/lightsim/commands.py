@@ -137,7 +137,8 @@ def synthesize(command: cli.Synthesize) -> None:
 def evaluate_frames(command: cli.EvaluateFrames) -> None:
     from lightsim import evaluation
 
-    _show(evaluation.held_out_frames(command.work, terminal_progress()), command.out)
+    report = evaluation.held_out_frames(command.work, terminal_progress(), with_field=command.field)
+    _show(report, command.out)
 
 
 def evaluate_relight(command: cli.EvaluateRelight) -> None:

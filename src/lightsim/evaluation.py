@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -54,7 +55,7 @@ from lightsim.scenarios import RelightOptions, relight, sky_image
 from lightsim.scene_setup import FrameRenderer
 from lightsim.skies import SkyChoice
 from lightsim.source_light import SourceLight
-from lightsim.stages import TwinConfig
+from lightsim.stages import TwinConfig, prior_surfaces
 from lightsim.store.arrays import load_arrays
 from lightsim.store.artefact import read_json
 from lightsim.store.exr import read_exr
@@ -65,17 +66,22 @@ LoadMask = Bool[np.ndarray, "h w"]
 
 
 def held_out_frames(
-    work: Path, progress: Progress, config: FramesConfig | None = None
+    work: Path,
+    progress: Progress,
+    config: FramesConfig | None = None,
+    *,
+    with_field: bool = False,
 ) -> FramesReport:
     """Novel-view images of the twin at held-out frames, against the camera.
 
     The twin's observed radiance is rendered through each held-out camera, inferred upper facades
-    included; beside it stands the
-    trivial baseline, the nearest training image of the same camera. The region `masked` leaves
+    included; beside it stands the trivial baseline, the nearest training image of the same
+    camera, and `with_field` the neural field itself, volume-rendered. The region `masked` leaves
     out sky and own car.
 
     Raises:
         InputError: the build held nothing out.
+        ArtefactError: `with_field`, and the build trained none.
     """
     workspace = Workspace(work)
     log, held_out = workspace.log, workspace.held_out
@@ -98,9 +104,10 @@ def held_out_frames(
 
     def is_valid(frame: CameraFrame) -> LoadMask:
         valid = workspace.sky_matte(frame) < 0.5
-        own_car = log.own_car_masks.get(frame.camera_name)
+        own_car = workspace.recorded_log.own_car_masks.get(frame.camera_name)
         return valid if own_car is None else valid & ~own_car
 
+    extra = {"field": _field_renderer(workspace)} if with_field else {}
     tasks = []
     for frame in log.frames:
         if frame.stem not in held_out:
@@ -113,11 +120,24 @@ def held_out_frames(
                 frame.camera_name,
                 frame.stem,
                 frame.load_srgb8,
-                {"twin": partial(render, frame), "nearest image": nearest.load_srgb8},
+                {
+                    "twin": partial(render, frame),
+                    "nearest image": nearest.load_srgb8,
+                    **{name: partial(show, frame) for name, show in extra.items()},
+                },
                 partial(is_valid, frame),
             )
         )
     return score_frames(tasks, config or FramesConfig(), progress=progress)
+
+
+def _field_renderer(
+    workspace: Workspace,
+) -> Callable[[CameraFrame], UInt8[np.ndarray, "h w 3"]]:
+    from lightsim.reconstruct.render_field import render_frame
+
+    field, surfaces = workspace.scene_field, prior_surfaces(workspace.fused)
+    return lambda frame: render_frame(field, workspace.log, frame, surfaces)
 
 
 def relit_frames(

@@ -66,7 +66,7 @@ class BuildOptions:
         seed: of all random numbers.
         neural_steps: of training the neural field; None is the preset's, 0 goes without.
         device: "auto", "cpu" or "cuda", for training; results on the CPU do not depend on it.
-        no_refine: parts of the alignment to leave out (align/config.py: PARTS).
+        no_refine: physics of the log to leave out (align/config.py: PARTS, OTHER_PARTS).
         colour: "texture", "vertex" or "field" (assets/config.py); None is the preset's.
     """
 
@@ -100,11 +100,14 @@ class Stage:
 
 def _asset_config(options: BuildOptions) -> asset_config.AssetConfig:
     config = _ASSETS[options.preset]()
+    config = replace(config, has_camera_gains="camera_gains" not in options.no_refine)
     return config if options.colour is None else replace(config, colour=options.colour)
 
 
 def _neural_config(options: BuildOptions) -> neural_config.NeuralConfig:
     config = _NEURAL[options.preset]()
+    if "camera_gains" in options.no_refine:
+        config = replace(config, has_camera_gains=False)
     return config if options.neural_steps is None else replace(config, steps=options.neural_steps)
 
 

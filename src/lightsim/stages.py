@@ -20,6 +20,7 @@ from lightsim.assets.mesh_scene import mesh_scene
 from lightsim.assets.simplify import simplify_planar
 from lightsim.assets.surface import background_levels, extract_surface
 from lightsim.core.camera import PinholeCamera
+from lightsim.core.fields import SceneFields
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
@@ -35,6 +36,7 @@ from lightsim.reconstruct.facades import FacadeConfig, complete_facades
 from lightsim.reconstruct.far_field import FarFieldConfig, build_far_field
 from lightsim.reconstruct.fuse_config import FuseConfig
 from lightsim.reconstruct.neural_config import NeuralConfig
+from lightsim.reconstruct.ray_pool import PriorSurfaces
 from lightsim.reconstruct.tsdf import fuse_log
 from lightsim.render.embree import make_embree_caster
 from lightsim.render.gbuffers import render_gbuffers
@@ -154,13 +156,8 @@ def make_neural(
         return (*fused.notes, "no neural field was trained; geometry is fused LiDAR alone")
     from lightsim.reconstruct.neural import Training, refine_by_field
 
-    at_origin = RigidTransform.identity("world", "actor")
     training = Training(
-        make_embree_caster(background_levels(fused, 0.03)),
-        {
-            actor_id: make_embree_caster([extract_surface(grid, 0.03).moved(at_origin)])
-            for actor_id, grid in fused.actors.items()
-        },
+        prior_surfaces(fused),
         work.sky_matte,
         journal,
         context.seed,
@@ -174,6 +171,18 @@ def make_neural(
     write_json(folder / FIELD_CONFIG_NAME, asdict(config))
     journal.finish()
     return fields.notes
+
+
+def prior_surfaces(fused: SceneFields) -> PriorSurfaces:
+    """Where rays of the neural field are sampled: the meshes of the fused LiDAR."""
+    at_origin = RigidTransform.identity("world", "actor")
+    return PriorSurfaces(
+        make_embree_caster(background_levels(fused, 0.03)),
+        {
+            actor_id: make_embree_caster([extract_surface(grid, 0.03).moved(at_origin)])
+            for actor_id, grid in fused.actors.items()
+        },
+    )
 
 
 def make_geometry(

@@ -35,14 +35,19 @@ def sides(rng: np.random.Generator) -> Float64[np.ndarray, "n 3"]:
     return points.reshape(-1, 3) + rng.normal(0.0, 0.01, (750, 3))
 
 
+def _shake(rng: np.random.Generator, shift_m: float, turn_rad: float) -> np.ndarray:
+    x_m, y_m, turn = rng.normal(size=3)
+    matrix = pose(shift_m * x_m, shift_m * y_m, turn_rad * turn)
+    matrix[2, 3] = 0.0
+    return matrix
+
+
 def drive(shake_m: float, shake_rad: float) -> tuple[ActorTrack, Cloud, np.ndarray]:
     """The track as labelled, the returns in frame `world`, and the true poses."""
     rng = np.random.default_rng(4)
     times = np.arange(1, COUNT + 1, dtype=np.int64) * STEP_NS
     true = np.stack([pose(0.8 * i, 0.02 * i * i, 0.05 * i) for i in range(COUNT)])
-    shake = [pose(*(shake_m * rng.normal(size=2)), shake_rad * rng.normal()) for _ in times]
-    for matrix in shake:
-        matrix[2, 3] = 0.0
+    shake = [_shake(rng, shake_m, shake_rad) for _ in times]
     labelled = true @ np.stack(shake)
     clouds = [(sides(rng) @ t[:3, :3].T + t[:3, 3]) for t in true]
     cloud = Cloud(

@@ -34,15 +34,21 @@ def align_log(
     """
     notes: list[str] = []
     numbers: dict[str, float] = {}
+    switched = Alignment(
+        has_rolling_shutter=config.rolling_shutter,
+        has_point_times=config.point_times,
+        has_own_car_masks=config.own_car_masks,
+    )
+    log = switched.applied_to(log)
     frames = _frames_to_compare(log, config)
     needs_sweeps = config.lidar_poses or config.camera_poses or config.actor_tracks
     if len(log.sweeps) < _LEAST_SWEEPS or not needs_sweeps:
         if needs_sweeps:
             notes.append(f"{len(log.sweeps)} sweeps are too few to align anything")
         tracks = _settled_tracks(log, None, config, notes)
-        return Alignment(
+        return replace(
+            switched,
             actors={fit.actor_id: fit.matrices for fit in tracks},
-            has_rolling_shutter=config.rolling_shutter,
             notes=tuple(notes),
         )
     stems = {frame.stem for some in frames.values() for frame in some}
@@ -56,11 +62,11 @@ def align_log(
     for fit in fits:
         numbers[f"{fit.camera_name} edge score before"] = fit.score_before
         numbers[f"{fit.camera_name} edge score after"] = fit.score_after
-    return Alignment(
+    return replace(
+        switched,
         path=correction,
         cameras={fit.camera_name: fit.correction for fit in fits if fit.is_kept},
         actors={fit.actor_id: fit.matrices for fit in tracks},
-        has_rolling_shutter=config.rolling_shutter,
         numbers=numbers,
         notes=tuple(notes),
     )
@@ -151,10 +157,6 @@ def _aligned_cameras(
 ) -> list[CameraFit]:
     if not frames:
         return []
-    if not config.rolling_shutter:
-        frames = {
-            name: [replace(frame, shutter=None) for frame in some] for name, some in frames.items()
-        }
     return align_cameras(
         frames, log.cameras, found.edges_by_stem, log.ego, config, rng=rng, progress=progress
     )

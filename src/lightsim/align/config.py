@@ -6,7 +6,16 @@ from dataclasses import dataclass, replace
 
 from lightsim.errors import InputError
 
-PARTS = ("rolling_shutter", "lidar_poses", "actor_tracks", "camera_poses")
+PARTS = (
+    "rolling_shutter",
+    "point_times",
+    "own_car_masks",
+    "lidar_poses",
+    "actor_tracks",
+    "camera_poses",
+)
+OTHER_PARTS = ("camera_gains",)
+"""Physics of the log that other stages take care of and the same option switches."""
 
 
 @dataclass(frozen=True)
@@ -16,6 +25,10 @@ class AlignConfig:
 
     rolling_shutter: bool = True
     """Keep the shutters that the log's reader gave the frames."""
+    point_times: bool = True
+    """Each return has its own time and origin; else those of its sweep's middle."""
+    own_car_masks: bool = True
+    """Leave the recording car out of its pictures."""
     lidar_poses: bool = True
     """Refine the ego's path by the agreement of the sweeps."""
     actor_tracks: bool = True
@@ -53,13 +66,13 @@ class AlignConfig:
         """The same with some parts switched off.
 
         Raises:
-            InputError: a name is not one of PARTS.
+            InputError: a name is not one of PARTS or OTHER_PARTS.
         """
         for part in parts:
-            if part not in PARTS:
+            if part not in (*PARTS, *OTHER_PARTS):
                 raise InputError(
                     f"'{part}' is not a part of the alignment",
                     where="--no-refine",
-                    expected=f"one or more of {', '.join(PARTS)}",
+                    expected=f"one or more of {', '.join((*PARTS, *OTHER_PARTS))}",
                 )
-        return replace(self, **dict.fromkeys(parts, False))
+        return replace(self, **{part: False for part in parts if part in PARTS})

@@ -202,6 +202,8 @@ def _gains(
     config: AssetConfig,
 ) -> Float32[np.ndarray, "c 3"]:
     """From texels that several images saw, evenly taken."""
+    if not config.has_camera_gains:
+        return np.ones((camera_count, 3), dtype=np.float32)
     shared = np.flatnonzero((samples.codes > 0).sum(axis=1) > 1)
     shared = shared[:: max(1, len(shared) // config.gain_samples)]
     weight_by_code = np.array([code_weight(code) for code in range(256)], dtype=np.float32)

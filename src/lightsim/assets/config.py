@@ -45,6 +45,8 @@ class AssetConfig:
     """Pixels with a channel at or above this 8-bit code count little."""
     outlier_ratio: float = 1.4
     """Views that differ from a texel's median brightness by more than this are ignored."""
+    has_camera_gains: bool = True
+    """Find the exposure and white balance of each camera."""
     gain_strength: float = 200.0
     """Shared places at which a camera pair weighs as much as the prior of equal gains."""
     gain_samples: int = 200_000

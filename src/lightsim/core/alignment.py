@@ -84,6 +84,8 @@ class Alignment:
         cameras: by camera name.
         actors: corrected `world_from_actor` of each pose of a track, by actor id.
         has_rolling_shutter: whether frames keep the shutter that the log's reader gave them.
+        has_point_times: whether returns keep their own times and origins, not their sweep's.
+        has_own_car_masks: whether the log keeps its masks of the recording car.
         numbers: what was measured, by name; for reports.
         notes: for people.
     """
@@ -92,6 +94,8 @@ class Alignment:
     cameras: Mapping[str, CameraCorrection] = field(default_factory=dict)
     actors: Mapping[str, Float[np.ndarray, "_ 4 4"]] = field(default_factory=dict)
     has_rolling_shutter: bool = True
+    has_point_times: bool = True
+    has_own_car_masks: bool = True
     numbers: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
@@ -105,6 +109,7 @@ class Alignment:
             sweeps=tuple(self._sweep(sweep) for sweep in log.sweeps),
             ego=self._trajectory(log.ego),
             actors=tuple(self._actor(actor) for actor in log.actors),
+            own_car_masks=log.own_car_masks if self.has_own_car_masks else {},
         )
 
     def _trajectory(self, trajectory: Trajectory) -> Trajectory:
@@ -120,9 +125,10 @@ class Alignment:
         return replace(actor, trajectory=self._trajectory(actor.trajectory))
 
     def _sweep(self, sweep: LazySweep) -> LazySweep:
-        if self.path is None:
-            return sweep
-        return replace(sweep, load=_corrected_loader(sweep.load, self.path))
+        load = sweep.load if self.has_point_times else _timeless_loader(sweep.load)
+        if self.path is not None:
+            load = _corrected_loader(load, self.path)
+        return replace(sweep, load=load)
 
     def _frame(self, log: DrivingLog, frame: CameraFrame) -> CameraFrame:
         correction = self.cameras.get(frame.camera_name)
@@ -157,6 +163,18 @@ def _carried(
     if not ego.covers(back_ns):
         return world_from_camera
     return ego.at(inner_ns) @ ego.at(back_ns).inverse() @ world_from_camera
+
+
+def _timeless_loader(load: Callable[[], LidarSweep]) -> Callable[[], LidarSweep]:
+    """All returns at the time of the sweep, from the mean of their origins."""
+
+    def load_timeless() -> LidarSweep:
+        sweep = load()
+        origins = np.broadcast_to(sweep.origins_world.mean(axis=0), sweep.origins_world.shape)
+        still = np.zeros_like(sweep.time_offset_s)
+        return replace(sweep, origins_world=origins.astype(np.float32).copy(), time_offset_s=still)
+
+    return load_timeless
 
 
 def _corrected_loader(

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from lightsim.core.casting import RayCaster
 from lightsim.core.fields import SceneFields
 from lightsim.core.log import DrivingLog
 from lightsim.errors import InputError
@@ -28,16 +26,14 @@ class Training:
     """What training needs beside the log and its fused LiDAR.
 
     Args:
-        background: ray caster over the mesh of the fused static scene.
-        actors: over the mesh of each actor that has one, standing at the origin.
+        surfaces: ray casters over the meshes of the fused LiDAR.
         sky_matte: sky alpha of a frame.
         journal: keeps checkpoints and metrics.
         seed: of rays, initial values and batches.
         device: "auto", "cpu" or "cuda".
     """
 
-    background: RayCaster
-    actors: Mapping[str, RayCaster]
+    surfaces: PriorSurfaces
     sky_matte: SkyMatte
     journal: Journal
     seed: int = 0
@@ -58,10 +54,9 @@ def refine_by_field(
         InputError: the log has no image or no sweep, or the device is not there.
     """
     rng = np.random.default_rng(training.seed)
-    surfaces = PriorSurfaces(training.background, training.actors)
     rays = TrainingRays(
-        camera_rays(log, config.camera_pool, surfaces, training.sky_matte, rng, progress),
-        lidar_rays(log, config.lidar_pool, surfaces, rng, progress),
+        camera_rays(log, config.camera_pool, training.surfaces, training.sky_matte, rng, progress),
+        lidar_rays(log, config.lidar_pool, training.surfaces, rng, progress),
     )
     field = make_field(log, fields, config, training.seed).to(choose_device(training.device))
     train_field(field, rays, training.journal, training.seed, progress=progress)

@@ -100,7 +100,7 @@ def camera_rays(
     if not log.frames:
         raise InputError("the log has no camera frame", where=log.name)
     each = max(1, count // len(log.frames))
-    names, pools = list(log.cameras), []
+    pools = []
     for frame in progress.track(log.frames, "draw camera rays", len(log.frames)):
         camera = log.cameras[frame.camera_name]
         image, matte = frame.load_srgb8(), sky_matte(frame)
@@ -108,22 +108,33 @@ def camera_rays(
         own_car = log.own_car_masks.get(frame.camera_name)
         if own_car is not None:
             pixel = pixel[~own_car.ravel()[pixel]]
-        uv = np.stack([pixel % camera.width_px, pixel // camera.width_px], axis=1) + 0.5
-        origin, direction = frame.pixel_rays(camera, uv)
-        poses = {
-            i: actor.world_from_actor(frame.time_ns)
-            for i, actor in enumerate(log.actors)
-            if actor.is_present(frame.time_ns)
-        }
         pools.append(
             replace(
-                _assemble(origin, direction, log.actors, poses, surfaces),
+                pixel_rays(log, frame, pixel, surfaces),
                 colour=image.reshape(-1, 3)[pixel].astype(np.float32) / np.float32(255),
-                camera=np.full(len(pixel), names.index(frame.camera_name), dtype=np.int32),
                 sky=matte.ravel()[pixel],
             )
         )
     return RayPool.joined(pools)
+
+
+def pixel_rays(
+    log: DrivingLog, frame: CameraFrame, pixel: Int64[np.ndarray, " n"], surfaces: PriorSurfaces
+) -> RayPool:
+    """Rays of some pixels of a frame, numbered row by row, without their colours."""
+    camera = log.cameras[frame.camera_name]
+    uv = np.stack([pixel % camera.width_px, pixel // camera.width_px], axis=1) + 0.5
+    origin, direction = frame.pixel_rays(camera, uv)
+    poses = {
+        i: actor.world_from_actor(frame.time_ns)
+        for i, actor in enumerate(log.actors)
+        if actor.is_present(frame.time_ns)
+    }
+    number = list(log.cameras).index(frame.camera_name)
+    return replace(
+        _assemble(origin, direction, log.actors, poses, surfaces),
+        camera=np.full(len(pixel), number, dtype=np.int32),
+    )
 
 
 def lidar_rays(

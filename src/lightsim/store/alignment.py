@@ -13,6 +13,7 @@ from lightsim.store.artefact import read_json, write_json
 
 ARRAYS_NAME = "alignment.npz"
 SUMMARY_NAME = "alignment.json"
+_SWITCHES = ("has_rolling_shutter", "has_point_times", "has_own_car_masks")
 
 
 def write_alignment(folder: Path, alignment: Alignment) -> None:
@@ -32,7 +33,7 @@ def write_alignment(folder: Path, alignment: Alignment) -> None:
     write_json(
         folder / SUMMARY_NAME,
         {
-            "has_rolling_shutter": alignment.has_rolling_shutter,
+            **{name: getattr(alignment, name) for name in _SWITCHES},
             "corrected": sorted({name.split("/")[0] for name in arrays}),
             "numbers": dict(alignment.numbers),
             "notes": list(alignment.notes),
@@ -68,9 +69,9 @@ def read_alignment(folder: Path) -> Alignment:
             path,
             cameras,
             actors,
-            bool(summary["has_rolling_shutter"]),
-            summary["numbers"],
-            tuple(summary["notes"]),
+            **{name: bool(summary[name]) for name in _SWITCHES},
+            numbers=summary["numbers"],
+            notes=tuple(summary["notes"]),
         )
     except (KeyError, TypeError) as error:
         raise ArtefactError(
