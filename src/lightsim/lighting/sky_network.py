@@ -1,0 +1,268 @@
+"""The sky dome estimator: three encoders and a decoder that takes sun and latent explicitly.
+
+Paper Sec. 3.2 "Generating HDR sky domes" and appendix "Sky dome estimator architecture".
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from lightsim.networks.panorama import (
+    Merge,
+    Pyramid,
+    UNet,
+    direction_map,
+    filled,
+    pooled,
+    upsampled,
+)
+from lightsim.networks.sky_terms import (
+    LATENT,
+    SkyEncoding,
+    SkyTensors,
+    compose_sun,
+    cosine_map,
+    log_radiance,
+    luminance_of,
+    radiance_of_log,
+    sun_maps,
+)
+
+_SRGB_GAMMA = 2.2
+MOVED_SUN_DEG = 30.0
+"""Around a sun that was moved, and where it was, the decoder draws the sky anew."""
+STAYING_SUN_DEG = 6.0
+"""A sun that moves less leaves the sky as it was seen."""
+
+
+@dataclass(frozen=True)
+class SkyNetworkConfig:
+    """How the network is built; `small` for the CPU, `full` for a GPU, `paper` for the original."""
+
+    widths: tuple[int, ...] = (24, 48, 96, 128)
+    """Channels of the encoders at strides 2, 4, 8, 16."""
+    decoder_widths: tuple[int, ...] = (12, 24, 48, 96)
+    """Channels of the decoder at strides 1, 2, 4, 8."""
+    uses_ground: bool = True
+    """Encoders see the lower half too: shadows and lit walls tell of the sun."""
+    heatmap: bool = True
+    """Direction is the mean of a density over pixels, which turns with the panorama."""
+    dual: bool = True
+    """The direction encoder is trained on clear suns alone."""
+    composed_sun: bool = True
+    """The sun is put into the dome; otherwise the decoder must draw it (the paper)."""
+    height_px: int = 64
+    """Of the panoramas it is trained on; others are resized to it."""
+    fills_unseen: bool = True
+    """Encoders see a smooth fill where no camera looked, whatever the panorama shows there."""
+
+    @classmethod
+    def full(cls) -> SkyNetworkConfig:
+        return cls(widths=(48, 96, 192, 256), decoder_widths=(24, 48, 96, 192), height_px=128)
+
+    @classmethod
+    def paper(cls) -> SkyNetworkConfig:
+        return cls(uses_ground=False, heatmap=False, composed_sun=False, fills_unseen=False)
+
+
+class HeatHead(nn.Module):
+    """A density over the pixels of the upper half, its mean direction and how narrow it is."""
+
+    def __init__(self, widths: tuple[int, ...]) -> None:
+        super().__init__()
+        self.merge = Merge(widths)
+        self.exit = nn.Conv2d(widths[0], 1, 1)
+        self.spread = nn.Linear(2 * widths[-1] + 1, 1)
+
+    def forward(self, features: list[Tensor], rows: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Log density over the pixels (sums to 1), directions, log concentration."""
+        logits = upsampled(self.exit(functional.silu(self.merge(features))))[:, 0, :rows]
+        polar = (torch.arange(rows, device=logits.device) + 0.5) * math.pi / (2 * rows)
+        # A pixel's share of the sphere, so that equal logits mean an even sky, not a heavy zenith.
+        logits = logits + torch.log(torch.sin(polar))[None, :, None]
+        log_density = torch.log_softmax(logits.flatten(1), dim=1).view_as(logits)
+        directions = direction_map(2 * rows, rows, logits.device)[0]
+        mean = torch.einsum("nhw,chw->nc", log_density.exp(), directions)
+        length = mean.norm(dim=1).clamp(1e-4, 1 - 1e-5)
+        # Banerjee et al. 2005, eq. 4.4: concentration of a sample whose mean has this length.
+        log_kappa = torch.log(length * (3 - length**2) / (1 - length**2)).detach()
+        context = torch.cat([log_kappa[:, None], pooled(features[-1]).detach()], dim=1)
+        correction = 3.0 * torch.tanh(self.spread(context)[:, 0] / 3.0)
+        return log_density, functional.normalize(mean, dim=1), log_kappa + correction
+
+
+class FlatHead(nn.Module):
+    """A direction by fully connected layers (paper)."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(nn.Linear(width * 16, 128), nn.SiLU(), nn.Linear(128, 4))
+
+    def forward(self, features: list[Tensor], rows: int) -> tuple[None, Tensor, Tensor]:
+        flat = functional.adaptive_avg_pool2d(features[-1], (2, 8)).flatten(1)
+        value = self.layers(flat)
+        return None, functional.normalize(value[:, :3], dim=1), value[:, 3]
+
+
+class SkyNetwork(nn.Module):
+    """LDR panorama -> (sun direction, peak intensity, latent) -> HDR sky dome."""
+
+    def __init__(self, config: SkyNetworkConfig, seed: int = 0) -> None:
+        super().__init__()
+        self.config = config
+        position = 2 if config.heatmap else 3
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.direction_encoder = Pyramid(4 + position, config.widths)
+            self.intensity_encoder = Pyramid(4 + position, config.widths)
+            self.latent_encoder = Pyramid(4 + position, config.widths)
+            top = config.widths[-1]
+            self.direction_head = HeatHead(config.widths) if config.heatmap else FlatHead(top)
+            self.intensity_head = nn.Sequential(nn.Linear(2 * top, 64), nn.SiLU(), nn.Linear(64, 3))
+            self.latent_head = nn.Linear(2 * top, LATENT)
+            self.decoder = UNet(4 + position + 4, 3, config.decoder_widths, LATENT)
+            self.colour_head = (
+                nn.Linear(config.decoder_widths[-1], 3) if config.composed_sun else None
+            )
+
+    def shown(self, batch: SkyTensors) -> SkyTensors:
+        """The panorama as encoders and decoder see it."""
+        if not self.config.fills_unseen:
+            return batch
+        return batch.shown(filled(batch.panorama, batch.seen), batch.seen)
+
+    def encode(self, batch: SkyTensors) -> SkyEncoding:
+        image = self.encoder_input(self.shown(batch))
+        _, direction, log_kappa = self.direct(image, batch.panorama.shape[2] // 2)
+        peak, scale, sunny = self.measure(image)
+        return SkyEncoding(direction, log_kappa, peak, scale, sunny, self.latent(image))
+
+    def direct(self, image: Tensor, rows: int) -> tuple[Tensor | None, Tensor, Tensor]:
+        """Log density over the pixels (or None), direction and log concentration."""
+        return self.direction_head(self.direction_encoder(image), rows)
+
+    def measure(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Log peak, log of its expected error, logit of sunny."""
+        value = self.intensity_head(pooled(self.intensity_encoder(image)[-1]))
+        return 4.0 + 2.0 * value[:, 0], value[:, 1], value[:, 2]
+
+    def latent(self, image: Tensor) -> Float[Tensor, "n v"]:
+        return self.latent_head(pooled(self.latent_encoder(image)[-1]))
+
+    def encoder_input(self, batch: SkyTensors) -> Float[Tensor, "n c h w"]:
+        """What the encoders take, from a batch that is `shown`."""
+        height = batch.panorama.shape[2]
+        rows = height if self.config.uses_ground else height // 2
+        image = torch.cat([batch.panorama * 2 - 1, batch.seen], dim=1)[:, :, :rows]
+        return torch.cat([image, self._position(image, height)], dim=1)
+
+    def _position(self, image: Tensor, height: int) -> Float[Tensor, "n p r w"]:
+        """Per-pixel direction; without the azimuth where the network turns with its input."""
+        x, y, z = direction_map(height, image.shape[2], image.device).unbind(1)
+        parts = [z, torch.hypot(x, y)] if self.config.heatmap else [x, y, z]
+        return torch.stack(parts, dim=1).expand(len(image), -1, -1, -1)
+
+    def decode(
+        self,
+        batch: SkyTensors,
+        direction: Float[Tensor, "n 3"],
+        log_peak: Float[Tensor, " n"],
+        latent: Float[Tensor, "n v"],
+        kept: Float[Tensor, "n 1 r w"] | None = None,
+    ) -> Float[Tensor, "n 3 r w"]:
+        """HDR radiance of the upper half.
+
+        Args:
+            batch: gives the LDR sky that the dome follows; `shown`.
+            direction: of the sun.
+            log_peak: of the luminance of its pixel.
+            latent: of the sky.
+            kept: 1 where the dome must follow the LDR sky, 0 where the latent alone decides.
+        """
+        ldr = batch.ldr_sky
+        kept = torch.ones_like(ldr[:, :1]) if kept is None else kept
+        rows = ldr.shape[2]
+        image = torch.cat(
+            [
+                (ldr * 2 - 1) * kept,
+                kept,
+                self._position(ldr, 2 * rows),
+                sun_maps(direction, log_peak, rows),
+            ],
+            dim=1,
+        )
+        value, mean = self.decoder(image, latent)
+        base = log_radiance(ldr**_SRGB_GAMMA) * kept + (1 - kept) * -1.0
+        sky = radiance_of_log(base + value)
+        if self.colour_head is None:
+            return sky
+        colour = torch.exp(torch.tanh(self.colour_head(mean)))
+        colour = colour / luminance_of(colour[:, :, None, None])[:, :, 0, 0]
+        return compose_sun(sky, colour, direction, log_peak)
+
+    def dome(
+        self, batch: SkyTensors, encoding: SkyEncoding, direction: Tensor, log_peak: Tensor
+    ) -> Float[Tensor, "n 3 r w"]:
+        """The upper half under any sun; near a sun that was moved the sky is drawn anew."""
+        kept = kept_for(encoding.direction, direction, batch.ldr_sky.shape[2])
+        return self.decode(self.shown(batch), direction, log_peak, encoding.latent, kept)
+
+
+def config_from_json(text: str) -> SkyNetworkConfig:
+    values = json.loads(text)
+    for name in ("widths", "decoder_widths"):
+        values[name] = tuple(values[name])
+    return SkyNetworkConfig(**values)
+
+
+def tensors_of(network: SkyNetwork) -> dict[str, Tensor]:
+    """All weights and, as bytes, the config: what `network_from_tensors` needs."""
+    text = json.dumps(asdict(network.config)).encode()
+    return {**network.state_dict(), "config_json": torch.tensor(list(text), dtype=torch.float32)}
+
+
+def network_from_tensors(tensors: Mapping[str, Tensor]) -> SkyNetwork:
+    """The network whose weights (in any precision) and config these are."""
+    text = bytes(int(code) for code in tensors["config_json"].tolist()).decode()
+    network = SkyNetwork(config_from_json(text))
+    weights = {k: v.to(torch.float32) for k, v in tensors.items() if k != "config_json"}
+    network.load_state_dict(weights)
+    return network.eval()
+
+
+def kept_for(
+    old: Float[Tensor, "n 3"], new: Float[Tensor, "n 3"], rows: int
+) -> Float[Tensor, "n 1 r w"]:
+    """Where a dome whose sun moved still follows the LDR sky: away from both suns."""
+    moved_deg = torch.rad2deg(torch.acos((old * new).sum(dim=1).clamp(-1, 1)))
+    stays = (moved_deg <= STAYING_SUN_DEG)[:, None, None, None]
+    return (_away(old, new, rows) | stays).to(old)
+
+
+def random_kept(
+    direction: Float[Tensor, "n 3"], rows: int, generator: torch.Generator
+) -> Float[Tensor, "n 1 r w"]:
+    """Where the decoder may follow the LDR sky in training: everywhere, nowhere, or outside discs
+    around the sun and around a random spot, as when a user moves the sun."""
+    count = len(direction)
+    draw = torch.rand(count, generator=generator).to(direction)[:, None, None, None]
+    azimuth = torch.rand(count, generator=generator) * 2 * math.pi
+    height = torch.rand(count, generator=generator)
+    flat = torch.sqrt(1 - height**2)
+    spot = torch.stack([flat * azimuth.cos(), flat * azimuth.sin(), height], dim=1).to(direction)
+    away = _away(direction, spot, rows).to(direction)
+    return torch.where(draw < 0.2, 0.0, torch.where(draw < 0.5, away, 1.0))
+
+
+def _away(a: Tensor, b: Tensor, rows: int) -> Tensor:
+    """Pixels far from both directions."""
+    far = math.cos(math.radians(MOVED_SUN_DEG))
+    return (cosine_map(a, rows) < far) & (cosine_map(b, rows) < far)

@@ -1,0 +1,73 @@
+"""Re-implemented comparators of lighting estimation."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from lightsim.baselines.sold_net import cell_of
+from lightsim.lighting.sky_evaluate import SkyModel, evaluate_sky_networks
+from lightsim.lighting.sky_train import SkyRecipe, SkyTrainConfig, train_sky
+from lightsim.networks.panorama import direction_map
+from lightsim.networks.training import LoopConfig
+from lightsim.progress import SilentProgress
+from lightsim.training.sky_models import SkyKind, sky_recipe, weights_of
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "lighting"))
+from fake_skies import FakeSkies
+
+KINDS: tuple[SkyKind, ...] = ("nlfe", "nlfe_panorama", "sold_net")
+
+
+class NoJournal:
+    """Keeps the last metrics alone."""
+
+    def __init__(self) -> None:
+        self.last: dict[str, float] = {}
+
+    def load(self) -> dict[str, Any] | None:
+        return None
+
+    def save(self, state: dict[str, Any]) -> None:
+        """Nothing survives."""
+
+    def record(self, metrics: dict[str, float]) -> None:
+        self.last = metrics
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_step_moves_every_parameter_and_the_network_is_scored(kind: SkyKind) -> None:
+    recipe, again = sky_recipe(kind, "small"), sky_recipe(kind, "small")
+    before = {k: v.clone() for k, v in recipe.network.state_dict().items()}
+    data, config = FakeSkies(), SkyTrainConfig(LoopConfig(steps=2), batch=2)
+    for network in (recipe.network, again.network):
+        train_sky(
+            SkyRecipe(network, recipe.loss, config),
+            data,
+            NoJournal(),
+            device="cpu",
+            progress=SilentProgress(),
+        )
+    still = [k for k, v in recipe.network.state_dict().items() if torch.equal(v, before[k])]
+    assert still == []
+    for name, value in weights_of(recipe.network).items():
+        assert torch.equal(value, again.network.state_dict()[name])
+    assert isinstance(recipe.network, SkyModel)
+    rows = evaluate_sky_networks(data, {kind: recipe.network}, data, batches=1, size=4)
+    assert [row.name for row in rows] == ["constant", "brightest pixel", kind]
+    assert np.isfinite(rows[-1].decoding_angle_deg)
+
+
+def test_estimator_has_the_recipe_of_a_network_trained_on_clear_suns() -> None:
+    recipe = sky_recipe("lightsim", "small")
+    assert "config_json" in weights_of(recipe.network)
+
+
+def test_cells_are_those_of_a_small_panorama() -> None:
+    centres = direction_map(16, 8, torch.device("cpu"))[0].flatten(1).T
+    assert torch.equal(cell_of(centres), torch.arange(256))

@@ -1,0 +1,278 @@
+"""The sky dome estimator: geometry of its layers, control of its domes, training."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from fake_skies import FakeSkies
+
+from lightsim.errors import InputError
+from lightsim.lighting.sample import LightingData, SkyPrediction
+from lightsim.lighting.sky_estimator import SkyEstimator
+from lightsim.lighting.sky_evaluate import (
+    angles_deg,
+    brightest_spot,
+    credible_cone_deg,
+    evaluate_sky_networks,
+)
+from lightsim.lighting.sky_losses import sky_loss
+from lightsim.lighting.sky_network import (
+    SkyNetwork,
+    SkyNetworkConfig,
+    network_from_tensors,
+    tensors_of,
+)
+from lightsim.lighting.sky_train import SkyRecipe, SkyTrainConfig, sky_tensors, train_sky
+from lightsim.networks.panorama import UNet, filled
+from lightsim.networks.sky_terms import fisher_loss, laplace_loss, sun_lobe
+from lightsim.networks.training import LoopConfig, run_training
+from lightsim.progress import SilentProgress
+
+TINY: dict[str, Any] = {"widths": (8, 8, 16), "decoder_widths": (8, 8, 16), "height_px": 32}
+DATA = FakeSkies()
+
+
+class MemoryJournal:
+    """A journal without files; as on disk, what is saved no longer changes."""
+
+    def __init__(self) -> None:
+        self.state: dict[str, Any] | None = None
+        self.lines: list[dict[str, float]] = []
+
+    def load(self) -> dict[str, Any] | None:
+        return self.state
+
+    def save(self, state: dict[str, Any]) -> None:
+        import copy
+
+        self.state = copy.deepcopy(state)
+
+    def record(self, metrics: dict[str, float]) -> None:
+        self.lines.append(metrics)
+
+
+def batch_of(size: int = 4, seed: int = 0) -> Any:
+    whole = np.zeros(size, bool)
+    drawn = DATA.batch(size, seed, 0, only_sunny=False)
+    return sky_tensors(drawn, whole, None, torch.device("cpu"))
+
+
+def train(network: SkyNetwork, steps: int, journal: MemoryJournal, rate: float = 1e-3) -> None:
+    config = SkyTrainConfig(LoopConfig(steps=steps, rate=rate), batch=4)
+    recipe = SkyRecipe(network, sky_loss, config)
+    train_sky(recipe, DATA, journal, device="cpu", progress=SilentProgress())
+
+
+def test_fake_skies_are_lighting_data() -> None:
+    assert isinstance(DATA, LightingData)
+
+
+def test_network_turns_with_the_panorama() -> None:
+    network, batch = SkyNetwork(SkyNetworkConfig(**TINY)).eval(), batch_of()
+    shift = 16
+    turned = batch.shown(batch.panorama.roll(shift, 3), batch.seen.roll(shift, 3))
+    with torch.no_grad():
+        before, after = network.encode(batch), network.encode(turned)
+    angle = -2 * math.pi * shift / batch.panorama.shape[3]
+    x, y, z = before.direction.unbind(1)
+    c, s = math.cos(angle), math.sin(angle)
+    expected = torch.stack([c * x - s * y, s * x + c * y, z], dim=1)
+    assert torch.allclose(after.direction, expected, atol=1e-5)
+    assert torch.allclose(after.log_peak, before.log_peak, atol=1e-5)
+    assert torch.allclose(after.latent, before.latent, atol=1e-5)
+
+
+def test_unet_has_no_seam() -> None:
+    network = UNet(3, 3, (8, 8, 8), 4)
+    image, vector = torch.rand(1, 3, 16, 64), torch.rand(1, 4)
+    turned = network(image.roll(4, 3), vector)[0]
+    assert torch.allclose(turned, network(image, vector)[0].roll(4, 3), atol=1e-5)
+
+
+def test_fill_keeps_what_was_seen_and_hides_the_rest() -> None:
+    batch = batch_of()
+    seen = batch.seen
+    other = batch.panorama * seen + torch.rand_like(batch.panorama) * (1 - seen)
+    done = filled(batch.panorama, seen)
+    assert torch.equal(done * seen, batch.panorama * seen)
+    assert torch.allclose(filled(other, seen), done)
+    ones = torch.ones_like(batch.panorama)
+    assert torch.allclose(filled(ones, seen), ones, atol=1e-5)
+
+
+def test_fisher_density_integrates_to_one() -> None:
+    cosine = torch.linspace(-1, 1, 20001)
+    truth = torch.stack([torch.sqrt(1 - cosine**2), torch.zeros_like(cosine), cosine], dim=1)
+    axis = torch.tensor([[0.0, 0.0, 1.0]]).expand(len(cosine), 3)
+    for kappa in (0.5, 5.0, 80.0):
+        log_kappa = torch.full((len(cosine),), math.log(kappa))
+        density = torch.exp(-fisher_loss(axis, log_kappa, truth))
+        assert float(torch.trapezoid(density, cosine)) * 2 * math.pi == pytest.approx(1, abs=1e-3)
+        cone = credible_cone_deg(np.array([kappa]), 0.9)[0]
+        inside = cosine >= math.cos(math.radians(cone))
+        share = float(torch.trapezoid(density[inside], cosine[inside])) * 2 * math.pi
+        assert share == pytest.approx(0.9, abs=1e-2)
+
+
+def test_laplace_loss_is_least_at_the_mean_absolute_error() -> None:
+    error = torch.tensor([0.5, 1.0, 1.5])
+    scale = torch.zeros(3, requires_grad=True)
+    laplace_loss(error, scale, torch.zeros(3)).sum().backward()
+    assert scale.grad is not None
+    assert float(scale.grad.sum()) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_centroid_of_the_lobe_is_its_direction() -> None:
+    rng = np.random.default_rng(0)
+    direction = rng.normal(size=(64, 3))
+    direction[:, 2] = np.abs(direction[:, 2]) + 0.2
+    direction = (direction / np.linalg.norm(direction, axis=1, keepdims=True)).astype(np.float32)
+    lobes = sun_lobe(torch.from_numpy(direction), 32).numpy()[:, 0]
+    spots = [brightest_spot(np.repeat(lobe[..., None], 3, axis=2))[1] for lobe in lobes]
+    error = angles_deg(np.array(spots), direction.astype(np.float64))
+    assert error.mean() < 0.6
+    assert error.max() < 1.5
+
+
+def test_decoded_dome_follows_the_sun_asked_for() -> None:
+    estimator = SkyEstimator(SkyNetwork(SkyNetworkConfig(**TINY), seed=1).eval())
+    batch = DATA.batch(1, 0, 0, only_sunny=True)
+    ldr, seen = batch.panorama[0], batch.visibility[0]
+    prediction = estimator.predict(ldr, seen)
+    asked = np.array([0.48, -0.6, 0.64])
+    for log_peak in (-0.5, 2.0, 9.0):
+        dome = estimator.decode(prediction, ldr, seen=seen, sun_direction=asked, log_peak=log_peak)
+        found, spot = brightest_spot(dome)
+        assert found == pytest.approx(log_peak, abs=1e-3)
+        # Half a pixel of 5.6 degrees.
+        assert angles_deg(spot[None], asked[None])[0] < 2.0
+
+
+def test_a_latent_changes_the_sky_and_not_the_sun() -> None:
+    estimator = SkyEstimator(SkyNetwork(SkyNetworkConfig(**TINY), seed=1).eval())
+    batch = DATA.batch(1, 0, 0, only_sunny=True)
+    prediction = estimator.predict(batch.panorama[0])
+    asked = np.array([0.48, -0.6, 0.64])
+    one = estimator.decode(prediction, batch.panorama[0], sun_direction=asked, log_peak=6.0)
+    other = estimator.decode(
+        prediction,
+        batch.panorama[0],
+        sun_direction=asked,
+        log_peak=6.0,
+        latent=np.full(64, 3.0, np.float32),
+    )
+    assert brightest_spot(one)[0] == pytest.approx(brightest_spot(other)[0], abs=1e-3)
+    assert np.abs(np.log(one + 0.02) - np.log(other + 0.02)).mean() > 1e-3
+
+
+def test_estimator_takes_any_size_and_keeps_the_energy_of_the_sun() -> None:
+    estimator = SkyEstimator(SkyNetwork(SkyNetworkConfig(**TINY), seed=1).eval())
+    small = FakeSkies(32).batch(1, 0, 0, only_sunny=True).panorama[0]
+    large = np.repeat(np.repeat(small, 4, axis=0), 4, axis=1)
+    a, b = estimator.predict(small), estimator.predict(large)
+    assert np.allclose(a.sun_direction, b.sun_direction, atol=1e-4)
+    coarse = estimator.decode(a, small, log_peak=9.0)
+    fine = estimator.decode(a, large, log_peak=9.0)
+    assert fine.shape == (64, 256, 3)
+
+    def energy(upper: np.ndarray) -> float:
+        polar = (np.arange(len(upper)) + 0.5) * np.pi / (2 * len(upper))
+        return float((upper * np.sin(polar)[:, None, None]).sum()) / upper.shape[1] ** 2
+
+    assert energy(fine) == pytest.approx(energy(coarse), rel=0.05)
+    spot = brightest_spot(fine)[1]
+    assert angles_deg(spot[None], a.sun_direction[None].astype(np.float64))[0] < 1.5
+
+
+def test_averages_agree_with_the_single_view() -> None:
+    estimator = SkyEstimator(SkyNetwork(SkyNetworkConfig(**TINY), seed=1).eval())
+    ldr = DATA.batch(1, 0, 0, only_sunny=True).panorama[0]
+    one, many = estimator.predict(ldr), estimator.predict(ldr, averages=True)
+    assert isinstance(many, SkyPrediction)
+    assert angles_deg(one.sun_direction[None], many.sun_direction[None])[0] < 30
+    mirrored = estimator.predict(np.ascontiguousarray(ldr[:, ::-1]), averages=True)
+    assert np.allclose(mirrored.sun_direction * [1, -1, 1], many.sun_direction, atol=0.05)
+
+
+def test_bad_input_is_named() -> None:
+    estimator = SkyEstimator(SkyNetwork(SkyNetworkConfig(**TINY)).eval())
+    with pytest.raises(InputError, match="twice as wide"):
+        estimator.predict(np.zeros((32, 32, 3), np.float32))
+    ldr = DATA.batch(1, 0, 0, only_sunny=True).panorama[0]
+    with pytest.raises(InputError, match="above the horizon"):
+        estimator.decode(estimator.predict(ldr), ldr, sun_direction=np.array([1.0, 0.0, -0.1]))
+
+
+@pytest.mark.parametrize("config", [SkyNetworkConfig(**TINY), SkyNetworkConfig.paper()])
+def test_gradient_reaches_every_parameter(config: SkyNetworkConfig) -> None:
+    network = SkyNetwork(config)
+
+    def draw(only_sunny: bool) -> Any:
+        return batch_of(seed=int(only_sunny))
+
+    loss, _ = sky_loss(network, draw, torch.Generator().manual_seed(0))
+    loss.backward()
+    dead = [n for n, p in network.named_parameters() if p.grad is None or not p.grad.any()]
+    assert dead == []
+
+
+def test_weights_carry_their_config(tmp_path: Any) -> None:
+    from lightsim.store.checkpoint import read_weights, write_weights
+
+    network = SkyNetwork(SkyNetworkConfig(**TINY), seed=3).eval()
+    write_weights(tmp_path / "sky.safetensors", tensors_of(network))
+    again = network_from_tensors(read_weights(tmp_path / "sky.safetensors"))
+    assert again.config == network.config
+    with torch.no_grad():
+        a, b = network.encode(batch_of()), again.encode(batch_of())
+    assert torch.allclose(a.direction, b.direction, atol=2e-3)
+
+
+def test_resumed_training_is_the_uninterrupted_one() -> None:
+    whole, part, rest = (SkyNetwork(SkyNetworkConfig(**TINY)) for _ in range(3))
+    train(whole, 6, MemoryJournal())
+    journal = MemoryJournal()
+    config = SkyTrainConfig(LoopConfig(steps=6), batch=4)
+
+    def run(network: SkyNetwork, minutes: float | None) -> int:
+        return train_sky(
+            SkyRecipe(network, sky_loss, config),
+            DATA,
+            journal,
+            device="cpu",
+            minutes=minutes,
+            progress=SilentProgress(),
+        )
+
+    assert run(part, 0.0) == 1
+    assert run(rest, None) == 6
+    for name, value in whole.state_dict().items():
+        assert torch.equal(value, rest.state_dict()[name]), name
+
+
+@pytest.mark.slow
+def test_training_finds_the_sun() -> None:
+    network, journal = SkyNetwork(SkyNetworkConfig(**TINY)), MemoryJournal()
+    train(network, 150, journal, rate=3e-3)
+    assert journal.lines[-1]["loss"] < journal.lines[0]["loss"] - 1.0
+    rows = {r.name: r for r in evaluate_sky_networks(FakeSkies(), {"ours": network}, DATA)}
+    assert rows["ours"].angle_mean_deg < 0.7 * rows["constant"].angle_mean_deg
+    assert rows["ours"].decoding_angle_deg < 1.78
+    assert rows["ours"].decoding_log_peak < 0.01
+
+
+def test_average_of_constant_weights_is_constant() -> None:
+    layer = torch.nn.Linear(2, 1)
+    before = {k: v.clone() for k, v in layer.state_dict().items()}
+
+    def loss(step: int) -> Any:
+        return layer(torch.zeros(1, 2)).sum() * 0.0, {}
+
+    config = LoopConfig(steps=3, weight_decay=0.0)
+    run_training(layer, loss, MemoryJournal(), config, progress=SilentProgress())
+    for name, value in layer.state_dict().items():
+        assert torch.allclose(value, before[name])
