@@ -27,8 +27,6 @@ from lightsim.store.artefact import read_record, state_of
 from lightsim.store.log import LogReading
 from lightsim.workspace import FIELD_NAME, Workspace
 
-OFF = ("camera_poses",)
-"""What `lightsim build` leaves out by default."""
 QUICK: dict = {"preset": "draft", "neural_steps": 0}
 """Ablations of the alignment: fused LiDAR and textures of every fourth image."""
 VARIANTS: dict[str, dict] = {
@@ -39,14 +37,17 @@ VARIANTS: dict[str, dict] = {
     "paper": {"preset": "paper", "neural_steps": 2000},
     "paper+texture": {"preset": "paper", "neural_steps": 2000, "colour": "texture"},
     "aligned": QUICK,
-    "and camera_poses": {**QUICK, "no_refine": ()},
-    "no rolling_shutter": {**QUICK, "no_refine": ("rolling_shutter", *OFF)},
-    "no lidar_poses": {**QUICK, "no_refine": ("lidar_poses", *OFF)},
-    "no actor_tracks": {**QUICK, "no_refine": ("actor_tracks", *OFF)},
-    "no point_times": {**QUICK, "no_refine": ("point_times", *OFF)},
-    "no own_car_masks": {**QUICK, "no_refine": ("own_car_masks", *OFF)},
-    "no camera_gains": {**QUICK, "no_refine": ("camera_gains", *OFF)},
-    "recorded": {**QUICK, "no_refine": ("rolling_shutter", "lidar_poses", "actor_tracks", *OFF)},
+    "no camera_poses": {**QUICK, "no_refine": ("camera_poses",)},
+    "no rolling_shutter": {**QUICK, "no_refine": ("rolling_shutter",)},
+    "no lidar_poses": {**QUICK, "no_refine": ("lidar_poses",)},
+    "no actor_tracks": {**QUICK, "no_refine": ("actor_tracks",)},
+    "no point_times": {**QUICK, "no_refine": ("point_times",)},
+    "no own_car_masks": {**QUICK, "no_refine": ("own_car_masks",)},
+    "no camera_gains": {**QUICK, "no_refine": ("camera_gains",)},
+    "recorded": {
+        **QUICK,
+        "no_refine": ("rolling_shutter", "lidar_poses", "actor_tracks", "camera_poses"),
+    },
 }
 STAGES = ("alignment", "fields", "neural", "geometry", "assets")
 

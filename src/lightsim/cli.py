@@ -43,9 +43,9 @@ class Build:
     colour: Literal["texture", "vertex", "field"] | None = None
     """Colour of the meshes: at image resolution, at vertices, or (the paper's) the neural field's
     at vertices; by default the preset's."""
-    no_refine: str = "camera_poses"
+    no_refine: str = ""
     """Comma-separated physics of the log to leave out: rolling_shutter, point_times,
-    own_car_masks, lidar_poses, actor_tracks, camera_poses, camera_gains; empty to use all."""
+    own_car_masks, lidar_poses, actor_tracks, camera_poses, camera_gains."""
     heading_deg: float | None = None
     """Azimuth of the world x axis, where the log cannot tell it (clockwise from north)."""
     device: Device = "auto"

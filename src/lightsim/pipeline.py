@@ -75,7 +75,7 @@ class BuildOptions:
     seed: int = 0
     neural_steps: int | None = None
     device: str = "auto"
-    no_refine: tuple[str, ...] = ("camera_poses",)
+    no_refine: tuple[str, ...] = ()
     colour: Colour | None = None
 
 
