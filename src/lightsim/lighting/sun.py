@@ -38,9 +38,10 @@ class SunDirection:
     Args:
         direction_world: unit vector towards the sun.
         azimuth_deg: clockwise from true north, or None where the heading is unknown.
-        origin: "gps+time" or "image".
-        uncertainty_deg: one standard deviation.
+        origin: "gps+time", "time+image" (heading unknown) or "image".
+        uncertainty_deg: one standard deviation of each component of its error.
         notes: how it was found.
+        sunny_probability: that it casts shadows; None where nothing was asked.
     """
 
     direction_world: Float[np.ndarray, "3"]
@@ -49,6 +50,7 @@ class SunDirection:
     origin: str
     uncertainty_deg: float
     notes: tuple[str, ...] = ()
+    sunny_probability: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,21 +184,7 @@ def sun_from_panorama(panorama: Panorama) -> SunDirection:
 
 
 def _sun_from_gradient(panorama: Panorama) -> SunDirection:
-    height, step = 32, panorama.radiance.shape[0] // 32
-    usable = panorama.is_sky & panorama.is_seen & ~panorama.is_clipped
-    count = usable.reshape(height, step, 2 * height, step).sum((1, 3))
-    total = (panorama.radiance * usable[..., None]).reshape(height, step, 2 * height, step, 3)
-    is_used = count >= max(1, step * step // 8)
-    is_used[height // 2 :] = False
-    if is_used.sum() < 8:
-        raise InputError(
-            "the sun cannot be found: almost no sky was seen in the images",
-            remedy="Give place, time and heading of the log, or an HDR file as the sky.",
-        )
-    observed = luminance((total.sum((1, 3)) / np.maximum(count, 1)[..., None]).astype(np.float32))
-    candidates = _gradient_residuals(observed.astype(np.float64), is_used)
-    directions = np.array([c[0] for c in candidates])
-    residual = np.array([c[1] for c in candidates])
+    directions, residual = gradient_candidates(panorama)
     # A mean relative error of 5 % is what thin clouds leave of a well-fitting model.
     weight = np.exp(-(residual - residual.min()) / (2 * 0.05**2))
     best = directions[int(residual.argmin())]
@@ -210,6 +198,31 @@ def _sun_from_gradient(panorama: Panorama) -> SunDirection:
         float(np.clip(spread_deg, 15.0, 90.0)),
         ("the sun was not seen: its direction is the best fit of clear skies to the gradient",),
     )
+
+
+def gradient_candidates(
+    panorama: Panorama,
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """Sun directions on rings of equal elevation, and how badly clear skies (plus an overcast
+    part) with that sun fit the observed, unsaturated sky: mean squared relative residuals.
+
+    Raises:
+        InputError: almost no sky was seen.
+    """
+    height, step = 32, panorama.radiance.shape[0] // 32
+    usable = panorama.is_sky & panorama.is_seen & ~panorama.is_clipped
+    count = usable.reshape(height, step, 2 * height, step).sum((1, 3))
+    total = (panorama.radiance * usable[..., None]).reshape(height, step, 2 * height, step, 3)
+    is_used = count >= max(1, step * step // 8)
+    is_used[height // 2 :] = False
+    if is_used.sum() < 8:
+        raise InputError(
+            "the sun cannot be found: almost no sky was seen in the images",
+            remedy="Give place, time and heading of the log, or an HDR file as the sky.",
+        )
+    observed = luminance((total.sum((1, 3)) / np.maximum(count, 1)[..., None]).astype(np.float32))
+    candidates = _gradient_residuals(np.maximum(observed, 1e-4).astype(np.float64), is_used)
+    return np.array([c[0] for c in candidates]), np.array([c[1] for c in candidates])
 
 
 def _gradient_residuals(
