@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -307,6 +307,13 @@ def base_colour(work: Path, truth: Path, progress: Progress) -> BaseColourReport
     baseline = replace(config.delight, method="divide")
     divided = delight(radiance, source.on(identity), baseline, np.random.default_rng(0)).mesh
     meshes = {"labels": twin.assets.background, "divide": divided, "radiance": radiance}
+    return base_colours_of(meshes, workspace, truth, progress)
+
+
+def base_colours_of(
+    meshes: Mapping[str, TriMesh], workspace: Workspace, truth: Path, progress: Progress
+) -> BaseColourReport:
+    """Base colours of several meshes of the background, by method; see `base_colour`."""
     log = workspace.log_at(1.0)
     paths = sorted((truth / "base_colour").glob("*/*.exr"))
     frames = {(f.camera_name, f.stem): f for f in log.frames}

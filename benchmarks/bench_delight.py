@@ -1,0 +1,80 @@
+"""Base colour of a synthetic street's twin with parts of the method left out; a Markdown table.
+
+    python benchmarks/bench_delight.py WORK --truth DIR [--variants "labels,no lidar intensity"]
+
+WORK: a build up to the stage sky. Ratio: base colour where the sun shone over where it did not,
+against the truth; 1 is free of shadows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from lightsim.assets.delight import delight
+from lightsim.assets.delight_config import DelightConfig
+from lightsim.assets.delight_light import LightScales
+from lightsim.core.frames import RigidTransform
+from lightsim.core.mesh import TriMesh
+from lightsim.evaluation import base_colours_of
+from lightsim.progress import SilentProgress
+from lightsim.source_light import SourceLight, static_returns
+from lightsim.stages import TwinConfig
+from lightsim.workspace import Workspace
+
+DEFAULT = DelightConfig()
+VARIANTS: dict[str, DelightConfig] = {
+    "labels": DEFAULT,
+    "no LiDAR intensity": DEFAULT,
+    "no inferred casters": DEFAULT,
+    "estimated sun as it is": DEFAULT,
+    "no islands filtered": replace(DEFAULT, island_m2=0.0),
+    "neighbours only": replace(DEFAULT, reach_m=0.5),
+    "rendered edges exact": replace(DEFAULT, edge_error_m=0.02, unseen_shadow=0.01),
+    "divide": replace(DEFAULT, method="divide"),
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--truth", type=Path, required=True)
+    parser.add_argument("--variants", default=",".join(VARIANTS))
+    options = parser.parse_args()
+    workspace = Workspace(options.work)
+    meshes: dict[str, TriMesh] = {"radiance": workspace.assets.background}
+    for name in options.variants.split(","):
+        start = time.monotonic()
+        meshes[name] = _without_light(workspace, name)
+        sys.stderr.write(f"{name}: {time.monotonic() - start:.0f} s\n")
+    report = base_colours_of(meshes, workspace, options.truth, SilentProgress())
+    sys.stdout.write(report.to_table() + "\n")
+
+
+def _without_light(workspace: Workspace, name: str) -> TriMesh:
+    log, assets, config = workspace.training_log, workspace.assets, TwinConfig()
+    inferred = workspace.inferred
+    if name == "no inferred casters":
+        inferred = replace(inferred, faces=inferred.faces[:0])
+    dome = workspace.sky.dome
+    source = SourceLight(log, assets, inferred, dome, config.irradiance, 0)
+    rng = np.random.default_rng(0)
+    uses_lidar = name != "no LiDAR intensity"
+    done = delight(
+        assets.background,
+        source.on(RigidTransform.identity("world", "world")),
+        VARIANTS[name],
+        rng,
+        returns=static_returns(log, config.lidar_returns, rng) if uses_lidar else None,
+        scales=LightScales.assumed(np.inf) if name == "estimated sun as it is" else None,
+    )
+    return done.mesh
+
+
+if __name__ == "__main__":
+    main()
