@@ -58,7 +58,8 @@ def test_a_step_moves_every_parameter_and_the_network_is_scored(kind: SkyKind) -
     for name, value in weights_of(recipe.network).items():
         assert torch.equal(value, again.network.state_dict()[name])
     assert isinstance(recipe.network, SkyModel)
-    rows = evaluate_sky_networks(data, {kind: recipe.network}, data, batches=1, size=4)
+    drawn = [data.batch(4, 0, 0, only_sunny=False)]
+    rows = evaluate_sky_networks(drawn, {kind: recipe.network}, drawn)
     assert [row.name for row in rows] == ["constant", "brightest pixel", kind]
     assert np.isfinite(rows[-1].decoding_angle_deg)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -15,7 +15,7 @@ from torch import Tensor
 
 from lightsim.core.colour import luminance
 from lightsim.core.equirect import pixel_directions, solid_angles_sr, uv_from_directions
-from lightsim.lighting.sample import LightingBatch, LightingData
+from lightsim.lighting.sample import LightingBatch
 from lightsim.lighting.sky_train import Completion, sky_tensors
 from lightsim.networks.sky_terms import SkyEncoding, SkyTensors
 
@@ -70,36 +70,36 @@ class SkyScore:
 
 
 def evaluate_sky_networks(
-    data: LightingData,
+    batches: Sequence[LightingBatch],
     models: Mapping[str, SkyModel],
-    reference: LightingData,
-    *,
-    batches: int = 16,
-    size: int = 8,
-    seed: int = 0,
+    known: Sequence[LightingBatch],
     complete: Completion | None = None,
 ) -> list[SkyScore]:
     """Rows of the networks and of two baselines, all on the same panoramas.
 
     Args:
-        data: what is scored; panoramas are shown as the cameras saw them, then completed.
+        batches: what is scored; panoramas are shown as the cameras saw them, then completed.
         models: by the names of their rows.
-        reference: training data, whose mean sun and median peak make the constant answer.
-        batches: taken from `data`, indices 0 to batches - 1.
-        size: panoramas a batch.
-        seed: of the batches.
+        known: training data, whose mean sun and median peak make the constant answer.
         complete: as in training.
     """
-    drawn = [data.batch(size, seed, index, only_sunny=False) for index in range(batches)]
-    known = [reference.batch(size, seed, index, only_sunny=False) for index in range(batches)]
     rows = [
-        score_answers("constant", drawn, [_constant(known, len(b.log_peak)) for b in drawn]),
-        score_answers("brightest pixel", drawn, [_brightest(b) for b in drawn]),
+        score_answers("constant", batches, [_constant(known, len(b.log_peak)) for b in batches]),
+        score_answers("brightest pixel", batches, [_brightest(b) for b in batches]),
     ]
     for name, model in models.items():
-        answers = [answer_of(model, batch, complete) for batch in drawn]
-        rows.append(score_answers(name, drawn, answers))
+        answers = [answer_of(model, batch, complete) for batch in batches]
+        rows.append(score_answers(name, batches, answers))
     return rows
+
+
+def parts_of(batch: LightingBatch, size: int) -> list[LightingBatch]:
+    """A large batch in parts of at most `size` panoramas."""
+    count = len(batch.log_peak)
+    return [
+        LightingBatch(**{f.name: getattr(batch, f.name)[k : k + size] for f in fields(batch)})
+        for k in range(0, count, size)
+    ]
 
 
 @dataclass(frozen=True, eq=False)

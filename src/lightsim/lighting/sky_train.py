@@ -82,7 +82,9 @@ def train_sky(
         generator = torch.Generator().manual_seed(config.seed * _STEP_SEED + step)
 
         def draw(only_sunny: bool) -> SkyTensors:
-            batch = data.batch(config.batch, config.seed, step, only_sunny=only_sunny)
+            # Not the same number twice: data may draw both kinds from one stream.
+            index = 2 * step + int(only_sunny)
+            batch = data.batch(config.batch, config.seed, index, only_sunny=only_sunny)
             whole = torch.rand(config.batch, generator=generator).numpy() < config.complete_share
             return sky_tensors(batch, whole, complete, target)
 
