@@ -1,0 +1,272 @@
+"""The pool of measured skies: HDR panoramas, shrunk with their energy kept, suns taken apart."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from lightsim.core.colour import luminance
+from lightsim.core.dome import SkyDome, Sun, find_sun, irradiance, split_sun
+from lightsim.core.equirect import pixel_directions, solid_angles_sr
+from lightsim.core.resample import resize_area
+from lightsim.errors import InputError
+from lightsim.lighting.clear_sky import clear_sky_parts
+from lightsim.progress import Progress, SilentProgress
+from lightsim.store.images import read_sky
+
+Split = Literal["train", "test", "out"]
+Tier = Literal["A", "B", "C"]
+Scene = Literal["ground", "none", "canopy"]
+COLUMNS = ("name", "split", "group", "tier", "scene", "reason")
+_SUFFIXES = (".hdr", ".exr")
+_UP = np.array([0.0, 0.0, 1.0])
+_SPOT_DEG = 6.0
+_RAISED_TURBIDITY = 3.5
+_SKY_CUT = 0.4
+"""Share of the upper half below whose blue level brighter sky is cut off."""
+_CLASS_RATIO = 2.5
+"""Least ratio of the levels of sky and scene; closer classes are both sky."""
+
+
+@dataclass(frozen=True)
+class SplitEntry:
+    """What is known of one file before it is read.
+
+    Args:
+        split: "out" is read by nobody (night, no open sky).
+        group: files of one place, series or sky share a group, and a group lies on one side.
+        tier: A sun measured, B no sun disc or a veiled one, C sun clipped by the recording.
+        scene: "ground": a place with its own lower half; "none": sky alone; "canopy": trees or
+            roofs hide most of the sky, so it is no dome for other places.
+    """
+
+    name: str
+    split: Split
+    group: str
+    tier: Tier
+    scene: Scene
+
+
+@dataclass(frozen=True, eq=False)
+class HdrSky:
+    """A measured sky at working resolution; its median luminance above the horizon is 1.
+
+    Args:
+        rest: the whole panorama without the sun.
+        sun: its sun, or None where no spot stands out.
+        sky_seen: where the upper half shows sky and not scene.
+    """
+
+    entry: SplitEntry
+    rest: Float32[np.ndarray, "h w 3"]
+    sun: Sun | None
+    sky_seen: Bool[np.ndarray, "h/2 w"]
+
+
+def read_split(path: Path) -> dict[str, SplitEntry]:
+    """The written split by file stem.
+
+    Raises:
+        InputError: the file is missing, a column or value is wrong, a name occurs twice, or a
+            group lies on both sides.
+    """
+    if not path.is_file():
+        raise InputError("the split file does not exist", where=path)
+    with path.open(newline="") as handle:
+        reader = csv.DictReader(handle)
+        if tuple(reader.fieldnames or ()) != COLUMNS:
+            raise InputError(
+                "the split file has other columns",
+                where=path,
+                got=reader.fieldnames,
+                expected=COLUMNS,
+            )
+        rows = list(reader)
+    entries: dict[str, SplitEntry] = {}
+    side: dict[str, str] = {}
+    for row in rows:
+        entry = _entry(row, path)
+        if entry.name in entries:
+            raise InputError("a name occurs twice", where=path, got=entry.name)
+        if entry.split != "out" and side.setdefault(entry.group, entry.split) != entry.split:
+            raise InputError("a group lies on both sides", where=path, got=entry.group)
+        entries[entry.name] = entry
+    return entries
+
+
+def _entry(row: Mapping[str, str], path: Path) -> SplitEntry:
+    allowed = {
+        "split": ("train", "test", "out"),
+        "tier": ("A", "B", "C"),
+        "scene": ("ground", "none", "canopy"),
+    }
+    for column, choices in allowed.items():
+        if row[column] not in choices:
+            raise InputError(
+                f"the {column} of '{row['name']}' is unknown",
+                where=path,
+                got=row[column],
+                expected=choices,
+            )
+    split: Split = row["split"]  # type: ignore[assignment]
+    tier: Tier = row["tier"]  # type: ignore[assignment]
+    scene: Scene = row["scene"]  # type: ignore[assignment]
+    return SplitEntry(row["name"], split, row["group"], tier, scene)
+
+
+def read_pool(
+    folder: Path,
+    split: Mapping[str, SplitEntry] | None,
+    height_px: int,
+    progress: Progress | None = None,
+) -> tuple[HdrSky, ...]:
+    """All skies of a folder that are on a side; without a split every file trains.
+
+    Raises:
+        InputError: the folder has no .hdr or .exr file, or one that the split does not name.
+    """
+    paths = sorted(p for p in folder.glob("*") if p.suffix.lower() in _SUFFIXES)
+    if not paths:
+        raise InputError("no .hdr or .exr file is in the folder", where=folder)
+    skies = []
+    for path in (progress or SilentProgress()).track(paths, "measured skies"):
+        entry = None if split is None else split.get(path.stem)
+        if split is not None and entry is None:
+            raise InputError(
+                "the split does not name this file",
+                where=path,
+                remedy="Add a line for it, or leave the split out to train on all files.",
+            )
+        if entry is None or entry.split != "out":
+            skies.append(measured_sky(read_sky(path).radiance, path.stem, entry, height_px))
+    return tuple(skies)
+
+
+def measured_sky(
+    radiance: Float32[np.ndarray, "h w 3"], name: str, entry: SplitEntry | None, height_px: int
+) -> HdrSky:
+    """One sky, shrunk by solid angle, with its sun apart.
+
+    A sun that the recording clipped (tier C) gets the strength that the Hosek-Wilkie model gives
+    a clear sun of turbidity 3.5 at its elevation, relative to the light of the measured sky.
+
+    Args:
+        entry: None judges the tier by the brightest spot, and takes the lower half as ground.
+    """
+    if entry is None:
+        entry = SplitEntry(name, "train", name, _tier_of(radiance), "ground")
+    sun = find_sun(radiance)
+    if entry.tier == "C" and sun is None:
+        sun = Sun(_brightest(radiance), np.zeros(3, np.float32))
+    if sun is None:
+        rest = radiance
+    else:
+        rest, parted = split_sun(SkyDome(radiance, sun))
+        sun = parted or sun
+    if sun is not None and entry.tier == "C" and entry.scene != "canopy":
+        sun = _raised(rest, sun)
+    small = shrunk(rest, height_px)
+    unit = max(float(np.median(luminance(small[: height_px // 2]))), 1e-6)
+    if sun is not None:
+        irradiance_rgb = (sun.irradiance / unit).astype(np.float32)
+        sun = Sun(sun.direction_world, irradiance_rgb)
+    small = np.minimum(small / unit, 6e4).astype(np.float32)
+    return HdrSky(entry, small, sun, sky_mask(small, entry.scene == "none"))
+
+
+def shrunk(radiance: Float32[np.ndarray, "a b 3"], height_px: int) -> Float32[np.ndarray, "h w 3"]:
+    """Mean by solid angle over what each new pixel covers: all irradiances stay."""
+    height, width = radiance.shape[:2]
+    weight = np.broadcast_to(solid_angles_sr(height)[..., None], (height, width, 1))
+    weight = weight.astype(np.float32)
+    size = (height_px, 2 * height_px)
+    return resize_area(radiance * weight, *size) / resize_area(weight.copy(), *size)
+
+
+def sky_mask(panorama: Float32[np.ndarray, "h w 3"], is_all_sky: bool) -> Bool[np.ndarray, "h/2 w"]:
+    """Sky of an HDR panorama's upper half: the class of strong blue light (Otsu 1979).
+
+    The brightest part is cut off first, else a clear sky falls into aureole and the rest.
+    """
+    from scipy import ndimage
+
+    half = panorama.shape[0] // 2
+    if is_all_sky:
+        return np.ones((half, panorama.shape[1]), dtype=bool)
+    value = np.log(np.maximum(panorama[:half, :, 2], 1e-6)).astype(np.float64)
+    weight = np.repeat(solid_angles_sr(2 * half)[:half], value.shape[1], axis=1)
+    value = np.minimum(value, _weighted_quantile(value, weight, _SKY_CUT))
+    bright = value > _otsu(value, weight)
+    width = bright.shape[1]
+    wide = np.concatenate([bright, bright, bright], axis=1)
+    labelled, _ = ndimage.label(wide)  # type: ignore[misc]
+    labels = np.asarray(labelled)[:, width : 2 * width]
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    return np.isin(labels, np.flatnonzero(sizes >= max(4, 0.01 * value.size)))
+
+
+def _weighted_quantile(
+    value: Float[np.ndarray, "h w"], weight: Float[np.ndarray, "h w"], quantile: float
+) -> float:
+    order = np.argsort(value, axis=None)
+    mass = np.cumsum(weight.ravel()[order])
+    return float(value.ravel()[order[int(np.searchsorted(mass, quantile * mass[-1]))]])
+
+
+def _otsu(value: Float[np.ndarray, "h w"], weight: Float[np.ndarray, "h w"]) -> float:
+    """The threshold of greatest variance between classes; below all if the classes lie close."""
+    edges = np.linspace(float(value.min()), float(value.max()) + 1e-9, 65)
+    mass, _ = np.histogram(value, edges, weights=weight)
+    centre = 0.5 * (edges[1:] + edges[:-1])
+    below = np.cumsum(mass)[:-1]
+    above = mass.sum() - below
+    first = np.cumsum(mass * centre)
+    low = first[:-1] / np.maximum(below, 1e-12)
+    high = (first[-1] - first[:-1]) / np.maximum(above, 1e-12)
+    best = int(np.argmax(below * above * (high - low) ** 2))
+    is_one_class = high[best] - low[best] < np.log(_CLASS_RATIO)
+    return -np.inf if is_one_class else float(edges[best + 1])
+
+
+def _tier_of(radiance: Float32[np.ndarray, "h w 3"]) -> Tier:
+    """C where several pixels share the largest value, as a clipped disc does."""
+    upper = luminance(radiance[: radiance.shape[0] // 2])
+    is_flat = int((upper >= 0.98 * upper.max()).sum()) > 6
+    has_spot = float(upper.max()) > 20 * float(np.median(upper))
+    if is_flat and has_spot:
+        return "C"
+    return "A" if find_sun(radiance) is not None else "B"
+
+
+def _brightest(radiance: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3"]:
+    """Centre of the brightest spot of the upper half, weighted by luminance."""
+    height = radiance.shape[0]
+    value = luminance(radiance[: height // 2]).astype(np.float64)
+    directions = pixel_directions(height)[: height // 2]
+    peak = directions.reshape(-1, 3)[int(value.argmax())]
+    near = (directions @ peak > np.cos(np.radians(_SPOT_DEG))) & (value > 0.5 * value.max())
+    weight = np.where(near, value, 0.0) * solid_angles_sr(height)[: height // 2]
+    centre = np.einsum("hw,hwc->c", weight, directions)
+    return centre / np.linalg.norm(centre)
+
+
+def _raised(rest: Float32[np.ndarray, "h w 3"], sun: Sun) -> Sun:
+    """The sun at least as strong as a clear one over this much skylight."""
+    direction = sun.direction_world
+    if direction[2] <= 0.02:
+        return sun
+    height = rest.shape[0]
+    upper = rest.copy()
+    upper[height // 2 :] = 0
+    model_sky, model_sun = clear_sky_parts(direction, _RAISED_TURBIDITY, 0.2, 32)
+    skylight = luminance(irradiance(upper, _UP).astype(np.float32))
+    model_skylight = luminance(irradiance(model_sky, _UP).astype(np.float32))
+    raised = model_sun.irradiance * float(skylight / model_skylight)
+    return Sun(direction, np.maximum(raised, sun.irradiance).astype(np.float32))

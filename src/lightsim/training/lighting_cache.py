@@ -1,0 +1,186 @@
+"""The cache file of the lighting networks' training: measured skies, clear skies, streets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, Shaped
+
+from lightsim.core.dome import Sun
+from lightsim.errors import InputError
+from lightsim.progress import Progress, SilentProgress
+from lightsim.store.arrays import load_arrays
+from lightsim.store.atomic import whole_file
+from lightsim.training.hdr_skies import HdrSky, SplitEntry, read_pool, read_split
+from lightsim.training.procedural_skies import (
+    ClearSkies,
+    clear_arrays,
+    make_clear_skies,
+    make_noise,
+    pack_noise,
+    unpack_noise,
+)
+from lightsim.training.street_panoramas import StreetConfig, StreetView, trace_streets
+
+VERSION = 1
+_VIEW_FIELDS = ("pixel", "albedo", "normal", "met", "horizon")
+_REMEDY = "Make it again with lightsim train prepare."
+
+
+@dataclass(frozen=True)
+class PrepareConfig:
+    """What goes into a cache."""
+
+    height_px: int = 64
+    """Height of panoramas; they are twice as wide."""
+    seed: int = 0
+    """Of all random numbers."""
+    clear_count: int = 160
+    """Analytic clear skies."""
+    streets: StreetConfig = field(default_factory=StreetConfig)
+    """Streets and positions."""
+
+
+@dataclass(frozen=True, eq=False)
+class LightingCache:
+    """All that batches are made of."""
+
+    height_px: int
+    skies: tuple[HdrSky, ...]
+    clear: ClearSkies
+    noise: Float32[np.ndarray, "k s s"]
+    views: tuple[StreetView, ...]
+    view_is_test: tuple[bool, ...]
+
+    def check(self, skies: Sequence[HdrSky], views: Sequence[StreetView], split: str) -> None:
+        """Raises InputError where a split lacks skies or streets."""
+        if not skies or not views:
+            raise InputError(
+                f"the cache has nothing to show for the split '{split}'",
+                got=f"{len(skies)} skies and {len(views)} street positions",
+                remedy="Make it with a split file that names skies of this side.",
+            )
+
+
+def prepare_cache(
+    hdri: Path, split: Path | None, config: PrepareConfig, progress: Progress | None = None
+) -> LightingCache:
+    """Read the skies, evaluate the clear ones and trace the streets.
+
+    Raises:
+        InputError: the height is odd or below 16, or as `read_split` and `read_pool`.
+    """
+    height = config.height_px
+    if height < 16 or height % 2:
+        raise InputError("the height must be even and at least 16", where="--height", got=height)
+    progress = progress or SilentProgress()
+    entries = None if split is None else read_split(split)
+    skies = read_pool(hdri, entries, height, progress)
+    rng = np.random.default_rng([config.seed, 1])
+    clear = make_clear_skies(config.clear_count, height, rng, progress)
+    noise = unpack_noise(pack_noise(make_noise(np.random.default_rng([config.seed, 2]))))
+    views, is_test = trace_streets(config.streets, height, config.seed, progress)
+    return LightingCache(height, skies, clear, noise, tuple(views), tuple(is_test))
+
+
+def write_cache(path: Path, cache: LightingCache) -> None:
+    """One compressed .npz file; it appears whole or not at all."""
+    skies = cache.skies
+    counts = [len(view.pixel) for view in cache.views]
+    is_there = np.array([sky.sun is not None for sky in skies])
+    arrays: dict[str, Shaped[np.ndarray, "..."]] = {
+        "version": np.array([VERSION, cache.height_px]),
+        "sky_entry": np.array(
+            [
+                (s.entry.name, s.entry.split, s.entry.group, s.entry.tier, s.entry.scene)
+                for s in skies
+            ]
+        ),
+        "sky_rest": np.stack([sky.rest for sky in skies]).astype(np.float16),
+        "sky_seen": np.stack([sky.sky_seen for sky in skies]),
+        "sky_has_sun": is_there,
+        "sky_sun": np.stack([_sun_row(sky.sun) for sky in skies]),
+        "noise": pack_noise(cache.noise),
+        "view_count": np.array(counts),
+        "view_is_test": np.array(cache.view_is_test),
+        "view_share": np.stack([view.surface_share for view in cache.views]),
+        **clear_arrays(cache.clear),
+    }
+    for name in _VIEW_FIELDS:
+        axis = -1 if name in ("met", "horizon") else 0
+        arrays[f"view_{name}"] = np.concatenate([getattr(v, name) for v in cache.views], axis=axis)
+    with whole_file(path) as temporary, temporary.open("wb") as handle:
+        np.savez_compressed(handle, allow_pickle=False, **arrays)
+
+
+def read_cache(path: Path) -> LightingCache:
+    """A cache that `write_cache` wrote.
+
+    Raises:
+        InputError: it is missing, damaged or of another version.
+    """
+    arrays = load_arrays(path)
+    try:
+        version, height = (int(x) for x in arrays["version"])
+        if version != VERSION:
+            raise InputError(
+                "the training cache has another version",
+                where=path,
+                got=version,
+                expected=VERSION,
+                remedy=_REMEDY,
+            )
+        return _unpacked(arrays, height)
+    except (KeyError, ValueError, IndexError) as error:
+        raise InputError(
+            "this is no training cache of the lighting networks",
+            where=path,
+            got=f"{type(error).__name__}: {error}"[:200],
+            remedy=_REMEDY,
+        ) from error
+
+
+def _unpacked(arrays: Mapping[str, Shaped[np.ndarray, "..."]], height: int) -> LightingCache:
+    skies = []
+    for row, rest, seen, has_sun, sun in zip(
+        arrays["sky_entry"],
+        arrays["sky_rest"],
+        arrays["sky_seen"],
+        arrays["sky_has_sun"],
+        arrays["sky_sun"],
+        strict=True,
+    ):
+        entry = SplitEntry(*(str(x) for x in row))  # type: ignore[arg-type]
+        disc = Sun(sun[:3].copy(), sun[3:].astype(np.float32)) if has_sun else None
+        skies.append(HdrSky(entry, rest.astype(np.float32), disc, seen))
+    clear = ClearSkies(
+        arrays["clear_elevation_deg"], arrays["clear_rest"], arrays["clear_sun_irradiance"]
+    )
+    ends = np.cumsum(arrays["view_count"])
+    views = []
+    for end, count, share in zip(ends, arrays["view_count"], arrays["view_share"], strict=True):
+        part = slice(int(end - count), int(end))
+        views.append(
+            StreetView(
+                arrays["view_pixel"][part],
+                arrays["view_albedo"][part],
+                arrays["view_normal"][part],
+                np.ascontiguousarray(arrays["view_met"][:, part]),
+                np.ascontiguousarray(arrays["view_horizon"][:, part]),
+                share,
+            )
+        )
+    is_test = tuple(bool(x) for x in arrays["view_is_test"])
+    if arrays["sky_rest"].shape[1:] != (height, 2 * height, 3):
+        raise ValueError("skies of another size")
+    noise = unpack_noise(arrays["noise"])
+    return LightingCache(height, tuple(skies), clear, noise, tuple(views), is_test)
+
+
+def _sun_row(sun: Sun | None) -> Shaped[np.ndarray, " 6"]:
+    if sun is None:
+        return np.zeros(6)
+    return np.concatenate([sun.direction_world, sun.irradiance]).astype(np.float64)

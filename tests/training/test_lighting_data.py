@@ -1,0 +1,199 @@
+"""The data of the lighting networks: skies, street transport, masks, batches."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightsim.core.dome import Sun, add_sun, irradiance
+from lightsim.core.equirect import pixel_directions, uv_from_directions
+from lightsim.errors import InputError
+from lightsim.lighting.sample import LightingData
+from lightsim.store.images import write_exr
+from lightsim.training.hdr_skies import measured_sky, read_split, shrunk, sky_mask
+from lightsim.training.lighting_cache import PrepareConfig, prepare_cache, write_cache
+from lightsim.training.lighting_data import LightingSet
+from lightsim.training.procedural_skies import Heaven, raised_heaven, turned_heaven
+from lightsim.training.rigs import RIGS, MaskConfig, mask_of, rig_mask
+from lightsim.training.street_panoramas import StreetConfig, StreetView, light_view
+
+HEIGHT = 16
+SPLIT = "name,split,group,tier,scene,reason\n"
+STREETS = StreetConfig(street_count=2, test_count=1, positions=1, rays=8)
+
+
+def made_sky(elevation_deg: float, height_px: int = 64) -> np.ndarray:
+    """A gradient with a sun and a dark wall of 20 degrees."""
+    directions = pixel_directions(height_px)
+    radiance = np.repeat(0.5 + 0.4 * directions[..., 2:], 3, axis=2).astype(np.float32)
+    radiance[directions[..., 2] < 0] = 0.1
+    e = np.radians(elevation_deg)
+    towards = np.array([np.cos(e), 0.0, np.sin(e)])
+    return add_sun(radiance, Sun(towards, np.full(3, 5.0, np.float32))).radiance
+
+
+@pytest.fixture(scope="module")
+def cache_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("lighting")
+    for name, elevation in (("a", 30.0), ("b", 50.0), ("c", 20.0)):
+        write_exr(folder / f"{name}.exr", made_sky(elevation))
+    split = folder / "split.csv"
+    split.write_text(SPLIT + "a,train,a,A,ground,\nb,test,b,A,ground,same sky\nc,train,c,A,none,\n")
+    config = PrepareConfig(height_px=HEIGHT, clear_count=3, streets=STREETS)
+    write_cache(folder / "cache.npz", prepare_cache(folder, split, config))
+    return folder / "cache.npz"
+
+
+def test_shrinking_keeps_irradiance_in_every_direction(rng: np.random.Generator) -> None:
+    image = rng.random((64, 128, 3)).astype(np.float32) ** 4
+    small = shrunk(image, 16)
+    up = np.array([0.0, 0.0, 1.0])
+    assert small.shape == (16, 32, 3)
+    np.testing.assert_allclose(irradiance(small, up), irradiance(image, up), rtol=0.01)
+
+
+def test_measured_sky_keeps_the_suns_energy() -> None:
+    sky = measured_sky(made_sky(30.0), "a", None, HEIGHT)
+    assert sky.sun is not None
+    assert sky.entry.tier == "A"
+    level = np.median(made_sky(30.0)[:32, :, 0])
+    np.testing.assert_allclose(sky.sun.irradiance * level, 5.0, rtol=0.1)
+    assert sky.sun.elevation_deg == pytest.approx(30.0, abs=1.0)
+
+
+def test_sky_mask_finds_a_dark_wall() -> None:
+    panorama = np.full((32, 64, 3), 1.0, np.float32)
+    panorama[10:16, 20:40] = 0.1
+    assert (sky_mask(panorama, is_all_sky=False) == (panorama[:16, :, 0] > 0.5)).all()
+    assert sky_mask(panorama, is_all_sky=True).all()
+
+
+def test_a_group_on_both_sides_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "split.csv"
+    path.write_text(SPLIT + "a,train,g,A,ground,\nb,test,g,A,ground,\n")
+    with pytest.raises(InputError, match="both sides"):
+        read_split(path)
+    path.write_text(SPLIT + "a,train,g,X,ground,\n")
+    with pytest.raises(InputError, match="tier of 'a'"):
+        read_split(path)
+
+
+def test_the_written_split_covers_every_file(shared_data: Path) -> None:
+    entries = read_split(Path(__file__).resolve().parents[2] / "benchmarks" / "hdri_split.csv")
+    names = {p.stem for p in (shared_data / "hdri").iterdir() if p.suffix in (".hdr", ".exr")}
+    assert set(entries) == names
+    test = [entry for entry in entries.values() if entry.split == "test"]
+    assert sum(entry.tier == "A" for entry in test) >= 5
+    assert 0.2 <= len(test) / len(entries) <= 0.3
+
+
+def open_ground(height_px: int) -> StreetView:
+    """Level white ground and nothing else."""
+    half = height_px * height_px
+    pixel = np.arange(half, 2 * half).astype(np.uint16)
+    cosine_rows = np.arcsin(np.sqrt((np.arange(64) + 0.5) / 64))
+    rows = np.minimum((cosine_rows / np.pi * height_px).astype(np.int64), height_px // 2 - 1)
+    columns = np.arange(64) * 7 % (2 * height_px)
+    cells = 2 * half + rows * 2 * height_px + columns
+    share = np.zeros((height_px, 2 * height_px), np.uint8)
+    share[height_px // 2 :] = 255
+    return StreetView(
+        pixel,
+        np.full((half, 3), 255, np.uint8),
+        np.tile(np.array([0, 0, 127], np.int8), (half, 1)),
+        np.repeat(cells[:, None], half, axis=1).astype(np.uint16),
+        np.zeros((64, half), np.uint8),
+        share,
+    )
+
+
+def test_white_open_ground_shows_irradiance_over_pi() -> None:
+    rest = np.full((16, 64, 3), 0.7, np.float32)
+    sun = np.array([2.0, 1.5, 1.0])
+    heaven = Heaven(rest, np.array([0.6, 0.0, 0.8]), sun)
+    linear, sky_seen = light_view(open_ground(32), heaven)
+    expected = 0.7 + 0.8 * sun / np.pi
+    np.testing.assert_allclose(linear[20], np.tile(expected, (64, 1)), rtol=1e-4)
+    assert sky_seen.all()
+    np.testing.assert_array_equal(linear[:16], rest)
+
+
+def test_turning_a_sky_turns_its_sun_with_it() -> None:
+    rest = np.zeros((16, 64, 3), np.float32)
+    direction = np.array([np.cos(0.5), 0.0, np.sin(0.5)])
+    u, v = uv_from_directions(direction[None])[0]
+    rest[int(v * 32), int(u * 64)] = 1.0
+    for columns, flip in ((5, False), (40, True)):
+        turned = turned_heaven(Heaven(rest, direction, np.ones(3)), columns, flip=flip)
+        spot = np.argwhere(turned.rest[..., 0] > 0)[0]
+        u, v = uv_from_directions(turned.sun_direction[None])[0]
+        assert abs(u * 64 - spot[1] - 0.5) <= 1.0
+        assert int(v * 32) == spot[0]
+
+
+def test_raising_a_sky_moves_its_bright_row() -> None:
+    rest = np.zeros((90, 360, 3), np.float32)
+    rest[60] = 1.0  # at 29.5 degrees
+    e = np.radians(29.5)
+    heaven = Heaven(rest, np.array([np.cos(e), 0.0, np.sin(e)]), np.ones(3))
+    raised = raised_heaven(heaven, 40.5)
+    assert int(raised.rest[:, 0, 0].argmax()) == 49
+    assert np.degrees(np.arcsin(raised.sun_direction[2])) == pytest.approx(40.5)
+    assert (raised.sun_irradiance > 1.0).all()
+
+
+def test_rigs_see_a_band_about_the_horizon(rng: np.random.Generator) -> None:
+    exact = MaskConfig(tilt_deg=0.0, scale=0.0, border=0.0, holes=0.0)
+    for rig in RIGS:
+        mask = mask_of(rig, 64, rng, exact)
+        assert mask[32, 64], rig.name
+        assert not mask[:16].any()
+        assert mask[31:33].mean() > 0.5
+    first = rig_mask(64, np.random.default_rng(5), MaskConfig())
+    assert (first == rig_mask(64, np.random.default_rng(5), MaskConfig())).all()
+
+
+def test_batches_are_consistent_and_repeatable(cache_path: Path) -> None:
+    data = LightingSet.load(cache_path)
+    assert isinstance(data, LightingData)
+    assert data.height_px == HEIGHT
+    batch = data.batch(12, 3, 4, only_sunny=False)
+    again = data.batch(12, 3, 4, only_sunny=False)
+    for name in vars(batch):
+        np.testing.assert_array_equal(getattr(batch, name), getattr(again, name))
+    assert batch.front.shape[1:] == (40, 64, 3)
+    assert batch.panorama.min() >= 0
+    assert batch.panorama.max() <= 1
+    peak = np.einsum("nhwc,c->nhw", batch.sky, [0.2126, 0.7152, 0.0722]).reshape(12, -1)
+    np.testing.assert_allclose(np.log(peak.max(axis=1)), batch.log_peak, rtol=1e-3)
+    brightest = pixel_directions(HEIGHT)[: HEIGHT // 2].reshape(-1, 3)[peak.argmax(axis=1)]
+    angle = np.degrees(np.arccos(np.clip((brightest * batch.sun_direction).sum(1), -1, 1)))
+    assert (angle[batch.is_sunny] < 0.8 * 180 / HEIGHT).all()
+
+
+def test_only_sunny_batches_are_sunny(cache_path: Path) -> None:
+    batch = LightingSet.load(cache_path).batch(10, 0, 0, only_sunny=True)
+    assert batch.is_sunny.all()
+
+
+def test_fixed_views_show_held_out_skies_only(cache_path: Path) -> None:
+    views = LightingSet.load(cache_path, "test").fixed_views(4)
+    assert views.names == ("b",) * 4
+    assert views.own_scene.tolist() == [True, False, True, False]
+    np.testing.assert_allclose(
+        np.degrees(np.arcsin(views.batch.sun_direction[:, 2])), 50.0, atol=1.5
+    )
+
+
+def test_a_broken_cache_is_named(tmp_path: Path, cache_path: Path) -> None:
+    path = tmp_path / "cache.npz"
+    with pytest.raises(InputError, match="does not exist"):
+        LightingSet.load(path)
+    path.write_bytes(cache_path.read_bytes()[:2000])
+    with pytest.raises(InputError, match="damaged"):
+        LightingSet.load(path)
+    np.savez(path, other=np.zeros(3))
+    with pytest.raises(InputError, match="no training cache"):
+        LightingSet.load(path)
