@@ -1,0 +1,80 @@
+"""What the networks on panoramas share: padding on the sphere and contextual attention.
+
+Yu et al., Generative Image Inpainting with Contextual Attention, CVPR 2018,
+doi:10.1109/CVPR.2018.00577.
+"""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional
+
+MATCH_STRIDE = 2
+_COPY_SIZE = 4
+_MASKED = -1e4
+
+
+def pad_sphere(x: Float[Tensor, "n c h w"], size: int) -> Float[Tensor, "n c _ _"]:
+    """A panorama with `size` more pixels on each side, as on the sphere: columns wrap around, and
+    above the top row the picture goes on half a turn further, upside down. There is no border."""
+    if size == 0:
+        return x
+    width = x.shape[-1]
+    above = x[..., :size, :].flip(-2).roll(width // 2, -1)
+    below = x[..., -size:, :].flip(-2).roll(width // 2, -1)
+    tall = torch.cat([above, x, below], -2)
+    return torch.cat([tall[..., width - size :], tall, tall[..., :size]], -1)
+
+
+def fold_sphere(padded: Float[Tensor, "n c _ _"], size: int) -> Float[Tensor, "n c h w"]:
+    """The transpose of `pad_sphere`: what lies on the padding is added where it came from."""
+    width = padded.shape[-1] - 2 * size
+    tall = padded[..., size : size + width].clone()
+    tall[..., width - size :] += padded[..., :size]
+    tall[..., :size] += padded[..., size + width :]
+    height = tall.shape[-2] - 2 * size
+    x = tall[..., size : size + height, :].clone()
+    x[..., :size, :] += tall[..., :size, :].flip(-2).roll(-(width // 2), -1)
+    x[..., height - size :, :] += tall[..., size + height :, :].flip(-2).roll(-(width // 2), -1)
+    return x
+
+
+def contextual_attention(
+    features: Float[Tensor, "n c h w"],
+    hole: Float[Tensor, "n 1 h w"],
+    *,
+    sharpness: float = 10.0,
+    propagates: bool = False,
+) -> Float[Tensor, "n c h w"]:
+    """Every place described by patches of the known part that look like it.
+
+    3x3 patches at half resolution are compared by the cosine of their features; the softmax of
+    `sharpness` times it weighs the 4x4 patches that are laid down, four over every pixel.
+    With `propagates`, neighbours vote for neighbouring patches (the paper's fusion, with wrapped
+    columns). Where nothing is wholly known, all patches serve.
+    """
+    small = functional.avg_pool2d(features, MATCH_STRIDE)
+    rows, columns = small.shape[-2:]
+    patches = functional.unfold(pad_sphere(small, 1), 3)
+    patches = functional.normalize(patches, dim=1, eps=1e-4)
+    scores = patches.transpose(1, 2) @ patches * sharpness
+    if propagates:
+        scores = _propagated(scores, rows, columns)
+    touched = functional.unfold(pad_sphere(hole, 1), _COPY_SIZE, stride=MATCH_STRIDE).amax(1)
+    weights = torch.softmax(scores + _MASKED * touched[:, :, None], dim=1)
+    copies = functional.unfold(pad_sphere(features, 1), _COPY_SIZE, stride=MATCH_STRIDE)
+    size = (features.shape[-2] + 2, features.shape[-1] + 2)
+    laid = functional.fold(copies @ weights, size, _COPY_SIZE, stride=MATCH_STRIDE)
+    return fold_sphere(laid, 1) / (_COPY_SIZE / MATCH_STRIDE) ** 2
+
+
+def _propagated(scores: Float[Tensor, "n k q"], rows: int, columns: int) -> Float[Tensor, "n k q"]:
+    """Scores averaged along both horizontal neighbours, then both vertical ones."""
+    grid = scores.reshape(-1, rows, columns, rows, columns)
+    grid = (grid + grid.roll((1, 1), (2, 4)) + grid.roll((-1, -1), (2, 4))) / 3
+    total = grid.clone()
+    total[:, 1:, :, 1:] += grid[:, :-1, :, :-1]
+    total[:, :-1, :, :-1] += grid[:, 1:, :, 1:]
+    return (total / 3).reshape(scores.shape)
