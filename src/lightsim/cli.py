@@ -14,6 +14,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from lightsim.cli_train import TrainGroup, TrainOptions, TrainPrepare
 from lightsim.errors import LightSimError
 
 Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"])]
@@ -48,6 +49,9 @@ class Build:
     own_car_masks, lidar_poses, actor_tracks, camera_poses, camera_gains."""
     heading_deg: float | None = None
     """Azimuth of the world x axis, where the log cannot tell it (clockwise from north)."""
+    gps: Literal["all", "place", "none"] = "all"
+    """What the sun is found with besides the images: place, time and heading; place and time; or
+    nothing."""
     device: Device = "auto"
     """Where the neural field is trained; auto takes CUDA where there is one."""
     neural_steps: int | None = None
@@ -300,6 +304,7 @@ Command = (
     | Annotated[Render, _command("render")]
     | Annotated[SkyGroup, _command("sky")]
     | Annotated[EvaluateGroup, _command("evaluate")]
+    | Annotated[TrainGroup, _command("train")]
     | Annotated[Synthesize, _command("synthesize")]
     | Annotated[Demo, _command("demo")]
     | Annotated[Doctor, _command("doctor")]
@@ -309,6 +314,11 @@ Command = (
 
 def run(command: object) -> None:
     """Carry out one parsed command; the heavy imports happen here."""
+    if isinstance(command, TrainPrepare | TrainOptions):
+        from lightsim.training import commands as training
+
+        training.run(command)
+        return
     from lightsim import commands
 
     action: dict[type, Callable[..., None]] = {
@@ -343,6 +353,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         command = command.measure
     elif isinstance(command, SkyGroup):
         command = command.do
+    elif isinstance(command, TrainGroup):
+        command = command.what
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:
         run(command)

@@ -64,6 +64,7 @@ def build(command: cli.Build) -> None:
         command.device,
         _names(command.no_refine),
         command.colour,
+        command.gps,
     )
     pipeline.build(command.work, options, terminal_progress())
     _say(f"twin:   {command.work / 'twin' / 'twin.json'}")

@@ -23,6 +23,7 @@ from lightsim.ingest.sky_mask import SkyMaskConfig
 from lightsim.lighting.stitch import StitchConfig
 from lightsim.progress import Progress
 from lightsim.reconstruct import fuse_config, neural_config
+from lightsim.source_sun import GpsUse, SourceSunConfig
 from lightsim.store.artefact import (
     Recipe,
     State,
@@ -68,6 +69,7 @@ class BuildOptions:
         device: "auto", "cpu" or "cuda", for training; results on the CPU do not depend on it.
         no_refine: physics of the log to leave out (align/config.py: PARTS, OTHER_PARTS).
         colour: "texture", "vertex" or "field" (assets/config.py); None is the preset's.
+        gps: how much of the log's place, time and heading the sun is found with.
     """
 
     reading: LogReading
@@ -77,6 +79,7 @@ class BuildOptions:
     device: str = "auto"
     no_refine: tuple[str, ...] = ()
     colour: Colour | None = None
+    gps: GpsUse = "all"
 
 
 @dataclass(frozen=True)
@@ -134,9 +137,9 @@ STAGES = (
     Stage("panorama", 1, ("masks", "assets"), lambda o: StitchConfig(), stages.make_panorama),
     Stage(
         "sky",
-        1,
+        2,
         ("assets", "panorama"),
-        lambda o: stages.SkyStageConfig(),
+        lambda o: stages.SkyStageConfig(SourceSunConfig(gps=o.gps)),
         stages.make_sky,
     ),
     Stage("twin", 1, ("assets", "sky"), lambda o: stages.TwinConfig(), stages.make_twin),
@@ -251,6 +254,7 @@ def _read_options(work: Path) -> BuildOptions:
             value["device"],
             tuple(value["no_refine"]),
             value["colour"],
+            value["gps"],
         )
     except (KeyError, TypeError) as error:
         raise ArtefactError(

@@ -29,7 +29,6 @@ from lightsim.ingest.sky_mask import SkyMaskConfig, sky_mattes
 from lightsim.lighting.estimate import SkyConfig, estimate_sky
 from lightsim.lighting.evidence import EvidenceConfig, collect_evidence
 from lightsim.lighting.stitch import StitchConfig, stitch_panorama
-from lightsim.lighting.sun import SunDirection, sun_from_geo, sun_from_panorama
 from lightsim.progress import Progress
 from lightsim.reconstruct.extrude import ExtrudeConfig, infer_tall_structures
 from lightsim.reconstruct.facades import FacadeConfig, complete_facades
@@ -45,6 +44,7 @@ from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport import TransportConfig
 from lightsim.scene_setup import parked_actor_meshes
 from lightsim.source_light import SourceLight, static_returns
+from lightsim.source_sun import SourceSunConfig, find_source_sun
 from lightsim.store.alignment import write_alignment
 from lightsim.store.artefact import write_json
 from lightsim.store.assets import read_mesh, write_assets, write_mesh
@@ -83,8 +83,9 @@ class GeometryConfig:
 
 @dataclass(frozen=True)
 class SkyStageConfig:
-    """Evidence and fit of the source sky."""
+    """Direction of the sun, evidence and fit of the source sky."""
 
+    sun: SourceSunConfig = field(default_factory=SourceSunConfig)
     evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
     sky: SkyConfig = field(default_factory=SkyConfig)
 
@@ -301,7 +302,7 @@ def make_sky(
     work: Workspace, config: SkyStageConfig, folder: Path, context: Context
 ) -> Iterable[str]:
     log = work.training_log
-    sun = source_sun(work)
+    sun, _ = find_source_sun(work, config.sun, seed=context.seed, progress=context.progress)
     evidence = collect_evidence(
         log,
         work.assets,
@@ -315,23 +316,7 @@ def make_sky(
     sky = estimate_sky(work.panorama, sun, evidence, config.sky, progress=context.progress)
     write_sky(folder, sky)
     write_panorama_pictures(folder, work.panorama)
-    return (*log_sun_notes(work), *sky.notes)
-
-
-def source_sun(work: Workspace) -> SunDirection:
-    """By ephemeris where place, time and heading are known, else from the panorama."""
-    log = work.training_log
-    middle_ns = log.frames[len(log.frames) // 2].time_ns
-    if log.geo is not None and log.geo.enu_from_world is not None:
-        return sun_from_geo(log.geo, middle_ns)
-    return sun_from_panorama(work.panorama)
-
-
-def log_sun_notes(work: Workspace) -> tuple[str, ...]:
-    geo = work.log.geo
-    if geo is not None and geo.enu_from_world is not None:
-        return ()
-    return ("no GPS, time or heading: the sun comes from the images; --heading-deg may help",)
+    return sky.notes
 
 
 def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Context) -> Iterable[str]:

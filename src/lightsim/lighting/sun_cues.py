@@ -22,7 +22,7 @@ from lightsim.errors import InputError
 from lightsim.lighting.directions import log_vmf
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.shadow_votes import ShadowVotes
-from lightsim.lighting.sun import SunBlob, gradient_candidates
+from lightsim.lighting.sun import SunBlob, find_sun_blob, gradient_candidates
 
 _UNIFORM = -float(np.log(2 * np.pi))
 """Log density of the hemisphere, per sr."""
@@ -241,3 +241,20 @@ class NetworkCue:
 def _log_odds(probability: float) -> float:
     safe = float(np.clip(probability, 1e-6, 1 - 1e-6))
     return float(np.clip(np.log(safe / (1 - safe)), -_ODDS_LIMIT, _ODDS_LIMIT))
+
+
+def panorama_cues(panorama: Panorama) -> list[Cue]:
+    """What a panorama says by itself; nothing, where no sky was seen."""
+    seen = panorama.is_sky & panorama.is_seen
+    if not seen.any():
+        return []
+    cues: list[Cue] = [OpenSkyCue(panorama)]
+    blob = find_sun_blob(panorama)
+    if blob is not None:
+        cues.append(BlobCue(blob))
+    try:
+        cues.append(GradientCue(panorama))
+    except InputError:
+        # All of it is saturated or too little was seen: its gradient says nothing.
+        return cues
+    return cues
