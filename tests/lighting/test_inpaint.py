@@ -12,8 +12,10 @@ import pytest
 import torch
 from torch.nn import functional
 
+from lightsim.core.twin import Panorama
 from lightsim.errors import InputError
 from lightsim.lighting.attention_network import contextual_attention, fold_sphere, pad_sphere
+from lightsim.lighting.complete import completed_ldr
 from lightsim.lighting.inpaint import (
     complete_panorama,
     fill_by_laplace,
@@ -290,12 +292,33 @@ def test_fills_without_a_network_by_hand() -> None:
     assert np.array_equal(laplace[seen], ldr[seen])
 
 
+@pytest.mark.parametrize(
+    ("radiance", "clips", "exposure"),
+    [(0.2, True, 1.0), (0.02, True, 4.0), (0.6, True, 1.0), (0.6, False, 0.5)],
+)
+def test_exposure_keeps_to_what_was_trained(radiance: float, clips: bool, exposure: float) -> None:
+    seen, clipped = np.zeros((16, 32), bool), np.zeros((16, 32), bool)
+    seen[4:12] = True
+    clipped[5, 5] = clips
+    linear = np.where(seen, radiance, 0.0)[..., None] * np.ones(3)
+    panorama = Panorama(linear.astype(np.float32), seen, seen, clipped)
+    ldr, factor = completed_ldr(panorama, None)
+    assert factor == pytest.approx(exposure)
+    code = 1.055 * (radiance * exposure) ** (1 / 2.4) - 0.055
+    assert ldr[8, 8] == pytest.approx(code, abs=1e-5)
+    assert ldr[0, 0] == pytest.approx(code, abs=0.05)
+    assert (ldr[5, 5] == 1).all() == clips
+
+
 def test_wrong_input_is_named() -> None:
     ldr, seen = np.zeros((8, 12, 3), np.float32), np.ones((8, 12), bool)
     with pytest.raises(InputError, match="12x8"):
         complete_panorama(ldr, seen, None)
     with pytest.raises(InputError, match="nothing"):
         complete_panorama(np.zeros((8, 16, 3), np.float32), np.zeros((8, 16), bool), None)
+    nothing = np.zeros((8, 16), bool)
+    with pytest.raises(InputError, match="shows nothing"):
+        completed_ldr(Panorama(np.zeros((8, 16, 3), np.float32), nothing, nothing, nothing), None)
     wide = replace(TINY, dilations=(1, 8))
     with pytest.raises(InputError, match="dilations"):
         train_inpaint(Gradients(), Memory(), wide, device="cpu", progress=SilentProgress())
