@@ -357,7 +357,7 @@ def normal_error_deg(work: Path, truth: Path) -> float:
 
 
 def _base_colour_task(
-    truth: Path, frame: CameraFrame, log: DrivingLog, meshes: dict[str, TriMesh]
+    truth: Path, frame: CameraFrame, log: DrivingLog, meshes: Mapping[str, TriMesh]
 ) -> BaseColourTask:
     """One frame: the truth, and each mesh's colour through its camera."""
     camera = log.cameras[frame.camera_name]
