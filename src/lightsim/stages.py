@@ -27,7 +27,7 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import SceneAssets
 from lightsim.ingest.sky_mask import SkyMaskConfig, sky_mattes
 from lightsim.lighting.estimate import SkyConfig, estimate_sky
-from lightsim.lighting.evidence import EvidenceConfig, collect_evidence
+from lightsim.lighting.evidence import EvidenceConfig, Surroundings, collect_evidence
 from lightsim.lighting.stitch import StitchConfig, stitch_panorama
 from lightsim.progress import Progress
 from lightsim.reconstruct.extrude import ExtrudeConfig, infer_tall_structures
@@ -310,7 +310,7 @@ def make_sky(
         sun.direction_world,
         config.evidence,
         np.random.default_rng(context.seed),
-        occluders=[work.inferred],
+        around=Surroundings(parked_actor_meshes(log, work.assets), [work.inferred]),
         progress=context.progress,
     )
     sky = estimate_sky(work.panorama, sun, evidence, config.sky, progress=context.progress)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 
 from lightsim.core.actors import ActorTrack
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.casting import MISS, RayHits
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.equirect import pixel_directions
 from lightsim.core.frames import RigidTransform, Trajectory
@@ -18,8 +15,9 @@ from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import SceneAssets
 from lightsim.errors import InputError
-from lightsim.lighting.evidence import EvidenceConfig, collect_evidence
+from lightsim.lighting.evidence import EvidenceConfig, Surroundings, collect_evidence
 from lightsim.lighting.stitch import StitchConfig, stitch_panorama
+from lightsim.render.embree import make_embree_caster
 
 HALF_M = 6.0
 GAIN = np.array([1.2, 0.9, 1.1], np.float32)
@@ -111,30 +109,6 @@ def test_a_camera_without_gain_is_refused():
         stitch_panorama(_log(GAIN), {}, _depth, _sky_matte, StitchConfig(height_px=32))
 
 
-class _PlateCaster:
-    """A floor at z = -1 and a square plate at z = 1 that shades part of it, in closed form."""
-
-    def __init__(self, meshes: Sequence[TriMesh]) -> None:
-        self.meshes = meshes
-
-    def intersect(self, origins_world: np.ndarray, directions_world: np.ndarray) -> RayHits:
-        with np.errstate(divide="ignore"):
-            distance = (-1.0 - origins_world[:, 2]) / directions_world[:, 2]
-        is_hit = distance > 1e-6
-        return RayHits(
-            np.where(is_hit, distance, np.inf).astype(np.float32),
-            np.where(is_hit, 0, MISS).astype(np.int32),
-            np.where(is_hit, 0, MISS).astype(np.int32),
-            np.zeros((len(distance), 3), np.float32),
-        )
-
-    def is_occluded(self, origins_world: np.ndarray, directions_world: np.ndarray) -> np.ndarray:
-        up = directions_world[:, 2]
-        distance = (1.0 - origins_world[:, 2]) / np.where(up > 0, up, 1.0)
-        at = origins_world + directions_world * distance[:, None]
-        return (up > 0) & (np.abs(at[:, 0] - 3.0) < 1.0) & (np.abs(at[:, 1]) < 1.0)
-
-
 def test_evidence_knows_lit_from_shadowed(rng: np.random.Generator):
     floor = TriMesh(
         "world",
@@ -146,7 +120,16 @@ def test_evidence_knows_lit_from_shadowed(rng: np.random.Generator):
     assets = SceneAssets(floor, {}, {name: GAIN for name in log.cameras})
     config = EvidenceConfig(sample_count=16000, frame_count=2)
     sun = np.array([0.0, 0.0, 1.0])
-    evidence = collect_evidence(log, assets, _PlateCaster, sun, config, rng)
+    plate = TriMesh(
+        "world",
+        np.array([[2, -1, 1], [4, -1, 1], [4, 1, 1], [2, 1, 1]], np.float32),
+        np.array([[0, 1, 2], [0, 2, 3]], np.int32),
+        np.full((4, 3), 0.5, np.float32),
+    )
+    evidence = collect_evidence(
+        log, assets, make_embree_caster, sun, config, rng, around=Surroundings((), [plate])
+    )
+    assert (evidence.position_world[:, 2] < -0.9).all()
     x, y = evidence.position_world[:, 0], evidence.position_world[:, 1]
     under = (np.abs(x - 3.0) < 1.0) & (np.abs(y) < 1.0)
     assert under.sum() > 20
@@ -159,3 +142,8 @@ def test_evidence_knows_lit_from_shadowed(rng: np.random.Generator):
     far = np.hypot(x - 3.0, y) > 12.0
     assert evidence.sky_visibility[far].mean() > 0.97
     assert 0.6 < evidence.sky_visibility[under].mean() < 0.9
+    # What hides the sky shines as it was seen.
+    hidden = 1 - evidence.sky_visibility[under]
+    np.testing.assert_allclose(
+        evidence.surface_light[under], np.pi * 0.5 * np.tile(hidden[:, None], 3), rtol=1e-5
+    )

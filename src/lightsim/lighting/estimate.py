@@ -90,7 +90,7 @@ def estimate_sky(
     up = np.array([0.0, 0.0, 1.0])
     sky_irradiance = irradiance(sky, up)
     next(steps)
-    strength = _sun_strength(panorama, analytic, evidence, sky_irradiance, config)
+    strength = _sun_strength(analytic, evidence, sky, sun, config)
     dome = add_sun(with_ground(sky, ground), Sun(sun.direction_world, strength.irradiance))
     for _ in steps:
         continue
@@ -107,20 +107,23 @@ def estimate_sky(
 
 
 def _sun_strength(
-    panorama: Panorama,
     analytic: AnalyticFit,
     evidence: LightEvidence | None,
-    sky_irradiance: Float[np.ndarray, "3"],
+    sky: Float32[np.ndarray, "h w 3"],
+    sun: SunDirection,
     config: SkyConfig,
 ) -> SunFit:
     """The fit to shadows, or the analytic sun with a wide uncertainty."""
     notes: tuple[str, ...] = ()
     if evidence is not None and len(evidence):
-        surfaces = panorama.is_seen & ~panorama.is_sky
-        source = panorama.radiance[surfaces] if surfaces.any() else evidence.radiance
-        surface_irradiance = np.pi * source.astype(np.float64).mean(axis=0)
-        rng = np.random.default_rng(config.seed)
-        fit = fit_sun(evidence, sky_irradiance, surface_irradiance, config.sun_fit, rng)
+        fit = fit_sun(
+            evidence,
+            evidence.diffuse_light(sky),
+            irradiance(sky, np.array([0.0, 0.0, 1.0])),
+            config.sun_fit,
+            np.random.default_rng(config.seed),
+            sunny_probability=sun.sunny_probability,
+        )
         if fit.kind != "unknown":
             return fit
         notes = fit.notes

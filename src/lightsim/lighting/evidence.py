@@ -11,9 +11,11 @@ from jaxtyping import Bool, Float, Float32, Int
 from lightsim.core.casting import MakeCaster, RayCaster, RayHits
 from lightsim.core.colour import linear_from_srgb8
 from lightsim.core.dome import disc_directions
+from lightsim.core.equirect import uv_from_directions
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
+from lightsim.core.resample import resize_area
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import SceneAssets
 from lightsim.progress import Progress, SilentProgress
@@ -39,8 +41,22 @@ class EvidenceConfig:
     """Radius about the sun within which visibility must not flip."""
     shadow_margin_m: float = 0.15
     """Shift along the surface within which visibility must not flip."""
-    sky_rays: int = 32
-    """Cosine-weighted rays that measure how much sky a point sees."""
+    light_rays: int = 48
+    """Cosine-weighted rays that gather the light of the sky and of the surfaces around."""
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What stands around the background, frame `world`."""
+
+    parked: Sequence[TriMesh] = ()
+    """Actors that never move."""
+    occluders: Sequence[TriMesh] = ()
+    """Surfaces that cast shadows but are not sampled (inferred roofs)."""
+
+
+SKY_ROWS = 48
+"""Rows of the grid of directions in which open rays are counted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +69,9 @@ class LightEvidence:
         radiance: observed linear RGB with the gain divided out, scene units.
         sun_cosine: max(0, normal . sun).
         is_lit: no surface between point and sun, jitter included.
-        sky_visibility: cosine-weighted fraction of the hemisphere that is open.
+        surface_light: RGB irradiance from the surfaces around, as the cameras saw them shine.
+        sky_cells: for each of k cosine-weighted rays the cell of an equirectangular grid of
+            `SKY_ROWS` rows where it leaves the scene, or -1 where a surface stops it.
         group: one number per image: only points of one image are compared, because exposures
             may drift.
     """
@@ -63,11 +81,24 @@ class LightEvidence:
     radiance: Float32[np.ndarray, "n 3"]
     sun_cosine: Float[np.ndarray, " n"]
     is_lit: Bool[np.ndarray, " n"]
-    sky_visibility: Float[np.ndarray, " n"]
+    surface_light: Float[np.ndarray, "n 3"]
+    sky_cells: Int[np.ndarray, "n k"]
     group: Int[np.ndarray, " n"]
 
     def __len__(self) -> int:
         return len(self.group)
+
+    @property
+    def sky_visibility(self) -> Float[np.ndarray, " n"]:
+        """Cosine-weighted fraction of the hemisphere that is open."""
+        return (self.sky_cells >= 0).mean(axis=1)
+
+    def diffuse_light(self, sky: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "n 3"]:
+        """RGB irradiance without the sun: each point's own part of an (uneven) sky without sun,
+        and the measured light of the surfaces around it."""
+        cells = _sky_grid(sky)
+        cells = np.concatenate([cells, np.zeros((1, 3))])
+        return self.surface_light + np.pi * cells[self.sky_cells].mean(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +106,17 @@ class _Points:
     position_world: Float[np.ndarray, "n 3"]
     normal_world: Float[np.ndarray, "n 3"]
     radiance: Float32[np.ndarray, "n 3"]
+    mesh_index: Int[np.ndarray, " n"]
+
+    def on_meshes(self, count: int) -> _Points:
+        """Those on the first meshes of the caster."""
+        keep = self.mesh_index < count
+        return _Points(
+            self.position_world[keep],
+            self.normal_world[keep],
+            self.radiance[keep],
+            self.mesh_index[keep],
+        )
 
 
 def collect_evidence(
@@ -85,16 +127,17 @@ def collect_evidence(
     config: EvidenceConfig,
     rng: np.random.Generator,
     *,
-    occluders: Sequence[TriMesh] = (),
+    around: Surroundings | None = None,
     progress: Progress | None = None,
 ) -> LightEvidence:
     """Random surface points of the static scene with what they saw of sun and sky.
 
     Points are dropped that are saturated, dark, far, seen at a grazing angle, on the own car or
-    on a moving actor, or whose sun visibility flips within the margins. `occluders` are further
-    surfaces in frame `world` that cast shadows but are not sampled (inferred roofs).
+    on a moving actor, or whose sun visibility flips within the margins. Base
+    colour of all meshes is observed radiance.
     """
-    static = make_caster([assets.background, *_static_meshes(log, assets), *occluders])
+    around = around or Surroundings()
+    static = make_caster([assets.background, *around.parked, *around.occluders])
     stems = log.stems
     picks = np.linspace(0, len(stems) - 1, min(config.frame_count, len(stems))).round().astype(int)
     chosen = {stems[i] for i in picks}
@@ -108,17 +151,9 @@ def collect_evidence(
         gain = assets.camera_gains[frame.camera_name]
         casters = [static] if moving is None else [static, moving]
         points = _seen_points(log, frame, casters, gain, count, config, rng)
+        points = points.on_meshes(1 + len(around.parked))
         parts.append(_measure(points, casters, sun_direction_world, config, group, rng))
     return _joined(parts)
-
-
-def _static_meshes(log: DrivingLog, assets: SceneAssets) -> list[TriMesh]:
-    """Parked actors at the pose of their first label."""
-    return [
-        _placed(assets.actors[a.actor_id].mesh, a.trajectory.at(a.trajectory.start_ns))
-        for a in log.actors
-        if not a.is_moving and a.actor_id in assets.actors
-    ]
 
 
 def _moving_caster(
@@ -152,8 +187,7 @@ def _seen_points(
     is_good = (srgb8 >= config.darkest_code).all(1) & (srgb8 < config.clip_code).all(1)
     if frame.camera_name in log.own_car_masks:
         is_good &= ~log.own_car_masks[frame.camera_name][row, column]
-    directions = frame.world_from_camera.rotate(camera.directions(uv[is_good]))
-    origins = np.broadcast_to(frame.world_from_camera.translation_m, directions.shape)
+    origins, directions = frame.pixel_rays(camera, uv[is_good])
     hits = casters[0].intersect(origins, directions)
     keep = hits.is_hit & (hits.distance_m < config.max_distance_m)
     if len(casters) > 1:
@@ -168,7 +202,7 @@ def _seen_points(
             keep &= ~actor.contains(points, frame.time_ns, 0.5)
     positions = (origins + directions * np.where(keep, hits.distance_m, 0.0)[:, None])[keep]
     radiance = (linear_from_srgb8(srgb8[is_good][keep]) / gain).astype(np.float32)
-    return _Points(positions, normals[keep], radiance)
+    return _Points(positions, normals[keep], radiance, hits.mesh_index[keep])
 
 
 def _hit_normals(caster: RayCaster, hits: RayHits) -> Float[np.ndarray, "n 3"]:
@@ -203,21 +237,52 @@ def _measure(
     )
     is_stable = (hidden.all(0) | ~hidden.any(0)) & (np.abs(cosine) > 0.05)
     is_lit = ~hidden.any(0) & (cosine > 0)
-    open_sum = np.zeros(len(start))
-    for _ in range(config.sky_rays):
-        directions = _cosine_directions(points.normal_world, rng)
-        is_up = directions[:, 2] > 0
-        open_sum += is_up & ~_occluded(casters, start, directions)
     kept = is_stable
+    start, normals = start[kept], points.normal_world[kept]
+    cells = np.zeros((len(start), config.light_rays), np.int64)
+    surface_light = np.zeros((len(start), 3))
+    for k in range(config.light_rays):
+        directions = _cosine_directions(normals, rng)
+        radiance, cells[:, k] = _incoming(casters, start, directions)
+        surface_light += radiance * (np.pi / config.light_rays)
     return LightEvidence(
         points.position_world[kept],
-        points.normal_world[kept],
+        normals,
         points.radiance[kept],
         np.maximum(cosine, 0.0)[kept],
         is_lit[kept],
-        (open_sum / config.sky_rays)[kept],
-        np.full(int(kept.sum()), group),
+        surface_light,
+        cells,
+        np.full(len(start), group),
     )
+
+
+def _incoming(
+    casters: Sequence[RayCaster],
+    origins: Float[np.ndarray, "n 3"],
+    directions: Float[np.ndarray, "n 3"],
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
+    """Radiance of the nearest surface (0 without one), and the cell of the sky behind (-1 with a
+    surface). Below the horizon, where nothing was reconstructed, no light is known."""
+    radiance = np.zeros((len(origins), 3))
+    nearest_m = np.full(len(origins), np.inf)
+    for caster in casters:
+        hits = caster.intersect(origins, directions)
+        for index in np.unique(hits.mesh_index[hits.is_hit]):
+            rows = hits.is_hit & (hits.mesh_index == index) & (hits.distance_m < nearest_m)
+            mesh = caster.meshes[int(index)]
+            radiance[rows] = mesh.colour_at(hits.face_index[rows], hits.barycentric[rows])
+            nearest_m[rows] = hits.distance_m[rows]
+    uv = uv_from_directions(directions)
+    column = np.minimum((uv[:, 0] * 2 * SKY_ROWS).astype(np.int64), 2 * SKY_ROWS - 1)
+    row = np.minimum((uv[:, 1] * SKY_ROWS).astype(np.int64), SKY_ROWS - 1)
+    is_open = np.isinf(nearest_m) & (directions[:, 2] > 0)
+    return radiance, np.where(is_open, row * 2 * SKY_ROWS + column, -1)
+
+
+def _sky_grid(sky: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "c 3"]:
+    """Mean radiance in the cells of the grid."""
+    return resize_area(sky, SKY_ROWS, 2 * SKY_ROWS).reshape(-1, 3).astype(np.float64)
 
 
 def _jitters(
@@ -269,6 +334,7 @@ def _joined(parts: list[LightEvidence]) -> LightEvidence:
         np.concatenate([p.radiance for p in parts]),
         np.concatenate([p.sun_cosine for p in parts]),
         np.concatenate([p.is_lit for p in parts]),
-        np.concatenate([p.sky_visibility for p in parts]),
+        np.concatenate([p.surface_light for p in parts]),
+        np.concatenate([p.sky_cells for p in parts]),
         np.concatenate([p.group for p in parts]),
     )

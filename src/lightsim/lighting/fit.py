@@ -1,10 +1,11 @@
 """The sun's irradiance from lit and shadowed neighbours.
 
 Two neighbours of one surface share their base colour a on average. Lit: L1 = a (Es c + D1) / pi;
-in shadow: L2 = a D2 / pi, where c is the sun's cosine and D = Ed v + B (1 - v) the diffuse
-irradiance: the sky's on level ground Ed, the open fraction v, and B what the surroundings send
-(pi times the mean radiance of the surfaces seen). With q = (L1 / D1) / (L2 / D2), a pair says
-q = 1 + Es c / D1. Ed and B are absolute, so Es is, too.
+in shadow: L2 = a D2 / pi, where c is the sun's cosine and D the diffuse irradiance: each point's
+own part of the sky, which is brighter near the sun and at the horizon, and the light of the
+surfaces around it as cameras saw them (`LightEvidence.diffuse_light`). With q = (L1 / D1) /
+(L2 / D2), a pair says q = 1 + Es c / D1. D is absolute, so Es is, too. What casts a shadow hides
+part of the sky as well, mostly that near the sun: an even sky would make the sun too strong.
 """
 
 from __future__ import annotations
@@ -69,16 +70,23 @@ _NOISE_LOG_STDS = (0.1, 0.2, 0.35, 0.6)
 
 def fit_sun(
     evidence: LightEvidence,
+    diffuse: Float[np.ndarray, "n 3"],
     sky_irradiance: Float[np.ndarray, "3"],
-    surface_irradiance: Float[np.ndarray, "3"],
     config: SunFitConfig,
     rng: np.random.Generator,
+    *,
+    sunny_probability: float | None = None,
 ) -> SunFit:
     """The sun's irradiance by a robust fit to lit/shadowed pairs.
 
     The luminance ratio sun : sky has a posterior on a grid: pairs follow a mixture of the model
     and of wrong labels (log q about 0), with unknown share and spread, both integrated out. The
     channels then follow from the pairs that the model explains.
+
+    Args:
+        diffuse: irradiance of every point without the sun.
+        sky_irradiance: on level ground, sun excluded.
+        sunny_probability: prior for a sun that casts shadows, from elsewhere.
     """
     lit, shaded = _pairs(evidence, config, rng)
     if len(lit) < config.min_pairs:
@@ -89,8 +97,7 @@ def fit_sun(
             len(lit),
             (f"only {len(lit)} pairs of lit and shadowed neighbours were seen",),
         )
-    diffuse = evidence.sky_visibility[:, None] * sky_irradiance
-    diffuse = diffuse + (1 - evidence.sky_visibility[:, None]) * surface_irradiance
+    diffuse = np.maximum(diffuse, 0.02 * sky_irradiance)
     cosine = evidence.sun_cosine[lit]
     radiance = np.maximum(evidence.radiance.astype(np.float64), 1e-6)
     excess = (radiance[lit] / diffuse[lit]) / (radiance[shaded] / diffuse[shaded])
@@ -99,7 +106,7 @@ def fit_sun(
     sky_luminance = float(_grey(sky_irradiance[None])[0])
     gain = cosine * sky_luminance / _grey(diffuse[lit])
     blocks = _block_count(evidence.position_world[lit], config.block_m)
-    ratio, log_std, share = _posterior(log_q, gain, blocks)
+    ratio, log_std, share = _posterior(log_q, gain, blocks, _log_prior(sunny_probability))
     rgb = _channels(excess, diffuse[lit], cosine, log_q, gain, ratio)
     rgb *= ratio * sky_luminance / max(float(_grey(rgb[None])[0]), 1e-12)
     kind = "direct" if ratio >= config.diffused_ratio else "diffused"
@@ -163,8 +170,23 @@ def _block_count(points: Float[np.ndarray, "n 3"], block_m: float) -> int:
     return len(np.unique(np.floor(points / block_m).astype(np.int64), axis=0))
 
 
+def _log_prior(sunny_probability: float | None) -> Float[np.ndarray, " r"]:
+    """Of the ratios: a clear sun brings 1 to 15 times the sky's light, clouds leave less than
+    about half of it."""
+    log_ratio = np.log(_RATIOS)
+    if sunny_probability is None:
+        return np.zeros(len(log_ratio))
+    p = float(np.clip(sunny_probability, 0.01, 0.99))
+    clear = np.exp(-0.5 * ((log_ratio - np.log(4.0)) / 0.7) ** 2)
+    cloudy = np.exp(-0.5 * (np.maximum(log_ratio - np.log(0.3), 0.0) / 0.5) ** 2)
+    return np.log(p * clear / clear.sum() + (1 - p) * cloudy / cloudy.sum())
+
+
 def _posterior(
-    log_q: Float[np.ndarray, " n"], gain: Float[np.ndarray, " n"], blocks: int
+    log_q: Float[np.ndarray, " n"],
+    gain: Float[np.ndarray, " n"],
+    blocks: int,
+    log_prior: Float[np.ndarray, " r"],
 ) -> tuple[float, float, float]:
     """Median of the sun/sky ratio, its log standard deviation, and the share of outliers.
 
@@ -179,7 +201,8 @@ def _posterior(
             wrong = np.exp(-0.5 * (log_q / std) ** 2)
             floor = 1e-3
             density = ((1 - share) * model + share * wrong + floor) / std
-            tables.append(np.log(density).mean(axis=1) * min(blocks, len(log_q)))
+            evidence = np.log(density).mean(axis=1) * min(blocks, len(log_q))
+            tables.append(evidence + log_prior + np.log(1.0 - share))
             shares.append(share)
     table = np.array(tables)
     weights = np.exp(table - table.max())
