@@ -7,43 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightsim.core.dome import Sun, add_sun, irradiance
+from lightsim.core.dome import irradiance
 from lightsim.core.equirect import pixel_directions, uv_from_directions
 from lightsim.errors import InputError
 from lightsim.lighting.sample import LightingData
-from lightsim.store.images import write_exr
 from lightsim.training.hdr_skies import measured_sky, read_split, shrunk, sky_mask
-from lightsim.training.lighting_cache import PrepareConfig, prepare_cache, write_cache
 from lightsim.training.lighting_data import LightingSet
 from lightsim.training.procedural_skies import Heaven, raised_heaven, turned_heaven
 from lightsim.training.rigs import RIGS, MaskConfig, mask_of, rig_mask
-from lightsim.training.street_panoramas import StreetConfig, StreetView, light_view
+from lightsim.training.street_panoramas import StreetView, light_view
 
-HEIGHT = 16
+HEIGHT = 64
 SPLIT = "name,split,group,tier,scene,reason\n"
-STREETS = StreetConfig(street_count=2, test_count=1, positions=1, rays=8)
-
-
-def made_sky(elevation_deg: float, height_px: int = 64) -> np.ndarray:
-    """A gradient with a sun and a dark wall of 20 degrees."""
-    directions = pixel_directions(height_px)
-    radiance = np.repeat(0.5 + 0.4 * directions[..., 2:], 3, axis=2).astype(np.float32)
-    radiance[directions[..., 2] < 0] = 0.1
-    e = np.radians(elevation_deg)
-    towards = np.array([np.cos(e), 0.0, np.sin(e)])
-    return add_sun(radiance, Sun(towards, np.full(3, 5.0, np.float32))).radiance
-
-
-@pytest.fixture(scope="module")
-def cache_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("lighting")
-    for name, elevation in (("a", 30.0), ("b", 50.0), ("c", 20.0)):
-        write_exr(folder / f"{name}.exr", made_sky(elevation))
-    split = folder / "split.csv"
-    split.write_text(SPLIT + "a,train,a,A,ground,\nb,test,b,A,ground,same sky\nc,train,c,A,none,\n")
-    config = PrepareConfig(height_px=HEIGHT, clear_count=3, streets=STREETS)
-    write_cache(folder / "cache.npz", prepare_cache(folder, split, config))
-    return folder / "cache.npz"
 
 
 def test_shrinking_keeps_irradiance_in_every_direction(rng: np.random.Generator) -> None:
@@ -54,11 +29,11 @@ def test_shrinking_keeps_irradiance_in_every_direction(rng: np.random.Generator)
     np.testing.assert_allclose(irradiance(small, up), irradiance(image, up), rtol=0.01)
 
 
-def test_measured_sky_keeps_the_suns_energy() -> None:
-    sky = measured_sky(made_sky(30.0), "a", None, HEIGHT)
+def test_measured_sky_keeps_the_suns_energy(sunny_radiance: np.ndarray) -> None:
+    sky = measured_sky(sunny_radiance, "a", None, 16)
     assert sky.sun is not None
     assert sky.entry.tier == "A"
-    level = np.median(made_sky(30.0)[:32, :, 0])
+    level = np.median(sunny_radiance[:32, :, 0])
     np.testing.assert_allclose(sky.sun.irradiance * level, 5.0, rtol=0.1)
     assert sky.sun.elevation_deg == pytest.approx(30.0, abs=1.0)
 

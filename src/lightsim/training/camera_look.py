@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from lightsim.core.colour import luminance, srgb_from_linear
-from lightsim.core.equirect import pixel_directions
+from lightsim.training import grids
 
 _GLARE_REACH_DEG = 40.0
 
@@ -94,7 +94,7 @@ def add_glare(
     """
     height = linear.shape[0]
     k = float(np.exp(rng.uniform(np.log(0.02), np.log(0.6))))
-    cosine = pixel_directions(height) @ towards_sun
+    cosine = grids.directions(height) @ towards_sun.astype(np.float32)
     angle_deg = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     pixel_deg = 180.0 / height
     veil = k / np.maximum(angle_deg, 0.3 * pixel_deg) ** 2

@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from lightsim.core.colour import luminance
-from lightsim.core.equirect import pixel_directions, solid_angles_sr, uv_from_directions
+from lightsim.core.equirect import solid_angles_sr, uv_from_directions
 from lightsim.lighting.sample import LightingBatch
+from lightsim.training import grids
 from lightsim.training.camera_look import LookConfig, add_glare, exposure, pictures
 from lightsim.training.hdr_skies import HdrSky
 from lightsim.training.lighting_cache import LightingCache, read_cache
@@ -103,6 +104,7 @@ class LightingSet:
     ) -> None:
         self._cache = cache
         self._config = config or MixConfig()
+        self.height_px: int = cache.height_px
         self.split: Literal["train", "test"] = split
         self._skies = [sky for sky in cache.skies if sky.entry.split == split]
         self._views = [
@@ -125,10 +127,6 @@ class LightingSet:
             InputError: the file is missing, damaged, of another version, or lacks this split.
         """
         return cls(read_cache(path), split, config)
-
-    @property
-    def height_px(self) -> int:
-        return self._cache.height_px
 
     def batch(self, size: int, seed: int, index: int, *, only_sunny: bool) -> LightingBatch:
         """The batch of a seed and a number; see `LightingData`."""
@@ -291,7 +289,7 @@ def dome_of(heaven: Heaven) -> tuple[Float32[np.ndarray, "h w 3"], Float[np.ndar
         if luminance(sky[row, column]) >= luminance(heaven.rest).max():
             return sky, heaven.sun_direction
     value = luminance(sky).astype(np.float64)
-    directions = pixel_directions(height)[: height // 2]
+    directions = grids.directions(height)[: height // 2]
     peak = directions.reshape(-1, 3)[int(value.argmax())]
     near = (directions @ peak > np.cos(np.radians(6.0))) & (value > 0.7 * value.max())
     weight = np.where(near, value, 0.0) * solid_angles_sr(height)[: height // 2]

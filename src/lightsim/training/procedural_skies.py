@@ -13,9 +13,10 @@ import numpy as np
 from jaxtyping import Float, Float32, Shaped
 
 from lightsim.core.colour import luminance
-from lightsim.core.equirect import pixel_directions, solid_angles_sr
 from lightsim.lighting.clear_sky import clear_sky_parts
 from lightsim.progress import Progress, SilentProgress
+from lightsim.training import grids
+from lightsim.training.grids import level_weights
 
 NOISE_SIZE = 256
 _NOISE_COUNT = 16
@@ -56,10 +57,7 @@ class ClearSkies:
 
 
 def level_irradiance(upper: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3"]:
-    height = 2 * upper.shape[0]
-    cosine = pixel_directions(height)[: upper.shape[0], :1, 2]
-    weight = (cosine * solid_angles_sr(height)[: upper.shape[0]])[:, 0]
-    return weight @ upper.sum(axis=1, dtype=np.float64)
+    return level_weights(2 * upper.shape[0]) @ upper.sum(axis=1, dtype=np.float64)
 
 
 def make_clear_skies(
@@ -127,7 +125,7 @@ def overcast_heaven(
     noise: Float32[np.ndarray, "k s s"], height_px: int, rng: np.random.Generator
 ) -> Heaven:
     """A closed cover: darker towards the horizon, brighter towards the hidden sun, structured."""
-    directions = pixel_directions(height_px)[: height_px // 2]
+    directions = grids.directions(height_px)[: height_px // 2]
     elevation = np.radians(float(rng.uniform(5.0, 75.0)))
     towards = np.array([np.cos(elevation), 0.0, np.sin(elevation)])
     steepness = float(rng.uniform(0.3, 2.6))
@@ -151,7 +149,7 @@ def with_clouds(
     light of sky and sun scattered on, with a forward peak around the sun.
     """
     height = heaven.rest.shape[0]
-    directions = pixel_directions(2 * height)[:height]
+    directions = grids.directions(2 * height)[:height]
     towards = heaven.sun_direction
     field, at_sun = _cloud_field(noise, directions, towards, rng)
     threshold = float(rng.uniform(-1.2, 1.6))

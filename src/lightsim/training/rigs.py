@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-from lightsim.core.equirect import pixel_directions, sample_bilinear
+from lightsim.core.equirect import sample_bilinear
+from lightsim.training import grids
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,7 @@ def mask_of(
     rig: Rig, height_px: int, rng: np.random.Generator, config: MaskConfig
 ) -> Bool[np.ndarray, "h w"]:
     """What one rig saw; see `rig_mask`."""
-    directions = pixel_directions(height_px).reshape(-1, 3).astype(np.float32)
+    directions = grids.directions(height_px).reshape(-1, 3)
     pitch, roll = np.radians(rng.normal(0.0, max(config.tilt_deg, 1e-9), 2))
     yaw = np.radians(rng.normal(0.0, 2.0 * config.tilt_deg + 1e-9))
     turned = directions @ _rotation(yaw, pitch, roll).astype(np.float32)
@@ -215,4 +216,5 @@ def front_view(
         [np.ones((rows, columns)), *np.broadcast_arrays(left[None], up[:, None])], axis=-1
     )
     grid /= np.linalg.norm(grid, axis=-1, keepdims=True)
-    return sample_bilinear(panorama, grid @ _rotation(yaw, pitch, roll).T)
+    turned = (grid @ _rotation(yaw, pitch, roll).T).astype(np.float32)
+    return sample_bilinear(panorama, turned)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 from torch import Tensor, nn
@@ -17,19 +18,24 @@ Preset = Literal["small", "full"]
 SkyKind = Literal["lightsim", "lightsim_paper", "nlfe", "nlfe_panorama", "sold_net"]
 
 
-def sky_recipe(kind: SkyKind, preset: Preset, seed: int = 0) -> SkyRecipe:
+def sky_recipe(
+    kind: SkyKind, preset: Preset, seed: int = 0, *, inpaints: bool = False
+) -> SkyRecipe:
     """What `lighting.sky_train.train_sky` needs to train one of the networks.
 
     `small` is for one CPU core (panoramas of 64 x 128): about 25 minutes for the estimator and 7
     for a comparator; `full` is for a GPU. The comparators' encoders and decoders are as wide as
-    the estimator's.
+    the estimator's. With `inpaints` the estimator looks at what the completion of `train_sky` made
+    of the unseen, and not at smooth fills.
     """
     ours = SkyNetworkConfig() if preset == "small" else SkyNetworkConfig.full()
-    steps = 1500 if preset == "small" else 30_000
-    rate = 1e-3 if preset == "small" else 6e-4
+    ours = replace(ours, fills_unseen=not inpaints)
+    steps = 2000 if preset == "small" else 30_000
+    rate = 1.5e-3 if preset == "small" else 6e-4
     batch = 8 if preset == "small" else 32
-    short = SkyTrainConfig(LoopConfig(steps=steps, rate=rate), batch=batch, seed=seed)
-    long = SkyTrainConfig(LoopConfig(steps=2 * steps, rate=rate), batch=batch, seed=seed)
+    workers = 0 if preset == "small" else 8
+    short = SkyTrainConfig(LoopConfig(steps, rate), batch=batch, seed=seed, workers=workers)
+    long = replace(short, loop=LoopConfig(2 * steps, rate))
     widths, decoder = ours.widths, ours.decoder_widths
     if kind == "lightsim":
         return SkyRecipe(SkyNetwork(ours, seed), sky_loss, long)

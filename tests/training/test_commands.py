@@ -1,0 +1,69 @@
+"""`lightsim train`: from a folder of HDRs to weights and scores."""
+
+from __future__ import annotations
+
+import functools
+import json
+from pathlib import Path
+
+import pytest
+
+from lightsim import cli
+from lightsim.lighting import inpaint_evaluation
+from lightsim.lighting.inpaint_evaluation import evaluate_inpaint
+from lightsim.progress import Progress
+from lightsim.training import commands
+from lightsim.training.lighting_cache import LightingCache, PrepareConfig, read_cache
+from lightsim.training.street_panoramas import StreetConfig
+
+
+def run(*arguments: object) -> int:
+    """Exit code of a command line."""
+    try:
+        cli.main([str(argument) for argument in arguments])
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    return 0
+
+
+def test_prepare_writes_what_the_options_ask_for(
+    cache_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[PrepareConfig] = []
+
+    def prepared(
+        hdri: Path, split: Path | None, config: PrepareConfig, progress: Progress
+    ) -> LightingCache:
+        asked.append(config)
+        return read_cache(cache_path)
+
+    monkeypatch.setattr(commands, "prepare_cache", prepared)
+    out = tmp_path / "cache.npz"
+    options = ("--height", 32, "--streets", 10, "--positions", 3, "--seed", 4)
+    assert run("train", "prepare", "--hdri", tmp_path, "--out", out, *options) == 0
+    streets = StreetConfig(street_count=10, test_count=2, positions=3)
+    assert asked == [PrepareConfig(height_px=32, seed=4, streets=streets)]
+    assert read_cache(out).height_px == 64
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", [("inpaint",), ("sky",), ("baseline", "--which", "nlfe_panorama")])
+def test_training_writes_weights_and_scores(
+    what: tuple[str, ...], cache_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick = functools.partial(evaluate_inpaint, batches=1, size=1)
+    monkeypatch.setattr(inpaint_evaluation, "evaluate_inpaint", quick)
+    assert run("train", *what, "--data", cache_path, "--out", tmp_path, "--steps", 1) == 0
+    assert (tmp_path / "weights.safetensors").stat().st_size > 1000
+    scores = json.loads((tmp_path / "scores.json").read_text())
+    assert len(scores) >= 3
+
+
+def test_wrong_input_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert run("train", "inpaint", "--data", tmp_path / "no.npz", "--out", tmp_path) == 1
+    assert "no.npz" in capsys.readouterr().err
+    assert run("train", "prepare", "--hdri", tmp_path, "--out", tmp_path / "x.npz") == 1
+    assert "no .hdr or .exr file" in capsys.readouterr().err
+    options = ("--out", tmp_path / "x.npz", "--streets", 1)
+    assert run("train", "prepare", "--hdri", tmp_path, *options) == 1
+    assert "--streets" in capsys.readouterr().err
