@@ -131,7 +131,7 @@ def _geo(yaw_rad: float | None, heading_std_deg: float) -> GeoReference:
 
 
 def _blob(direction: np.ndarray) -> BlobCue:
-    return BlobCue(SunBlob(direction, 1.5, False))
+    return BlobCue([SunBlob(direction, 1.5, False)])
 
 
 def test_place_time_and_heading_give_the_ephemeris_with_the_headings_uncertainty():

@@ -17,8 +17,16 @@ from lightsim.core.twin import Panorama, SkyEstimate
 from lightsim.lighting.clear_sky import clear_sky_parts, overcast_shape, with_ground
 from lightsim.lighting.evidence import LightEvidence
 from lightsim.lighting.fit import SunFit, SunFitConfig, fit_sun
+from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sun import SunDirection, find_sun_blob
 from lightsim.progress import Progress, SilentProgress
+
+_USUAL_TURBIDITY, _USUAL_LOG_STD = 3.0, 0.8
+"""Of clear skies; spread of the ratio of sun to sky among them."""
+_CLOUD_LOG_FACTOR = float(np.log(0.15))
+"""What clouds before the sun leave of it."""
+_PEAK_ROWS = 64
+"""Rows of the domes that networks predict peaks of (lighting/sample.py)."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +61,7 @@ class AnalyticFit:
         radiance: the fitted sky without sun, lower half black.
         turbidity: of the clear part.
         overcast_share: part of the level illuminance that the overcast part brings.
-        sun_irradiance: what the model's own sun would be, dimmed by the overcast share.
+        clear_sun_irradiance: the sun of the clear part, no cloud before it.
         residual: median relative residual of the luminance.
         observed_count: fitted cells.
     """
@@ -61,7 +69,7 @@ class AnalyticFit:
     radiance: Float32[np.ndarray, "h w 3"]
     turbidity: float
     overcast_share: float
-    sun_irradiance: Float32[np.ndarray, "3"]
+    clear_sun_irradiance: Float32[np.ndarray, "3"]
     residual: float
     observed_count: int
 
@@ -72,14 +80,16 @@ def estimate_sky(
     evidence: LightEvidence | None,
     config: SkyConfig,
     *,
+    prediction: SkyPrediction | None = None,
     progress: Progress | None = None,
 ) -> SkyEstimate:
     """The source sky in scene units.
 
     An analytic clear + overcast sky is fitted per channel to the observed, unsaturated sky; where
     sky was seen, the dome shows it. The lower half is the mean of what was seen below the horizon.
-    The sun's strength comes from lit/shadowed pairs (`fit_sun`); without pairs it is the analytic
-    model's, and its uncertainty says so.
+    The sun's strength comes from lit/shadowed pairs (`fit_sun`); without pairs it is that of clear
+    skies, dimmed by the probability of cloud, and of a network's `prediction` where there is one
+    (in the panorama's unit); its uncertainty says so.
     """
     steps = (progress or SilentProgress()).track(range(3), "estimating the sky")
     next(steps)
@@ -91,6 +101,8 @@ def estimate_sky(
     sky_irradiance = irradiance(sky, up)
     next(steps)
     strength = _sun_strength(analytic, evidence, sky, sun, config)
+    if strength.kind == "analytic" and prediction is not None:
+        strength = _with_prediction(strength, prediction)
     dome = add_sun(with_ground(sky, ground), Sun(sun.direction_world, strength.irradiance))
     for _ in steps:
         continue
@@ -127,8 +139,58 @@ def _sun_strength(
         if fit.kind != "unknown":
             return fit
         notes = fit.notes
-    note = f"the sun's strength is the analytic model's (turbidity {analytic.turbidity:g})"
-    return SunFit(analytic.sun_irradiance, 0.9, "analytic", 0, (*notes, note))
+    return _usual_sun(analytic, sky, sun, config, notes)
+
+
+def _usual_sun(
+    analytic: AnalyticFit,
+    sky: Float32[np.ndarray, "h w 3"],
+    sun: SunDirection,
+    config: SkyConfig,
+    notes: tuple[str, ...],
+) -> SunFit:
+    """Without shadows: the sun of the fitted clear part, as far as it fits, and the usual ratio
+    of sun to sky at that elevation; clouds, where likely, dim both."""
+    up = np.array([0.0, 0.0, 1.0])
+    radiance, clear = clear_sky_parts(
+        sun.direction_world, _USUAL_TURBIDITY, config.ground_albedo, config.fit_height_px
+    )
+    usual_ratio = _grey(clear.irradiance) / _grey(irradiance(radiance, up))
+    usual = np.log(usual_ratio * _grey(irradiance(sky, up)))
+    fitted = np.log(max(_grey(analytic.clear_sun_irradiance), 1e-9))
+    fit_std = 0.2 + 8.0 * analytic.residual + 2.0 * analytic.overcast_share
+    weight = _USUAL_LOG_STD**2 / (_USUAL_LOG_STD**2 + fit_std**2)
+    sunny = sun.sunny_probability
+    if sunny is None:
+        sunny = 1.0 - analytic.overcast_share
+    log_sun = usual + weight * (fitted - usual) + (1.0 - sunny) * _CLOUD_LOG_FACTOR
+    spread = abs(_CLOUD_LOG_FACTOR) * np.sqrt(sunny * (1.0 - sunny))
+    log_std = float(np.linalg.norm([np.sqrt(weight) * fit_std, spread, 0.2]))
+    rgb = clear.irradiance.astype(np.float64)
+    rgb *= np.exp(log_sun) / _grey(rgb)
+    note = (
+        f"no shadows tell the sun's strength: that of clear skies (turbidity"
+        f" {analytic.turbidity:g}), with probability {sunny:.2f} of no cloud before it"
+    )
+    return SunFit(rgb.astype(np.float32), log_std, "analytic", 0, (*notes, note))
+
+
+def _with_prediction(strength: SunFit, prediction: SkyPrediction) -> SunFit:
+    """Joined with the brightest pixel that a network predicts, both weighted by their precision."""
+    direction = prediction.sun_direction.astype(np.float64)
+    row = int(np.arccos(np.clip(direction[2], 0.0, 1.0)) / np.pi * _PEAK_ROWS)
+    peak = prediction.log_peak + np.log(solid_angles_sr(_PEAK_ROWS)[min(row, _PEAK_ROWS - 1), 0])
+    peak_std = float(np.hypot(prediction.log_peak_std, 0.2))
+    own = np.log(_grey(strength.irradiance))
+    weight = strength.log_std**2 / (strength.log_std**2 + peak_std**2)
+    rgb = strength.irradiance * np.exp(weight * (peak - own))
+    note = f"a network's peak is {peak - own:+.2f} from it (log; weight {weight:.2f})"
+    log_std = float(np.sqrt(weight) * peak_std)
+    return SunFit(rgb.astype(np.float32), log_std, "analytic", 0, (*strength.notes, note))
+
+
+def _grey(rgb: Float[np.ndarray, "3"]) -> float:
+    return float(luminance(rgb))
 
 
 def fit_analytic_sky(
@@ -163,8 +225,7 @@ def fit_analytic_sky(
     up = np.array([0.0, 0.0, 1.0])
     total = float(irradiance(radiance, up).sum())
     share = float(irradiance(cloud, up).sum() / max(total, 1e-12))
-    # Clouds thick enough to make half the light hide most of the sun.
-    sun_rgb = clear_sun.irradiance * weights[:, 0].mean() * (1 - share) ** 2
+    sun_rgb = clear_sun.irradiance * weights[:, 0].mean()
     return AnalyticFit(
         radiance, turbidity, share, sun_rgb.astype(np.float32), residual, len(observed)
     )

@@ -11,7 +11,10 @@ from lightsim.core.resample import resize_area
 from lightsim.core.twin import Panorama, SkyEstimate
 from lightsim.errors import InputError
 from lightsim.lighting.estimate import SkyConfig, estimate_sky
-from lightsim.lighting.sun import SunDirection, sun_from_panorama
+from lightsim.lighting.sample import SkyPrediction
+from lightsim.lighting.sun import SunDirection
+from lightsim.lighting.sun_cues import Cue, NetworkCue, panorama_cues
+from lightsim.lighting.sun_posterior import SunPosteriorConfig, sun_direction, sun_posterior
 
 _CLIP_CODE = 250
 
@@ -21,21 +24,26 @@ def estimate_from_panorama(
     is_observed: Bool[np.ndarray, "h w"] | None,
     sun: SunDirection | None,
     config: SkyConfig,
+    prediction: SkyPrediction | None = None,
 ) -> SkyEstimate:
     """The HDR dome of a picture in frame `world` (centre column = world +x).
 
     Scene unit: radiance 1 is the picture's white. What is observed above the horizon,
-    bright and not clearly red or green counts as sky. Without `sun`, the picture gives its
-    direction (clipped spot, else the sky's gradient). No shadows are read here, so the sun's
-    strength is the analytic model's.
+    bright and not clearly red or green counts as sky. Without `sun`, the picture gives a
+    posterior of its direction (clipped spots, the sky's gradient, and `prediction`, what a
+    network reads off the completed picture). No shadows are read here: the sun's strength is that
+    of clear and overcast skies, and of the network.
 
     Raises:
         InputError: the picture is not 2:1, or nothing was observed above the horizon.
     """
     panorama = panorama_from_image(srgb8, is_observed)
     if sun is None:
-        sun = sun_from_panorama(panorama)
-    return estimate_sky(panorama, sun, None, config)
+        cues: list[Cue] = panorama_cues(panorama)
+        if prediction is not None:
+            cues.append(NetworkCue(prediction))
+        sun = sun_direction(sun_posterior(cues, panorama, SunPosteriorConfig()), None)
+    return estimate_sky(panorama, sun, None, config, prediction=prediction)
 
 
 def panorama_from_image(

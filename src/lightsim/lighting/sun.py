@@ -27,7 +27,7 @@ _CLOCK_STD_S = 1.0
 _SKY_TURN_DEG_PER_S = 360.0 / 86164.0
 _BLOB_MAX_RADIUS_DEG = 12.0
 _BLOB_MIN_FILL = 0.1
-_BLOB_MIN_RADIUS_DEG = 0.5
+_BLOB_MIN_RADIUS_DEG, _BLOB_USUAL_RADIUS_DEG = 0.3, 1.5
 _PIECE_GAP_DEG = 1.0
 
 
@@ -61,11 +61,14 @@ class SunBlob:
         direction_world: its solid-angle-weighted centre.
         radius_deg: radius of the disc of equal solid angle.
         is_cut: it touches what was not seen as sky, so that its centre is biased.
+        plausibility: relative weight among the spots of one panorama; a free, round spot of usual
+            size in an even sky has about 1.
     """
 
     direction_world: Float[np.ndarray, "3"]
     radius_deg: float
     is_cut: bool
+    plausibility: float = 1.0
 
 
 def sun_from_geo(geo: GeoReference, time_ns: int) -> SunDirection:
@@ -106,9 +109,23 @@ def find_sun_blob(
 ) -> SunBlob | None:
     """The clipped spot of the sky that looks most like the sun, or None.
 
-    A candidate is connected, smaller than a disc of 12 degrees radius, and fills its own
-    bounding disc by 10 %. With `near_world`, it must touch or lie within `within_deg` of it.
+    With `near_world`, it is the nearest one that touches or lies within `within_deg` of it.
     """
+    blobs = find_sun_blobs(panorama)
+    if near_world is None:
+        return max(blobs, key=lambda blob: blob.plausibility, default=None)
+    off_deg = [angle_between_deg(blob.direction_world, near_world) for blob in blobs]
+    near = [
+        (off, blob)
+        for off, blob in zip(off_deg, blobs, strict=True)
+        if off <= within_deg + blob.radius_deg
+    ]
+    return min(near, key=lambda pair: pair[0])[1] if near else None
+
+
+def find_sun_blobs(panorama: Panorama) -> list[SunBlob]:
+    """All clipped spots of the sky that could be the sun: connected, smaller than a disc of 12
+    degrees radius, filling their own bounding disc by 10 %."""
     mask = panorama.is_sky & panorama.is_clipped & panorama.is_seen
     # Thin cloud and cables tear the spot apart: pieces a degree apart belong together.
     pieces_px = max(1, round(mask.shape[0] * _PIECE_GAP_DEG / 180.0))
@@ -116,24 +133,33 @@ def find_sun_blob(
     grown = ndimage.binary_dilation(padded, iterations=pieces_px)[:, pieces_px:-pieces_px]
     labels = np.where(mask, _wrapped_labels(grown), 0)
     unseen = ndimage.binary_dilation(~panorama.is_sky, iterations=2)
-    best: tuple[float, SunBlob] | None = None
-    for index in np.unique(labels[labels > 0]):
-        blob = _describe_blob(labels == index, unseen)
-        if blob is None:
-            continue
-        distance_deg = 0.0
-        if near_world is not None:
-            distance_deg = angle_between_deg(blob.direction_world, near_world)
-            if distance_deg > within_deg + blob.radius_deg:
-                continue
-        score = distance_deg if near_world is not None else -blob.radius_deg
-        if best is None or score < best[0]:
-            best = (score, blob)
-    return best[1] if best else None
+    value = luminance(panorama.radiance)
+    usable = panorama.is_sky & panorama.is_seen & ~panorama.is_clipped
+    directions = pixel_directions(mask.shape[0])[usable]
+    sky = _Glow(directions, value[usable].astype(np.float64))
+    found = [_describe_blob(labels == i, unseen, sky) for i in np.unique(labels[labels > 0])]
+    return [blob for blob in found if blob is not None]
+
+
+class _Glow:
+    """How much brighter the sky around a spot is than elsewhere."""
+
+    def __init__(
+        self, directions: Float[np.ndarray, "n 3"], value: Float[np.ndarray, " n"]
+    ) -> None:
+        self._directions, self._value = directions, value
+        self._usual = float(np.median(value)) if len(value) else 1.0
+
+    def around(self, centre: Float[np.ndarray, "3"], radius_deg: float) -> float:
+        cosine = self._directions @ centre
+        ring = cosine > np.cos(np.radians(2.0 * radius_deg + 2.0))
+        if not ring.any():
+            return 1.0
+        return float(self._value[ring].mean()) / max(self._usual, 1e-6)
 
 
 def _describe_blob(
-    mask: Bool[np.ndarray, "h w"], unseen: Bool[np.ndarray, "h w"]
+    mask: Bool[np.ndarray, "h w"], unseen: Bool[np.ndarray, "h w"], sky: _Glow
 ) -> SunBlob | None:
     height = mask.shape[0]
     row, column = np.nonzero(mask)
@@ -143,14 +169,20 @@ def _describe_blob(
     centre = weight @ directions
     centre /= np.linalg.norm(centre)
     radius_deg = float(np.degrees(np.sqrt(area_sr / np.pi)))
+    # Smaller spots are glints or lamps: lens and air spread the sun.
+    if not _BLOB_MIN_RADIUS_DEG <= radius_deg <= _BLOB_MAX_RADIUS_DEG:
+        return None
     cosine = np.clip(directions @ centre, -1.0, 1.0)
     extent_deg = float(np.degrees(np.arccos(np.percentile(cosine, 10))))
     fill = (radius_deg / max(extent_deg, radius_deg)) ** 2
-    # Lens and air spread the sun; smaller spots are glints or lamps.
-    is_sized = _BLOB_MIN_RADIUS_DEG <= radius_deg <= _BLOB_MAX_RADIUS_DEG
-    if not is_sized or fill < _BLOB_MIN_FILL:
+    if fill < _BLOB_MIN_FILL:
         return None
-    return SunBlob(centre, radius_deg, bool((mask & unseen).any()))
+    is_cut = bool((mask & unseen).any())
+    # A sun's spot is round, stands free and glows; clouds and gaps in leaves do neither.
+    glow = float(np.clip(sky.around(centre, radius_deg), 0.3, 3.0))
+    size = float(np.exp(-0.5 * (np.log(radius_deg / _BLOB_USUAL_RADIUS_DEG) / 1.2) ** 2))
+    plausibility = fill * glow**2 * size * (0.4 if is_cut else 1.0)
+    return SunBlob(centre, radius_deg, is_cut, plausibility)
 
 
 def _wrapped_labels(mask: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:

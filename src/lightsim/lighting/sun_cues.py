@@ -7,6 +7,7 @@ narrow peak must not fall between cells.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -22,7 +23,7 @@ from lightsim.errors import InputError
 from lightsim.lighting.directions import log_vmf
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.shadow_votes import ShadowVotes
-from lightsim.lighting.sun import SunBlob, find_sun_blob, gradient_candidates
+from lightsim.lighting.sun import SunBlob, find_sun_blobs, gradient_candidates
 
 _UNIFORM = -float(np.log(2 * np.pi))
 """Log density of the hemisphere, per sr."""
@@ -32,6 +33,8 @@ _CLOCK_STD_DEG = 1.0 * 360.0 / 86164.0
 """A second of clock."""
 _UNKNOWN_HEADING_STD_DEG = 1.0
 _WRONG_HEADING_SHARE, _WRONG_PLACE_SHARE = 0.002, 0.0005
+_NO_SPOT_WEIGHT = 0.15
+"""Plausibility of "none of the spots is the sun"."""
 _ODDS_LIMIT = 6.0
 """No cue's log odds of sun against overcast count for more."""
 
@@ -119,22 +122,37 @@ def ephemeris_cue(geo: GeoReference, time_ns: int) -> EphemerisCue:
 
 @dataclass(frozen=True, eq=False)
 class BlobCue:
-    """A clipped spot. A cut one may be the rim of a glow whose middle was not seen."""
+    """Clipped spots: one of them is the sun, or none. A cut one may be the rim of a glow whose
+    middle was not seen."""
 
-    blob: SunBlob
-    name: str = "clipped spot"
+    blobs: Sequence[SunBlob]
+    name: str = "clipped spots"
 
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
-        cosine = directions_world @ self.blob.direction_world
-        near_deg = float(np.hypot(0.5, self.blob.radius_deg * (0.8 if self.blob.is_cut else 0.33)))
-        wide_deg = 15.0 if self.blob.is_cut else 4.0
-        log_density = np.logaddexp(
+        weight = np.array([blob.plausibility for blob in self.blobs])
+        none = _NO_SPOT_WEIGHT / (_NO_SPOT_WEIGHT + weight.sum())
+        parts = [self._around(blob, directions_world, blur_deg) for blob in self.blobs]
+        density = np.tensordot(weight / weight.sum(), np.exp(parts), axes=1)
+        values = np.log((1 - none) * density * 2 * np.pi + none)
+        # A free, round spot is rare under cloud.
+        best = max(self.blobs, key=lambda blob: blob.plausibility)
+        odds = 0.0 if best.is_cut else float(np.clip(np.log(best.plausibility + 0.5), 0.0, 1.5))
+        near = directions_world @ best.direction_world > np.cos(np.radians(6.0 + blur_deg))
+        return np.stack([values + odds * near, values], axis=1)
+
+    @staticmethod
+    def _around(
+        blob: SunBlob, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
+    ) -> Float[np.ndarray, " n"]:
+        cosine = directions_world @ blob.direction_world
+        near_deg = float(np.hypot(0.5, blob.radius_deg * (0.8 if blob.is_cut else 0.33)))
+        wide_deg = 15.0 if blob.is_cut else 4.0
+        return np.logaddexp(
             np.log(0.7) + log_vmf(cosine, float(np.hypot(near_deg, blur_deg))),
             np.log(0.3) + log_vmf(cosine, float(np.hypot(wide_deg, blur_deg))),
         )
-        return _both(_robust(log_density, 0.2 if self.blob.is_cut else 0.08))
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,9 +203,9 @@ class GradientCue:
 
     name = "gradient of the sky"
 
-    def __init__(self, panorama: Panorama, std: float = 0.05, outlier_share: float = 0.25) -> None:
+    def __init__(self, panorama: Panorama, std: float = 0.07, outlier_share: float = 0.4) -> None:
         directions, residual = gradient_candidates(panorama)
-        # A mean relative error of 5 % is what thin clouds leave of a well-fitting model.
+        # Relative errors that thin clouds and tone curves leave of a well-fitting model.
         log_weight = -(residual - residual.min()) / (2 * std**2)
         # Candidates lie on rings of equal count: each stands for a cosine's share of the sphere.
         share = np.exp(log_weight) * np.sqrt(1 - directions[:, 2] ** 2)
@@ -249,9 +267,9 @@ def panorama_cues(panorama: Panorama) -> list[Cue]:
     if not seen.any():
         return []
     cues: list[Cue] = [OpenSkyCue(panorama)]
-    blob = find_sun_blob(panorama)
-    if blob is not None:
-        cues.append(BlobCue(blob))
+    blobs = find_sun_blobs(panorama)
+    if blobs:
+        cues.append(BlobCue(blobs))
     try:
         cues.append(GradientCue(panorama))
     except InputError:
