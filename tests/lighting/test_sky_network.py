@@ -237,7 +237,8 @@ def test_resumed_training_is_the_uninterrupted_one() -> None:
     whole, part, rest = (SkyNetwork(SkyNetworkConfig(**TINY)) for _ in range(3))
     train(whole, 6, MemoryJournal())
     journal = MemoryJournal()
-    config = SkyTrainConfig(LoopConfig(steps=6), batch=4)
+    # Threads that make batches ahead change nothing.
+    config = SkyTrainConfig(LoopConfig(steps=6), batch=4, workers=2)
 
     def run(network: SkyNetwork, minutes: float | None) -> int:
         return train_sky(
@@ -258,10 +259,10 @@ def test_resumed_training_is_the_uninterrupted_one() -> None:
 @pytest.mark.slow
 def test_training_finds_the_sun() -> None:
     network, journal = SkyNetwork(SkyNetworkConfig(**TINY)), MemoryJournal()
-    train(network, 100, journal, rate=3e-3)
+    train(network, 60, journal, rate=4e-3)
     assert journal.lines[-1]["loss"] < journal.lines[0]["loss"] - 1.0
-    drawn = parts_of(DATA.batch(128, 7, 0, only_sunny=False), 50)
-    assert [len(part.log_peak) for part in drawn] == [50, 50, 28]
+    drawn = parts_of(DATA.batch(64, 7, 0, only_sunny=False), 25)
+    assert [len(part.log_peak) for part in drawn] == [25, 25, 14]
     rows = {r.name: r for r in evaluate_sky_networks(drawn, {"ours": network}, drawn)}
     assert rows["ours"].angle_mean_deg < 0.7 * rows["constant"].angle_mean_deg
     assert rows["ours"].decoding_angle_deg < 1.78

@@ -35,9 +35,9 @@ class NlfeConfig:
 
     from_panorama: bool = False
     """NLFE*: the completed panorama's upper half, instead of the front picture."""
-    widths: tuple[int, ...] = (24, 48, 96, 128)
+    widths: tuple[int, ...] = (16, 32, 64, 96)
     """Channels of the encoder at strides 2, 4, 8, 16."""
-    decoder_widths: tuple[int, ...] = (12, 24, 48, 96)
+    decoder_widths: tuple[int, ...] = (8, 16, 32, 64)
     """Channels of the decoder at strides 1, 2, 4, 8."""
 
 

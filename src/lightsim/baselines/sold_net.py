@@ -36,9 +36,9 @@ _SUNLESS = 4.0
 class SoldNetConfig:
     """How the network is built."""
 
-    widths: tuple[int, ...] = (24, 48, 96, 128)
+    widths: tuple[int, ...] = (16, 32, 64, 96)
     """Channels of the encoders at strides 2, 4, 8, 16."""
-    decoder_widths: tuple[int, ...] = (12, 24, 48, 96)
+    decoder_widths: tuple[int, ...] = (8, 16, 32, 64)
     """Channels of the sky decoder at strides 1, 2, 4, 8."""
     code: int = 16
     """Length of the code of a sky."""

@@ -60,23 +60,22 @@ def _direction_terms(
 ) -> tuple[dict[str, Tensor], Tensor]:
     """Terms of the direction, and the directions of `batch`."""
     rows = batch.sky.shape[2]
-    if network.config.dual:
-        # The concentration learns from all skies, so that it drops where the sun is hidden.
-        with torch.no_grad():
-            features = network.direction_encoder(image)
-        _, direction, log_kappa = network.direction_head(features, rows)
-        spread = fisher_loss(direction.detach(), log_kappa, batch.sun_direction).mean()
-        batch = draw(True)
-        image = network.encoder_input(network.shown(batch))
-        log_density, found, log_kappa = network.direct(image, rows)
-    else:
-        log_density, found, log_kappa = network.direct(image, rows)
-        direction, spread = found, torch.zeros((), device=image.device)
-    terms = {
-        "angle": angles(found, batch.sun_direction).mean(),
-        "fisher": 0.2
-        * (spread + fisher_loss(found.detach(), log_kappa, batch.sun_direction).mean()),
-    }
+    if not network.config.dual:
+        said = network.direct(image, rows)
+        return _terms_of(said, batch.sun_direction), said[1]
+    with torch.no_grad():
+        direction = network.direct(image, rows)[1]
+    sunny = draw(True)
+    said = network.direct(network.encoder_input(network.shown(sunny)), rows)
+    return _terms_of(said, sunny.sun_direction), direction
+
+
+def _terms_of(said: tuple[Tensor | None, Tensor, Tensor], truth: Tensor) -> dict[str, Tensor]:
+    """Terms of one batch's density (or None), directions and log concentrations."""
+    log_density, direction, log_kappa = said
+    # The direction has its own losses: here it stands still, and only the spread learns.
+    spread = fisher_loss(direction.detach(), log_kappa, truth)
+    terms = {"angle": angles(direction, truth).mean(), "fisher": 0.2 * spread.mean()}
     if log_density is not None:
-        terms["heat"] = heat_loss(log_density, batch.sun_direction).mean()
-    return terms, direction
+        terms["heat"] = heat_loss(log_density, truth).mean()
+    return terms

@@ -47,9 +47,9 @@ STAYING_SUN_DEG = 6.0
 class SkyNetworkConfig:
     """How the network is built; `small` for the CPU, `full` for a GPU, `paper` for the original."""
 
-    widths: tuple[int, ...] = (24, 48, 96, 128)
+    widths: tuple[int, ...] = (16, 32, 64, 96)
     """Channels of the encoders at strides 2, 4, 8, 16."""
-    decoder_widths: tuple[int, ...] = (12, 24, 48, 96)
+    decoder_widths: tuple[int, ...] = (8, 16, 32, 64)
     """Channels of the decoder at strides 1, 2, 4, 8."""
     uses_ground: bool = True
     """Encoders see the lower half too: shadows and lit walls tell of the sun."""
@@ -244,7 +244,7 @@ def kept_for(
     """Where a dome whose sun moved still follows the LDR sky: away from both suns."""
     moved_deg = torch.rad2deg(torch.acos((old * new).sum(dim=1).clamp(-1, 1)))
     stays = (moved_deg <= STAYING_SUN_DEG)[:, None, None, None]
-    return (_away(old, new, rows) | stays).to(old)
+    return torch.maximum(_away(old, new, rows), stays.to(old))
 
 
 def random_kept(
@@ -258,11 +258,14 @@ def random_kept(
     height = torch.rand(count, generator=generator)
     flat = torch.sqrt(1 - height**2)
     spot = torch.stack([flat * azimuth.cos(), flat * azimuth.sin(), height], dim=1).to(direction)
-    away = _away(direction, spot, rows).to(direction)
+    away = _away(direction, spot, rows)
     return torch.where(draw < 0.2, 0.0, torch.where(draw < 0.5, away, 1.0))
 
 
 def _away(a: Tensor, b: Tensor, rows: int) -> Tensor:
-    """Pixels far from both directions."""
-    far = math.cos(math.radians(MOVED_SUN_DEG))
-    return (cosine_map(a, rows) < far) & (cosine_map(b, rows) < far)
+    """1 far from both directions, 0 near one; in between it fades, so that no edge shows."""
+    angle = torch.rad2deg(
+        torch.acos(torch.maximum(cosine_map(a, rows), cosine_map(b, rows)).clamp(-1, 1))
+    )
+    share = ((angle / MOVED_SUN_DEG - 0.6) / 0.8).clamp(0.0, 1.0)
+    return share * share * (3 - 2 * share)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -39,6 +40,8 @@ class SkyTrainConfig:
     """Panoramas a step (and as many under clear suns, for the direction encoder)."""
     seed: int = 0
     """Of batches and of random teacher forcing."""
+    workers: int = 0
+    """Threads that make batches ahead of their use; 0 makes them when they are needed."""
     complete_share: float = 0.25
     """Share of the panoramas that is shown whole, as pictures without a log are."""
 
@@ -78,21 +81,53 @@ def train_sky(
     target = choose_device(device)
     network, config = recipe.network.to(target), recipe.config
 
+    batches = _Batches(data, config)
+
     def loss_of_step(step: int) -> tuple[Tensor, dict[str, Tensor]]:
         generator = torch.Generator().manual_seed(config.seed * _STEP_SEED + step)
 
         def draw(only_sunny: bool) -> SkyTensors:
-            # Not the same number twice: data may draw both kinds from one stream.
-            index = 2 * step + int(only_sunny)
-            batch = data.batch(config.batch, config.seed, index, only_sunny=only_sunny)
+            batch = batches.get(step, only_sunny)
             whole = torch.rand(config.batch, generator=generator).numpy() < config.complete_share
             return sky_tensors(batch, whole, complete, target)
 
         return recipe.loss(network, draw, generator)
 
-    return run_training(
-        network, loss_of_step, journal, config.loop, minutes=minutes, progress=progress
-    )
+    with batches:
+        return run_training(
+            network, loss_of_step, journal, config.loop, minutes=minutes, progress=progress
+        )
+
+
+class _Batches:
+    """Batches by step and kind, made ahead of their use by threads."""
+
+    def __init__(self, data: LightingData, config: SkyTrainConfig) -> None:
+        self._data = data
+        self._config = config
+        self._pool = ThreadPoolExecutor(config.workers) if config.workers else None
+        self._coming: dict[int, Future[LightingBatch]] = {}
+
+    def get(self, step: int, only_sunny: bool) -> LightingBatch:
+        # Even numbers are all skies, odd ones clear suns: data may draw both from one stream.
+        number = 2 * step + int(only_sunny)
+        if self._pool is None:
+            return self._make(number)
+        for later in range(number, number + 2 * (self._config.workers + 1), 2):
+            if later // 2 < self._config.loop.steps and later not in self._coming:
+                self._coming[later] = self._pool.submit(self._make, later)
+        return self._coming.pop(number).result()
+
+    def _make(self, number: int) -> LightingBatch:
+        config = self._config
+        return self._data.batch(config.batch, config.seed, number, only_sunny=number % 2 == 1)
+
+    def __enter__(self) -> _Batches:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
 
 
 def sky_tensors(
