@@ -10,12 +10,21 @@ import pytest
 from lightsim.core.dome import irradiance
 from lightsim.core.equirect import pixel_directions, uv_from_directions
 from lightsim.errors import InputError
+from lightsim.ingest.synthetic.finishes import make_finishes
+from lightsim.ingest.synthetic.geometry import Snapshot
+from lightsim.ingest.synthetic.plan import plan_street
+from lightsim.ingest.synthetic.street import Street, build_background
 from lightsim.lighting.sample import LightingData
 from lightsim.training.hdr_skies import measured_sky, read_split, shrunk, sky_mask
 from lightsim.training.lighting_data import LightingSet
 from lightsim.training.procedural_skies import Heaven, raised_heaven, turned_heaven
 from lightsim.training.rigs import RIGS, MaskConfig, mask_of, rig_mask
-from lightsim.training.street_panoramas import StreetView, light_view
+from lightsim.training.street_panoramas import (
+    HORIZON_AZIMUTHS,
+    StreetView,
+    ViewTracer,
+    light_view,
+)
 
 HEIGHT = 64
 SPLIT = "name,split,group,tier,scene,reason\n"
@@ -172,3 +181,33 @@ def test_a_broken_cache_is_named(tmp_path: Path, cache_path: Path) -> None:
     np.savez(path, other=np.zeros(3))
     with pytest.raises(InputError, match="no training cache"):
         LightingSet.load(path)
+
+
+def test_street_shadows_agree_with_rays(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = plan_street(100)
+    background = build_background(plan)
+    snapshot = Snapshot(Street(plan, background, (), make_finishes(rng, 20.0, 11.0, 3.2)), [])
+    eye_street = np.array([10.0, -1.7, 2.0])
+    eye = plan.world_from_street.apply(eye_street[None])[0]
+    directions = plan.world_from_street.rotate(pixel_directions(16).reshape(-1, 3))
+    hits = snapshot.intersect(np.broadcast_to(eye, directions.shape), directions)
+    tracer = ViewTracer(snapshot, plan.world_from_street, 16, 4, rng)
+    monkeypatch.setattr(tracer, "_free_position", lambda _: (eye, hits))
+    view = tracer.trace()
+    azimuth, elevation = 2 * np.pi * 10 / HORIZON_AZIMUTHS, np.radians(45.0)
+    flat = np.cos(elevation)
+    sun = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+    linear, _ = light_view(view, Heaven(np.zeros((8, 32, 3), np.float32), sun, 10 * np.ones(3)))
+    towards = plan.world_from_street.rotate(sun)
+    pixel = view.pixel.astype(np.int64)
+    normals = hits.normal_world[pixel]
+    points = eye + hits.distance_m[pixel, None] * directions[pixel]
+    lit = snapshot.sun_visibility(points, normals, towards[None])
+    expected = view.albedo / 255 * (lit * np.maximum(normals @ towards, 0))[:, None] * 10 / np.pi
+    # What exceeds direct sunlight is bounce; shadows that differ lie at borders.
+    excess = linear.reshape(-1, 3)[pixel] - expected
+    assert (excess > -0.02).all(axis=1).mean() > 0.9
+    assert np.median(excess) < 0.1
+    assert 0.1 < (expected.max(axis=1) > 0.1).mean() < 0.9

@@ -26,7 +26,7 @@ from lightsim.training.procedural_skies import (
     with_clouds,
 )
 from lightsim.training.rigs import MaskConfig, front_view, rig_mask
-from lightsim.training.street_panoramas import light_view
+from lightsim.training.street_panoramas import HORIZON_AZIMUTHS, light_view
 
 SUNNY_RATIO = 0.4
 """The sun casts shadows where it brings a surface that faces it at least this much of the sky's
@@ -318,8 +318,14 @@ def _colour_change(rng: np.random.Generator) -> Float[np.ndarray, "3"]:
 
 
 def _turned_randomly(heaven: Heaven, rng: np.random.Generator, *, flip: bool) -> Heaven:
+    """The sky turned by whole columns so that its sun comes closest to an azimuth for which
+    streets know their horizons."""
     is_flipped = flip and rng.random() < 0.5
-    return turned_heaven(heaven, int(rng.integers(heaven.rest.shape[1])), flip=is_flipped)
+    x, y, _ = heaven.sun_direction
+    azimuth = float(np.arctan2(-y if is_flipped else y, x))
+    wanted = 2 * np.pi * int(rng.integers(HORIZON_AZIMUTHS)) / HORIZON_AZIMUTHS
+    columns = round((azimuth - wanted) / (2 * np.pi) * heaven.rest.shape[1])
+    return turned_heaven(heaven, columns, flip=is_flipped)
 
 
 def _stacked(samples: list[_Sample]) -> LightingBatch:
