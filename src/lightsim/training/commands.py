@@ -112,7 +112,7 @@ def _train_sky_network(command: TrainOptions, kind: SkyKind, inpaint: Path | Non
 
     data = LightingSet.load(command.data)
     complete = None if inpaint is None else completion_of(inpaint)
-    recipe = sky_recipe(kind, command.preset, command.seed)
+    recipe = sky_recipe(kind, command.preset, command.seed, inpaints=inpaint is not None)
     if command.steps is not None:
         loop = replace(recipe.config.loop, steps=command.steps)
         recipe = replace(recipe, config=replace(recipe.config, loop=loop))
