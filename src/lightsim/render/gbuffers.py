@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Float32, Shaped
+from jaxtyping import Float, Float32, Int64, Shaped
 
 from lightsim.core.buffers import NO_SURFACE, GBuffers
 from lightsim.core.camera import PinholeCamera
@@ -16,6 +16,9 @@ from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import FrameMismatchError
 from lightsim.render.scene import FrameScene
+
+BAND_RAYS = 1 << 18
+"""Primary rays in memory at once."""
 
 
 @dataclass(frozen=True)
@@ -42,24 +45,71 @@ def render_gbuffers(
         FrameMismatchError: the pose does not map `camera` to `world`.
     """
     config = config or GBufferConfig()
-    shape = (camera.height_px, camera.width_px)
-    uv = camera.pixel_centres().reshape(-1, 2)
+    height, width = camera.height_px, camera.width_px
+    out = GBuffers(
+        np.full((height, width), np.inf, dtype=np.float32),
+        *(np.zeros((height, width, 3), dtype=np.float32) for _ in range(3)),
+        np.ones((height, width), dtype=np.float32),
+        np.full((height, width), NO_SURFACE, dtype=np.int32),
+    )
+    centres = camera.pixel_centres()
+    band = max(1, BAND_RAYS // width)
+    for start in range(0, height, band):
+        rows = slice(start, start + band)
+        seen = see(scene, camera, view, centres[rows].reshape(-1, 2), config)
+        index = start * width + seen.rows
+        out.depth_z_m.reshape(-1)[index] = seen.depth_z_m
+        out.position_world.reshape(-1, 3)[index] = seen.position_world
+        out.normal_world.reshape(-1, 3)[index] = seen.normal_world
+        out.base_colour.reshape(-1, 3)[index] = seen.base_colour
+        out.actor_index.reshape(-1)[index] = scene.actor_index[seen.hits.mesh_index]
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class SeenSurfaces:
+    """What primary rays meet.
+
+    Args:
+        rows: of the rays that meet a surface; the other fields hold these alone.
+        hits: the faces.
+        towards_camera: unit.
+    """
+
+    rows: Int64[np.ndarray, " n"]
+    hits: RayHits
+    depth_z_m: Float32[np.ndarray, " n"]
+    position_world: Float32[np.ndarray, "n 3"]
+    normal_world: Float32[np.ndarray, "n 3"]
+    base_colour: Float32[np.ndarray, "n 3"]
+    towards_camera: Float32[np.ndarray, "n 3"]
+
+
+def see(
+    scene: FrameScene,
+    camera: PinholeCamera,
+    view: CameraFrame | RigidTransform,
+    uv: Float[np.ndarray, "m 2"],
+    config: GBufferConfig,
+) -> SeenSurfaces:
+    """Surfaces behind points (u, v) of the image."""
     origins, directions = _rays(view, camera, uv)
     hits = scene.camera_caster.intersect(origins, directions)
-    is_seen = hits.is_hit & (hits.distance_m <= config.max_distance_m)
-    pixels = np.flatnonzero(is_seen)
-    hits = _select(hits, pixels)
+    rows = np.flatnonzero(hits.is_hit & (hits.distance_m <= config.max_distance_m))
+    hits = _select(hits, rows)
     distance = hits.distance_m.astype(np.float64)
-    depth = distance * camera.directions(uv[pixels])[:, 2]
-    position = origins[pixels] + distance[:, None] * directions[pixels]
-    normal, colour = _surface(scene, hits, directions[pixels])
-    return GBuffers(
-        _image(depth, pixels, shape, np.float32, np.inf),
-        _image(position, pixels, shape, np.float32, 0),
-        _image(normal, pixels, shape, np.float32, 0),
-        _image(colour, pixels, shape, np.float32, 0),
-        np.ones(shape, dtype=np.float32),
-        _image(scene.actor_index[hits.mesh_index], pixels, shape, np.int32, NO_SURFACE),
+    depth = distance * camera.directions(uv[rows])[:, 2]
+    towards = directions[rows]
+    position = origins[rows] + distance[:, None] * towards
+    normal, colour = _surface(scene, hits, towards)
+    return SeenSurfaces(
+        rows,
+        hits,
+        depth.astype(np.float32),
+        position.astype(np.float32),
+        normal.astype(np.float32),
+        colour,
+        (-towards).astype(np.float32),
     )
 
 
@@ -89,19 +139,6 @@ def _select(hits: RayHits, rows: Shaped[np.ndarray, " k"]) -> RayHits:
     return RayHits(
         hits.distance_m[rows], hits.mesh_index[rows], hits.face_index[rows], hits.barycentric[rows]
     )
-
-
-def _image(
-    values: Shaped[np.ndarray, "k ..."],
-    pixels: Shaped[np.ndarray, " k"],
-    shape: tuple[int, int],
-    dtype: type,
-    empty: float | int,
-) -> Shaped[np.ndarray, "h w ..."]:
-    """Values of some pixels as an image; `empty` elsewhere."""
-    image = np.full((shape[0] * shape[1], *values.shape[1:]), empty, dtype=dtype)
-    image[pixels] = values
-    return image.reshape(*shape, *values.shape[1:])
 
 
 def _surface(

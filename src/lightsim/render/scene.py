@@ -23,25 +23,20 @@ class StaticScene:
     Args:
         visible: meshes that cameras see, in frame `world`.
         shadow_only: inferred meshes that stop light and reflect it, but that cameras do not see.
-        visible_caster: over `visible`.
-        shadow_caster: over `shadow_only`.
+        visible_caster: over `visible`, for cameras.
+        caster: over `visible`, then `shadow_only`: what light meets.
         normals: vertex normals of `visible`, then of `shadow_only`.
     """
 
     visible: tuple[TriMesh, ...]
     shadow_only: tuple[TriMesh, ...]
     visible_caster: RayCaster
-    shadow_caster: RayCaster
+    caster: RayCaster
     normals: tuple[Float32[np.ndarray, "_ 3"], ...]
 
     @property
     def meshes(self) -> tuple[TriMesh, ...]:
         return self.visible + self.shadow_only
-
-    @property
-    def caster(self) -> CompositeCaster:
-        """Over `visible`, then `shadow_only`: what light meets."""
-        return CompositeCaster([self.visible_caster, self.shadow_caster])
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +64,7 @@ class FrameScene:
     @property
     def caster(self) -> CompositeCaster:
         """What light meets; mesh_index counts `meshes`."""
-        static = self.static
-        return CompositeCaster([static.visible_caster, static.shadow_caster, self.actor_caster])
+        return CompositeCaster([self.static.caster, self.actor_caster])
 
     @property
     def camera_caster(self) -> CompositeCaster:
@@ -111,11 +105,12 @@ def make_static_scene(
     """
     visible = tuple(background) + (tuple(inferred) if inferred_is_visible else ())
     shadow_only = () if inferred_is_visible else tuple(inferred)
+    visible_caster = make_caster(visible)
     return StaticScene(
         visible,
         shadow_only,
-        make_caster(visible),
-        make_caster(shadow_only),
+        visible_caster,
+        make_caster(visible + shadow_only) if shadow_only else visible_caster,
         tuple(mesh.vertex_normals() for mesh in visible + shadow_only),
     )
 
