@@ -15,7 +15,7 @@ from lightsim.core.resample import resize_area
 from lightsim.render.embree import offset_origins
 from lightsim.render.faces import FaceSamples, hashed_shifts
 from lightsim.render.scene import FrameScene
-from lightsim.render.transport import PointTable, TransportConfig, TransportTable, spread_to_pixels
+from lightsim.render.transport import PointTable, TransportConfig, TransportTable
 
 _TILE_RAYS = 1 << 20
 _PATTERNS = 64
@@ -76,9 +76,10 @@ def light(
     """
     cells = prepare_sky(sky, config) if isinstance(sky, SkyDome) else sky
     sums = light_table(table.points, scene.caster, cells, config)
-    images = spread_to_pixels(sums, table.index, table.traced, gbuffers, config)
-    open_sky, bounce, sky_unshadowed = (images[..., i : i + 3] for i in (0, 3, 6))
     has_surface = gbuffers.has_surface
+    images = np.zeros((*has_surface.shape, 9), dtype=np.float32)
+    images[has_surface] = table.spread(sums)
+    open_sky, bounce, sky_unshadowed = (images[..., i : i + 3] for i in (0, 3, 6))
     visibility = np.zeros(has_surface.shape, dtype=np.float32)
     sun_image = np.zeros((*has_surface.shape, 3), dtype=np.float32)
     if cells.sun is not None:

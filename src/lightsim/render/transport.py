@@ -25,6 +25,7 @@ from lightsim.render.faces import (
     hemisphere_directions,
 )
 from lightsim.render.scene import FrameScene
+from lightsim.render.spread import Spread, TracedPixels
 
 OPEN = -1
 """face_row of a ray that meets nothing."""
@@ -62,14 +63,14 @@ class TransportTable:
 
     Args:
         points: rays of the traced pixels.
-        index: row in `points` for each block of pixels, -1 without a surface.
-        traced: position and normal of each traced pixel.
+        pixel: flat numbers of the pixels whose centre shows a surface.
+        spread: how the light of the traced pixels reaches them.
         ambient_occlusion: open fraction of the hemisphere of every pixel; sky 1.
     """
 
     points: PointTable
-    index: Int32[np.ndarray, "hb wb"]
-    traced: Float32[np.ndarray, "n 6"]
+    pixel: Int64[np.ndarray, " p"]
+    spread: Spread
     ambient_occlusion: Float32[np.ndarray, "h w"]
 
 
@@ -96,11 +97,21 @@ def trace_transport(
     normals = gbuffers.normal_world[rows, columns]
     shifts = _pixel_shifts(rows, columns, config.shading_step_px, seed)
     points = trace_points(scene, positions, normals, shifts, config, face_table)
-    traced = np.concatenate([positions, normals], axis=1)
-    open_part = points.openness[:, None]
-    occlusion = spread_to_pixels(open_part, index, traced, gbuffers, config)[..., 0]
-    occlusion[~gbuffers.has_surface] = 1.0
-    return TransportTable(points, index, traced, occlusion)
+    has_surface = gbuffers.has_surface
+    pixel = np.flatnonzero(has_surface)
+    traced = TracedPixels(
+        index, np.concatenate([positions, normals], axis=1), int(has_surface.shape[1])
+    )
+    spread = traced.spread(
+        pixel,
+        gbuffers.position_world[has_surface],
+        gbuffers.normal_world[has_surface],
+        gbuffers.depth_z_m[has_surface],
+        config,
+    )
+    occlusion = np.ones(has_surface.shape, dtype=np.float32)
+    occlusion[has_surface] = spread(points.openness[:, None])[:, 0]
+    return TransportTable(points, pixel, spread, occlusion)
 
 
 def trace_points(
@@ -222,27 +233,3 @@ def _pixel_shifts(
     u = (52.9829189 * ((0.06711056 * j + 0.00583715 * i) % 1.0)) % 1.0
     numbers = (rows // step) * (1 << 20) + columns // step
     return np.stack([u, hashed_shifts(numbers, seed)[:, 0]], axis=1).astype(np.float32)
-
-
-def spread_to_pixels(
-    values: Float32[np.ndarray, "n c"],
-    index: Int32[np.ndarray, "hb wb"],
-    traced: Float32[np.ndarray, "n 6"],
-    gbuffers: GBuffers,
-    config: TransportConfig,
-) -> Float32[np.ndarray, "h w c"]:
-    """Values of traced pixels carried to all pixels along surfaces; 0 without a surface."""
-    from lightsim.render.transport_kernels import spread
-
-    out = np.zeros((*gbuffers.depth_z_m.shape, values.shape[1]), dtype=np.float32)
-    spread(
-        index,
-        values,
-        (config.shading_step_px, config.filter_radius),
-        gbuffers.position_world,
-        gbuffers.normal_world,
-        gbuffers.depth_z_m,
-        traced,
-        out,
-    )
-    return out

@@ -164,30 +164,39 @@ def _neighbours(index, block, grid, offset, surface, traced, rows, weights):
 
 @njit(cache=True, parallel=True)
 @no_type_check
-def spread(index, values, grid, positions, normals, depths, traced, out):
-    """Joint bilateral filter from the traced pixels to all (Kopf et al. 2007).
+def spread_weights(traced_pixels, pixel, positions, normals, depths, out_rows, out_weights, count):
+    """Joint bilateral filter from the traced pixels to any points (Kopf et al. 2007).
 
-    `index[i, j]` is the row of `values` for block (i, j), or -1. `traced` holds position and
-    normal of the traced points. Weights: distance in the image, and distance from the pixel's
+    `index[i, j]` is the row of the traced point of block (i, j), or -1. `traced` holds position
+    and normal of the traced points. Weights: distance in the image, and distance from the point's
     tangent plane relative to its depth. Where no neighbour is alike, a wider search takes the
     likest one: thin things must not turn black.
     """
-    step, radius = grid
-    for row in prange(depths.shape[0]):
-        weights = np.zeros((2 * radius + 1) ** 2)
-        rows = np.zeros((2 * radius + 1) ** 2, dtype=np.int64)
+    index, traced, step, radius, width = traced_pixels
+    size = (2 * radius + 1) ** 2
+    for p in prange(len(pixel)):
+        weights = np.zeros(size)
+        rows = np.zeros(size, dtype=np.int64)
         surface = np.zeros(7)
-        for column in range(depths.shape[1]):
-            if not np.isfinite(depths[row, column]):
-                continue
-            surface[:3] = positions[row, column]
-            surface[3:6] = normals[row, column]
-            surface[6] = depths[row, column]
-            block, offset = (row // step, column // step), (row % step, column % step)
-            found = _neighbours(index, block, grid, offset, surface, traced, rows, weights)
-            for m in range(found):
-                for c in range(values.shape[1]):
-                    out[row, column, c] += weights[m] * values[rows[m], c]
+        row, column = pixel[p] // width, pixel[p] % width
+        surface[:3] = positions[p]
+        surface[3:6] = normals[p]
+        surface[6] = depths[p]
+        block, offset = (row // step, column // step), (row % step, column % step)
+        found = _neighbours(index, block, (step, radius), offset, surface, traced, rows, weights)
+        count[p] = found
+        for m in range(found):
+            out_rows[p, m], out_weights[p, m] = rows[m], weights[m]
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
+def weighted_rows(rows, weights, count, values, out):
+    """Weighted sums of rows of `values`."""
+    for p in prange(len(rows)):
+        for m in range(count[p]):
+            for c in range(values.shape[1]):
+                out[p, c] += weights[p, m] * values[rows[p, m], c]
 
 
 @njit(cache=True, parallel=True)
