@@ -138,6 +138,11 @@ class SkyEstimateCommand:
     """Degrees east."""
     heading_deg: float | None = None
     """Azimuth of the centre column, clockwise from north."""
+    move_sun: str | None = None
+    """AZIMUTH,ELEVATION in degrees, clockwise from north (from the centre column without
+    --heading-deg): the same sky under a sun that stands there."""
+    sun_factor: float = 1.0
+    """Makes the sun of the same sky weaker or stronger."""
     verbose: Verbose = False
     """Show the trace of an error."""
 

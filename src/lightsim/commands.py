@@ -179,14 +179,21 @@ def _show(report: _Report, out: Path | None) -> None:
 
 def estimate_sky(command: cli.SkyEstimateCommand) -> None:
     from lightsim.lighting.estimate import SkyConfig
-    from lightsim.lighting.image_sky import estimate_from_panorama
+    from lightsim.lighting.image_sky import estimate_from_panorama, panorama_from_image
     from lightsim.skies import sun_of_command
+    from lightsim.sky_networks import edited_sky, predict_sky
     from lightsim.store.images import read_srgb8_alpha
     from lightsim.store.sky import write_sky
 
     picture, alpha = read_srgb8_alpha(command.panorama)
     sun = sun_of_command(command.time, command.latitude, command.longitude, command.heading_deg)
-    estimate = estimate_from_panorama(picture, alpha > 127, sun, SkyConfig())
+    panorama = panorama_from_image(picture, alpha > 127)
+    prediction = predict_sky(panorama)
+    estimate = estimate_from_panorama(picture, alpha > 127, sun, SkyConfig(), prediction)
+    if command.move_sun is not None or command.sun_factor != 1.0:
+        estimate = edited_sky(
+            estimate, panorama, command.move_sun, command.sun_factor, command.heading_deg
+        )
     command.out.mkdir(parents=True, exist_ok=True)
     write_sky(command.out, estimate, "sky.exr")
     _say(f"sky: {command.out / 'sky.exr'}")

@@ -267,19 +267,25 @@ def sky(work: Path, truth: Path | None) -> SkyReport:
         ephemeris = direction_world(at.azimuth_deg, at.elevation_deg, geo.enu_from_world)
     near = None if estimate.dome.sun is None else estimate.dome.sun.direction_world
     blob = find_sun_blob(workspace.panorama, near)
-    true_dome = None
-    if truth is not None:
-        # The disc is smaller than a pixel of the file: its exact direction stands beside it.
-        beside = read_json(truth / "skies" / "source.json")
-        direction = np.array(beside["direction_world"], dtype=np.float64)
-        true_sun = Sun(direction, np.array(beside["irradiance"], dtype=np.float32))
-        true_dome = SkyDome(read_hdr(truth / "skies" / "source.exr"), true_sun)
     return evaluate_sky(
         estimate,
-        truth=true_dome,
+        truth=None if truth is None else true_source_sky(truth),
         ephemeris_world=ephemeris,
         observed_sun_world=None if blob is None else blob.direction_world,
     )
+
+
+def true_source_sky(truth: Path) -> SkyDome:
+    """The sky that a synthetic log was recorded under.
+
+    Raises:
+        InputError, ArtefactError: `truth` is not a folder that `lightsim synthesize` wrote.
+    """
+    # The disc is smaller than a pixel of the file: its exact direction stands beside it.
+    beside = read_json(truth / "skies" / "source.json")
+    direction = np.array(beside["direction_world"], dtype=np.float64)
+    sun = Sun(direction, np.array(beside["irradiance"], dtype=np.float32))
+    return SkyDome(read_hdr(truth / "skies" / "source.exr"), sun)
 
 
 def base_colour(work: Path, truth: Path, progress: Progress) -> BaseColourReport:

@@ -137,7 +137,7 @@ STAGES = (
     Stage("panorama", 1, ("masks", "assets"), lambda o: StitchConfig(), stages.make_panorama),
     Stage(
         "sky",
-        3,
+        4,
         ("assets", "panorama"),
         lambda o: stages.SkyStageConfig(SourceSunConfig(gps=o.gps)),
         stages.make_sky,

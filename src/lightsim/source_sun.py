@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -10,7 +9,6 @@ import numpy as np
 
 from lightsim.core.log import GeoReference
 from lightsim.core.solar import solar_position
-from lightsim.core.twin import Panorama
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.shadow_votes import ShadowVoteConfig, ShadowVotes, vote
 from lightsim.lighting.sun import SunDirection
@@ -29,8 +27,6 @@ from lightsim.workspace import Workspace
 
 GpsUse = Literal["all", "place", "none"]
 """Place, time and heading; place and time alone; or the images alone."""
-PredictSky = Callable[[Panorama], SkyPrediction]
-"""A trained network; its directions lie in frame `world`."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +47,12 @@ def find_source_sun(
     *,
     seed: int,
     progress: Progress,
-    predict: PredictSky | None = None,
+    prediction: SkyPrediction | None = None,
 ) -> tuple[SunDirection, SunPosterior]:
     """The sun in the middle of the log.
+
+    Args:
+        prediction: what a network says of the log's panorama.
 
     Raises:
         InputError: by place and time the sun is below the horizon.
@@ -68,8 +67,8 @@ def find_source_sun(
         position = solar_position(geo.latitude_deg, geo.longitude_deg, middle_ns)
     cues += panorama_cues(work.panorama)
     cues.append(ShadowCue(source_votes(work, config.votes, seed=seed, progress=progress)))
-    if predict is not None:
-        cues.append(NetworkCue(predict(work.panorama)))
+    if prediction is not None:
+        cues.append(NetworkCue(prediction))
     posterior = sun_posterior(cues, work.panorama, config.posterior)
     return sun_direction(posterior, position), posterior
 

@@ -24,11 +24,13 @@ from lightsim.core.fields import SceneFields
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
-from lightsim.core.twin import SceneAssets
+from lightsim.core.twin import SceneAssets, SkyEstimate
 from lightsim.ingest.sky_mask import SkyMaskConfig, sky_mattes
 from lightsim.lighting.estimate import SkyConfig, estimate_sky
 from lightsim.lighting.evidence import EvidenceConfig, Surroundings, collect_evidence
+from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.stitch import StitchConfig, stitch_panorama
+from lightsim.lighting.sun import SunDirection
 from lightsim.progress import Progress
 from lightsim.reconstruct.extrude import ExtrudeConfig, infer_tall_structures
 from lightsim.reconstruct.facades import FacadeConfig, complete_facades
@@ -43,6 +45,7 @@ from lightsim.render.irradiance import IrradianceConfig
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport import TransportConfig
 from lightsim.scene_setup import parked_actor_meshes
+from lightsim.sky_networks import predict_sky
 from lightsim.source_light import SourceLight, static_returns
 from lightsim.source_sun import SourceSunConfig, find_source_sun
 from lightsim.store.alignment import write_alignment
@@ -301,22 +304,40 @@ def make_panorama(
 def make_sky(
     work: Workspace, config: SkyStageConfig, folder: Path, context: Context
 ) -> Iterable[str]:
+    said = predict_sky(work.panorama)
+    sun, _ = find_source_sun(
+        work, config.sun, seed=context.seed, progress=context.progress, prediction=said
+    )
+    sky = source_sky(work, sun, config, said, seed=context.seed, progress=context.progress)
+    write_sky(folder, sky)
+    write_panorama_pictures(folder, work.panorama)
+    return sky.notes
+
+
+def source_sky(
+    work: Workspace,
+    sun: SunDirection,
+    config: SkyStageConfig,
+    prediction: SkyPrediction | None,
+    *,
+    seed: int,
+    progress: Progress,
+) -> SkyEstimate:
+    """The dome of a log whose sun was found: strengths by lit and shadowed surfaces."""
     log = work.training_log
-    sun, _ = find_source_sun(work, config.sun, seed=context.seed, progress=context.progress)
     evidence = collect_evidence(
         log,
         work.assets,
         make_embree_caster,
         sun.direction_world,
         config.evidence,
-        np.random.default_rng(context.seed),
+        np.random.default_rng(seed),
         around=Surroundings(parked_actor_meshes(log, work.assets), [work.inferred]),
-        progress=context.progress,
+        progress=progress,
     )
-    sky = estimate_sky(work.panorama, sun, evidence, config.sky, progress=context.progress)
-    write_sky(folder, sky)
-    write_panorama_pictures(folder, work.panorama)
-    return sky.notes
+    return estimate_sky(
+        work.panorama, sun, evidence, config.sky, progress=progress, prediction=prediction
+    )
 
 
 def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Context) -> Iterable[str]:

@@ -1,0 +1,243 @@
+"""Lighting estimation on held-out skies and on logs; prints Markdown tables.
+
+    python benchmarks/bench_lighting.py networks CACHE.npz --models DIR    the paper's table A4
+    python benchmarks/bench_lighting.py pictures CACHE.npz [--per-sky 4]   `sky estimate`
+    python benchmarks/bench_lighting.py log WORK [--truth DIR]             a build, more or less GPS
+
+CACHE: of `lightsim train prepare` with benchmarks/hdri_split.csv; only its test split is scored.
+DIR holds the runs of `lightsim train` by name, each with weights.safetensors.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from lightsim.core.colour import luminance
+from lightsim.core.dome import SkyDome, Sun, add_sun, resized, split_sun
+from lightsim.core.solar import angle_between_deg, azimuth_elevation
+from lightsim.evaluate.shadow_caster import caster_rmse
+from lightsim.evaluate.sky import evaluate_sky, relative_rmse, sphere_radiance
+from lightsim.lighting.estimate import SkyConfig, estimate_sky
+from lightsim.lighting.image_sky import panorama_from_image
+from lightsim.lighting.sample import LightingBatch
+from lightsim.lighting.sun import SunDirection
+from lightsim.lighting.sun_cues import NetworkCue, panorama_cues
+from lightsim.lighting.sun_posterior import SunPosteriorConfig, sun_direction, sun_posterior
+from lightsim.progress import SilentProgress
+from lightsim.training.lighting_data import LightingSet
+
+_WITHIN = 0.9
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=("networks", "pictures", "log"))
+    parser.add_argument("source", type=Path)
+    parser.add_argument("--models", type=Path)
+    parser.add_argument("--truth", type=Path)
+    parser.add_argument("--per-sky", type=int, default=4)
+    options = parser.parse_args()
+    if options.what == "networks":
+        _networks(options.source, options.models)
+    elif options.what == "pictures":
+        _pictures(options.source, options.per_sky)
+    else:
+        _log(options.source, options.truth)
+
+
+def _networks(cache: Path, models: Path) -> None:
+    """Angle and decoding errors of each network on the fixed test views."""
+    from lightsim.lighting.sky_evaluate import evaluate_sky_networks, parts_of
+    from lightsim.lighting.sky_network import SkyNetwork, network_from_tensors
+    from lightsim.store.checkpoint import read_weights
+    from lightsim.training.commands import completion_of
+    from lightsim.training.sky_models import sky_recipe
+
+    complete = completion_of(models / "inpaint" / "weights.safetensors")
+    networks = {}
+    for kind in ("sold_net", "nlfe", "nlfe_panorama", "lightsim_paper", "sky"):
+        path = models / kind / "weights.safetensors"
+        if not path.is_file():
+            continue
+        tensors = read_weights(path)
+        if kind in ("sky", "lightsim_paper"):
+            networks[kind] = network_from_tensors(tensors)
+        else:
+            network = sky_recipe(kind, "small").network.eval()
+            network.load_state_dict(tensors)
+            networks[kind] = network
+    assert all(isinstance(n, SkyNetwork) or n.training is False for n in networks.values())
+    train, test = LightingSet.load(cache), LightingSet.load(cache, "test")
+    known = [train.batch(32, 0, k, only_sunny=False) for k in range(4)]
+    rows = evaluate_sky_networks(parts_of(test.fixed_views().batch, 32), networks, known, complete)
+    _say(
+        "| method | angle mean / median deg | sun seen | sun hidden | log peak | sunny right "
+        "| decoding log peak | decoding deg | angle in 90 % | peak in 90 % | log sky RMSE |"
+    )
+    _say("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
+    for r in rows:
+        cells = [
+            f"{r.angle_mean_deg:.1f} / {r.angle_median_deg:.1f}",
+            f"{r.angle_seen_deg:.1f}",
+            f"{r.angle_hidden_deg:.1f}",
+            *(
+                "-" if math.isnan(v) else f"{v:.2f}"
+                for v in (
+                    r.log_peak_error, r.sunny_accuracy, r.decoding_log_peak, r.decoding_angle_deg,
+                    r.inside_90, r.peak_inside_90, r.log_sky_rmse,
+                )
+            ),
+        ]  # fmt: skip
+        _say(f"| {r.name} | " + " | ".join(cells) + " |")
+    _say(f"\n{rows[0].count} views, {rows[0].sunny_count} under a clear sun")
+
+
+def _pictures(cache: Path, per_sky: int) -> None:
+    """The shipped estimate on masked pictures: without GPS by cues alone, with the network, and
+    with the true direction in place of GPS."""
+    from lightsim.sky_networks import decoded_dome, predict_sky
+
+    views = LightingSet.load(cache, "test").fixed_views(per_sky)
+    batch = views.batch
+    table: dict[str, list[dict]] = {"cues": [], "cues + network": [], "GPS + network": []}
+    drawn: list[dict] = []
+    for k in range(len(batch.log_peak)):
+        panorama = panorama_from_image(
+            np.round(batch.panorama[k] * 255).astype(np.uint8), batch.visibility[k], 64
+        )
+        said = predict_sky(panorama)
+        truth = _true_dome(batch, k)
+        true_sun = batch.sun_direction[k].astype(np.float64)
+        for name, rows in table.items():
+            cues = [*panorama_cues(panorama), *([NetworkCue(said)] if "network" in name else [])]
+            posterior = sun_posterior(cues, panorama, SunPosteriorConfig())
+            sun = sun_direction(posterior, None)
+            if name.startswith("GPS"):
+                sun = _known_sun(true_sun, posterior.sunny_probability)
+            prediction = said if "network" in name else None
+            sky = estimate_sky(panorama, sun, None, SkyConfig(height_px=64), prediction=prediction)
+            peak = float(np.log(luminance(resized(sky.dome, 64).radiance).max()))
+            rows.append(
+                {
+                    "angle": angle_between_deg(sun.direction_world, true_sun),
+                    "inside": posterior.probability_within(true_sun) <= _WITHIN,
+                    "sunny": (posterior.sunny_probability > 0.5) == bool(batch.is_sunny[k]),
+                    "peak": abs(peak - float(batch.log_peak[k])),
+                    "sphere": evaluate_sky(sky, truth=truth).sphere_si_rmse,
+                    "caster": caster_rmse(sky.dome, truth, is_scale_free=True),
+                    "is_sunny": bool(batch.is_sunny[k]),
+                }
+            )
+        dome = decoded_dome(panorama)
+        drawn.append(
+            {
+                "angle": angle_between_deg(said.sun_direction.astype(np.float64), true_sun),
+                "inside": math.nan,
+                "sunny": (said.sunny_probability > 0.5) == bool(batch.is_sunny[k]),
+                "peak": abs(said.log_peak - float(batch.log_peak[k])),
+                "sphere": relative_rmse(
+                    sphere_radiance(dome), sphere_radiance(truth), is_scale_free=True
+                ),
+                "caster": caster_rmse(dome, truth, is_scale_free=True),
+                "is_sunny": bool(batch.is_sunny[k]),
+            }
+        )
+        sys.stderr.write(f"\r{k + 1}/{len(batch.log_peak)}")
+    _say("\n| estimate | sunny: angle mean / median | in 90 % | log peak sunny / all | sunny right "
+         "| sphere si-RMSE | shadow si-RMSE sunny / all |")  # fmt: skip
+    _say("|---|---:|---:|---:|---:|---:|---:|")
+    for name, rows in {**table, "decoder alone": drawn}.items():
+        _say(_picture_line(name, rows))
+
+
+def _picture_line(name: str, rows: list[dict]) -> str:
+    def mean(key: str, only: list[dict]) -> float:
+        return float(np.mean([row[key] for row in only]))
+
+    sunny = [row for row in rows if row["is_sunny"]]
+    angles = [row["angle"] for row in sunny]
+    cells = (
+        f"{np.mean(angles):.1f} / {np.median(angles):.1f}",
+        f"{mean('inside', sunny):.2f}",
+        f"{mean('peak', sunny):.2f} / {mean('peak', rows):.2f}",
+        f"{mean('sunny', rows):.2f}",
+        f"{mean('sphere', rows):.3f}",
+        f"{mean('caster', sunny):.3f} / {mean('caster', rows):.3f}",
+    )
+    return f"| {name} | " + " | ".join(cells) + " |"
+
+
+def _true_dome(batch: LightingBatch, k: int) -> SkyDome:
+    """The true upper half over a ground of the estimate's usual kind: black, as neither metric
+    that is scored looks down."""
+    radiance = np.concatenate([batch.sky[k], np.zeros_like(batch.sky[k])])
+    if not batch.is_sunny[k]:
+        return SkyDome(radiance, None)
+    # One pixel holds the sun: take it apart, so that its shadow is that of a disc.
+    sun_there = Sun(batch.sun_direction[k].astype(np.float64), np.zeros(3, np.float32))
+    sky, sun = split_sun(SkyDome(radiance, sun_there))
+    return add_sun(sky, sun) if sun is not None else SkyDome(radiance, None)
+
+
+def _known_sun(direction: np.ndarray, sunny_probability: float) -> SunDirection:
+    elevation_deg = azimuth_elevation(direction).elevation_deg
+    return SunDirection(
+        direction, None, elevation_deg, "gps+time", 0.1, sunny_probability=sunny_probability
+    )
+
+
+def _log(work: Path, truth: Path | None) -> None:
+    """The sun of a build with all, some and no GPS; the stage sky stays as it is on disk."""
+    from lightsim.evaluation import true_source_sky
+    from lightsim.sky_networks import predict_sky
+    from lightsim.source_sun import SourceSunConfig, find_source_sun
+    from lightsim.stages import SkyStageConfig, source_sky
+    from lightsim.workspace import Workspace
+
+    workspace = Workspace(work)
+    true_dome = true_source_sky(truth) if truth is not None else None
+    _say("| GPS | angle deg | 90 % radius | P(sunny) | sun log error (std) | sky log error "
+         "| sphere si-RMSE | shadow si-RMSE |")  # fmt: skip
+    _say("|---|---:|---:|---:|---:|---:|---:|---:|")
+    reference, said = None, predict_sky(workspace.panorama)
+    for gps in ("all", "place", "none"):
+        config = SourceSunConfig(gps=gps)
+        sun, posterior = find_source_sun(
+            workspace, config, seed=0, progress=SilentProgress(), prediction=said
+        )
+        if reference is None:
+            reference = sun.direction_world
+        if true_dome is not None and true_dome.sun is not None:
+            reference = true_dome.sun.direction_world
+        sky = source_sky(workspace, sun, SkyStageConfig(), said, seed=0, progress=SilentProgress())
+        cells = ["-", "-", "-", "-"]
+        if true_dome is not None and sky.dome.sun is not None and true_dome.sun is not None:
+            report = evaluate_sky(sky, truth=true_dome)
+            ev = report.sun_irradiance_error_ev
+            cells = [
+                "-"
+                if ev is None
+                else f"{ev * math.log(2):+.2f} ({sky.sun_irradiance_log_std:.2f})",
+                f"{(report.sky_irradiance_error_ev or 0.0) * math.log(2):+.2f}",
+                f"{report.sphere_si_rmse:.3f}",
+                f"{caster_rmse(sky.dome, true_dome, is_scale_free=True):.3f}",
+            ]
+        angle = angle_between_deg(sun.direction_world, reference)
+        _say(
+            f"| {gps} | {angle:.2f} | {posterior.region_90_deg:.1f} "
+            f"| {posterior.sunny_probability:.2f} | " + " | ".join(cells) + " |"
+        )
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
