@@ -5,22 +5,26 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, Int
 from numpy.typing import ArrayLike
 
 from lightsim.core.colour import luminance
 from lightsim.core.equirect import (
+    cosine_weights_sr,
     directions_from_uv,
     pixel_directions,
     sample_bilinear,
     solid_angles_sr,
     uv_from_directions,
 )
+from lightsim.core.resample import resize_sphere
 from lightsim.errors import InputError
 
 SOLAR_RADIUS_DEG = 0.265
 """Mean angular radius of the solar disc."""
 _SUN_REGION_DEG = 4.0
+_WHOLE_COLUMN = 1e-6
+"""Turning by a number of columns this close to a whole one interpolates nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +43,12 @@ class Sun:
     @property
     def elevation_deg(self) -> float:
         return float(np.degrees(np.arcsin(np.clip(self.direction_world[2], -1, 1))))
+
+    def turned(self, yaw_deg: float) -> Sun:
+        """The sun turned counter-clockwise seen from above."""
+        c, s = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
+        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return Sun(rotation @ self.direction_world, self.irradiance, self.angular_radius_deg)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +82,16 @@ class SkyDome:
 
     def horizontal_irradiance(self) -> Float[np.ndarray, "3"]:
         """RGB irradiance on level ground, sun included."""
-        return irradiance(self.radiance, np.array([0.0, 0.0, 1.0]))
+        return self.irradiance(np.array([0.0, 0.0, 1.0]))
+
+    def irradiance(self, normal_world: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """RGB irradiance on a surface with a normal; a known sun shines from its own direction,
+        not from the centres of the pixels that hold it."""
+        lifted = _lifted_sun(self)
+        if lifted is None:
+            return irradiance(self.radiance, normal_world)
+        cosine = max(0.0, float(lifted.sun.direction_world @ normal_world))
+        return irradiance(lifted.rest, normal_world) + lifted.energy * cosine
 
     def scaled(self, factor: ArrayLike | float) -> SkyDome:
         """Radiance and sun times a number or an RGB factor."""
@@ -85,19 +104,24 @@ class SkyDome:
         return SkyDome((self.radiance * rgb).astype(np.float32), sun)
 
     def turned(self, yaw_deg: float) -> SkyDome:
-        """The sky turned counter-clockwise seen from above; total energy is kept."""
+        """The sky turned counter-clockwise seen from above; total energy is kept.
+
+        Between whole columns the sky is interpolated. A known sun is not: it is taken out and put
+        into the pixels that its disc covers at the new azimuth.
+        """
         shift = -yaw_deg / 360.0 * self.radiance.shape[1]
+        if abs(shift - round(shift)) < _WHOLE_COLUMN:
+            rolled = np.roll(self.radiance, round(shift), axis=1)
+            return SkyDome(rolled, self.sun and self.sun.turned(yaw_deg))
+        lifted = _lifted_sun(self)
         whole = int(np.floor(shift))
-        part = np.float32(shift - whole)
-        rolled = np.roll(self.radiance, whole, axis=1)
-        if part > 0:
-            rolled = (1 - part) * rolled + part * np.roll(rolled, 1, axis=1)
-        sun = self.sun
-        if sun is not None:
-            c, s = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
-            rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-            sun = Sun(rotation @ sun.direction_world, sun.irradiance, sun.angular_radius_deg)
-        return SkyDome(rolled.astype(np.float32), sun)
+        part = shift - whole
+        rolled = np.roll(self.radiance if lifted is None else lifted.rest, whole, axis=1)
+        rolled = (1 - part) * rolled + part * np.roll(rolled, 1, axis=1)
+        if lifted is None:
+            return SkyDome(rolled.astype(np.float32), self.sun and self.sun.turned(yaw_deg))
+        sun = lifted.sun.turned(yaw_deg)
+        return SkyDome(_with_disc(rolled, sun, lifted.energy), sun)
 
     def look_up(self, directions_world: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
         return sample_bilinear(self.radiance, directions_world)
@@ -107,27 +131,73 @@ def irradiance(
     radiance: Float[np.ndarray, "h w 3"], normal_world: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3"]:
     """RGB irradiance on a surface with a normal: the cosine-weighted solid-angle integral."""
-    height = radiance.shape[0]
-    cosine = np.clip(pixel_directions(height) @ normal_world, 0.0, None)
-    weight = cosine * solid_angles_sr(height)
+    weight = cosine_weights_sr(radiance.shape[0], normal_world)
     return np.einsum("hwc,hw->c", radiance.astype(np.float64), weight)
 
 
 def add_sun(radiance: Float[np.ndarray, "h w 3"], sun: Sun) -> SkyDome:
     """A dome of a sky without sun and a sun; the disc's energy goes into the pixels it covers.
 
-    The disc is sampled with 256 points, so that its irradiance is kept exactly at any
+    The disc is sampled with many points, so that its irradiance is kept exactly at any
     resolution (a 0.53 degree disc is smaller than a pixel below 680 columns).
     """
-    height, width = radiance.shape[:2]
-    directions = disc_directions(sun.direction_world, sun.angular_radius_deg, 256)
-    uv = uv_from_directions(directions)
-    column = np.minimum((uv[:, 0] * width).astype(np.int64), width - 1)
-    row = np.minimum((uv[:, 1] * height).astype(np.int64), height - 1)
-    share = np.zeros((height, width))
-    np.add.at(share, (row, column), 1.0 / len(uv))
-    added = share[..., None] * sun.irradiance / solid_angles_sr(height)[..., None]
-    return SkyDome((radiance + added).astype(np.float32), sun)
+    return SkyDome(_with_disc(radiance, sun, sun.irradiance), sun)
+
+
+def _with_disc(
+    radiance: Float[np.ndarray, "h w 3"], sun: Sun, energy: Float[np.ndarray, "3"]
+) -> Float32[np.ndarray, "h w 3"]:
+    index, added = _disc_radiance(sun, energy, len(radiance))
+    flat = radiance.astype(np.float64).reshape(-1, 3)
+    flat[index] += added
+    return flat.reshape(radiance.shape).astype(np.float32)
+
+
+def _disc_radiance(
+    sun: Sun, energy: Float[np.ndarray, "3"], height_px: int
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+    """Flat indices of the pixels that the disc covers, and the radiance that it adds to each."""
+    across_px = 2 * sun.angular_radius_deg / 180.0 * height_px
+    count = int(max(256, 32 * across_px**2))
+    uv = uv_from_directions(disc_directions(sun.direction_world, sun.angular_radius_deg, count))
+    column = np.minimum((uv[:, 0] * 2 * height_px).astype(np.int64), 2 * height_px - 1)
+    row = np.minimum((uv[:, 1] * height_px).astype(np.int64), height_px - 1)
+    index, hits = np.unique(row * 2 * height_px + column, return_counts=True)
+    share = hits / count / solid_angles_sr(height_px)[index // (2 * height_px), 0]
+    return index, share[:, None] * energy
+
+
+@dataclass(frozen=True, eq=False)
+class _LiftedSun:
+    """A dome in two parts: its known sun with the energy of its pixels, and all the rest."""
+
+    sun: Sun
+    energy: Float[np.ndarray, "3"]
+    rest: Float[np.ndarray, "h w 3"]
+
+
+def _lifted_sun(dome: SkyDome) -> _LiftedSun | None:
+    """What the known sun put into the pixels of its disc, as far as they exceed their neighbours;
+    unlike in `split_sun`, the glow around the disc stays in the sky."""
+    if dome.sun is None:
+        return None
+    height, width = dome.radiance.shape[:2]
+    index, disc = _disc_radiance(dome.sun, dome.sun.irradiance, height)
+    flat = dome.radiance.astype(np.float64).reshape(-1, 3)
+    row, column = np.divmod(index, width)
+    steps = (-1, 0, 1)
+    near = [
+        np.clip(row + dy, 0, height - 1) * width + (column + dx) % width
+        for dy in steps
+        for dx in steps
+    ]
+    around = np.setdiff1d(np.concatenate(near), index)
+    level = flat[around].mean(axis=0) if len(around) else np.zeros(3)
+    excess = np.minimum(disc, np.maximum(flat[index] - level, 0.0))
+    flat[index] -= excess
+    solid_angle = solid_angles_sr(height)[row]
+    energy = (excess * solid_angle).sum(axis=0)
+    return _LiftedSun(dome.sun, energy, flat.reshape(height, width, 3))
 
 
 def disc_directions(
@@ -203,24 +273,42 @@ def _sun_direction(radiance: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, 
 
 
 def resized(dome: SkyDome, height_px: int) -> SkyDome:
-    """The dome at another height by area averaging or bilinear look-up; a sun keeps its energy.
+    """The dome at another height; the sun keeps its direction and energy.
 
-    Shrinking by a whole factor averages by solid angle; otherwise the sky without its sun is
-    sampled with 4x4 points a pixel, scaled back to its own energy, and the sun is added again.
+    The sky without its sun (`split_sun`) is averaged by solid angle, or looked up bilinearly where
+    pixels become smaller, and its rows are scaled by about 1, so that energy and irradiance on
+    level surfaces, facing up or down, stay. Then the sun is added again.
     """
     if height_px == dome.height_px:
         return dome
     rest, sun = split_sun(dome)
-    offsets = (np.arange(4) + 0.5) / 4
-    total = np.zeros((height_px, 2 * height_px, 3))
-    for dv in offsets:
-        for du in offsets:
-            u = (np.arange(2 * height_px) + du) / (2 * height_px)
-            v = (np.arange(height_px) + dv) / height_px
-            directions = directions_from_uv(np.stack(np.meshgrid(u, v), axis=-1))
-            total += sample_bilinear(rest, directions) / 16
-    old = (rest.astype(np.float64) * solid_angles_sr(dome.height_px)[..., None]).sum((0, 1))
-    new = (total * solid_angles_sr(height_px)[..., None]).sum((0, 1))
-    total *= np.where(new > 0, old / np.where(new > 0, new, 1.0), 1.0)
-    radiance = total.astype(np.float32)
-    return SkyDome(radiance, dome.sun) if sun is None else add_sun(radiance, sun)
+    sky = resize_sphere(rest, height_px)
+    sky = (sky * _row_factors(rest, sky)[:, None]).astype(np.float32)
+    return SkyDome(sky, dome.sun) if sun is None else add_sun(sky, sun)
+
+
+def _row_factors(
+    old: Float[np.ndarray, "a b 3"], new: Float[np.ndarray, "h w 3"]
+) -> Float[np.ndarray, "h 3"]:
+    """Factors of the new rows, RGB, that bring back the old energy and level irradiance from
+    above and from below: coarse rows mix radiance of different cosines."""
+    energy, bases = _row_energy(new), _row_bases(len(new))
+    missing = _row_bases(len(old)).T @ _row_energy(old) - bases.T @ energy
+    factors = np.ones_like(energy)
+    for channel in range(3):
+        system = bases.T @ (energy[:, channel, None] * bases)
+        factors[:, channel] += bases @ np.linalg.lstsq(system, missing[:, channel], rcond=1e-9)[0]
+    return np.clip(factors, 0.5, 2.0)
+
+
+def _row_energy(radiance: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h 3"]:
+    return radiance.sum(axis=1, dtype=np.float64) * solid_angles_sr(len(radiance))
+
+
+def _row_bases(height_px: int) -> Float[np.ndarray, "h 3"]:
+    """1, and the mean over each row's solid angle of the cosine to up and of that to down."""
+    z = np.cos(np.linspace(0.0, np.pi, height_px + 1))
+    size = z[:-1] - z[1:]
+    above, below = np.clip(z, 0, None) ** 2, np.clip(-z, 0, None) ** 2
+    cosines = (np.diff(-above) / (2 * size), np.diff(below) / (2 * size))
+    return np.stack([np.ones(height_px), *cosines], axis=-1)

@@ -6,6 +6,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+_FINE_ROWS = 128
+"""Below this many rows, pixels are divided before cosines are clipped at the horizon."""
+
 
 def directions_from_uv(uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:
     """Unit world directions of (u, v) fractions of the width and height."""
@@ -35,6 +38,29 @@ def solid_angles_sr(height_px: int) -> Float[np.ndarray, "h 1"]:
     """Exact solid angle of a pixel of each row; times 2h and summed, this is 4 pi."""
     edges = np.cos(np.linspace(0.0, np.pi, height_px + 1))
     return ((edges[:-1] - edges[1:]) * 2 * np.pi / (2 * height_px))[:, None]
+
+
+def pixel_vectors_sr(height_px: int) -> Float[np.ndarray, "h w 3"]:
+    """Exact integral of the direction over each pixel: its dot product with a normal is the
+    cosine-weighted solid angle of a pixel that lies in front of the surface."""
+    polar = np.linspace(0.0, np.pi, height_px + 1)
+    azimuth = np.linspace(np.pi, -np.pi, 2 * height_px + 1)
+    level = np.diff(polar / 2 - np.sin(2 * polar) / 4)[:, None]
+    up = np.diff(np.sin(polar) ** 2 / 2)[:, None] * (np.pi / height_px)
+    x = level * -np.diff(np.sin(azimuth))
+    y = level * np.diff(np.cos(azimuth))
+    return np.stack([x, y, np.broadcast_to(up, x.shape)], axis=-1)
+
+
+def cosine_weights_sr(
+    height_px: int, normal_world: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "h w"]:
+    """Cosine-weighted solid angle of each pixel in front of a surface; for the normal up they add
+    up to pi. Coarse pixels are divided, so that those which the horizon cuts count with their
+    part in front of it."""
+    parts = max(1, -(-_FINE_ROWS // height_px))
+    fine = np.clip(pixel_vectors_sr(parts * height_px) @ normal_world, 0.0, None)
+    return fine.reshape(height_px, parts, 2 * height_px, parts).sum(axis=(1, 3))
 
 
 def sample_bilinear(

@@ -1,4 +1,4 @@
-"""Area-exact image resizing."""
+"""Area-exact resizing of images and of equirectangular panoramas."""
 
 from __future__ import annotations
 
@@ -20,6 +20,52 @@ def resize_area(
         return blocks.mean(axis=(1, 3), dtype=np.float32)
     rows = _average_axis(image.astype(np.float32), height_px, 0)
     return _average_axis(rows, width_px, 1)
+
+
+def resize_sphere(
+    radiance: Float[np.ndarray, "a b c"], height_px: int
+) -> Float[np.ndarray, "h w c"]:
+    """An equirectangular panorama with another number of rows.
+
+    With fewer rows each pixel is the mean over its solid angle, which keeps the energy of every
+    region; with more rows the mean of 4x4 bilinear look-ups, closed in azimuth.
+    """
+    height = len(radiance)
+    if height_px > height:
+        rows = _look_ups(height, height_px, is_around=False)
+        columns = _look_ups(2 * height, 2 * height_px, is_around=True)
+    else:
+        # Solid angle is even in azimuth and in the cosine of the polar angle.
+        old, new = (-np.cos(np.linspace(0, np.pi, n + 1)) for n in (height, height_px))
+        rows = _overlaps(old, new)
+        columns = _overlaps(np.linspace(0, 1, 2 * height + 1), np.linspace(0, 1, 2 * height_px + 1))
+    wide = np.tensordot(rows, radiance.astype(np.float64), axes=(1, 0))
+    return columns @ wide
+
+
+def _overlaps(
+    old: Float[np.ndarray, " o"], new: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "m k"]:
+    """The share of each new interval (rows) that lies in each old one (columns)."""
+    low = np.maximum(new[:-1, None], old[None, :-1])
+    high = np.minimum(new[1:, None], old[None, 1:])
+    share = np.clip(high - low, 0.0, None)
+    return share / share.sum(axis=1, keepdims=True)
+
+
+def _look_ups(old: int, new: int, is_around: bool) -> Float[np.ndarray, "n o"]:
+    """Weights of old pixels in the mean of four linear look-ups in each new one, along an axis
+    that closes (azimuth) or ends (polar angle)."""
+    position = (np.arange(4 * new) + 0.5) / (4 * new) * old - 0.5
+    if not is_around:
+        position = np.clip(position, 0.0, old - 1.0)
+    left = np.floor(position).astype(np.int64)
+    part = position - left
+    weights = np.zeros((new, old))
+    row = np.arange(4 * new) // 4
+    np.add.at(weights, (row, left % old), (1 - part) / 4)
+    np.add.at(weights, (row, (left + 1) % old), part / 4)
+    return weights
 
 
 def _average_axis(
