@@ -137,7 +137,7 @@ def test_relighting_with_the_source_sky_returns_the_image(work: Path) -> None:
 @pytest.mark.slow
 def test_buffers_are_written_as_exr(work: Path, tmp_path: Path) -> None:
     what = ("depth", "normal", "albedo", "shadow", "ao")
-    chosen = RenderOptions(what, SkyChoice("source"), cameras=("front_camera",), frames="0:1")
+    chosen = RenderOptions(what, (SkyChoice("source"),), cameras=("front_camera",), frames="0:1")
     render(work, tmp_path, chosen, SilentProgress())
     stem = Workspace(work).log.stems[0]
     depth = read_exr(tmp_path / "depth" / "front_camera" / f"{stem}.exr")
@@ -148,13 +148,18 @@ def test_buffers_are_written_as_exr(work: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(length[np.isfinite(depth)], 1.0, atol=1e-4)
     assert shadow.min() >= 0
     assert shadow.max() <= 1
+    assert json.loads((tmp_path / "sky.json").read_text())["facts"]["scale_factor"] == 1.0
+    assert render(work, tmp_path, chosen, SilentProgress()).rendered == 0
+    for other in (replace(chosen, seed=1), replace(chosen, skies=(SkyChoice("sun:10,20"),))):
+        with pytest.raises(InputError, match="other settings"):
+            render(work, tmp_path, other, SilentProgress())
 
 
 def test_wrong_words_are_named(tmp_path: Path) -> None:
     with pytest.raises(ArtefactError, match="lightsim build"):
         status(tmp_path)
     with pytest.raises(InputError, match="shiny"):
-        RenderOptions(("depth", "shiny"), SkyChoice("source"))
+        RenderOptions(("depth", "shiny"), (SkyChoice("source"),))
     with pytest.raises(InputError, match="sun:AZ,EL"):
         _ = SkyChoice("no_such_file.hdr").input_key
     broken = replace(options().reading, source=str(tmp_path / "nowhere"))

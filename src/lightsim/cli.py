@@ -14,6 +14,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from lightsim.cli_render import Render
 from lightsim.cli_train import TrainGroup, TrainOptions, TrainPrepare
 from lightsim.errors import LightSimError
 
@@ -93,29 +94,6 @@ class Relight:
     """Factor on the log's image size; by default that of the build."""
     linear: bool = False
     """Write linear EXR frames as well."""
-    seed: int = 0
-    """Of the sampling of rays."""
-    verbose: Verbose = False
-    """Show the trace of an error."""
-
-
-@dataclass(frozen=True)
-class Render:
-    """Write geometry and light buffers of the twin as EXR files."""
-
-    work: tyro.conf.Positional[Path]
-    """Work folder of a finished build."""
-    what: str
-    """Comma-separated: depth position normal albedo ao actor shaded unshadowed shadow."""
-    out: Path
-    """Folder for DIR/<what>/<camera>/<frame>.exr."""
-    sky: tyro.conf.OmitArgPrefixes[SkyOptions]
-    cameras: str = ""
-    """Comma-separated camera names; empty for all."""
-    frames: str = ""
-    """START:STOP[:STEP] over the log's own frame numbers; empty for all."""
-    image_scale: float | None = None
-    """Factor on the log's image size; by default that of the build."""
     seed: int = 0
     """Of the sampling of rays."""
     verbose: Verbose = False

@@ -92,18 +92,9 @@ def relight(command: cli.Relight) -> None:
 
 
 def render(command: cli.Render) -> None:
-    from lightsim import rendering
+    from lightsim import cli_render
 
-    options = rendering.RenderOptions(
-        what=_names(command.what),
-        sky=sky_choice(command.sky),
-        cameras=_names(command.cameras),
-        frames=command.frames,
-        image_scale=command.image_scale,
-        seed=command.seed,
-    )
-    rendering.render(command.work, command.out, options, terminal_progress())
-    _say(f"buffers: {command.out}")
+    _say(cli_render.run(command))
 
 
 def demo(command: cli.Demo) -> None:

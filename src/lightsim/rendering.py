@@ -1,26 +1,81 @@
-"""`lightsim render`: buffers of the twin as EXR files, frame by frame."""
+"""`lightsim render`: buffers of the twin as EXR files, for any number of skies and processes.
+
+A frame is traced once for all its skies, and every picture is written before the next is made, so
+memory does not grow with frames or skies. A file that is there is complete, so a run that was
+stopped goes on where it was, and shards may write into one folder.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+import os
+import re
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float32
 
 from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.scenario import Scenario
+from lightsim.core.sensors import CameraFrame
 from lightsim.edit.timeline import replay
 from lightsim.errors import InputError
 from lightsim.progress import Progress
-from lightsim.render.transport import TransportConfig
+from lightsim.renderers import Renderer, RendererChoice, make_renderer
 from lightsim.scenarios import select_frames
-from lightsim.scene_setup import FrameRenderer
 from lightsim.skies import SkyChoice, resolve_sky
+from lightsim.store.artefact import json_ready, read_json, read_record
 from lightsim.store.images import write_exr
 from lightsim.workspace import Workspace
 
-GEOMETRY = ("depth", "position", "normal", "albedo", "actor")
-LIGHT = ("ao", "shaded", "unshadowed", "shadow")
+GEOMETRY = ("depth", "position", "normal", "albedo", "actor", "ao")
+"""The same under every sky: written once."""
+LIGHT = ("shaded", "unshadowed", "shadow")
+"""Written for each sky."""
+_RECORD = "render.json"
+_SKY_RECORD = "sky.json"
+_SCHEMA = 1
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Shard:
+    """The `index`-th of `count` contiguous parts, counted from 1."""
+
+    index: int = 1
+    count: int = 1
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.index <= self.count:
+            raise InputError(
+                "there is no such shard",
+                where=f"--shard {self.index}/{self.count}",
+                expected="I/N with I from 1 to N",
+            )
+
+    @classmethod
+    def parse(cls, text: str) -> Shard:
+        """I/N; empty for the whole."""
+        if not text:
+            return cls()
+        found = re.fullmatch(r"\s*(\d{1,9})\s*/\s*(\d{1,9})\s*", text)
+        if found is None:
+            raise InputError(
+                "the shard cannot be read",
+                where=f"--shard {text}",
+                expected="I/N with I from 1 to N, such as 3/8",
+            )
+        return cls(int(found.group(1)), int(found.group(2)))
+
+    def of(self, items: Sequence[T]) -> tuple[T, ...]:
+        """This part. The parts of all shards are disjoint, in order, and of even length."""
+        first = (self.index - 1) * len(items) // self.count
+        return tuple(items[first : self.index * len(items) // self.count])
 
 
 @dataclass(frozen=True)
@@ -29,18 +84,22 @@ class RenderOptions:
 
     Args:
         what: names among GEOMETRY and LIGHT.
-        sky: of the light buffers.
+        skies: of the light buffers.
         cameras: empty for all.
         frames: START:STOP[:STEP], empty for all.
         image_scale: factor on the log's image size; None for that of the build.
+        renderer: how light is computed, and by what rays.
+        shard: which part of the frames this process renders.
         seed: of the sampling of rays.
     """
 
     what: tuple[str, ...]
-    sky: SkyChoice
+    skies: tuple[SkyChoice, ...]
     cameras: tuple[str, ...] = ()
     frames: str = ""
     image_scale: float | None = None
+    renderer: RendererChoice = field(default_factory=RendererChoice)
+    shard: Shard = field(default_factory=Shard)
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -52,42 +111,218 @@ class RenderOptions:
                 got=", ".join(sorted(unknown)) or None,
                 expected=f"some of {', '.join((*GEOMETRY, *LIGHT))}",
             )
+        if self.needs_light and not self.skies:
+            raise InputError("light buffers need a sky", where="--sky")
+
+    @property
+    def needs_light(self) -> bool:
+        return bool(set(self.what) & set(LIGHT))
+
+    @property
+    def sky_by_name(self) -> dict[str, SkyChoice]:
+        """The skies by the names of their folders; none where no light is asked for.
+
+        Raises:
+            InputError: two skies have one name, or a name is that of a buffer.
+        """
+        named: dict[str, SkyChoice] = {}
+        taken: dict[str, str] = {what: f"the buffer {what}" for what in (*GEOMETRY, *LIGHT)}
+        for sky in self.skies if self.needs_light else ():
+            name = sky.name
+            if name.casefold() in taken:
+                raise InputError(
+                    "two skies would be written to one folder",
+                    where=f"--sky {sky.sky}",
+                    got=f"the name {name}, which {taken[name.casefold()]} has",
+                    remedy="Give each sky once; rename or link one of two files of one name.",
+                )
+            taken[name.casefold()] = sky.sky
+            named[name] = sky
+        return named
 
 
-def render(work: Path, out: Path, options: RenderOptions, progress: Progress) -> None:
-    """Write OUT/<what>/<camera>/<frame>.exr; frames that are there already are kept.
+@dataclass(frozen=True)
+class Layout:
+    """Where the files go: OUT/<what>, and OUT/<sky>/<what> for light under several skies.
+
+    Args:
+        out: folder.
+        what: buffers.
+        skies: names; a single one has no folder of its own.
+    """
+
+    out: Path
+    what: tuple[str, ...]
+    skies: tuple[str, ...]
+
+    def sky_folder(self, sky: str) -> Path:
+        return self.out if len(self.skies) == 1 else self.out / sky
+
+    def geometry(self, frame: CameraFrame) -> dict[str, Path]:
+        """Missing files of buffers that all skies share."""
+        return self._missing(self.out, GEOMETRY, frame)
+
+    def light(self, frame: CameraFrame, sky: str) -> dict[str, Path]:
+        """Missing files of one sky."""
+        return self._missing(self.sky_folder(sky), LIGHT, frame)
+
+    def is_done(self, frame: CameraFrame) -> bool:
+        return not self.geometry(frame) and not any(self.light(frame, s) for s in self.skies)
+
+    def _missing(self, folder: Path, kind: tuple[str, ...], frame: CameraFrame) -> dict[str, Path]:
+        named = {
+            what: folder / what / frame.camera_name / f"{frame.stem}.exr"
+            for what in self.what
+            if what in kind
+        }
+        return {what: path for what, path in named.items() if not path.exists()}
+
+
+@dataclass(frozen=True)
+class RenderSummary:
+    """What a run did.
+
+    Args:
+        frames: of this shard.
+        rendered: those that were not complete before.
+    """
+
+    frames: int
+    rendered: int
+
+
+def render(work: Path, out: Path, options: RenderOptions, progress: Progress) -> RenderSummary:
+    """Write OUT/<what>/<camera>/<frame>.exr, light under several skies to OUT/<sky>/<what>/...;
+    files that are there already are kept.
 
     Depth is inf, other buffers 0 where there is no surface; `actor` is the index among the
-    actors present in the frame, -1 background, -2 none. Light is irradiance over pi.
+    actors present in the frame, -1 background, -2 none. Light is irradiance over pi. The shards
+    of a run may share OUT; their union is the same as one run, byte for byte, on equal machines.
+
+    Raises:
+        ArtefactError: the twin has not been built.
+        InputError: a sky, camera or frame range is wrong, or OUT holds files of other settings.
     """
     workspace = Workspace(work)
-    log = workspace.log_at(options.image_scale or workspace.reading.image_scale)
+    scale = options.image_scale or workspace.reading.image_scale
+    log = workspace.log_at(scale)
     frames = select_frames(log, options.cameras, options.frames)
-    twin = workspace.twin
-    scenario = replay(twin, "render", frames)
-    renderer = FrameRenderer(
-        twin.assets.background, workspace.shadow_casters, TransportConfig(), options.seed
-    )
-    needs_light = bool(set(options.what) & set(LIGHT))
-    skies = [renderer.prepare(resolve_sky(options.sky, workspace).dome)] if needs_light else []
+    mine = options.shard.of(frames)
+    skies = options.sky_by_name
+    layout = Layout(out, options.what, tuple(skies))
+    _claim(layout, workspace, options, scale)
+    pending = [frame for frame in mine if not layout.is_done(frame)]
+    if pending:
+        twin = workspace.twin
+        renderer = make_renderer(
+            options.renderer, twin.assets.background, workspace.shadow_casters, options.seed
+        )
+        prepared = _prepare_skies(layout, skies, renderer, workspace)
+        scenario = replay(twin, "render", frames)
+        write_frames(layout, renderer, scenario, log.cameras, pending, prepared, progress)
+    return RenderSummary(len(mine), len(pending))
+
+
+def _claim(
+    layout: Layout, workspace: Workspace, options: RenderOptions, image_scale: float
+) -> None:
+    """Record the settings in OUT, or refuse an OUT whose files were made with others."""
+    record = read_record(workspace.need("twin"))
+    assert record is not None
+    settings = {
+        "schema": _SCHEMA,
+        "twin": record["key"],
+        "image_scale": image_scale,
+        "seed": options.seed,
+        **options.renderer.settings,
+    }
+    _claim_file(layout.out / _RECORD, settings)
+    for name, sky in options.sky_by_name.items():
+        _claim_file(layout.sky_folder(name) / _SKY_RECORD, _made_from(sky))
+
+
+def _made_from(sky: SkyChoice) -> dict[str, Any]:
+    """What decides a sky's light; moving its file does not."""
+    return {"input": sky.input_key, "yaw_deg": sky.yaw_deg, "scale": sky.scale}
+
+
+def _claim_file(path: Path, made_from: Mapping[str, Any]) -> None:
+    if not path.exists():
+        _write_record(path, made_from)
+        return
+    found = read_json(path)
+    differing = [key for key in made_from if found.get(key) != made_from[key]]
+    if differing:
+        raise InputError(
+            "the folder holds pictures of other settings",
+            where=path,
+            got=", ".join(f"{key} = {found.get(key)}" for key in differing),
+            expected=", ".join(f"{key} = {made_from[key]}" for key in differing),
+            remedy="Choose another --out, or delete this one.",
+        )
+
+
+def _write_record(path: Path, record: Mapping[str, Any]) -> None:
+    """Whole or not at all, under a name of its own meanwhile: shards on several machines may
+    write the same record at once, with the same content."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=".", delete=False) as file:
+        json.dump(json_ready(record), file, indent=1)
+    os.chmod(file.name, 0o644)
+    os.replace(file.name, path)
+
+
+def _prepare_skies(
+    layout: Layout, skies: Mapping[str, SkyChoice], renderer: Renderer, workspace: Workspace
+) -> dict[str, Any]:
+    prepared: dict[str, Any] = {}
+    for name, sky in skies.items():
+        target = resolve_sky(sky, workspace)
+        _write_record(
+            layout.sky_folder(name) / _SKY_RECORD, {**_made_from(sky), "facts": target.facts}
+        )
+        prepared[name] = renderer.prepare(target.dome)
+    return prepared
+
+
+def write_frames(
+    layout: Layout,
+    renderer: Renderer,
+    scenario: Scenario,
+    camera_by_name: Mapping[str, PinholeCamera],
+    frames: Sequence[CameraFrame],
+    prepared: Mapping[str, Any],
+    progress: Progress,
+) -> None:
+    """Trace each frame once and write what is missing of it, one picture at a time.
+
+    Args:
+        prepared: what `renderer.prepare` made of each sky of the layout.
+    """
+    needs_tracing = "ao" in layout.what or bool(prepared)
     for frame in progress.track(frames, "render", len(frames)):
-        paths = {w: out / w / frame.camera_name / f"{frame.stem}.exr" for w in options.what}
-        if all(path.exists() for path in paths.values()):
+        camera = camera_by_name[frame.camera_name]
+        if not needs_tracing:
+            _write(layout.geometry(frame), _geometry(renderer.geometry(scenario, frame, camera)))
             continue
-        camera = log.cameras[frame.camera_name]
-        if needs_light:
-            buffers, (light,) = renderer.render(scenario, frame, camera, skies)
-        else:
-            buffers, light = renderer.geometry(scenario, frame, camera), None
-        for what, path in paths.items():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_exr(path, _buffer(what, buffers, light))
+        traced = renderer.trace(scenario, frame, camera)
+        for name, sky in prepared.items():
+            missing = layout.light(frame, name)
+            if missing:
+                _write(missing, _light(traced.light(sky)))
+        _write(layout.geometry(frame), _geometry(traced.buffers))
 
 
-def _buffer(
-    what: str, buffers: GBuffers, light: ShadowBuffers | None
-) -> Float32[np.ndarray, "h w *c"]:
-    geometry = {
+def _write(
+    paths: Mapping[str, Path], pictures: Mapping[str, Float32[np.ndarray, "h w *c"]]
+) -> None:
+    for what, path in paths.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_exr(path, pictures[what])
+
+
+def _geometry(buffers: GBuffers) -> dict[str, Float32[np.ndarray, "h w *c"]]:
+    return {
         "depth": buffers.depth_z_m,
         "position": buffers.position_world,
         "normal": buffers.normal_world,
@@ -95,7 +330,7 @@ def _buffer(
         "ao": buffers.ambient_occlusion,
         "actor": buffers.actor_index.astype(np.float32),
     }
-    if what in geometry:
-        return geometry[what]
-    assert light is not None
-    return {"shaded": light.shaded, "unshadowed": light.unshadowed, "shadow": light.ratio}[what]
+
+
+def _light(light: ShadowBuffers) -> dict[str, Float32[np.ndarray, "h w *c"]]:
+    return {"shaded": light.shaded, "unshadowed": light.unshadowed, "shadow": light.ratio}

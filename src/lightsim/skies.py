@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -41,6 +42,12 @@ class SkyChoice:
         """The file, if the sky is one."""
         named = self.sky == "source" or self.sky.startswith(("sun:", "time:"))
         return None if named else Path(self.sky)
+
+    @property
+    def name(self) -> str:
+        """A name for files: a file's stem, or the words with signs that file systems know."""
+        words = self.sky if self.path is None else self.path.stem
+        return re.sub(r"[^\w.+-]+", "_", words).strip("._-") or "sky"
 
     @property
     def input_key(self) -> str:

@@ -1,0 +1,77 @@
+"""Options of `lightsim render`; see cli.py."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+_Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"])]
+
+
+@dataclass(frozen=True)
+class Render:
+    """Write geometry and light buffers of the twin as EXR files."""
+
+    work: tyro.conf.Positional[Path]
+    """Work folder of a finished build."""
+    what: str
+    """Comma-separated: depth position normal albedo ao actor shaded unshadowed shadow."""
+    out: Path
+    """Folder for DIR/<what>/<camera>/<frame>.exr, or DIR/<sky>/<what>/... with several skies;
+    files that are there are kept, so the same command goes on with a run that was stopped."""
+    sky: tuple[str, ...] = ("source",)
+    """One or more of: a .hdr or .exr file, sun:AZIMUTH,ELEVATION[,TURBIDITY], time:ISO, source.
+    Each frame is traced once for all of them."""
+    sky_yaw_deg: float = 0.0
+    """Turn the skies, clockwise seen from above."""
+    sky_scale: str = "auto"
+    """auto: the mean illuminance of the source; none: radiance as stored; or a number."""
+    cameras: str = ""
+    """Comma-separated camera names; empty for all."""
+    frames: str = ""
+    """START:STOP[:STEP] over the log's own frame numbers; empty for all."""
+    image_scale: float | None = None
+    """Factor on the log's image size; by default that of the build."""
+    renderer: Literal["transport", "path", "cycles"] = "transport"
+    """transport: one ray table for all skies."""
+    backend: Literal["auto", "embree", "mitsuba-cuda", "mitsuba-llvm"] = "auto"
+    """What casts the rays of the ray table: auto takes CUDA where there is one, else Embree."""
+    rays: int | None = None
+    """Rays over the hemisphere of each traced pixel; more are less noisy."""
+    shard: str = ""
+    """I/N, I from 1 to N: render the I-th of N parts of the frames; parts may share DIR."""
+    seed: int = 0
+    """Of the sampling of rays."""
+    verbose: _Verbose = False
+    """Show the trace of an error."""
+
+
+def run(command: Render) -> str:
+    """Render; returns what to tell the user."""
+    from lightsim import rendering
+    from lightsim.progress import terminal_progress
+    from lightsim.renderers import RendererChoice
+    from lightsim.skies import SkyChoice
+
+    skies = tuple(SkyChoice(s, command.sky_yaw_deg, command.sky_scale) for s in command.sky)
+    options = rendering.RenderOptions(
+        what=_names(command.what),
+        skies=skies,
+        cameras=_names(command.cameras),
+        frames=command.frames,
+        image_scale=command.image_scale,
+        renderer=RendererChoice(command.renderer, command.backend, command.rays),
+        shard=rendering.Shard.parse(command.shard),
+        seed=command.seed,
+    )
+    done = rendering.render(command.work, command.out, options, terminal_progress())
+    kept = done.frames - done.rendered
+    return f"buffers: {command.out} ({done.rendered} frames rendered, {kept} were complete)"
+
+
+def _names(text: str) -> tuple[str, ...]:
+    """ "a, b" -> ("a", "b")."""
+    return tuple(part.strip() for part in text.split(",") if part.strip())

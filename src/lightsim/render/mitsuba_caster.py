@@ -1,0 +1,207 @@
+"""Ray casting with Mitsuba: OptiX on CUDA, Embree with compiled kernels on LLVM."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from lightsim.core.casting import MISS, MakeCaster, RayHits
+from lightsim.core.mesh import TriMesh
+from lightsim.errors import FrameMismatchError, InputError
+
+MitsubaBackend = Literal["cuda", "llvm"]
+_VARIANTS: dict[MitsubaBackend, str] = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb"}
+_CHUNK_RAYS = 1 << 23
+_MIN_LLVM = 17
+_REMEDY: dict[MitsubaBackend, str] = {
+    "cuda": "Use --backend embree, or a machine with an NVIDIA GPU and driver 535 or newer.",
+    "llvm": "Use --backend embree, or set DRJIT_LIBLLVM_PATH to a libLLVM.so of version 17 or "
+    "newer (older ones abort the process on some processors).",
+}
+
+
+class MitsubaCaster:
+    """A `core.casting.RayCaster` over a fixed list of meshes in frame `world`.
+
+    Single precision and both sides of a triangle are hit, as with `EmbreeCaster`. All meshes make
+    one shape, since what Mitsuba calls an instance or a shape index differs between its variants.
+    """
+
+    def __init__(self, meshes: Sequence[TriMesh], backend: MitsubaBackend) -> None:
+        for mesh in meshes:
+            if mesh.frame != "world":
+                raise FrameMismatchError(
+                    "rays are cast in frame 'world'", got=mesh.frame, expected="world"
+                )
+        self._meshes = tuple(meshes)
+        self._backend: MitsubaBackend = backend
+        self._first_face = np.cumsum([0] + [len(mesh.faces) for mesh in meshes])
+        self._scene: Any = None
+        if self._first_face[-1]:
+            with _variant(backend) as mitsuba:
+                self._scene = _make_scene(mitsuba, self._meshes)
+
+    @property
+    def meshes(self) -> Sequence[TriMesh]:
+        return self._meshes
+
+    def intersect(
+        self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
+    ) -> RayHits:
+        """First hits along unit directions, from distance 0 on."""
+        count = len(origins_world)
+        distance = np.full(count, np.inf, dtype=np.float32)
+        mesh_index = np.full(count, MISS, dtype=np.int32)
+        face_index = np.full(count, MISS, dtype=np.int32)
+        barycentric = np.zeros((count, 3), dtype=np.float32)
+        hits = RayHits(distance, mesh_index, face_index, barycentric)
+        if self._scene is None:
+            return hits
+        import drjit
+
+        with _variant(self._backend) as mitsuba:
+            for start in range(0, count, _CHUNK_RAYS):
+                part = slice(start, start + _CHUNK_RAYS)
+                rays = _rays(mitsuba, origins_world[part], directions_world[part])
+                found = self._scene.ray_intersect_preliminary(rays, coherent=False)
+                columns = (found.t, found.prim_index, *found.prim_uv)
+                # All at once: each array read alone would trace the rays again.
+                drjit.eval(*columns)
+                t, face, u, v = (np.asarray(column) for column in columns)
+                self._fill(hits, start + np.flatnonzero(np.isfinite(t)), start, (t, face, u, v))
+        return hits
+
+    def _fill(
+        self,
+        hits: RayHits,
+        rows: Any,
+        start: int,
+        found: tuple[Any, Any, Any, Any],
+    ) -> None:
+        t, face, u, v = (values[rows - start] for values in found)
+        mesh = np.searchsorted(self._first_face, face, side="right") - 1
+        hits.distance_m[rows] = t
+        hits.mesh_index[rows] = mesh
+        hits.face_index[rows] = face - self._first_face[mesh]
+        u, v = np.clip(u, 0.0, 1.0), np.clip(v, 0.0, 1.0)
+        hits.barycentric[rows] = np.stack([np.maximum(1 - u - v, 0), u, v], axis=1)
+
+    def is_occluded(
+        self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
+    ) -> Bool[np.ndarray, " n"]:
+        """Whether anything lies on a ray; cheaper than `intersect`."""
+        occluded = np.zeros(len(origins_world), dtype=bool)
+        if self._scene is None:
+            return occluded
+        with _variant(self._backend) as mitsuba:
+            for start in range(0, len(origins_world), _CHUNK_RAYS):
+                part = slice(start, start + _CHUNK_RAYS)
+                rays = _rays(mitsuba, origins_world[part], directions_world[part])
+                # ray_test(rays, False) would bind `active` and trace nothing.
+                found = self._scene.ray_test(rays, coherent=False, active=True)
+                occluded[part] = np.asarray(found)
+        return occluded
+
+
+def mitsuba_caster_maker(backend: MitsubaBackend) -> MakeCaster:
+    """A maker of casters on "cuda" (OptiX) or "llvm".
+
+    Raises:
+        InputError: Mitsuba cannot use it on this machine.
+    """
+    if not is_usable(backend):
+        raise InputError(
+            f"Mitsuba cannot cast rays with {backend} here",
+            where=f"--backend mitsuba-{backend}",
+            remedy=_REMEDY[backend],
+        )
+
+    def make(meshes: Sequence[TriMesh]) -> MitsubaCaster:
+        return MitsubaCaster(meshes, backend)
+
+    return make
+
+
+@cache
+def is_usable(backend: MitsubaBackend) -> bool:
+    """Whether Mitsuba can trace a ray with it; LLVM only where DRJIT_LIBLLVM_PATH names one of
+    at least version 17, since older ones may end the process."""
+    if not (_has_cuda() if backend == "cuda" else _has_llvm()):
+        return False
+    triangle = TriMesh(
+        "world",
+        np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1]], np.float32),
+        np.array([[0, 1, 2]], np.int32),
+        np.ones((3, 3), np.float32),
+    )
+    try:
+        caster = MitsubaCaster([triangle], backend)
+        found = caster.intersect(np.full((1, 3), 0.1), np.array([[0.0, 0.0, 1.0]]))
+    except (ImportError, RuntimeError, OSError):
+        return False
+    return bool(found.is_hit[0])
+
+
+def _has_cuda() -> bool:
+    # Asked of the driver itself: Dr.Jit ends the process where a variant needs one and finds none.
+    try:
+        driver = ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        return False
+    count = ctypes.c_int(0)
+    return driver.cuInit(0) == 0 and driver.cuDeviceGetCount(ctypes.byref(count)) == 0 < count.value
+
+
+def _has_llvm() -> bool:
+    path = Path(os.environ.get("DRJIT_LIBLLVM_PATH", ""))
+    version = re.search(r"LLVM(?:-|\.so\.)(\d+)", path.name)
+    return path.is_file() and version is not None and int(version.group(1)) >= _MIN_LLVM
+
+
+@contextmanager
+def _variant(backend: MitsubaBackend) -> Generator[Any]:
+    """Mitsuba with the backend's variant; the caller's variant comes back afterwards."""
+    import mitsuba
+
+    previous = mitsuba.variant()
+    if previous != _VARIANTS[backend]:
+        mitsuba.set_variant(_VARIANTS[backend])
+    try:
+        yield mitsuba
+    finally:
+        if previous is not None and previous != _VARIANTS[backend]:
+            mitsuba.set_variant(previous)
+
+
+def _make_scene(mitsuba: Any, meshes: Sequence[TriMesh]) -> Any:
+    first_vertex = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
+    vertices = np.concatenate([mesh.vertices for mesh in meshes]).astype(np.float32)
+    faces = np.concatenate(
+        [mesh.faces + first for mesh, first in zip(meshes, first_vertex[:-1], strict=True)]
+    )
+    shape = mitsuba.Mesh("scene", len(vertices), len(faces))
+    parameters = mitsuba.traverse(shape)
+    parameters["vertex_positions"] = mitsuba.Float(vertices.ravel())
+    parameters["faces"] = mitsuba.UInt32(faces.astype(np.uint32).ravel())
+    parameters.update()
+    return mitsuba.load_dict({"type": "scene", "shape": shape})
+
+
+def _rays(
+    mitsuba: Any, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
+) -> Any:
+    return mitsuba.Ray3f(_columns(mitsuba, origins), _columns(mitsuba, directions))
+
+
+def _columns(mitsuba: Any, rows: Float[np.ndarray, "n 3"]) -> Any:
+    values: Float32[np.ndarray, "3 n"] = np.ascontiguousarray(rows.T, dtype=np.float32)
+    return mitsuba.Point3f(*(mitsuba.Float(column) for column in values))

@@ -1,0 +1,39 @@
+"""The table sums in torch against numba."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lightsim.render.bag_torch import TorchBag
+from lightsim.render.transport_kernels import point_light
+
+
+@pytest.mark.parametrize(
+    "device",
+    ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)],
+)
+def test_sums_equal_those_of_numba(rng: np.random.Generator, device: str) -> None:
+    import torch
+
+    if device == "cuda" and not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
+    points, rays, cells, faces = 500, 33, 90 * 180, 200
+    sky_cells = rng.integers(0, cells, (points, rays)).astype(np.uint16)
+    face_rows = rng.integers(-1, faces, (points, rays)).astype(np.int32)
+    face_rows[rng.uniform(size=face_rows.shape) < 0.5] = -1
+    bag = TorchBag(sky_cells, face_rows, cells, device)
+    for _ in range(2):
+        sky = rng.gamma(1.0, 1.0, (cells, 3)).astype(np.float32)
+        radiosity = rng.uniform(0, 1, (faces, 3)).astype(np.float32)
+        expected = np.empty((points, 9), np.float32)
+        point_light(sky_cells, face_rows, sky, radiosity, expected)
+        np.testing.assert_allclose(bag.point_light(sky, radiosity), expected, rtol=1e-5, atol=1e-6)
+
+
+def test_points_that_meet_no_face_need_no_radiosity() -> None:
+    sky = np.ones((8, 3), np.float32)
+    open_rows = np.full((3, 4), -1, np.int32)
+    bag = TorchBag(np.zeros((3, 4), np.uint16), open_rows, 8, "cpu")
+    light = bag.point_light(sky, np.zeros((0, 3), np.float32))
+    np.testing.assert_allclose(light, np.tile([1, 1, 1, 0, 0, 0, 1, 1, 1], (3, 1)))
