@@ -43,6 +43,11 @@ class ShadowBuffers:
         bounce: light from other surfaces.
         shaded: direct_sun + sky + bounce.
         unshadowed: the same light without visibility rays and without bounce.
+        coverage: share of each pixel that shows a surface, where pixels were sampled; light is
+            the mean over that share. None: 1 where the pixel's centre shows a surface, else 0.
+        diffuse: radiance of the surfaces by diffuse reflection, mean over the covered share.
+            None: base colour times `shaded`.
+        glossy: radiance by reflections, mean over the covered share; no part of S. None: 0.
     """
 
     sun_visibility: Float32[np.ndarray, "h w"]
@@ -51,6 +56,9 @@ class ShadowBuffers:
     bounce: Float32[np.ndarray, "h w 3"]
     shaded: Float32[np.ndarray, "h w 3"]
     unshadowed: Float32[np.ndarray, "h w 3"]
+    coverage: Float32[np.ndarray, "h w"] | None = None
+    diffuse: Float32[np.ndarray, "h w 3"] | None = None
+    glossy: Float32[np.ndarray, "h w 3"] | None = None
 
     @property
     def ratio(self) -> Float32[np.ndarray, "h w 3"]:

@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Int64, UInt16
+from jaxtyping import Float32, Int32, Int64, UInt16
 
 from lightsim.core.casting import RayCaster
 from lightsim.core.mesh import TriMesh
+from lightsim.errors import InputError
 from lightsim.render.embree import offset_origins
+from lightsim.render.sides import OPEN, met_sides
 
-_TILE_RAYS = 1 << 20
+_TILE_RAYS = 1 << 19
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,25 @@ class TransportConfig:
     """Traced neighbours over which sky and bounce light are smoothed along surfaces."""
     origin_offset_m: float = 2e-3
     """Distance by which rays start off their surface."""
+    bounces: int = 1
+    """2 adds the light that met faces get from other faces."""
+    pixel_samples: int = 1
+    """Points of every pixel that are looked at, a square number; 1 takes the centre."""
+    glossy_rays: int = 8
+    """Rays per pixel for reflections; 0 leaves them out."""
+    glossy_max_roughness: float = 0.6
+    """Surfaces at least this rough do not reflect."""
+
+    def __post_init__(self) -> None:
+        if self.bounces not in (1, 2):
+            raise InputError("light bounces once or twice", got=self.bounces, expected="1 or 2")
+        side = round(max(self.pixel_samples, 0) ** 0.5)
+        if side < 1 or side * side != self.pixel_samples or self.pixel_samples > 225:
+            raise InputError(
+                "the samples of a pixel form a square grid",
+                got=self.pixel_samples,
+                expected="1, 4, 9, 16 ... up to 225",
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +67,14 @@ class FaceSamples:
         normals_world: unit, on the side that was met.
         base_colour: mean over the face.
         sky_cells: one for each face ray, `transport_kernels.BLOCKED` where geometry is met.
+        next_rows: rows of these samples that the face rays meet, -1 for none, for a second bounce.
     """
 
     sun_points_world: Float32[np.ndarray, "f s 3"]
     normals_world: Float32[np.ndarray, "f 3"]
     base_colour: Float32[np.ndarray, "f 3"]
     sky_cells: UInt16[np.ndarray, "f m"]
+    next_rows: Int32[np.ndarray, "f m"] | None = None
 
 
 class FaceTable:
@@ -71,6 +94,7 @@ class FaceTable:
         self._seed = seed
         self._row_by_side = np.full(2 * self._first_face[-1], -1, dtype=np.int32)
         self._cells = np.zeros((0, config.face_rays), dtype=np.uint16)
+        self._next = np.zeros((0, config.face_rays), dtype=np.int32)
 
     @property
     def face_count(self) -> int:
@@ -78,19 +102,30 @@ class FaceTable:
 
     def samples(self, sides: Int64[np.ndarray, " f"]) -> FaceSamples:
         """Samples of sides: 2 x (running face number) + (1 where seen from the back)."""
-        new = sides[self._row_by_side[sides] < 0]
+        rows = self._rows(sides)
         corners, normals, colour = self._geometry(sides)
-        if len(new):
-            self._row_by_side[new] = len(self._cells) + np.arange(len(new), dtype=np.int32)
-            self._cells = np.concatenate([self._cells, self._trace(new)])
         count = max(1, self._config.face_sun_rays)
         points = self._points(sides, corners, count).reshape(-1, 3)
         starts = offset_origins(
             points, np.repeat(normals, count, axis=0), self._config.origin_offset_m
         )
-        return FaceSamples(
-            starts.reshape(-1, count, 3), normals, colour, self._cells[self._row_by_side[sides]]
-        )
+        return FaceSamples(starts.reshape(-1, count, 3), normals, colour, self._cells[rows])
+
+    def next_sides(self, sides: Int64[np.ndarray, " f"]) -> Int32[np.ndarray, "f m"]:
+        """Sides that the face rays meet, counted over the caster's meshes, or OPEN; known where
+        the config has two bounces."""
+        rows = self._rows(sides)
+        return self._next[rows]
+
+    def _rows(self, sides: Int64[np.ndarray, " f"]) -> Int32[np.ndarray, " f"]:
+        """Rows of the sides, which are traced where they are new."""
+        new = sides[self._row_by_side[sides] < 0]
+        if len(new):
+            self._row_by_side[new] = len(self._cells) + np.arange(len(new), dtype=np.int32)
+            cells, met = self._trace(new)
+            self._cells = np.concatenate([self._cells, cells])
+            self._next = np.concatenate([self._next, met])
+        return self._row_by_side[sides]
 
     def _geometry(
         self, sides: Int64[np.ndarray, " f"]
@@ -122,11 +157,16 @@ class FaceTable:
         face_points(corners, hashed_shifts(sides, self._seed + 1), count, points)
         return points
 
-    def _trace(self, sides: Int64[np.ndarray, " f"]) -> UInt16[np.ndarray, "f m"]:
+    def _trace(
+        self, sides: Int64[np.ndarray, " f"]
+    ) -> tuple[UInt16[np.ndarray, "f m"], Int32[np.ndarray, "_ m"]]:
+        """Sky cells of the rays, BLOCKED where geometry is met; and which side that is, where
+        the config has two bounces."""
         from lightsim.render.transport_kernels import BLOCKED
 
         rays = self._config.face_rays
         cells = np.empty((len(sides), rays), dtype=np.uint16)
+        met = np.full((len(sides) if self._config.bounces == 2 else 0, rays), OPEN, dtype=np.int32)
         tile = max(1, _TILE_RAYS // max(1, rays))
         for start in range(0, len(sides) if rays else 0, tile):
             part = slice(start, start + tile)
@@ -139,9 +179,14 @@ class FaceTable:
             origins = offset_origins(
                 points, np.repeat(normals, rays, axis=0), self._config.origin_offset_m
             )
-            blocked = self._caster.is_occluded(origins, directions.reshape(-1, 3))
-            cells[part] = np.where(blocked.reshape(-1, rays), BLOCKED, found)
-        return cells
+            flat = directions.reshape(-1, 3)
+            if self._config.bounces == 2:
+                met[part] = met_sides(self._caster, origins, flat).reshape(-1, rays)
+                is_blocked = met[part] != OPEN
+            else:
+                is_blocked = self._caster.is_occluded(origins, flat).reshape(-1, rays)
+            cells[part] = np.where(is_blocked, BLOCKED, found)
+        return cells, met
 
 
 def hemisphere_directions(

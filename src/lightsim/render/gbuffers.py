@@ -46,12 +46,7 @@ def render_gbuffers(
     """
     config = config or GBufferConfig()
     height, width = camera.height_px, camera.width_px
-    out = GBuffers(
-        np.full((height, width), np.inf, dtype=np.float32),
-        *(np.zeros((height, width, 3), dtype=np.float32) for _ in range(3)),
-        np.ones((height, width), dtype=np.float32),
-        np.full((height, width), NO_SURFACE, dtype=np.int32),
-    )
+    out = _empty(height, width)
     centres = camera.pixel_centres()
     band = max(1, BAND_RAYS // width)
     for start in range(0, height, band):
@@ -64,6 +59,18 @@ def render_gbuffers(
         out.base_colour.reshape(-1, 3)[index] = seen.base_colour
         out.actor_index.reshape(-1)[index] = scene.actor_index[seen.hits.mesh_index]
     return out
+
+
+def _empty(height: int, width: int) -> GBuffers:
+    """Buffers in which no pixel shows a surface."""
+    return GBuffers(
+        np.full((height, width), np.inf, dtype=np.float32),
+        np.zeros((height, width, 3), dtype=np.float32),
+        np.zeros((height, width, 3), dtype=np.float32),
+        np.zeros((height, width, 3), dtype=np.float32),
+        np.ones((height, width), dtype=np.float32),
+        np.full((height, width), NO_SURFACE, dtype=np.int32),
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,9 @@ from lightsim.render.faces import FaceSamples, hashed_shifts
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport import PointTable, TransportConfig, TransportTable
 
-_TILE_RAYS = 1 << 20
-_PATTERNS = 64
+TILE_RAYS = 1 << 19
+PATTERNS = 64
+_REFLECTED_ROWS = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,10 +29,12 @@ class SkyCells:
     Args:
         radiance: mean radiance of every sky cell, the sun left out.
         sun: the sun, if the dome has one.
+        smooth: the sky without its sun at its own resolution (at most 512 rows), for reflections.
     """
 
     radiance: Float32[np.ndarray, "c 3"]
     sun: Sun | None
+    smooth: Float32[np.ndarray, "h w 3"] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +56,10 @@ def prepare_sky(dome: SkyDome, config: TransportConfig) -> SkyCells:
         solid_angles_sr(dome.height_px).astype(np.float32)[..., None], (*rest.shape[:2], 1)
     )
     mean = resize_area(rest * solid, rows, 2 * rows) / resize_area(solid.copy(), rows, 2 * rows)
-    return SkyCells(mean.astype(np.float32).reshape(-1, 3), sun)
+    smooth = rest
+    if len(rest) > _REFLECTED_ROWS:
+        smooth = resize_area(rest, _REFLECTED_ROWS, 2 * _REFLECTED_ROWS)
+    return SkyCells(mean.astype(np.float32).reshape(-1, 3), sun, smooth)
 
 
 def light(
@@ -71,18 +77,25 @@ def light(
     where no geometry is met.
 
     Args:
-        table: from `trace_transport` with the same scene, buffers and config.
+        table: from `trace_transport` with the same scene, buffers and config; with samples, the
+            light is the mean over each pixel's surfaces, and reflections are added.
         sky: a dome, or the result of `prepare_sky`, which saves time for many frames.
     """
     cells = prepare_sky(sky, config) if isinstance(sky, SkyDome) else sky
-    sums = light_table(table.points, scene.caster, cells, config)
-    has_surface = gbuffers.has_surface
-    images = np.zeros((*has_surface.shape, 9), dtype=np.float32)
-    images[has_surface] = table.spread(sums)
+    radiosity = face_radiosity(table.points.faces, scene.caster, cells)
+    sums = table_sums(table.points, cells, radiosity)
+    images = np.zeros((gbuffers.depth_z_m.size, 9), dtype=np.float32)
+    images[table.pixel] = table.spread(sums)
+    images = images.reshape(*gbuffers.depth_z_m.shape, 9)
+    if table.detail is not None:
+        from lightsim.render.resolve import resolve
+
+        return resolve(table.detail, scene, gbuffers, (cells, radiosity, sums, images), config)
     open_sky, bounce, sky_unshadowed = (images[..., i : i + 3] for i in (0, 3, 6))
-    visibility = np.zeros(has_surface.shape, dtype=np.float32)
-    sun_image = np.zeros((*has_surface.shape, 3), dtype=np.float32)
+    visibility = np.zeros(gbuffers.depth_z_m.shape, dtype=np.float32)
+    sun_image = np.zeros((*visibility.shape, 3), dtype=np.float32)
     if cells.sun is not None:
+        has_surface = gbuffers.has_surface
         normals = gbuffers.normal_world[has_surface]
         visibility[has_surface] = sun_visibility(
             scene.caster, gbuffers.position_world[has_surface], normals, cells.sun, config
@@ -121,9 +134,15 @@ def light_table(
     table: PointTable, caster: RayCaster, cells: SkyCells, config: TransportConfig
 ) -> Float32[np.ndarray, "n 9"]:
     """Open sky, bounce and unshadowed sky of each point, irradiance / pi."""
+    return table_sums(table, cells, face_radiosity(table.faces, caster, cells))
+
+
+def table_sums(
+    table: PointTable, cells: SkyCells, radiosity: Float32[np.ndarray, "f 3"]
+) -> Float32[np.ndarray, "n 9"]:
+    """The same, with the light of the faces known."""
     from lightsim.render.transport_kernels import point_light
 
-    radiosity = face_radiosity(table.faces, caster, cells)
     out = np.empty((len(table.sky_cells), 9), dtype=np.float32)
     point_light(table.sky_cells, table.face_rows, cells.radiance, radiosity, out)
     return out
@@ -132,8 +151,9 @@ def light_table(
 def face_radiosity(
     faces: FaceSamples, caster: RayCaster, cells: SkyCells
 ) -> Float32[np.ndarray, "f 3"]:
-    """Radiance that each face sends out: base colour x (sky + sun) irradiance / pi."""
-    from lightsim.render.transport_kernels import face_light
+    """Radiance that each face sends out: base colour x (sky + sun) irradiance / pi, and with two
+    bounces what other faces so lit add to it."""
+    from lightsim.render.transport_kernels import face_bounce, face_light
 
     if faces.sky_cells.shape[1] == 0:
         return np.zeros_like(faces.base_colour)
@@ -141,7 +161,12 @@ def face_radiosity(
     face_light(faces.sky_cells, cells.radiance, arriving)
     if cells.sun is not None and len(arriving):
         arriving += _sun_on_faces(faces, caster, cells.sun)
-    return (faces.base_colour * arriving).astype(np.float32)
+    first = (faces.base_colour * arriving).astype(np.float32)
+    if faces.next_rows is None:
+        return first
+    from_faces = np.empty_like(first)
+    face_bounce(faces.next_rows, first, from_faces)
+    return first + faces.base_colour * from_faces
 
 
 def _sun_on_faces(faces: FaceSamples, caster: RayCaster, sun: Sun) -> Float32[np.ndarray, "f 3"]:
@@ -177,12 +202,12 @@ def sun_visibility(
     """
     direction = (sun.direction_world / np.linalg.norm(sun.direction_world)).astype(np.float32)
     facing = np.flatnonzero(normals_world @ direction > 0)
-    patterns = _disc_patterns(sun, config.sun_rays)
+    patterns = disc_patterns(sun, config.sun_rays)
     visible = np.zeros(len(points_world), dtype=np.float32)
-    tile = max(1, _TILE_RAYS // config.sun_rays)
+    tile = max(1, TILE_RAYS // config.sun_rays)
     for start in range(0, len(facing), tile):
         rows = facing[start : start + tile]
-        chosen = (hashed_shifts(rows, 7)[:, 0] * _PATTERNS).astype(np.int64)
+        chosen = (hashed_shifts(rows, 7)[:, 0] * PATTERNS).astype(np.int64)
         origins = offset_origins(points_world[rows], normals_world[rows], config.origin_offset_m)
         occluded = caster.is_occluded(
             np.repeat(origins, config.sun_rays, axis=0), patterns[chosen].reshape(-1, 3)
@@ -191,12 +216,12 @@ def sun_visibility(
     return visible
 
 
-def _disc_patterns(sun: Sun, count: int) -> Float32[np.ndarray, "p k 3"]:
-    """Sample directions on the solar disc, turned about its centre by _PATTERNS angles."""
+def disc_patterns(sun: Sun, count: int) -> Float32[np.ndarray, "p k 3"]:
+    """Sample directions on the solar disc, turned about its centre by PATTERNS angles."""
     axis = sun.direction_world / np.linalg.norm(sun.direction_world)
     disc = disc_directions(axis, sun.angular_radius_deg, count)
     along = (disc @ axis)[:, None] * axis
     across = disc - along
-    angle = (np.arange(_PATTERNS) / _PATTERNS * 2 * np.pi)[:, None, None]
+    angle = (np.arange(PATTERNS) / PATTERNS * 2 * np.pi)[:, None, None]
     turned = along + np.cos(angle) * across + np.sin(angle) * np.cross(axis, across)
     return turned.astype(np.float32)

@@ -2,7 +2,8 @@
 
 For every traced pixel N cosine-distributed rays are stored as the sky cell they point at and the
 surface face they meet, if any; for every face met, M rays of its own. A sky then costs sums of
-table look-ups and a few sun rays (`render.light`). Diffuse surfaces, one bounce.
+table look-ups and a few sun rays (`render.light`). Diffuse surfaces, one bounce or two; reflections
+of smooth surfaces are traced by `render.glossy`.
 """
 
 from __future__ import annotations
@@ -14,8 +15,6 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int32, Int64, UInt16
 
 from lightsim.core.buffers import GBuffers
-from lightsim.core.casting import RayCaster
-from lightsim.core.mesh import TriMesh
 from lightsim.render.embree import offset_origins
 from lightsim.render.faces import (
     FaceSamples,
@@ -24,12 +23,13 @@ from lightsim.render.faces import (
     hashed_shifts,
     hemisphere_directions,
 )
+from lightsim.render.glossy import GlossyTable, diffuse_share, trace_glossy
+from lightsim.render.samples import PixelSamples
 from lightsim.render.scene import FrameScene
+from lightsim.render.sides import OPEN, met_sides
 from lightsim.render.spread import Spread, TracedPixels
 
-OPEN = -1
-"""face_row of a ray that meets nothing."""
-_TILE_RAYS = 1 << 20
+_TILE_RAYS = 1 << 19
 
 
 def exact() -> TransportConfig:
@@ -58,6 +58,25 @@ class PointTable:
 
 
 @dataclass(frozen=True, eq=False)
+class SampleTable:
+    """How light reaches the samples of pixels; see `render.samples`.
+
+    Args:
+        samples: of the frame.
+        edge_spread: how the light of the traced pixels reaches samples at edges.
+        base_colour: of diffuse reflection, mean over each pixel's samples.
+        edge_colour: the same of each sample at edges.
+        glossy: rays of reflecting samples; none where reflections are left out.
+    """
+
+    samples: PixelSamples
+    edge_spread: Spread
+    base_colour: Float32[np.ndarray, "h w 3"]
+    edge_colour: Float32[np.ndarray, "e 3"]
+    glossy: GlossyTable | None
+
+
+@dataclass(frozen=True, eq=False)
 class TransportTable:
     """The ray table of one frame.
 
@@ -66,12 +85,14 @@ class TransportTable:
         pixel: flat numbers of the pixels whose centre shows a surface.
         spread: how the light of the traced pixels reaches them.
         ambient_occlusion: open fraction of the hemisphere of every pixel; sky 1.
+        detail: what anti-aliased images and reflections need, where asked for.
     """
 
     points: PointTable
     pixel: Int64[np.ndarray, " p"]
     spread: Spread
     ambient_occlusion: Float32[np.ndarray, "h w"]
+    detail: SampleTable | None = None
 
 
 def static_face_table(scene: FrameScene, config: TransportConfig, seed: int = 0) -> FaceTable:
@@ -85,25 +106,34 @@ def trace_transport(
     config: TransportConfig,
     seed: int = 0,
     face_table: FaceTable | None = None,
+    samples: PixelSamples | None = None,
 ) -> TransportTable:
     """Trace the ray table of one frame.
 
     Args:
         face_table: from `static_face_table` with the same config, shared by the frames of a
             log; without one it is made for this frame.
+        samples: from `render.samples.render_samples`, for anti-aliased images and reflections.
     """
     rows, columns, index = _traced_pixels(gbuffers.has_surface, config.shading_step_px)
     positions = gbuffers.position_world[rows, columns]
     normals = gbuffers.normal_world[rows, columns]
     shifts = _pixel_shifts(rows, columns, config.shading_step_px, seed)
-    points = trace_points(scene, positions, normals, shifts, config, face_table)
+    cells, sides = _trace(scene, positions, normals, shifts, config)
+    glossy = None
+    if samples is not None and len(samples.glossy.rows):
+        glossy = trace_glossy(scene, samples, config, seed)
+    static = face_table or static_face_table(scene, config)
+    faces = _compact(
+        [sides] if glossy is None else [sides, glossy.face_rows], scene, static, config
+    )
+    points = PointTable(cells, sides, faces)
     has_surface = gbuffers.has_surface
-    pixel = np.flatnonzero(has_surface)
     traced = TracedPixels(
         index, np.concatenate([positions, normals], axis=1), int(has_surface.shape[1])
     )
     spread = traced.spread(
-        pixel,
+        np.flatnonzero(has_surface),
         gbuffers.position_world[has_surface],
         gbuffers.normal_world[has_surface],
         gbuffers.depth_z_m[has_surface],
@@ -111,7 +141,30 @@ def trace_transport(
     )
     occlusion = np.ones(has_surface.shape, dtype=np.float32)
     occlusion[has_surface] = spread(points.openness[:, None])[:, 0]
-    return TransportTable(points, pixel, spread, occlusion)
+    detail = None if samples is None else _detail(samples, traced, glossy, config)
+    return TransportTable(points, np.flatnonzero(has_surface), spread, occlusion, detail)
+
+
+def _detail(
+    samples: PixelSamples,
+    traced: TracedPixels,
+    glossy: GlossyTable | None,
+    config: TransportConfig,
+) -> SampleTable:
+    edge = samples.edge
+    spread = traced.spread(
+        samples.pixel[edge.rows], edge.position_world, edge.normal_world, edge.depth_z_m, config
+    )
+    if glossy is None:
+        return SampleTable(samples, spread, samples.base_colour, edge.base_colour, None)
+    kept = samples.glossy.base_colour * diffuse_share(samples.glossy, glossy)
+    lost = kept - samples.glossy.base_colour
+    colour = samples.base_colour + samples.pixel_mean(samples.glossy.rows, lost, samples.share)
+    by_sample = np.full(len(samples.pixel), OPEN, dtype=np.int32)
+    by_sample[samples.glossy.rows] = np.arange(len(kept), dtype=np.int32)
+    row = by_sample[edge.rows]
+    edge_colour = np.where((row >= 0)[:, None], kept[row], edge.base_colour)
+    return SampleTable(samples, spread, np.maximum(colour, 0), edge_colour, glossy)
 
 
 def trace_points(
@@ -123,11 +176,23 @@ def trace_points(
     face_table: FaceTable | None = None,
 ) -> PointTable:
     """Trace the rays of surface points; `shifts` in [0, 1) turn each point's ray pattern."""
+    cells, sides = _trace(scene, points_world, normals_world, shifts, config)
+    faces = _compact([sides], scene, face_table or static_face_table(scene, config), config)
+    return PointTable(cells, sides, faces)
+
+
+def _trace(
+    scene: FrameScene,
+    points_world: Float32[np.ndarray, "n 3"],
+    normals_world: Float32[np.ndarray, "n 3"],
+    shifts: Float32[np.ndarray, "n 2"],
+    config: TransportConfig,
+) -> tuple[UInt16[np.ndarray, "n k"], Int32[np.ndarray, "n k"]]:
+    """Sky cell of each ray, and the side that it meets or OPEN."""
     rays = config.sky_rays
     cells = np.empty((len(points_world), rays), dtype=np.uint16)
     sides = np.full((len(points_world), rays), OPEN, dtype=np.int32)
     caster = scene.caster
-    first_face = np.cumsum([0] + [len(mesh.faces) for mesh in scene.meshes])[:-1]
     tile = max(1, _TILE_RAYS // rays)
     for start in range(0, len(points_world), tile):
         part = slice(start, start + tile)
@@ -135,68 +200,56 @@ def trace_points(
             normals_world[part], shifts[part], rays, config.sky_cell_rows
         )
         origins = offset_origins(points_world[part], normals_world[part], config.origin_offset_m)
-        found = _met_sides(caster, scene, first_face, np.repeat(origins, rays, axis=0), directions)
+        found = met_sides(caster, np.repeat(origins, rays, axis=0), directions.reshape(-1, 3))
         sides[part] = found.reshape(-1, rays)
-    table = face_table or static_face_table(scene, config)
-    return PointTable(cells, *_compact(sides, scene, table, config))
-
-
-def _met_sides(
-    caster: RayCaster,
-    scene: FrameScene,
-    first_face: Int64[np.ndarray, " m"],
-    origins: Float32[np.ndarray, "r 3"],
-    directions: Float32[np.ndarray, "n k 3"],
-) -> Int32[np.ndarray, " r"]:
-    """Side (see `FaceTable.samples`, over all meshes of the scene) that each ray meets."""
-    flat = directions.reshape(-1, 3)
-    hits = caster.intersect(origins, flat)
-    rays = np.flatnonzero(hits.is_hit)
-    face = first_face[hits.mesh_index[rays]] + hits.face_index[rays]
-    is_back = _is_back(scene.meshes, hits.mesh_index[rays], hits.face_index[rays], flat[rays])
-    sides = np.full(len(flat), OPEN, dtype=np.int32)
-    sides[rays] = (2 * face + is_back).astype(np.int32)
-    return sides
-
-
-def _is_back(
-    meshes: Sequence[TriMesh],
-    mesh_index: Int32[np.ndarray, " n"],
-    face_index: Int32[np.ndarray, " n"],
-    directions: Float32[np.ndarray, "n 3"],
-) -> Bool[np.ndarray, " n"]:
-    """Whether a ray meets the clockwise side of its face."""
-    from lightsim.render.transport_kernels import meets_back
-
-    is_back = np.zeros(len(mesh_index), dtype=np.bool_)
-    for k, mesh in enumerate(meshes):
-        if len(mesh.faces):
-            meets_back(k, mesh.vertices, mesh.faces, mesh_index, face_index, directions, is_back)
-    return is_back
+    return cells, sides
 
 
 def _compact(
-    sides: Int32[np.ndarray, "n k"], scene: FrameScene, static: FaceTable, config: TransportConfig
-) -> tuple[Int32[np.ndarray, "n k"], FaceSamples]:
-    """Sides numbered from 0 as they occur in this frame, and the samples of each."""
-    total = 2 * sum(len(mesh.faces) for mesh in scene.meshes)
-    is_met = np.zeros(total + 1, dtype=bool)
-    is_met[sides.ravel()] = True
-    is_met[total] = False
-    met = np.flatnonzero(is_met)
-    number = np.full(total + 1, OPEN, dtype=np.int32)
-    number[met] = np.arange(len(met), dtype=np.int32)
-    first_actor = 2 * static.face_count
-    split = int(np.searchsorted(met, first_actor))
+    sides: Sequence[Int32[np.ndarray, "_ _"]],
+    scene: FrameScene,
+    static: FaceTable,
+    config: TransportConfig,
+) -> FaceSamples:
+    """Samples of the sides that occur in this frame; `sides` become rows of them, in place."""
+    from lightsim.render.transport_kernels import mark_rows, renumber
+
     actors = FaceTable(scene.actors, scene.caster, config, seed=1)
-    parts = [static.samples(met[:split]), actors.samples(met[split:] - first_actor)]
-    faces = FaceSamples(
+    is_met = np.zeros(2 * sum(len(mesh.faces) for mesh in scene.meshes), dtype=np.bool_)
+    for array in sides:
+        mark_rows(array, is_met)
+    met = np.flatnonzero(is_met)
+    next_rows = None
+    if config.bounces == 2:
+        is_first = is_met.copy()
+        mark_rows(_next_sides(met, static, actors), is_met)
+        met = np.flatnonzero(is_met)
+        next_rows = _next_sides(met, static, actors)
+        next_rows[~is_first[met]] = OPEN
+    number = np.full(len(is_met), OPEN, dtype=np.int32)
+    number[met] = np.arange(len(met), dtype=np.int32)
+    for array in sides if next_rows is None else [*sides, next_rows]:
+        renumber(array, number)
+    split = int(np.searchsorted(met, 2 * static.face_count))
+    parts = [static.samples(met[:split]), actors.samples(met[split:] - 2 * static.face_count)]
+    return FaceSamples(
         np.concatenate([p.sun_points_world for p in parts]),
         np.concatenate([p.normals_world for p in parts]),
         np.concatenate([p.base_colour for p in parts]),
         np.concatenate([p.sky_cells for p in parts]),
+        next_rows,
     )
-    return number[sides], faces
+
+
+def _next_sides(
+    met: Int64[np.ndarray, " f"], static: FaceTable, actors: FaceTable
+) -> Int32[np.ndarray, "f m"]:
+    """Sides that the rays of met sides meet, numbered over all meshes of the scene."""
+    first_actor = 2 * static.face_count
+    split = int(np.searchsorted(met, first_actor))
+    return np.concatenate(
+        [static.next_sides(met[:split]), actors.next_sides(met[split:] - first_actor)]
+    )
 
 
 def _traced_pixels(

@@ -97,6 +97,22 @@ def face_light(cells, sky, out):
 
 @njit(cache=True, parallel=True)
 @no_type_check
+def face_bounce(next_rows, radiosity, out):
+    """Mean radiance of the faces that the rays of each face meet."""
+    count = next_rows.shape[1]
+    for f in prange(next_rows.shape[0]):
+        r = g = b = 0.0
+        for k in range(count):
+            n = next_rows[f, k]
+            if n >= 0:
+                r += radiosity[n, 0]
+                g += radiosity[n, 1]
+                b += radiosity[n, 2]
+        out[f, 0], out[f, 1], out[f, 2] = r / count, g / count, b / count
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
 def point_light(cells, face_rows, sky, radiosity, out):
     """The embedding-bag sum: columns 0-2 open sky, 3-5 light of hit faces, 6-8 all sky."""
     count = cells.shape[1]
@@ -197,6 +213,35 @@ def weighted_rows(rows, weights, count, values, out):
         for m in range(count[p]):
             for c in range(values.shape[1]):
                 out[p, c] += weights[p, m] * values[rows[p, m], c]
+
+
+@njit(cache=True)
+@no_type_check
+def add_to_pixels(pixel, share, values, out):
+    """Add the values of samples, times the share that a sample has in its pixel."""
+    for p in range(len(pixel)):
+        for c in range(values.shape[1]):
+            out[pixel[p], c] += share[pixel[p]] * values[p, c]
+
+
+@njit(cache=True)
+@no_type_check
+def mark_rows(numbers, is_met):
+    """Mark the numbers that occur; negative ones are left out."""
+    for i in range(numbers.shape[0]):
+        for k in range(numbers.shape[1]):
+            if numbers[i, k] >= 0:
+                is_met[numbers[i, k]] = True
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
+def renumber(numbers, new):
+    """Put new numbers in place of old ones; negative ones stay."""
+    for i in prange(numbers.shape[0]):
+        for k in range(numbers.shape[1]):
+            if numbers[i, k] >= 0:
+                numbers[i, k] = new[numbers[i, k]]
 
 
 @njit(cache=True, parallel=True)

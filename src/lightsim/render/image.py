@@ -1,0 +1,25 @@
+"""The picture that a camera without gain and noise would take: surfaces, reflections and sky."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.core.buffers import GBuffers, ShadowBuffers
+
+
+def scene_image(
+    gbuffers: GBuffers, light: ShadowBuffers, sky: Float32[np.ndarray, "h w 3"]
+) -> Float32[np.ndarray, "h w 3"]:
+    """Radiance of every pixel, in the units of the sky.
+
+    Args:
+        light: from `render.light.light`; anti-aliased and with reflections where its table was
+            traced with samples, else base colour x light at pixel centres.
+        sky: the dome along the rays of the pixels.
+    """
+    diffuse = gbuffers.base_colour * light.shaded if light.diffuse is None else light.diffuse
+    surface = diffuse if light.glossy is None else diffuse + light.glossy
+    coverage = gbuffers.has_surface if light.coverage is None else light.coverage
+    covered = coverage.astype(np.float32)[..., None]
+    return covered * surface + (1 - covered) * sky
