@@ -23,11 +23,10 @@ from lightsim.core.solar import angle_between_deg, azimuth_elevation
 from lightsim.evaluate.shadow_caster import caster_rmse
 from lightsim.evaluate.sky import evaluate_sky, relative_rmse, sphere_radiance
 from lightsim.lighting.estimate import SkyConfig, estimate_sky
-from lightsim.lighting.image_sky import panorama_from_image
+from lightsim.lighting.image_sky import panorama_from_image, picture_sun
 from lightsim.lighting.sample import LightingBatch
 from lightsim.lighting.sun import SunDirection
-from lightsim.lighting.sun_cues import NetworkCue, panorama_cues
-from lightsim.lighting.sun_posterior import SunPosteriorConfig, sun_direction, sun_posterior
+from lightsim.lighting.sun_posterior import sun_direction
 from lightsim.progress import SilentProgress
 from lightsim.training.lighting_data import LightingSet
 
@@ -98,13 +97,13 @@ def _networks(cache: Path, models: Path) -> None:
 
 
 def _pictures(cache: Path, per_sky: int) -> None:
-    """The shipped estimate on masked pictures: without GPS by cues alone, with the network, and
+    """The shipped estimate on masked pictures: without GPS by cues alone, by the network, and
     with the true direction in place of GPS."""
     from lightsim.sky_networks import decoded_dome, predict_sky
 
     views = LightingSet.load(cache, "test").fixed_views(per_sky)
     batch = views.batch
-    table: dict[str, list[dict]] = {"cues": [], "cues + network": [], "GPS + network": []}
+    table: dict[str, list[dict]] = {"cues": [], "network": [], "GPS + network": []}
     drawn: list[dict] = []
     for k in range(len(batch.log_peak)):
         panorama = panorama_from_image(
@@ -114,8 +113,7 @@ def _pictures(cache: Path, per_sky: int) -> None:
         truth = _true_dome(batch, k)
         true_sun = batch.sun_direction[k].astype(np.float64)
         for name, rows in table.items():
-            cues = [*panorama_cues(panorama), *([NetworkCue(said)] if "network" in name else [])]
-            posterior = sun_posterior(cues, panorama, SunPosteriorConfig())
+            posterior = picture_sun(panorama, said if "network" in name else None)
             sun = sun_direction(posterior, None)
             if name.startswith("GPS"):
                 sun = _known_sun(true_sun, posterior.sunny_probability)

@@ -38,6 +38,9 @@ class SunPosteriorConfig:
     """Finer grids at most."""
     sunny_prior: float = 0.5
     """Probability of a clear sun before anything was seen."""
+    takes_mode: bool = False
+    """The estimate is the densest direction. The least expected angle, which is taken otherwise,
+    lies between several modes, but of one wide density it is pushed up by the horizon."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +50,8 @@ class SunPosterior:
     Args:
         grid_world: directions.
         mass: probability of each with a clear sun, and with an overcast sky; sums to 1.
-        direction_world: the direction with the least expected angle to the sun.
+        direction_world: the estimate: the direction with the least expected angle to the sun, or
+            the mode where the config says so.
         mode_world: the densest direction.
         region_90_deg: radius about `direction_world` that holds 90 % of the mass.
         sunny_probability: of a sun that casts shadows.
@@ -100,7 +104,8 @@ def sun_posterior(
         disc = disc_directions(centre, radius_deg, round(np.pi * config.finer_steps**2))
         grid = disc[disc[:, 2] > _LOWEST_SINE]
         mass = _mass(cues, grid, spacing_deg, config)
-    centre = _median_direction(grid, mass)
+    mode = grid[int(mass.sum(axis=1).argmax())]
+    centre = mode if config.takes_mode else _median_direction(grid, mass)
     correction_deg, heading_deg = _heading(cues, centre)
     visible = 0.0
     if panorama is not None:
@@ -110,7 +115,7 @@ def sun_posterior(
         grid,
         mass,
         centre,
-        grid[int(mass.sum(axis=1).argmax())],
+        mode,
         max(_radius_deg(grid, mass, centre, 0.9), 0.5 * spacing_deg),
         float(mass[:, 0].sum()),
         visible,
