@@ -22,6 +22,9 @@ from lightsim.errors import InputError
 
 SCENE_UNITS_PER_MODEL_UNIT = 2.840
 """pi / (level luminance irradiance of the model at 45 degrees, turbidity 3, albedo 0.2)."""
+LUMINANCE_CD_M2 = 683.0 * 106.857 / SCENE_UNITS_PER_MODEL_UNIT
+"""Luminance of one scene unit of a clear sky: the model's RGB is spectral radiance in
+W / (m2 sr nm), weighted by CIE y and divided by the sum of y over nanometres, 106.857."""
 TURBIDITY_RANGE = (1.0, 10.0)
 _LOWEST_SUN_DEG = 0.0
 _DISC_APERTURE_DEG = 2 * SOLAR_RADIUS_DEG

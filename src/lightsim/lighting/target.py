@@ -51,6 +51,13 @@ def target_sky(
         position = solar_position(geo.latitude_deg, geo.longitude_deg, time_ns)
         azimuth_deg, elevation_deg = position.azimuth_deg, position.elevation_deg
         turbidity, facts = _DEFAULT_TURBIDITY, {"utc_ns": time_ns}
+        if elevation_deg <= 0:
+            raise InputError(
+                "the sun is below the horizon then: twilight and night skies are not modelled",
+                where=spec,
+                got=f"an elevation of {elevation_deg:.1f} degrees at the log's place",
+                remedy="Choose another time (UTC unless it says otherwise), or give an HDR file.",
+            )
     else:
         raise InputError("the sky is not a known form", where=spec, expected=FORMS)
     if geo is not None and geo.enu_from_world is not None:
