@@ -49,7 +49,8 @@ def choose_exposure(panorama: Panorama) -> float:
         raise InputError(
             "the panorama shows nothing, so no exposure fits it",
             got=f"{seen.size} seen pixels of median luminance {middle:.3g}",
-            remedy="Check the pictures and the own-car masks of the log.",
+            remedy="Check the pictures and the own-car masks of the log; in a picture of its own,"
+            " give what was not observed alpha 0.",
         )
     exposure = float(np.clip(1.0, _LEVELS[0] / middle, _LEVELS[1] / middle))
     return max(exposure, 1.0) if panorama.is_clipped.any() else exposure

@@ -30,8 +30,11 @@ def write_panorama(folder: Path, panorama: Panorama) -> None:
 
 
 def write_panorama_pictures(folder: Path, panorama: Panorama) -> None:
-    """panorama.png; panorama_mask.png: white = sky seen, grey = surface seen, black = not seen."""
-    write_png(folder / "panorama.png", srgb8_from_linear(panorama.radiance))
+    """panorama.png, alpha 0 where nothing was seen, as `lightsim sky estimate` reads it;
+    panorama_mask.png: white = sky seen, grey = surface seen, black = not seen."""
+    alpha = np.where(panorama.is_seen, 255, 0).astype(np.uint8)[..., None]
+    picture = np.concatenate([srgb8_from_linear(panorama.radiance), alpha], axis=2)
+    write_png(folder / "panorama.png", picture)
     mask = np.where(panorama.is_sky, 255, np.where(panorama.is_seen, 128, 0)).astype(np.uint8)
     write_png(folder / "panorama_mask.png", np.repeat(mask[..., None], 3, axis=2))
 
