@@ -96,7 +96,8 @@ def test_the_lobe_is_reciprocal_and_sampled_as_evaluated(rng):
         directions = np.empty((1, rays, 3), np.float32)
         weights = np.empty((1, rays, 2), np.float32)
         one = np.float32([alpha])
-        reflected_rays(normals[:1], view[None], one, np.zeros((1, 2), np.float32), rays,
+        reflected_rays(normals[:1], view[None], one, np.zeros((1, 2), np.float32),
+                       (np.zeros(1, np.int64), 1, rays),
                        directions, weights)  # fmt: skip
         steps = pixel_directions(512).reshape(-1, 3).astype(np.float32)
         solid = (2 * np.pi**2 / 512**2 / 2 * np.sqrt(1 - steps[:, 2] ** 2)).astype(np.float32)

@@ -12,7 +12,7 @@ from lightsim.core.casting import RayCaster
 from lightsim.core.mesh import TriMesh
 from lightsim.errors import InputError
 from lightsim.render.embree import offset_origins
-from lightsim.render.sides import OPEN, met_sides
+from lightsim.render.sides import OPEN, SideFinder
 
 _TILE_RAYS = 1 << 19
 
@@ -167,6 +167,7 @@ class FaceTable:
         rays = self._config.face_rays
         cells = np.empty((len(sides), rays), dtype=np.uint16)
         met = np.full((len(sides) if self._config.bounces == 2 else 0, rays), OPEN, dtype=np.int32)
+        finder = SideFinder(self._caster) if self._config.bounces == 2 else None
         tile = max(1, _TILE_RAYS // max(1, rays))
         for start in range(0, len(sides) if rays else 0, tile):
             part = slice(start, start + tile)
@@ -180,8 +181,8 @@ class FaceTable:
                 points, np.repeat(normals, rays, axis=0), self._config.origin_offset_m
             )
             flat = directions.reshape(-1, 3)
-            if self._config.bounces == 2:
-                met[part] = met_sides(self._caster, origins, flat).reshape(-1, rays)
+            if finder is not None:
+                met[part] = finder.met(origins, flat).reshape(-1, rays)
                 is_blocked = met[part] != OPEN
             else:
                 is_blocked = self._caster.is_occluded(origins, flat).reshape(-1, rays)
@@ -211,3 +212,16 @@ def hashed_shifts(numbers: Int64[np.ndarray, " n"], seed: int) -> Float32[np.nda
             z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
         shifts[:, axis] = ((z ^ (z >> np.uint64(31))) >> np.uint64(40)).astype(np.float64) / 2**24
     return shifts
+
+
+def pixel_shifts(
+    rows: Int64[np.ndarray, " n"], columns: Int64[np.ndarray, " n"], step: int, seed: int
+) -> Float32[np.ndarray, "n 2"]:
+    """One coordinate by interleaved gradient noise (Jimenez 2014), which covers [0, 1) evenly in
+    every 3x3 neighbourhood, as the smoothing afterwards wants; the other by hashing, since two
+    such patterns together show as stripes."""
+    offset = np.random.default_rng(seed).random(2) * 64.0
+    i, j = rows // step + offset[0], columns // step + offset[1]
+    u = (52.9829189 * ((0.06711056 * j + 0.00583715 * i) % 1.0)) % 1.0
+    numbers = (rows // step) * (1 << 20) + columns // step
+    return np.stack([u, hashed_shifts(numbers, seed)[:, 0]], axis=1).astype(np.float32)

@@ -114,7 +114,7 @@ def see(
         hits,
         depth.astype(np.float32),
         position.astype(np.float32),
-        normal.astype(np.float32),
+        normal,
         colour,
         (-towards).astype(np.float32),
     )
@@ -150,10 +150,12 @@ def _select(hits: RayHits, rows: Shaped[np.ndarray, " k"]) -> RayHits:
 
 def _surface(
     scene: FrameScene, hits: RayHits, directions_world: Float[np.ndarray, "n 3"]
-) -> tuple[Float[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
+) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
     """Shading normal that faces the ray, and base colour, at each hit."""
+    from lightsim.render.transport_kernels import shading_normals
+
     meshes: Sequence[TriMesh] = scene.camera_meshes
-    normal = np.zeros((len(hits.distance_m), 3))
+    normal = np.zeros((len(hits.distance_m), 3), dtype=np.float32)
     colour = np.zeros((len(hits.distance_m), 3), dtype=np.float32)
     order = np.argsort(hits.mesh_index, kind="stable")
     bounds = np.searchsorted(hits.mesh_index[order], np.arange(len(meshes) + 1))
@@ -161,26 +163,16 @@ def _surface(
         rows = order[bounds[k] : bounds[k + 1]]
         if len(rows) == 0:
             continue
-        corners = mesh.faces[hits.face_index[rows]]
-        weights = hits.barycentric[rows, :, None]
-        colour[rows] = mesh.colour_at(hits.face_index[rows], hits.barycentric[rows])
-        smooth = (weights * scene.camera_normals[k][corners]).sum(axis=1)
-        a, b, c = (mesh.vertices[corners[:, i]].astype(np.float64) for i in range(3))
-        flat = np.cross(b - a, c - a)
-        normal[rows] = _facing(smooth, flat, directions_world[rows])
+        face, barycentric = hits.face_index[rows], hits.barycentric[rows]
+        colour[rows] = mesh.colour_at(face, barycentric)
+        found = np.empty((len(rows), 3), dtype=np.float32)
+        shading_normals(
+            (mesh.vertices, mesh.faces),
+            scene.camera_normals[k],
+            face,
+            barycentric,
+            directions_world[rows],
+            found,
+        )
+        normal[rows] = found
     return normal, colour
-
-
-def _facing(
-    smooth: Float[np.ndarray, "n 3"],
-    flat: Float[np.ndarray, "n 3"],
-    directions_world: Float[np.ndarray, "n 3"],
-) -> Float[np.ndarray, "n 3"]:
-    """Unit smooth normals on the side of the face that the ray meets; the face's own normal
-    where the smooth one is (nearly) perpendicular to it or absent."""
-    flat = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-30)
-    smooth = smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-30)
-    agreement = (smooth * flat).sum(axis=1)[:, None]
-    smooth = np.where(np.abs(agreement) < 0.1, flat, np.where(agreement < 0, -smooth, smooth))
-    away = (flat * directions_world).sum(axis=1) > 0
-    return np.where(away[:, None], -smooth, smooth)

@@ -6,22 +6,25 @@ incidence, metals their base colour. What is reflected is missing from diffuse r
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Float32, Int32, UInt16
+from jaxtyping import Float, Float32, Int32, Int64, UInt16
 
+from lightsim.core.buffers import GBuffers
 from lightsim.core.dome import Sun
 from lightsim.core.equirect import uv_from_directions
 from lightsim.render.embree import offset_origins
-from lightsim.render.faces import TransportConfig, hashed_shifts
+from lightsim.render.faces import TransportConfig, pixel_shifts
 from lightsim.render.samples import PixelSamples, SurfacePoints
-from lightsim.render.scene import FrameScene
-from lightsim.render.sides import met_sides
+from lightsim.render.sides import SideFinder
+from lightsim.render.spread import Spread, TracedPixels
 
 _DIELECTRIC_F0 = 0.04
 _LEAST_ALPHA = 1e-3
 _TILE_RAYS = 1 << 19
+_SMOOTHED_ROUGHNESS = 0.2
+"""Surfaces smoother than this show sharp reflections, which must stay sharp."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +51,7 @@ class GlossyTable:
 
 
 def trace_glossy(
-    scene: FrameScene, samples: PixelSamples, config: TransportConfig, seed: int
+    finder: SideFinder, samples: PixelSamples, config: TransportConfig, seed: int
 ) -> GlossyTable:
     """Trace `glossy_rays` per pixel; `face_rows` still holds sides (`render.sides`)."""
     from lightsim.render.glossy_kernels import reflected_rays
@@ -62,11 +65,11 @@ def trace_glossy(
         np.empty((total, count, 2), dtype=np.float32),
         normal_reflectance(points),
     )
-    numbers = samples.pixel[points.rows].astype(np.int64) * 256 + samples.number[points.rows]
-    shifts = hashed_shifts(numbers, seed + 3)
+    pixel = samples.pixel[points.rows].astype(np.int64)
+    shifts = pixel_shifts(*np.divmod(pixel, samples.coverage.shape[1]), 1, seed + 3)
+    which = samples.number[points.rows].astype(np.int64)
     alphas = _alphas(points.roughness)
     tile = max(1, _TILE_RAYS // count)
-    caster = scene.caster
     for start in range(0, total, tile):
         part = slice(start, start + tile)
         normals = points.normal_world[part]
@@ -76,16 +79,59 @@ def trace_glossy(
             points.towards_camera[part],
             alphas[part],
             shifts[part],
-            count,
+            (which[part], samples.per_pixel, count),
             directions,
             table.weights[part],
         )
         uv = uv_from_directions(directions)
         table.directions_uv[part] = np.minimum(uv * 65536.0, 65535.0).astype(np.uint16)
         origins = offset_origins(points.position_world[part], normals, config.origin_offset_m)
-        sides = met_sides(caster, np.repeat(origins, count, axis=0), directions.reshape(-1, 3))
+        sides = finder.met(np.repeat(origins, count, axis=0), directions.reshape(-1, 3))
         table.face_rows[part] = sides.reshape(-1, count)
     return table
+
+
+@dataclass(frozen=True, eq=False)
+class ReflectionSmoothing:
+    """Reflections of rough pixels without edges are averaged over their neighbours on the same
+    surface: their lobes are wide, and a few rays a pixel are noisy.
+
+    Args:
+        pixel: flat numbers of these pixels.
+        spread: weights among them.
+    """
+
+    pixel: Int64[np.ndarray, " p"]
+    spread: Spread
+
+    def __call__(self, image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
+        out = image.copy()
+        out.reshape(-1, 3)[self.pixel] = self.spread(image.reshape(-1, 3)[self.pixel])
+        return out
+
+
+def reflection_smoothing(
+    samples: PixelSamples, gbuffers: GBuffers, config: TransportConfig
+) -> ReflectionSmoothing:
+    """Weights of the smoothing, made once for all skies; of no pixel where the config smooths
+    nothing (`filter_radius` 0)."""
+    shape = samples.coverage.shape
+    is_rough = np.zeros(samples.coverage.size, dtype=bool)
+    is_rough[samples.pixel[samples.glossy.rows]] = config.filter_radius > 0
+    is_smooth = samples.glossy.roughness < _SMOOTHED_ROUGHNESS
+    is_rough[samples.pixel[samples.glossy.rows[is_smooth]]] = False
+    is_rough[samples.pixel[samples.edge.rows]] = False
+    pixel = np.flatnonzero(is_rough & gbuffers.has_surface.reshape(-1))
+    index = np.full(len(is_rough), -1, dtype=np.int32)
+    index[pixel] = np.arange(len(pixel), dtype=np.int32)
+    position = gbuffers.position_world.reshape(-1, 3)[pixel]
+    normal = gbuffers.normal_world.reshape(-1, 3)[pixel]
+    near = TracedPixels(
+        index.reshape(shape), np.concatenate([position, normal], axis=1), int(shape[1])
+    )
+    wide = replace(config, shading_step_px=1, filter_radius=2)
+    depth = gbuffers.depth_z_m.reshape(-1)[pixel]
+    return ReflectionSmoothing(pixel, near.spread(pixel, position, normal, depth, wide))
 
 
 def diffuse_share(points: SurfacePoints, table: GlossyTable) -> Float32[np.ndarray, "g 3"]:

@@ -15,7 +15,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit, prange
 
-_GOLDEN_2D = (0.7548776662466927, 0.5698402909980532)
+_GOLDEN = 0.5698402909980532
 _GRAZING = 1e-3
 """Least cosine of the viewing direction: shading normals may lean away from the camera."""
 
@@ -71,12 +71,15 @@ def _visible_normal(x, y, z, alpha, u, v):
 
 @njit(cache=True, parallel=True)
 @no_type_check
-def reflected_rays(normals, towards_camera, alphas, shifts, count, directions, weights):
-    """`count` reflected directions for each point.
+def reflected_rays(normals, towards_camera, alphas, shifts, part, directions, weights):
+    """Reflected directions for each point: its part of a pattern that several points share.
 
+    `part` is (which part each point takes, number of parts, directions in each part).
     `weights` holds two factors of each ray's radiance: the one of the reflectance at normal
     incidence F0, and the one that is added to it (Schlick: F = F0 (1 - s) + s).
     """
+    which, parts, count = part
+    total = parts * count
     for p in prange(normals.shape[0]):
         n = normals[p]
         t, s = _basis(n)
@@ -87,8 +90,9 @@ def reflected_rays(normals, towards_camera, alphas, shifts, count, directions, w
         alpha = alphas[p]
         masked = _smith(x, y, z, alpha)
         for k in range(count):
-            u = (shifts[p, 0] + (k + 0.5) / count) % 1.0
-            v = (shifts[p, 1] + (k + 1) * _GOLDEN_2D[1]) % 1.0
+            m = k * parts + which[p]
+            u = (shifts[p, 0] + (m + 0.5) / total) % 1.0
+            v = (shifts[p, 1] + (m + 1) * _GOLDEN) % 1.0
             hx, hy, hz = _visible_normal(x, y, z, alpha, u, v)
             cosine = x * hx + y * hy + z * hz
             lx, ly, lz = 2 * cosine * hx - x, 2 * cosine * hy - y, 2 * cosine * hz - z

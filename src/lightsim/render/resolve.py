@@ -131,20 +131,18 @@ def _glossy(
     """Mean radiance that the samples reflect; None where reflections are left out."""
     from lightsim.render.glossy_kernels import reflected_light
 
-    table, points = detail.glossy, detail.samples.glossy
-    if table is None:
+    if detail.glossy is None:
         return None
+    table, smoothing = detail.glossy
+    samples = detail.samples
+    points = samples.glossy
     assert cells.smooth is not None
-    out = np.empty((len(points.rows), 3), dtype=np.float32)
+    rays = np.empty((len(points.rows), 3), dtype=np.float32)
     reflected_light(
-        table.directions_uv,
-        table.face_rows,
-        table.weights,
-        table.f0,
-        cells.smooth,
-        radiosity,
-        out,
+        table.directions_uv, table.face_rows, table.weights, table.f0, cells.smooth, radiosity, rays
     )
+    image = smoothing(samples.pixel_mean(points.rows, rays, share))
     if cells.sun is not None:
-        out += reflected_sun(points, table.f0, cells.sun) * visible[points.rows, None]
-    return detail.samples.pixel_mean(points.rows, out, share)
+        sun = reflected_sun(points, table.f0, cells.sun) * visible[points.rows, None]
+        image += samples.pixel_mean(points.rows, sun, share)
+    return image

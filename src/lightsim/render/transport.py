@@ -20,13 +20,19 @@ from lightsim.render.faces import (
     FaceSamples,
     FaceTable,
     TransportConfig,
-    hashed_shifts,
     hemisphere_directions,
+    pixel_shifts,
 )
-from lightsim.render.glossy import GlossyTable, diffuse_share, trace_glossy
+from lightsim.render.glossy import (
+    GlossyTable,
+    ReflectionSmoothing,
+    diffuse_share,
+    reflection_smoothing,
+    trace_glossy,
+)
 from lightsim.render.samples import PixelSamples
 from lightsim.render.scene import FrameScene
-from lightsim.render.sides import OPEN, met_sides
+from lightsim.render.sides import OPEN, SideFinder
 from lightsim.render.spread import Spread, TracedPixels
 
 _TILE_RAYS = 1 << 19
@@ -66,14 +72,15 @@ class SampleTable:
         edge_spread: how the light of the traced pixels reaches samples at edges.
         base_colour: of diffuse reflection, mean over each pixel's samples.
         edge_colour: the same of each sample at edges.
-        glossy: rays of reflecting samples; none where reflections are left out.
+        glossy: rays of reflecting samples, and how their noise is smoothed; none where
+            reflections are left out.
     """
 
     samples: PixelSamples
     edge_spread: Spread
     base_colour: Float32[np.ndarray, "h w 3"]
     edge_colour: Float32[np.ndarray, "e 3"]
-    glossy: GlossyTable | None
+    glossy: tuple[GlossyTable, ReflectionSmoothing] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +125,12 @@ def trace_transport(
     rows, columns, index = _traced_pixels(gbuffers.has_surface, config.shading_step_px)
     positions = gbuffers.position_world[rows, columns]
     normals = gbuffers.normal_world[rows, columns]
-    shifts = _pixel_shifts(rows, columns, config.shading_step_px, seed)
-    cells, sides = _trace(scene, positions, normals, shifts, config)
+    shifts = pixel_shifts(rows, columns, config.shading_step_px, seed)
+    finder = SideFinder(scene.caster)
+    cells, sides = _trace(finder, positions, normals, shifts, config)
     glossy = None
     if samples is not None and len(samples.glossy.rows):
-        glossy = trace_glossy(scene, samples, config, seed)
+        glossy = trace_glossy(finder, samples, config, seed)
     static = face_table or static_face_table(scene, config)
     faces = _compact(
         [sides] if glossy is None else [sides, glossy.face_rows], scene, static, config
@@ -141,12 +149,13 @@ def trace_transport(
     )
     occlusion = np.ones(has_surface.shape, dtype=np.float32)
     occlusion[has_surface] = spread(points.openness[:, None])[:, 0]
-    detail = None if samples is None else _detail(samples, traced, glossy, config)
+    detail = None if samples is None else _detail(samples, gbuffers, traced, glossy, config)
     return TransportTable(points, np.flatnonzero(has_surface), spread, occlusion, detail)
 
 
 def _detail(
     samples: PixelSamples,
+    gbuffers: GBuffers,
     traced: TracedPixels,
     glossy: GlossyTable | None,
     config: TransportConfig,
@@ -164,7 +173,8 @@ def _detail(
     by_sample[samples.glossy.rows] = np.arange(len(kept), dtype=np.int32)
     row = by_sample[edge.rows]
     edge_colour = np.where((row >= 0)[:, None], kept[row], edge.base_colour)
-    return SampleTable(samples, spread, np.maximum(colour, 0), edge_colour, glossy)
+    smoothing = reflection_smoothing(samples, gbuffers, config)
+    return SampleTable(samples, spread, np.maximum(colour, 0), edge_colour, (glossy, smoothing))
 
 
 def trace_points(
@@ -176,13 +186,14 @@ def trace_points(
     face_table: FaceTable | None = None,
 ) -> PointTable:
     """Trace the rays of surface points; `shifts` in [0, 1) turn each point's ray pattern."""
-    cells, sides = _trace(scene, points_world, normals_world, shifts, config)
+    finder = SideFinder(scene.caster)
+    cells, sides = _trace(finder, points_world, normals_world, shifts, config)
     faces = _compact([sides], scene, face_table or static_face_table(scene, config), config)
     return PointTable(cells, sides, faces)
 
 
 def _trace(
-    scene: FrameScene,
+    finder: SideFinder,
     points_world: Float32[np.ndarray, "n 3"],
     normals_world: Float32[np.ndarray, "n 3"],
     shifts: Float32[np.ndarray, "n 2"],
@@ -192,7 +203,6 @@ def _trace(
     rays = config.sky_rays
     cells = np.empty((len(points_world), rays), dtype=np.uint16)
     sides = np.full((len(points_world), rays), OPEN, dtype=np.int32)
-    caster = scene.caster
     tile = max(1, _TILE_RAYS // rays)
     for start in range(0, len(points_world), tile):
         part = slice(start, start + tile)
@@ -200,7 +210,7 @@ def _trace(
             normals_world[part], shifts[part], rays, config.sky_cell_rows
         )
         origins = offset_origins(points_world[part], normals_world[part], config.origin_offset_m)
-        found = met_sides(caster, np.repeat(origins, rays, axis=0), directions.reshape(-1, 3))
+        found = finder.met(np.repeat(origins, rays, axis=0), directions.reshape(-1, 3))
         sides[part] = found.reshape(-1, rays)
     return cells, sides
 
@@ -273,16 +283,3 @@ def _traced_pixels(
     index = np.full(blocks, -1, dtype=np.int32)
     index[is_traced] = np.arange(int(is_traced.sum()), dtype=np.int32)
     return row[is_traced], column[is_traced], index
-
-
-def _pixel_shifts(
-    rows: Int64[np.ndarray, " n"], columns: Int64[np.ndarray, " n"], step: int, seed: int
-) -> Float32[np.ndarray, "n 2"]:
-    """One coordinate by interleaved gradient noise (Jimenez 2014), which covers [0, 1) evenly in
-    every 3x3 neighbourhood, as the smoothing afterwards wants; the other by hashing, since two
-    such patterns together show as stripes."""
-    offset = np.random.default_rng(seed).random(2) * 64.0
-    i, j = rows // step + offset[0], columns // step + offset[1]
-    u = (52.9829189 * ((0.06711056 * j + 0.00583715 * i) % 1.0)) % 1.0
-    numbers = (rows // step) * (1 << 20) + columns // step
-    return np.stack([u, hashed_shifts(numbers, seed)[:, 0]], axis=1).astype(np.float32)

@@ -246,14 +246,56 @@ def renumber(numbers, new):
 
 @njit(cache=True, parallel=True)
 @no_type_check
-def meets_back(mesh, vertices, faces, mesh_index, face_index, directions, out):
-    """Whether rays that meet mesh number `mesh` meet the clockwise side of their face."""
-    for r in prange(len(mesh_index)):
-        if mesh_index[r] != mesh:
-            continue
-        f = face_index[r]
+def face_normals(vertices, faces, out):
+    """Normals of faces, not of unit length."""
+    for f in prange(len(faces)):
         a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
-        nx = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
-        ny = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
-        nz = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        out[r] = nx * directions[r, 0] + ny * directions[r, 1] + nz * directions[r, 2] > 0
+        out[f, 0] = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
+        out[f, 1] = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
+        out[f, 2] = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
+def sides_of_hits(first_face, normals, mesh_index, face_index, directions, out):
+    """2 x (running number of the face) + (1 if its clockwise side is met); -1 for misses."""
+    for r in prange(len(mesh_index)):
+        out[r] = -1
+        if face_index[r] >= 0:
+            f = first_face[mesh_index[r]] + face_index[r]
+            n, d = normals[f], directions[r]
+            is_back = n[0] * d[0] + n[1] * d[1] + n[2] * d[2] > 0.0
+            out[r] = 2 * f + (1 if is_back else 0)
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
+def shading_normals(mesh, smooth, face_index, barycentric, directions, out):
+    """Unit normals between the vertices' on the side that rays meet; the face's own where the
+    smooth one is (nearly) perpendicular to it or absent. `mesh` is (vertices, faces)."""
+    vertices, faces = mesh
+    for r in prange(len(face_index)):
+        i, j, k = faces[face_index[r]]
+        a, b, c = vertices[i], vertices[j], vertices[k]
+        n = np.zeros(3)
+        flat = np.zeros(3)
+        for m in range(3):
+            p, q = (m + 1) % 3, (m + 2) % 3
+            flat[m] = np.float64(b[p] - a[p]) * (c[q] - a[q]) - np.float64(b[q] - a[q]) * (
+                c[p] - a[p]
+            )
+            n[m] = (
+                barycentric[r, 0] * smooth[i, m]
+                + barycentric[r, 1] * smooth[j, m]
+                + barycentric[r, 2] * smooth[k, m]
+            )
+        flat /= max(np.sqrt((flat * flat).sum()), 1e-30)
+        n /= max(np.sqrt((n * n).sum()), 1e-30)
+        agreement = (n * flat).sum()
+        if abs(agreement) < 0.1:
+            n[:] = flat
+        elif agreement < 0:
+            n[:] = -n
+        away = flat[0] * directions[r, 0] + flat[1] * directions[r, 1] + flat[2] * directions[r, 2]
+        for m in range(3):
+            out[r, m] = -n[m] if away > 0 else n[m]
