@@ -134,7 +134,7 @@ STAGES = (
         stages.make_geometry,
     ),
     Stage("assets", 2, ("log", "masks", "geometry"), _asset_config, stages.make_assets),
-    Stage("panorama", 1, ("masks", "assets"), lambda o: StitchConfig(), stages.make_panorama),
+    Stage("panorama", 2, ("masks", "assets"), lambda o: StitchConfig(), stages.make_panorama),
     Stage(
         "sky",
         4,

@@ -18,12 +18,17 @@ from lightsim.core.resample import resize_area
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import Panorama
 from lightsim.errors import InputError
+from lightsim.lighting.sky_overlaps import sky_factors
 from lightsim.progress import Progress, SilentProgress
 
 CastDepth = Callable[[CameraFrame, PinholeCamera], Float32[np.ndarray, "h w"]]
 """depth_z_m of the reconstructed scene at a camera's size; inf without a surface."""
 SkyMatte = Callable[[CameraFrame, PinholeCamera], Float32[np.ndarray, "h w"]]
 """Sky alpha in [0, 1], at the camera's size or at that of the image."""
+_NEAR_M = 0.2
+"""What lies nearer to the camera plane is not projected."""
+_INFINITY_M = 1e6
+"""Where sky is put, so that the camera's motion during its readout does not shift it."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +38,7 @@ class StitchConfig:
     height_px: int = 512
     """Rows of the panorama; it is twice as wide."""
     frame_count: int = 5
-    """Moments of the log whose sky is used; surfaces come from the middle one alone."""
+    """Moments of the log whose sky is used, 1 = the middle one; surfaces come from it alone."""
     samples_per_px: float = 2.0
     """Camera pixels along one side of a panorama pixel; larger images are shrunk to this."""
     sky_threshold: float = 0.9
@@ -82,6 +87,11 @@ class _Sums:
                 )
             sums[:, 3] += np.bincount(index[chosen], weight[chosen], minlength=self._count)
 
+    def include(self, other: _Sums, factor: Float[np.ndarray, "3"]) -> None:
+        """Add another camera's sums, its radiance times an RGB factor."""
+        for mine, theirs in ((self._open, other._open), (self._clipped, other._clipped)):
+            mine += theirs * np.append(factor, 1.0)
+
     def mean(
         self,
     ) -> tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
@@ -112,23 +122,28 @@ def stitch_panorama(
     equirectangularly around the mean camera centre; the nearest surface wins. Sky lies at
     infinity: every panorama direction is looked up in the cameras of several moments, so it has
     no holes and the ego's motion shows what a building hid. Overlaps are averaged after the
-    gains are divided out; clipped pixels count only where no other pixel was unclipped. A
-    direction that any moment saw as sky is sky.
+    gains are divided out and the cameras' skies are matched (`sky_factors`); clipped pixels count
+    only where no other pixel was unclipped. A direction that any moment saw as sky is sky.
 
     Raises:
         InputError: the log has no frames, or a camera has no gain.
     """
     missing = [name for name in log.cameras if name not in camera_gains]
-    if not log.frames or missing:
-        raise InputError("a panorama needs frames and a gain for every camera", got=missing)
+    if not log.frames or missing or config.frame_count < 1:
+        raise InputError(
+            "a panorama needs a moment with frames and a gain for every camera",
+            got=f"{config.frame_count} moments, {len(log.frames)} frames, no gain for {missing}",
+        )
     stems = log.stems
     middle = stems[len(stems) // 2]
     picks = np.linspace(0, len(stems) - 1, config.frame_count).round().astype(int)
-    chosen = {stems[i] for i in picks} | {middle}
+    picks[np.abs(picks - len(stems) // 2).argmin()] = len(stems) // 2
+    chosen = {stems[i] for i in picks}
     centre = np.mean(
         [f.world_from_camera.translation_m for f in log.frames if f.stem == middle], axis=0
     )
-    sky, surfaces = _Sums(config.height_px), _Sums(config.height_px)
+    skies = {name: _Sums(config.height_px) for name in log.cameras}
+    surfaces = _Sums(config.height_px)
     nearest_m = np.full(2 * config.height_px**2, np.inf, np.float32)
     frames = [f for f in log.frames if f.stem in chosen]
     splats = []
@@ -136,14 +151,27 @@ def stitch_panorama(
         view = _load_view(
             log, frame, camera_gains[frame.camera_name], cast_depth, sky_matte, config
         )
-        _add_sky(sky, view, config.height_px)
+        _add_sky(skies[frame.camera_name], view, config.height_px)
         if frame.stem == middle:
             splats.append(_splat(view, centre, config.height_px))
             np.minimum.at(nearest_m, splats[-1][0], splats[-1][1])
     for index, distance_m, radiance, is_clipped in splats:
         near = distance_m <= nearest_m[index] * 1.05 + 0.3
         surfaces.add(index[near], radiance[near], np.ones(int(near.sum())), is_clipped[near])
-    return _merge(sky, surfaces)
+    return _merge(_matched(list(skies.values()), config.height_px), surfaces)
+
+
+def _matched(skies: list[_Sums], height_px: int) -> _Sums:
+    """The skies of all cameras, brought to one exposure and white balance."""
+    means = [sums.mean() for sums in skies]
+    factors = sky_factors(
+        [radiance for radiance, _, _ in means],
+        [is_seen & ~is_clipped for _, is_seen, is_clipped in means],
+    )
+    sky = _Sums(height_px)
+    for sums, factor in zip(skies, factors, strict=True):
+        sky.include(sums, factor)
+    return sky
 
 
 def _merge(sky: _Sums, surfaces: _Sums) -> Panorama:
@@ -196,7 +224,9 @@ def _moving_actor_mask(
     for actor in log.actors_at(frame.time_ns):
         if actor.is_moving:
             points = _box_points_world(actor, frame.time_ns, margin_m)
-            _fill_hull(mask, camera, camera_from_world.apply(points))
+            front = points[camera_from_world.apply(points)[:, 2] > _NEAR_M]
+            if len(front) >= 8:
+                _fill_hull(mask, *frame.project(camera, front))
     return mask
 
 
@@ -208,17 +238,11 @@ def _box_points_world(actor: ActorTrack, time_ns: int, margin_m: float) -> Float
 
 
 def _fill_hull(
-    mask: Bool[np.ndarray, "h w"],
-    camera: PinholeCamera,
-    points_camera: Float[np.ndarray, "n 3"],
+    mask: Bool[np.ndarray, "h w"], uv: Float[np.ndarray, "n 2"], is_inside: Bool[np.ndarray, " n"]
 ) -> None:
     from scipy.spatial import ConvexHull
     from skimage.draw import polygon
 
-    front = points_camera[points_camera[:, 2] > 0.2]
-    if len(front) < 8:
-        return
-    uv, is_inside = camera.project(front)
     if not is_inside.any():
         return
     hull = uv[ConvexHull(uv).vertices]
@@ -229,10 +253,12 @@ def _fill_hull(
 def _add_sky(sums: _Sums, view: _View, height_px: int) -> None:
     """Look every panorama direction up in a view; weights fall towards the image border."""
     directions = pixel_directions(height_px).reshape(-1, 3)
-    in_camera = directions @ view.frame.world_from_camera.rotation
-    uv, is_inside = view.camera.project(in_camera)
-    index = np.nonzero(is_inside)[0]
-    column, row = uv[index].astype(np.int64).T
+    pose = view.frame.world_from_camera
+    index = np.nonzero(directions @ pose.rotation[:, 2] > 0)[0]
+    far = pose.translation_m + _INFINITY_M * directions[index]
+    uv, is_inside = view.frame.project(view.camera, far)
+    index = index[is_inside]
+    column, row = uv[is_inside].astype(np.int64).T
     good = view.is_valid & ndimage.binary_erosion(view.is_sky, border_value=1)
     keep = good[row, column]
     index, column, row = index[keep], column[keep], row[keep]
@@ -251,9 +277,10 @@ def _splat(
     """
     chosen = view.is_valid & ~view.is_sky
     depth_m = np.where(np.isfinite(view.depth_z_m), view.depth_z_m, 1000.0)[chosen]
-    rays = view.camera.directions(view.camera.pixel_centres()[chosen])
-    points_camera = rays / rays[:, 2:] * depth_m[:, None]
-    offset = view.frame.world_from_camera.apply(points_camera) - centre_world
+    uv = view.camera.pixel_centres()[chosen]
+    origins, rays = view.frame.pixel_rays(view.camera, uv)
+    along_m = depth_m / view.camera.directions(uv)[:, 2]
+    offset = origins + rays * along_m[:, None] - centre_world
     distance_m = np.linalg.norm(offset, axis=1)
     uv = uv_from_directions(offset / distance_m[:, None])
     column = np.minimum((uv[:, 0] * 2 * height_px).astype(np.int64), 2 * height_px - 1)
