@@ -15,15 +15,16 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
 from lightsim.progress import SilentProgress
 from lightsim.render.faces import TransportConfig
+from lightsim.render.light import prepare_sky
 from lightsim.renderers import Renderer, RendererChoice, make_renderer
 from lightsim.rendering import Layout, RenderOptions, Shard, write_frames
-from lightsim.scene_setup import FrameRenderer
+from lightsim.scene_setup import FrameRenderer, visible_sky
 from lightsim.skies import SkyChoice
 from lightsim.store.images import read_exr
 from render.rendering_scenes import box, camera, look_at, plane, random_sky, sun_sky
 
 T = TypeVar("T")
-WHAT = ("depth", "ao", "shaded", "shadow")
+WHAT = ("depth", "ao", "shaded", "shadow", "image")
 SKIES = ("a", "b")
 
 
@@ -58,7 +59,8 @@ def frames() -> tuple[CameraFrame, ...]:
 def renderer() -> FrameRenderer:
     scene = box([0, 0, 1], [1, 2, 2])
     ground = plane(half_m=8.0, cells=6)
-    return FrameRenderer(ground, scene, TransportConfig(sky_rays=8), 3, inferred_is_visible=True)
+    config = TransportConfig(sky_rays=8, pixel_samples=4)
+    return FrameRenderer(ground, scene, config, 3, inferred_is_visible=True, is_sampled=True)
 
 
 def run(out: Path, part: tuple[CameraFrame, ...], progress: SilentProgress | None = None) -> None:
@@ -89,7 +91,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 def test_one_tracing_writes_all_skies_where_the_interface_says(whole: dict[str, bytes]) -> None:
     stems = [frame.stem for frame in frames()]
     shared = [f"{what}/test/{stem}.exr" for what in ("depth", "ao") for stem in stems]
-    light = [f"{s}/{w}/test/{n}.exr" for s in SKIES for w in ("shaded", "shadow") for n in stems]
+    light = [f"{s}/{w}/test/{n}.exr" for s in SKIES for w in WHAT[2:] for n in stems]
     assert sorted(whole) == sorted(shared + light)
 
 
@@ -113,7 +115,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_files(
 ) -> None:
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path, frames(), Interrupting(2))
-    assert len(contents(tmp_path)) == 2 * (2 + 2 * 2)
+    assert len(contents(tmp_path)) == 2 * (2 + 2 * 3)
     written = 0
 
     def failing(path: Path, picture: np.ndarray) -> None:
@@ -129,7 +131,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_files(
     monkeypatch.setattr(rendering, "write_exr", failing)
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path, frames())
-    assert len(contents(tmp_path)) == 2 * (2 + 2 * 2) + 3
+    assert len(contents(tmp_path)) == 2 * (2 + 2 * 3) + 3
     monkeypatch.undo()
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.exr")}
     run(tmp_path, frames())
@@ -184,7 +186,8 @@ def test_light_needs_a_sky() -> None:
 
 def test_a_chosen_number_of_rays_is_used() -> None:
     ground, none = plane(), plane(cells=0)
-    made = make_renderer(RendererChoice(backend="embree", rays=5), ground, none, 0)
+    choice = RendererChoice(backend="embree", rays=5)
+    made = make_renderer(choice, ground, none, 0, has_images=False)
     assert isinstance(made, Renderer)
     scenario = Scenario("test", frames(), ())
     traced = made.trace(scenario, frames()[0], camera(8, 6, 6.0))
@@ -193,10 +196,39 @@ def test_a_chosen_number_of_rays_is_used() -> None:
         RendererChoice(rays=0)
 
 
+def test_the_ray_table_and_the_path_tracer_take_the_same_picture() -> None:
+    """Of light and sky; a path tracer's rough surfaces reflect a little more."""
+    ground, none = plane(half_m=8.0, cells=8), plane(cells=0)
+    scenario = Scenario("test", frames(), ())
+    sky = sun_sky(1.0, 40.0, 0.4, rows=64)
+    shaded, images = [], []
+    for choice in (RendererChoice("transport", rays=64), RendererChoice("path", rays=16)):
+        made = make_renderer(choice, ground, none, 0, has_images=True)
+        traced = made.trace(scenario, frames()[0], camera(16, 12, 12.0))
+        prepared = made.prepare(sky)
+        # Light belongs to the surface alone: in pixels half covered it is as bright as in whole.
+        shaded.append(traced.light(prepared).shaded[traced.buffers.has_surface].mean(0))
+        images.append(traced.image(prepared))
+    np.testing.assert_allclose(*shaded, rtol=0.03)
+    np.testing.assert_allclose(images[0][0], images[1][0], rtol=1e-3)
+    np.testing.assert_allclose(images[0].mean((0, 1)), images[1].mean((0, 1)), rtol=0.15)
+
+
+def test_the_visible_sun_has_its_light() -> None:
+    frame = replace(frames()[0], world_from_camera=look_at([0, 0, 1], [10, 0, 1]))
+    view = camera(200, 200, 8000.0)
+    sky = prepare_sky(sun_sky(0.0, 0.0, 0.25), TransportConfig())
+    assert sky.sun is not None
+    seen = visible_sky(sky, frame, view) - 0.25
+    np.testing.assert_allclose(seen.sum((0, 1)) / 8000.0**2, sky.sun.irradiance, rtol=0.02)
+
+
 def test_pictures_are_right(tmp_path: Path) -> None:
     run(tmp_path, frames()[:1])
     depth = read_exr(tmp_path / "depth" / "test" / "00.exr")
     shadow = read_exr(tmp_path / "b" / "shadow" / "test" / "00.exr")
+    image = read_exr(tmp_path / "a" / "image" / "test" / "00.exr")
     assert np.isfinite(depth).any()
     assert shadow.min() >= 0
     assert shadow.max() <= 1
+    assert (image[0] > 0).all()

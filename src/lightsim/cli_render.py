@@ -18,7 +18,7 @@ class Render:
     work: tyro.conf.Positional[Path]
     """Work folder of a finished build."""
     what: str
-    """Comma-separated: depth position normal albedo ao actor shaded unshadowed shadow."""
+    """Comma-separated: depth position normal albedo ao actor shaded unshadowed shadow image."""
     out: Path
     """Folder for DIR/<what>/<camera>/<frame>.exr, or DIR/<sky>/<what>/... with several skies;
     files that are there are kept, so the same command goes on with a run that was stopped."""
@@ -36,11 +36,17 @@ class Render:
     image_scale: float | None = None
     """Factor on the log's image size; by default that of the build."""
     renderer: Literal["transport", "path", "cycles"] = "transport"
-    """transport: one ray table for all skies."""
+    """transport: one ray table for all skies; path: Mitsuba's path tracer; cycles: Blender's, in a
+    process of its own. The latter two start anew for every sky."""
     backend: Literal["auto", "embree", "mitsuba-cuda", "mitsuba-llvm"] = "auto"
     """What casts the rays of the ray table: auto takes CUDA where there is one, else Embree."""
     rays: int | None = None
-    """Rays over the hemisphere of each traced pixel; more are less noisy."""
+    """Rays over the hemisphere of each traced pixel, or paths of each pixel; more are less
+    noisy."""
+    pixel_samples: int = 4
+    """Points of each pixel at which the ray table looks: 1, 4, 9, 16; more are smoother edges."""
+    blender_python: Path | None = None
+    """Python 3.11 that has bpy 4.5, for --renderer cycles."""
     shard: str = ""
     """I/N, I from 1 to N: render the I-th of N parts of the frames; parts may share DIR."""
     seed: int = 0
@@ -63,7 +69,13 @@ def run(command: Render) -> str:
         cameras=_names(command.cameras),
         frames=command.frames,
         image_scale=command.image_scale,
-        renderer=RendererChoice(command.renderer, command.backend, command.rays),
+        renderer=RendererChoice(
+            command.renderer,
+            command.backend,
+            command.rays,
+            command.pixel_samples,
+            command.blender_python,
+        ),
         shard=rendering.Shard.parse(command.shard),
         seed=command.seed,
     )

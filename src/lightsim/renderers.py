@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float32
 
 from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.camera import PinholeCamera
@@ -16,6 +20,7 @@ from lightsim.render.backends import Backend, choose_caster
 from lightsim.render.transport import TransportConfig
 from lightsim.scene_setup import FrameRenderer
 
+_PATHS = 64
 RendererName = Literal["transport", "path", "cycles"]
 
 
@@ -30,6 +35,10 @@ class TracedFrame(Protocol):
 
     def light(self, sky: Any) -> ShadowBuffers:
         """Light under a sky that `Renderer.prepare` made ready."""
+        ...
+
+    def image(self, sky: Any) -> Float32[np.ndarray, "h w 3"]:
+        """Radiance that the camera sees under it, the sky behind."""
         ...
 
 
@@ -55,14 +64,19 @@ class RendererChoice:
     """How light is computed.
 
     Args:
-        name: "transport" is the ray table.
+        name: "transport" is the ray table; "path" and "cycles" trace paths anew for every sky.
         backend: what casts the rays of the ray table.
-        rays: per traced pixel over the hemisphere; None for the renderer's own number.
+        rays: per traced pixel over the hemisphere, or paths per pixel; None for the renderer's
+            own number.
+        pixel_samples: points of every pixel at which the ray table looks, a square number.
+        blender_python: Python that has bpy, for "cycles"; None looks for it.
     """
 
     name: RendererName = "transport"
     backend: Backend = "auto"
     rays: int | None = None
+    pixel_samples: int = 4
+    blender_python: Path | None = None
 
     def __post_init__(self) -> None:
         if self.rays is not None and self.rays < 1:
@@ -71,25 +85,51 @@ class RendererChoice:
     @property
     def settings(self) -> dict[str, Any]:
         """What decides the pictures but for noise; the backend does not."""
-        return {"renderer": self.name, "rays": self.rays}
+        samples = {"pixel_samples": self.pixel_samples} if self.name == "transport" else {}
+        return {"renderer": self.name, "rays": self.rays, **samples}
 
 
 def make_renderer(
-    choice: RendererChoice, background: TriMesh, inferred: TriMesh, seed: int
+    choice: RendererChoice, background: TriMesh, inferred: TriMesh, seed: int, *, has_images: bool
 ) -> Renderer:
     """The renderer that the user chose.
 
+    Args:
+        has_images: whether images are asked for, which takes rays for reflections.
+
     Raises:
-        InputError: it is not available here.
+        InputError: its backend is not available here.
+        MissingDependencyError: its package is not installed.
     """
     if choice.name != "transport":
-        raise InputError(
-            "this renderer is not available",
-            where=f"--renderer {choice.name}",
-            expected="transport",
-        )
-    config = TransportConfig()
+        return _reference(choice, background, inferred, seed)
+    config = TransportConfig(pixel_samples=choice.pixel_samples)
     if choice.rays is not None:
         config = replace(config, sky_rays=choice.rays)
-    make_caster = choose_caster(choice.backend)
-    return FrameRenderer(background, inferred, config, seed, make_caster=make_caster)
+    if not has_images:
+        config = replace(config, glossy_rays=0)
+    return FrameRenderer(
+        background,
+        inferred,
+        config,
+        seed,
+        make_caster=choose_caster(choice.backend),
+        is_sampled=True,
+    )
+
+
+def _reference(
+    choice: RendererChoice, background: TriMesh, inferred: TriMesh, seed: int
+) -> Renderer:
+    from lightsim.render.reference import ReferenceRenderer
+
+    if choice.name == "path":
+        from lightsim.render.path_tracer import PathTracer
+
+        tracer = PathTracer()
+    else:
+        from lightsim.render.cycles import Cycles
+
+        python = choice.blender_python
+        tracer = Cycles(None if python is None else str(python))
+    return ReferenceRenderer(background, inferred, tracer, choice.rays or _PATHS, seed=seed)

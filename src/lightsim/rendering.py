@@ -11,7 +11,7 @@ import json
 import os
 import re
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,14 +19,14 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float32
 
-from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.buffers import GBuffers
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.edit.timeline import replay
 from lightsim.errors import InputError
 from lightsim.progress import Progress
-from lightsim.renderers import Renderer, RendererChoice, make_renderer
+from lightsim.renderers import Renderer, RendererChoice, TracedFrame, make_renderer
 from lightsim.scenarios import select_frames
 from lightsim.skies import SkyChoice, resolve_sky
 from lightsim.store.artefact import json_ready, read_json, read_record
@@ -35,7 +35,7 @@ from lightsim.workspace import Workspace
 
 GEOMETRY = ("depth", "position", "normal", "albedo", "actor", "ao")
 """The same under every sky: written once."""
-LIGHT = ("shaded", "unshadowed", "shadow")
+LIGHT = ("shaded", "unshadowed", "shadow", "image")
 """Written for each sky."""
 _RECORD = "render.json"
 _SKY_RECORD = "sky.json"
@@ -196,7 +196,9 @@ def render(work: Path, out: Path, options: RenderOptions, progress: Progress) ->
     files that are there already are kept.
 
     Depth is inf, other buffers 0 where there is no surface; `actor` is the index among the
-    actors present in the frame, -1 background, -2 none. Light is irradiance over pi. The shards
+    actors present in the frame, -1 background, -2 none. Light is irradiance over pi, `image` the
+    radiance that the camera sees. The ray table averages light and image over the pixel's samples
+    (light over those that meet a surface); all else belongs to the pixel's centre. The shards
     of a run may share OUT; their union is the same as one run, byte for byte, on equal machines.
 
     Raises:
@@ -215,7 +217,11 @@ def render(work: Path, out: Path, options: RenderOptions, progress: Progress) ->
     if pending:
         twin = workspace.twin
         renderer = make_renderer(
-            options.renderer, twin.assets.background, workspace.shadow_casters, options.seed
+            options.renderer,
+            twin.assets.background,
+            workspace.shadow_casters,
+            options.seed,
+            has_images="image" in options.what,
         )
         prepared = _prepare_skies(layout, skies, renderer, workspace)
         scenario = replay(twin, "render", frames)
@@ -309,7 +315,7 @@ def write_frames(
         for name, sky in prepared.items():
             missing = layout.light(frame, name)
             if missing:
-                _write(missing, _light(traced.light(sky)))
+                _write(missing, _light(traced, sky, missing))
         _write(layout.geometry(frame), _geometry(traced.buffers))
 
 
@@ -332,5 +338,17 @@ def _geometry(buffers: GBuffers) -> dict[str, Float32[np.ndarray, "h w *c"]]:
     }
 
 
-def _light(light: ShadowBuffers) -> dict[str, Float32[np.ndarray, "h w *c"]]:
-    return {"shaded": light.shaded, "unshadowed": light.unshadowed, "shadow": light.ratio}
+def _light(
+    traced: TracedFrame, sky: Any, what: Collection[str]
+) -> dict[str, Float32[np.ndarray, "h w *c"]]:
+    pictures: dict[str, Float32[np.ndarray, "h w *c"]] = {}
+    if "image" in what:
+        pictures["image"] = traced.image(sky)
+    if set(what) - {"image"}:
+        light = traced.light(sky)
+        pictures |= {
+            "shaded": light.shaded,
+            "unshadowed": light.unshadowed,
+            "shadow": light.ratio,
+        }
+    return pictures

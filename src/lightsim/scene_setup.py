@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32
 
 from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import MakeCaster
 from lightsim.core.dome import SkyDome
+from lightsim.core.equirect import sample_bilinear
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
 from lightsim.core.scenario import Scenario
@@ -17,7 +20,9 @@ from lightsim.core.twin import SceneAssets
 from lightsim.render.embree import make_embree_caster
 from lightsim.render.faces import FaceTable
 from lightsim.render.gbuffers import render_gbuffers, with_ambient_occlusion
+from lightsim.render.image import scene_image
 from lightsim.render.light import SkyCells, light, prepare_sky
+from lightsim.render.samples import render_samples
 from lightsim.render.scene import FrameScene, make_static_scene, place
 from lightsim.render.transport import (
     TransportConfig,
@@ -36,24 +41,58 @@ def parked_actor_meshes(log: DrivingLog, assets: SceneAssets) -> list[TriMesh]:
     ]
 
 
-@dataclass(frozen=True, eq=False)
 class TransportFrame:
     """A frame whose rays are traced: light under any sky is a few sums away.
 
     Args:
+        view: the frame and its camera.
         buffers: geometry, with ambient occlusion.
         scene: the scene at the frame's time.
         table: its rays.
         config: of the rays.
     """
 
-    buffers: GBuffers
-    scene: FrameScene
-    table: TransportTable
-    config: TransportConfig
+    def __init__(
+        self,
+        view: tuple[CameraFrame, PinholeCamera],
+        buffers: GBuffers,
+        scene: FrameScene,
+        table: TransportTable,
+        config: TransportConfig,
+    ) -> None:
+        self.buffers = buffers
+        self._view = view
+        self._scene = scene
+        self._table = table
+        self._config = config
+        self._last: tuple[SkyDome | SkyCells, ShadowBuffers] | None = None
 
     def light(self, sky: SkyDome | SkyCells) -> ShadowBuffers:
-        return light(self.table, self.scene, self.buffers, sky, self.config)
+        if self._last is None or self._last[0] is not sky:
+            self._last = None
+            self._last = (sky, light(self._table, self._scene, self.buffers, sky, self._config))
+        return self._last[1]
+
+    def image(self, sky: SkyCells) -> Float32[np.ndarray, "h w 3"]:
+        """Radiance: anti-aliased and with reflections where the renderer looks at samples of
+        pixels; the sky behind."""
+        return scene_image(self.buffers, self.light(sky), visible_sky(sky, *self._view))
+
+
+def visible_sky(
+    sky: SkyCells, frame: CameraFrame, camera: PinholeCamera
+) -> Float32[np.ndarray, "h w 3"]:
+    """The sky as a camera sees it, with a sharp solar disc."""
+    assert sky.smooth is not None
+    rays = frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))[1]
+    seen = sample_bilinear(sky.smooth, rays).astype(np.float32)
+    if sky.sun is not None:
+        radius_rad = np.radians(sky.sun.angular_radius_deg)
+        axis = sky.sun.direction_world / np.linalg.norm(sky.sun.direction_world)
+        in_disc = rays @ axis > np.cos(radius_rad)
+        solid_angle_sr = 2 * np.pi * (1 - np.cos(radius_rad))
+        seen[in_disc] += (sky.sun.irradiance / solid_angle_sr).astype(np.float32)
+    return seen.reshape(camera.height_px, camera.width_px, 3)
 
 
 class FrameRenderer:
@@ -68,7 +107,10 @@ class FrameRenderer:
         *,
         inferred_is_visible: bool = False,
         make_caster: MakeCaster = make_embree_caster,
+        is_sampled: bool = False,
     ) -> None:
+        """`is_sampled`: light is the mean over `transport.pixel_samples` points of each pixel,
+        with reflections."""
         shadow_only = [inferred] if len(inferred.faces) else []
         self._static = make_static_scene(
             [background],
@@ -77,6 +119,7 @@ class FrameRenderer:
             make_caster=make_caster,
         )
         self._make_caster = make_caster
+        self._is_sampled = is_sampled
         self._transport = transport
         self._seed = seed
         self._faces: FaceTable | None = None
@@ -101,9 +144,13 @@ class FrameRenderer:
         if self._faces is None:
             self._faces = static_face_table(scene, self._transport, self._seed)
         buffers = render_gbuffers(scene, camera, frame)
-        table = trace_transport(scene, buffers, self._transport, self._seed, self._faces)
+        config = self._transport
+        samples = (
+            render_samples(scene, camera, frame, buffers, config) if self._is_sampled else None
+        )
+        table = trace_transport(scene, buffers, config, self._seed, self._faces, samples)
         buffers = with_ambient_occlusion(buffers, table.ambient_occlusion)
-        return TransportFrame(buffers, scene, table, self._transport)
+        return TransportFrame((frame, camera), buffers, scene, table, config)
 
     def render(
         self,
