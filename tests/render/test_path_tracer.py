@@ -63,7 +63,7 @@ def test_parity_with_the_ray_table(tracer, sky):
         (table.direct_sun + table.sky, direct),
     ):
         np.testing.assert_allclose(ours[seen].mean(0) / theirs[seen].mean(0), 1.0, atol=0.02)
-    np.testing.assert_allclose(radiance[~seen], sky.look_up(_directions())[~seen], rtol=1e-5)
+    np.testing.assert_allclose(radiance[~seen], sky.look_up(_directions())[~seen], rtol=1e-3)
 
 
 def _directions():

@@ -29,6 +29,9 @@ from lightsim.render.scene import FrameScene, StaticScene
 
 _MAX_PATHS = 1 << 22
 """Paths traced at once: some 100 bytes each where Mitsuba works in wavefronts."""
+_NEAR_CENTRE_PX = (0.503, 0.498)
+"""Mitsuba's rays can slip through where two faces meet: pixel centres of level cameras over
+gridded meshes lie on such edges in whole rows."""
 _NO_ROULETTE = 10_000
 _STEP_BACK = 1e-4
 _STEP_BACK_M = 1e-3
@@ -244,7 +247,7 @@ def _pixel_points(
     """(u, v) of `count` points in each pixel of some rows, pixel by pixel: its centre, or evenly
     spread (the golden-ratio sequences of Roberts 2018, turned for each pixel)."""
     shape = (len(rows), width, count)
-    within = np.full((*shape, 2), 0.5)
+    within = np.broadcast_to(_NEAR_CENTRE_PX, (*shape, 2)).copy()
     if is_spread:
         turn = rng.random((len(rows), width, 1, 2))
         steps = (np.arange(count)[:, None] + 0.5) * np.array([0.7548776662, 0.5698402910])
