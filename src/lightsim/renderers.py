@@ -16,7 +16,8 @@ from lightsim.core.mesh import TriMesh
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
-from lightsim.render.backends import Backend, choose_caster
+from lightsim.render.backends import Backend, choose_caster, resolve_backend
+from lightsim.render.bag_torch import has_torch_cuda
 from lightsim.render.transport import TransportConfig
 from lightsim.scene_setup import FrameRenderer
 
@@ -108,13 +109,12 @@ def make_renderer(
         config = replace(config, sky_rays=choice.rays)
     if not has_images:
         config = replace(config, glossy_rays=0)
+    backend = resolve_backend(choice.backend)
+    if backend == "mitsuba-cuda" and has_torch_cuda():
+        config = replace(config, device="cuda")
+    make_caster = choose_caster(backend)
     return FrameRenderer(
-        background,
-        inferred,
-        config,
-        seed,
-        make_caster=choose_caster(choice.backend),
-        is_sampled=True,
+        background, inferred, config, seed, make_caster=make_caster, is_sampled=True
     )
 
 

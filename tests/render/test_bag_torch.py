@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from rendering_scenes import box, camera, look_at, plane, sun_sky
 
+from lightsim.core.scenario import Scenario
 from lightsim.render.bag_torch import TorchBag
+from lightsim.render.gbuffers import render_gbuffers
+from lightsim.render.light import light
+from lightsim.render.scene import make_static_scene, place
+from lightsim.render.transport import exact, trace_transport
 from lightsim.render.transport_kernels import point_light
 
 
@@ -37,3 +45,18 @@ def test_points_that_meet_no_face_need_no_radiosity() -> None:
     bag = TorchBag(np.zeros((3, 4), np.uint16), open_rows, 8, "cpu")
     light = bag.point_light(sky, np.zeros((0, 3), np.float32))
     np.testing.assert_allclose(light, np.tile([1, 1, 1, 0, 0, 0, 1, 1, 1], (3, 1)))
+
+
+def test_the_ray_table_uses_it_where_its_config_names_a_device() -> None:
+    meshes = [plane(8.0, 9), box([2, 1, 1], [1, 2, 2])]
+    static = make_static_scene(meshes)
+    scene = place(static, Scenario("test", (), ()), 0)
+    view = camera()
+    buffers = render_gbuffers(scene, view, look_at([0, -6, 4], [0, 0, 0.5]))
+    images = []
+    for device in ("cpu", "cpu:0"):
+        config = replace(exact(), device=device)
+        table = trace_transport(scene, buffers, config)
+        assert (table.points.bag is None) == (device == "cpu")
+        images.append(light(table, scene, buffers, sun_sky(1.0, 40.0, 0.3), config).shaded)
+    np.testing.assert_allclose(images[0], images[1], rtol=1e-4, atol=1e-5)

@@ -11,6 +11,13 @@ import numpy as np
 from jaxtyping import Float32, Int32, UInt16
 
 
+def has_torch_cuda() -> bool:
+    """Whether torch finds a CUDA device (a torch for CPUs alone finds none)."""
+    import torch
+
+    return torch.cuda.is_available()
+
+
 class TorchBag:
     """The rays of n points on a device, kept there for any number of skies.
 

@@ -45,6 +45,8 @@ class TransportConfig:
     """Rays per pixel for reflections; 0 leaves them out."""
     glossy_max_roughness: float = 0.6
     """Surfaces at least this rough do not reflect."""
+    device: str = "cpu"
+    """Where the sums over pixel rays are taken: "cpu" (numba), or a device of torch."""
 
     def __post_init__(self) -> None:
         if self.bounces not in (1, 2):

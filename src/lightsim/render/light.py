@@ -143,6 +143,8 @@ def table_sums(
     """The same, with the light of the faces known."""
     from lightsim.render.transport_kernels import point_light
 
+    if table.bag is not None:
+        return table.bag.point_light(cells.radiance, radiosity)
     out = np.empty((len(table.sky_cells), 9), dtype=np.float32)
     point_light(table.sky_cells, table.face_rows, cells.radiance, radiosity, out)
     return out

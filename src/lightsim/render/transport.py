@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int32, Int64, UInt16
 
 from lightsim.core.buffers import GBuffers
+from lightsim.render.bag_torch import TorchBag
 from lightsim.render.embree import offset_origins
 from lightsim.render.faces import (
     FaceSamples,
@@ -51,11 +52,13 @@ class PointTable:
         sky_cells: the cell that each ray points at.
         face_rows: row in `faces` of the face it meets, or OPEN.
         faces: what the rays meet.
+        bag: the rays on another device, where that is to sum them.
     """
 
     sky_cells: UInt16[np.ndarray, "n k"]
     face_rows: Int32[np.ndarray, "n k"]
     faces: FaceSamples
+    bag: TorchBag | None = None
 
     @property
     def openness(self) -> Float32[np.ndarray, " n"]:
@@ -135,7 +138,11 @@ def trace_transport(
     faces = _compact(
         [sides] if glossy is None else [sides, glossy.face_rows], scene, static, config
     )
-    points = PointTable(cells, sides, faces)
+    bag = None
+    if config.device != "cpu":
+        cell_count = 2 * config.sky_cell_rows**2
+        bag = TorchBag(cells, sides, cell_count, config.device)
+    points = PointTable(cells, sides, faces, bag)
     has_surface = gbuffers.has_surface
     traced = TracedPixels(
         index, np.concatenate([positions, normals], axis=1), int(has_surface.shape[1])
