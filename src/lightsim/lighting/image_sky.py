@@ -22,6 +22,8 @@ from lightsim.lighting.sun_posterior import (
 )
 
 _CLIP_CODE = 250
+_LEAST_ROWS = 16
+"""Below this, a pixel is larger than the glow of a sun."""
 
 
 def estimate_from_panorama(
@@ -40,7 +42,7 @@ def estimate_from_panorama(
     picture.
 
     Raises:
-        InputError: the picture is not 2:1, or nothing was observed above the horizon.
+        InputError: the picture is not 2:1, too small, or shows no sky.
     """
     panorama = panorama_from_image(srgb8, is_observed)
     if sun is None:
@@ -78,6 +80,12 @@ def panorama_from_image(
             got=f"{width}x{height} px",
             remedy="Crop or pad it to an equirectangular image.",
         )
+    if height < _LEAST_ROWS:
+        raise InputError(
+            "the panorama is too small to show a sky",
+            got=f"{width}x{height} px",
+            expected=f"at least {_LEAST_ROWS} rows",
+        )
     seen = np.ones((height, width), bool) if is_observed is None else is_observed
     weight = seen.astype(np.float32)[..., None]
     linear = linear_from_srgb8(srgb8) * weight
@@ -87,21 +95,27 @@ def panorama_from_image(
     radiance = resize_area(linear, height_px, 2 * height_px) / share
     is_seen = coverage[..., 0] > 0.5
     is_clipped = is_seen & ((resize_area(clipped, height_px, 2 * height_px) / share)[..., 0] > 0.5)
-    is_sky = is_seen & _sky_like(radiance)
+    if not is_seen[: height_px // 2].any():
+        raise InputError(
+            "nothing was observed above the horizon",
+            remedy="Alpha 0 means not observed: check the picture's alpha, and that row 0 is up.",
+        )
+    is_sky = _sky_like(radiance, is_seen)
     if not is_sky.any():
         raise InputError(
             "nothing that looks like sky was observed above the horizon",
-            remedy="Check that row 0 is up and that the mask keeps some sky.",
+            remedy="Check that row 0 is up, that it is not black, and that its alpha keeps sky.",
         )
     radiance[~is_seen] = 0.0
     return Panorama(radiance.astype(np.float32), is_seen, is_sky, is_clipped)
 
 
-def _sky_like(radiance: Float[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
-    """Above the horizon, brighter in blue than a third of the upper half's 90th percentile, and
-    not clearly red or green."""
-    height = radiance.shape[0]
-    is_up = pixel_directions(height)[..., 2] > 0
+def _sky_like(
+    radiance: Float[np.ndarray, "h w 3"], is_seen: Bool[np.ndarray, "h w"]
+) -> Bool[np.ndarray, "h w"]:
+    """Seen above the horizon, brighter in blue than a third of the 90th percentile there, and not
+    clearly red or green."""
+    is_up = is_seen & (pixel_directions(len(radiance))[..., 2] > 0)
     blue = radiance[..., 2]
     bright = float(np.percentile(blue[is_up], 90))
     is_neutral = blue >= 0.75 * radiance[..., :2].max(axis=-1)
