@@ -68,6 +68,11 @@ class Cycles:
         self._scene: FrameScene | None = None
         self._ask({"do": "start"})
 
+    @property
+    def pid(self) -> int:
+        """Of Blender's process."""
+        return self._process.pid
+
     def _check_bpy(self) -> None:
         """Whether the interpreter has bpy: importing it takes seconds, finding it does not."""
         probe = "import importlib.util, sys; sys.exit(importlib.util.find_spec('bpy') is None)"

@@ -1,0 +1,259 @@
+"""Error against time of the renderers on a finished build; prints Markdown, asserts nothing.
+
+    python benchmarks/rendering/compare.py WORK --camera front_camera --width 480 --cache DIR
+        [--reference 1024] [--rays 16 64 256] [--samples 4 16 64] [--repeats 1] [--antialiased]
+        [--no-cycles] [--no-denoise] [--skies 1 5 23]
+
+Surfaces are diffuse, light bounces once (Mitsuba max_depth 3, Cycles max_bounces 1), and the sun is
+a disc. Without --antialiased every method looks at pixel centres and pictures are base colour x
+irradiance / pi. The reference (Mitsuba) is kept in --cache in two halves, whose difference tells
+its own error; a later run with a higher --reference adds to it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from methods import Frames, Result, ShotMethod, TableMethod, denoised
+
+from lightsim.core.mesh import TriMesh
+from lightsim.errors import MissingDependencyError
+from lightsim.render.cycles import Cycles
+from lightsim.render.gbuffers import render_gbuffers
+from lightsim.render.light import light, prepare_sky
+from lightsim.render.path_tracer import PathTracer
+from lightsim.render.reference import Shot
+from lightsim.render.transport import TransportConfig, exact, static_face_table, trace_transport
+
+Array = np.ndarray[Any, Any]
+_PASS = 64
+
+
+def say(line: str = "") -> None:
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    options = parse()
+    frames = Frames(options.work, options.camera, options.width)
+    tracer = PathTracer()
+    shot = Shot(frames.dome, _PASS, 1, "white", is_antialiased=False)
+    if options.antialiased:
+        shot = replace(shot, surfaces="diffuse", is_antialiased=True)
+    describe(frames, tracer, options)
+    buffers = render_gbuffers(frames.scene(), frames.camera, frames.view())
+    judge = Judge(frames, tracer, shot, buffers, options)
+    cycles = None if options.no_cycles else find_cycles()
+    try:
+        quality(frames, judge, methods_of(tracer, cycles, shot, options), options)
+    finally:
+        if cycles is not None:
+            cycles.close()
+    split(frames, options)
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description="Error against time of the renderers on a finished build."
+    )
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--camera", default="front_camera")
+    parser.add_argument("--width", type=int, default=480)
+    parser.add_argument("--cache", type=Path, required=True)
+    parser.add_argument("--reference", type=int, default=1024)
+    parser.add_argument("--rays", type=int, nargs="*", default=[16, 64, 256])
+    parser.add_argument("--samples", type=int, nargs="*", default=[4, 16, 64])
+    parser.add_argument("--repeats", type=int, default=1)
+    parser.add_argument("--skies", type=int, nargs="*", default=[1, 5, 23])
+    for flag in ("antialiased", "no-cycles", "no-denoise"):
+        parser.add_argument(f"--{flag}", action="store_true")
+    return parser.parse_args()
+
+
+def find_cycles() -> Cycles | None:
+    try:
+        return Cycles()
+    except MissingDependencyError as error:
+        say(f"Cycles is left out: {error}")
+        return None
+
+
+def triangles(meshes: tuple[TriMesh, ...]) -> str:
+    return f"{sum(len(mesh.faces) for mesh in meshes) / 1e3:.0f} k"
+
+
+def describe(frames: Frames, tracer: PathTracer, options: argparse.Namespace) -> None:
+    scene = frames.scene()
+    say(f"## {options.work.name}, {frames.camera.width_px}x{frames.camera.height_px}")
+    say(
+        f"{triangles(frames.static.meshes)} static and {triangles(scene.actors)} actor triangles, "
+        f"camera {options.camera}; Mitsuba {tracer.variant}; {os.cpu_count()} cores, "
+        f"{platform.machine()}, load {os.getloadavg()[0]:.1f}; static scene "
+        f"{frames.static_seconds:.1f} s."
+    )
+    say()
+
+
+class Judge:
+    """The reference picture, and errors against it."""
+
+    def __init__(
+        self, frames: Frames, tracer: PathTracer, shot: Shot, buffers: Any, options: Any
+    ) -> None:
+        self.buffers = buffers
+        self.base = np.clip(buffers.base_colour, 0.01, 1.0)
+        self.is_image = options.antialiased
+        self.seen = buffers.has_surface
+        halves = self._reference(frames, tracer, shot, options)
+        both = [self._radiance(half) for half in halves]
+        self.reference = (both[0] + both[1]) / 2
+        self.exposure = 0.9 / float(np.percentile(self.reference[self.seen], 95))
+        relative, tone = self.errors(halves[0], both[1])
+        say(
+            f"Reference: {options.reference} paths a pixel; its own error is about relMSE "
+            f"{relative / 4:.5f}, tonemapped RMSE {tone / 2:.4f}."
+        )
+        say()
+
+    def _reference(self, frames: Frames, tracer: PathTracer, shot: Shot, options: Any) -> Array:
+        kind = "area" if options.antialiased else "centre"
+        name = f"{options.work.name}-{options.camera}-{options.width}-{kind}.npz"
+        path = options.cache / name
+        options.cache.mkdir(parents=True, exist_ok=True)
+        size = (2, frames.camera.height_px, frames.camera.width_px, 3)
+        sums, count = np.zeros(size), 0
+        if path.exists():
+            with np.load(path) as found:
+                sums, count = found["sums"], int(found["count"])
+        scene, view = frames.scene(), frames.view()
+        while count * _PASS < options.reference:
+            one = replace(shot, samples=_PASS)
+            (picture,) = tracer.shoot(scene, frames.camera, view, [one], 1000 + count)
+            sums[count % 2] += picture
+            count += 1
+            np.savez(path, sums=sums, count=count)
+        return np.stack([sums[0] / (count - count // 2), sums[1] / max(1, count // 2)])
+
+    def _radiance(self, picture: Array) -> Array:
+        return picture if self.is_image else picture * self.base
+
+    def errors(self, picture: Array, reference: Array | None = None) -> tuple[float, float]:
+        """relMSE, and RMSE of sRGB values in [0, 1]."""
+        truth = self.reference if reference is None else reference
+        x = self.exposure * self._radiance(picture)[self.seen]
+        r = self.exposure * truth[self.seen]
+        tone = np.sqrt(np.mean((srgb(x) - srgb(r)) ** 2))
+        return float(np.mean((x - r) ** 2 / (r**2 + 1e-2))), float(tone)
+
+    def mean_ratio(self, picture: Array) -> float:
+        return float(self._radiance(picture)[self.seen].mean() / self.reference[self.seen].mean())
+
+
+def srgb(linear: Array) -> Array:
+    x = np.clip(linear, 0, 1)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+def methods_of(
+    tracer: PathTracer, cycles: Cycles | None, shot: Shot, options: argparse.Namespace
+) -> dict[str, TableMethod | ShotMethod]:
+    points = 4 if options.antialiased else 1
+    plain = TransportConfig(glossy_rays=0, pixel_samples=points)
+    found: dict[str, TableMethod | ShotMethod] = {}
+    for rays in options.rays:
+        found[f"table N={rays}"] = TableMethod(replace(plain, sky_rays=rays))
+    for rays in options.rays:
+        every = replace(exact(), glossy_rays=0, pixel_samples=points, sky_rays=rays)
+        found[f"table N={rays}, every pixel"] = TableMethod(every)
+    for samples in options.samples:
+        found[f"Mitsuba {samples}"] = ShotMethod(tracer, replace(shot, samples=samples))
+    if cycles is not None:
+        for samples in options.samples:
+            found[f"Cycles {samples}"] = ShotMethod(cycles, replace(shot, samples=samples))
+    return found
+
+
+def quality(
+    frames: Frames,
+    judge: Judge,
+    methods: dict[str, TableMethod | ShotMethod],
+    options: argparse.Namespace,
+) -> None:
+    """All methods in turn, `repeats` times over; the quickest of each counts."""
+    # Compiled loops and Mitsuba's kernels are made before anything is timed.
+    warm = {type(m).__name__ + str(getattr(m, "tracer", "")): m for m in methods.values()}
+    for method in warm.values():
+        method.run(frames, [frames.dome])
+    results: dict[str, list[Result]] = {}
+    for _ in range(options.repeats):
+        for name, method in methods.items():
+            results.setdefault(name, []).append(method.run(frames, [frames.dome]))
+    counts = options.skies
+    head = " | ".join(f"{n} skies, s" for n in counts)
+    say(
+        f"| method | mean | relMSE | sRGB RMSE | once, s | each sky, s (CPU s) | {head} | peak MB |"
+    )
+    say("|" + " --- |" * (7 + len(counts)))
+    white = np.ones_like(judge.base)
+    for name, runs in results.items():
+        best = min(runs, key=lambda run: run.once.seconds + run.each.seconds)
+        say(row(name, best, judge, counts))
+        if not (options.no_denoise or options.antialiased):
+            clean = denoised(best, white, judge.buffers.normal_world)
+            say(row(f"{name} + OIDN", clean, judge, counts))
+    say()
+
+
+def row(name: str, result: Result, judge: Judge, counts: list[int]) -> str:
+    relative, tone = judge.errors(result.picture)
+    once, each = result.once, result.each
+    totals = " | ".join(f"{once.seconds + n * each.seconds:.1f}" for n in counts)
+    return (
+        f"| {name} | {judge.mean_ratio(result.picture):.4f} | {relative:.5f} | {tone:.4f} | "
+        f"{once.seconds:.2f} | {each.seconds:.2f} ({each.cpu_seconds:.2f}) | {totals} | "
+        f"{max(once.peak_mb, each.peak_mb):.0f} |"
+    )
+
+
+def split(frames: Frames, options: argparse.Namespace) -> None:
+    """Where the ray table's time goes, and further frames with all skies."""
+    config = TransportConfig(glossy_rays=0)
+    most = max(options.skies)
+    cells = [prepare_sky(sky, config) for sky in frames.skies(most)]
+    dark = [replace(cell, sun=None) for cell in cells]
+    faces = static_face_table(frames.scene(), config)
+    say(f"| ray table, N={config.sky_rays} | place + BVH | primary | trace | sums | sun rays |")
+    say("|" + " --- |" * 6)
+    for number in range(min(4, len(frames.frames))):
+        marks = [time.perf_counter()]
+        scene = frames.scene(number)
+        marks.append(time.perf_counter())
+        buffers = render_gbuffers(scene, frames.camera, frames.view(number))
+        marks.append(time.perf_counter())
+        table = trace_transport(scene, buffers, config, 0, faces)
+        for skies in (dark, cells):
+            marks.append(time.perf_counter())
+            for cell in skies:
+                light(table, scene, buffers, cell, config)
+        marks.append(time.perf_counter())
+        spent = np.diff(marks)
+        spent[4] -= spent[3]
+        say(f"| frame {number + 1}, s | " + " | ".join(f"{value:.2f}" for value in spent) + " |")
+    say()
+    say(f"Sums and sun rays are those of {most} skies.")
+
+
+if __name__ == "__main__":
+    main()
