@@ -4,16 +4,29 @@ from __future__ import annotations
 
 import pytest
 
+from lightsim.core.casting import MakeCaster
 from lightsim.render.composite import CompositeCaster
 from lightsim.render.embree import make_embree_caster
+from lightsim.render.mitsuba_caster import MitsubaBackend, MitsubaCaster, is_usable
 
 
 def _one_each(meshes):
     return CompositeCaster([make_embree_caster([mesh]) for mesh in meshes])
 
 
+def _mitsuba(backend: MitsubaBackend) -> MakeCaster:
+    def make(meshes):
+        if not is_usable(backend):
+            pytest.skip(f"Mitsuba cannot use {backend} here")
+        return MitsubaCaster(meshes, backend)
+
+    return make
+
+
 CASTERS = [
     pytest.param(make_embree_caster, id="embree"),
     pytest.param(_one_each, id="composite"),
+    pytest.param(_mitsuba("llvm"), id="mitsuba-llvm"),
+    pytest.param(_mitsuba("cuda"), id="mitsuba-cuda", marks=pytest.mark.gpu),
 ]
 """Each is a `core.casting.MakeCaster`."""
