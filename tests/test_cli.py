@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from lightsim import cli
+from lightsim.store.images import write_png
 
 COMMANDS = ["build", "relight", "render", "sky", "evaluate", "synthesize", "demo", "doctor"]
 
@@ -73,3 +75,13 @@ def test_a_sky_can_be_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert run("sky", "show", "sun:120,35", "--out", str(out)) == 0
     assert out.stat().st_size > 1000
     assert "sun_direction_world" in capsys.readouterr().out
+
+
+def test_a_wrong_panorama_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = tmp_path / "narrow.png"
+    write_png(picture, np.full((32, 40, 3), 90, np.uint8))
+    assert run("sky", "estimate", str(picture), "--out", str(tmp_path / "sky")) == 1
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert len(errors) == 1
+    assert str(picture) in errors[0]
+    assert "twice as wide" in errors[0]

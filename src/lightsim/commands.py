@@ -178,9 +178,12 @@ def estimate_sky(command: cli.SkyEstimateCommand) -> None:
 
     picture, alpha = read_srgb8_alpha(command.panorama)
     sun = sun_of_command(command.time, command.latitude, command.longitude, command.heading_deg)
-    panorama = panorama_from_image(picture, alpha > 127)
-    prediction = predict_sky(panorama)
-    estimate = estimate_from_panorama(picture, alpha > 127, sun, SkyConfig(), prediction)
+    try:
+        panorama = panorama_from_image(picture, alpha > 127)
+        prediction = predict_sky(panorama)
+        estimate = estimate_from_panorama(picture, alpha > 127, sun, SkyConfig(), prediction)
+    except InputError as error:
+        raise error.at(command.panorama) from error
     if command.move_sun is not None or command.sun_factor != 1.0:
         estimate = edited_sky(
             estimate, panorama, command.move_sun, command.sun_factor, command.heading_deg

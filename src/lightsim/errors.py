@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Self
+
 
 class LightSimError(Exception):
     """Base of every error a user can cause or mend.
@@ -29,6 +31,16 @@ class LightSimError(Exception):
         self.expected = expected
         self.remedy = remedy
         super().__init__(self._message())
+
+    def at(self, where: object) -> Self:
+        """The same error, which names `where` unless it named a place already."""
+        return type(self)(
+            self.what,
+            where=where if self.where is None else self.where,
+            got=self.got,
+            expected=self.expected,
+            remedy=self.remedy,
+        )
 
     def _message(self) -> str:
         parts = [f"{self.where}: {self.what}" if self.where is not None else self.what]

@@ -130,8 +130,12 @@ def _dome_of(
 
 def _light_facts(dome: SkyDome) -> dict[str, Any]:
     sun = dome.sun or find_sun(dome.radiance)
+    level = dome.horizontal_irradiance()
+    # Light of the sky alone: a sun stands for all that its disc holds.
+    from_sun = 0.0 if sun is None else sun.irradiance * max(0.0, float(sun.direction_world[2]))
     return {
-        "horizontal_irradiance": dome.horizontal_irradiance().tolist(),
+        "horizontal_irradiance": level.tolist(),
+        "sky_irradiance": np.maximum(level - from_sun, 0.0).tolist(),
         "sun_direction_world": None if sun is None else sun.direction_world.tolist(),
         "sun_irradiance": None if sun is None else sun.irradiance.tolist(),
     }
