@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Self
-
 
 class LightSimError(Exception):
     """Base of every error a user can cause or mend.
@@ -32,7 +30,7 @@ class LightSimError(Exception):
         self.remedy = remedy
         super().__init__(self._message())
 
-    def at(self, where: object) -> Self:
+    def at(self, where: object) -> LightSimError:
         """The same error, which names `where` unless it named a place already."""
         return type(self)(
             self.what,
