@@ -85,7 +85,8 @@ def trace_glossy(
         )
         uv = uv_from_directions(directions)
         table.directions_uv[part] = np.minimum(uv * 65536.0, 65535.0).astype(np.uint16)
-        origins = offset_origins(points.position_world[part], normals, config.origin_offset_m)
+        positions = samples.position_world[points.rows[part]]
+        origins = offset_origins(positions, normals, config.origin_offset_m)
         sides = finder.met(np.repeat(origins, count, axis=0), directions.reshape(-1, 3))
         table.face_rows[part] = sides.reshape(-1, count)
     return table
@@ -156,12 +157,17 @@ def reflected_sun(
     """
     alphas = np.hypot(_alphas(points.roughness), np.radians(sun.angular_radius_deg) / 2)
     direction = sun.direction_world / np.linalg.norm(sun.direction_world)
-    towards = np.broadcast_to(direction.astype(np.float32), points.normal_world.shape)
-    lobe = specular_lobe(
-        points.normal_world, points.towards_camera, towards, alphas.astype(np.float32)
-    )
-    fresnel = f0 * (1 - lobe[:, 1:]) + lobe[:, 1:]
-    return (fresnel * lobe[:, :1] * sun.irradiance).astype(np.float32)
+    out = np.empty_like(f0)
+    for start in range(0, len(out), _TILE_RAYS):
+        part = slice(start, start + _TILE_RAYS)
+        normals = points.normal_world[part]
+        towards = np.broadcast_to(direction.astype(np.float32), normals.shape)
+        lobe = specular_lobe(
+            normals, points.towards_camera[part], towards, alphas[part].astype(np.float32)
+        )
+        fresnel = f0[part] * (1 - lobe[:, 1:]) + lobe[:, 1:]
+        out[part] = fresnel * lobe[:, :1] * sun.irradiance
+    return out
 
 
 def specular_lobe(

@@ -85,12 +85,23 @@ def light(
     radiosity = face_radiosity(table.points.faces, scene.caster, cells)
     sums = table_sums(table.points, cells, radiosity)
     images = np.zeros((gbuffers.depth_z_m.size, 9), dtype=np.float32)
-    images[table.pixel] = table.spread(sums)
+    table.spread.add(sums, images, table.pixel)
     images = images.reshape(*gbuffers.depth_z_m.shape, 9)
-    if table.detail is not None:
-        from lightsim.render.resolve import resolve
+    if table.detail is None:
+        return _at_centres(images, scene, gbuffers, cells, config)
+    from lightsim.render.resolve import resolve
 
-        return resolve(table.detail, scene, gbuffers, (cells, radiosity, sums, images), config)
+    return resolve(table.detail, scene, gbuffers, (cells, radiosity, sums, images), config)
+
+
+def _at_centres(
+    images: Float32[np.ndarray, "h w 9"],
+    scene: FrameScene,
+    gbuffers: GBuffers,
+    cells: SkyCells,
+    config: TransportConfig,
+) -> ShadowBuffers:
+    """Light at pixel centres: sky, bounce and unshadowed sky, and the sun."""
     open_sky, bounce, sky_unshadowed = (images[..., i : i + 3] for i in (0, 3, 6))
     visibility = np.zeros(gbuffers.depth_z_m.shape, dtype=np.float32)
     sun_image = np.zeros((*visibility.shape, 3), dtype=np.float32)

@@ -44,81 +44,89 @@ def resolve(
     cells, radiosity, sums, images = arrived
     samples = detail.samples
     share = samples.share
-    edge_rows = samples.edge.rows
     edge_light = detail.edge_spread(sums)
-    at_edge = samples.pixel[edge_rows]
-    flat = images.reshape(-1, 9)
-    flat[at_edge] = 0
-    images += samples.pixel_mean(edge_rows, edge_light, share)
-    open_sky, bounce, sky_unshadowed = (images[..., i : i + 3] for i in (0, 3, 6))
+    images.reshape(-1, 9)[samples.pixel[samples.edge.rows]] = 0
+    samples.add_means(images, samples.edge.rows, edge_light, share)
+    open_sky, bounce, sky_unshadowed = (images[..., i : i + 3].copy() for i in (0, 3, 6))
+    del images
     visible = np.zeros(len(samples.pixel), dtype=np.float32)
-    sun = np.zeros((*samples.coverage.shape, 3), dtype=np.float32)
-    edge_sun = np.zeros((len(edge_rows), 3), dtype=np.float32)
+    sun = samples.black
+    edge_shaded = edge_light[:, :3] + edge_light[:, 3:6]
+    sunlight = np.zeros(3, np.float32)
     if cells.sun is not None:
-        visible, cosine = _sun_on_samples(samples, scene, gbuffers, cells.sun, config)
-        sun = samples.pixel_mean(
-            slice(None), np.stack([visible, cosine * visible, cosine], axis=1), share
-        )
-        edge_sun = (cosine * visible)[edge_rows, None] * (cells.sun.irradiance / np.float32(np.pi))
-    irradiance = (
-        np.zeros(3, np.float32)
-        if cells.sun is None
-        else (cells.sun.irradiance / np.pi).astype(np.float32)
-    )
-    direct_sun = sun[..., 1:2] * irradiance
+        sunlight = (cells.sun.irradiance / np.pi).astype(np.float32)
+        visible = _add_sun(sun, share, (samples, scene, gbuffers), cells.sun, config)
+        direction = cells.sun.direction_world / np.linalg.norm(cells.sun.direction_world)
+        cosine = np.maximum(samples.edge.normal_world @ direction.astype(np.float32), 0)
+        edge_shaded += (cosine * visible[samples.edge.rows])[:, None] * sunlight
+    direct_sun = sun[..., 1:2] * sunlight
     shaded = direct_sun + open_sky + bounce
-    diffuse = detail.base_colour * shaded
-    diffuse.reshape(-1, 3)[at_edge] = 0
-    edge_shaded = edge_sun + edge_light[:, :3] + edge_light[:, 3:6]
-    diffuse += samples.pixel_mean(edge_rows, detail.edge_colour * edge_shaded, share)
     return ShadowBuffers(
-        np.ascontiguousarray(sun[..., 0]),
+        sun[..., 0].copy(),
         direct_sun,
         open_sky,
         bounce,
         shaded,
-        sun[..., 2:] * irradiance + sky_unshadowed,
+        sun[..., 2:] * sunlight + sky_unshadowed,
         samples.coverage,
-        diffuse,
+        _diffuse(detail, shaded, edge_shaded, share),
         _glossy(detail, cells, radiosity, visible, share),
     )
 
 
-def _sun_on_samples(
-    samples: PixelSamples,
-    scene: FrameScene,
-    gbuffers: GBuffers,
+def _diffuse(
+    detail: SampleTable,
+    shaded: Float32[np.ndarray, "h w 3"],
+    edge_shaded: Float32[np.ndarray, "e 3"],
+    share: Float32[np.ndarray, " p"],
+) -> Float32[np.ndarray, "h w 3"]:
+    """Mean radiance by diffuse reflection: colours differ within a pixel, light at edges only."""
+    samples = detail.samples
+    image = detail.base_colour * shaded
+    image.reshape(-1, 3)[samples.pixel[samples.edge.rows]] = 0
+    return samples.add_means(image, samples.edge.rows, detail.edge_colour * edge_shaded, share)
+
+
+def _add_sun(
+    image: Float32[np.ndarray, "h w 3"],
+    share: Float32[np.ndarray, " p"],
+    frame: tuple[PixelSamples, FrameScene, GBuffers],
     sun: Sun,
     config: TransportConfig,
-) -> tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
-    """Fraction of the solar disc that each sample sees, and the sun's cosine (0 behind).
+) -> Float32[np.ndarray, " n"]:
+    """Fraction of the solar disc that each sample sees, 0 where the sun stands behind it; adds to
+    `image` the means of that, of it times the sun's cosine, and of the cosine.
 
     The samples of a pixel share `sun_rays` points on the disc, at least one each.
     """
+    samples, scene, gbuffers = frame
     rays = max(1, config.sun_rays // samples.per_pixel)
     patterns = disc_patterns(sun, rays * samples.per_pixel)
     direction = (sun.direction_world / np.linalg.norm(sun.direction_world)).astype(np.float32)
     centre_normals = gbuffers.normal_world.reshape(-1, 3)
+    caster = scene.caster
     visible = np.zeros(len(samples.pixel), dtype=np.float32)
-    cosine = np.maximum(centre_normals @ direction, 0)[samples.pixel]
-    cosine[samples.edge.rows] = np.maximum(samples.edge.normal_world @ direction, 0)
-    facing = np.flatnonzero(cosine > 0)
-    edge_row = np.full(len(samples.pixel), -1, dtype=np.int32)
-    edge_row[samples.edge.rows] = np.arange(len(samples.edge.rows), dtype=np.int32)
+    edge_rows = samples.edge.rows
     tile = max(1, TILE_RAYS // rays)
-    for start in range(0, len(facing), tile):
-        rows = facing[start : start + tile]
-        pixel = samples.pixel[rows]
-        normals = centre_normals[pixel]
-        at_edge = edge_row[rows] >= 0
-        normals[at_edge] = samples.edge.normal_world[edge_row[rows[at_edge]]]
-        origins = offset_origins(samples.position_world[rows], normals, config.origin_offset_m)
+    for start in range(0, len(visible), tile):
+        part = slice(start, start + tile)
+        normals = centre_normals[samples.pixel[part]]
+        edges = slice(*np.searchsorted(edge_rows, (start, start + tile)))
+        normals[edge_rows[edges] - start] = samples.edge.normal_world[edges]
+        cosine = np.maximum(normals @ direction, 0)
+        facing = np.flatnonzero(cosine > 0)
+        pixel = samples.pixel[part][facing]
+        origins = offset_origins(
+            samples.position_world[part][facing], normals[facing], config.origin_offset_m
+        )
         chosen = (hashed_shifts(pixel.astype(np.int64), 7)[:, 0] * PATTERNS).astype(np.int64)
-        which = samples.number[rows, None] + samples.per_pixel * np.arange(rays)
+        which = samples.number[part][facing, None] + samples.per_pixel * np.arange(rays)
         directions = patterns[chosen[:, None], which].reshape(-1, 3)
-        occluded = scene.caster.is_occluded(np.repeat(origins, rays, axis=0), directions)
-        visible[rows] = 1 - occluded.reshape(-1, rays).mean(axis=1, dtype=np.float32)
-    return visible, cosine
+        occluded = caster.is_occluded(np.repeat(origins, rays, axis=0), directions)
+        visible[start + facing] = 1 - occluded.reshape(-1, rays).mean(axis=1, dtype=np.float32)
+        seen = visible[part]
+        samples.add_means(image, part, np.stack([seen, cosine * seen, cosine], axis=1), share)
+    return visible
 
 
 def _glossy(
@@ -141,8 +149,8 @@ def _glossy(
     reflected_light(
         table.directions_uv, table.face_rows, table.weights, table.f0, cells.smooth, radiosity, rays
     )
-    image = smoothing(samples.pixel_mean(points.rows, rays, share))
+    image = smoothing(samples.add_means(samples.black, points.rows, rays, share))
     if cells.sun is not None:
         sun = reflected_sun(points, table.f0, cells.sun) * visible[points.rows, None]
-        image += samples.pixel_mean(points.rows, sun, share)
+        samples.add_means(image, points.rows, sun, share)
     return image

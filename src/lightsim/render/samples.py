@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32, Int64, UInt8
@@ -30,7 +30,6 @@ class SurfacePoints:
     """
 
     rows: Int64[np.ndarray, " k"]
-    position_world: Float32[np.ndarray, "k 3"]
     normal_world: Float32[np.ndarray, "k 3"]
     base_colour: Float32[np.ndarray, "k 3"]
     towards_camera: Float32[np.ndarray, "k 3"]
@@ -70,18 +69,23 @@ class PixelSamples:
         count = np.bincount(self.pixel, minlength=self.coverage.size)
         return (1.0 / np.maximum(count, 1)).astype(np.float32)
 
-    def pixel_mean(
+    def add_means(
         self,
+        image: Float32[np.ndarray, "h w c"],
         rows: Int64[np.ndarray, " k"] | slice,
         values: Float32[np.ndarray, "k c"],
         share: Float32[np.ndarray, " p"],
     ) -> Float32[np.ndarray, "h w c"]:
-        """Sum of each pixel's values times `share`."""
+        """`image`, to which each pixel's values times `share` are added in place."""
         from lightsim.render.transport_kernels import add_to_pixels
 
-        out = np.zeros((self.coverage.size, values.shape[1]), dtype=np.float32)
-        add_to_pixels(self.pixel[rows], share, values, out)
-        return out.reshape(*self.coverage.shape, -1)
+        add_to_pixels(self.pixel[rows], share, values, image.reshape(share.size, -1))
+        return image
+
+    @property
+    def black(self) -> Float32[np.ndarray, "h w 3"]:
+        """An image of zeros."""
+        return np.zeros((*self.coverage.shape, 3), dtype=np.float32)
 
 
 def render_samples(
@@ -101,30 +105,12 @@ def render_samples(
     corners = camera.pixel_centres() - 0.5
     offsets = sample_offsets(count)
     band = max(1, BAND_RAYS // (width * count))
-    parts = []
+    gathered = _Gathered(gbuffers, count)
     for start in range(0, camera.height_px, band):
         uv = (corners[start : start + band, :, None] + offsets).reshape(-1, 2)
         seen = see(scene, camera, view, uv, GBufferConfig())
-        parts.append(_band(scene, seen, start * width, gbuffers, config))
-    missed = _missed(parts, gbuffers)
-    pixel = np.concatenate([p.pixel for p in parts] + [missed]).astype(np.int32)
-    starts = np.cumsum([0] + [len(p.pixel) for p in parts])
-    positions = gbuffers.position_world.reshape(-1, 3)
-    out = PixelSamples(
-        count,
-        pixel,
-        np.concatenate([p.number for p in parts] + [np.zeros(len(missed), np.uint8)]),
-        np.concatenate([p.position_world for p in parts] + [positions[missed]]),
-        np.zeros_like(gbuffers.base_colour),
-        (np.concatenate([p.count for p in parts]) / np.float32(count))
-        .astype(np.float32)
-        .reshape(gbuffers.depth_z_m.shape),
-        _joined([p.edge for p in parts], starts),
-        _joined([p.glossy for p in parts], starts),
-    )
-    out.base_colour.reshape(-1, 3)[:] = np.concatenate([p.colour for p in parts])
-    out.base_colour.reshape(-1, 3)[missed] = gbuffers.base_colour.reshape(-1, 3)[missed]
-    return out
+        gathered.add(scene, seen, slice(start * width, start * width + len(uv) // count), config)
+    return gathered.result()
 
 
 def sample_offsets(count: int) -> Float[np.ndarray, "n 2"]:
@@ -135,48 +121,73 @@ def sample_offsets(count: int) -> Float[np.ndarray, "n 2"]:
     return np.stack([(i + (j + 0.5) / side) / side, (j + (i + 0.5) / side) / side], axis=1)
 
 
-@dataclass(frozen=True, eq=False)
-class _Band:
-    """The samples of some rows of pixels; `count` and `colour` for each pixel of them."""
+class _Gathered:
+    """Samples as they come, band by band. Arrays are as long as they can become: memory that is
+    never written is never used."""
 
-    pixel: Int64[np.ndarray, " n"]
-    number: UInt8[np.ndarray, " n"]
-    position_world: Float32[np.ndarray, "n 3"]
-    count: Int64[np.ndarray, " p"]
-    colour: Float32[np.ndarray, "p 3"]
-    edge: SurfacePoints
-    glossy: SurfacePoints
+    def __init__(self, gbuffers: GBuffers, per_pixel: int) -> None:
+        size = gbuffers.depth_z_m.size
+        self._gbuffers = gbuffers
+        self._per_pixel = per_pixel
+        self._total = 0
+        self._pixel = np.empty(size * per_pixel + size, dtype=np.int32)
+        self._number = np.empty(len(self._pixel), dtype=np.uint8)
+        self._position = np.empty((len(self._pixel), 3), dtype=np.float32)
+        self._colour = np.zeros((size, 3), dtype=np.float32)
+        self._coverage = np.zeros(size, dtype=np.float32)
+        self._edges: list[SurfacePoints] = []
+        self._glossy: list[SurfacePoints] = []
 
+    def add(
+        self, scene: FrameScene, seen: SeenSurfaces, band: slice, config: TransportConfig
+    ) -> None:
+        """The samples of the pixels of `band`."""
+        pixels = band.stop - band.start
+        local, number = np.divmod(seen.rows, self._per_pixel)
+        count = np.bincount(local, minlength=pixels)
+        for c in range(3):
+            total = np.bincount(local, seen.base_colour[:, c], minlength=pixels)
+            self._colour[band, c] = total / np.maximum(count, 1)
+        self._coverage[band] = count / self._per_pixel
+        is_edge = np.zeros(pixels, dtype=bool)
+        if self._per_pixel > 1:
+            is_edge = (count > 0) & (count < self._per_pixel)
+            is_edge[local[_is_unlike(scene, seen, band.start + local, self._gbuffers)]] = True
+        roughness, metallic = surface_material(scene, seen.hits)
+        is_glossy = (roughness < config.glossy_max_roughness) & (config.glossy_rays > 0)
+        for found, chosen in ((self._edges, is_edge[local]), (self._glossy, is_glossy)):
+            points = _points(seen, np.flatnonzero(chosen), roughness, metallic)
+            found.append(replace(points, rows=points.rows + self._total))
+        self._append(band.start + local, number, seen.position_world)
 
-def _band(
-    scene: FrameScene,
-    seen: SeenSurfaces,
-    first_pixel: int,
-    gbuffers: GBuffers,
-    config: TransportConfig,
-) -> _Band:
-    per_pixel = config.pixel_samples
-    width = gbuffers.depth_z_m.shape[1]
-    rows_left = gbuffers.depth_z_m.size - first_pixel
-    pixels = min(max(1, BAND_RAYS // (width * per_pixel)) * width, rows_left)
-    local = seen.rows // per_pixel
-    count = np.bincount(local, minlength=pixels)
-    colour = np.stack(
-        [np.bincount(local, seen.base_colour[:, c], minlength=pixels) for c in range(3)], axis=1
-    )
-    colour = (colour / np.maximum(count, 1)[:, None]).astype(np.float32)
-    is_edge = np.zeros(pixels, dtype=bool)
-    if per_pixel > 1:
-        is_edge = (count > 0) & (count < per_pixel)
-        is_edge[local[_is_unlike(scene, seen, first_pixel + local, gbuffers)]] = True
-    roughness, metallic = surface_material(scene, seen.hits)
-    is_glossy = (roughness < config.glossy_max_roughness) & (config.glossy_rays > 0)
-    parts = [
-        _points(seen, np.flatnonzero(chosen), roughness, metallic)
-        for chosen in (is_edge[local], is_glossy)
-    ]
-    number = (seen.rows % per_pixel).astype(np.uint8)
-    return _Band(first_pixel + local, number, seen.position_world, count, colour, *parts)
+    def _append(
+        self,
+        pixel: Int64[np.ndarray, " n"],
+        number: Int64[np.ndarray, " n"],
+        position: Float32[np.ndarray, "n 3"],
+    ) -> None:
+        new = slice(self._total, self._total + len(pixel))
+        self._pixel[new], self._number[new], self._position[new] = pixel, number, position
+        self._total = new.stop
+
+    def result(self) -> PixelSamples:
+        """All samples; pixels whose centre alone meets a surface keep the light at their centre."""
+        buffers = self._gbuffers
+        shape = buffers.depth_z_m.shape
+        missed = np.flatnonzero((self._coverage == 0) & buffers.has_surface.reshape(-1))
+        positions = buffers.position_world.reshape(-1, 3)
+        self._append(missed, np.zeros_like(missed), positions[missed])
+        self._colour[missed] = buffers.base_colour.reshape(-1, 3)[missed]
+        return PixelSamples(
+            self._per_pixel,
+            self._pixel[: self._total],
+            self._number[: self._total],
+            self._position[: self._total],
+            self._colour.reshape(*shape, 3),
+            self._coverage.reshape(shape),
+            _joined(self._edges),
+            _joined(self._glossy),
+        )
 
 
 def _is_unlike(
@@ -218,7 +229,6 @@ def _points(
 ) -> SurfacePoints:
     return SurfacePoints(
         rows,
-        seen.position_world[rows],
         seen.normal_world[rows],
         seen.base_colour[rows],
         seen.towards_camera[rows],
@@ -228,13 +238,6 @@ def _points(
     )
 
 
-def _joined(parts: list[SurfacePoints], starts: Int64[np.ndarray, " b"]) -> SurfacePoints:
-    names = [f.name for f in fields(SurfacePoints)][1:]
-    rows = np.concatenate([p.rows + s for p, s in zip(parts, starts[:-1], strict=True)])
-    return SurfacePoints(rows, *(np.concatenate([getattr(p, n) for p in parts]) for n in names))
-
-
-def _missed(parts: list[_Band], gbuffers: GBuffers) -> Int64[np.ndarray, " m"]:
-    """Pixels whose centre alone meets a surface: they keep the light at their centre."""
-    count = np.concatenate([p.count for p in parts])
-    return np.flatnonzero((count == 0) & gbuffers.has_surface.reshape(-1))
+def _joined(parts: list[SurfacePoints]) -> SurfacePoints:
+    names = [f.name for f in fields(SurfacePoints)]
+    return SurfacePoints(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))

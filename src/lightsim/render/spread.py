@@ -26,11 +26,20 @@ class Spread:
 
     def __call__(self, values: Float32[np.ndarray, "t c"]) -> Float32[np.ndarray, "n c"]:
         """Values of the traced points at the n points."""
+        out = np.zeros((len(self.rows), values.shape[1]), dtype=np.float32)
+        self.add(values, out, np.arange(len(out)))
+        return out
+
+    def add(
+        self,
+        values: Float32[np.ndarray, "t c"],
+        out: Float32[np.ndarray, "m c"],
+        place: Int64[np.ndarray, " n"],
+    ) -> None:
+        """Add them to the rows `place` of `out`, each of which occurs once."""
         from lightsim.render.transport_kernels import weighted_rows
 
-        out = np.zeros((len(self.rows), values.shape[1]), dtype=np.float32)
-        weighted_rows(self.rows, self.weights, self.count, values, out)
-        return out
+        weighted_rows(self.rows, self.weights, self.count, values, place, out)
 
 
 @dataclass(frozen=True, eq=False)

@@ -169,13 +169,17 @@ def _detail(
 ) -> SampleTable:
     edge = samples.edge
     spread = traced.spread(
-        samples.pixel[edge.rows], edge.position_world, edge.normal_world, edge.depth_z_m, config
+        samples.pixel[edge.rows],
+        samples.position_world[edge.rows],
+        edge.normal_world,
+        edge.depth_z_m,
+        config,
     )
     if glossy is None:
         return SampleTable(samples, spread, samples.base_colour, edge.base_colour, None)
     kept = samples.glossy.base_colour * diffuse_share(samples.glossy, glossy)
     lost = kept - samples.glossy.base_colour
-    colour = samples.base_colour + samples.pixel_mean(samples.glossy.rows, lost, samples.share)
+    colour = samples.add_means(samples.base_colour.copy(), samples.glossy.rows, lost, samples.share)
     by_sample = np.full(len(samples.pixel), OPEN, dtype=np.int32)
     by_sample[samples.glossy.rows] = np.arange(len(kept), dtype=np.int32)
     row = by_sample[edge.rows]

@@ -207,12 +207,12 @@ def spread_weights(traced_pixels, pixel, positions, normals, depths, out_rows, o
 
 @njit(cache=True, parallel=True)
 @no_type_check
-def weighted_rows(rows, weights, count, values, out):
-    """Weighted sums of rows of `values`."""
+def weighted_rows(rows, weights, count, values, place, out):
+    """Weighted sums of rows of `values`, added to the rows `place` of `out`."""
     for p in prange(len(rows)):
         for m in range(count[p]):
             for c in range(values.shape[1]):
-                out[p, c] += weights[p, m] * values[rows[p, m], c]
+                out[place[p], c] += weights[p, m] * values[rows[p, m], c]
 
 
 @njit(cache=True)
