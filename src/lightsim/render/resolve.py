@@ -15,6 +15,7 @@ from lightsim.render.light import (
     TILE_RAYS,
     SkyCells,
     disc_patterns,
+    unshadowed_sun,
 )
 from lightsim.render.samples import PixelSamples
 from lightsim.render.scene import FrameScene
@@ -56,9 +57,7 @@ def resolve(
     if cells.sun is not None:
         sunlight = (cells.sun.irradiance / np.pi).astype(np.float32)
         visible = _add_sun(sun, share, (samples, scene, gbuffers), cells.sun, config)
-        direction = cells.sun.direction_world / np.linalg.norm(cells.sun.direction_world)
-        cosine = np.maximum(samples.edge.normal_world @ direction.astype(np.float32), 0)
-        edge_shaded += (cosine * visible[samples.edge.rows])[:, None] * sunlight
+        edge_shaded += _sun_at_edges(samples, visible, cells.sun)
     direct_sun = sun[..., 1:2] * sunlight
     shaded = direct_sun + open_sky + bounce
     return ShadowBuffers(
@@ -72,6 +71,13 @@ def resolve(
         _diffuse(detail, shaded, edge_shaded, share),
         _glossy(detail, cells, radiosity, visible, share),
     )
+
+
+def _sun_at_edges(
+    samples: PixelSamples, visible: Float32[np.ndarray, " n"], sun: Sun
+) -> Float32[np.ndarray, "e 3"]:
+    """Irradiance / pi of the sun on the samples at edges."""
+    return unshadowed_sun(samples.edge.normal_world, sun) * visible[samples.edge.rows, None]
 
 
 def _diffuse(

@@ -147,17 +147,27 @@ def trace_transport(
     traced = TracedPixels(
         index, np.concatenate([positions, normals], axis=1), int(has_surface.shape[1])
     )
-    spread = traced.spread(
-        np.flatnonzero(has_surface),
-        gbuffers.position_world[has_surface],
-        gbuffers.normal_world[has_surface],
-        gbuffers.depth_z_m[has_surface],
-        config,
-    )
+    pixel = np.flatnonzero(has_surface)
+    spread = _spread_to_centres(traced, pixel, gbuffers, config)
     occlusion = np.ones(has_surface.shape, dtype=np.float32)
     occlusion[has_surface] = spread(points.openness[:, None])[:, 0]
     detail = None if samples is None else _detail(samples, gbuffers, traced, glossy, config)
-    return TransportTable(points, np.flatnonzero(has_surface), spread, occlusion, detail)
+    return TransportTable(points, pixel, spread, occlusion, detail)
+
+
+def _spread_to_centres(
+    traced: TracedPixels,
+    pixel: Int64[np.ndarray, " p"],
+    gbuffers: GBuffers,
+    config: TransportConfig,
+) -> Spread:
+    return traced.spread(
+        pixel,
+        gbuffers.position_world.reshape(-1, 3)[pixel],
+        gbuffers.normal_world.reshape(-1, 3)[pixel],
+        gbuffers.depth_z_m.reshape(-1)[pixel],
+        config,
+    )
 
 
 def _detail(

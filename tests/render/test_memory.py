@@ -1,0 +1,37 @@
+"""Memory of a large frame, in a process of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+_SCRIPT = """
+import resource, sys
+sys.path.insert(0, sys.argv[1])
+import rendering_scenes as scenes
+from lightsim.render.gbuffers import render_gbuffers
+from lightsim.render.light import light
+from lightsim.render.samples import render_samples
+from lightsim.render.scene import make_static_scene, without_actors
+from lightsim.render.transport import TransportConfig, trace_transport
+
+scene = without_actors(make_static_scene([scenes.plane(80.0, 60), scenes.sphere((0, 0, 1), 1.0)]))
+lens, view = scenes.camera(1920, 1080, 1000.0), scenes.look_at((0, -9, 5), (0, 0, -3))
+config = TransportConfig(sky_rays=64, pixel_samples=4)
+buffers = render_gbuffers(scene, lens, view)
+samples = render_samples(scene, lens, view, buffers, config)
+table = trace_transport(scene, buffers, config, samples=samples)
+out = light(table, scene, buffers, scenes.sun_sky(1.0, 40.0, 0.3), config)
+assert buffers.has_surface.mean() > 0.9
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+@pytest.mark.slow
+def test_a_full_hd_frame_with_64_rays_stays_within_two_gigabytes():
+    command = [sys.executable, "-c", _SCRIPT, str(Path(__file__).parent)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=600)
+    assert int(done.stdout) * 1024 < 2e9
