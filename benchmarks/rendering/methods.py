@@ -30,7 +30,7 @@ Array = np.ndarray[Any, Any]
 
 
 class Frames:
-    """Neighbouring frames of one camera of a finished build."""
+    """Neighbouring frames of one camera of a finished build, without smooth normals."""
 
     def __init__(self, work: Path, camera_name: str, width_px: int) -> None:
         workspace = Workspace(work)
@@ -42,14 +42,16 @@ class Frames:
         self.camera: PinholeCamera = camera.scaled(width_px / camera.width_px)
         inferred = workspace.shadow_casters
         start = time.perf_counter()
-        self.static: StaticScene = make_static_scene(
+        static = make_static_scene(
             [twin.assets.background], [inferred] if len(inferred.faces) else []
         )
         self.static_seconds = time.perf_counter() - start
+        self.static: StaticScene = replace(static, normals=flat(static.normals))
         self.dome: SkyDome = twin.sky.dome
 
     def scene(self, number: int = 0) -> FrameScene:
-        return place(self.static, self._scenario, self.frames[number].time_ns)
+        scene = place(self.static, self._scenario, self.frames[number].time_ns)
+        return replace(scene, actor_normals=flat(scene.actor_normals))
 
     def view(self, number: int = 0) -> RigidTransform:
         """Without rolling shutter, which Cycles cannot have."""
@@ -58,6 +60,12 @@ class Frames:
     def skies(self, count: int) -> list[SkyDome]:
         """The twin's own sky turned in steps of 15 degrees."""
         return [self.dome.turned(15.0 * k) for k in range(count)]
+
+
+def flat(normals: Sequence[Array]) -> tuple[Array, ...]:
+    """No smooth normals: faces keep their own. Renderers differ in what they do with light that
+    comes from below a face but above its smooth normal; that is not to be compared here."""
+    return tuple(np.zeros_like(normal) for normal in normals)
 
 
 @dataclass

@@ -16,7 +16,7 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.errors import FrameMismatchError
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.light import light
-from lightsim.render.mitsuba_scene import choose_variant, rows_at_edges
+from lightsim.render.mitsuba_scene import choose_variant, corner_mesh, rows_at_edges
 from lightsim.render.path_tracer import PathTracer
 from lightsim.render.reference import ReferenceRenderer, Shot, open_irradiance_over_pi
 from lightsim.render.scene import make_static_scene, without_actors
@@ -96,6 +96,20 @@ def test_a_texture_lies_where_the_buffers_have_it(tracer):
     # All colours share their paths, so the noise drops out of their ratio.
     colour = 0.2 * radiance / radiance[..., 2:]
     np.testing.assert_allclose(colour[seen], buffers.base_colour[seen], rtol=1e-3)
+
+
+def test_hard_edges_are_not_rounded():
+    """A box that shares its corners' vertices, as reconstructed meshes do."""
+    corners = box((0, 0, 0), (2, 2, 2))
+    vertices, index = np.unique(corners.vertices, axis=0, return_inverse=True)
+    colour = np.full_like(vertices, 0.5)
+    shared = TriMesh("world", vertices, index.reshape(-1, 3).astype(np.int32), colour)
+    found = corner_mesh(shared, shared.vertex_normals())
+    expected = np.repeat(shared.face_normals(), 3, axis=0)
+    np.testing.assert_allclose(found.normals, expected, atol=1e-6)
+    ball = sphere((0, 0, 0), 1.0, 4)
+    found = corner_mesh(ball, ball.vertex_normals())
+    np.testing.assert_allclose(found.normals, found.vertices, atol=0.02)
 
 
 def test_edges_are_averaged_over_the_pixel(tracer):
