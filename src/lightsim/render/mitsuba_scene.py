@@ -21,7 +21,7 @@ _SPECULAR = 0.5
 """Reflects 4 % at normal incidence, an index of 1.5."""
 _LOWEST_BASE_COLOUR = 0.01
 """Diffuse radiance is divided by the base colour to get the light that arrives."""
-_LEAST_AGREEMENT = 0.8
+_LEAST_AGREEMENT = 0.85
 """Smooth normals farther off their face (hard edges) give way to the face's own: paths that leave
 on the wrong side of a face pass through open meshes and bring light from behind."""
 
