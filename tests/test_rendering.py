@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,9 +11,10 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
+from lightsim.core.mesh import TriMesh
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
-from lightsim.errors import InputError
+from lightsim.errors import InputError, MissingDependencyError
 from lightsim.progress import SilentProgress
 from lightsim.render.faces import TransportConfig
 from lightsim.render.light import prepare_sky
@@ -232,3 +234,22 @@ def test_pictures_are_right(tmp_path: Path) -> None:
     assert shadow.min() >= 0
     assert shadow.max() <= 1
     assert (image[0] > 0).all()
+
+
+def test_bounces_that_a_renderer_has_not_are_refused() -> None:
+    assert RendererChoice("path", bounces=8).settings["bounces"] == 8
+    for wrong in ({"bounces": 3}, {"bounces": 0}, {"name": "path", "bounces": 0}):
+        with pytest.raises(InputError, match="bounces"):
+            RendererChoice(**wrong)
+
+
+def test_denoising_needs_its_package_before_anything_is_rendered(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyoidn", None)
+    mesh = TriMesh("world", np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32),
+                   np.zeros((0, 3), np.float32))  # fmt: skip
+    choice = RendererChoice(is_denoised=True)
+    with pytest.raises(MissingDependencyError, match="denoise"):
+        make_renderer(choice, mesh, mesh, 0, has_images=True)
+    make_renderer(choice, mesh, mesh, 0, has_images=False)

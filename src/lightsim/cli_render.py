@@ -45,6 +45,10 @@ class Render:
     noisy."""
     pixel_samples: int = 4
     """Points of each pixel at which the ray table looks: 1, 4, 9, 16; more are smoother edges."""
+    bounces: int | None = None
+    """Of light between surfaces: 1 (default) or 2 with the ray table; 4 with the others."""
+    denoise: bool = False
+    """Remove noise from `image` with Open Image Denoise (extra `denoise`)."""
     blender_python: Path | None = None
     """Python 3.11 that has bpy 4.5, for --renderer cycles."""
     shard: str = ""
@@ -75,6 +79,8 @@ def run(command: Render) -> str:
             command.rays,
             command.pixel_samples,
             command.blender_python,
+            command.bounces,
+            command.denoise,
         ),
         shard=rendering.Shard.parse(command.shard),
         seed=command.seed,

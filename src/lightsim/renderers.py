@@ -22,7 +22,9 @@ from lightsim.render.transport import TransportConfig
 from lightsim.scene_setup import FrameRenderer
 
 _PATHS = 64
+_PATH_BOUNCES = 4
 RendererName = Literal["transport", "path", "cycles"]
+_MOST_BOUNCES: dict[RendererName, int] = {"transport": 2, "path": 64, "cycles": 64}
 
 
 @runtime_checkable
@@ -71,6 +73,9 @@ class RendererChoice:
             own number.
         pixel_samples: points of every pixel at which the ray table looks, a square number.
         blender_python: Python that has bpy, for "cycles"; None looks for it.
+        bounces: of light between surfaces; None for the renderer's own number (1 of the ray
+            table, which has at most 2; 4 of the others).
+        is_denoised: images pass Open Image Denoise.
     """
 
     name: RendererName = "transport"
@@ -78,16 +83,27 @@ class RendererChoice:
     rays: int | None = None
     pixel_samples: int = 4
     blender_python: Path | None = None
+    bounces: int | None = None
+    is_denoised: bool = False
 
     def __post_init__(self) -> None:
         if self.rays is not None and self.rays < 1:
             raise InputError("there must be rays", where="--rays", got=self.rays)
+        most = _MOST_BOUNCES[self.name]
+        if self.bounces is not None and not 1 <= self.bounces <= most:
+            raise InputError(
+                "the renderer has no such number of bounces",
+                where="--bounces",
+                got=self.bounces,
+                expected=f"1 to {most} with --renderer {self.name}",
+            )
 
     @property
     def settings(self) -> dict[str, Any]:
         """What decides the pictures but for noise; the backend does not."""
         samples = {"pixel_samples": self.pixel_samples} if self.name == "transport" else {}
-        return {"renderer": self.name, "rays": self.rays, **samples}
+        more = {"bounces": self.bounces, "is_denoised": self.is_denoised}
+        return {"renderer": self.name, "rays": self.rays, **samples, **more}
 
 
 def make_renderer(
@@ -102,9 +118,17 @@ def make_renderer(
         InputError: its backend is not available here.
         MissingDependencyError: its package is not installed.
     """
+    if choice.is_denoised and has_images:
+        from lightsim.render.denoise import check_installed
+
+        check_installed()
+        noisy = replace(choice, is_denoised=False)
+        return _Denoised(make_renderer(noisy, background, inferred, seed, has_images=True))
     if choice.name != "transport":
         return _reference(choice, background, inferred, seed)
     config = TransportConfig(pixel_samples=choice.pixel_samples)
+    if choice.bounces is not None:
+        config = replace(config, bounces=choice.bounces)
     if choice.rays is not None:
         config = replace(config, sky_rays=choice.rays)
     if not has_images:
@@ -132,4 +156,41 @@ def _reference(
 
         python = choice.blender_python
         tracer = Cycles(None if python is None else str(python))
-    return ReferenceRenderer(background, inferred, tracer, choice.rays or _PATHS, seed=seed)
+    bounces = choice.bounces or _PATH_BOUNCES
+    return ReferenceRenderer(
+        background, inferred, tracer, choice.rays or _PATHS, bounces=bounces, seed=seed
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Denoised:
+    """A renderer whose images pass Open Image Denoise; buffers and light stay as they are."""
+
+    renderer: Renderer
+
+    def prepare(self, sky: SkyDome) -> Any:
+        return self.renderer.prepare(sky)
+
+    def geometry(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> GBuffers:
+        return self.renderer.geometry(scenario, frame, camera)
+
+    def trace(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> TracedFrame:
+        return _DenoisedFrame(self.renderer.trace(scenario, frame, camera))
+
+
+@dataclass(frozen=True, eq=False)
+class _DenoisedFrame:
+    traced: TracedFrame
+
+    @property
+    def buffers(self) -> GBuffers:
+        return self.traced.buffers
+
+    def light(self, sky: Any) -> ShadowBuffers:
+        return self.traced.light(sky)
+
+    def image(self, sky: Any) -> Float32[np.ndarray, "h w 3"]:
+        from lightsim.render.denoise import denoise
+
+        buffers = self.buffers
+        return denoise(self.traced.image(sky), buffers.base_colour, buffers.normal_world)

@@ -9,6 +9,15 @@ from lightsim.errors import InputError, LightSimError
 from lightsim.optional import need
 
 
+def check_installed() -> None:
+    """Find out before the first frame is rendered.
+
+    Raises:
+        MissingDependencyError: pyoidn is not installed.
+    """
+    need("pyoidn", extra="denoise")
+
+
 def denoise(
     image: Float32[np.ndarray, "h w 3"],
     base_colour: Float32[np.ndarray, "h w 3"],
