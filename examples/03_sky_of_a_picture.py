@@ -1,0 +1,45 @@
+"""The HDR sky of a picture that shows a part of it, and the same sky under another sun.
+
+python examples/03_sky_of_a_picture.py [FOLDER]
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from lightsim.core.colour import srgb8_from_linear
+from lightsim.core.equirect import pixel_directions
+from lightsim.lighting.estimate import SkyConfig
+from lightsim.lighting.image_sky import estimate_from_panorama, panorama_from_image
+from lightsim.lighting.target import target_sky
+from lightsim.sky_networks import decoded_dome, edited_sky, predict_sky
+from lightsim.store.sky import write_sky
+
+
+def main() -> None:
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path("out/sky")
+
+    # In place of a photograph: a clear sky, exposed for its blue; cameras saw its lower 35 degrees.
+    dome, _, _ = target_sky("sun:40,30", geo=None, source=None, height_px=256)
+    level = np.median(dome.radiance[:128])
+    picture = srgb8_from_linear(np.clip(0.3 * dome.radiance / level, 0.0, 1.0))
+    is_seen = pixel_directions(256)[..., 2] < np.sin(np.radians(35.0))
+
+    panorama = panorama_from_image(picture, is_seen)
+    said = predict_sky(panorama)
+    estimate = estimate_from_panorama(picture, is_seen, None, SkyConfig(), said)
+    sys.stdout.write(f"{estimate.notes[0]}\n")
+
+    moved = edited_sky(estimate, panorama, "200,50", 1.0, None)
+    for name, sky in (("estimate", estimate), ("moved", moved)):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        write_sky(folder / name, sky, "sky.exr")
+    brightest = decoded_dome(panorama, sun_factor=2.0).radiance.max()
+    sys.stdout.write(f"with its sun twice as strong its brightest pixel is {brightest:.0f}\n")
+
+
+if __name__ == "__main__":
+    main()
