@@ -59,7 +59,9 @@ def test_the_same_sky_with_its_sun_elsewhere_and_stronger(panorama: Panorama) ->
     plain = decoded_dome(panorama, sun_direction=there)
     strong = decoded_dome(panorama, sun_direction=there, sun_factor=3.0)
     found = find_sun(plain.radiance)
-    assert found is not None and plain.sun is not None and strong.sun is not None
+    assert found is not None
+    assert plain.sun is not None
+    assert strong.sun is not None
     # Half the diagonal of a pixel of 2.8 degrees.
     assert angle_between_deg(found.direction_world, there) < 2.0
     assert strong.radiance.max() == pytest.approx(3.0 * plain.radiance.max(), rel=0.02)
