@@ -138,13 +138,14 @@ class Judge:
             with np.load(path) as found:
                 sums, count = found["sums"], int(found["count"])
         scene, view = frames.scene(), frames.view()
-        while count * _PASS < options.reference:
+        # Halves of equal size, and both there, or their difference tells nothing.
+        while count * _PASS < options.reference or count < 2 or count % 2:
             one = replace(shot, samples=_PASS)
             (picture,) = tracer.shoot(scene, frames.camera, view, [one], 1000 + count)
             sums[count % 2] += picture
             count += 1
             np.savez(path, sums=sums, count=count)
-        return np.stack([sums[0] / (count - count // 2), sums[1] / max(1, count // 2)])
+        return np.stack([sums[0] / (count - count // 2), sums[1] / (count // 2)])
 
     def _radiance(self, picture: Array) -> Array:
         return picture if self.is_image else picture * self.base
