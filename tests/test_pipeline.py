@@ -11,10 +11,11 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
-from lightsim.errors import ArtefactError, InputError
+from lightsim.errors import ArtefactError, InputError, MissingDependencyError
 from lightsim.ingest.synthetic import shipped_street
 from lightsim.pipeline import BuildOptions, build, status
 from lightsim.progress import SilentProgress
+from lightsim.renderers import RendererChoice
 from lightsim.rendering import RenderOptions, render
 from lightsim.scenarios import RelightOptions, relight
 from lightsim.skies import SkyChoice
@@ -153,6 +154,11 @@ def test_buffers_are_written_as_exr(work: Path, tmp_path: Path) -> None:
     for other in (replace(chosen, seed=1), replace(chosen, skies=(SkyChoice("sun:10,20"),))):
         with pytest.raises(InputError, match="other settings"):
             render(work, tmp_path, other, SilentProgress())
+    no_blender = RendererChoice("cycles", blender_python=tmp_path / "nowhere")
+    empty = tmp_path / "empty"
+    with pytest.raises(MissingDependencyError, match="nowhere"):
+        render(work, empty, replace(chosen, renderer=no_blender), SilentProgress())
+    assert not empty.exists()
 
 
 def test_wrong_words_are_named(tmp_path: Path) -> None:

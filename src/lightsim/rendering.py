@@ -212,9 +212,10 @@ def render(work: Path, out: Path, options: RenderOptions, progress: Progress) ->
     mine = options.shard.of(frames)
     skies = options.sky_by_name
     layout = Layout(out, options.what, tuple(skies))
-    _claim(layout, workspace, options, scale)
     pending = [frame for frame in mine if not layout.is_done(frame)]
-    if pending:
+    if not pending:
+        _claim(layout, workspace, options, scale)
+    else:
         twin = workspace.twin
         renderer = make_renderer(
             options.renderer,
@@ -223,6 +224,8 @@ def render(work: Path, out: Path, options: RenderOptions, progress: Progress) ->
             options.seed,
             has_images="image" in options.what,
         )
+        # Not before: a renderer that is not installed must leave no claim behind.
+        _claim(layout, workspace, options, scale)
         prepared = _prepare_skies(layout, skies, renderer, workspace)
         scenario = replay(twin, "render", frames)
         write_frames(layout, renderer, scenario, log.cameras, pending, prepared, progress)
