@@ -170,7 +170,7 @@ def _show(report: _Report, out: Path | None) -> None:
 
 def estimate_sky(command: cli.SkyEstimateCommand) -> None:
     from lightsim.lighting.estimate import SkyConfig
-    from lightsim.lighting.image_sky import estimate_from_panorama, panorama_from_image
+    from lightsim.lighting.image_sky import estimate_from_picture, panorama_from_image
     from lightsim.skies import sun_of_command
     from lightsim.sky_networks import edited_sky, predict_sky
     from lightsim.store.images import read_srgb8_alpha
@@ -181,7 +181,7 @@ def estimate_sky(command: cli.SkyEstimateCommand) -> None:
     try:
         panorama = panorama_from_image(picture, alpha > 127)
         prediction = predict_sky(panorama)
-        estimate = estimate_from_panorama(picture, alpha > 127, sun, SkyConfig(), prediction)
+        estimate = estimate_from_picture(panorama, sun, SkyConfig(), prediction)
     except InputError as error:
         raise error.at(command.panorama) from error
     if command.move_sun is not None or command.sun_factor != 1.0:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
 from lightsim.core.mesh import TriMesh
+from lightsim.errors import FrameMismatchError
 
 MISS = -1
 """face_index of a ray that hit nothing."""
@@ -31,6 +32,16 @@ class RayHits:
     face_index: Int32[np.ndarray, " n"]
     barycentric: Float32[np.ndarray, "n 3"]
 
+    @classmethod
+    def misses(cls, count: int) -> RayHits:
+        """Of rays that meet nothing, to be filled in."""
+        return cls(
+            np.full(count, np.inf, dtype=np.float32),
+            np.full(count, MISS, dtype=np.int32),
+            np.full(count, MISS, dtype=np.int32),
+            np.zeros((count, 3), dtype=np.float32),
+        )
+
     @property
     def is_hit(self) -> Bool[np.ndarray, " n"]:
         return self.face_index != MISS
@@ -50,6 +61,19 @@ class RayCaster(Protocol):
     def is_occluded(
         self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
     ) -> Bool[np.ndarray, " n"]: ...
+
+
+def check_world(meshes: Sequence[TriMesh]) -> None:
+    """Rays are cast in frame `world` alone.
+
+    Raises:
+        FrameMismatchError: a mesh lies in another frame.
+    """
+    for mesh in meshes:
+        if mesh.frame != "world":
+            raise FrameMismatchError(
+                "rays are cast in frame 'world'", got=mesh.frame, expected="world"
+            )
 
 
 MakeCaster = Callable[[Sequence[TriMesh]], RayCaster]

@@ -44,7 +44,16 @@ def estimate_from_panorama(
     Raises:
         InputError: the picture is not 2:1, too small, or shows no sky.
     """
-    panorama = panorama_from_image(srgb8, is_observed)
+    return estimate_from_picture(panorama_from_image(srgb8, is_observed), sun, config, prediction)
+
+
+def estimate_from_picture(
+    panorama: Panorama,
+    sun: SunDirection | None,
+    config: SkyConfig,
+    prediction: SkyPrediction | None = None,
+) -> SkyEstimate:
+    """As `estimate_from_panorama`, of what `panorama_from_image` made of the picture."""
     if sun is None:
         sun = sun_direction(picture_sun(panorama, prediction), None)
     return estimate_sky(panorama, sun, None, config, prediction=prediction)

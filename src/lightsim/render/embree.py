@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
-from lightsim.core.casting import MISS, RayHits
+from lightsim.core.casting import MISS, RayHits, check_world
 from lightsim.core.mesh import TriMesh
-from lightsim.errors import FrameMismatchError
 
 _CHUNK_RAYS = 1 << 18
 _MIN_OFFSET_ULPS = 8.0
@@ -28,11 +27,7 @@ class EmbreeCaster:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
-        for mesh in meshes:
-            if mesh.frame != "world":
-                raise FrameMismatchError(
-                    "rays are cast in frame 'world'", got=mesh.frame, expected="world"
-                )
+        check_world(meshes)
         self._meshes = tuple(meshes)
         filled = [i for i, mesh in enumerate(meshes) if len(mesh.faces)]
         self._mesh_by_geometry = np.array(filled, dtype=np.int32)
@@ -55,21 +50,18 @@ class EmbreeCaster:
     ) -> RayHits:
         """First hits along unit directions, from distance 0 on."""
         count = len(origins_world)
-        distance = np.full(count, np.inf, dtype=np.float32)
-        mesh_index = np.full(count, MISS, dtype=np.int32)
-        face_index = np.full(count, MISS, dtype=np.int32)
-        barycentric = np.zeros((count, 3), dtype=np.float32)
+        hits = RayHits.misses(count)
         if self._scene is None:
-            return RayHits(distance, mesh_index, face_index, barycentric)
+            return hits
         for part, origins, directions in _chunks(origins_world, directions_world):
             found = self._scene.run(origins, directions, output=True)
             face = found["primID"]
             is_hit = face != MISS
-            face_index[part] = face
-            mesh_index[part] = np.where(is_hit, self._mesh_by_geometry[found["geomID"]], MISS)
-            distance[part] = np.where(is_hit, found["tfar"], np.float32(np.inf))
-            barycentric[part] = _weights(found["u"], found["v"], face)
-        return RayHits(distance, mesh_index, face_index, barycentric)
+            hits.face_index[part] = face
+            hits.mesh_index[part] = np.where(is_hit, self._mesh_by_geometry[found["geomID"]], MISS)
+            hits.distance_m[part] = np.where(is_hit, found["tfar"], np.float32(np.inf))
+            hits.barycentric[part] = _weights(found["u"], found["v"], face)
+        return hits
 
     def is_occluded(
         self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]

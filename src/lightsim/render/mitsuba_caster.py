@@ -14,9 +14,9 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-from lightsim.core.casting import MISS, MakeCaster, RayHits
+from lightsim.core.casting import MakeCaster, RayHits, check_world
 from lightsim.core.mesh import TriMesh
-from lightsim.errors import FrameMismatchError, InputError
+from lightsim.errors import InputError
 
 MitsubaBackend = Literal["cuda", "llvm"]
 _VARIANTS: dict[MitsubaBackend, str] = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb"}
@@ -37,11 +37,7 @@ class MitsubaCaster:
     """
 
     def __init__(self, meshes: Sequence[TriMesh], backend: MitsubaBackend) -> None:
-        for mesh in meshes:
-            if mesh.frame != "world":
-                raise FrameMismatchError(
-                    "rays are cast in frame 'world'", got=mesh.frame, expected="world"
-                )
+        check_world(meshes)
         self._meshes = tuple(meshes)
         self._backend: MitsubaBackend = backend
         self._first_face = np.cumsum([0] + [len(mesh.faces) for mesh in meshes])
@@ -59,11 +55,7 @@ class MitsubaCaster:
     ) -> RayHits:
         """First hits along unit directions, from distance 0 on."""
         count = len(origins_world)
-        distance = np.full(count, np.inf, dtype=np.float32)
-        mesh_index = np.full(count, MISS, dtype=np.int32)
-        face_index = np.full(count, MISS, dtype=np.int32)
-        barycentric = np.zeros((count, 3), dtype=np.float32)
-        hits = RayHits(distance, mesh_index, face_index, barycentric)
+        hits = RayHits.misses(count)
         if self._scene is None:
             return hits
         import drjit
