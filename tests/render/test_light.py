@@ -210,3 +210,21 @@ def test_half_resolution_shading_stays_close_to_full():
     seen = full[0].has_surface
     error = np.abs(full[2].shaded - half[2].shaded)[seen]
     assert error.mean() < 0.02 * full[2].shaded[seen].mean()
+
+
+def test_a_coarse_ball_does_not_shadow_itself_where_its_smooth_normals_see_the_sun():
+    """The shadow terminator: faces that turn away from the sun lie inside the ball they stand
+    for, and rays start on that ball."""
+    sky = sun_sky(0.3, 15.0)
+    _, sun = split_sun(sky)
+    assert sun is not None
+    ball = sphere((0, 0, 0.5), 0.4, subdivisions=1)
+    view = look_at((1.0, -3.0, 1.0), (0.0, 0.0, 0.5))
+    gbuffers, _, out = _render([ball], sky, view=view, size=(128, 96, 400.0))
+    facing = gbuffers.has_surface & (gbuffers.normal_world @ sun.direction_world > 0.1)
+    assert facing.sum() > 100
+    np.testing.assert_array_equal(out.sun_visibility[facing], 1.0)
+    radius = np.linalg.norm(gbuffers.ray_starts_world - [0, 0, 0.5], axis=-1)
+    flat = np.linalg.norm(gbuffers.position_world - [0, 0, 0.5], axis=-1)
+    seen = gbuffers.has_surface
+    assert np.abs(radius[seen] - 0.4).max() < 0.7 * np.abs(flat[seen] - 0.4).max()

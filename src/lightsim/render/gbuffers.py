@@ -46,7 +46,8 @@ def render_gbuffers(
     """
     config = config or GBufferConfig()
     height, width = camera.height_px, camera.width_px
-    out = _empty(height, width)
+    bulge = np.zeros((height, width, 3), dtype=np.float32)
+    out = replace(_empty(height, width), bulge_world=bulge)
     centres = camera.pixel_centres()
     band = max(1, BAND_RAYS // width)
     for start in range(0, height, band):
@@ -57,6 +58,7 @@ def render_gbuffers(
         out.position_world.reshape(-1, 3)[index] = seen.position_world
         out.normal_world.reshape(-1, 3)[index] = seen.normal_world
         out.base_colour.reshape(-1, 3)[index] = seen.base_colour
+        bulge.reshape(-1, 3)[index] = seen.bulge_world
         out.actor_index.reshape(-1)[index] = scene.actor_index[seen.hits.mesh_index]
     return out
 
@@ -80,6 +82,7 @@ class SeenSurfaces:
     Args:
         rows: of the rays that meet a surface; the other fields hold these alone.
         hits: the faces.
+        bulge_world: see core.buffers.GBuffers.
         towards_camera: unit.
     """
 
@@ -88,6 +91,7 @@ class SeenSurfaces:
     depth_z_m: Float32[np.ndarray, " n"]
     position_world: Float32[np.ndarray, "n 3"]
     normal_world: Float32[np.ndarray, "n 3"]
+    bulge_world: Float32[np.ndarray, "n 3"]
     base_colour: Float32[np.ndarray, "n 3"]
     towards_camera: Float32[np.ndarray, "n 3"]
 
@@ -108,13 +112,14 @@ def see(
     depth = distance * camera.directions(uv[rows])[:, 2]
     towards = directions[rows]
     position = origins[rows] + distance[:, None] * towards
-    normal, colour = _surface(scene, hits, towards)
+    normal, bulge, colour = _surface(scene, hits, towards)
     return SeenSurfaces(
         rows,
         hits,
         depth.astype(np.float32),
         position.astype(np.float32),
         normal,
+        bulge,
         colour,
         (-towards).astype(np.float32),
     )
@@ -150,13 +155,14 @@ def _select(hits: RayHits, rows: Shaped[np.ndarray, " k"]) -> RayHits:
 
 def _surface(
     scene: FrameScene, hits: RayHits, directions_world: Float[np.ndarray, "n 3"]
-) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
-    """Shading normal that faces the ray, and base colour, at each hit."""
+) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
+    """Shading normal that faces the ray, bulge and base colour at each hit."""
     from lightsim.render.transport_kernels import shading_normals
 
     meshes: Sequence[TriMesh] = scene.camera_meshes
     normal = np.zeros((len(hits.distance_m), 3), dtype=np.float32)
-    colour = np.zeros((len(hits.distance_m), 3), dtype=np.float32)
+    bulge = np.zeros_like(normal)
+    colour = np.zeros_like(normal)
     order = np.argsort(hits.mesh_index, kind="stable")
     bounds = np.searchsorted(hits.mesh_index[order], np.arange(len(meshes) + 1))
     for k, mesh in enumerate(meshes):
@@ -165,14 +171,15 @@ def _surface(
             continue
         face, barycentric = hits.face_index[rows], hits.barycentric[rows]
         colour[rows] = mesh.colour_at(face, barycentric)
-        found = np.empty((len(rows), 3), dtype=np.float32)
+        found = np.empty((2, len(rows), 3), dtype=np.float32)
         shading_normals(
             (mesh.vertices, mesh.faces),
             scene.camera_normals[k],
             face,
             barycentric,
             directions_world[rows],
-            found,
+            found[0],
+            found[1],
         )
-        normal[rows] = found
-    return normal, colour
+        normal[rows], bulge[rows] = found
+    return normal, bulge, colour

@@ -85,7 +85,7 @@ def trace_glossy(
         )
         uv = uv_from_directions(directions)
         table.directions_uv[part] = np.minimum(uv * 65536.0, 65535.0).astype(np.uint16)
-        positions = samples.position_world[points.rows[part]]
+        positions = samples.ray_starts_world[points.rows[part]]
         origins = offset_origins(positions, normals, config.origin_offset_m)
         sides = finder.met(np.repeat(origins, count, axis=0), directions.reshape(-1, 3))
         table.face_rows[part] = sides.reshape(-1, count)
@@ -125,7 +125,7 @@ def reflection_smoothing(
     pixel = np.flatnonzero(is_rough & gbuffers.has_surface.reshape(-1))
     index = np.full(len(is_rough), -1, dtype=np.int32)
     index[pixel] = np.arange(len(pixel), dtype=np.int32)
-    position = gbuffers.position_world.reshape(-1, 3)[pixel]
+    position = gbuffers.ray_starts_world.reshape(-1, 3)[pixel]
     normal = gbuffers.normal_world.reshape(-1, 3)[pixel]
     near = TracedPixels(
         index.reshape(shape), np.concatenate([position, normal], axis=1), int(shape[1])

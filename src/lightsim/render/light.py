@@ -109,7 +109,7 @@ def _at_centres(
         has_surface = gbuffers.has_surface
         normals = gbuffers.normal_world[has_surface]
         visibility[has_surface] = sun_visibility(
-            scene.caster, gbuffers.position_world[has_surface], normals, cells.sun, config
+            scene.caster, gbuffers.ray_starts_world[has_surface], normals, cells.sun, config
         )
         sun_image[has_surface] = unshadowed_sun(normals, cells.sun)
     direct_sun = sun_image * visibility[..., None]

@@ -123,7 +123,7 @@ def _add_sun(
         facing = np.flatnonzero(cosine > 0)
         pixel = samples.pixel[part][facing]
         origins = offset_origins(
-            samples.position_world[part][facing], normals[facing], config.origin_offset_m
+            samples.ray_starts_world[part][facing], normals[facing], config.origin_offset_m
         )
         chosen = (hashed_shifts(pixel.astype(np.int64), 7)[:, 0] * PATTERNS).astype(np.int64)
         which = samples.number[part][facing, None] + samples.per_pixel * np.arange(rays)

@@ -46,7 +46,7 @@ class PixelSamples:
         per_pixel: how many points were looked at.
         pixel: flat number of the pixel of each sample.
         number: of the sample within its pixel.
-        position_world: of each sample.
+        ray_starts_world: of each sample, see core.buffers.GBuffers.
         base_colour: mean over the samples of a pixel; 0 without a surface.
         coverage: share of each pixel's samples that show a surface.
         edge: samples of pixels that show more than one surface; the samples of other pixels lie
@@ -57,7 +57,7 @@ class PixelSamples:
     per_pixel: int
     pixel: Int32[np.ndarray, " n"]
     number: UInt8[np.ndarray, " n"]
-    position_world: Float32[np.ndarray, "n 3"]
+    ray_starts_world: Float32[np.ndarray, "n 3"]
     base_colour: Float32[np.ndarray, "h w 3"]
     coverage: Float32[np.ndarray, "h w"]
     edge: SurfacePoints
@@ -158,7 +158,7 @@ class _Gathered:
         for found, chosen in ((self._edges, is_edge[local]), (self._glossy, is_glossy)):
             points = _points(seen, np.flatnonzero(chosen), roughness, metallic)
             found.append(replace(points, rows=points.rows + self._total))
-        self._append(band.start + local, number, seen.position_world)
+        self._append(band.start + local, number, seen.position_world + seen.bulge_world)
 
     def _append(
         self,
@@ -175,7 +175,7 @@ class _Gathered:
         buffers = self._gbuffers
         shape = buffers.depth_z_m.shape
         missed = np.flatnonzero((self._coverage == 0) & buffers.has_surface.reshape(-1))
-        positions = buffers.position_world.reshape(-1, 3)
+        positions = buffers.ray_starts_world.reshape(-1, 3)
         self._append(missed, np.zeros_like(missed), positions[missed])
         self._colour[missed] = buffers.base_colour.reshape(-1, 3)[missed]
         return PixelSamples(

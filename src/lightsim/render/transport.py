@@ -126,7 +126,7 @@ def trace_transport(
         samples: from `render.samples.render_samples`, for anti-aliased images and reflections.
     """
     rows, columns, index = _traced_pixels(gbuffers.has_surface, config.shading_step_px)
-    positions = gbuffers.position_world[rows, columns]
+    positions = gbuffers.ray_starts_world[rows, columns]
     normals = gbuffers.normal_world[rows, columns]
     shifts = pixel_shifts(rows, columns, config.shading_step_px, seed)
     finder = SideFinder(scene.caster)
@@ -163,7 +163,7 @@ def _spread_to_centres(
 ) -> Spread:
     return traced.spread(
         pixel,
-        gbuffers.position_world.reshape(-1, 3)[pixel],
+        gbuffers.ray_starts_world.reshape(-1, 3)[pixel],
         gbuffers.normal_world.reshape(-1, 3)[pixel],
         gbuffers.depth_z_m.reshape(-1)[pixel],
         config,
@@ -180,7 +180,7 @@ def _detail(
     edge = samples.edge
     spread = traced.spread(
         samples.pixel[edge.rows],
-        samples.position_world[edge.rows],
+        samples.ray_starts_world[edge.rows],
         edge.normal_world,
         edge.depth_z_m,
         config,

@@ -15,6 +15,8 @@ from numba import njit, prange
 
 BLOCKED = np.uint16(65535)
 """Sky cell of a face ray that meets geometry."""
+MAX_LIFT_M = 0.04
+"""Rays start off their face by no more than this for the sake of smooth normals."""
 _GOLDEN_2D = (0.7548776662466927, 0.5698402909980532)
 """The R2 sequence (Roberts 2018): even cover of the unit square by any number of points."""
 
@@ -270,13 +272,18 @@ def sides_of_hits(first_face, normals, mesh_index, face_index, directions, out):
 
 @njit(cache=True, parallel=True)
 @no_type_check
-def shading_normals(mesh, smooth, face_index, barycentric, directions, out):
+def shading_normals(mesh, smooth, face_index, barycentric, directions, out, lift):
     """Unit normals between the vertices' on the side that rays meet; the face's own where the
-    smooth one is (nearly) perpendicular to it or absent. `mesh` is (vertices, faces)."""
+    smooth one is (nearly) perpendicular to it or absent. `mesh` is (vertices, faces).
+
+    `lift` becomes the way from the flat face to the bulging surface that the smooth normals tell
+    of (Hanika 2021, Ray Tracing Gems II, ch. 4: the shadow terminator), MAX_LIFT_M at most: faces
+    that turn away from the sun while their smooth normals do not would else shadow themselves.
+    """
     vertices, faces = mesh
     for r in prange(len(face_index)):
-        i, j, k = faces[face_index[r]]
-        a, b, c = vertices[i], vertices[j], vertices[k]
+        corner = faces[face_index[r]]
+        a, b, c = vertices[corner[0]], vertices[corner[1]], vertices[corner[2]]
         n = np.zeros(3)
         flat = np.zeros(3)
         for m in range(3):
@@ -284,18 +291,35 @@ def shading_normals(mesh, smooth, face_index, barycentric, directions, out):
             flat[m] = np.float64(b[p] - a[p]) * (c[q] - a[q]) - np.float64(b[q] - a[q]) * (
                 c[p] - a[p]
             )
-            n[m] = (
-                barycentric[r, 0] * smooth[i, m]
-                + barycentric[r, 1] * smooth[j, m]
-                + barycentric[r, 2] * smooth[k, m]
-            )
+            for v in range(3):
+                n[m] += barycentric[r, v] * smooth[corner[v], m]
         flat /= max(np.sqrt((flat * flat).sum()), 1e-30)
         n /= max(np.sqrt((n * n).sum()), 1e-30)
         agreement = (n * flat).sum()
+        side = 1.0
         if abs(agreement) < 0.1:
             n[:] = flat
         elif agreement < 0:
             n[:] = -n
+            side = -1.0
         away = flat[0] * directions[r, 0] + flat[1] * directions[r, 1] + flat[2] * directions[r, 2]
+        if away > 0:
+            n[:] = -n
+            side = -side
+        bulge = np.zeros(3)
+        for v in range(3):
+            below = 0.0
+            for m in range(3):
+                gap = (
+                    barycentric[r, 0] * np.float64(a[m] - vertices[corner[v], m])
+                    + barycentric[r, 1] * np.float64(b[m] - vertices[corner[v], m])
+                    + barycentric[r, 2] * np.float64(c[m] - vertices[corner[v], m])
+                )
+                below += gap * side * smooth[corner[v], m]
+            for m in range(3):
+                bulge[m] -= barycentric[r, v] * min(0.0, below) * side * smooth[corner[v], m]
+        length = np.sqrt((bulge * bulge).sum())
+        shrink = min(1.0, MAX_LIFT_M / max(length, 1e-30))
         for m in range(3):
-            out[r, m] = -n[m] if away > 0 else n[m]
+            out[r, m] = n[m]
+            lift[r, m] = shrink * bulge[m]
