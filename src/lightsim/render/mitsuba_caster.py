@@ -43,8 +43,8 @@ class MitsubaCaster:
         self._first_face = np.cumsum([0] + [len(mesh.faces) for mesh in meshes])
         self._scene: Any = None
         if self._first_face[-1]:
-            with _variant(backend) as mitsuba:
-                self._scene = _make_scene(mitsuba, self._meshes)
+            with variant_of(backend) as mitsuba:
+                self._scene = make_mitsuba_scene(mitsuba, self._meshes)
 
     @property
     def meshes(self) -> Sequence[TriMesh]:
@@ -60,7 +60,7 @@ class MitsubaCaster:
             return hits
         import drjit
 
-        with _variant(self._backend) as mitsuba:
+        with variant_of(self._backend) as mitsuba:
             for start in range(0, count, _CHUNK_RAYS):
                 part = slice(start, start + _CHUNK_RAYS)
                 rays = _rays(mitsuba, origins_world[part], directions_world[part])
@@ -94,7 +94,7 @@ class MitsubaCaster:
         occluded = np.zeros(len(origins_world), dtype=bool)
         if self._scene is None:
             return occluded
-        with _variant(self._backend) as mitsuba:
+        with variant_of(self._backend) as mitsuba:
             for start in range(0, len(origins_world), _CHUNK_RAYS):
                 part = slice(start, start + _CHUNK_RAYS)
                 rays = _rays(mitsuba, origins_world[part], directions_world[part])
@@ -160,7 +160,7 @@ def _has_llvm() -> bool:
 
 
 @contextmanager
-def _variant(backend: MitsubaBackend) -> Generator[Any]:
+def variant_of(backend: MitsubaBackend) -> Generator[Any]:
     """Mitsuba with the backend's variant; the caller's variant comes back afterwards."""
     import mitsuba
 
@@ -174,7 +174,8 @@ def _variant(backend: MitsubaBackend) -> Generator[Any]:
             mitsuba.set_variant(previous)
 
 
-def _make_scene(mitsuba: Any, meshes: Sequence[TriMesh]) -> Any:
+def make_mitsuba_scene(mitsuba: Any, meshes: Sequence[TriMesh]) -> Any:
+    """One shape of all meshes, in Mitsuba's present variant; there must be faces."""
     first_vertex = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
     vertices = np.concatenate([mesh.vertices for mesh in meshes]).astype(np.float32)
     faces = np.concatenate(
