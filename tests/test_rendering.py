@@ -236,10 +236,10 @@ def test_pictures_are_right(tmp_path: Path) -> None:
     assert (image[0] > 0).all()
 
 
-def test_bounces_that_a_renderer_has_not_are_refused() -> None:
+def test_impossible_numbers_of_bounces_are_refused() -> None:
     assert RendererChoice("path", bounces=8).settings["bounces"] == 8
-    with pytest.raises(InputError, match="1 to 2"):
-        RendererChoice(bounces=3)
+    with pytest.raises(InputError, match="1 to 64"):
+        RendererChoice(bounces=65)
     with pytest.raises(InputError, match="bounces"):
         RendererChoice("path", bounces=0)
 

@@ -24,7 +24,7 @@ from lightsim.scene_setup import FrameRenderer
 _PATHS = 64
 _PATH_BOUNCES = 4
 RendererName = Literal["transport", "path", "cycles"]
-_MOST_BOUNCES: dict[RendererName, int] = {"transport": 2, "path": 64, "cycles": 64}
+_MOST_BOUNCES = 64
 
 
 @runtime_checkable
@@ -74,7 +74,7 @@ class RendererChoice:
         pixel_samples: points of every pixel at which the ray table looks, a square number.
         blender_python: Python that has bpy, for "cycles"; None looks for it.
         bounces: of light between surfaces; None for the renderer's own number (1 of the ray
-            table, which has at most 2; 4 of the others).
+            table, 4 of the others).
         is_denoised: images pass Open Image Denoise.
     """
 
@@ -89,13 +89,12 @@ class RendererChoice:
     def __post_init__(self) -> None:
         if self.rays is not None and self.rays < 1:
             raise InputError("there must be rays", where="--rays", got=self.rays)
-        most = _MOST_BOUNCES[self.name]
-        if self.bounces is not None and not 1 <= self.bounces <= most:
+        if self.bounces is not None and not 1 <= self.bounces <= _MOST_BOUNCES:
             raise InputError(
-                "the renderer has no such number of bounces",
+                "there is no such number of bounces",
                 where="--bounces",
                 got=self.bounces,
-                expected=f"1 to {most} with --renderer {self.name}",
+                expected=f"1 to {_MOST_BOUNCES}",
             )
 
     @property

@@ -1,4 +1,4 @@
-"""Two bounces of light, linearity of every output, and all casters."""
+"""Several bounces of light, linearity of every output, and all casters."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from lightsim.render.light import light
 from lightsim.render.samples import render_samples
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport import TransportConfig, exact, static_face_table, trace_transport
+from lightsim.render.transport_kernels import fill_unlisted
 
 _VIEW = look_at((0.0, -9.0, 5.0), (0.0, 0.0, 0.5))
 
@@ -37,7 +38,7 @@ def _integrating_sphere(albedo: float, opening_deg: float):
     return replace(ball, faces=ball.faces[kept])
 
 
-@pytest.mark.parametrize("bounces", [1, 2])
+@pytest.mark.parametrize("bounces", [1, 2, 5, 40])
 def test_light_in_an_integrating_sphere(bounces):
     """From anywhere on a sphere every part of it fills its share of the area in form factor: with
     an opening of share f, direct light is f, and every bounce adds a factor albedo x (1 - f)."""
@@ -51,7 +52,7 @@ def test_light_in_an_integrating_sphere(bounces):
     table = trace_transport(scene, gbuffers, config)
     out = light(table, scene, gbuffers, constant_sky((1.0, 1.0, 1.0)), config)
     kept = albedo * (1 - share)
-    expected = share * (1 + kept + (kept**2 if bounces == 2 else 0.0))
+    expected = share * (1 - kept ** (bounces + 1)) / (1 - kept)
     assert out.shaded.mean() == pytest.approx(expected, rel=0.01)
     assert np.abs(out.shaded - expected).max() < 0.12 * expected
 
@@ -111,6 +112,30 @@ def test_every_caster_throws_a_pole_s_shadow_away_from_the_sun(make_caster, azim
     assert (points @ away).max() == pytest.approx(4.0, abs=0.3)
 
 
-def test_three_bounces_are_refused():
-    with pytest.raises(InputError, match="once or twice"):
-        TransportConfig(bounces=3)
+@pytest.mark.parametrize(("face_rays", "least"), [(1, 0.0), (16, 0.99)])
+def test_a_white_furnace_never_gains_light(face_rays, least):
+    """However many bounces, and though most faces are met by no ray of the table."""
+    scene = without_actors(make_static_scene([_integrating_sphere(1.0, 60.0)]))
+    config = TransportConfig(bounces=100, sky_rays=8, face_rays=face_rays)
+    view = look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0))
+    gbuffers = render_gbuffers(scene, camera(32, 24, 20.0), view)
+    table = trace_transport(scene, gbuffers, config)
+    out = light(table, scene, gbuffers, constant_sky((1.0, 1.0, 1.0)), config)
+    seen = out.shaded[gbuffers.has_surface]
+    assert seen.max() < 1 + 1e-5
+    assert seen.mean() > least
+
+
+def test_rays_that_meet_unlisted_faces_follow_the_others():
+    rows = np.array(
+        [[-2, 5, -1, -2, 7, -2], [-2, -2, -1, -1, -2, -2], [-1, -2, -1, 3, -2, -1]], np.int32
+    )
+    fill_unlisted(rows)
+    np.testing.assert_array_equal(
+        rows, [[7, 5, -1, 5, 7, 7], [-1, -1, -1, -1, -1, -1], [-1, 3, -1, 3, 3, -1]]
+    )
+
+
+def test_no_bounces_are_refused():
+    with pytest.raises(InputError, match="at least once"):
+        TransportConfig(bounces=0)

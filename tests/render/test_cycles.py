@@ -94,6 +94,27 @@ def test_materials_reach_blender(cycles):
     assert means[1] < 0.8
 
 
+@pytest.mark.slow
+@pytest.mark.blender
+def test_rough_dielectrics_reflect_diffusely_alone(cycles):
+    """The same as Lambert surfaces, bounces included; smooth ones are not."""
+    sky = sun_sky(-1.0, 40.0, 0.4)
+    shots = [Shot(sky, 64, 2, kind, is_antialiased=False) for kind in ("principled", "diffuse")]
+    found = []
+    for roughness in (0.9, 0.2):
+        material = (Material(roughness, 0.0, "paint"),)
+        meshes = [
+            replace(mesh, materials=material)
+            for mesh in (plane(12.0, 60, 0.5), sphere((0.0, 0.5, 1.0), 1.0, 5, 0.4))
+        ]
+        scene = without_actors(make_static_scene(meshes))
+        principled, diffuse = cycles.shoot(scene, _LENS, _VIEW, shots, 0)
+        seen = render_gbuffers(scene, _LENS, _VIEW).has_surface
+        found.append(principled[seen].mean() / diffuse[seen].mean())
+    assert found[0] == pytest.approx(1.0, abs=0.005)
+    assert abs(found[1] - 1.0) > 0.01
+
+
 @pytest.mark.blender
 def test_blenders_own_words_reach_the_user(cycles):
     scene = without_actors(make_static_scene([plane()]))

@@ -10,12 +10,17 @@ from jaxtyping import Float, Float32, Int, Int32, UInt8
 from lightsim.core.frames import RigidTransform
 from lightsim.errors import FrameMismatchError, InputError
 
+MATTE_ROUGHNESS = 0.6
+"""Dielectrics at least this rough reflect diffusely alone: their base colour was found as all of
+the light that they reflect, so a specular lobe on top would count some of it twice."""
+
 
 @dataclass(frozen=True)
 class Material:
     """Principled parameters (Burley 2012) of one class of surfaces; base colour lies on the mesh.
 
     Args:
+        roughness: from MATTE_ROUGHNESS on, only metals have a specular lobe.
         name: the class, such as "car paint"; unique within a mesh.
     """
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32, Int32, Int64, UInt16
 
 from lightsim.core.casting import RayCaster
-from lightsim.core.mesh import TriMesh
+from lightsim.core.mesh import MATTE_ROUGHNESS, TriMesh
 from lightsim.errors import InputError
 from lightsim.render.embree import offset_origins
 from lightsim.render.sides import OPEN, SideFinder
@@ -38,19 +38,19 @@ class TransportConfig:
     origin_offset_m: float = 2e-3
     """Distance by which rays start off their surface."""
     bounces: int = 1
-    """2 adds the light that met faces get from other faces."""
+    """Of light between surfaces. 2 takes a second level of faces and rays; more cost sums only."""
     pixel_samples: int = 1
     """Points of every pixel that are looked at, a square number; 1 takes the centre."""
     glossy_rays: int = 8
     """Rays per pixel for reflections; 0 leaves them out."""
-    glossy_max_roughness: float = 0.6
+    glossy_max_roughness: float = MATTE_ROUGHNESS
     """Surfaces at least this rough do not reflect."""
     device: str = "cpu"
     """Where the sums over pixel rays are taken: "cpu" (numba), or a device of torch."""
 
     def __post_init__(self) -> None:
-        if self.bounces not in (1, 2):
-            raise InputError("light bounces once or twice", got=self.bounces, expected="1 or 2")
+        if self.bounces < 1:
+            raise InputError("light bounces at least once", got=self.bounces, expected="1 or more")
         side = round(max(self.pixel_samples, 0) ** 0.5)
         if side < 1 or side * side != self.pixel_samples or self.pixel_samples > 225:
             raise InputError(
@@ -69,7 +69,8 @@ class FaceSamples:
         normals_world: unit, on the side that was met.
         base_colour: mean over the face.
         sky_cells: one for each face ray, `transport_kernels.BLOCKED` where geometry is met.
-        next_rows: rows of these samples that the face rays meet, -1 for none, for a second bounce.
+        next_rows: rows of these samples that the face rays meet, -1 for none, for further bounces.
+        bounces: of light, the one from these faces to what they were met from included.
     """
 
     sun_points_world: Float32[np.ndarray, "f s 3"]
@@ -77,6 +78,7 @@ class FaceSamples:
     base_colour: Float32[np.ndarray, "f 3"]
     sky_cells: UInt16[np.ndarray, "f m"]
     next_rows: Int32[np.ndarray, "f m"] | None = None
+    bounces: int = 1
 
 
 class FaceTable:
@@ -115,7 +117,7 @@ class FaceTable:
 
     def next_sides(self, sides: Int64[np.ndarray, " f"]) -> Int32[np.ndarray, "f m"]:
         """Sides that the face rays meet, counted over the caster's meshes, or OPEN; known where
-        the config has two bounces."""
+        the config has several bounces."""
         rows = self._rows(sides)
         return self._next[rows]
 
@@ -163,13 +165,13 @@ class FaceTable:
         self, sides: Int64[np.ndarray, " f"]
     ) -> tuple[UInt16[np.ndarray, "f m"], Int32[np.ndarray, "_ m"]]:
         """Sky cells of the rays, BLOCKED where geometry is met; and which side that is, where
-        the config has two bounces."""
+        the config has several bounces."""
         from lightsim.render.transport_kernels import BLOCKED
 
         rays = self._config.face_rays
         cells = np.empty((len(sides), rays), dtype=np.uint16)
-        met = np.full((len(sides) if self._config.bounces == 2 else 0, rays), OPEN, dtype=np.int32)
-        finder = SideFinder(self._caster) if self._config.bounces == 2 else None
+        met = np.full((len(sides) if self._config.bounces > 1 else 0, rays), OPEN, dtype=np.int32)
+        finder = SideFinder(self._caster) if self._config.bounces > 1 else None
         tile = max(1, _TILE_RAYS // max(1, rays))
         for start in range(0, len(sides) if rays else 0, tile):
             part = slice(start, start + tile)

@@ -164,8 +164,12 @@ def table_sums(
 def face_radiosity(
     faces: FaceSamples, caster: RayCaster, cells: SkyCells
 ) -> Float32[np.ndarray, "f 3"]:
-    """Radiance that each face sends out: base colour x (sky + sun) irradiance / pi, and with two
-    bounces what other faces so lit add to it."""
+    """Radiance that each face sends out: base colour x (sky + sun + other faces) irradiance / pi.
+
+    With further bounces the radiosity equation F = rho (E + K F) is iterated (Jacobi; Cohen &
+    Wallace 1993, ch. 5), one iteration a bounce: K is the mean over each face's own rays, so no
+    ray is traced.
+    """
     from lightsim.render.transport_kernels import face_bounce, face_light
 
     if faces.sky_cells.shape[1] == 0:
@@ -175,11 +179,14 @@ def face_radiosity(
     if cells.sun is not None and len(arriving):
         arriving += _sun_on_faces(faces, caster, cells.sun)
     first = (faces.base_colour * arriving).astype(np.float32)
+    radiosity = first
     if faces.next_rows is None:
         return first
     from_faces = np.empty_like(first)
-    face_bounce(faces.next_rows, first, from_faces)
-    return first + faces.base_colour * from_faces
+    for _ in range(faces.bounces - 1):
+        face_bounce(faces.next_rows, radiosity, from_faces)
+        radiosity = first + faces.base_colour * from_faces
+    return radiosity
 
 
 def _sun_on_faces(faces: FaceSamples, caster: RayCaster, sun: Sun) -> Float32[np.ndarray, "f 3"]:

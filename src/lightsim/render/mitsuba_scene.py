@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Bool, Float, Float32
 
 from lightsim.core.dome import Sun
-from lightsim.core.mesh import TriMesh
+from lightsim.core.mesh import MATTE_ROUGHNESS, TriMesh
 
 _MIN_LLVM = 17
 _SUN_DISTANCE_M = 2.0e5
@@ -57,6 +57,7 @@ class CornerMesh:
         colour: of the vertices.
         roughness: of each face.
         metallic: of each face.
+        specular: of each face: 0.5 reflects 4 % at normal incidence, 0 nothing (metals apart).
     """
 
     vertices: Float32[np.ndarray, "c 3"]
@@ -66,6 +67,7 @@ class CornerMesh:
     texture: Float32[np.ndarray, "h w 3"] | None
     roughness: Float32[np.ndarray, " m"]
     metallic: Float32[np.ndarray, " m"]
+    specular: Float32[np.ndarray, " m"]
 
 
 def corner_mesh(mesh: TriMesh, vertex_normals: Float32[np.ndarray, "n 3"]) -> CornerMesh:
@@ -84,14 +86,16 @@ def corner_mesh(mesh: TriMesh, vertex_normals: Float32[np.ndarray, "n 3"]) -> Co
         image = as_albedo(mesh.texture.image)
         size = np.array([image.shape[1], image.shape[0]], dtype=np.float32)
         uv = (mesh.texture.corner_uv.reshape(-1, 2) / size).astype(np.float32)
+    roughness = np.array([m.roughness for m in mesh.materials], dtype=np.float32)[kind]
     return CornerMesh(
         mesh.vertices[corners],
         normals.astype(np.float32),
         uv,
         as_albedo(mesh.base_colour[corners]),
         image,
-        np.array([m.roughness for m in mesh.materials], dtype=np.float32)[kind],
+        roughness,
         np.array([m.metallic for m in mesh.materials], dtype=np.float32)[kind],
+        np.where(roughness < MATTE_ROUGHNESS, _SPECULAR, 0.0).astype(np.float32),
     )
 
 
@@ -118,6 +122,7 @@ def mitsuba_mesh(mi: Any, name: str, mesh: CornerMesh, is_principled: bool) -> A
         ("vertex_color", 3, mesh.colour),
         ("face_roughness", 1, mesh.roughness),
         ("face_metallic", 1, mesh.metallic),
+        ("face_lobe", 1, _has_lobe(mesh).astype(np.float32)),
     ):
         body.add_attribute(key, width, value.ravel())
     parameters = mi.traverse(body)
@@ -143,15 +148,23 @@ def _bsdf(mi: Any, mesh: CornerMesh, is_principled: bool) -> Any:
             "wrap_mode": "clamp",
         }
     inner: dict[str, Any] = {"type": "diffuse", "reflectance": colour}
-    if is_principled:
-        inner = {
+    if is_principled and _has_lobe(mesh).any():
+        principled = {
             "type": "principled",
             "base_color": colour,
             "roughness": {"type": "mesh_attribute", "name": "face_roughness"},
             "metallic": {"type": "mesh_attribute", "name": "face_metallic"},
             "specular": _SPECULAR,
         }
+        lobe = {"type": "mesh_attribute", "name": "face_lobe"}
+        inner = {"type": "blendbsdf", "weight": lobe, "matte": inner, "glossy": principled}
     return mi.load_dict({"type": "twosided", "material": inner})
+
+
+def _has_lobe(mesh: CornerMesh) -> Bool[np.ndarray, " m"]:
+    """Faces with a specular lobe; the others are Lambert's: Mitsuba's own diffuse lobe for rough
+    surfaces (Burley 2012) reflects more than the base colour at grazing angles."""
+    return (mesh.specular > 0) | (mesh.metallic > 0)
 
 
 def mitsuba_sky(mi: Any, radiance: Float32[np.ndarray, "h w 3"]) -> dict[str, Any]:

@@ -243,7 +243,7 @@ def _compact(
     config: TransportConfig,
 ) -> FaceSamples:
     """Samples of the sides that occur in this frame; `sides` become rows of them, in place."""
-    from lightsim.render.transport_kernels import mark_rows, renumber
+    from lightsim.render.transport_kernels import UNLISTED, fill_unlisted, mark_rows, renumber
 
     actors = FaceTable(scene.actors, scene.caster, config, seed=1)
     is_met = np.zeros(2 * sum(len(mesh.faces) for mesh in scene.meshes), dtype=np.bool_)
@@ -251,16 +251,16 @@ def _compact(
         mark_rows(array, is_met)
     met = np.flatnonzero(is_met)
     next_rows = None
-    if config.bounces == 2:
-        is_first = is_met.copy()
+    if config.bounces > 1:
         mark_rows(_next_sides(met, static, actors), is_met)
         met = np.flatnonzero(is_met)
         next_rows = _next_sides(met, static, actors)
-        next_rows[~is_first[met]] = OPEN
-    number = np.full(len(is_met), OPEN, dtype=np.int32)
+    number = np.full(len(is_met), UNLISTED, dtype=np.int32)
     number[met] = np.arange(len(met), dtype=np.int32)
     for array in sides if next_rows is None else [*sides, next_rows]:
         renumber(array, number)
+    if next_rows is not None:
+        fill_unlisted(next_rows)
     split = int(np.searchsorted(met, 2 * static.face_count))
     parts = [static.samples(met[:split]), actors.samples(met[split:] - 2 * static.face_count)]
     return FaceSamples(
@@ -269,6 +269,7 @@ def _compact(
         np.concatenate([p.base_colour for p in parts]),
         np.concatenate([p.sky_cells for p in parts]),
         next_rows,
+        config.bounces,
     )
 
 

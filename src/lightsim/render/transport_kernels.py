@@ -15,6 +15,8 @@ from numba import njit, prange
 
 BLOCKED = np.uint16(65535)
 """Sky cell of a face ray that meets geometry."""
+UNLISTED = np.int32(-2)
+"""Row of a face that is met but not among those listed."""
 MAX_LIFT_M = 0.04
 """Rays start off their face by no more than this for the sake of smooth normals."""
 _GOLDEN_2D = (0.7548776662466927, 0.5698402909980532)
@@ -111,6 +113,24 @@ def face_bounce(next_rows, radiosity, out):
                 g += radiosity[n, 1]
                 b += radiosity[n, 2]
         out[f, 0], out[f, 1], out[f, 2] = r / count, g / count, b / count
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
+def fill_unlisted(next_rows):
+    """Rays of a face that meet UNLISTED faces take in turn the rows that its other rays meet; no
+    row where none meets a listed one."""
+    count = next_rows.shape[1]
+    for f in prange(next_rows.shape[0]):
+        last = np.int32(-1)
+        for k in range(count):
+            if next_rows[f, k] >= 0:
+                last = next_rows[f, k]
+        for k in range(count):
+            if next_rows[f, k] == UNLISTED:
+                next_rows[f, k] = last
+            elif next_rows[f, k] >= 0:
+                last = next_rows[f, k]
 
 
 @njit(cache=True, parallel=True)

@@ -1,8 +1,10 @@
-"""A writer of binary glTF 2.0: one mesh, one primitive for each material, no extensions.
+"""A writer of binary glTF 2.0: one mesh, one primitive for each material.
 
 A textured mesh has a vertex for each corner of each face, as glTF asks where texture coordinates
 jump. Attributes of our own (names start with "_", as glTF asks) say which vertex a corner was,
 and carry its colour and confidence, so that `meshes.read_glb` joins the mesh again.
+
+Matte materials have no specular lobe (KHR_materials_specular, which viewers may ignore).
 
 Reference: Khronos glTF 2.0 specification (registry.khronos.org/glTF/specs/2.0).
 """
@@ -19,10 +21,11 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int32, Shaped, UInt8
 
 from lightsim.core.colour import srgb8_from_linear
-from lightsim.core.mesh import TriMesh
+from lightsim.core.mesh import MATTE_ROUGHNESS, Material, TriMesh
 from lightsim.store.gltf import BINARY_CHUNK, GLB_MAGIC, JSON_CHUNK
 
 VERTEX_NUMBER, VERTEX_COLOUR, CONFIDENCE = "_VERTEX", "_BASE_COLOUR", "_CONFIDENCE"
+_SPECULAR = "KHR_materials_specular"
 _FLOAT, _UNSIGNED_INT = 5126, 5125
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
 _LINEAR, _CLAMP_TO_EDGE = 9729, 33071
@@ -109,21 +112,25 @@ def _document(mesh: TriMesh, gltf_from_mesh: Float64[np.ndarray, "4 4"]) -> dict
             },
             {"name": mesh.frame, "mesh": 0},
         ],
-        "materials": [
-            {
-                "name": material.name,
-                "pbrMetallicRoughness": {
-                    "baseColorFactor": [1.0, 1.0, 1.0, 1.0],
-                    "roughnessFactor": float(material.roughness),
-                    "metallicFactor": float(material.metallic),
-                    **texture,
-                },
-                "doubleSided": True,
-            }
-            for material in mesh.materials
-        ],
+        "materials": [_material(material, texture) for material in mesh.materials],
+        "extensionsUsed": [_SPECULAR],
         "accessors": [],
         "bufferViews": [],
+    }
+
+
+def _material(material: Material, texture: dict[str, Any]) -> dict[str, Any]:
+    is_matte = material.roughness >= MATTE_ROUGHNESS
+    return {
+        "name": material.name,
+        "pbrMetallicRoughness": {
+            "baseColorFactor": [1.0, 1.0, 1.0, 1.0],
+            "roughnessFactor": float(material.roughness),
+            "metallicFactor": float(material.metallic),
+            **texture,
+        },
+        "extensions": {_SPECULAR: {"specularFactor": 0.0 if is_matte else 1.0}},
+        "doubleSided": True,
     }
 
 
