@@ -84,15 +84,8 @@ class LiveFrame:
     """A traced frame on a device; call it with skies.
 
     Light belongs to pixel centres, as relighting uses it: no anti-aliasing and no reflections.
-    The table may have been traced by any caster.
-
-    Args:
-        base_colour: of the pixels with a surface.
-        rays: the sun's.
+    The table may have been traced by any caster. The arrays of a sky must not change in place.
     """
-
-    base_colour: Float32[torch.Tensor, "p 3"]
-    rays: DeviceSunRays
 
     def __init__(
         self,
@@ -129,12 +122,15 @@ class LiveFrame:
         self.base_colour = self._upload(gbuffers.base_colour[has_surface])
         self._faces = _DeviceFaces(faces, self.device)
         self._points = _DevicePoints(table.points, self.device)
-        self._sky: _SkySums | None = None
+        self._sky: SkySums | None = None
 
     def __call__(self, sky: SkyCells) -> LiveLight:
-        """Light under a sky of `prepare_sky`. The sky's own sums are kept for the next call, and
-        taken again only where `sky.radiance` is another array: a moved sun is
-        `replace(sky, sun=...)`."""
+        """Light under a sky of `prepare_sky`.
+
+        The sky's own sums are kept for the next call, and taken again only where `sky.radiance`
+        is another array: for the same sky with a moved sun, call with `replace(sky, sun=...)`.
+        On CUDA the sums may still run when this returns; torch's own rules of order hold.
+        """
         sums = self.sky_sums(sky)
         sun = sky.sun
         bounce = self.spread(self.bounce(sums, sun))
@@ -154,16 +150,16 @@ class LiveFrame:
             tensors += [self._sky.faces, *self._sky.pixels]
         return self.rays.held_bytes + sum(t.numel() * t.element_size() for t in tensors)
 
-    def sky_sums(self, sky: SkyCells) -> _SkySums:
+    def sky_sums(self, sky: SkyCells) -> SkySums:
         """All that does not depend on the sun."""
         if self._sky is None or self._sky.made_from is not sky.radiance:
             cells = self._upload(sky.radiance)
             both = self.spread(torch.cat(self._points.sky(cells), dim=1))
             pixels = both[:, :3].contiguous(), both[:, 3:].contiguous()
-            self._sky = _SkySums(sky.radiance, self._faces.sky(cells), pixels)
+            self._sky = SkySums(sky.radiance, self._faces.sky(cells), pixels)
         return self._sky
 
-    def bounce(self, sums: _SkySums, sun: Sun | None) -> Float32[torch.Tensor, "t 3"]:
+    def bounce(self, sums: SkySums, sun: Sun | None) -> Float32[torch.Tensor, "t 3"]:
         """Light of other surfaces on the traced points."""
         arriving = sums.faces
         if sun is not None:
@@ -183,8 +179,7 @@ class LiveFrame:
         """Values of the pixels with a surface in their places."""
         height, width = self._shape
         image = values.new_full((height * width, values.shape[1]), elsewhere)
-        image[self._pixel] = values
-        return image.reshape(height, width, -1)
+        return image.index_copy_(0, self._pixel, values).reshape(height, width, -1)
 
     def _sun_colour(self, sun: Sun) -> Float32[torch.Tensor, "3"]:
         return self._upload((sun.irradiance / np.pi).astype(np.float32))
@@ -194,7 +189,7 @@ class LiveFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class _SkySums:
+class SkySums:
     """What a sky without its sun brings: to faces, and to pixels with and without visibility."""
 
     made_from: Float32[np.ndarray, "c 3"]
@@ -210,6 +205,7 @@ class _DeviceFaces:
         self._is_blocked = torch.from_numpy(cells == BLOCKED).to(device)
         self._cells = _indices(cells, device)
         self._colour = torch.from_numpy(faces.base_colour).to(device)
+        self._bounces = faces.bounces
         self._next = None
         if next_rows is not None:
             met = np.where(next_rows < 0, len(next_rows), next_rows)
@@ -225,13 +221,16 @@ class _DeviceFaces:
         return _mean_rows(self._cells.masked_fill(self._is_blocked, len(cells)), _padded(cells))
 
     def radiosity(self, arriving: Float32[torch.Tensor, "f 3"]) -> Float32[torch.Tensor, "f 3"]:
-        """What the faces send out of it, and, with two bounces, of what they get from others."""
+        """What the faces send out of it and, with further bounces, of what others send them."""
         first = self._colour * arriving
         if not self._cells.shape[1]:
             return torch.zeros_like(first)
         if self._next is None:
             return first
-        return first + self._colour * _mean_rows(self._next, _padded(first))
+        total = first
+        for _ in range(self._bounces - 1):
+            total = first + self._colour * _mean_rows(self._next, _padded(total))
+        return total
 
 
 class _DevicePoints:

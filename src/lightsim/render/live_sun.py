@@ -28,8 +28,9 @@ _TORCH_DEVICE: dict[MitsubaBackend, str] = {"cuda": "cuda", "llvm": "cpu"}
 class DeviceSunRays:
     """Where the sun rays of pixels and faces start, on the device where they are cast.
 
-    A sun costs an upload of its disc's directions and one kernel each for pixels and faces. All
-    meshes are one scene: a kernel on CUDA cannot trace two.
+    A sun costs an upload of its disc's directions and one kernel each for pixels and faces, in
+    which the rays of a pixel are written out: meant for tens of them at most. All meshes are one
+    scene, since a kernel on CUDA cannot trace two.
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class DeviceSunRays:
                 return mitsuba.Ray3f(self._starts, towards)
 
             cosine = _cosine(mitsuba, self._normals, sun)
-            return self._cast(mitsuba, cosine, count, ray)
+            return self._cast(mitsuba, cosine, count, ray, is_coherent=True)
 
     def of_faces(self, sun: Sun) -> Float32[torch.Tensor, " f"]:
         """Cosine of the sun's centre times the fraction of each face's points that see it."""
@@ -108,11 +109,17 @@ class DeviceSunRays:
                 return mitsuba.Ray3f(start, towards)
 
             cosine = _cosine(mitsuba, self._face_normals, sun)
-            cosine, visible = self._cast(mitsuba, cosine, count, ray)
+            cosine, visible = self._cast(mitsuba, cosine, count, ray, is_coherent=False)
             return cosine * visible
 
     def _cast(
-        self, mitsuba: Any, cosine: Any, count: int, ray: Callable[[Any], Any]
+        self,
+        mitsuba: Any,
+        cosine: Any,
+        count: int,
+        ray: Callable[[Any], Any],
+        *,
+        is_coherent: bool,
     ) -> tuple[Float32[torch.Tensor, " n"], Float32[torch.Tensor, " n"]]:
         """The cosine, and the fraction of `count` rays that meet nothing where it is not 0."""
         import drjit
@@ -120,7 +127,7 @@ class DeviceSunRays:
         faces_sun = cosine > 0
         seen = mitsuba.Float(0)
         for number in range(count):
-            is_blocked = self._scene.ray_test(ray(number), coherent=True, active=faces_sun)
+            is_blocked = self._scene.ray_test(ray(number), coherent=is_coherent, active=faces_sun)
             seen += drjit.select(is_blocked, 0.0, 1.0)
         visible = drjit.select(faces_sun, seen / count, 0.0)
         drjit.eval(cosine, visible)
