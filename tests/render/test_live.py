@@ -64,8 +64,8 @@ def _check(found: LiveLight, expected: ShadowBuffers, base_colour: np.ndarray) -
 
 @pytest.mark.parametrize(
     "config",
-    [CONFIG, replace(CONFIG, bounces=2, sun_rays=7), replace(exact(), face_rays=0)],
-    ids=["half resolution", "two bounces", "no bounce"],
+    [CONFIG, replace(CONFIG, bounces=3, sun_rays=7), replace(exact(), face_rays=0)],
+    ids=["half resolution", "three bounces", "no bounce"],
 )
 def test_light_equals_that_of_the_host(
     backend: MitsubaBackend, rng: np.random.Generator, config: TransportConfig
