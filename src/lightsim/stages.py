@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,7 @@ from lightsim.progress import Progress
 from lightsim.reconstruct.extrude import ExtrudeConfig, infer_tall_structures
 from lightsim.reconstruct.facades import FacadeConfig, complete_facades
 from lightsim.reconstruct.far_field import FarFieldConfig, build_far_field
+from lightsim.reconstruct.flatten import FlattenConfig, flatten_walls
 from lightsim.reconstruct.fuse_config import FuseConfig
 from lightsim.reconstruct.neural_config import NeuralConfig
 from lightsim.reconstruct.ray_pool import PriorSurfaces
@@ -76,6 +78,8 @@ class GeometryConfig:
 
     mesh: MeshConfig = field(default_factory=MeshConfig)
     """Measured surfaces."""
+    walls: FlattenConfig = field(default_factory=FlattenConfig)
+    """Their bumps on walls."""
     facades: FacadeConfig = field(default_factory=FacadeConfig)
     """Windows and upper facades: visible."""
     far: FarFieldConfig = field(default_factory=FarFieldConfig)
@@ -195,7 +199,12 @@ def make_geometry(
     """Everything that has a shape, before it has a colour; casters of shadows apart."""
     log, fields = work.training_log, work.fields
     meshes = mesh_scene(
-        log, fields, config.mesh, make_caster=make_embree_caster, progress=context.progress
+        log,
+        fields,
+        config.mesh,
+        make_caster=make_embree_caster,
+        progress=context.progress,
+        calm=partial(flatten_walls, config=config.walls),
     )
 
     def views() -> Iterable[tuple[CameraFrame, PinholeCamera, Float32[np.ndarray, "h w"]]]:

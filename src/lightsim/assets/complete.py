@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 from scipy import ndimage
 
 from lightsim.assets.cabin import ClosedCabin, close_cabin
 from lightsim.assets.mesh_config import MeshConfig
 from lightsim.assets.proxy import is_vehicle, proxy_distance_m
-from lightsim.assets.surface import extract_surface, make_mesh, path_distance_m
+from lightsim.assets.simplify import simplify
+from lightsim.assets.surface import (
+    border_vertices,
+    extract_surface,
+    keep_faces,
+    make_mesh,
+    path_distance_m,
+)
 from lightsim.core.actors import ActorTrack
 from lightsim.core.casting import MakeCaster
 from lightsim.core.fields import BLOCK, GroundMap, TsdfGrid
@@ -18,8 +25,11 @@ from lightsim.core.mesh import TriMesh
 
 PROXY_VOXEL_M = 0.12
 _PADDING_M = 0.2
-_SINK_M = 0.01
+_SINK_M = 0.003
 _MIN_UP = 0.5
+_FINE_M = 0.8
+_COARSE_EDGE_M = 0.75
+_ERROR_M = 0.01
 
 
 def actor_surface(
@@ -98,6 +108,26 @@ def _from_dense(
     )
 
 
+def trim_ground(
+    mesh: TriMesh, ground: GroundMap, path_m: Float[np.ndarray, "k 3"], config: MeshConfig
+) -> TriMesh:
+    """Without the open edges of the ground where `ground_patches` will close it.
+
+    The last samples before a blind spot were met by grazing beams or belong to tyres: they stand
+    up a few centimetres, and would cast ragged shadows onto the patch beside them.
+    """
+    corners = mesh.vertices[mesh.faces]
+    centres = corners.mean(axis=1).astype(np.float64)
+    is_ground = np.abs(centres[:, 2] - ground.look_up(centres[:, :2])) < config.ground_band_m
+    is_ground &= path_distance_m(centres.astype(np.float32), path_m) < config.ground_radius_m
+    is_edge = np.zeros(len(mesh.vertices), dtype=bool)
+    is_kept = np.ones(len(mesh.faces), dtype=bool)
+    for _ in range(config.ground_trim_rounds):
+        is_edge[border_vertices(mesh.faces[is_kept])] = True
+        is_kept &= ~(is_ground & is_edge[mesh.faces].any(axis=1))
+    return keep_faces(mesh, is_kept)
+
+
 def ground_patches(
     background: TriMesh,
     ground: GroundMap,
@@ -108,7 +138,7 @@ def ground_patches(
     """Ground that the background lacks: under parked cars, behind them, under the recording car.
 
     Rays straight down find the holes; heights there solve Laplace's equation between the
-    surface around them. Patches start a centimetre below their neighbours, so that nothing
+    surface around them. Patches start 3 mm below their neighbours, so that nothing
     flickers where both exist.
     """
     xy, shape = _nodes(path_m, config)
@@ -122,7 +152,12 @@ def ground_patches(
     is_hole = ~is_known & is_near.reshape(shape) & (gap_m < config.ground_reach_m)
     z = fill_smoothly(np.where(is_known, observed.reshape(shape), 0.0), is_known)
     corners = is_hole[1:, 1:] | is_hole[:-1, 1:] | is_hole[1:, :-1] | is_hole[:-1, :-1]
-    return _quads(background.frame, xy, z - _SINK_M * is_known, corners)
+    patches, node = _quads(background.frame, xy, z - _SINK_M * is_known, corners)
+    if len(patches.faces) == 0:
+        return patches
+    # Beside measured ground light changes quickly (edges of vehicles); far inside it is dark.
+    edge_m = np.where(gap_m.reshape(-1)[node] < _FINE_M, config.ground_cell_m, _COARSE_EDGE_M)
+    return simplify(patches, np.full(len(node), _ERROR_M), edge_m)
 
 
 def _nodes(
@@ -165,11 +200,12 @@ def _quads(
     xy: Float64[np.ndarray, "nx ny 2"],
     z: Float64[np.ndarray, "nx ny"],
     is_drawn: Bool[np.ndarray, "_mx _my"],
-) -> TriMesh:
+) -> tuple[TriMesh, Int64[np.ndarray, " n"]]:
+    """Squares of the grid, and the node that each vertex is."""
     index = np.arange(z.size).reshape(z.shape)
     i, j = np.nonzero(is_drawn)
     a, b, c, d = index[i, j], index[i + 1, j], index[i + 1, j + 1], index[i, j + 1]
     faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
     used, faces = np.unique(faces, return_inverse=True)
     points = np.concatenate([xy.reshape(-1, 2), z.reshape(-1, 1)], axis=1)[used]
-    return make_mesh(frame, points, faces.reshape(-1, 3).astype(np.int64))
+    return make_mesh(frame, points, faces.reshape(-1, 3).astype(np.int64)), used

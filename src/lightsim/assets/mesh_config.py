@@ -33,6 +33,8 @@ class MeshConfig:
     """A surface within this height of the ground map counts as ground."""
     ground_reach_m: float = 40.0
     """Holes are closed up to this far from observed ground."""
+    ground_trim_rounds: int = 2
+    """Rounds of taking the ground's open edges away before its holes are closed."""
 
 
 def draft() -> MeshConfig:

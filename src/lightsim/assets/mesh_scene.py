@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from lightsim.assets.cabin import ClosedCabin
-from lightsim.assets.complete import PROXY_VOXEL_M, actor_surface, ground_patches
+from lightsim.assets.complete import PROXY_VOXEL_M, actor_surface, ground_patches, trim_ground
 from lightsim.assets.materials import GLASS, classify_background, material_of
 from lightsim.assets.mesh_config import MeshConfig
-from lightsim.assets.simplify import denoise, simplify, simplify_planar
+from lightsim.assets.simplify import denoise, simplify
 from lightsim.assets.surface import background_levels, drop_floaters
 from lightsim.core.actors import ActorTrack
 from lightsim.core.casting import MakeCaster
@@ -21,6 +22,10 @@ from lightsim.core.twin import ActorAsset, SceneAssets
 from lightsim.errors import InputError
 from lightsim.progress import Progress
 
+Calm = Callable[[TriMesh, float], TriMesh]
+"""Takes the noise off a level of the background that lies on known shapes, such as walls; the
+number is the distance between the level's samples, in metres."""
+
 
 def mesh_scene(
     log: DrivingLog,
@@ -29,9 +34,10 @@ def mesh_scene(
     *,
     make_caster: MakeCaster,
     progress: Progress,
+    calm: Calm | None = None,
 ) -> SceneAssets:
     """Background and actors as black meshes; no gains yet (assets.build.build_assets)."""
-    background = mesh_background(fields, config, make_caster)
+    background = mesh_background(fields, config, make_caster, calm)
     background = classify_background(background, log, fields.ground)
     actors, notes = {}, list(fields.notes)
     for track in progress.track(log.actors, "mesh the actors", len(log.actors)):
@@ -55,14 +61,19 @@ def _with_materials(mesh: TriMesh, track: ActorTrack, cabin: ClosedCabin) -> Tri
     return replace(mesh, materials=(body, GLASS), face_material=is_glass.astype(np.uint8))
 
 
-def mesh_background(fields: SceneFields, config: MeshConfig, make_caster: MakeCaster) -> TriMesh:
+def mesh_background(
+    fields: SceneFields, config: MeshConfig, make_caster: MakeCaster, calm: Calm | None = None
+) -> TriMesh:
     """All levels of the static scene in one mesh, ground closed; black."""
-    levels = [
-        _refined(drop_floaters(level, config.min_piece_m2), grid.voxel_m, config)
-        for level, grid in zip(
-            background_levels(fields, config.min_weight), fields.background, strict=True
-        )
-    ]
+    levels = []
+    for level, grid in zip(
+        background_levels(fields, config.min_weight), fields.background, strict=True
+    ):
+        mesh = drop_floaters(level, config.min_piece_m2)
+        mesh = trim_ground(mesh, fields.ground, fields.path_m, config)
+        if calm is not None:
+            mesh = calm(mesh, grid.voxel_m)
+        levels.append(_refined(mesh, grid.voxel_m, config))
     surface = concatenate_meshes(levels)
     if len(surface.faces) == 0:
         raise InputError(
@@ -70,7 +81,7 @@ def mesh_background(fields: SceneFields, config: MeshConfig, make_caster: MakeCa
             remedy="Train longer (--neural-steps), or start from fused LiDAR (--preset standard).",
         )
     patches = ground_patches(surface, fields.ground, fields.path_m, config, make_caster)
-    return concatenate_meshes([surface, simplify_planar(patches)])
+    return concatenate_meshes([surface, patches])
 
 
 def _refined(mesh: TriMesh, voxel_m: float, config: MeshConfig) -> TriMesh:

@@ -137,6 +137,13 @@ def face_areas_m2(mesh: TriMesh) -> Float64[np.ndarray, " m"]:
     return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
 
 
+def border_vertices(faces: Int32[np.ndarray, "m 3"]) -> Int64[np.ndarray, " b"]:
+    """Vertices at edges that belong to one face alone."""
+    ends = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
+    edges, count = np.unique(ends, axis=0, return_counts=True)
+    return np.unique(edges[count == 1])
+
+
 def adjacency(faces: Int32[np.ndarray, "m 3"], count: int) -> csr_matrix:
     """Symmetric 0/1 matrix of vertices that share an edge."""
     i = np.concatenate([faces[:, 0], faces[:, 1], faces[:, 2]])
