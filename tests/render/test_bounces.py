@@ -19,7 +19,7 @@ from rendering_scenes import (
 )
 
 from lightsim.core.dome import SkyDome
-from lightsim.core.mesh import Material
+from lightsim.core.mesh import Material, Texture
 from lightsim.errors import InputError
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.light import light
@@ -134,6 +134,24 @@ def test_rays_that_meet_unlisted_faces_follow_the_others():
     np.testing.assert_array_equal(
         rows, [[7, 5, -1, 5, 7, 7], [-1, -1, -1, -1, -1, -1], [-1, 3, -1, 3, 3, -1]]
     )
+
+
+def test_faces_have_the_mean_colour_of_their_texture():
+    """Stripes that the colour of the vertices does not show."""
+    ground = plane(2.0, 4, 0.9)
+    image = np.zeros((64, 64, 3), np.float32)
+    image[:, ::2] = (0.2, 0.4, 0.6)
+    uv = ((ground.vertices[ground.faces][..., :2] + 2) * 16).astype(np.float32)
+    textured = replace(ground, texture=Texture(image, uv))
+    bare = replace(ground, base_colour=np.full_like(ground.base_colour, 0.3))
+    scene = without_actors(make_static_scene([bare, textured]))
+    table = static_face_table(scene, exact())
+    sides = np.arange(0, 2 * table.face_count, 3)
+    colour = table.samples(sides).base_colour
+    is_textured = sides >= table.face_count
+    np.testing.assert_allclose(colour[~is_textured], 0.3, rtol=1e-6)
+    np.testing.assert_allclose(colour[is_textured].mean(axis=0), (0.1, 0.2, 0.3), rtol=0.1)
+    assert colour[is_textured, 2].min() > 0
 
 
 def test_no_bounces_are_refused():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,8 @@ from lightsim.render.embree import offset_origins
 from lightsim.render.sides import OPEN, SideFinder
 
 _TILE_RAYS = 1 << 19
+_TEXELS = 16
+"""Texels whose mean is the base colour of a face."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,7 @@ class FaceTable:
         self._row_by_side = np.full(2 * self._first_face[-1], -1, dtype=np.int32)
         self._cells = np.zeros((0, config.face_rays), dtype=np.uint16)
         self._next = np.zeros((0, config.face_rays), dtype=np.int32)
+        self._colour = np.zeros((0, 3), dtype=np.float32)
 
     @property
     def face_count(self) -> int:
@@ -107,13 +110,15 @@ class FaceTable:
     def samples(self, sides: Int64[np.ndarray, " f"]) -> FaceSamples:
         """Samples of sides: 2 x (running face number) + (1 where seen from the back)."""
         rows = self._rows(sides)
-        corners, normals, colour = self._geometry(sides)
+        corners, normals = self._geometry(sides)
         count = max(1, self._config.face_sun_rays)
         points = self._points(sides, corners, count).reshape(-1, 3)
         starts = offset_origins(
             points, np.repeat(normals, count, axis=0), self._config.origin_offset_m
         )
-        return FaceSamples(starts.reshape(-1, count, 3), normals, colour, self._cells[rows])
+        return FaceSamples(
+            starts.reshape(-1, count, 3), normals, self._colour[rows], self._cells[rows]
+        )
 
     def next_sides(self, sides: Int64[np.ndarray, " f"]) -> Int32[np.ndarray, "f m"]:
         """Sides that the face rays meet, counted over the caster's meshes, or OPEN; known where
@@ -129,28 +134,48 @@ class FaceTable:
             cells, met = self._trace(new)
             self._cells = np.concatenate([self._cells, cells])
             self._next = np.concatenate([self._next, met])
+            self._colour = np.concatenate([self._colour, self._mean_colour(new)])
         return self._row_by_side[sides]
 
     def _geometry(
         self, sides: Int64[np.ndarray, " f"]
-    ) -> tuple[
-        Float32[np.ndarray, "f 3 3"], Float32[np.ndarray, "f 3"], Float32[np.ndarray, "f 3"]
-    ]:
-        """Corners, normals of the sides and mean base colours."""
+    ) -> tuple[Float32[np.ndarray, "f 3 3"], Float32[np.ndarray, "f 3"]]:
+        """Corners and normals of the sides."""
         faces = sides >> 1
         corners = np.zeros((len(sides), 3, 3), dtype=np.float32)
-        colour = np.zeros((len(sides), 3), dtype=np.float32)
-        for k, mesh in enumerate(self._meshes):
-            low, high = self._first_face[k], self._first_face[k + 1]
-            rows = np.flatnonzero((faces >= low) & (faces < high))
-            vertices = mesh.faces[faces[rows] - low]
-            corners[rows] = mesh.vertices[vertices]
-            colour[rows] = mesh.base_colour[vertices].mean(axis=1)
+        for mesh, rows, own in self._by_mesh(faces):
+            corners[rows] = mesh.vertices[mesh.faces[own]]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         turn = np.where(sides & 1, -1.0, 1.0)[:, None]
         unit = np.where(length > 0, normals / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
-        return corners, (turn * unit).astype(np.float32), colour
+        return corners, (turn * unit).astype(np.float32)
+
+    def _by_mesh(
+        self, faces: Int64[np.ndarray, " f"]
+    ) -> Iterator[tuple[TriMesh, Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]]:
+        """Each mesh, which of some faces are its own, and their numbers in it."""
+        for k, mesh in enumerate(self._meshes):
+            low, high = self._first_face[k], self._first_face[k + 1]
+            rows = np.flatnonzero((faces >= low) & (faces < high))
+            yield mesh, rows, faces[rows] - low
+
+    def _mean_colour(self, sides: Int64[np.ndarray, " f"]) -> Float32[np.ndarray, "f 3"]:
+        """Mean base colour of the sides' faces: of the texture, which has shades that its mean at
+        vertices has not, where there is one."""
+        from lightsim.render.transport_kernels import mean_texels
+
+        colour = np.zeros((len(sides), 3), dtype=np.float32)
+        for mesh, rows, own in self._by_mesh(sides >> 1):
+            if mesh.texture is None:
+                colour[rows] = mesh.base_colour[mesh.faces[own]].mean(axis=1)
+                continue
+            found = np.empty((len(own), 3), dtype=np.float32)
+            shifts = hashed_shifts(sides[rows], self._seed + 2)
+            corner_uv = mesh.texture.corner_uv[own]
+            mean_texels(mesh.texture.image, corner_uv, shifts, _TEXELS, found)
+            colour[rows] = found
+        return colour
 
     def _points(
         self, sides: Int64[np.ndarray, " f"], corners: Float32[np.ndarray, "f 3 3"], count: int
@@ -175,7 +200,7 @@ class FaceTable:
         tile = max(1, _TILE_RAYS // max(1, rays))
         for start in range(0, len(sides) if rays else 0, tile):
             part = slice(start, start + tile)
-            corners, normals, _ = self._geometry(sides[part])
+            corners, normals = self._geometry(sides[part])
             shifts = hashed_shifts(sides[part], self._seed)
             directions, found = hemisphere_directions(
                 normals, shifts, rays, self._config.sky_cell_rows

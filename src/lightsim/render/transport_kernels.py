@@ -65,22 +65,51 @@ def hemisphere_rays(normals, shifts, count, rows, directions, cells):
             cells[p, k] = _cell_of(x, y, z, rows)
 
 
+@njit(cache=True, inline="always")
+@no_type_check
+def _spread(u, v):
+    """Two barycentric coordinates of a point of a triangle, evenly spread where (u, v) are so
+    over the unit square (Heitz 2019)."""
+    if v > u:
+        return 0.5 * u, v - 0.5 * u
+    return u - 0.5 * v, 0.5 * v
+
+
 @njit(cache=True, parallel=True)
 @no_type_check
 def face_points(corners, shifts, count, points):
-    """`count` points spread evenly over each triangle (Heitz 2019 warps the square)."""
+    """`count` points spread evenly over each triangle."""
     for f in prange(corners.shape[0]):
         for k in range(count):
             u = (shifts[f, 0] + (k + 1) * _GOLDEN_2D[0]) % 1.0
             v = (shifts[f, 1] + (k + 1) * _GOLDEN_2D[1]) % 1.0
-            if v > u:
-                b, c = 0.5 * u, v - 0.5 * u
-            else:
-                b, c = u - 0.5 * v, 0.5 * v
+            b, c = _spread(u, v)
             for i in range(3):
                 points[f, k, i] = (
                     (1.0 - b - c) * corners[f, 0, i] + b * corners[f, 1, i] + c * corners[f, 2, i]
                 )
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
+def mean_texels(image, corner_uv, shifts, count, out):
+    """Mean colour of each triangle of a texture, over `count` points spread evenly over it."""
+    height, width = image.shape[0], image.shape[1]
+    for f in prange(corner_uv.shape[0]):
+        total = np.zeros(3)
+        for k in range(count):
+            u = (shifts[f, 0] + (k + 1) * _GOLDEN_2D[0]) % 1.0
+            v = (shifts[f, 1] + (k + 1) * _GOLDEN_2D[1]) % 1.0
+            b, c = _spread(u, v)
+            a = 1.0 - b - c
+            x = a * corner_uv[f, 0, 0] + b * corner_uv[f, 1, 0] + c * corner_uv[f, 2, 0]
+            y = a * corner_uv[f, 0, 1] + b * corner_uv[f, 1, 1] + c * corner_uv[f, 2, 1]
+            i = min(max(int(y), 0), height - 1)
+            j = min(max(int(x), 0), width - 1)
+            for m in range(3):
+                total[m] += image[i, j, m]
+        for m in range(3):
+            out[f, m] = total[m] / count
 
 
 @njit(cache=True, parallel=True)
