@@ -33,6 +33,7 @@ VARIANTS: dict[str, DelightConfig] = {
     "no LiDAR intensity": DEFAULT,
     "no inferred casters": DEFAULT,
     "estimated sun as it is": DEFAULT,
+    "deep shade divided": replace(DEFAULT, deep_shade=(1e-9, 2e-9)),
     "no islands filtered": replace(DEFAULT, island_m2=0.0),
     "neighbours only": replace(DEFAULT, reach_m=0.5),
     "rendered edges exact": replace(DEFAULT, edge_error_m=0.02, unseen_shadow=0.01),

@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 
 from lightsim.assets.delight_config import DelightConfig
-from lightsim.assets.delight_divide import base_colour_from_radiance
+from lightsim.assets.delight_divide import base_colour_from_radiance, inpaint_colour
 from lightsim.assets.delight_edges import LabelField, Seen, label_field, refine_visibility
 from lightsim.assets.delight_labels import Observed, label_shadows, predict_tone_steps
 from lightsim.assets.delight_light import LightAt, LightScales, SurfaceLight
@@ -24,7 +24,8 @@ from lightsim.assets.delight_surfels import (
     lidar_tone,
     make_surfels,
 )
-from lightsim.assets.delight_texture import VertexLight, texture_without_light
+from lightsim.assets.delight_texture import DeepShade, VertexLight, texture_without_light
+from lightsim.core.colour import LUMINANCE_WEIGHTS
 from lightsim.core.mesh import TriMesh
 from lightsim.errors import InputError
 
@@ -131,20 +132,38 @@ def _finished(
     visibility = found.visibility.astype(np.float64)
     total = np.maximum(found.light.total(found.scales, visibility), 1e-6)
     colour = np.clip(mesh.base_colour / total, config.low, config.high)
+    shade = _deep_shade(mesh, colour.astype(np.float64), found, total, config)
     share = found.light.direct(found.scales).sum(axis=1) / total.sum(axis=1)
     unsure = 4 * visibility * (1 - visibility) * np.minimum(share, 1.0)
     seen = np.ones(len(unsure)) if mesh.confidence is None else mesh.confidence
     texture = mesh.texture
     if texture is not None:
         limits = (config.low, config.high)
-        texture = texture_without_light(mesh, texture, found, field, limits)
+        texture = texture_without_light(mesh, texture, found, field, limits, shade)
     done = replace(
         mesh,
-        base_colour=colour.astype(np.float32),
-        confidence=(seen * (1 - 0.8 * unsure)).astype(np.float32),
+        base_colour=shade.blended(colour).astype(np.float32),
+        confidence=(seen * (1 - 0.8 * unsure) * (0.2 + 0.8 * shade.trust)).astype(np.float32),
         texture=texture,
     )
     return Delit(done, found.visibility, found.scales, ())
+
+
+def _deep_shade(
+    mesh: TriMesh,
+    colour: Float64[np.ndarray, "n 3"],
+    found: VertexLight,
+    total: Float64[np.ndarray, "n 3"],
+    config: DelightConfig,
+) -> DeepShade:
+    """Under vehicles and in deep corners nearly all light is stray light that no model knows: the
+    quotient there says little, surfaces beside them more."""
+    weights = LUMINANCE_WEIGHTS.astype(np.float64)
+    open_sky = float(np.percentile(found.light.diffuse(found.scales) @ weights, 95))
+    trust = np.interp(total @ weights / max(open_sky, 1e-9), config.deep_shade, (0.0, 1.0))
+    seen = np.ones(len(trust)) if mesh.confidence is None else mesh.confidence
+    fill = inpaint_colour(mesh, colour, (trust >= 1.0) & (seen > 0), config.divide)
+    return DeepShade(trust, fill)
 
 
 def _divided(mesh: TriMesh, light: SurfaceLight, config: DelightConfig) -> Delit:

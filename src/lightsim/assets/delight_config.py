@@ -50,5 +50,8 @@ class DelightConfig:
     """Turns between labels and the sun's strength."""
     min_pairs: int = 60
     """Fewer lit/shadowed pairs say nothing about the sun's strength."""
+    deep_shade: tuple[float, float] = (0.1, 0.3)
+    """Share of an open sky's light up to which a quotient is worth nothing, and from which on it
+    counts fully; in between and below, colours come from surfaces near by that face alike."""
     divide: DivideConfig = field(default_factory=DivideConfig)
     """Settings of the baseline."""

@@ -66,7 +66,7 @@ def base_colour_from_radiance(
     floor = max(config.dark_fraction * float(np.percentile(brightness, 95)), 1e-6)
     quotient = mesh.base_colour / np.maximum(light, floor)
     is_trusted = (brightness > floor) & ~_near_light_steps(mesh, brightness + floor, config)
-    colour = _inpaint(mesh, np.clip(quotient, config.low, config.high), is_trusted, config)
+    colour = inpaint_colour(mesh, np.clip(quotient, config.low, config.high), is_trusted, config)
     return replace(mesh, base_colour=colour.astype(np.float32))
 
 
@@ -93,7 +93,7 @@ def _edges(mesh: TriMesh) -> Int64[np.ndarray, "e 2"]:
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
 
-def _inpaint(
+def inpaint_colour(
     mesh: TriMesh,
     colour: Float64[np.ndarray, "n 3"],
     is_trusted: Bool[np.ndarray, " n"],

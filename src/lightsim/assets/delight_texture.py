@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int32
+from jaxtyping import Bool, Float, Float32, Float64, Int32
 from scipy.spatial import KDTree
 
 from lightsim.assets.atlas import texture_texels
@@ -29,12 +29,37 @@ class VertexLight:
     visibility: Float32[np.ndarray, " n"]
 
 
+@dataclass(frozen=True, eq=False)
+class DeepShade:
+    """Where light is too weak to be divided by, and what takes the quotient's place.
+
+    Args:
+        trust: 1 where the quotient holds, 0 where the fill does.
+        fill: base colour of what lies around.
+    """
+
+    trust: Float64[np.ndarray, " n"]
+    fill: Float64[np.ndarray, "n 3"]
+
+    def blended(self, colour: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        trust = self.trust[:, None]
+        return trust * colour + (1.0 - trust) * self.fill
+
+    def between(
+        self, corners: Int32[np.ndarray, "t 3"], barycentric: Float64[np.ndarray, "t 3"]
+    ) -> DeepShade:
+        """At points inside triangles."""
+        fill = (barycentric[:, :, None] * self.fill[corners]).sum(axis=1)
+        return DeepShade((barycentric * self.trust[corners]).sum(axis=1), fill)
+
+
 def texture_without_light(
     mesh: TriMesh,
     texture: Texture,
     found: VertexLight,
     field: LabelField | None,
     limits: tuple[float, float],
+    shade: DeepShade | None = None,
 ) -> Texture:
     """The texture of radiance divided by the light at each texel.
 
@@ -44,6 +69,7 @@ def texture_without_light(
     Args:
         mesh: carries `texture`.
         limits: least and greatest base colour.
+        shade: at the vertices; None trusts every quotient.
     """
     texels = texture_texels(texture)
     attributes = _VertexAttributes(
@@ -58,14 +84,16 @@ def texture_without_light(
     for start in range(0, len(texels.pixel), _CHUNK):
         part = slice(start, start + _CHUNK)
         face, pixel = texels.face[part], texels.pixel[part]
-        seen, visibility = attributes.between(
-            mesh.faces[face], texels.barycentric[part].astype(np.float64), image[pixel]
-        )
+        barycentric = texels.barycentric[part].astype(np.float64)
+        seen, visibility = attributes.between(mesh.faces[face], barycentric, image[pixel])
         rows = np.flatnonzero(is_edge[face])
         if field is not None and len(rows):
             visibility[rows] = refine_visibility(field, seen.at(rows))
         light = seen.diffuse + np.clip(visibility, 0.0, 1.0)[:, None] * seen.direct
-        image[pixel] = np.clip(seen.radiance / np.maximum(light, 1e-6), *limits)
+        colour = np.clip(seen.radiance / np.maximum(light, 1e-6), *limits)
+        if shade is not None:
+            colour = shade.between(mesh.faces[face], barycentric).blended(colour)
+        image[pixel] = colour
     return Texture(image.reshape(texture.image.shape), texture.corner_uv)
 
 
