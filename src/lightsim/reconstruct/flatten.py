@@ -116,10 +116,10 @@ def _smooth_height_m(
     from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
 
     index = cell.astype(np.int64)
-    shape = tuple((index.max(axis=1) + 1).tolist())
+    shape = (int(index[0].max()) + 1, int(index[1].max()) + 1)
     medians = np.full(shape, np.nan)
-    flat = np.ravel_multi_index(tuple(index), shape)
-    order = np.asarray(np.lexsort((height_m, flat)))
+    flat = index[0] * shape[1] + index[1]
+    order = np.lexsort((height_m, flat))
     found, start, count = np.unique(flat[order], return_index=True, return_counts=True)
     medians.reshape(-1)[found] = height_m[order[start + count // 2]]
     around = np.pad(medians, reach, constant_values=np.nan)
