@@ -143,8 +143,22 @@ def test_pixels_without_a_mesh_follow_their_surroundings(inputs: RelightInputs) 
     np.testing.assert_allclose(relit[hole], wanted[hole], rtol=0.05)
 
 
+def test_a_hole_into_a_sealed_room_follows_its_surroundings(inputs: RelightInputs) -> None:
+    """The mesh has a gap, and what stands behind it sees neither sky nor sun."""
+    sealed = np.ones((HEIGHT_PX, WIDTH_PX, 1), np.float32)
+    sealed[60:70, 50:54] = 0
+    dark = [
+        replace(light, shaded=light.shaded * sealed, sky=light.sky * sealed)
+        for light in (inputs.source, inputs.target)
+    ]
+    holed = replace(inputs, source=dark[0], target=dark[1])
+    config = RatioConfig(are_shadows_refined=False)
+    whole, relit = (relight_physical(x, config)[60:70, 50:54] for x in (inputs, holed))
+    np.testing.assert_allclose(relit, whole, rtol=0.1)
+
+
 def test_inputs_of_unequal_size_are_named(inputs: RelightInputs) -> None:
     small = geometry(np.random.default_rng(0))
-    small = replace(small, **{k: v[:4, :4] for k, v in vars(small).items()})
+    small = replace(small, **{k: v[:4, :4] for k, v in vars(small).items() if v is not None})
     with pytest.raises(InputError, match="buffers"):
         replace(inputs, buffers=small)

@@ -110,6 +110,7 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
         )
     )
     is_surface = inputs.buffers.has_surface & (inputs.sky_matte < 0.5)
+    is_surface &= ~_is_sealed(foreground, source, is_surface, config)
     ratio = _light_ratio(source, target, is_surface, config)
     relit = _relit_surface(foreground, ratio, inputs, source, target, is_surface, config)
     return composite(relit, inputs.target_sky, inputs.sky_matte)
@@ -141,6 +142,19 @@ def _refined(inputs: RelightInputs, config: RatioConfig) -> tuple[ShadowBuffers,
     moved = np.clip(inputs.target.sun_visibility + share * (visibility - rendered), 0.0, 1.0)
     sunlight = unoccluded_sun(inputs.buffers, inputs.target, inputs.target_sun)
     return source, with_sun_visibility(inputs.target, sunlight, moved.astype(np.float32))
+
+
+def _is_sealed(
+    foreground: Float32[np.ndarray, "h w 3"],
+    source: ShadowBuffers,
+    is_surface: Bool[np.ndarray, "h w"],
+    config: RatioConfig,
+) -> Bool[np.ndarray, "h w"]:
+    """Pixels where the mesh says that no light arrives and the picture shows some: the camera looks
+    through a hole of the mesh into what is closed all around. Their mesh tells nothing."""
+    least = np.float32(config.darkest_share) * _median_light(source.shaded, is_surface)
+    is_dark = (source.shaded <= 0.25 * least).all(axis=-1)
+    return is_dark & (foreground > least * np.float32(config.largest_albedo)).any(axis=-1)
 
 
 def _light_ratio(
