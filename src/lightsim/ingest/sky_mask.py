@@ -7,8 +7,11 @@ regions that meet without an edge; a matting step at full resolution gives soft 
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
@@ -30,6 +33,9 @@ from lightsim.ingest.sky_mask_regions import (
     with_image_colours,
 )
 from lightsim.progress import Progress
+
+_WORKERS = 2
+"""Frames worked on at once."""
 
 
 @dataclass(frozen=True)
@@ -109,11 +115,12 @@ def estimate_sky_matte(
 def sky_mattes(
     log: DrivingLog, scale: float, config: SkyMaskConfig, progress: Progress
 ) -> Iterator[tuple[CameraFrame, Float32[np.ndarray, "h w"]]]:
-    """Each frame of the log at image scale `scale`, with its matte; one in memory at a time."""
+    """Each frame of the log at image scale `scale`, with its matte; few in memory at a time."""
     scaled = at_scale(log, scale)
     points_world = gather_high_points(log, config)
-    for frame in progress.track(scaled.frames, "sky mattes", len(scaled.frames)):
-        matte = estimate_sky_matte(
+
+    def matte_of(frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
+        return estimate_sky_matte(
             frame.load_srgb8(),
             scaled.cameras[frame.camera_name],
             frame.world_from_camera,
@@ -121,7 +128,16 @@ def sky_mattes(
             scaled.own_car_masks.get(frame.camera_name),
             config,
         )
-        yield frame, matte
+
+    # Array operations leave Python's lock, so threads do share the work.
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        ahead: deque[Future[Float32[np.ndarray, "h w"]]] = deque()
+        coming = iter(scaled.frames)
+        for frame in progress.track(scaled.frames, "sky mattes", len(scaled.frames)):
+            ahead.extend(
+                pool.submit(matte_of, f) for f in islice(coming, _WORKERS - len(ahead) + 1)
+            )
+            yield frame, ahead.popleft().result()
 
 
 def gather_high_points(log: DrivingLog, config: SkyMaskConfig) -> Float32[np.ndarray, "n 3"]:

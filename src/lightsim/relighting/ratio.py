@@ -154,7 +154,8 @@ def _is_sealed(
     through a hole of the mesh into what is closed all around. Their mesh tells nothing."""
     least = np.float32(config.darkest_share) * _median_light(source.shaded, is_surface)
     is_dark = (source.shaded <= 0.25 * least).all(axis=-1)
-    return is_dark & (foreground > least * np.float32(config.largest_albedo)).any(axis=-1)
+    is_bright = (foreground > least * np.float32(config.largest_albedo)).any(axis=-1)
+    return np.logical_and(is_dark, is_bright)
 
 
 def _light_ratio(
