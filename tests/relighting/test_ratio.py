@@ -143,16 +143,26 @@ def test_pixels_without_a_mesh_follow_their_surroundings(inputs: RelightInputs) 
     np.testing.assert_allclose(relit[hole], wanted[hole], rtol=0.05)
 
 
-def test_a_hole_into_a_sealed_room_follows_its_surroundings(inputs: RelightInputs) -> None:
-    """The mesh has a gap, and what stands behind it sees neither sky nor sun."""
+@pytest.mark.parametrize("are_shadows_refined", [False, True])
+def test_a_hole_into_a_sealed_room_follows_its_surroundings(
+    inputs: RelightInputs, are_shadows_refined: bool
+) -> None:
+    """The mesh has a gap, and what stands behind it sees neither sky nor sun; refined shadows may
+    hold that it sees the sun, since the picture is bright there."""
     sealed = np.ones((HEIGHT_PX, WIDTH_PX, 1), np.float32)
     sealed[60:70, 50:54] = 0
     dark = [
-        replace(light, shaded=light.shaded * sealed, sky=light.sky * sealed)
+        replace(
+            light,
+            shaded=light.shaded * sealed,
+            sky=light.sky * sealed,
+            direct_sun=light.direct_sun * sealed,
+            sun_visibility=light.sun_visibility * sealed[..., 0],
+        )
         for light in (inputs.source, inputs.target)
     ]
     holed = replace(inputs, source=dark[0], target=dark[1])
-    config = RatioConfig(are_shadows_refined=False)
+    config = RatioConfig(are_shadows_refined=are_shadows_refined)
     whole, relit = (relight_physical(x, config)[60:70, 50:54] for x in (inputs, holed))
     np.testing.assert_allclose(relit, whole, rtol=0.1)
 

@@ -26,6 +26,8 @@ from lightsim.relighting.shadow_refine import (
     with_sun_visibility,
 )
 
+_SEALED_RIM_PX = 3
+
 
 @dataclass(frozen=True, eq=False)
 class RelightInputs:
@@ -110,7 +112,7 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
         )
     )
     is_surface = inputs.buffers.has_surface & (inputs.sky_matte < 0.5)
-    is_surface &= ~_is_sealed(foreground, source, is_surface, config)
+    is_surface &= ~_is_sealed(foreground, inputs.source, is_surface, config)
     ratio = _light_ratio(source, target, is_surface, config)
     relit = _relit_surface(foreground, ratio, inputs, source, target, is_surface, config)
     return composite(relit, inputs.target_sky, inputs.sky_matte)
@@ -150,12 +152,15 @@ def _is_sealed(
     is_surface: Bool[np.ndarray, "h w"],
     config: RatioConfig,
 ) -> Bool[np.ndarray, "h w"]:
-    """Pixels where the mesh says that no light arrives and the picture shows some: the camera looks
-    through a hole of the mesh into what is closed all around. Their mesh tells nothing."""
+    """Pixels where no light arrives in the rendering and the picture shows some: the camera looks
+    through a hole of the mesh into what is closed all around. Their mesh tells nothing, nor does
+    the rim of the hole, where light is smoothed."""
+    from scipy.ndimage import binary_dilation
+
     least = np.float32(config.darkest_share) * _median_light(source.shaded, is_surface)
     is_dark = (source.shaded <= 0.25 * least).all(axis=-1)
     is_bright = (foreground > least * np.float32(config.largest_albedo)).any(axis=-1)
-    return np.logical_and(is_dark, is_bright)
+    return np.asarray(binary_dilation(is_surface & is_dark & is_bright, iterations=_SEALED_RIM_PX))
 
 
 def _light_ratio(
