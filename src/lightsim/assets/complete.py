@@ -9,7 +9,7 @@ from scipy import ndimage
 from lightsim.assets.cabin import ClosedCabin, close_cabin
 from lightsim.assets.mesh_config import MeshConfig
 from lightsim.assets.proxy import is_vehicle, proxy_distance_m
-from lightsim.assets.simplify import simplify
+from lightsim.assets.simplify import simplify_planar
 from lightsim.assets.surface import (
     border_vertices,
     extract_surface,
@@ -29,7 +29,6 @@ _SINK_M = 0.003
 _MIN_UP = 0.5
 _FINE_M = 0.8
 _COARSE_EDGE_M = 0.75
-_ERROR_M = 0.01
 
 
 def actor_surface(
@@ -153,11 +152,9 @@ def ground_patches(
     z = fill_smoothly(np.where(is_known, observed.reshape(shape), 0.0), is_known)
     corners = is_hole[1:, 1:] | is_hole[:-1, 1:] | is_hole[1:, :-1] | is_hole[:-1, :-1]
     patches, node = _quads(background.frame, xy, z - _SINK_M * is_known, corners)
-    if len(patches.faces) == 0:
-        return patches
     # Beside measured ground light changes quickly (edges of vehicles); far inside it is dark.
     edge_m = np.where(gap_m.reshape(-1)[node] < _FINE_M, config.ground_cell_m, _COARSE_EDGE_M)
-    return simplify(patches, np.full(len(node), _ERROR_M), edge_m)
+    return simplify_planar(patches, edge_m=edge_m)
 
 
 def _nodes(

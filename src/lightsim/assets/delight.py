@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Bool, Float32, Float64
 
 from lightsim.assets.delight_config import DelightConfig
 from lightsim.assets.delight_divide import base_colour_from_radiance, inpaint_colour
@@ -33,6 +33,7 @@ __all__ = ["DelightConfig", "Delit", "LidarReturns", "LightScales", "SurfaceLigh
 
 _LEAST_RADIANCE = 1e-3
 _TONE_REACH_M = 0.3
+_WEIGHTS = LUMINANCE_WEIGHTS.astype(np.float64)
 _LEAST_SURFELS = 50
 
 
@@ -132,10 +133,11 @@ def _finished(
     visibility = found.visibility.astype(np.float64)
     total = np.maximum(found.light.total(found.scales, visibility), 1e-6)
     colour = np.clip(mesh.base_colour / total, config.low, config.high)
-    shade = _deep_shade(mesh, colour.astype(np.float64), found, total, config)
     share = found.light.direct(found.scales).sum(axis=1) / total.sum(axis=1)
     unsure = 4 * visibility * (1 - visibility) * np.minimum(share, 1.0)
     seen = np.ones(len(unsure)) if mesh.confidence is None else mesh.confidence
+    open_sky = float(np.percentile(found.light.diffuse(found.scales) @ _WEIGHTS, 95))
+    shade = _deep_shade(mesh, colour, total @ _WEIGHTS / max(open_sky, 1e-9), seen > 0, config)
     texture = mesh.texture
     if texture is not None:
         limits = (config.low, config.high)
@@ -152,17 +154,14 @@ def _finished(
 def _deep_shade(
     mesh: TriMesh,
     colour: Float64[np.ndarray, "n 3"],
-    found: VertexLight,
-    total: Float64[np.ndarray, "n 3"],
+    openness: Float64[np.ndarray, " n"],
+    is_seen: Bool[np.ndarray, " n"],
     config: DelightConfig,
 ) -> DeepShade:
     """Under vehicles and in deep corners nearly all light is stray light that no model knows: the
-    quotient there says little, surfaces beside them more."""
-    weights = LUMINANCE_WEIGHTS.astype(np.float64)
-    open_sky = float(np.percentile(found.light.diffuse(found.scales) @ weights, 95))
-    trust = np.interp(total @ weights / max(open_sky, 1e-9), config.deep_shade, (0.0, 1.0))
-    seen = np.ones(len(trust)) if mesh.confidence is None else mesh.confidence
-    fill = inpaint_colour(mesh, colour, (trust >= 1.0) & (seen > 0), config.divide)
+    quotient there says little, surfaces beside them more. `openness`: light over an open sky's."""
+    trust = np.interp(openness, config.deep_shade, (0.0, 1.0))
+    fill = inpaint_colour(mesh, colour, (trust >= 1.0) & is_seen, config.divide)
     return DeepShade(trust, fill)
 
 

@@ -76,12 +76,14 @@ def simplify(
     )
 
 
-def simplify_planar(mesh: TriMesh, error_m: float = 0.01, edge_m: float = 0.75) -> TriMesh:
-    """`simplify` with one bound everywhere: for surfaces that were drawn cell by cell."""
+def simplify_planar(
+    mesh: TriMesh, error_m: float = 0.01, edge_m: float | Float[np.ndarray, " n"] = 0.75
+) -> TriMesh:
+    """`simplify` with one bound on the error: for surfaces that were drawn cell by cell."""
     if len(mesh.faces) == 0:
         return mesh
     count = len(mesh.vertices)
-    return simplify(mesh, np.full(count, error_m), np.full(count, edge_m))
+    return simplify(mesh, np.full(count, error_m), np.full(count, edge_m, dtype=np.float64))
 
 
 def _groups(mesh: TriMesh) -> UInt8[np.ndarray, " m"]:

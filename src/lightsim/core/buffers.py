@@ -25,16 +25,14 @@ class GBuffers:
     """Cosine-weighted fraction of the upper hemisphere about the normal that is open; sky 1."""
     actor_index: Int32[np.ndarray, "h w"]
     """Index into the frame's list of placed actors, BACKGROUND or NO_SURFACE."""
-    bulge_world: Float32[np.ndarray, "h w 3"] | None = None
-    """Way from the flat faces to the curved surface that their smooth normals tell of; None: 0."""
+    lifted_world: Float32[np.ndarray, "h w 3"] | None = None
+    """Points of the curved surface that the faces' smooth normals tell of; None: the position."""
 
     @property
     def ray_starts_world(self) -> Float32[np.ndarray, "h w 3"]:
         """Where rays that leave the surface start: on the curved surface, not on the flat faces,
         which would shadow themselves where they turn away from the light."""
-        if self.bulge_world is None:
-            return self.position_world
-        return self.position_world + self.bulge_world
+        return self.position_world if self.lifted_world is None else self.lifted_world
 
     @property
     def has_surface(self) -> Bool[np.ndarray, "h w"]:

@@ -46,8 +46,8 @@ def render_gbuffers(
     """
     config = config or GBufferConfig()
     height, width = camera.height_px, camera.width_px
-    bulge = np.zeros((height, width, 3), dtype=np.float32)
-    out = replace(_empty(height, width), bulge_world=bulge)
+    lifted = np.zeros((height, width, 3), dtype=np.float32)
+    out = replace(_empty(height, width), lifted_world=lifted)
     centres = camera.pixel_centres()
     band = max(1, BAND_RAYS // width)
     for start in range(0, height, band):
@@ -58,7 +58,7 @@ def render_gbuffers(
         out.position_world.reshape(-1, 3)[index] = seen.position_world
         out.normal_world.reshape(-1, 3)[index] = seen.normal_world
         out.base_colour.reshape(-1, 3)[index] = seen.base_colour
-        bulge.reshape(-1, 3)[index] = seen.bulge_world
+        lifted.reshape(-1, 3)[index] = seen.lifted_world
         out.actor_index.reshape(-1)[index] = scene.actor_index[seen.hits.mesh_index]
     return out
 
@@ -82,7 +82,7 @@ class SeenSurfaces:
     Args:
         rows: of the rays that meet a surface; the other fields hold these alone.
         hits: the faces.
-        bulge_world: see core.buffers.GBuffers.
+        lifted_world: see core.buffers.GBuffers.
         towards_camera: unit.
     """
 
@@ -91,7 +91,7 @@ class SeenSurfaces:
     depth_z_m: Float32[np.ndarray, " n"]
     position_world: Float32[np.ndarray, "n 3"]
     normal_world: Float32[np.ndarray, "n 3"]
-    bulge_world: Float32[np.ndarray, "n 3"]
+    lifted_world: Float32[np.ndarray, "n 3"]
     base_colour: Float32[np.ndarray, "n 3"]
     towards_camera: Float32[np.ndarray, "n 3"]
 
@@ -111,15 +111,15 @@ def see(
     distance = hits.distance_m.astype(np.float64)
     depth = distance * camera.directions(uv[rows])[:, 2]
     towards = directions[rows]
-    position = origins[rows] + distance[:, None] * towards
+    position = (origins[rows] + distance[:, None] * towards).astype(np.float32)
     normal, bulge, colour = _surface(scene, hits, towards)
     return SeenSurfaces(
         rows,
         hits,
         depth.astype(np.float32),
-        position.astype(np.float32),
+        position,
         normal,
-        bulge,
+        position + bulge,
         colour,
         (-towards).astype(np.float32),
     )

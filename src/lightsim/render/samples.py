@@ -158,7 +158,7 @@ class _Gathered:
         for found, chosen in ((self._edges, is_edge[local]), (self._glossy, is_glossy)):
             points = _points(seen, np.flatnonzero(chosen), roughness, metallic)
             found.append(replace(points, rows=points.rows + self._total))
-        self._append(band.start + local, number, seen.position_world + seen.bulge_world)
+        self._append(band.start + local, number, seen.lifted_world)
 
     def _append(
         self,
