@@ -120,12 +120,12 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_files(
     assert len(contents(tmp_path)) == 2 * (2 + 2 * 3)
     written = 0
 
-    def failing(path: Path, picture: np.ndarray) -> None:
+    def failing(path: Path, picture: np.ndarray, mark: str) -> None:
         nonlocal written
         written += 1
         if written == 4:
             raise KeyboardInterrupt
-        write(path, picture)
+        write(path, picture, mark=mark)
 
     from lightsim import rendering
 

@@ -6,8 +6,11 @@ Heavy packages are imported inside the calls, so that `lightsim --help` answers 
 from __future__ import annotations
 
 import logging
+import signal
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -94,6 +97,10 @@ class Relight:
     """Factor on the log's image size; by default that of the build."""
     linear: bool = False
     """Write linear EXR frames as well."""
+    overwrite: bool = False
+    """Replace a result of this name that was made with another sky or other settings."""
+    allow_stale: bool = False
+    """Go on where the recording has changed since the build."""
     seed: int = 0
     """Of the sampling of rays."""
     verbose: Verbose = False
@@ -243,10 +250,12 @@ class Doctor:
 
 @dataclass(frozen=True)
 class Status:
-    """Show which artefacts of a work folder are made, stale or missing."""
+    """Show which artefacts of a work folder are made, stale, broken or missing."""
 
     work: tyro.conf.Positional[Path]
     """Work folder."""
+    verify: bool = False
+    """Read every file and compare its bytes with what was written, not only its size."""
     verbose: Verbose = False
     """Show the trace of an error."""
 
@@ -340,21 +349,41 @@ def main(argv: Sequence[str] | None = None) -> None:
         command = command.what
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:
-        run(command)
-    except LightSimError as error:
-        if command.verbose:
-            raise
-        sys.exit(_complain(f"{error}"))
+        with _stopped_like_ctrl_c():
+            run(command)
     except KeyboardInterrupt:
         sys.stderr.write("lightsim: interrupted; run the same command again to go on\n")
         sys.exit(130)
-    except (OSError, MemoryError) as error:
+    except Exception as error:
         if command.verbose:
             raise
-        sys.exit(_complain(f"{type(error).__name__}: {error}. Use -v for the trace."))
+        sys.exit(_complain(error))
 
 
-def _complain(message: str) -> int:
-    line = " ".join(message.split())
-    sys.stderr.write(f"lightsim: error: {line}\n")
+@contextmanager
+def _stopped_like_ctrl_c() -> Generator[None]:
+    """SIGTERM, by which schedulers stop a job, ends a command as cleanly as Ctrl-C."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # Only the main thread may handle signals.
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _complain(error: Exception) -> int:
+    """One line: ours as it is, the system's by its name, and a request for a report of what
+    should not happen."""
+    kind = f"{type(error).__name__}: {error}"
+    if isinstance(error, LightSimError):
+        message = f"{error}"
+    elif isinstance(error, OSError):
+        message = f"{kind}. Use -v for the trace."
+    elif isinstance(error, MemoryError):
+        message = "the memory does not suffice. Try a smaller --image-scale or fewer --frames."
+    else:
+        message = f"this is a fault of LightSim: {kind}. Please report it with the trace of -v."
+    sys.stderr.write(f"lightsim: error: {' '.join(message.split())}\n")
     return 1

@@ -55,6 +55,8 @@ class Render:
     """I/N, I from 1 to N: render the I-th of N parts of the frames; parts may share DIR."""
     seed: int = 0
     """Of the sampling of rays."""
+    allow_stale: bool = False
+    """Go on where the recording has changed since the build."""
     verbose: _Verbose = False
     """Show the trace of an error."""
 
@@ -84,6 +86,7 @@ def run(command: Render) -> str:
         ),
         shard=rendering.Shard.parse(command.shard),
         seed=command.seed,
+        is_stale_allowed=command.allow_stale,
     )
     done = rendering.render(command.work, command.out, options, terminal_progress())
     kept = done.frames - done.rendered

@@ -84,6 +84,8 @@ def relight(command: cli.Relight) -> None:
         image_scale=command.image_scale,
         is_linear_written=command.linear,
         seed=command.seed,
+        is_overwriting=command.overwrite,
+        is_stale_allowed=command.allow_stale,
     )
     folder = scenarios.relight(command.work, options, terminal_progress())
     _say(f"frames: {folder / 'frames'}")
@@ -106,10 +108,12 @@ def demo(command: cli.Demo) -> None:
 def status(command: cli.Status) -> None:
     from lightsim import pipeline
 
-    for line in pipeline.status(command.work):
+    for line in pipeline.status(command.work, is_hashed=command.verify):
         took = "" if line.seconds is None else f"{line.seconds:8.1f} s"
         memory = "" if line.peak_memory_mb is None else f"{line.peak_memory_mb:6d} MB"
         _say(f"{line.name:10s}{line.state:8s}{took:>12s}{memory:>12s}")
+        for damage in line.damage:
+            _say(f"          {damage}")
 
 
 def doctor(command: cli.Doctor) -> None:

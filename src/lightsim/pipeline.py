@@ -18,7 +18,9 @@ from lightsim.align.config import AlignConfig
 from lightsim.assets import config as asset_config
 from lightsim.assets import mesh_config
 from lightsim.assets.config import Colour
-from lightsim.errors import ArtefactError
+from lightsim.core.checks import check_number, check_seed
+from lightsim.errors import ArtefactError, InputError
+from lightsim.ingest.fingerprint import hash_recording
 from lightsim.ingest.sky_mask import SkyMaskConfig
 from lightsim.lighting.stitch import StitchConfig
 from lightsim.progress import Progress
@@ -27,7 +29,8 @@ from lightsim.source_sun import GpsUse, SourceSunConfig
 from lightsim.store.artefact import (
     Recipe,
     State,
-    fingerprint,
+    find_damage,
+    hash_names,
     json_ready,
     make_artefact,
     read_json,
@@ -35,13 +38,16 @@ from lightsim.store.artefact import (
     state_of,
     write_json,
 )
+from lightsim.store.atomic import sweep_partials
+from lightsim.store.lock import LOCK_NAME, locked
 from lightsim.store.log import LogReading, reading_from_json
-from lightsim.workspace import Workspace
+from lightsim.workspace import OPTIONS_NAME, Workspace
 
 logger = logging.getLogger(__name__)
 
-OPTIONS_NAME = "build.json"
-
+PRESETS = ("draft", "standard", "paper")
+_MAX_STEPS = 10_000_000
+"""Weeks of training; beyond it somebody has slipped a digit."""
 
 _FUSE = {"draft": fuse_config.draft, "standard": fuse_config.standard, "paper": fuse_config.paper}
 _NEURAL = {
@@ -81,6 +87,18 @@ class BuildOptions:
     colour: Colour | None = None
     gps: GpsUse = "all"
 
+    def __post_init__(self) -> None:
+        if self.preset not in PRESETS:
+            raise InputError(
+                "there is no such preset",
+                where="--preset",
+                got=self.preset,
+                expected=f"one of {', '.join(PRESETS)}",
+            )
+        check_seed(self.seed)
+        if self.neural_steps is not None:
+            check_number("--neural-steps", self.neural_steps, 0, _MAX_STEPS)
+
 
 @dataclass(frozen=True)
 class Stage:
@@ -115,7 +133,7 @@ def _neural_config(options: BuildOptions) -> neural_config.NeuralConfig:
 
 
 STAGES = (
-    Stage("log", 1, (), lambda o: o.reading, stages.make_log),
+    Stage("log", 2, (), lambda o: replace(o.reading, source=""), stages.make_log),
     Stage("masks", 1, ("log",), lambda o: SkyMaskConfig(), stages.make_masks),
     Stage(
         "alignment",
@@ -147,9 +165,12 @@ STAGES = (
 )
 
 
-def recipes(options: BuildOptions) -> dict[str, Recipe]:
-    """The recipe of every stage; a stage's key holds the keys of all it needs."""
-    source_key = fingerprint(Path(options.reading.source))
+def recipes(options: BuildOptions, source_key: str) -> dict[str, Recipe]:
+    """The recipe of every stage; a stage's key holds the keys of all it needs.
+
+    Args:
+        source_key: hash of the recording.
+    """
     made: dict[str, Recipe] = {}
     for stage in STAGES:
         inputs = {name: made[name].key for name in stage.needs} or {"source": source_key}
@@ -168,23 +189,42 @@ def build(
     work: Path, options: BuildOptions, progress: Progress, until: str = "report"
 ) -> Workspace:
     """Make what is missing or stale in `work`, in order, up to the stage `until`; finished
-    artefacts are kept.
+    artefacts are kept, damaged ones are made anew.
 
     Raises:
         InputError: the log is broken, or an option is out of range.
+        ArtefactError: another command is at work in `work`, or what must be replaced there is not
+            ours.
     """
-    work.mkdir(parents=True, exist_ok=True)
-    by_stage = recipes(options)
+    _check_places(Path(options.reading.source), work)
+    try:
+        work.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            "the work folder cannot be made",
+            where=work,
+            got=error.strerror,
+            remedy="Choose another --work.",
+        ) from error
+    with locked(work / LOCK_NAME):
+        sweep_partials(work)
+        return _build(work, options, progress, until)
+
+
+def _build(work: Path, options: BuildOptions, progress: Progress, until: str) -> Workspace:
+    source_hashes = hash_recording(Path(options.reading.source))
+    by_stage = recipes(options, hash_names(source_hashes))
     write_json(work / OPTIONS_NAME, options)
-    workspace = Workspace(work, options.reading)
+    workspace = Workspace(work, options.reading, source_hashes)
     context = stages.Context(progress, options.seed, options.preset, options.device)
     for stage in _stages_until(until):
         recipe = by_stage[stage.name]
         folder = work / stage.name
-        if state_of(folder, recipe) == "made":
+        state = state_of(folder, recipe, is_hashed=True)
+        if state == "made":
             logger.info("%-9s kept", stage.name)
             continue
-        logger.info("%-9s ...", stage.name)
+        logger.info("%-9s %s", stage.name, "is damaged: anew ..." if state == "broken" else "...")
         record = make_artefact(
             folder,
             recipe,
@@ -203,6 +243,18 @@ def build(
     return workspace
 
 
+def _check_places(source: Path, work: Path) -> None:
+    """The work folder must not become part of the recording."""
+    inside = work.resolve()
+    if source.resolve() in (inside, *inside.parents):
+        raise InputError(
+            "the work folder lies in the recording, which is never written to",
+            where=f"--work {work}",
+            got=f"SOURCE {source}",
+            remedy="Choose a folder beside it.",
+        )
+
+
 def _stages_until(name: str) -> tuple[Stage, ...]:
     """The table's rows up to one, with it."""
     return STAGES[: [stage.name for stage in STAGES].index(name) + 1]
@@ -216,23 +268,45 @@ class StageStatus:
     state: State
     seconds: float | None
     peak_memory_mb: int | None
+    damage: tuple[str, ...]
 
 
-def status(work: Path) -> list[StageStatus]:
-    """State of every artefact against the options that the last build of `work` used.
+def status(work: Path, *, is_hashed: bool = False) -> list[StageStatus]:
+    """State of every artefact against the options that the last build of `work` used, and against
+    the recording, where that is still in its place.
+
+    Args:
+        is_hashed: read every file and compare its bytes, not only its size.
 
     Raises:
         ArtefactError: `work` holds no build.
     """
     options = _read_options(work)
-    lines: list[StageStatus] = []
-    for name, recipe in recipes(options).items():
-        found = read_record(work / name)
-        state = state_of(work / name, recipe)
-        seconds = found["seconds"] if found else None
-        memory = found["peak_memory_mb"] if found else None
-        lines.append(StageStatus(name, state, seconds, memory))
-    return lines
+    by_stage = recipes(options, _source_key(work, Path(options.reading.source)))
+    return [_status_of(work / name, recipe, is_hashed) for name, recipe in by_stage.items()]
+
+
+def _source_key(work: Path, source: Path) -> str:
+    """Hash of the recording; where it is gone, of what the build found."""
+    if source.is_dir():
+        return hash_names(hash_recording(source))
+    logger.warning("%s: the recording is gone; changes in it cannot be told", source)
+    record = read_record(work / "log")
+    return "" if record is None else record["inputs"]["source"]
+
+
+def _status_of(folder: Path, recipe: Recipe, is_hashed: bool) -> StageStatus:
+    state = state_of(folder, recipe)
+    try:
+        record = read_record(folder)
+    except ArtefactError as error:
+        return StageStatus(folder.name, state, None, None, (error.what,))
+    if record is None:
+        return StageStatus(folder.name, state, None, None, ())
+    damage = find_damage(folder, record, is_hashed=is_hashed)
+    if damage and state == "made":
+        state = "broken"
+    return StageStatus(folder.name, state, record["seconds"], record["peak_memory_mb"], damage)
 
 
 def _read_options(work: Path) -> BuildOptions:

@@ -7,10 +7,7 @@ stopped goes on where it was, and shards may write into one folder.
 
 from __future__ import annotations
 
-import json
-import os
 import re
-import tempfile
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +18,7 @@ from jaxtyping import Float32
 
 from lightsim.core.buffers import GBuffers
 from lightsim.core.camera import PinholeCamera
+from lightsim.core.checks import check_number, check_seed
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.edit.timeline import replay
@@ -29,8 +27,11 @@ from lightsim.progress import Progress
 from lightsim.renderers import Renderer, RendererChoice, TracedFrame, make_renderer
 from lightsim.scenarios import select_frames
 from lightsim.skies import SkyChoice, resolve_sky
-from lightsim.store.artefact import json_ready, read_json, read_record
-from lightsim.store.images import write_exr
+from lightsim.store.artefact import hash_names, json_ready, read_json, write_json
+from lightsim.store.atomic import sweep_partials
+from lightsim.store.exr import read_mark, write_exr
+from lightsim.store.lock import LOCK_NAME, locked
+from lightsim.store.log import MIN_IMAGE_SCALE
 from lightsim.workspace import Workspace
 
 GEOMETRY = ("depth", "position", "normal", "albedo", "actor", "ao")
@@ -39,7 +40,7 @@ LIGHT = ("shaded", "unshadowed", "shadow", "image")
 """Written for each sky."""
 _RECORD = "render.json"
 _SKY_RECORD = "sky.json"
-_SCHEMA = 1
+_SCHEMA = 2
 T = TypeVar("T")
 
 
@@ -91,6 +92,7 @@ class RenderOptions:
         renderer: how light is computed, and by what rays.
         shard: which part of the frames this process renders.
         seed: of the sampling of rays.
+        is_stale_allowed: go on where the recording has changed since the build.
     """
 
     what: tuple[str, ...]
@@ -101,8 +103,12 @@ class RenderOptions:
     renderer: RendererChoice = field(default_factory=RendererChoice)
     shard: Shard = field(default_factory=Shard)
     seed: int = 0
+    is_stale_allowed: bool = False
 
     def __post_init__(self) -> None:
+        check_seed(self.seed)
+        if self.image_scale is not None:
+            check_number("--image-scale", self.image_scale, MIN_IMAGE_SCALE, 1.0)
         unknown = set(self.what) - {*GEOMETRY, *LIGHT}
         if unknown or not self.what:
             raise InputError(
@@ -149,21 +155,27 @@ class Layout:
         out: folder.
         what: buffers.
         skies: names; a single one has no folder of its own.
+        mark: of this run's settings, by which its files are known from others.
     """
 
     out: Path
     what: tuple[str, ...]
     skies: tuple[str, ...]
+    mark: str = ""
 
     def sky_folder(self, sky: str) -> Path:
         return self.out if len(self.skies) == 1 else self.out / sky
 
     def geometry(self, frame: CameraFrame) -> dict[str, Path]:
-        """Missing files of buffers that all skies share."""
+        """Missing files of buffers that all skies share.
+
+        Raises:
+            InputError: a file that another program or other settings made is in a place.
+        """
         return self._missing(self.out, GEOMETRY, frame)
 
     def light(self, frame: CameraFrame, sky: str) -> dict[str, Path]:
-        """Missing files of one sky."""
+        """Missing files of one sky; raises as `geometry`."""
         return self._missing(self.sky_folder(sky), LIGHT, frame)
 
     def is_done(self, frame: CameraFrame) -> bool:
@@ -175,7 +187,18 @@ class Layout:
             for what in self.what
             if what in kind
         }
-        return {what: path for what, path in named.items() if not path.exists()}
+        return {what: path for what, path in named.items() if not self._is_finished(path)}
+
+    def _is_finished(self, path: Path) -> bool:
+        if not path.exists():
+            return False
+        if read_mark(path) != self.mark:
+            raise InputError(
+                "a file that this run did not make, or that was damaged, is in its place",
+                where=path,
+                remedy="Move it away, or choose another --out.",
+            )
+        return True
 
 
 @dataclass(frozen=True)
@@ -205,16 +228,28 @@ def render(work: Path, out: Path, options: RenderOptions, progress: Progress) ->
         ArtefactError: the twin has not been built.
         InputError: a sky, camera or frame range is wrong, or OUT holds files of other settings.
     """
-    workspace = Workspace(work)
+    workspace = Workspace(work, is_stale_allowed=options.is_stale_allowed)
+    workspace.need("twin")
+    with locked(work / LOCK_NAME, is_shared=True):
+        return _render(workspace, out, options, progress)
+
+
+def _render(
+    workspace: Workspace, out: Path, options: RenderOptions, progress: Progress
+) -> RenderSummary:
     scale = options.image_scale or workspace.reading.image_scale
     log = workspace.log_at(scale)
     frames = select_frames(log, options.cameras, options.frames)
     mine = options.shard.of(frames)
     skies = options.sky_by_name
-    layout = Layout(out, options.what, tuple(skies))
+    settings = _settings(workspace, options, scale)
+    layout = Layout(out, options.what, tuple(skies), hash_names(settings))
+    # First of all: other settings are told better than by the first file that they made.
+    for path, made_from in _claims(layout, settings, skies).items():
+        _check_claim(path, made_from)
     pending = [frame for frame in mine if not layout.is_done(frame)]
     if not pending:
-        _claim(layout, workspace, options, scale)
+        _claim(layout, settings, skies)
     else:
         twin = workspace.twin
         renderer = make_renderer(
@@ -225,41 +260,52 @@ def render(work: Path, out: Path, options: RenderOptions, progress: Progress) ->
             has_images="image" in options.what,
         )
         # Not before: a renderer that is not installed must leave no claim behind.
-        _claim(layout, workspace, options, scale)
+        _claim(layout, settings, skies)
         prepared = _prepare_skies(layout, skies, renderer, workspace)
         scenario = replay(twin, "render", frames)
         write_frames(layout, renderer, scenario, log.cameras, pending, prepared, progress)
     return RenderSummary(len(mine), len(pending))
 
 
-def _claim(
-    layout: Layout, workspace: Workspace, options: RenderOptions, image_scale: float
-) -> None:
-    """Record the settings in OUT, or refuse an OUT whose files were made with others."""
-    record = read_record(workspace.need("twin"))
-    assert record is not None
-    settings = {
+def _settings(workspace: Workspace, options: RenderOptions, image_scale: float) -> dict[str, Any]:
+    """What decides the pictures, but for the skies."""
+    return {
         "schema": _SCHEMA,
-        "twin": record["key"],
+        "twin": workspace.record("twin")["key"],
         "image_scale": image_scale,
         "seed": options.seed,
         **options.renderer.settings,
     }
-    _claim_file(layout.out / _RECORD, settings)
-    for name, sky in options.sky_by_name.items():
-        _claim_file(layout.sky_folder(name) / _SKY_RECORD, _made_from(sky))
 
 
-def _made_from(sky: SkyChoice) -> dict[str, Any]:
-    """What decides a sky's light; moving its file does not."""
-    return {"input": sky.input_key, "yaw_deg": sky.yaw_deg, "scale": sky.scale}
+def _claim(layout: Layout, settings: Mapping[str, Any], skies: Mapping[str, SkyChoice]) -> None:
+    """Record the settings in OUT, or refuse an OUT whose files were made with others.
+
+    One run after the other: of two with other settings that start at once, the second is refused.
+    """
+    layout.out.mkdir(parents=True, exist_ok=True)
+    with locked(layout.out / LOCK_NAME, is_waiting=True):
+        sweep_partials(layout.out)
+        for path, made_from in _claims(layout, settings, skies).items():
+            _check_claim(path, made_from)
+            if not path.exists():
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_json(path, made_from)
 
 
-def _claim_file(path: Path, made_from: Mapping[str, Any]) -> None:
+def _claims(
+    layout: Layout, settings: Mapping[str, Any], skies: Mapping[str, SkyChoice]
+) -> dict[Path, dict[str, Any]]:
+    of_skies = {layout.sky_folder(n) / _SKY_RECORD: sky.made_from for n, sky in skies.items()}
+    return {layout.out / _RECORD: json_ready(settings), **of_skies}
+
+
+def _check_claim(path: Path, made_from: Mapping[str, Any]) -> None:
     if not path.exists():
-        _write_record(path, made_from)
         return
     found = read_json(path)
+    if not isinstance(found, dict):
+        raise InputError("the record is damaged", where=path, remedy="Choose another --out.")
     differing = [key for key in made_from if found.get(key) != made_from[key]]
     if differing:
         raise InputError(
@@ -271,25 +317,13 @@ def _claim_file(path: Path, made_from: Mapping[str, Any]) -> None:
         )
 
 
-def _write_record(path: Path, record: Mapping[str, Any]) -> None:
-    """Whole or not at all, under a name of its own meanwhile: shards on several machines may
-    write the same record at once, with the same content."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=".", delete=False) as file:
-        json.dump(json_ready(record), file, indent=1)
-    os.chmod(file.name, 0o644)
-    os.replace(file.name, path)
-
-
 def _prepare_skies(
     layout: Layout, skies: Mapping[str, SkyChoice], renderer: Renderer, workspace: Workspace
 ) -> dict[str, Any]:
     prepared: dict[str, Any] = {}
     for name, sky in skies.items():
         target = resolve_sky(sky, workspace)
-        _write_record(
-            layout.sky_folder(name) / _SKY_RECORD, {**_made_from(sky), "facts": target.facts}
-        )
+        write_json(layout.sky_folder(name) / _SKY_RECORD, {**sky.made_from, "facts": target.facts})
         prepared[name] = renderer.prepare(target.dome)
     return prepared
 
@@ -312,22 +346,23 @@ def write_frames(
     for frame in progress.track(frames, "render", len(frames)):
         camera = camera_by_name[frame.camera_name]
         if not needs_tracing:
-            _write(layout.geometry(frame), _geometry(renderer.geometry(scenario, frame, camera)))
+            buffers = renderer.geometry(scenario, frame, camera)
+            _write(layout.geometry(frame), _geometry(buffers), layout.mark)
             continue
         traced = renderer.trace(scenario, frame, camera)
         for name, sky in prepared.items():
             missing = layout.light(frame, name)
             if missing:
-                _write(missing, _light(traced, sky, missing))
-        _write(layout.geometry(frame), _geometry(traced.buffers))
+                _write(missing, _light(traced, sky, missing), layout.mark)
+        _write(layout.geometry(frame), _geometry(traced.buffers), layout.mark)
 
 
 def _write(
-    paths: Mapping[str, Path], pictures: Mapping[str, Float32[np.ndarray, "h w *c"]]
+    paths: Mapping[str, Path], pictures: Mapping[str, Float32[np.ndarray, "h w *c"]], mark: str
 ) -> None:
     for what, path in paths.items():
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_exr(path, pictures[what])
+        write_exr(path, pictures[what], mark=mark)
 
 
 def _geometry(buffers: GBuffers) -> dict[str, Float32[np.ndarray, "h w *c"]]:

@@ -6,7 +6,8 @@ on where it stopped.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from jaxtyping import Float32, UInt8
 
 from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.camera import PinholeCamera
+from lightsim.core.checks import MAX_EXPOSURE_EV, check_number, check_seed
 from lightsim.core.colour import linear_from_srgb8
 from lightsim.core.dome import SkyDome
 from lightsim.core.frames import points_rotated
@@ -40,10 +42,18 @@ from lightsim.store.artefact import (
     write_json,
 )
 from lightsim.store.images import read_srgb8, write_exr, write_png
+from lightsim.store.lock import LOCK_NAME, locked
+from lightsim.store.log import MIN_IMAGE_SCALE
 from lightsim.store.mp4 import Mp4Writer
 from lightsim.workspace import Workspace
 
-_SCHEMA = 1
+_SCHEMA = 2
+_STAGE = "relight"
+_NAME = re.compile(r"[^\W_][\w.+-]{0,99}")
+"""One path component of letters, digits and a few signs, no more than file systems take, that is
+no option (-x), no hidden folder (.x) and no name of ours."""
+_MAX_NAME_BYTES = 200
+"""File systems take 255, some of them for the temporary name's sake."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +61,7 @@ class RelightOptions:
     """What `lightsim relight` is asked for.
 
     Args:
-        name: of the result folder.
+        name: of the result folder: letters, digits, and . + - _ after the first.
         sky: target sky.
         method: "physical".
         exposure_ev: exposure of the output, stops.
@@ -60,6 +70,11 @@ class RelightOptions:
         image_scale: factor on the log's image size; None for that of the build.
         is_linear_written: also write linear EXR frames.
         seed: of the sampling of rays.
+        is_overwriting: replace a scenario of this name that was made with other settings.
+        is_stale_allowed: go on where the recording has changed since the build.
+
+    Raises:
+        InputError: the name is not one for a folder, or a number is out of range.
     """
 
     name: str
@@ -71,6 +86,33 @@ class RelightOptions:
     image_scale: float | None = None
     is_linear_written: bool = False
     seed: int = 0
+    is_overwriting: bool = False
+    is_stale_allowed: bool = False
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name) or len(self.name.encode()) > _MAX_NAME_BYTES:
+            raise InputError(
+                "the name is not fit for a folder",
+                where="--name",
+                got=repr(self.name[:40]),
+                expected="letters, digits and . + - _, a letter or digit first",
+            )
+        check_number("--exposure-ev", self.exposure_ev, -MAX_EXPOSURE_EV, MAX_EXPOSURE_EV)
+        if self.image_scale is not None:
+            check_number("--image-scale", self.image_scale, MIN_IMAGE_SCALE, 1.0)
+        check_seed(self.seed)
+
+    def settings(self, image_scale: float) -> dict[str, Any]:
+        """All that decides the frames besides twin and sky file."""
+        return {
+            "sky": self.sky.made_from,
+            "method": self.method,
+            "exposure_ev": self.exposure_ev,
+            "cameras": list(self.cameras),
+            "frames": self.frames,
+            "image_scale": image_scale,
+            "is_linear_written": self.is_linear_written,
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,21 +142,33 @@ def relight(work: Path, options: RelightOptions, progress: Progress) -> Path:
     """Relight the log of a work folder; returns WORK/scenarios/NAME.
 
     Raises:
-        ArtefactError: the twin has not been built.
-        InputError: the sky, a camera or a frame range is wrong.
+        ArtefactError: the twin has not been built or is damaged, the recording has changed since,
+            or another command is at work there.
+        InputError: the sky, a camera or a frame range is wrong, or the name holds a scenario of
+            other settings.
     """
-    workspace = Workspace(work)
+    workspace = Workspace(work, is_stale_allowed=options.is_stale_allowed)
+    workspace.need("twin")
+    folder = work / "scenarios" / options.name
+    with locked(work / LOCK_NAME, is_shared=True):
+        folder.parent.mkdir(exist_ok=True)
+        with locked(folder.parent / f".{folder.name}{LOCK_NAME}"):
+            _relight(workspace, folder, options, progress)
+    return folder
+
+
+def _relight(
+    workspace: Workspace, folder: Path, options: RelightOptions, progress: Progress
+) -> None:
     scale = options.image_scale or workspace.reading.image_scale
+    settings = options.settings(scale)
+    inputs = {"twin": workspace.record("twin")["key"]}
+    recipe = Recipe(_STAGE, _SCHEMA, settings, inputs, options.seed)
+    if not options.is_overwriting:
+        _refuse_other_settings(folder, recipe)
     log = workspace.log_at(scale)
     frames = select_frames(log, options.cameras, options.frames)
     target = resolve_sky(options.sky, workspace)
-    twin_record = read_record(workspace.need("twin"))
-    assert twin_record is not None
-    config = json_ready(replace(options, image_scale=scale))
-    inputs = {"twin": twin_record["key"], "sky": options.sky.input_key}
-    recipe = Recipe("relight", _SCHEMA, config, inputs, options.seed)
-    folder = work / "scenarios" / options.name
-    folder.parent.mkdir(exist_ok=True)
 
     def make(partial: Path) -> Iterable[str]:
         twin = replace(workspace.twin, log=log)
@@ -122,14 +176,31 @@ def relight(work: Path, options: RelightOptions, progress: Progress) -> Path:
         relighter = Relighter(workspace, log, target, options)
         _write_frames(partial, scenario, relighter, options, progress)
         _write_videos(partial, scenario, progress)
-        write_json(partial / "scenario.json", scenario_summary(scenario, log, target, options))
+        write_json(partial / "scenario.json", scenario_summary(scenario, log, target, settings))
         from lightsim.reports import write_relight_report
 
         write_relight_report(partial / "report.html", partial, scenario, relighter, target)
         return ()
 
     make_artefact(folder, recipe, make)
-    return folder
+
+
+def _refuse_other_settings(folder: Path, recipe: Recipe) -> None:
+    """A finished scenario goes only when the user says so, or when its twin was built anew."""
+    record = read_record(folder)
+    if record is None or record["stage"] != recipe.stage:
+        return
+    was = {**record["config"], "seed": record.get("seed")}
+    now = {**json_ready(recipe.config), "seed": recipe.seed}
+    differing = [key for key in now if was.get(key) != now[key]]
+    if differing:
+        raise InputError(
+            "a scenario of this name was made with other settings",
+            where=folder,
+            got=", ".join(f"{key} = {was.get(key)}" for key in differing),
+            expected=", ".join(f"{key} = {now[key]}" for key in differing),
+            remedy="Choose another --name, or give --overwrite.",
+        )
 
 
 def select_frames(
@@ -251,9 +322,9 @@ def frame_rate(frames: list[CameraFrame]) -> float:
 
 
 def scenario_summary(
-    scenario: Scenario, log: DrivingLog, target: TargetSky, options: RelightOptions
+    scenario: Scenario, log: DrivingLog, target: TargetSky, settings: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """scenario.json: the sky, the options, and the actors' boxes of every frame."""
+    """scenario.json: the sky, the settings, and the actors' boxes of every frame."""
     frames = [
         {
             "camera": frame.camera_name,
@@ -275,7 +346,7 @@ def scenario_summary(
     return {
         "version": 1,
         "name": scenario.name,
-        "options": json_ready(options),
+        "options": dict(settings),
         "sky": target.facts,
         "edits": list(scenario.edits),
         "frames": frames,

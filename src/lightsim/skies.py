@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from lightsim.core.checks import check_number
 from lightsim.core.dome import SkyDome, find_sun
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import GeoReference
@@ -16,11 +17,13 @@ from lightsim.core.twin import SkyEstimate
 from lightsim.errors import InputError
 from lightsim.lighting.sun import SunDirection, sun_from_geo
 from lightsim.lighting.target import dome_from_array, parse_time, scale_to_source, target_sky
-from lightsim.store.artefact import fingerprint
+from lightsim.store.artefact import hash_file
 from lightsim.store.images import read_sky
 from lightsim.workspace import Workspace
 
 SKY_HEIGHT_PX = 256
+_MIN_SCALE = 1e-9
+"""Skies are stored in anything from cd/m2 to arbitrary units: nine orders hold them all."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,10 @@ class SkyChoice:
     sky: str
     yaw_deg: float = 0.0
     scale: str = "auto"
+
+    def __post_init__(self) -> None:
+        check_number("--sky-yaw-deg", self.yaw_deg, -360.0, 360.0)
+        _scale_mode(self.scale)
 
     @property
     def path(self) -> Path | None:
@@ -55,7 +62,12 @@ class SkyChoice:
         if self.path is None:
             return self.sky
         _check_file(self)
-        return fingerprint(self.path)
+        return hash_file(self.path)
+
+    @property
+    def made_from(self) -> dict[str, Any]:
+        """What decides the sky's light; moving or renaming its file does not."""
+        return {"input": self.input_key, "yaw_deg": self.yaw_deg, "scale": self.scale}
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +117,9 @@ def sun_of_command(
             "the sun needs all of --time, --latitude, --longitude and --heading-deg",
             remedy="Give all four, or none to find the sun in the picture.",
         )
+    check_number("--latitude", latitude_deg, -90.0, 90.0)
+    check_number("--longitude", longitude_deg, -180.0, 360.0)
+    check_number("--heading-deg", heading_deg, -360.0, 360.0)
     time_ns = parse_time(f"time:{time}")
     yaw_rad = np.radians(90.0 - heading_deg)
     enu_from_world = RigidTransform.from_yaw("enu", "world", float(yaw_rad), np.zeros(3))
@@ -125,7 +140,15 @@ def _dome_of(
         return dome, facts | {"description": description, **found}
     _check_file(choice)
     file = read_sky(choice.path)
-    return dome_from_array(file.radiance, str(choice.path)), facts | {"notes": list(file.notes)}
+    dome = dome_from_array(file.radiance, str(choice.path))
+    if not dome.horizontal_irradiance().max() > 0:
+        raise InputError(
+            "all light of the sky lies below the horizon",
+            where=choice.path,
+            expected="the sky in the upper half of the picture",
+            remedy="Turn the picture the right way up; row 0 is the zenith.",
+        )
+    return dome, facts | {"notes": list(file.notes)}
 
 
 def _light_facts(dome: SkyDome) -> dict[str, Any]:
@@ -154,7 +177,7 @@ def _scale_mode(scale: str) -> Literal["auto", "none"] | float:
     if scale == "auto" or scale == "none":
         return scale
     try:
-        return float(scale)
+        factor = float(scale)
     except ValueError as error:
         raise InputError(
             "the sky scale is not understood",
@@ -162,3 +185,5 @@ def _scale_mode(scale: str) -> Literal["auto", "none"] | float:
             got=scale,
             expected="auto, none or a number",
         ) from error
+    check_number("--sky-scale", factor, _MIN_SCALE, 1.0 / _MIN_SCALE)
+    return factor

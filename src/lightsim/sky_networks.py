@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from lightsim.core.checks import check_number
 from lightsim.core.colour import linear_from_srgb
 from lightsim.core.dome import SkyDome, Sun, irradiance, split_sun
 from lightsim.core.solar import direction_enu
@@ -71,6 +72,12 @@ def decoded_dome(
     return SkyDome(radiance, split_sun(SkyDome(radiance, towards))[1])
 
 
+_LEAST_ELEVATION_DEG = 0.1
+"""Night and twilight are not modelled."""
+_MAX_SUN_FACTOR = 1e3
+"""From a veiled sun to a clear one is a factor of a hundred."""
+
+
 def edited_sky(
     estimate: SkyEstimate,
     panorama: Panorama,
@@ -86,6 +93,7 @@ def edited_sky(
     Raises:
         InputError: `sun` is not two numbers, or below the horizon.
     """
+    check_number("--sun-factor", sun_factor, 0.0, _MAX_SUN_FACTOR)
     azimuth_deg, elevation_deg = estimate.sun_azimuth_deg, estimate.sun_elevation_deg
     direction = None if estimate.dome.sun is None else estimate.dome.sun.direction_world
     if sun is not None:
@@ -110,8 +118,13 @@ def _two_numbers(text: str) -> tuple[float, float]:
         first, second = (float(part) for part in text.split(","))
     except ValueError as error:
         raise InputError(
-            "the sun must be AZIMUTH,ELEVATION in degrees", where="--move-sun", got=text
+            "the sun cannot be read",
+            where="--move-sun",
+            got=text,
+            expected="AZIMUTH,ELEVATION in degrees",
         ) from error
+    check_number("--move-sun, azimuth", first, -360.0, 360.0)
+    check_number("--move-sun, elevation", second, _LEAST_ELEVATION_DEG, 90.0)
     return first, second
 
 

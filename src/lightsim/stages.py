@@ -112,7 +112,7 @@ class TwinConfig:
 
 
 def make_log(work: Workspace, config: LogReading, folder: Path, context: Context) -> Iterable[str]:
-    write_log(folder, work.recorded_log, config)
+    write_log(folder, work.recorded_log, config, work.source_hashes)
     return work.recorded_log.notes
 
 

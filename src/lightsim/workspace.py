@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float32
@@ -18,11 +19,16 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import DigitalTwin, Panorama, SceneAssets, SkyEstimate
 from lightsim.errors import ArtefactError
 from lightsim.store.alignment import read_alignment
-from lightsim.store.artefact import read_json, read_record
+from lightsim.store.artefact import read_json, require_whole
 from lightsim.store.assets import read_assets, read_mesh
 from lightsim.store.fields import read_fields
 from lightsim.store.images import read_grey8
-from lightsim.store.log import LogReading, held_out_stems, read_reading
+from lightsim.store.log import (
+    LogReading,
+    held_out_stems,
+    read_reading,
+    read_source_hashes,
+)
 from lightsim.store.sky import read_estimate, read_panorama
 from lightsim.store.twin import read_twin_assets
 
@@ -31,36 +37,99 @@ if TYPE_CHECKING:
 
 FIELD_NAME = "field.safetensors"
 FIELD_CONFIG_NAME = "field.json"
+OPTIONS_NAME = "build.json"
 
 
 class Workspace:
-    """The artefacts of one log under `root` (INTERFACE: WORK)."""
+    """The artefacts of one log under `root` (INTERFACE: WORK).
 
-    def __init__(self, root: Path, reading: LogReading | None = None) -> None:
+    Every artefact is held against the hashes in its record before it is first read, and the
+    recording against what the build found.
+    """
+
+    def __init__(
+        self,
+        root: Path,
+        reading: LogReading | None = None,
+        source_hashes: Mapping[str, str] | None = None,
+        *,
+        is_stale_allowed: bool = False,
+    ) -> None:
+        """
+        Args:
+            root: the work folder.
+            reading: how the log is read; by default as the build of `root` did.
+            source_hashes: of the recording's files (ingest/fingerprint.py); by default they are
+                made when the recording is first read, and compared with those of the build.
+            is_stale_allowed: go on where the recording has changed since the build.
+        """
         self.root = root
         self._reading = reading
+        self._source_hashes = source_hashes
+        self._is_stale_allowed = is_stale_allowed
+        self._records: dict[str, dict[str, Any]] = {}
 
     def folder(self, stage: str) -> Path:
         return self.root / stage
 
     def need(self, stage: str) -> Path:
-        """Folder of a finished artefact.
+        """Folder of a finished artefact, whose files are as they were written.
 
         Raises:
-            ArtefactError: it has not been made.
+            ArtefactError: it has not been made, or is damaged.
         """
-        folder = self.folder(stage)
-        if read_record(folder) is None:
-            raise ArtefactError(
-                f"the '{stage}' artefact has not been made",
-                where=self.root,
-                remedy=f"Run: lightsim build SOURCE --work {self.root}",
-            )
-        return folder
+        self.record(stage)
+        return self.folder(stage)
+
+    def record(self, stage: str) -> dict[str, Any]:
+        """artefact.json of a finished artefact; raises as `need`."""
+        if stage not in self._records:
+            record = require_whole(self.folder(stage), self._remedy)
+            if record is None:
+                raise ArtefactError(
+                    f"the '{stage}' artefact has not been made",
+                    where=self.root,
+                    remedy=self._remedy,
+                )
+            self._records[stage] = record
+        return self._records[stage]
+
+    @cached_property
+    def _remedy(self) -> str:
+        path = self.root / OPTIONS_NAME
+        source = read_source(path) if path.is_file() else "SOURCE"
+        return f"Run: lightsim build {source} --work {self.root}"
 
     @cached_property
     def reading(self) -> LogReading:
-        return self._reading or read_reading(self.need("log"))
+        if self._reading is not None:
+            return self._reading
+        recorded = read_reading(self.need("log"))
+        return replace(recorded, source=read_source(self.root / OPTIONS_NAME))
+
+    @cached_property
+    def source_hashes(self) -> Mapping[str, str]:
+        """Hashes of the recording's files as they are now."""
+        from lightsim.ingest.fingerprint import hash_recording
+
+        if self._source_hashes is not None:
+            return self._source_hashes
+        return hash_recording(Path(self.reading.source))
+
+    def _check_source(self) -> None:
+        """The recording must be the one that was built from."""
+        from lightsim.ingest.fingerprint import describe_change
+
+        if self._source_hashes is not None or self._is_stale_allowed:
+            return
+        change = describe_change(read_source_hashes(self.need("log")), self.source_hashes)
+        if change is not None:
+            raise ArtefactError(
+                "the recording has changed since the twin was built from it",
+                where=self.reading.source,
+                got=change,
+                remedy=f"{self._remedy} (or give --allow-stale to go on with the old twin).",
+            )
 
     @cached_property
     def log(self) -> DrivingLog:
@@ -81,6 +150,7 @@ class Workspace:
         from lightsim.ingest.reader import read_log
 
         reading = self.reading
+        self._check_source()
         return read_log(
             Path(reading.source),
             dataset=reading.dataset,
@@ -187,3 +257,24 @@ class Workspace:
     @cached_property
     def twin(self) -> DigitalTwin:
         return DigitalTwin(self.log, self._twin_assets[0], self.sky)
+
+
+def read_source(path: Path) -> str:
+    """Where the recording was at the last build: the one thing about it that may change without
+    anything becoming stale.
+
+    Args:
+        path: build.json of a work folder.
+
+    Raises:
+        ArtefactError: the file is missing or broken.
+    """
+    try:
+        return str(read_json(path)["reading"]["source"])
+    except (KeyError, TypeError) as error:
+        raise ArtefactError(
+            "the options of the build are broken",
+            where=path,
+            got=error,
+            remedy="Run lightsim build again with the recording's folder.",
+        ) from error

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from lightsim.errors import ArtefactError
-from lightsim.store.artefact import Recipe, fingerprint, make_artefact, read_record, state_of
+from lightsim.store.artefact import (
+    Recipe,
+    find_damage,
+    make_artefact,
+    read_record,
+    require_whole,
+    state_of,
+)
 
 
 def recipe(**changes: object) -> Recipe:
@@ -77,10 +86,83 @@ def test_broken_record_is_named(tmp_path: Path) -> None:
         read_record(tmp_path)
 
 
-def test_fingerprint_sees_names_and_bytes(tmp_path: Path) -> None:
-    (tmp_path / "a").write_text("1")
-    before = fingerprint(tmp_path)
-    (tmp_path / "a").write_text("2")
-    changed = fingerprint(tmp_path)
-    (tmp_path / "a").rename(tmp_path / "b")
-    assert len({before, changed, fingerprint(tmp_path)}) == 3
+def fill(folder: Path) -> list[str]:
+    (folder / "sub").mkdir(exist_ok=True)
+    (folder / "sub" / "value.bin").write_bytes(bytes(range(100)))
+    return []
+
+
+def flip(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[50] ^= 4
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("harm", "told"),
+    [
+        (lambda path: path.unlink(), "missing"),
+        (lambda path: path.write_bytes(path.read_bytes()[:-1]), "99 bytes instead of 100"),
+        (flip, "other bytes"),
+    ],
+)
+def test_a_damaged_artefact_is_told_and_made_anew(
+    tmp_path: Path, harm: Callable[[Path], None], told: str
+) -> None:
+    folder = tmp_path / "toy"
+    record = make_artefact(folder, recipe(), fill)
+    assert find_damage(folder, record, is_hashed=True) == ()
+    harm(folder / "sub" / "value.bin")
+    assert told in find_damage(folder, record, is_hashed=True)[0]
+    assert state_of(folder, recipe(), is_hashed=True) == "broken"
+    with pytest.raises(ArtefactError, match=rf"value\.bin.*{told}.*Build again"):
+        require_whole(folder, "Build again.")
+    make_artefact(folder, recipe(), fill)
+    assert (folder / "sub" / "value.bin").read_bytes() == bytes(range(100))
+    assert [p.name for p in tmp_path.iterdir()] == ["toy"]
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"key": 1}', "[" * 100_000])
+def test_an_artefact_with_a_damaged_record_is_set_aside(tmp_path: Path, text: str) -> None:
+    folder = tmp_path / "toy"
+    make_artefact(folder, recipe(), fill)
+    (folder / "artefact.json").write_text(text)
+    assert state_of(folder, recipe()) == "broken"
+    make_artefact(folder, recipe(), fill)
+    assert state_of(folder, recipe(), is_hashed=True) == "made"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["toy", "toy.broken-1"]
+
+
+def test_only_an_artefact_of_the_same_stage_is_replaced(tmp_path: Path) -> None:
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "thesis.txt").write_text("years of work")
+    other = tmp_path / "other"
+    make_artefact(other, recipe(stage="other"), fill)
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    for folder in (mine, other):
+        with pytest.raises(ArtefactError, match=r"holds something else.*Nothing was touched"):
+            make_artefact(folder, recipe(), fill)
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    make_artefact(empty, recipe(), fill)
+
+
+def test_a_finished_attempt_that_was_not_renamed_is_taken(tmp_path: Path) -> None:
+    """The process was killed between the last file and the rename."""
+    folder = tmp_path / "toy"
+    made = make_artefact(folder, recipe(), fill)
+    folder.rename(tmp_path / ".toy.partial")
+    assert make_artefact(folder, recipe(), lambda f: pytest.fail("made again")) == made
+    assert state_of(folder, recipe(), is_hashed=True) == "made"
+
+
+def test_an_artefact_of_version_0_2_is_stale(tmp_path: Path) -> None:
+    folder = tmp_path / "toy"
+    record = make_artefact(folder, recipe(), fill)
+    old = {k: v for k, v in record.items() if k not in ("files", "format")}
+    (folder / "artefact.json").write_text(json.dumps({**old, "key": "of another time"}))
+    assert state_of(folder, recipe()) == "stale"
+    make_artefact(folder, recipe(), fill)
+    assert [p.name for p in tmp_path.iterdir()] == ["toy"]

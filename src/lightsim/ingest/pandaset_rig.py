@@ -83,10 +83,14 @@ def read_rig(folder: Path) -> Rig:
     Raises:
         InputError: a calibration file is there but broken.
     """
-    for path in (folder / CALIBRATION_FILE, folder.parent / CALIBRATION_FILE):
-        if path.is_file():
-            return _parse_rig(path)
-    return nominal_rig()
+    path = calibration_path(folder)
+    return nominal_rig() if path is None else _parse_rig(path)
+
+
+def calibration_path(folder: Path) -> Path | None:
+    """The calibration file that holds for a log: its own, else the one beside the logs."""
+    paths = (folder / CALIBRATION_FILE, folder.parent / CALIBRATION_FILE)
+    return next((path for path in paths if path.is_file()), None)
 
 
 def ego_trajectory(

@@ -1,9 +1,10 @@
 """Artefacts: folders that appear whole or not at all, and know what they were made from.
 
 A folder is written under a hidden temporary name and renamed when complete. Its artefact.json
-records stage, schema, config, the keys of its inputs, seed, package version and seconds; the
-`key` is a hash of all that decides the content, so an artefact is stale exactly when the key that
-would be made now differs.
+records stage, schema, config, the keys of its inputs, seed, package version, seconds, and size and
+hash of every file; the `key` is a hash of all that decides the content, so an artefact is stale
+exactly when the key that would be made now differs, and broken when a file is no longer what was
+written.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import logging
 import os
 import resource
 import shutil
@@ -24,11 +26,17 @@ import numpy as np
 
 from lightsim import __version__
 from lightsim.errors import ArtefactError
+from lightsim.store.atomic import sweep_partials, whole_file
 
 RECORD_NAME = "artefact.json"
+_FORMAT = 2
+"""Of the record; raising it makes all artefacts stale."""
 _HASH_BLOCK = 1 << 20
+_SHOWN = 3
+"""Damaged files that a message names."""
 
-State = Literal["made", "stale", "missing"]
+State = Literal["made", "stale", "broken", "missing"]
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -51,7 +59,8 @@ class Recipe:
 
     @property
     def key(self) -> str:
-        text = json.dumps(dataclasses.asdict(self), sort_keys=True, separators=(",", ":"))
+        value = {"format": _FORMAT, **dataclasses.asdict(self)}
+        text = json.dumps(value, sort_keys=True, separators=(",", ":"))
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
@@ -79,56 +88,177 @@ def read_record(folder: Path) -> dict[str, Any] | None:
         return None
     try:
         record = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise ArtefactError(
-            "the record is not readable JSON", where=path, got=error, remedy="Delete the folder."
-        ) from error
-    if not isinstance(record, dict) or "key" not in record:
-        raise ArtefactError("the record has no key", where=path, remedy="Delete the folder.")
+    except (OSError, ValueError, RecursionError) as error:
+        raise _broken_record(path, error) from error
+    if not isinstance(record, dict) or not {"key", "stage", "inputs", "config"} <= set(record):
+        raise _broken_record(path, "entries are missing")
+    if "format" not in record:  # LightSim 0.2: stale by its key, without a list of files.
+        return {**record, "files": {}}
+    if not _is_file_list(record.get("files")):
+        raise _broken_record(path, "the list of files is damaged")
     return record
 
 
-def state_of(folder: Path, recipe: Recipe) -> State:
-    """Whether the artefact exists, and was made from this very recipe."""
-    record = read_record(folder)
+def _is_file_list(files: Any) -> bool:
+    return isinstance(files, dict) and all(
+        isinstance(entry, list) and [type(value) for value in entry] == [int, str]
+        for entry in files.values()
+    )
+
+
+def _broken_record(path: Path, found: object) -> ArtefactError:
+    return ArtefactError(
+        "the record of the artefact is damaged",
+        where=path,
+        got=found,
+        remedy="Run the command that made it again: it is set aside and made anew.",
+    )
+
+
+def state_of(folder: Path, recipe: Recipe, *, is_hashed: bool = False) -> State:
+    """Whether the artefact exists, was made from this very recipe, and is as it was written.
+
+    Args:
+        is_hashed: compare the bytes of every file, not only the sizes.
+    """
+    try:
+        record = read_record(folder)
+    except ArtefactError:
+        return "broken"
     if record is None:
         return "missing"
-    return "made" if record["key"] == recipe.key else "stale"
+    if record["key"] != recipe.key:
+        return "stale"
+    return "broken" if find_damage(folder, record, is_hashed=is_hashed) else "made"
+
+
+def find_damage(
+    folder: Path, record: Mapping[str, Any], *, is_hashed: bool = False
+) -> tuple[str, ...]:
+    """The files of an artefact that are no longer what was written, each with what is wrong."""
+    found: list[str] = []
+    for name, (size, digest) in record["files"].items():
+        path = folder / name
+        if not path.is_file():
+            found.append(f"{name} is missing")
+        elif path.stat().st_size != size:
+            found.append(f"{name} has {path.stat().st_size} bytes instead of {size}")
+        elif is_hashed and hash_file(path) != digest:
+            found.append(f"{name} has other bytes")
+    return tuple(found)
+
+
+def require_whole(folder: Path, remedy: str) -> dict[str, Any] | None:
+    """The record of an artefact whose files all have the bytes that were written, or None where
+    there is no artefact.
+
+    Raises:
+        ArtefactError: a file was changed, cut or removed.
+    """
+    record = read_record(folder)
+    if record is None:
+        return None
+    damage = find_damage(folder, record, is_hashed=True)
+    if damage:
+        raise ArtefactError(
+            "files of the artefact are damaged",
+            where=folder,
+            got=_few(damage),
+            remedy=remedy,
+        )
+    return record
+
+
+def _few(damage: tuple[str, ...]) -> str:
+    more = len(damage) - _SHOWN
+    return "; ".join(damage[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
 
 
 def make_artefact(
     folder: Path, recipe: Recipe, build: Callable[[Path], Iterable[str]]
 ) -> dict[str, Any]:
-    """Make the artefact unless it is up to date; returns its record.
+    """Make the artefact unless it is up to date and whole; returns its record.
 
     `build` fills the folder it is given and returns notes. An earlier attempt at the same recipe
     is handed to it as it was left, so a stage that writes one file a frame can go on from there;
-    leftovers of another recipe are removed first.
+    leftovers of another recipe are removed first. Only an artefact of the same stage is replaced.
+
+    Raises:
+        ArtefactError: the folder holds something else.
     """
-    if state_of(folder, recipe) == "made":
+    if state_of(folder, recipe, is_hashed=True) == "made":
         record = read_record(folder)
         assert record is not None
         return record
+    _make_way(folder, recipe)
     partial = folder.parent / f".{folder.name}.partial"
+    record = _finished(partial, recipe)
+    if record is None:
+        record = _make(partial, recipe, build)
+    _replace(partial, folder)
+    return record
+
+
+def _make(partial: Path, recipe: Recipe, build: Callable[[Path], Iterable[str]]) -> dict[str, Any]:
     plan = partial / ".plan"
     if partial.exists() and not (plan.is_file() and plan.read_text() == recipe.key):
         shutil.rmtree(partial)
     partial.mkdir(parents=True, exist_ok=True)
+    sweep_partials(partial)
     plan.write_text(recipe.key)
     start = time.monotonic()
     notes = tuple(build(partial))
+    seconds = round(time.monotonic() - start, 2)
     record = {
         **json_ready(recipe),
+        "format": _FORMAT,
         "key": recipe.key,
         "package_version": __version__,
-        "seconds": round(time.monotonic() - start, 2),
+        "seconds": seconds,
         "peak_memory_mb": peak_memory_mb(),
         "notes": list(notes),
+        "files": {
+            path.relative_to(partial).as_posix(): [path.stat().st_size, hash_file(path)]
+            for path in sorted(partial.rglob("*"))
+            if path.is_file() and path != plan
+        },
     }
     write_text(partial / RECORD_NAME, json.dumps(record, indent=1))
     plan.unlink()
-    _replace(partial, folder)
     return record
+
+
+def _finished(partial: Path, recipe: Recipe) -> dict[str, Any] | None:
+    """The record of an attempt that was complete when its process ended, but not yet renamed."""
+    return read_record(partial) if state_of(partial, recipe, is_hashed=True) == "made" else None
+
+
+def _make_way(folder: Path, recipe: Recipe) -> None:
+    """Refuse to replace what is no artefact of the stage; an artefact whose record cannot be read
+    is set aside, since it might be anything."""
+    if not folder.exists() and not folder.is_symlink():
+        return
+    try:
+        record = read_record(folder)
+    except ArtefactError as error:
+        aside = _free_name(folder)
+        os.replace(folder, aside)
+        logger.warning("%s It was set aside as %s.", error, aside.name)
+        return
+    is_empty = folder.is_dir() and not folder.is_symlink() and not any(folder.iterdir())
+    if is_empty or (record is not None and record["stage"] == recipe.stage):
+        return
+    raise ArtefactError(
+        f"the folder is to hold the artefact '{recipe.stage}', but holds something else",
+        where=folder,
+        got="no artefact.json" if record is None else f"the artefact '{record['stage']}'",
+        remedy="Nothing was touched. Move the folder away.",
+    )
+
+
+def _free_name(folder: Path) -> Path:
+    names = (folder.with_name(f"{folder.name}.broken-{n}") for n in range(1, 1_000_000))
+    return next(name for name in names if not name.exists())
 
 
 def peak_memory_mb() -> int:
@@ -138,9 +268,8 @@ def peak_memory_mb() -> int:
 
 def write_text(path: Path, text: str) -> None:
     """Write a file that appears whole or not at all."""
-    temporary = path.with_name(f".{path.name}.tmp")
-    temporary.write_text(text)
-    os.replace(temporary, path)
+    with whole_file(path) as temporary:
+        temporary.write_text(text)
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -155,22 +284,34 @@ def read_json(path: Path) -> Any:
     """
     try:
         return json.loads(path.read_text())
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ArtefactError(
             "cannot read the file", where=path, got=error, remedy="Run lightsim build again."
         ) from error
 
 
-def fingerprint(root: Path) -> str:
-    """Hash of the names and bytes of all files under a folder, or of one file."""
+def hash_file(path: Path) -> str:
+    """Hash of a file's bytes."""
     digest = hashlib.blake2b(digest_size=16)
-    files = [root] if root.is_file() else sorted(p for p in root.rglob("*") if p.is_file())
-    for path in files:
-        digest.update(str(path.relative_to(root.parent)).encode())
-        with path.open("rb") as handle:
-            while block := handle.read(_HASH_BLOCK):
-                digest.update(block)
+    with path.open("rb") as handle:
+        while block := handle.read(_HASH_BLOCK):
+            digest.update(block)
     return digest.hexdigest()
+
+
+def hash_files(root: Path) -> dict[str, str]:
+    """Hash of every regular file under a folder, by its path below the folder."""
+    return {
+        path.relative_to(root).as_posix(): hash_file(path)
+        for path in sorted(root.rglob("*"))
+        if path.is_file()
+    }
+
+
+def hash_names(value_by_name: Mapping[str, Any]) -> str:
+    """One hash of named JSON values, such as the hashes of many files."""
+    text = json.dumps(json_ready(value_by_name), sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def _replace(new: Path, old: Path) -> None:

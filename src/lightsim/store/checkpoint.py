@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lightsim.errors import ArtefactError
-from lightsim.store.atomic import whole_file
+from lightsim.store.atomic import unwritable, whole_file
 
 CHECKPOINT_NAME = "checkpoint.pt"
 METRICS_NAME = "metrics.jsonl"
@@ -17,11 +17,15 @@ METRICS_NAME = "metrics.jsonl"
 def write_weights(path: Path, tensors: Mapping[str, Any]) -> None:
     """Tensors in half precision as safetensors."""
     import torch
+    from safetensors import SafetensorError
     from safetensors.torch import save_file
 
     halved = {k: v.detach().cpu().to(torch.float16).contiguous() for k, v in tensors.items()}
     with whole_file(path) as temporary:
-        save_file(halved, str(temporary))
+        try:
+            save_file(halved, str(temporary))
+        except SafetensorError as error:  # Its own way to tell of a full disk.
+            raise OSError(f"{error}") from error
 
 
 def read_weights(path: Path) -> dict[str, Any]:
@@ -79,8 +83,12 @@ class FolderJournal:
             torch.save(dict(state), temporary)
 
     def record(self, metrics: Mapping[str, float]) -> None:
-        with (self._folder / METRICS_NAME).open("a") as handle:
-            handle.write(json.dumps({k: round(v, 6) for k, v in metrics.items()}) + "\n")
+        path = self._folder / METRICS_NAME
+        try:
+            with path.open("a") as handle:
+                handle.write(json.dumps({k: round(v, 6) for k, v in metrics.items()}) + "\n")
+        except OSError as error:
+            raise unwritable(path, error) from error
 
     def finish(self) -> None:
         """Drop the checkpoint; what remains of training are weights and metrics."""
@@ -93,4 +101,5 @@ class FolderJournal:
             return
         lines = [line for line in path.read_text().splitlines() if line.strip()]
         kept = [line for line in lines if json.loads(line)["step"] < step]
-        path.write_text("".join(line + "\n" for line in kept))
+        with whole_file(path) as temporary:
+            temporary.write_text("".join(line + "\n" for line in kept))

@@ -15,6 +15,9 @@ from lightsim.store.atomic import read_bytes, whole_file
 EXR_MAGIC = b"\x76\x2f\x31\x01"
 _MAX_PIXELS = 1 << 28
 _HALF_MAX = 65504.0
+_MARK = "lightsim"
+_LEAST_BYTES = 64
+"""No picture is smaller; the library must not be given less."""
 _REMEDY = "Download or export the file again."
 
 
@@ -46,8 +49,26 @@ def read_exr(path: Path) -> Float32[np.ndarray, "h w *c"]:
     return _picture(path, pixels_by_name)
 
 
-def write_exr(path: Path, array: Float[np.ndarray, "h w *c"], half: bool = False) -> None:
-    """Write [h, w] as channel Y, or [h, w, 3] as R, G, B; ZIP compressed, float or half.
+def read_mark(path: Path) -> str | None:
+    """What `write_exr` was told to mark the picture with; None of a file that it did not write,
+    or not to the end."""
+    import OpenEXR
+
+    try:
+        if path.stat().st_size < _LEAST_BYTES:
+            return None
+        with OpenEXR.File(str(path), header_only=True) as file:
+            mark = file.header().get(_MARK)
+    except (OSError, RuntimeError, ValueError, TypeError, LookupError, MemoryError):
+        return None
+    return mark if isinstance(mark, str) else None
+
+
+def write_exr(
+    path: Path, array: Float[np.ndarray, "h w *c"], half: bool = False, mark: str = ""
+) -> None:
+    """Write [h, w] as channel Y, or [h, w, 3] as R, G, B; ZIP compressed, float or half. The mark,
+    a word of the writer's own, goes into the header.
 
     Raises:
         InputError: another shape, an empty picture, or finite values beyond half's 65504.
@@ -66,6 +87,7 @@ def write_exr(path: Path, array: Float[np.ndarray, "h w *c"], half: bool = False
     header: dict[str, Any] = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
+        _MARK: mark,
     }
     channels: dict[str, Any] = {"Y": pixels} if array.ndim == 2 else {"RGB": pixels}
     with whole_file(path) as temporary:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lightsim.core.checks import check_number
 from lightsim.core.log import DrivingLog
 from lightsim.core.solar import azimuth_elevation, solar_position
-from lightsim.errors import ArtefactError
+from lightsim.errors import ArtefactError, InputError
 from lightsim.store.artefact import json_ready, read_json, write_json
 
 LOG_NAME = "log.json"
+SOURCE_HASHES_NAME = "source.json"
+MIN_IMAGE_SCALE = 0.01
+"""A camera of 1920 pixels would be 19 wide: nothing can be seen on less."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +24,7 @@ class LogReading:
     """The options that a log was read with; reading again with them gives the same log."""
 
     source: str
-    """Absolute path of the recording."""
+    """Absolute path of the recording; it decides nothing, so the artefact does not hold it."""
     dataset: str
     """"auto" or the name of a dataset."""
     cameras: tuple[str, ...]
@@ -33,6 +38,18 @@ class LogReading:
     hold_out: int
     """Every n-th frame and sweep is kept from the build, for evaluation; 0 holds out none."""
 
+    def __post_init__(self) -> None:
+        check_number("--image-scale", self.image_scale, MIN_IMAGE_SCALE, 1.0)
+        if self.heading_deg is not None:
+            check_number("--heading-deg", self.heading_deg, -360.0, 360.0)
+        if self.hold_out < 0 or self.hold_out == 1:
+            raise InputError(
+                "nothing would be left to build from" if self.hold_out == 1 else "out of range",
+                where="--hold-out",
+                got=self.hold_out,
+                expected="0 for none, or 2 and more: every n-th frame",
+            )
+
 
 def held_out_stems(log: DrivingLog, hold_out: int) -> frozenset[str]:
     """Stems of the frames kept from the build: the middle one of every `hold_out`."""
@@ -41,8 +58,12 @@ def held_out_stems(log: DrivingLog, hold_out: int) -> frozenset[str]:
     return frozenset(log.stems[hold_out // 2 :: hold_out])
 
 
-def write_log(folder: Path, log: DrivingLog, reading: LogReading) -> None:
-    """Write log.json: the reading, and a summary for people and for `lightsim status`."""
+def write_log(
+    folder: Path, log: DrivingLog, reading: LogReading, source_hashes: Mapping[str, str]
+) -> None:
+    """Write log.json: the reading, and a summary for people and for `lightsim status`; and
+    source.json: the hash of every file of the recording."""
+    write_json(folder / SOURCE_HASHES_NAME, dict(source_hashes))
     write_json(
         folder / LOG_NAME,
         {
@@ -82,6 +103,11 @@ def read_reading(folder: Path) -> LogReading:
         raise ArtefactError(
             "the reading options are broken", where=path, got=error, remedy="Build again."
         ) from error
+
+
+def read_source_hashes(folder: Path) -> dict[str, str]:
+    """Hash of every file of the recording at the time of the build, by name."""
+    return read_json(folder / SOURCE_HASHES_NAME)
 
 
 def reading_from_json(value: dict[str, Any]) -> LogReading:

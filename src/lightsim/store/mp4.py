@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from lightsim.errors import InputError
+from lightsim.store.atomic import partial_name, unwritable
 
 _BT709 = 1
 _LIMITED_RANGE = 1
@@ -29,6 +30,7 @@ class Mp4Writer:
     Raises:
         InputError: the size is too small, the rate is not positive, the folder does not exist,
             or a frame has another size.
+        ArtefactError: the file cannot be written.
     """
 
     def __init__(self, path: Path, width: int, height: int, fps: float) -> None:
@@ -42,7 +44,7 @@ class Mp4Writer:
             raise InputError("the folder to write to does not exist", where=path.parent)
         self._path = path
         self._size = (height, width)
-        self._temporary = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+        self._temporary = partial_name(path)
         self._container, self._stream = _open(self._temporary, width, height, fps)
 
     def __enter__(self) -> Mp4Writer:
@@ -64,7 +66,15 @@ class Mp4Writer:
         frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
         frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
         frame.color_primaries, frame.color_trc = _BT709, _BT709
-        self._container.mux(self._stream.encode(frame))
+        self._mux(frame)
+
+    def _mux(self, frame: Any) -> None:
+        from av.error import FFmpegError
+
+        try:
+            self._container.mux(self._stream.encode(frame))
+        except (FFmpegError, OSError) as error:
+            raise unwritable(self._path, error) from error
 
     def __exit__(
         self,
@@ -72,12 +82,16 @@ class Mp4Writer:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        from av.error import FFmpegError
+
         try:
             if kind is None:
-                self._container.mux(self._stream.encode(None))
+                self._mux(None)
             self._container.close()
             if kind is None:
                 os.replace(self._temporary, self._path)
+        except (FFmpegError, OSError) as failure:
+            raise unwritable(self._path, failure) from failure
         finally:
             self._temporary.unlink(missing_ok=True)
 

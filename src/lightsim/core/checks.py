@@ -1,0 +1,39 @@
+"""Ranges of options, checked where the options are made."""
+
+from __future__ import annotations
+
+import math
+
+from lightsim.errors import InputError
+
+MAX_SEED = 2**32 - 1
+"""All generators in use (numpy, torch, Mitsuba) take seeds of 32 bits."""
+MAX_EXPOSURE_EV = 30.0
+"""Thirty stops take the darkest value of an 8-bit camera beyond any sun."""
+
+
+def check_number(
+    where: str, value: float | int, least: float | int = -math.inf, most: float | int = math.inf
+) -> None:
+    """Refuse what is not a finite number from `least` to `most`.
+
+    Args:
+        where: the option, as a user writes it.
+
+    Raises:
+        InputError: it is nan, infinite or out of range.
+    """
+    if math.isfinite(value) and least <= value <= most:
+        return
+    if math.isfinite(least) and math.isfinite(most):
+        expected = f"a number from {least:g} to {most:g}"
+    elif math.isfinite(least):
+        expected = f"a finite number of at least {least:g}"
+    else:
+        expected = "a finite number"
+    raise InputError("the value is out of range", where=where, got=value, expected=expected)
+
+
+def check_seed(seed: int, where: str = "--seed") -> None:
+    """Refuse a seed that a generator would not take."""
+    check_number(where, seed, 0, MAX_SEED)
