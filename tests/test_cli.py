@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lightsim import cli
-from lightsim.store.images import write_png
+from lightsim.store.images import write_hdr, write_png
 
 COMMANDS = ["build", "relight", "render", "sky", "evaluate", "synthesize", "demo", "doctor"]
 
@@ -75,6 +77,105 @@ def test_a_sky_can_be_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert run("sky", "show", "sun:120,35", "--out", str(out)) == 0
     assert out.stat().st_size > 1000
     assert "sun_direction_world" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        *(("--image-scale", v) for v in ("nan", "inf", "0", "-0.5", "1.5")),
+        *(("--exposure-ev", v) for v in ("nan", "inf", "-inf", "1e9")),
+        *(("--sky-yaw-deg", v) for v in ("nan", "inf")),
+        *(("--sky-scale", v) for v in ("nan", "0", "-1", "inf", "bright")),
+        ("--seed", "-1"),
+        *(
+            ("--name", v)
+            for v in ("", ".", "..", "../x", "/x", "a/b", "a\n", "-n", ".n", "x" * 200)
+        ),
+    ],
+)
+def test_numbers_and_names_out_of_range_are_1_before_anything_is_done(
+    option: str, value: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = {"--name": "n", "--sky": "sun:10,20", option: value}
+    words = [f"{name}={text}" for name, text in given.items()]
+    assert run("relight", str(tmp_path), *words) == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert option in line
+    assert "expected" in line
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        *(("--image-scale", v) for v in ("nan", "0", "-1", "2")),
+        *(("--heading-deg", v) for v in ("nan", "inf", "400")),
+        *(("--hold-out", v) for v in ("-1", "1")),
+        ("--seed", "-1"),
+        ("--neural-steps", "-1"),
+    ],
+)
+def test_a_build_checks_its_numbers(
+    option: str, value: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("build", str(tmp_path), f"--work={tmp_path}", f"{option}={value}") == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert option in line
+    assert "expected" in line
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("--latitude", "95"), ("--latitude", "nan"), ("--longitude", "inf"), ("--heading-deg", "nan"),
+     ("--move-sun", "10,-5"), ("--move-sun", "nan,5"), ("--sun-factor", "-1")],
+)  # fmt: skip
+def test_places_and_suns_that_cannot_be_are_named(
+    option: str, value: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture = tmp_path / "panorama.png"
+    write_png(picture, np.full((32, 64, 3), 120, np.uint8))
+    place = {"--time": "2024-06-01T12:00:00Z", "--latitude": "50", "--longitude": "10",
+             "--heading-deg": "0", "--out": str(tmp_path / "sky"), option: value}  # fmt: skip
+    words = [f"{name}={text}" for name, text in place.items()]
+    assert run("sky", "estimate", str(picture), *words) == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert option in line
+    assert not (tmp_path / "sky").exists()
+
+
+def test_a_sky_lit_only_from_below_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    radiance = np.zeros((32, 64, 3), np.float32)
+    radiance[20:] = 1.0
+    write_hdr(tmp_path / "flipped.hdr", radiance)
+    assert run("sky", "show", str(tmp_path / "flipped.hdr"), "--out", str(tmp_path / "o.png")) == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "below the horizon" in line
+
+
+def test_what_should_not_happen_is_one_line_that_asks_for_a_report(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(command: object) -> None:
+        raise ZeroDivisionError("two\nlines")
+
+    monkeypatch.setattr(cli, "run", fail)
+    assert run("doctor") == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "ZeroDivisionError: two lines. Please report it" in line
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["doctor", "-v"])
+
+
+def test_sigterm_ends_a_command_like_ctrl_c(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cli, "run", lambda _: os.kill(os.getpid(), signal.SIGTERM))
+    before = signal.getsignal(signal.SIGTERM)
+    assert run("doctor") == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_a_wrong_panorama_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
+import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +22,7 @@ from lightsim.renderers import RendererChoice
 from lightsim.rendering import RenderOptions, render
 from lightsim.scenarios import RelightOptions, relight
 from lightsim.skies import SkyChoice
-from lightsim.store.images import read_exr, read_srgb8
+from lightsim.store.images import read_exr, read_srgb8, write_exr
 from lightsim.store.log import LogReading
 from lightsim.store.mp4 import read_video
 from lightsim.workspace import Workspace
@@ -72,7 +75,88 @@ def test_an_interrupted_build_gives_the_same_meshes(work: Path, tmp_path: Path) 
     build(tmp_path, options(), SilentProgress(), until="assets")
     for stage in ("masks", "geometry", "assets"):
         assert contents(tmp_path / stage) == contents(work / stage), stage
-    assert not list(tmp_path.glob(".*"))
+    assert [p.name for p in tmp_path.glob(".*")] == [".lock"]
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """A copy of the street's log that a test may change."""
+    folder = tmp_path / "recording"
+    shutil.copytree(shipped_street() / "log", folder)
+    return folder
+
+
+def options_of(recording: Path, **changes: object) -> BuildOptions:
+    reading = replace(options().reading, source=str(recording), **changes)
+    return replace(options(), reading=reading)
+
+
+def made_at(work: Path, stage: str) -> int:
+    return (work / stage / "artefact.json").stat().st_mtime_ns
+
+
+def test_a_work_folder_in_the_recording_is_refused(recording: Path) -> None:
+    for work in (recording, recording / "work", recording / "lidar" / ".." / "w"):
+        with pytest.raises(InputError, match="--work"):
+            build(work, options_of(recording), SilentProgress(), until="log")
+    assert sorted(p.name for p in recording.iterdir()) == sorted(
+        p.name for p in (shipped_street() / "log").iterdir()
+    )
+
+
+def test_a_second_build_is_refused_while_one_is_at_work(recording: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    work.mkdir()
+    code = (
+        "import sys, time; from pathlib import Path; from lightsim.store.lock import locked\n"
+        "with locked(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
+    )
+    words = [sys.executable, "-c", code, str(work / ".lock")]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as first:
+        assert first.stdout is not None
+        assert first.stdout.readline() == "held\n"
+        with pytest.raises(ArtefactError, match=f"process {first.pid}"):
+            build(work, options_of(recording), SilentProgress(), until="log")
+        first.kill()
+    build(work, options_of(recording), SilentProgress(), until="log")
+
+
+def test_a_renamed_recording_is_not_built_anew_and_a_changed_one_is(
+    recording: Path, tmp_path: Path
+) -> None:
+    work = tmp_path / "work"
+    build(work, options_of(recording), SilentProgress(), until="log")
+    before = made_at(work, "log")
+    moved = tmp_path / "moved" / "elsewhere"
+    moved.parent.mkdir()
+    recording.rename(moved)
+    with pytest.raises(InputError, match="Move it back"):
+        _ = Workspace(work).recorded_log
+    build(work, options_of(moved), SilentProgress(), until="log")
+    assert made_at(work, "log") == before
+    assert Workspace(work).recorded_log.frames
+
+    picture = next((moved / "camera" / "front_camera").glob("*.jpg"))
+    shutil.copy(sorted(picture.parent.glob("*.jpg"))[-1], picture)
+    with pytest.raises(ArtefactError, match=f"{picture.name} was changed.*--allow-stale"):
+        _ = Workspace(work).recorded_log
+    assert Workspace(work, is_stale_allowed=True).recorded_log.frames
+    assert {line.name: line.state for line in status(work)}["log"] == "stale"
+    build(work, options_of(moved), SilentProgress(), until="log")
+    assert made_at(work, "log") != before
+    assert Workspace(work).recorded_log.frames
+
+
+def test_a_calibration_beside_the_recordings_is_part_of_them(
+    recording: Path, tmp_path: Path
+) -> None:
+    calibration = recording / "static_extrinsic_calibration.yaml"
+    beside = calibration.rename(recording.parent / calibration.name)
+    work = tmp_path / "work"
+    build(work, options_of(recording), SilentProgress(), until="log")
+    beside.write_text(beside.read_text() + "\n# another rig\n")
+    with pytest.raises(ArtefactError, match=r"\.\./static_extrinsic_calibration\.yaml was changed"):
+        _ = Workspace(work).recorded_log
 
 
 def test_a_build_stops_where_told_also_when_that_stage_is_there(tmp_path: Path) -> None:
@@ -120,6 +204,31 @@ def test_relight_writes_what_the_interface_promises(work: Path) -> None:
     assert len(scenario["frames"]) == 4
     assert scenario["frames"][0]["actors"]
     assert (folder / "report.html").stat().st_size > 10_000
+    before = contents(folder)
+    assert relight(work, chosen, SilentProgress()) == folder
+    for other in (replace(chosen, sky=SkyChoice("sun:90,30")), replace(chosen, exposure_ev=1.0)):
+        with pytest.raises(InputError, match=r"noon.*other settings.*--overwrite"):
+            relight(work, other, SilentProgress())
+    assert contents(folder) == before
+    brighter = replace(chosen, exposure_ev=1.0, frames="0:1", is_overwriting=True)
+    relight(work, brighter, SilentProgress())
+    assert len(list((folder / "frames").rglob("*.png"))) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["background.glb", "twin.json"])
+def test_a_damaged_twin_is_not_read_and_is_made_anew(work: Path, name: str) -> None:
+    path = work / "twin" / name
+    whole = path.read_bytes()
+    path.write_bytes(whole[:1000] + bytes([whole[1000] ^ 1]) + whole[1001:])
+    with pytest.raises(ArtefactError, match=rf"{name} has other bytes.*lightsim build"):
+        relight(work, RelightOptions("x", SkyChoice("source")), SilentProgress())
+    states = {line.name: line.state for line in status(work, is_hashed=True)}
+    assert [stage for stage, state in states.items() if state != "made"] == ["twin"]
+    path.unlink()
+    assert {line.name: line.state for line in status(work)}["twin"] == "broken"
+    build(work, options(), SilentProgress())
+    assert path.read_bytes() == whole
 
 
 @pytest.mark.slow
@@ -154,6 +263,12 @@ def test_buffers_are_written_as_exr(work: Path, tmp_path: Path) -> None:
     for other in (replace(chosen, seed=1), replace(chosen, skies=(SkyChoice("sun:10,20"),))):
         with pytest.raises(InputError, match="other settings"):
             render(work, tmp_path, other, SilentProgress())
+    foreign = tmp_path / "depth" / "front_camera" / f"{stem}.exr"
+    ours = foreign.read_bytes()
+    write_exr(foreign, depth)
+    with pytest.raises(InputError, match=f"{stem}.exr: a file that this run did not make"):
+        render(work, tmp_path, chosen, SilentProgress())
+    foreign.write_bytes(ours)
     no_blender = RendererChoice("cycles", blender_python=tmp_path / "nowhere")
     empty = tmp_path / "empty"
     with pytest.raises(MissingDependencyError, match="nowhere"):
