@@ -24,9 +24,10 @@ def run_demo(out: Path, seed: int, progress: Progress) -> Path:
     work = out / "street"
     build(work, BuildOptions(reading, "standard", seed, DEMO_STEPS), progress)
     for name, sky in DEMO_SKIES.items():
-        relight(
-            work, RelightOptions(name, SkyChoice(sky), cameras=DEMO_CAMERAS, seed=seed), progress
+        options = RelightOptions(
+            name, SkyChoice(sky), cameras=DEMO_CAMERAS, seed=seed, is_overwriting=True
         )
+        relight(work, options, progress)
     from lightsim.evaluation import relit_frames
     from lightsim.reports import QUICK, write_demo_report
 

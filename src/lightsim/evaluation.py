@@ -166,6 +166,7 @@ def relit_frames(
             SkyChoice(str(truth / "skies" / f"{name}.exr"), scale="none"),
             frames=f"{stems[0]}:{stems[-1] + 1}:{step}",
             image_scale=1.0,
+            is_overwriting=True,
         )
         relit = relight(work, options, progress) / "frames"
         source = Path(workspace.reading.source) / "camera"

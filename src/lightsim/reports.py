@@ -119,12 +119,12 @@ def write_demo_report(path: Path, work: Path, names: Sequence[str], relit: Frame
         base = f"{work.name}/scenarios/{name}/video"
         films += [Video(f"{name}: {c}", f"{base}/{c}.mp4") for c in ("front_camera", "left_camera")]
     pictures = []
+    log = Workspace(work).log
     for name in names:
         folder = work / "scenarios" / name / "frames"
         for camera in ("front_camera", "left_camera"):
             stem = sorted((folder / camera).glob("*.png"))[0].stem
-            workspace = Workspace(work)
-            frame = next(f for f in workspace.log.frames_of(camera) if f.stem == stem)
+            frame = next(f for f in log.frames_of(camera) if f.stem == stem)
             pair = [frame.load_srgb8(), read_srgb8(folder / camera / f"{stem}.png")]
             caption = f"{camera}: recorded | {name}"
             pictures.append(Figure(caption, strip([_small(p) for p in pair]), is_wide=True))
