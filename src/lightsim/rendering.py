@@ -206,7 +206,8 @@ def render(work: Path, out: Path, options: RenderOptions, progress: Progress) ->
         InputError: a sky, camera or frame range is wrong, or OUT holds files of other settings.
     """
     workspace = Workspace(work)
-    scale = options.image_scale or workspace.reading.image_scale
+    build_scale = workspace.reading.image_scale
+    scale = build_scale if options.image_scale is None else options.image_scale
     log = workspace.log_at(scale)
     frames = select_frames(log, options.cameras, options.frames)
     mine = options.shard.of(frames)

@@ -104,7 +104,8 @@ def relight(work: Path, options: RelightOptions, progress: Progress) -> Path:
         InputError: the sky, a camera or a frame range is wrong.
     """
     workspace = Workspace(work)
-    scale = options.image_scale or workspace.reading.image_scale
+    build_scale = workspace.reading.image_scale
+    scale = build_scale if options.image_scale is None else options.image_scale
     log = workspace.log_at(scale)
     frames = select_frames(log, options.cameras, options.frames)
     target = resolve_sky(options.sky, workspace)
