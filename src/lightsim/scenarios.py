@@ -6,7 +6,6 @@ on where it stopped.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -45,15 +44,11 @@ from lightsim.store.images import read_srgb8, write_exr, write_png
 from lightsim.store.lock import LOCK_NAME, locked
 from lightsim.store.log import MIN_IMAGE_SCALE
 from lightsim.store.mp4 import Mp4Writer
+from lightsim.store.names import is_harmless
 from lightsim.workspace import Workspace
 
 _SCHEMA = 2
 _STAGE = "relight"
-_NAME = re.compile(r"[^\W_][\w.+-]{0,99}")
-"""One path component of letters, digits and a few signs, no more than file systems take, that is
-no option (-x), no hidden folder (.x) and no name of ours."""
-_MAX_NAME_BYTES = 200
-"""File systems take 255, some of them for the temporary name's sake."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +56,7 @@ class RelightOptions:
     """What `lightsim relight` is asked for.
 
     Args:
-        name: of the result folder: letters, digits, and . + - _ after the first.
+        name: of the result folder: letters, digits, and . _ - after the first.
         sky: target sky.
         method: "physical".
         exposure_ev: exposure of the output, stops.
@@ -90,12 +85,12 @@ class RelightOptions:
     is_stale_allowed: bool = False
 
     def __post_init__(self) -> None:
-        if not _NAME.fullmatch(self.name) or len(self.name.encode()) > _MAX_NAME_BYTES:
+        if not is_harmless(self.name):
             raise InputError(
                 "the name is not fit for a folder",
                 where="--name",
                 got=repr(self.name[:40]),
-                expected="letters, digits and . + - _, a letter or digit first",
+                expected="letters, digits and . _ -, a letter or digit first",
             )
         check_number("--exposure-ev", self.exposure_ev, -MAX_EXPOSURE_EV, MAX_EXPOSURE_EV)
         if self.image_scale is not None:

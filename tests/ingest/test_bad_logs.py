@@ -111,6 +111,11 @@ def add_picture(name: str, size: tuple[int, int]) -> Break:
     return lambda log: Image.new("RGB", size).save(log / name)
 
 
+def add_late_sweep(log: Path) -> None:
+    change_json("lidar/timestamps.json", lambda t: [*t, t[-1] + 5.0])(log)
+    write_frame(log / "lidar/03.pkl.gz", sweep_columns(START_S))
+
+
 SWEEP, BOXES, CLASSES = (
     "lidar/00.pkl.gz",
     "annotations/cuboids/00.pkl.gz",
@@ -219,7 +224,12 @@ CASES: list[tuple[str, Break, str]] = [
     (
         "LiDAR times of another drive",
         change_json("lidar/timestamps.json", lambda t: [x + 100 for x in t]),
-        r"lidar/00\.pkl\.gz: the camera poses do not reach",
+        r"lidar/timestamps\.json: the times are not those of the other sensors",
+    ),
+    (
+        "a sweep after the drive",
+        add_late_sweep,
+        r"lidar/03\.pkl\.gz: the camera poses do not reach",
     ),
     (
         "missing LiDAR times",
@@ -276,7 +286,7 @@ CASES: list[tuple[str, Break, str]] = [
     (
         "GPS fix off the globe",
         change_json("meta/gps.json", with_value((1, "lat"), 95.0)),
-        r"gps\.json: .*globe",
+        r"gps\.json\[1\]: .*globe",
     ),
     (
         "calibration of nothing",

@@ -22,6 +22,7 @@ from lightsim.core.sensors import CameraFrame, LazySweep
 from lightsim.errors import InputError
 from lightsim.ingest.files import read_json, read_times_ns, require_list, require_numbers
 from lightsim.ingest.geo import GpsTrack, check_heading, locate
+from lightsim.ingest.layout import has_file, has_folder, subfolders
 from lightsim.ingest.own_car import OwnCarConfig, find_own_car
 from lightsim.ingest.pandaset_cameras import CameraFolder, numbered_files, read_camera
 from lightsim.ingest.pandaset_rig import READOUT_S, Rig, ego_trajectory, read_rig
@@ -33,6 +34,7 @@ from lightsim.ingest.pandaset_sweeps import (
     read_class_names,
 )
 from lightsim.ingest.pandaset_tracks import CuboidFile, read_tracks
+from lightsim.ingest.plausible import MAX_GPS_GAP_S, check_clocks, check_rigid
 from lightsim.ingest.selection import FrameSelection
 
 _EGO_CAMERA = "front_camera"
@@ -75,15 +77,17 @@ def read_pandaset(
     check_heading(heading_deg)
     rig = read_rig(source)
     folders, helpers = _read_cameras(source, cameras, rig)
+    clock_notes = _check_clocks(source, (*folders, *helpers))
     paths = {f.camera.name: f.world_from_camera for f in (*folders, *helpers)}
     ego = ego_trajectory(rig, paths, source)
+    rigid_notes = _check_rigid(source, (*folders, *helpers), ego)
     sweeps = _read_sweeps(source, ego, rig, selection)
     selected = _select_frames(folders, selection, source)
     actors, actor_notes = _read_actors(source, ego, sweeps)
-    track = _read_gps(source)
+    track = _read_gps(source, selected[0].time_ns)
     geo, geo_notes = locate(track, ego, selected[0].time_ns, heading_deg)
     masks, mask_notes = _own_car_masks(folders, ego)
-    notes = (*rig.notes, *sweeps.notes, *actor_notes, *geo_notes, *mask_notes)
+    odd = (*_picture_notes(folders), *rig.notes, *clock_notes, *rigid_notes)
     return DrivingLog(
         source.resolve().name,
         {folder.camera.name: folder.camera for folder in folders},
@@ -93,7 +97,7 @@ def read_pandaset(
         actors,
         geo,
         masks,
-        (*_picture_notes(folders), *notes),
+        (*odd, *sweeps.notes, *actor_notes, *geo_notes, *mask_notes),
         read_class_names(source / "annotations" / "semseg" / "classes.json"),
     )
 
@@ -103,7 +107,7 @@ def _read_cameras(
 ) -> tuple[list[CameraFolder], list[CameraFolder]]:
     """The wanted cameras, and others that only serve the ego's path."""
     parent = source / "camera"
-    available = sorted(p.name for p in parent.iterdir() if p.is_dir()) if parent.is_dir() else []
+    available = [path.name for path in subfolders(parent)]
     if not available:
         raise InputError(
             "the log has no cameras", where=parent, remedy="SOURCE must be one PandaSet sequence."
@@ -141,10 +145,29 @@ def _select_frames(
     return tuple(sorted(selected, key=lambda frame: (frame.time_ns, frame.camera_name)))
 
 
+def _check_clocks(source: Path, folders: tuple[CameraFolder, ...]) -> tuple[str, ...]:
+    times = {
+        source / "camera" / f.camera.name / "timestamps.json": f.world_from_camera.times_ns
+        for f in folders
+    }
+    lidar = source / "lidar" / "timestamps.json"
+    return check_clocks(times | ({lidar: read_times_ns(lidar)} if has_file(lidar) else {}))
+
+
+def _check_rigid(
+    source: Path, folders: tuple[CameraFolder, ...], ego: Trajectory
+) -> tuple[str, ...]:
+    notes: list[str] = []
+    for f in folders:
+        path = source / "camera" / f.camera.name / "poses.json"
+        notes += check_rigid(path, ego, f.world_from_camera)
+    return tuple(notes)
+
+
 def _read_sweeps(source: Path, ego: Trajectory, rig: Rig, selection: FrameSelection) -> _Sweeps:
     folder = source / "lidar"
     files = numbered_files(folder, ".pkl.gz")
-    has_times = (folder / "timestamps.json").is_file()
+    has_times = has_file(folder / "timestamps.json")
     if not files and not has_times:
         return _Sweeps((), {}, np.empty(0, dtype=np.int64), ("the log has no LiDAR sweeps",))
     times_ns = read_times_ns(folder / "timestamps.json")
@@ -209,12 +232,18 @@ def _read_actors(source: Path, ego: Trajectory, sweeps: _Sweeps) -> tuple[tuple,
         time_ns = int(sweeps.times_ns[number])
         _require_covered(ego, time_ns, path)
         cuboids.append(CuboidFile(path, time_ns, ego.at(time_ns, _EGO_HOLD_S)))
-    return read_tracks(cuboids, timing), notes
+    tracks, track_notes = read_tracks(cuboids, timing)
+    return tracks, (*notes, *track_notes)
 
 
-def _read_gps(source: Path) -> GpsTrack | None:
+def _read_gps(source: Path, start_ns: int) -> GpsTrack | None:
+    """The GPS fixes of a log that starts at a time; None where it has none.
+
+    Raises:
+        InputError: a fix lies on no globe, or all were taken at another time.
+    """
     path = source / "meta" / "gps.json"
-    if not path.is_file():
+    if not has_folder(path.parent) or not has_file(path):
         return None
     entries = require_list(read_json(path), path)
     times_ns = read_times_ns(source / "meta" / "timestamps.json")
@@ -227,8 +256,25 @@ def _read_gps(source: Path) -> GpsTrack | None:
     fixes = np.stack(
         [require_numbers(e, ("lat", "long"), f"{path}[{i}]") for i, e in enumerate(entries)]
     )
-    if (np.abs(fixes[:, 0]) > 90).any() or (np.abs(fixes[:, 1]) > 360).any():
-        raise InputError("a GPS fix lies on no globe", where=path)
+    # East of Greenwich up to 180, west below 0: 0 to 360 is another convention, and no log's.
+    is_off = (np.abs(fixes[:, 0]) > 90) | (np.abs(fixes[:, 1]) > 180)
+    if is_off.any():
+        i = int(np.flatnonzero(is_off)[0])
+        raise InputError(
+            "a GPS fix lies on no globe",
+            where=f"{path}[{i}]",
+            got=f"latitude {fixes[i, 0]:g}, longitude {fixes[i, 1]:g}",
+            expected="degrees within 90 and 180 of zero",
+        )
+    gap_s = float(np.abs(times_ns - start_ns).min()) * 1e-9
+    if gap_s > MAX_GPS_GAP_S:
+        raise InputError(
+            "no GPS fix is near the log's first picture in time",
+            where=source / "meta" / "timestamps.json",
+            got=f"the nearest {gap_s:.4g} s away",
+            expected=f"at most {MAX_GPS_GAP_S:g} s",
+            remedy="All files must be of one sequence and one clock.",
+        )
     return GpsTrack(times_ns, fixes[:, 0].copy(), fixes[:, 1].copy())
 
 
@@ -271,7 +317,9 @@ def _enlarged(mask: Bool[np.ndarray, "h w"], folder: CameraFolder) -> Bool[np.nd
 
 
 def _picture_notes(folders: list[CameraFolder]) -> tuple[str, ...]:
-    notes = [_gap_notes(f.camera.name, [int(x.stem) for x in f.frames]) for f in folders]
+    notes = [
+        (*f.notes, *_gap_notes(f.camera.name, [int(x.stem) for x in f.frames])) for f in folders
+    ]
     return tuple(note for some in notes for note in some)
 
 

@@ -28,8 +28,17 @@ from lightsim.ingest.files import (
     require_numbers,
     require_object,
 )
+from lightsim.ingest.layout import has_folder
+from lightsim.ingest.plausible import check_intrinsics, check_poses
 
 _MAX_PIXELS = 80_000_000
+"""More than any camera on a car has; Pillow warns of decompression bombs above 89 million."""
+_FORMATS = ("JPEG", "PNG")
+"""What logs hold. Other decoders of Pillow run programs (EPS) or are rarely looked after."""
+_MODES = ("L", "RGB")
+"""Grey or colour of 8 bits: Pillow turns 16-bit and float pictures into white or black ones."""
+_PNG_DEPTH_AT = 24
+"""Of the byte in a PNG file that holds the bits of a channel (ISO 15948, 11.2.2)."""
 _IMAGE_ERRORS = (
     OSError,
     SyntaxError,
@@ -42,11 +51,13 @@ _COPY = "Copy the picture again from the original data set."
 
 @dataclass(frozen=True, eq=False)
 class CameraFolder:
-    """One camera of the log: model, poses of all listed times, and the pictures that are there."""
+    """One camera of the log: model, poses of all listed times, the pictures that are there, and
+    what is odd about them."""
 
     camera: PinholeCamera
     world_from_camera: Trajectory
     frames: tuple[CameraFrame, ...]
+    notes: tuple[str, ...] = ()
 
 
 def read_camera(folder: Path, readout_s: float) -> CameraFolder:
@@ -61,8 +72,8 @@ def read_camera(folder: Path, readout_s: float) -> CameraFolder:
         readout_s: from the top row to the bottom row; 0 for a global shutter.
 
     Raises:
-        InputError: a file is missing or broken, pictures differ in size, or a picture's number lies
-            beyond the lists of poses and times.
+        InputError: a file is missing, broken or implausible (plausible.py), pictures differ in
+            size, or a picture's number lies beyond the lists of poses and times.
     """
     times_ns = read_times_ns(folder / "timestamps.json")
     matrices = read_poses(folder / "poses.json")
@@ -73,6 +84,7 @@ def read_camera(folder: Path, readout_s: float) -> CameraFolder:
             got=f"{len(matrices)} poses, {len(times_ns)} times",
         )
     trajectory = Trajectory("world", folder.name, times_ns, matrices)
+    notes = check_poses(folder / "poses.json", trajectory)
     images = numbered_files(folder, ".jpg")
     if not images:
         raise InputError("the camera has no pictures", where=folder, expected="files like 00.jpg")
@@ -84,13 +96,13 @@ def read_camera(folder: Path, readout_s: float) -> CameraFolder:
             got=last,
             expected=f"0 to {len(times_ns) - 1}",
         )
-    camera = _read_intrinsics(folder, list(images.values()))
+    camera, lens_notes = _read_intrinsics(folder, list(images.values()))
     velocities = _velocities(trajectory)
     frames = tuple(
         _frame(trajectory, index, path, camera, RollingShutter(readout_s, *velocities[index]))
         for index, path in images.items()
     )
-    return CameraFolder(camera, trajectory, frames)
+    return CameraFolder(camera, trajectory, frames, (*notes, *lens_notes))
 
 
 def _frame(
@@ -138,7 +150,7 @@ def load_image(path: Path, width_px: int, height_px: int) -> UInt8[np.ndarray, "
     if _image_size(path) != (width_px, height_px):
         raise InputError("the picture changed its size since the log was read", where=path)
     try:
-        with Image.open(path) as image:
+        with Image.open(path, formats=_FORMATS) as image:
             return np.array(image.convert("RGB"), dtype=np.uint8)
     except _IMAGE_ERRORS as error:
         raise InputError("the picture is damaged", where=path, got=error, remedy=_COPY) from error
@@ -177,9 +189,12 @@ def numbered_files(folder: Path, suffix: str) -> dict[int, Path]:
     """Files such as 42.jpg or 00.pkl.gz by number, in its order, without hidden files.
 
     Raises:
-        InputError: a file of that kind has no number for its name, or two have the same.
+        InputError: a file of that kind has no number for its name, or two have the same, or no
+            folder stands where one belongs.
     """
     found: dict[int, Path] = {}
+    if not has_folder(folder):
+        return found
     for path in sorted(folder.glob(f"*{suffix}")):
         stem = path.name.removesuffix(suffix)
         if stem.startswith("."):
@@ -195,7 +210,7 @@ def numbered_files(folder: Path, suffix: str) -> dict[int, Path]:
     return dict(sorted(found.items()))
 
 
-def _read_intrinsics(folder: Path, images: Sequence[Path]) -> PinholeCamera:
+def _read_intrinsics(folder: Path, images: Sequence[Path]) -> tuple[PinholeCamera, tuple[str, ...]]:
     path = folder / "intrinsics.json"
     fx, fy, cx, cy = require_numbers(read_json(path), ("fx", "fy", "cx", "cy"), path).tolist()
     sizes = [_image_size(image) for image in images]
@@ -207,28 +222,41 @@ def _read_intrinsics(folder: Path, images: Sequence[Path]) -> PinholeCamera:
                 got=f"{size[0]}x{size[1]} px",
                 expected=f"{sizes[0][0]}x{sizes[0][1]} px",
             )
-    width, height = sizes[0]
-    if not (
-        0 < fx < 1e6 and 0 < fy < 1e6 and -width < cx < 2 * width and -height < cy < 2 * height
-    ):
-        raise InputError(
-            "the intrinsics do not fit the picture",
-            where=path,
-            got=f"fx {fx}, fy {fy}, cx {cx}, cy {cy} for {width}x{height} px",
-        )
+    notes = check_intrinsics(path, sizes[0], (fx, fy), (cx, cy))
     # PandaSet counts from the centre of the first pixel, LightSim from its corner.
-    return PinholeCamera(folder.name, width, height, fx, fy, cx + 0.5, cy + 0.5)
+    return PinholeCamera(folder.name, *sizes[0], fx, fy, cx + 0.5, cy + 0.5), notes
 
 
 def _image_size(path: Path) -> tuple[int, int]:
     try:
-        with Image.open(path) as image:
-            size = image.size
+        with Image.open(path, formats=_FORMATS) as image:
+            size, mode = image.size, image.mode
+            bits = _png_bits(path) if image.format == "PNG" else 8
     except _IMAGE_ERRORS as error:
-        raise InputError("the picture is damaged", where=path, got=error, remedy=_COPY) from error
+        raise InputError(
+            "the picture is damaged or of another format",
+            where=path,
+            got=error,
+            expected="JPEG or PNG",
+            remedy=_COPY,
+        ) from error
     if size[0] * size[1] > _MAX_PIXELS:
         raise InputError("the picture is too large", where=path, got=f"{size[0]}x{size[1]} px")
+    if mode not in _MODES or bits > 8:
+        raise InputError(
+            "the picture is not of the kind that cameras of a log record",
+            where=path,
+            got=f"Pillow's mode {mode}, {bits} bits a channel",
+            expected="8-bit colour (RGB) or grey",
+            remedy="Convert it to 8 bits a channel with the log's own tone curve.",
+        )
     return size
+
+
+def _png_bits(path: Path) -> int:
+    """Bits of a channel: Pillow itself does not tell a 16-bit RGB from an 8-bit one."""
+    with path.open("rb") as file:
+        return file.read(_PNG_DEPTH_AT + 1)[_PNG_DEPTH_AT]
 
 
 def camera_times_ns(folders: Sequence[CameraFolder]) -> Int64[np.ndarray, " n"]:

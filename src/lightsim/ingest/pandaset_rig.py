@@ -17,6 +17,8 @@ from jaxtyping import Float64
 
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.errors import InputError
+from lightsim.ingest.layout import has_file
+from lightsim.ingest.plausible import check_mounting, check_readout
 
 CALIBRATION_FILE = "static_extrinsic_calibration.yaml"
 EGO_BELOW_LIDAR_M = 2.2
@@ -90,7 +92,7 @@ def read_rig(folder: Path) -> Rig:
 def calibration_path(folder: Path) -> Path | None:
     """The calibration file that holds for a log: its own, else the one beside the logs."""
     paths = (folder / CALIBRATION_FILE, folder.parent / CALIBRATION_FILE)
-    return next((path for path in paths if path.is_file()), None)
+    return next((path for path in paths if has_file(path)), None)
 
 
 def ego_trajectory(
@@ -195,10 +197,12 @@ def _parse_rig(path: Path) -> Rig:
     for name, block in _SENSOR.findall(text):
         quaternion = _pairs("rotation", "wxyz", block, f"{path}, '{name}'")
         translation = _pairs("translation", "xyz", block, f"{path}, '{name}'")
+        check_mounting(f"{path}, '{name}'", translation)
         transforms[name] = _transform(name, quaternion, translation, path)
         readout = _READOUT.search(block)
         if readout is not None:
             readouts[name] = float(readout.group(1))
+            check_readout(f"{path}, '{name}'", readouts[name])
     if not transforms:
         raise InputError(
             "the calibration names no sensor",

@@ -13,13 +13,14 @@ from lightsim.core.frames import Trajectory
 from lightsim.core.sensors import LidarSweep
 from lightsim.errors import InputError
 from lightsim.ingest.files import read_json, require_object
+from lightsim.ingest.layout import has_file
 from lightsim.ingest.pandaset_rig import Rig, ego_from_pandar64, positions_along
+from lightsim.ingest.plausible import MAX_COORDINATE_M, MAX_RANGE_M
 from lightsim.ingest.safe_pickle import Table, read_table
 
 _LOGGER = logging.getLogger(__name__)
 _COLUMNS = ("x", "y", "z", "i", "t", "d")
 _MAX_TIME_OFFSET_S = 0.5
-_MAX_COORDINATE_M = 1e5
 _ROOF, _FRONT = 0, 1
 _N_BINS = 72
 
@@ -43,18 +44,29 @@ def load_sweep(source: SweepSource) -> LidarSweep:
         Points and origins in frame `world`; `ring` is -1 (PandaSet does not store it).
 
     Raises:
-        InputError: the file is damaged, empty, or its times are not those of the sweep.
+        InputError: the file is damaged, empty, or its times are not those of the sweep, or its
+            points lie elsewhere.
     """
     table, is_good = _read_points(source)
     classes = _read_classes(source, len(is_good))[is_good]
     points = np.stack([table[k][is_good] for k in ("x", "y", "z")], axis=1)
     times_ns, device = _times_and_device(table, is_good, source)
+    origins = _origins(source, times_ns, device)
+    range_m = float(np.median(np.linalg.norm(points - origins, axis=1)))
+    if range_m > MAX_RANGE_M:
+        raise InputError(
+            "the sweep's points are not where the vehicle was",
+            where=source.path,
+            got=f"half of them more than {range_m:.4g} m away",
+            expected=f"at most {MAX_RANGE_M:g} m",
+            remedy="Points must be in metres, in the world frame of the camera poses.",
+        )
     n = len(points)
     return LidarSweep(
         source.stem,
         source.time_ns,
         points.astype(np.float32),
-        _origins(source, times_ns, device).astype(np.float32),
+        origins.astype(np.float32),
         np.clip(table["i"][is_good] / 255.0, 0.0, 1.0).astype(np.float32),
         ((times_ns - source.time_ns) * 1e-9).astype(np.float32),
         np.full(n, -1, dtype=np.int16),
@@ -124,7 +136,7 @@ def _read_points(source: SweepSource) -> tuple[Table, Bool[np.ndarray, " n"]]:
     for name in _COLUMNS:
         is_good &= np.isfinite(table[name])
     for name in ("x", "y", "z"):
-        is_good &= np.abs(table[name]) < _MAX_COORDINATE_M
+        is_good &= np.abs(table[name]) < MAX_COORDINATE_M
     if not is_good.any():
         raise InputError(
             "the sweep has no valid point",
@@ -194,7 +206,7 @@ def read_class_names(path: Path) -> dict[int, str]:
     Raises:
         InputError: the file is broken.
     """
-    if not path.is_file():
+    if not has_file(path):
         return {}
     names = require_object(read_json(path), path)
     if not all(key.isdigit() and isinstance(name, str) for key, name in names.items()):

@@ -12,13 +12,17 @@ from jaxtyping import Float64
 from lightsim.core.actors import ActorTrack
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.errors import InputError
+from lightsim.ingest.pandaset_rig import EGO_BELOW_LIDAR_M
 from lightsim.ingest.pandaset_sweeps import ScanTiming
+from lightsim.ingest.plausible import MAX_BOX_DISTANCE_M, MAX_BOX_M, odd_track_notes
 from lightsim.ingest.safe_pickle import Table, read_table
 
 _POSITION = ("position.x", "position.y", "position.z")
 _DIMENSIONS = ("dimensions.x", "dimensions.y", "dimensions.z")
 _COLUMNS = ("uuid", "label", "yaw", *_POSITION, *_DIMENSIONS)
 _BOTH, _ROOF, _FRONT = -1, 0, 1
+MAX_ID_CHARACTERS = 512
+"""Ids are uuids of 36 characters; a longer text than this is another column's."""
 _MIN_GAP_S = 0.02
 """Two labels of one actor nearer in time than this say the same thing twice."""
 _MOVED_M = 0.5
@@ -49,8 +53,10 @@ class _Box:
     is_labelled_moving: bool
 
 
-def read_tracks(files: Sequence[CuboidFile], timing: ScanTiming) -> tuple[ActorTrack, ...]:
-    """One track for each actor, longest first.
+def read_tracks(
+    files: Sequence[CuboidFile], timing: ScanTiming
+) -> tuple[tuple[ActorTrack, ...], tuple[str, ...]]:
+    """One track for each actor, longest first, and notes on odd ones.
 
     PandaSet labels an actor in the overlap of its two LiDARs twice, as siblings. Here they are
     one: in each sweep the Pandar64's box is taken, else the PandarGT's. A box is right when its
@@ -58,10 +64,12 @@ def read_tracks(files: Sequence[CuboidFile], timing: ScanTiming) -> tuple[ActorT
     alone, which sequence 002 has none of, as if the Pandar64 had seen it).
 
     Raises:
-        InputError: a file is damaged, lacks a column, or holds a box without place or size.
+        InputError: a file is damaged, lacks a column, or holds a box without an id, place or
+            size, or one that no actor can have (plausible.py).
     """
     boxes: list[list[_Box]] = [_read_boxes(file, timing) for file in files]
     owner = _owners(boxes)
+    n_repeated = sum(len(sweep) - len({(b.uuid, b.sensor) for b in sweep}) for sweep in boxes)
     by_actor: dict[str, list[list[_Box]]] = {}
     for sweep in boxes:
         found: dict[str, list[_Box]] = {}
@@ -70,7 +78,10 @@ def read_tracks(files: Sequence[CuboidFile], timing: ScanTiming) -> tuple[ActorT
         for actor, candidates in found.items():
             by_actor.setdefault(actor, []).append(candidates)
     tracks = [_track(sweeps) for sweeps in by_actor.values()]
-    return tuple(sorted(tracks, key=lambda t: (-len(t.trajectory), t.actor_id)))
+    tracks.sort(key=lambda t: (-len(t.trajectory), t.actor_id))
+    repeated = f"{n_repeated} boxes repeat an actor of the same sweep: the first of each is taken"
+    notes = (repeated,) if n_repeated else ()
+    return tuple(tracks), (*notes, *(note for t in tracks for note in odd_track_notes(t)))
 
 
 def _read_boxes(file: CuboidFile, timing: ScanTiming) -> list[_Box]:
@@ -78,16 +89,18 @@ def _read_boxes(file: CuboidFile, timing: ScanTiming) -> list[_Box]:
     n = len(table["uuid"])
     if n == 0:
         return []
+    ids = _ids(table, file.path)
     centres, yaw, sizes = _checked_numbers(table, file.path)
     sensors = _sensors(table, file.path)
     ego_from_world = file.world_from_ego.inverse()
+    _check_places(file, ids, centres, yaw, sizes)
     offsets_s = timing.offsets_s(ego_from_world.apply(centres))
     is_moving = _labelled_moving(table)
-    siblings = table.get("cuboids.sibling_id", table["uuid"])
+    siblings = table.get("cuboids.sibling_id", np.array(ids, dtype=object))
     return [
         _Box(
             file.time_ns + int(offsets_s[i] * 1e9),
-            str(table["uuid"][i]),
+            ids[i],
             str(siblings[i]),
             int(sensors[i]),
             str(table["label"][i]),
@@ -98,6 +111,57 @@ def _read_boxes(file: CuboidFile, timing: ScanTiming) -> list[_Box]:
         )
         for i in range(n)
     ]
+
+
+def _ids(table: Table, path: Path) -> list[str]:
+    """The actors' ids: text, or whole numbers as text."""
+    ids: list[str] = []
+    for i, value in enumerate(table["uuid"].tolist()):
+        is_kind = isinstance(value, str) or type(value) is int
+        text = str(value)
+        if not is_kind or not 0 < len(text) <= MAX_ID_CHARACTERS or not text.isprintable():
+            raise InputError(
+                "an actor's id is no text",
+                where=f"{path}, row {i}",
+                got=f"{type(value).__name__} {text!r:.60}",
+                expected=f"1 to {MAX_ID_CHARACTERS} printable characters, or a whole number",
+            )
+        ids.append(text)
+    return ids
+
+
+def _check_places(
+    file: CuboidFile,
+    ids: Sequence[str],
+    centres: Float64[np.ndarray, "n 3"],
+    yaw: Float64[np.ndarray, " n"],
+    sizes_wlh: Float64[np.ndarray, "n 3"],
+) -> None:
+    """Refuse boxes that no actor fits into or no LiDAR could see, the vehicle's own among them."""
+    lidar_world = file.world_from_ego.apply(np.array([[0.0, 0.0, EGO_BELOW_LIDAR_M]]))[0]
+    away = lidar_world - centres
+    c, s = np.cos(yaw), np.sin(yaw)
+    x, y = c * away[:, 0] + s * away[:, 1], c * away[:, 1] - s * away[:, 0]
+    holds_lidar = (np.abs(np.stack([x, y, away[:, 2]], axis=1)) < sizes_wlh / 2).all(axis=1)
+    distances_m = np.linalg.norm(away, axis=1)
+    for is_bad, what, expected in (
+        ((sizes_wlh >= MAX_BOX_M).any(axis=1), "a box is too large", f"below {MAX_BOX_M:g} m"),
+        (
+            distances_m > MAX_BOX_DISTANCE_M,
+            "a box is beyond the LiDAR's reach",
+            f"within {MAX_BOX_DISTANCE_M:g} m",
+        ),
+        (holds_lidar, "a box holds the recording LiDAR itself", "boxes of other road users"),
+    ):
+        if is_bad.any():
+            i = int(np.flatnonzero(is_bad)[0])
+            raise InputError(
+                what,
+                where=f"{file.path}, row {i} (uuid {ids[i][:60]})",
+                got=f"size {sizes_wlh[i].tolist()} m, {distances_m[i]:.4g} m from the LiDAR",
+                expected=expected,
+                remedy="Sizes and places are in metres, places in the log's world frame.",
+            )
 
 
 def _checked_numbers(

@@ -9,7 +9,9 @@ from typing import Literal, get_args
 
 from lightsim.core.log import DrivingLog
 from lightsim.errors import InputError
+from lightsim.ingest.layout import has_folder
 from lightsim.ingest.pandaset import is_pandaset, read_pandaset
+from lightsim.store.names import is_harmless
 
 Dataset = Literal["pandaset"]
 
@@ -52,27 +54,50 @@ def read_log(
     Raises:
         InputError: the folder is of no known data set, or a file in it is missing or broken.
     """
-    if not source.is_dir():
+    log = READERS[check_layout(source, dataset)].read(source, cameras, frames, heading_deg)
+    _check_camera_names(log, source)
+    return log
+
+
+def check_layout(source: Path, dataset: str = "auto") -> Dataset:
+    """The data set whose layout a folder has. Only a few names are looked up, so this may be asked
+    of any folder, before it is walked or hashed.
+
+    Raises:
+        InputError: no such folder, or not of this data set, or of none.
+    """
+    if not has_folder(source):
         raise InputError(
             "no such folder", where=source, remedy="SOURCE is the folder of one recording."
         )
-    return READERS[_dataset_of(source, dataset)].read(source, cameras, frames, heading_deg)
-
-
-def _dataset_of(source: Path, dataset: str) -> Dataset:
     names: tuple[Dataset, ...] = get_args(Dataset)
-    for name in names:
-        if dataset == name or (dataset == "auto" and READERS[name].detect(source)):
-            return name
-    if dataset != "auto":
+    if dataset not in ("auto", *names):
         raise InputError(
             f"unknown data set '{dataset}'",
             where="--dataset",
             expected=f"auto or one of {', '.join(names)}",
         )
+    for name in names:
+        if dataset in ("auto", name) and READERS[name].detect(source):
+            return name
     raise InputError(
         "the folder has the layout of no known data set",
         where=source,
-        expected=f"one of {', '.join(names)}",
+        expected=dataset if dataset != "auto" else f"one of {', '.join(names)}",
         remedy="PandaSet: give the folder of one sequence, such as pandaset/002.",
     )
+
+
+def _check_camera_names(log: DrivingLog, source: Path) -> None:
+    """Every stage writes files under the cameras' names, of whatever data set."""
+    names: dict[str, str] = {}
+    for name in log.cameras:
+        other = names.setdefault(name.casefold(), name)
+        if not is_harmless(name) or other != name:
+            raise InputError(
+                "a camera's name must be fit to name files, without regard to case",
+                where=source,
+                got=repr(name)[:90] if other == name else f"'{other}' and '{name}'",
+                expected="letters, digits, '_', '-' and '.', a letter or digit first",
+                remedy="Rename the camera.",
+            )

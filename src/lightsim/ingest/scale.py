@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import UInt8
 
+from lightsim.core.camera import PinholeCamera
 from lightsim.core.colour import linear_from_srgb8, srgb8_from_linear
 from lightsim.core.log import DrivingLog
 from lightsim.core.resample import resize_area
@@ -23,13 +24,12 @@ def at_scale(log: DrivingLog, image_scale: float) -> DrivingLog:
     Raises:
         InputError: the scale is not in (0, 1].
     """
-    if not 0.0 < image_scale <= 1.0:
-        raise InputError("the image scale must lie in (0, 1]", got=image_scale)
+    check_image_scale(image_scale)
     if image_scale == 1.0:
         return log
     cameras = {name: camera.scaled(image_scale) for name, camera in log.cameras.items()}
     frames = tuple(
-        replace(frame, load_srgb8=_resized_loader(frame, cameras[frame.camera_name].height_px))
+        replace(frame, load_srgb8=_resized_loader(frame, cameras[frame.camera_name]))
         for frame in log.frames
     )
     masks = {
@@ -42,10 +42,24 @@ def at_scale(log: DrivingLog, image_scale: float) -> DrivingLog:
     return replace(log, cameras=cameras, frames=frames, own_car_masks=masks)
 
 
-def _resized_loader(frame: CameraFrame, height_px: int) -> Loader:
+def check_image_scale(image_scale: float) -> None:
+    """Refuse a factor that is none, or that would invent pixels.
+
+    Raises:
+        InputError: not a number in (0, 1].
+    """
+    if not 0.0 < image_scale <= 1.0:
+        raise InputError(
+            "the image scale must lie in (0, 1]",
+            where="--image-scale",
+            got=image_scale,
+            expected="a factor on the recorded size, such as 0.5",
+        )
+
+
+def _resized_loader(frame: CameraFrame, camera: PinholeCamera) -> Loader:
     def load() -> UInt8[np.ndarray, "h w 3"]:
-        full = frame.load_srgb8()
-        width_px = max(1, round(full.shape[1] * height_px / full.shape[0]))
-        return srgb8_from_linear(resize_area(linear_from_srgb8(full), height_px, width_px))
+        linear = linear_from_srgb8(frame.load_srgb8())
+        return srgb8_from_linear(resize_area(linear, camera.height_px, camera.width_px))
 
     return load

@@ -22,7 +22,8 @@ def write_alignment(folder: Path, alignment: Alignment) -> None:
         f"camera/{name}": np.array([*c.rotation_rad, *c.shift_m, c.time_offset_s])
         for name, c in alignment.cameras.items()
     }
-    arrays |= {f"actor/{name}": matrices for name, matrices in alignment.actors.items()}
+    # By number: an id that ends in .npy would be taken for another one's array.
+    arrays |= {f"actor/{i}": matrices for i, matrices in enumerate(alignment.actors.values())}
     path = alignment.path
     if path is not None:
         arrays["path/times_ns"] = path.times_ns
@@ -34,6 +35,7 @@ def write_alignment(folder: Path, alignment: Alignment) -> None:
         folder / SUMMARY_NAME,
         {
             **{name: getattr(alignment, name) for name in _SWITCHES},
+            "actor_ids": list(alignment.actors),
             "corrected": sorted({name.split("/")[0] for name in arrays}),
             "numbers": dict(alignment.numbers),
             "notes": list(alignment.notes),
@@ -55,7 +57,7 @@ def read_alignment(folder: Path) -> Alignment:
         for name, x in arrays.items()
         if name.startswith("camera/")
     }
-    actors = {
+    tracks = {
         name.removeprefix("actor/"): matrices
         for name, matrices in arrays.items()
         if name.startswith("actor/")
@@ -65,6 +67,10 @@ def read_alignment(folder: Path) -> Alignment:
         names = ("times_ns", "pivot_world", "rotations_rad", "shifts_m")
         path = PathCorrection(*(arrays[f"path/{name}"] for name in names))
     try:
+        actors = tracks
+        # Older versions named the arrays by the ids.
+        if "actor_ids" in summary:
+            actors = {str(a): tracks[str(i)] for i, a in enumerate(summary["actor_ids"])}
         return Alignment(
             path,
             cameras,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +13,7 @@ from lightsim.core.twin import ActorAsset, SceneAssets
 from lightsim.errors import ArtefactError
 from lightsim.store.arrays import load_arrays, save_arrays
 from lightsim.store.artefact import json_ready, read_json, write_json
+from lightsim.store.names import file_names, inside
 
 _HALF_MAX = np.float32(65504.0)
 
@@ -67,34 +70,53 @@ def read_mesh(path: Path, frame: str) -> TriMesh:
 
 
 def write_assets(folder: Path, assets: SceneAssets) -> None:
+    """background.npz, assets.json, and a file for each actor, which assets.json names."""
     write_mesh(folder / "background.npz", assets.background)
     (folder / "actors").mkdir(exist_ok=True)
-    for actor in assets.actors.values():
-        write_mesh(folder / "actors" / f"{actor.actor_id}.npz", actor.mesh)
+    files = {a: f"actors/{name}.npz" for a, name in file_names(assets.actors).items()}
+    for actor_id, actor in assets.actors.items():
+        write_mesh(inside(folder, files[actor_id]), actor.mesh)
     write_json(
         folder / "assets.json",
         {
             "camera_gains": json_ready(dict(assets.camera_gains)),
             "notes": list(assets.notes),
             "actors": [
-                {"actor_id": a.actor_id, "kind": a.kind, "faces": len(a.mesh.faces)}
-                for a in assets.actors.values()
+                {
+                    "actor_id": actor_id,
+                    "kind": actor.kind,
+                    "mesh": files[actor_id],
+                    "faces": len(actor.mesh.faces),
+                }
+                for actor_id, actor in assets.actors.items()
             ],
         },
     )
 
 
 def read_assets(folder: Path) -> SceneAssets:
-    """The assets written by `write_assets`."""
+    """The assets written by `write_assets`.
+
+    Raises:
+        ArtefactError: a file is missing or broken, or leads out of the folder.
+    """
     value = read_json(folder / "assets.json")
-    actors = {
-        entry["actor_id"]: ActorAsset(
-            entry["actor_id"],
-            entry["kind"],
-            read_mesh(folder / "actors" / f"{entry['actor_id']}.npz", "actor"),
-        )
-        for entry in value["actors"]
-    }
-    gains = {name: np.array(g, np.float32) for name, g in value["camera_gains"].items()}
-    notes = tuple(value["notes"]) if "notes" in value else ()
+    try:
+        actors = {entry["actor_id"]: _read_actor(folder, entry) for entry in value["actors"]}
+        gains = {name: np.array(g, np.float32) for name, g in value["camera_gains"].items()}
+        notes = tuple(value["notes"]) if "notes" in value else ()
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ArtefactError(
+            "the list of assets is broken",
+            where=folder / "assets.json",
+            got=error,
+            remedy="Build again.",
+        ) from error
     return SceneAssets(read_mesh(folder / "background.npz", "world"), actors, gains, notes)
+
+
+def _read_actor(folder: Path, entry: Mapping[str, Any]) -> ActorAsset:
+    actor_id = entry["actor_id"]
+    # Older versions named the file by the id and did not say so.
+    file = entry.get("mesh", f"actors/{actor_id}.npz")
+    return ActorAsset(actor_id, entry["kind"], read_mesh(inside(folder, file), "actor"))

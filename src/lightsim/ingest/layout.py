@@ -1,0 +1,72 @@
+"""What stands where in a log's folder: "not there" is told from "something else stands there"."""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Callable
+from pathlib import Path
+
+from lightsim.errors import InputError
+
+
+def has_folder(path: Path) -> bool:
+    """Whether the folder is there.
+
+    Raises:
+        InputError: something else is, a link leads nowhere, or one may not look.
+    """
+    return _is_there(path, stat.S_ISDIR, "a folder")
+
+
+def has_file(path: Path) -> bool:
+    """Whether the file is there.
+
+    Raises:
+        InputError: something else is, a link leads nowhere, or one may not look.
+    """
+    return _is_there(path, stat.S_ISREG, "a file")
+
+
+def subfolders(folder: Path) -> list[Path]:
+    """Folders in a folder, by name, without hidden ones; none where it is not there.
+
+    Raises:
+        InputError: a visible entry is no folder.
+    """
+    if not has_folder(folder):
+        return []
+    visible = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    return [path for path in visible if has_folder(path)]
+
+
+def _is_there(path: Path, is_kind: Callable[[int], bool], kind: str) -> bool:
+    try:
+        mode = path.stat().st_mode
+    except NotADirectoryError:
+        has_folder(path.parent)
+        return False
+    except FileNotFoundError:
+        if not path.is_symlink():
+            return False
+        raise InputError(
+            "the link leads nowhere",
+            where=path,
+            expected=kind,
+            remedy="Copy what it should lead to, or remove it.",
+        ) from None
+    except OSError as error:
+        raise InputError(
+            "one may not look here",
+            where=path,
+            got=error.strerror,
+            remedy="Check the permissions.",
+        ) from error
+    if not is_kind(mode):
+        raise InputError(
+            "something else stands in its place",
+            where=path,
+            got="a folder" if stat.S_ISDIR(mode) else "a file",
+            expected=kind,
+            remedy="Copy it again from the original data set, or remove it.",
+        )
+    return True
