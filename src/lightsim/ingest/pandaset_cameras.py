@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
-from PIL import Image, UnidentifiedImageError
 
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import (
@@ -28,16 +27,12 @@ from lightsim.ingest.files import (
     require_numbers,
     require_object,
 )
+from lightsim.store.images import read_size, read_srgb8
 
 _MAX_PIXELS = 80_000_000
-_IMAGE_ERRORS = (
-    OSError,
-    SyntaxError,
-    ValueError,
-    UnidentifiedImageError,
-    Image.DecompressionBombError,
-)
-_COPY = "Copy the picture again from the original data set."
+"""More than any camera on a car has; twelve pictures are compared at once."""
+_MAX_ASPECT = 8
+"""Of the longer to the shorter side; the widest cameras on cars crop to 3 to 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,13 +130,9 @@ def load_image(path: Path, width_px: int, height_px: int) -> UInt8[np.ndarray, "
     Raises:
         InputError: it is damaged, or no longer of the expected size.
     """
-    if _image_size(path) != (width_px, height_px):
+    if read_size(path) != (width_px, height_px):
         raise InputError("the picture changed its size since the log was read", where=path)
-    try:
-        with Image.open(path) as image:
-            return np.array(image.convert("RGB"), dtype=np.uint8)
-    except _IMAGE_ERRORS as error:
-        raise InputError("the picture is damaged", where=path, got=error, remedy=_COPY) from error
+    return read_srgb8(path)
 
 
 def read_poses(path: Path) -> Float64[np.ndarray, "n 4 4"]:
@@ -221,13 +212,16 @@ def _read_intrinsics(folder: Path, images: Sequence[Path]) -> PinholeCamera:
 
 
 def _image_size(path: Path) -> tuple[int, int]:
-    try:
-        with Image.open(path) as image:
-            size = image.size
-    except _IMAGE_ERRORS as error:
-        raise InputError("the picture is damaged", where=path, got=error, remedy=_COPY) from error
+    size = read_size(path)
     if size[0] * size[1] > _MAX_PIXELS:
         raise InputError("the picture is too large", where=path, got=f"{size[0]}x{size[1]} px")
+    if max(size) > _MAX_ASPECT * min(size):
+        raise InputError(
+            "the picture is no camera's: too long for its width",
+            where=path,
+            got=f"{size[0]}x{size[1]} px",
+            expected=f"at most {_MAX_ASPECT} to 1",
+        )
     return size
 
 

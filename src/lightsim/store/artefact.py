@@ -23,7 +23,8 @@ from typing import Any, Literal
 import numpy as np
 
 from lightsim import __version__
-from lightsim.errors import ArtefactError
+from lightsim.errors import ArtefactError, InputError
+from lightsim.store.reading import MAX_JSON_BYTES, read_bytes
 
 RECORD_NAME = "artefact.json"
 _HASH_BLOCK = 1 << 20
@@ -78,8 +79,8 @@ def read_record(folder: Path) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     try:
-        record = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
+        record = json.loads(read_bytes(path, "record", MAX_JSON_BYTES))
+    except (InputError, ValueError, RecursionError) as error:
         raise ArtefactError(
             "the record is not readable JSON", where=path, got=error, remedy="Delete the folder."
         ) from error
@@ -154,8 +155,8 @@ def read_json(path: Path) -> Any:
         ArtefactError: missing or broken.
     """
     try:
-        return json.loads(path.read_text())
-    except (OSError, ValueError) as error:
+        return json.loads(read_bytes(path, "JSON file", MAX_JSON_BYTES))
+    except (InputError, ValueError, RecursionError) as error:
         raise ArtefactError(
             "cannot read the file", where=path, got=error, remedy="Run lightsim build again."
         ) from error
