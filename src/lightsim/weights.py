@@ -52,7 +52,7 @@ def list_weights(folder: Path = WEIGHTS_FOLDER) -> dict[str, WeightsCard]:
         raise InputError(
             "the list of weights cannot be read",
             where=path,
-            got=error,
+            got=error.got if isinstance(error, InputError) else error,
             remedy="Reinstall lightsim.",
         ) from error
 

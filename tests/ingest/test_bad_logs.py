@@ -237,6 +237,11 @@ CASES: list[tuple[str, Break, str]] = [
         r"01\.jpg: .*size differs",
     ),
     (
+        "pictures like ribbons",
+        lambda log: [add_picture(f"{FRONT}/0{i}.jpg", (2, 12000))(log) for i in range(3)] and None,
+        r"00\.jpg: .*too long for its width",
+    ),
+    (
         "picture that is none",
         write_text(f"{FRONT}/01.jpg", "no picture"),
         r"01\.jpg: the picture cannot be read",

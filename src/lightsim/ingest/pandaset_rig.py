@@ -85,7 +85,7 @@ def read_rig(folder: Path) -> Rig:
         InputError: a calibration file is there but broken.
     """
     for path in (folder / CALIBRATION_FILE, folder.parent / CALIBRATION_FILE):
-        if path.is_file():
+        if path.exists():
             return _parse_rig(path)
     return nominal_rig()
 

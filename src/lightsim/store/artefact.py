@@ -78,12 +78,7 @@ def read_record(folder: Path) -> dict[str, Any] | None:
     path = folder / RECORD_NAME
     if not path.is_file():
         return None
-    try:
-        record = json.loads(read_bytes(path, "record", MAX_JSON_BYTES))
-    except (InputError, ValueError, RecursionError) as error:
-        raise ArtefactError(
-            "the record is not readable JSON", where=path, got=error, remedy="Delete the folder."
-        ) from error
+    record = _parsed_json(path, "Delete the folder.")
     if not isinstance(record, dict) or "key" not in record:
         raise ArtefactError("the record has no key", where=path, remedy="Delete the folder.")
     return record
@@ -154,11 +149,17 @@ def read_json(path: Path) -> Any:
     Raises:
         ArtefactError: missing or broken.
     """
+    return _parsed_json(path, "Run lightsim build again.")
+
+
+def _parsed_json(path: Path, remedy: str) -> Any:
     try:
         return json.loads(read_bytes(path, "JSON file", MAX_JSON_BYTES))
-    except (InputError, ValueError, RecursionError) as error:
+    except InputError as error:
+        raise ArtefactError(error.what, where=path, got=error.got, remedy=remedy) from error
+    except (ValueError, RecursionError) as error:
         raise ArtefactError(
-            "cannot read the file", where=path, got=error, remedy="Run lightsim build again."
+            "the file is no valid JSON", where=path, got=f"{error}"[:200], remedy=remedy
         ) from error
 
 

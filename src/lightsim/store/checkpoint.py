@@ -42,7 +42,10 @@ def read_weights(path: Path) -> dict[str, Any]:
         return {name: tensor.to(torch.float32) for name, tensor in tensors.items()}
     except (InputError, SafetensorError) as error:
         raise ArtefactError(
-            "the weights cannot be read", where=path, got=error, remedy="Build again."
+            "the weights cannot be read",
+            where=path,
+            got=error.got if isinstance(error, InputError) else error,
+            remedy="Build again.",
         ) from error
 
 
