@@ -9,10 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightsim.errors import InputError
+from lightsim.store.reading import MAX_JSON_BYTES, read_bytes
 
 if TYPE_CHECKING:
     import torch
 
+_MAX_BYTES = 1 << 30
+"""The shipped files have some megabytes each."""
 WEIGHTS_FOLDER = Path(__file__).parent / "data" / "weights"
 
 
@@ -43,13 +46,13 @@ def list_weights(folder: Path = WEIGHTS_FOLDER) -> dict[str, WeightsCard]:
     """
     path = folder / "manifest.json"
     try:
-        entries = json.loads(path.read_text(encoding="utf-8"))
+        entries = json.loads(read_bytes(path, "list of weights", MAX_JSON_BYTES))
         return {name: WeightsCard(name, **entry) for name, entry in entries.items()}
-    except (OSError, ValueError, TypeError, AttributeError) as error:
+    except (InputError, ValueError, TypeError, AttributeError) as error:
         raise InputError(
             "the list of weights cannot be read",
             where=path,
-            got=error,
+            got=error.got if isinstance(error, InputError) else error,
             remedy="Reinstall lightsim.",
         ) from error
 
@@ -75,7 +78,7 @@ def _read_checked(path: Path, sha256: str) -> bytes:
     """The bytes of a file whose digest is known."""
     if not path.is_file():
         raise InputError("a weights file is missing", where=path, remedy="Reinstall lightsim.")
-    content = path.read_bytes()
+    content = read_bytes(path, "weights file", _MAX_BYTES)
     found = hashlib.sha256(content).hexdigest()
     if found != sha256:
         raise InputError(

@@ -189,7 +189,7 @@ CASES: list[tuple[str, Break, str]] = [
     (
         "missing intrinsics",
         delete(f"{FRONT}/intrinsics.json"),
-        r"intrinsics\.json: the file cannot be read",
+        r"intrinsics\.json: cannot open",
     ),
     (
         "intrinsics without fx",
@@ -234,7 +234,7 @@ CASES: list[tuple[str, Break, str]] = [
     (
         "missing LiDAR times",
         delete("lidar/timestamps.json"),
-        r"lidar/timestamps\.json: the file cannot be read",
+        r"lidar/timestamps\.json: cannot open",
     ),
     (
         "picture beyond the lists",
@@ -247,9 +247,14 @@ CASES: list[tuple[str, Break, str]] = [
         r"01\.jpg: .*size differs",
     ),
     (
+        "pictures like ribbons",
+        lambda log: [add_picture(f"{FRONT}/0{i}.jpg", (2, 12000))(log) for i in range(3)] and None,
+        r"00\.jpg: .*too long for its width",
+    ),
+    (
         "picture that is none",
         write_text(f"{FRONT}/01.jpg", "no picture"),
-        r"01\.jpg: the picture is damaged",
+        r"01\.jpg: the picture cannot be read",
     ),
     (
         "picture without number",
@@ -309,7 +314,7 @@ CASES: list[tuple[str, Break, str]] = [
         ),
         r"calibration\.yaml, 'front_camera'",
     ),
-    ("truncated picture", cut(f"{FRONT}/01.jpg", 0.6), r"01\.jpg: the picture is damaged"),
+    ("truncated picture", cut(f"{FRONT}/01.jpg", 0.6), r"01\.jpg: the picture cannot be read"),
 ]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import gzip
+import io
 import json
 import zlib
 from pathlib import Path
@@ -12,9 +12,14 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from lightsim.errors import InputError
+from lightsim.store.reading import MAX_JSON_BYTES, read_bytes
 
-_MAX_JSON_BYTES = 256 * 1024 * 1024
-_CHUNK_BYTES = 1 << 20
+_IN_BYTES, _OUT_BYTES = 1 << 16, 1 << 20
+"""Read and written at once; little is read, since what follows a member is read again."""
+_MAX_MEMBERS = 10_000
+"""Parallel compressors write one gzip member for every 64 KB or so."""
+_GZIP_WINDOW = 31
+"""What zlib calls a gzip header with the largest window."""
 _BROKEN = "Copy the file again from the original data set."
 
 
@@ -22,19 +27,14 @@ def read_json(path: Path) -> Any:
     """The parsed JSON document.
 
     Raises:
-        InputError: the file is missing, too large or no JSON.
+        InputError: the file is missing, no regular file, too large or no JSON.
     """
+    data = read_bytes(path, "JSON file", MAX_JSON_BYTES)
     try:
-        if path.stat().st_size > _MAX_JSON_BYTES:
-            raise InputError("the JSON file is too large", where=path, remedy=_BROKEN)
-        return json.loads(path.read_bytes())
-    except OSError as error:
-        raise InputError(
-            "the file cannot be read", where=path, got=error.strerror, remedy=_BROKEN
-        ) from error
+        return json.loads(data)
     except (ValueError, RecursionError) as error:
         raise InputError(
-            "the file is no valid JSON", where=path, got=error, remedy=_BROKEN
+            "the file is no valid JSON", where=path, got=f"{error}"[:200], remedy=_BROKEN
         ) from error
 
 
@@ -42,28 +42,52 @@ def read_gzip(path: Path, max_bytes: int) -> bytes:
     """The decompressed bytes, at most `max_bytes` of them.
 
     Raises:
-        InputError: the file is missing, truncated, no gzip, or decompresses to more.
+        InputError: the file is missing, no regular file, truncated, no gzip, or decompresses to
+            more.
     """
-    chunks: list[bytes] = []
-    size = 0
+    # Gzip never needs as much as twice its content, not even for noise in small members.
+    data = read_bytes(path, "gzip file", 2 * max_bytes)
     try:
-        with gzip.open(path, "rb") as stream:
-            while chunk := stream.read(_CHUNK_BYTES):
-                size += len(chunk)
-                if size > max_bytes:
-                    raise InputError(
-                        "the file decompresses to more than a sweep or label file can hold",
-                        where=path,
-                        expected=f"at most {max_bytes} bytes",
-                    )
-                chunks.append(chunk)
-    except FileNotFoundError as error:
-        raise InputError("the file is missing", where=path) from error
-    except (EOFError, OSError, zlib.error) as error:
+        return _inflated(data, max_bytes)
+    except (EOFError, zlib.error) as error:
         raise InputError(
             "the gzip file is truncated or damaged", where=path, got=error, remedy=_BROKEN
         ) from error
-    return b"".join(chunks)
+    except OverflowError as error:
+        raise InputError(
+            "the file decompresses to more than a sweep or label file can hold",
+            where=path,
+            expected=f"at most {max_bytes} bytes in {_MAX_MEMBERS} gzip members",
+        ) from error
+
+
+def _inflated(data: bytes, max_bytes: int) -> bytes:
+    """All gzip members of `data`, joined.
+
+    Raises:
+        OverflowError: too many members or bytes.
+        EOFError, zlib.error: truncated or damaged.
+    """
+    out = io.BytesIO()
+    position = 0
+    # Tape drives and some copiers pad with zeros.
+    end = len(data.rstrip(b"\0"))
+    for _ in range(_MAX_MEMBERS):
+        stream = zlib.decompressobj(_GZIP_WINDOW)
+        while not stream.eof:
+            piece = stream.unconsumed_tail
+            if not piece:
+                piece = data[position : position + _IN_BYTES]
+                position += len(piece)
+            if not piece:
+                raise EOFError("it ends too early")
+            out.write(stream.decompress(piece, _OUT_BYTES))
+            if out.tell() > max_bytes:
+                raise OverflowError
+        position -= len(stream.unused_data)
+        if position >= end:
+            return out.getvalue()
+    raise OverflowError
 
 
 def require_object(value: Any, where: object) -> dict[str, Any]:

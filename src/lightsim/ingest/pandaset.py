@@ -305,8 +305,10 @@ def _own_car_masks(
 
 def _small_grey(frame: CameraFrame) -> np.ndarray:
     image = Image.fromarray(frame.load_srgb8()).convert("L")
-    height = max(8, round(image.height * _SMALL_WIDTH_PX / image.width))
-    small = image.resize((_SMALL_WIDTH_PX, height), Image.Resampling.BOX)
+    # Only ever reduced: narrow pictures would grow in both directions.
+    width = min(_SMALL_WIDTH_PX, image.width)
+    height = max(8, round(image.height * width / image.width))
+    small = image.resize((width, height), Image.Resampling.BOX)
     return np.asarray(small, dtype=np.float32)
 
 

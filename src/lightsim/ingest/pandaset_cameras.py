@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
-from PIL import Image, UnidentifiedImageError
 
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import (
@@ -28,25 +27,17 @@ from lightsim.ingest.files import (
     require_numbers,
     require_object,
 )
-from lightsim.ingest.layout import has_folder
 from lightsim.ingest.plausible import check_intrinsics, check_poses
+from lightsim.store.images import read_size, read_srgb8
 
 _MAX_PIXELS = 80_000_000
-"""More than any camera on a car has; Pillow warns of decompression bombs above 89 million."""
+"""More than any camera on a car has; twelve pictures are compared at once."""
 _FORMATS = ("JPEG", "PNG")
 """What logs hold. Other decoders of Pillow run programs (EPS) or are rarely looked after."""
 _MODES = ("L", "RGB")
-"""Grey or colour of 8 bits: Pillow turns 16-bit and float pictures into white or black ones."""
-_PNG_DEPTH_AT = 24
-"""Of the byte in a PNG file that holds the bits of a channel (ISO 15948, 11.2.2)."""
-_IMAGE_ERRORS = (
-    OSError,
-    SyntaxError,
-    ValueError,
-    UnidentifiedImageError,
-    Image.DecompressionBombError,
-)
-_COPY = "Copy the picture again from the original data set."
+"""Grey or colour of 8 bits: what cameras of a log record."""
+_MAX_ASPECT = 8
+"""Of the longer to the shorter side; the widest cameras on cars crop to 3 to 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,13 +138,13 @@ def load_image(path: Path, width_px: int, height_px: int) -> UInt8[np.ndarray, "
     Raises:
         InputError: it is damaged, or no longer of the expected size.
     """
-    if _image_size(path) != (width_px, height_px):
-        raise InputError("the picture changed its size since the log was read", where=path)
-    try:
-        with Image.open(path, formats=_FORMATS) as image:
-            return np.array(image.convert("RGB"), dtype=np.uint8)
-    except _IMAGE_ERRORS as error:
-        raise InputError("the picture is damaged", where=path, got=error, remedy=_COPY) from error
+    if read_size(path, _FORMATS, _MODES) != (width_px, height_px):
+        raise InputError(
+            "the picture changed its size since the log was read",
+            where=path,
+            expected=f"{width_px}x{height_px} px",
+        )
+    return read_srgb8(path)
 
 
 def read_poses(path: Path) -> Float64[np.ndarray, "n 4 4"]:
@@ -228,27 +219,20 @@ def _read_intrinsics(folder: Path, images: Sequence[Path]) -> tuple[PinholeCamer
 
 
 def _image_size(path: Path) -> tuple[int, int]:
-    try:
-        with Image.open(path, formats=_FORMATS) as image:
-            size, mode = image.size, image.mode
-            bits = _png_bits(path) if image.format == "PNG" else 8
-    except _IMAGE_ERRORS as error:
-        raise InputError(
-            "the picture is damaged or of another format",
-            where=path,
-            got=error,
-            expected="JPEG or PNG",
-            remedy=_COPY,
-        ) from error
+    size = read_size(path, _FORMATS, _MODES)
     if size[0] * size[1] > _MAX_PIXELS:
-        raise InputError("the picture is too large", where=path, got=f"{size[0]}x{size[1]} px")
-    if mode not in _MODES or bits > 8:
         raise InputError(
-            "the picture is not of the kind that cameras of a log record",
+            "the picture is too large",
             where=path,
-            got=f"Pillow's mode {mode}, {bits} bits a channel",
-            expected="8-bit colour (RGB) or grey",
-            remedy="Convert it to 8 bits a channel with the log's own tone curve.",
+            got=f"{size[0]}x{size[1]} px",
+            expected=f"at most {_MAX_PIXELS} pixels",
+        )
+    if max(size) > _MAX_ASPECT * min(size):
+        raise InputError(
+            "the picture is no camera's: too long for its width",
+            where=path,
+            got=f"{size[0]}x{size[1]} px",
+            expected=f"at most {_MAX_ASPECT} to 1",
         )
     return size
 

@@ -7,7 +7,6 @@ it, nominally on the road. The LiDAR's mounting tilt of about one degree is not 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.errors import InputError
 from lightsim.ingest.layout import has_file
 from lightsim.ingest.plausible import check_mounting, check_readout
+from lightsim.store.reading import read_bytes
 
 CALIBRATION_FILE = "static_extrinsic_calibration.yaml"
 EGO_BELOW_LIDAR_M = 2.2
@@ -29,10 +29,11 @@ _FRONT = "front_camera"
 _LIDAR = "main_pandar64"
 _FRONT_LIDAR = "front_gt"
 
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_PAIRS = rf"\s*\{{?((?:\s*[wxyz]:\s*{_NUMBER},?)+)\s*\}}?"
-_READOUT = re.compile(rf"^\s+readout_s:\s*({_NUMBER})\s*$", re.MULTILINE)
-_SENSOR = re.compile(r"^(\w+):[ \t]*$(.*?)(?=^\w|\Z)", re.MULTILINE | re.DOTALL)
+_MAX_BYTES = 1 << 20
+"""The published file has 2.7 kB."""
+_MAX_DIGITS = 40
+"""Characters of a number; a double printed in full has 24."""
+_LETTERS_BY_KEY = {"rotation": "wxyz", "translation": "xyz", "readout_s": "s"}
 
 
 @dataclass(frozen=True)
@@ -189,20 +190,20 @@ def _aligned(path: Trajectory, reference: Trajectory) -> Trajectory:
 def _parse_rig(path: Path) -> Rig:
     """The published file is plain enough that a YAML package would be one dependency too many."""
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError("the calibration cannot be read", where=path, got=error) from error
+        text = read_bytes(path, "calibration", _MAX_BYTES).decode()
+    except UnicodeDecodeError as error:
+        raise InputError("the calibration is no text", where=path, got=error) from error
     transforms: dict[str, RigidTransform] = {}
     readouts: dict[str, float] = {}
-    for name, block in _SENSOR.findall(text):
-        quaternion = _pairs("rotation", "wxyz", block, f"{path}, '{name}'")
-        translation = _pairs("translation", "xyz", block, f"{path}, '{name}'")
-        check_mounting(f"{path}, '{name}'", translation)
+    for name, numbers in _sensors(text).items():
+        where = f"{path}, '{name}'"
+        quaternion = _complete("rotation", numbers, where)
+        translation = _complete("translation", numbers, where)
+        check_mounting(where, translation)
         transforms[name] = _transform(name, quaternion, translation, path)
-        readout = _READOUT.search(block)
-        if readout is not None:
-            readouts[name] = float(readout.group(1))
-            check_readout(f"{path}, '{name}'", readouts[name])
+        if "readout_s" in numbers:
+            readouts[name] = float(_complete("readout_s", numbers, where)[0])
+            check_readout(where, readouts[name])
     if not transforms:
         raise InputError(
             "the calibration names no sensor",
@@ -217,17 +218,60 @@ def _parse_rig(path: Path) -> Rig:
     return Rig(others, nominal_rig().front_lidar_pandar64, readouts)
 
 
-def _pairs(key: str, letters: str, block: str, where: str) -> Float64[np.ndarray, " n"]:
-    found = re.search(key + ":" + _PAIRS, block)
-    values = dict(re.findall(rf"([wxyz]):\s*({_NUMBER})", found.group(1))) if found else {}
-    if set(values) != set(letters):
+_Numbers = dict[str, dict[str, float]]
+"""What a sensor has under each key of interest, by letter."""
+
+
+def _sensors(text: str) -> dict[str, _Numbers]:
+    """The numbers of every sensor: names start in the first column, all else is indented.
+
+    Split into words, never searched with patterns: those can take time in the square of the text.
+    """
+    found: dict[str, _Numbers] = {}
+    numbers: _Numbers = {}
+    key = letter = ""
+    for line in text.splitlines():
+        line = line.partition("#")[0].rstrip()
+        if line[:1].strip():
+            numbers = {}
+            key = letter = ""
+            name = line.removesuffix(":")
+            if line.endswith(":") and name.replace("_", "a").isalnum():
+                found[name] = numbers
+            continue
+        for word in line.translate(_SPACED).split():
+            if word.endswith(":"):
+                letter = word[:-1]
+                if letter not in tuple("wxyz"):
+                    key, letter = letter, "s"
+            elif key in _LETTERS_BY_KEY and letter:
+                numbers.setdefault(key, {})[letter] = _number(word)
+                letter = ""
+    return found
+
+
+_SPACED = str.maketrans({"{": " ", "}": " ", ",": " ", ":": ": "})
+
+
+def _number(word: str) -> float:
+    """The number that a word spells, or NaN, which is no part of a calibration."""
+    try:
+        return float(word) if len(word) <= _MAX_DIGITS else np.nan
+    except ValueError:
+        return np.nan
+
+
+def _complete(key: str, numbers: _Numbers, where: str) -> Float64[np.ndarray, " n"]:
+    letters = _LETTERS_BY_KEY[key]
+    values = numbers.get(key, {})
+    if set(values) != set(letters) or not np.isfinite(list(values.values())).all():
         raise InputError(
             f"the {key} is incomplete",
             where=where,
-            got=", ".join(values) or "nothing",
-            expected=", ".join(letters),
+            got=", ".join(f"{k} {v}" for k, v in values.items()) or "nothing",
+            expected=f"numbers {', '.join(letters)}",
         )
-    return np.array([float(values[letter]) for letter in letters])
+    return np.array([values[letter] for letter in letters])
 
 
 def _transform(

@@ -213,6 +213,8 @@ def _owners(sweeps: Sequence[Sequence[_Box]]) -> Mapping[str, str]:
 
     def root(uuid: str) -> str:
         while parent[uuid] != uuid:
+            # Halves the path, so that a long chain of siblings is not walked again for each.
+            parent[uuid] = parent[parent[uuid]]
             uuid = parent[uuid]
         return uuid
 

@@ -32,6 +32,7 @@ RECORD_NAME = "artefact.json"
 _FORMAT = 2
 """Of the record; raising it makes all artefacts stale."""
 _HASH_BLOCK = 1 << 20
+_ANEW = "Run the command that made it again: the folder is set aside and made anew."
 _SHOWN = 3
 """Damaged files that a message names."""
 
@@ -86,10 +87,7 @@ def read_record(folder: Path) -> dict[str, Any] | None:
     path = folder / RECORD_NAME
     if not path.is_file():
         return None
-    try:
-        record = json.loads(path.read_text())
-    except (OSError, ValueError, RecursionError) as error:
-        raise _broken_record(path, error) from error
+    record = _parsed_json(path, _ANEW)
     if not isinstance(record, dict) or not {"key", "stage", "inputs", "config"} <= set(record):
         raise _broken_record(path, "entries are missing")
     if "format" not in record:  # LightSim 0.2: stale by its key, without a list of files.
@@ -111,7 +109,7 @@ def _broken_record(path: Path, found: object) -> ArtefactError:
         "the record of the artefact is damaged",
         where=path,
         got=found,
-        remedy="Run the command that made it again: it is set aside and made anew.",
+        remedy=_ANEW,
     )
 
 
@@ -282,11 +280,15 @@ def read_json(path: Path) -> Any:
     Raises:
         ArtefactError: missing or broken.
     """
+    return _parsed_json(path, "Run lightsim build again.")
+
+
+def _parsed_json(path: Path, remedy: str) -> Any:
     try:
         return json.loads(path.read_text())
     except (OSError, ValueError, RecursionError) as error:
         raise ArtefactError(
-            "cannot read the file", where=path, got=error, remedy="Run lightsim build again."
+            "the file is no valid JSON", where=path, got=f"{error}"[:200], remedy=remedy
         ) from error
 
 

@@ -7,9 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lightsim.errors import ArtefactError
+from lightsim.errors import ArtefactError, InputError
 from lightsim.store.atomic import unwritable, whole_file
+from lightsim.store.reading import open_regular, read_bytes
 
+_MAX_BYTES = 4 << 30
+"""A checkpoint of the largest field with its optimiser takes a tenth of it."""
 CHECKPOINT_NAME = "checkpoint.pt"
 METRICS_NAME = "metrics.jsonl"
 
@@ -36,13 +39,17 @@ def read_weights(path: Path) -> dict[str, Any]:
     """
     import torch
     from safetensors import SafetensorError
-    from safetensors.torch import load_file
+    from safetensors.torch import load
 
     try:
-        return {name: tensor.to(torch.float32) for name, tensor in load_file(path).items()}
-    except (OSError, SafetensorError) as error:
+        tensors = load(read_bytes(path, "weights file", _MAX_BYTES))
+        return {name: tensor.to(torch.float32) for name, tensor in tensors.items()}
+    except (InputError, SafetensorError) as error:
         raise ArtefactError(
-            "the weights cannot be read", where=path, got=error, remedy="Build again."
+            "the weights cannot be read",
+            where=path,
+            got=error.got if isinstance(error, InputError) else error,
+            remedy="Build again.",
         ) from error
 
 
@@ -65,7 +72,8 @@ class FolderJournal:
             return None
         try:
             # weights_only: an allow-list unpickler, tensors and plain containers alone.
-            state = torch.load(path, map_location="cpu", weights_only=True)
+            with open_regular(path, "checkpoint", _MAX_BYTES) as handle:
+                state = torch.load(handle, map_location="cpu", weights_only=True)
         except Exception as error:
             raise ArtefactError(
                 "the checkpoint cannot be read",
@@ -99,7 +107,8 @@ class FolderJournal:
         path = self._folder / METRICS_NAME
         if not path.is_file():
             return
-        lines = [line for line in path.read_text().splitlines() if line.strip()]
+        text = read_bytes(path, "list of metrics", _MAX_BYTES).decode()
+        lines = [line for line in text.splitlines() if line.strip()]
         kept = [line for line in lines if json.loads(line)["step"] < step]
         with whole_file(path) as temporary:
             temporary.write_text("".join(line + "\n" for line in kept))

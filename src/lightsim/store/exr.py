@@ -10,10 +10,13 @@ import numpy as np
 from jaxtyping import Float, Float32, Shaped
 
 from lightsim.errors import InputError
-from lightsim.store.atomic import read_bytes, whole_file
+from lightsim.store.atomic import whole_file
+from lightsim.store.reading import MAX_PICTURE_BYTES, open_regular
 
 EXR_MAGIC = b"\x76\x2f\x31\x01"
-_MAX_PIXELS = 1 << 28
+_MAX_VALUES = 1 << 27
+"""An 8k panorama, 8192x4096 in four channels: 512 MiB as floats, and again when they are joined."""
+_FLAT_TYPES = ("scanlineimage", "tiledimage")
 _HALF_MAX = 65504.0
 _MARK = "lightsim"
 _LEAST_BYTES = 64
@@ -30,13 +33,16 @@ def read_exr(path: Path) -> Float32[np.ndarray, "h w *c"]:
         InputError: the file is missing, damaged, truncated, not OpenEXR, cropped, or has other
             channels.
     """
-    if not read_bytes(path, "picture").startswith(EXR_MAGIC):
-        raise InputError("not an OpenEXR file", where=path, expected="a .exr picture")
+    with open_regular(path, "picture", MAX_PICTURE_BYTES) as handle:
+        if handle.read(len(EXR_MAGIC)) != EXR_MAGIC:
+            raise InputError("not an OpenEXR file", where=path, expected="a .exr picture")
     import OpenEXR
 
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
-            _check_windows(file.header())
+            _check_header(file.header())
+            if len(file.parts) > 1:
+                raise ValueError(f"it holds {len(file.parts)} pictures")
         with OpenEXR.File(str(path), separate_channels=True) as file:
             pixels_by_name = {str(n): channel.pixels for n, channel in file.channels().items()}
     except (RuntimeError, ValueError, TypeError, LookupError, MemoryError) as error:
@@ -94,14 +100,17 @@ def write_exr(
         OpenEXR.File(header, channels).write(str(temporary))
 
 
-def _check_windows(header: Mapping[str, Any]) -> None:
+def _check_header(header: Mapping[str, Any]) -> None:
     """Refuse before pixels are allocated; a cropped picture would shift silently."""
     data, display = (np.array(header[k], np.int64) for k in ("dataWindow", "displayWindow"))
     width, height = (data[1] - data[0] + 1).tolist()
-    if width < 1 or height < 1 or width * height > _MAX_PIXELS:
-        raise ValueError(f"the size {width}x{height} px is out of range")
+    count = len(header["channels"])
+    if width < 1 or height < 1 or width * height * count > _MAX_VALUES:
+        raise ValueError(f"the size {width}x{height} px in {count} channels is out of range")
     if (data != display).any():
         raise ValueError(f"its data window {data.tolist()} is not its frame {display.tolist()}")
+    if header["type"].name not in _FLAT_TYPES:
+        raise ValueError(f"its pixels are of type {header['type'].name}")
 
 
 def _picture(

@@ -17,6 +17,7 @@ from jaxtyping import Float, Float32, Float64, Int32, Shaped, UInt8
 
 from lightsim.core.mesh import Material
 from lightsim.store.images import decode_srgb8
+from lightsim.store.reading import MAX_JSON_BYTES
 
 GLB_MAGIC = b"glTF"
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
@@ -90,7 +91,12 @@ def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
             raise ValueError("a chunk runs past the end")
         chunks.setdefault(kind, data[position + 8 : position + 8 + length])
         position += 8 + length
-    document = json.loads(chunks[JSON_CHUNK])
+    if len(chunks[JSON_CHUNK]) > MAX_JSON_BYTES:
+        raise ValueError(f"its JSON has {len(chunks[JSON_CHUNK])} bytes")
+    try:
+        document = json.loads(chunks[JSON_CHUNK])
+    except RecursionError as error:
+        raise ValueError("its JSON is nested too deep") from error
     if not isinstance(document, dict):
         raise ValueError("its JSON is no object")
     return document, chunks.get(BINARY_CHUNK, b"")

@@ -6,16 +6,20 @@ import io
 import logging
 import struct
 import warnings
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
+from lightsim.core.resample import resize_area
 from lightsim.errors import InputError
-from lightsim.store.atomic import read_bytes, whole_file
+from lightsim.store.atomic import whole_file
 from lightsim.store.exr import EXR_MAGIC, read_exr, write_exr
-from lightsim.store.radiance import decode_radiance, encode_radiance
+from lightsim.store.radiance import decode_radiance, encode_radiance, radiance_size
+from lightsim.store.reading import MAX_PICTURE_BYTES, open_regular, read_bytes
 
 __all__ = [
     "SkyFile",
@@ -23,6 +27,7 @@ __all__ = [
     "read_exr",
     "read_grey8",
     "read_hdr",
+    "read_size",
     "read_sky",
     "read_srgb8",
     "read_srgb8_alpha",
@@ -36,9 +41,17 @@ _LOGGER = logging.getLogger(__name__)
 _READABLE = ("PNG", "JPEG", "WEBP")
 _EIGHT_BIT_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
 _PIL_ERRORS = (OSError, ValueError, SyntaxError, EOFError, LookupError, TypeError, struct.error)
+_MAX_PIXELS = 1 << 27
+"""A 16k panorama, 16384x8192; decoded by Pillow it takes a gigabyte."""
+_MAX_BYTES = 512 << 20
+"""As many pixels, stored without compression."""
+_MAX_SKY_ROWS = 2048
+"""Pixels of 0.09 degrees: a sun spans six, and what follows holds some hundred bytes a pixel."""
 _ASPECT_TOLERANCE = 0.02
 _PNG_END = b"IEND\xaeB`\x82"
 """Type and check sum of a PNG's last chunk."""
+_PNG_DEPTH_AT = 24
+"""Of the byte in a PNG file that holds the bits of a channel (ISO 15948, 11.2.2)."""
 _NEGATIVE_TOLERANCE = 0.01
 
 
@@ -108,10 +121,13 @@ def read_hdr(path: Path) -> Float32[np.ndarray, "h w 3"]:
     Raises:
         InputError: the file is missing, damaged, truncated, of another kind, or has NaN or inf.
     """
-    image = _decode_hdr(path)
+    return _decode_hdr(path, None, [])
+
+
+def _finite_rgb(path: Path, image: Float32[np.ndarray, "h w *c"]) -> Float32[np.ndarray, "h w 3"]:
     if image.ndim == 2:
         image = np.repeat(image[..., None], 3, axis=2)
-    bad = int((~np.isfinite(image)).sum())
+    bad = image.size - sum(int(np.isfinite(row).sum()) for row in image)
     if bad:
         raise InputError(
             "the picture has NaN or infinite values",
@@ -139,14 +155,15 @@ def write_hdr(path: Path, rgb: Float[np.ndarray, "h w 3"]) -> None:
 def read_sky(path: Path) -> SkyFile:
     """Radiance of a .hdr or .exr sky, made fit for a SkyDome; every change is noted.
 
-    Negative values that hold less than 1 % of the light are clipped; a width within 2 % of twice
-    the height is resampled to it.
+    A picture of more than 2048 rows is averaged over squares of pixels, negative values that hold
+    less than 1 % of the light are clipped, a width within 2 % of twice the height is resampled
+    to it.
 
     Raises:
         InputError: as `read_hdr`; or not about 2:1, without light, or too negative.
     """
-    radiance = read_hdr(path)
     notes: list[str] = []
+    radiance = _decode_hdr(path, _MAX_SKY_ROWS, notes)
     radiance = _clip_negatives(path, radiance, notes)
     if not (radiance > 0).any():
         raise InputError(
@@ -199,20 +216,31 @@ def _fit_aspect(
     return mixed.astype(np.float32)
 
 
-def _decode_hdr(path: Path) -> Float32[np.ndarray, "h w *c"]:
-    data = read_bytes(path, "picture")
-    if data.startswith(EXR_MAGIC):
-        return read_exr(path)
-    if not data.startswith(b"#?"):
+def _decode_hdr(
+    path: Path, most_rows: int | None, notes: list[str]
+) -> Float32[np.ndarray, "h w 3"]:
+    with open_regular(path, "picture", MAX_PICTURE_BYTES) as handle:
+        start = handle.read(8)
+    if start.startswith(EXR_MAGIC):
+        image = read_exr(path)
+        height, width = image.shape[:2]
+        factor = _reduction(path, height, width, most_rows, notes)
+        if factor > 1:
+            channels = image.reshape(height, width, -1)
+            image = resize_area(channels, height // factor, width // factor)
+        return _finite_rgb(path, image if image.shape[2:] != (1,) else image[..., 0])
+    if not start.startswith(b"#?"):
         raise InputError(
             "not an HDR picture",
             where=path,
-            got=f"a file that starts with {data[:8]!r}",
+            got=f"a file that starts with {start!r}",
             expected="Radiance .hdr or OpenEXR .exr",
             remedy="LDR pictures hold too little light; export the panorama as .hdr or .exr.",
         )
+    data = read_bytes(path, "picture", MAX_PICTURE_BYTES)
     try:
-        return decode_radiance(data)
+        factor = _reduction(path, *radiance_size(data), most_rows, notes)
+        return _finite_rgb(path, decode_radiance(data, factor))
     except ValueError as error:
         raise InputError(
             "the Radiance picture cannot be read",
@@ -220,6 +248,26 @@ def _decode_hdr(path: Path) -> Float32[np.ndarray, "h w *c"]:
             got=error,
             remedy="Download or export the file again.",
         ) from error
+
+
+def _reduction(path: Path, height: int, width: int, most_rows: int | None, notes: list[str]) -> int:
+    """Edge in pixels of the squares that become one pixel; noted unless it is 1."""
+    if most_rows is None or height <= most_rows:
+        return 1
+    least = -(-height // most_rows)
+    for factor in range(least, 4 * least + 1):
+        if height % factor == 0 and width % factor == 0:
+            notes.append(
+                f"reduced from {width}x{height} to {width // factor}x{height // factor} px"
+            )
+            return factor
+    raise InputError(
+        "the sky is too large, and its sides have no common factor to reduce it by",
+        where=path,
+        got=f"{width}x{height} px",
+        expected=f"at most {most_rows} rows, or a multiple of them",
+        remedy="Resize it to 4096x2048 px.",
+    )
 
 
 def decode_srgb8(data: bytes) -> UInt8[np.ndarray, "h w 3"]:
@@ -231,33 +279,86 @@ def decode_srgb8(data: bytes) -> UInt8[np.ndarray, "h w 3"]:
     return _decode_pil(data, "RGB")
 
 
+def read_size(
+    path: Path,
+    formats: tuple[str, ...] = _READABLE,
+    modes: tuple[str, ...] = _EIGHT_BIT_MODES,
+) -> tuple[int, int]:
+    """Width and height of a picture by its header; the pixels are not looked at.
+
+    Args:
+        formats, modes: Pillow's names of those that are welcome.
+
+    Raises:
+        InputError: as `read_srgb8`, as far as the header tells.
+    """
+    from PIL import Image
+
+    try:
+        with (
+            open_regular(path, "picture", _MAX_BYTES) as handle,
+            _pillow_errors(),
+            Image.open(handle, formats=formats) as image,
+        ):
+            handle.seek(0)
+            _check_header(image.size, image.mode, handle.read(_PNG_DEPTH_AT + 1), modes)
+            return image.size
+    except ValueError as error:
+        raise _unreadable(path, error, formats) from error
+
+
 def _read_pil(path: Path, mode: str) -> UInt8[np.ndarray, "h w *c"]:
-    data = read_bytes(path, "picture")
+    data = read_bytes(path, "picture", _MAX_BYTES)
     try:
         return _decode_pil(data, mode)
     except ValueError as error:
-        raise InputError(
-            "the picture cannot be read",
-            where=path,
-            got=error,
-            expected=f"a whole 8-bit {', '.join(_READABLE)} file",
-            remedy="Download or export the file again.",
-        ) from error
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: ValueError, formats: tuple[str, ...] = _READABLE) -> InputError:
+    return InputError(
+        "the picture cannot be read",
+        where=path,
+        got=error,
+        expected=f"a whole 8-bit {' or '.join(formats)} file",
+        remedy="Download or export the file again.",
+    )
 
 
 def _decode_pil(data: bytes, mode: str) -> UInt8[np.ndarray, "h w *c"]:
-    from PIL import Image, UnidentifiedImageError
+    from PIL import Image
 
     # Pillow takes a PNG whose pixels are whole but whose end is cut off.
     if data.startswith(b"\x89PNG") and _PNG_END not in data:
         raise ValueError("the PNG is truncated")
+    with _pillow_errors(), Image.open(io.BytesIO(data), formats=_READABLE) as image:
+        _check_header(image.size, image.mode, data)
+        return np.array(image.convert(mode), dtype=np.uint8)
+
+
+def _check_header(
+    size: tuple[int, int], mode: str, data: bytes, modes: tuple[str, ...] = _EIGHT_BIT_MODES
+) -> None:
+    """Refuse before pixels are allocated."""
+    width, height = size
+    if width < 1 or height < 1 or width * height > _MAX_PIXELS:
+        raise ValueError(f"{width}x{height} px, more than {_MAX_PIXELS} pixels")
+    if mode not in modes:
+        raise ValueError(f"pixels of mode {mode}, not one of {', '.join(modes)}")
+    # Pillow makes a 16-bit RGB picture one of 8 bits without a word.
+    if data.startswith(b"\x89PNG") and data[_PNG_DEPTH_AT] > 8:
+        raise ValueError(f"{data[_PNG_DEPTH_AT]} bits a channel instead of 8")
+
+
+@contextmanager
+def _pillow_errors() -> Generator[None]:
+    """Whatever Pillow raises, as a ValueError; its warnings are not shown."""
+    from PIL import Image, UnidentifiedImageError
+
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with Image.open(io.BytesIO(data), formats=_READABLE) as image:
-                if image.mode not in _EIGHT_BIT_MODES:
-                    raise ValueError(f"pixels of mode {image.mode}, not 8 bits a channel")
-                return np.array(image.convert(mode), dtype=np.uint8)
+            yield
     except UnidentifiedImageError as error:
         raise ValueError("an unknown format") from error
     except (*_PIL_ERRORS, Image.DecompressionBombError) as error:

@@ -16,11 +16,14 @@ from jaxtyping import Float, Float32, Float64, Int, Int32, UInt8
 from lightsim.core.colour import linear_from_srgb8
 from lightsim.core.mesh import Material, Texture, TriMesh
 from lightsim.errors import InputError
-from lightsim.store.atomic import read_bytes, whole_file
+from lightsim.store.atomic import whole_file
 from lightsim.store.gltf import Primitive, parse_glb
 from lightsim.store.gltf_writer import CONFIDENCE, VERTEX_COLOUR, VERTEX_NUMBER, glb_pieces
+from lightsim.store.reading import read_bytes
 
 _REMEDY = "Export the model again as glTF 2.0 binary (.glb) with triangles."
+_MAX_BYTES = 2 << 30
+"""A street of ten million vertices takes half of it; glTF itself ends at 4 GiB."""
 _MAX_FACES = 1_000_000
 _MAX_MATERIALS = 256
 _STEPS_PER_PX = 256
@@ -56,7 +59,7 @@ def read_glb(path: Path, frame: str, texture_edge_m: float = 0.06) -> TriMesh:
     Raises:
         InputError: the file is missing, damaged, or has no triangles.
     """
-    data = read_bytes(path, "mesh")
+    data = read_bytes(path, "mesh", _MAX_BYTES)
     try:
         primitives = parse_glb(data)
         if not primitives:

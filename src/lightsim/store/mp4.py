@@ -14,11 +14,16 @@ from jaxtyping import UInt8
 
 from lightsim.errors import InputError
 from lightsim.store.atomic import partial_name, unwritable
+from lightsim.store.reading import open_regular
 
 _BT709 = 1
 _LIMITED_RANGE = 1
 _QUALITY = "20"
 _MIN_SIDE_PX = 16
+_MAX_PIXELS = 1 << 26
+"""8192x8192; a frame is decoded whole."""
+_MAX_BYTES = 16 << 30
+"""Frames are decoded one at a time: an hour of six 4k cameras side by side."""
 
 
 class Mp4Writer:
@@ -106,8 +111,14 @@ def read_video(path: Path) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
     from av.error import FFmpegError
 
     try:
-        with av.open(str(path)) as container:
-            for frame in container.decode(container.streams.video[0]):
+        with (
+            open_regular(path, "video", _MAX_BYTES) as handle,
+            av.open(handle, "r", format="mp4") as container,
+        ):
+            stream = container.streams.video[0]
+            if stream.width * stream.height > _MAX_PIXELS:
+                raise ValueError(f"frames of {stream.width}x{stream.height} px")
+            for frame in container.decode(stream):
                 rgb = frame.reformat(format="rgb24", src_colorspace="ITU709")
                 yield rgb.to_ndarray()
     except (FFmpegError, OSError, IndexError, ValueError) as error:

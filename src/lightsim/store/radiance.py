@@ -7,33 +7,68 @@ picture_format.html.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
 _MAGIC = (b"#?RADIANCE", b"#?RGBE", b"#?AUTOPANO")
 _RESOLUTION = re.compile(rb"^([-+])Y (\d{1,6}) ([-+])X (\d{1,6})$")
-_MAX_PIXELS = 1 << 28
+_MAX_PIXELS = 1 << 27
+"""A 16k panorama, 16384x8192."""
+_BLOCK_PIXELS = 1 << 20
+"""Decoded at once; 12 MB as floats."""
+_MAX_MARKED_PIXELS = 1 << 25
+"""8192x4096; the first generation's run lengths are older than pictures of a tenth of that."""
 _HEADER_BYTES = 1 << 16
 
 
-def decode_radiance(data: bytes) -> Float32[np.ndarray, "h w 3"]:
+def decode_radiance(data: bytes, factor: int = 1) -> Float32[np.ndarray, "h w 3"]:
     """Linear RGB of a .hdr file's bytes, row 0 up, EXPOSURE divided out.
 
     A code (m, e) means m x 2^(e - 136), as in Blender, OpenCV and stb; Radiance's own half-code
-    offset is not added.
+    offset is not added. Rows are decoded a few at a time, so that beside the file and the result
+    little is held.
+
+    Args:
+        data: the whole file.
+        factor: the result's pixels are means over squares of so many pixels each way; it divides
+            height and width.
 
     Raises:
         ValueError: what is wrong with the bytes.
     """
-    height, width, flip_y, flip_x, exposure, start = _read_header(data)
-    codes = _read_pixels(data, start, height, width)
-    exponent = codes[..., 3].astype(np.int32)
-    scale = np.where(exponent > 0, np.ldexp(np.float32(1.0), exponent - 136), np.float32(0.0))
-    rgb = codes[..., :3].astype(np.float32) * scale[..., None].astype(np.float32)
-    rgb = rgb[::-1] if flip_y else rgb
-    rgb = rgb[:, ::-1] if flip_x else rgb
-    return np.ascontiguousarray(rgb / np.float32(exposure), dtype=np.float32)
+    header = _read_header(data)
+    if header.height % factor or header.width % factor:
+        raise ValueError(f"{header.width}x{header.height} px do not split by {factor}")
+    height, width = header.height // factor, header.width // factor
+    rgb = np.empty((height, width, 3), dtype=np.float32)
+    scale_by_exponent = np.ldexp(np.float32(1.0 / header.exposure), np.arange(256) - 136)
+    scale_by_exponent = scale_by_exponent.astype(np.float32)
+    scale_by_exponent[0] = 0.0
+    row = 0
+    for codes in _code_blocks(data, header, factor):
+        block = codes[..., :3] * scale_by_exponent[codes[..., 3]][..., None]
+        count = len(block) // factor
+        if factor > 1:
+            squares = block.reshape(count, factor, width, factor, 3)
+            block = squares.mean(axis=(1, 3), dtype=np.float32)
+        rgb[row : row + count] = block
+        row += count
+    rgb = rgb[::-1] if header.is_flipped_y else rgb
+    rgb = rgb[:, ::-1] if header.is_flipped_x else rgb
+    return np.ascontiguousarray(rgb)
+
+
+def radiance_size(data: bytes) -> tuple[int, int]:
+    """Height and width by the header of a .hdr file's bytes.
+
+    Raises:
+        ValueError: what is wrong with the header.
+    """
+    header = _read_header(data)
+    return header.height, header.width
 
 
 def encode_radiance(rgb: Float[np.ndarray, "h w 3"]) -> bytes:
@@ -57,7 +92,18 @@ def encode_radiance(rgb: Float[np.ndarray, "h w 3"]) -> bytes:
     return b"".join(lines)
 
 
-def _read_header(data: bytes) -> tuple[int, int, bool, bool, float, int]:
+@dataclass(frozen=True)
+class _Header:
+    height: int
+    width: int
+    is_flipped_y: bool
+    is_flipped_x: bool
+    exposure: float
+    end: int
+    """Where the pixels begin."""
+
+
+def _read_header(data: bytes) -> _Header:
     if not data.startswith(_MAGIC):
         raise ValueError("it does not start with #?RADIANCE")
     end = data.find(b"\n\n", 0, _HEADER_BYTES)
@@ -78,42 +124,42 @@ def _read_header(data: bytes) -> tuple[int, int, bool, bool, float, int]:
         raise ValueError(f"the size {width}x{height} px is out of range")
     if not 1e-30 < exposure < 1e30:
         raise ValueError(f"the exposure {exposure} is out of range")
-    return height, width, match[1] == b"+", match[3] == b"-", exposure, line_end + 1
+    return _Header(height, width, match[1] == b"+", match[3] == b"-", exposure, line_end + 1)
 
 
-def _read_pixels(data: bytes, start: int, height: int, width: int) -> UInt8[np.ndarray, "h w 4"]:
+def _code_blocks(data: bytes, header: _Header, factor: int) -> Iterator[UInt8[np.ndarray, "_ w 4"]]:
+    """Rows from the file's first to its last, some at a time, always a multiple of `factor`."""
+    height, width, start = header.height, header.width, header.end
+    step = factor * max(1, _BLOCK_PIXELS // (factor * width))
     is_coded = 8 <= width < 32768 and data[start : start + 2] == b"\x02\x02"
-    if is_coded and data[start + 2] < 128:
-        # Every row needs a marker and four runs at the least: refuse before allocating.
-        if len(data) - start < height * (4 + 8 * ((width + 126) // 127)):
-            raise ValueError("the file is truncated")
-        return _read_run_length(data, start, height, width)
-    flat = _read_flat(data, start, height * width)
-    return flat.reshape(height, width, 4)
-
-
-def _read_run_length(
-    data: bytes, position: int, height: int, width: int
-) -> UInt8[np.ndarray, "h w 4"]:
-    codes = np.empty((height, 4, width), dtype=np.uint8)
+    if not (is_coded and data[start + 2] < 128):
+        flat = _read_flat(data, start, height * width).reshape(height, width, 4)
+        yield from (flat[row : row + step] for row in range(0, height, step))
+        return
+    # Every row needs a marker and four runs at the least: refuse before allocating.
+    if len(data) - start < height * (4 + 8 * ((width + 126) // 127)):
+        raise ValueError("the file is truncated")
     marker = bytes([2, 2, width >> 8, width & 255])
-    for row in range(height):
-        if data[position : position + 4] != marker:
-            raise ValueError(f"row {row} does not start where it should; truncated or damaged")
-        line, position = _expand_runs(data, position + 4, 4 * width, width)
-        codes[row] = np.frombuffer(line, dtype=np.uint8).reshape(4, width)
-    return np.moveaxis(codes, 1, 2)
+    for row in range(0, height, step):
+        codes = np.empty((min(step, height - row), 4, width), dtype=np.uint8)
+        for line in range(len(codes)):
+            if data[start : start + 4] != marker:
+                raise ValueError(
+                    f"row {row + line} does not start where it should; truncated or damaged"
+                )
+            values, start = _expand_runs(data, start + 4, 4 * width, width)
+            codes[line] = np.frombuffer(values, dtype=np.uint8).reshape(4, width)
+        yield np.moveaxis(codes, 1, 2)
 
 
-def _expand_runs(data: bytes, position: int, count: int, width: int) -> tuple[bytes, int]:
+def _expand_runs(data: bytes, position: int, count: int, width: int) -> tuple[bytearray, int]:
     """`count` bytes of the four channels, one after another; runs end with their channel."""
     line = bytearray()
-    size = len(data)
-    while len(line) < count:
-        if position + 1 >= size:
+    filled, channel_end, last = 0, width, len(data) - 1
+    while filled < count:
+        if position >= last:
             raise ValueError("the file is truncated")
         length = data[position]
-        channel_left = width - len(line) % width
         if length > 128:
             length -= 128
             line += data[position + 1 : position + 2] * length
@@ -121,33 +167,39 @@ def _expand_runs(data: bytes, position: int, count: int, width: int) -> tuple[by
         else:
             line += data[position + 1 : position + 1 + length]
             position += 1 + length
-        if length == 0 or length > channel_left or position > size:
+        filled += length
+        if length == 0 or filled > channel_end or position > last + 1:
             raise ValueError("a run of pixels is damaged")
-    return bytes(line), position
+        if filled == channel_end:
+            channel_end += width
+    return line, position
 
 
 def _read_flat(data: bytes, start: int, count: int) -> UInt8[np.ndarray, "n 4"]:
     """Plain pixels, with the first generation's repeat marks (1, 1, 1, n)."""
-    usable = (len(data) - start) // 4
-    raw = np.frombuffer(data, dtype=np.uint8, count=usable * 4, offset=start).reshape(-1, 4)
-    marks = np.flatnonzero((raw[:, :3] == 1).all(axis=1))
+    # Each pixel and each mark stands for one pixel at the least; what follows is not looked at.
+    usable = min((len(data) - start) // 4, count)
+    words = np.frombuffer(data, dtype="<u4", count=usable, offset=start)
+    marks = np.flatnonzero((words & 0xFFFFFF) == 0x010101)
     if not len(marks):
-        if len(raw) < count:
+        if usable < count:
             raise ValueError("the file is truncated")
-        return raw[:count]
-    repeats = np.ones(len(raw), dtype=np.int64)
+        return words.view(np.uint8).reshape(-1, 4)
+    if count > _MAX_MARKED_PIXELS:
+        raise ValueError(f"repeat marks of 1989 in a picture of {count} pixels")
+    repeats = np.ones(usable, dtype=np.int64)
     shift = 0
     for previous, mark in zip(np.concatenate([[-2], marks[:-1]]), marks, strict=True):
         shift = shift + 8 if mark == previous + 1 else 0
         if shift > 16:
             raise ValueError("a repeat mark is damaged")
-        repeats[mark] = int(raw[mark, 3]) << shift
-    if marks[0] == 0 or repeats.sum() < count or repeats.sum() > 2 * _MAX_PIXELS:
+        repeats[mark] = int(words[mark] >> 24) << shift
+    if marks[0] == 0 or not count <= repeats.sum() <= count + usable:
         raise ValueError("the repeat marks do not add up to the picture; truncated or damaged")
-    is_pixel = np.ones(len(raw), dtype=bool)
+    is_pixel = np.ones(usable, dtype=bool)
     is_pixel[marks] = False
-    source = np.maximum.accumulate(np.where(is_pixel, np.arange(len(raw)), 0))
-    return raw[np.repeat(source, repeats)[:count]]
+    source = np.maximum.accumulate(np.where(is_pixel, np.arange(usable), 0))
+    return np.repeat(words[source], repeats)[:count].view(np.uint8).reshape(-1, 4)
 
 
 def _codes_from_rgb(rgb: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 4"]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,11 +20,14 @@ from lightsim.errors import InputError
 from lightsim.lighting.clear_sky import clear_sky_parts
 from lightsim.progress import Progress, SilentProgress
 from lightsim.store.images import read_sky
+from lightsim.store.reading import read_bytes
 
 Split = Literal["train", "test", "out"]
 Tier = Literal["A", "B", "C"]
 Scene = Literal["ground", "none", "canopy"]
 COLUMNS = ("name", "split", "group", "tier", "scene", "reason")
+_MAX_SPLIT_BYTES = 16 << 20
+"""A hundred thousand skies."""
 _SUFFIXES = (".hdr", ".exr")
 _UP = np.array([0.0, 0.0, 1.0])
 _SPOT_DEG = 6.0
@@ -76,18 +80,16 @@ def read_split(path: Path) -> dict[str, SplitEntry]:
         InputError: the file is missing, a column or value is wrong, a name occurs twice, or a
             group lies on both sides.
     """
-    if not path.is_file():
-        raise InputError("the split file does not exist", where=path)
-    with path.open(newline="") as handle:
-        reader = csv.DictReader(handle)
-        if tuple(reader.fieldnames or ()) != COLUMNS:
-            raise InputError(
-                "the split file has other columns",
-                where=path,
-                got=reader.fieldnames,
-                expected=COLUMNS,
-            )
-        rows = list(reader)
+    text = read_bytes(path, "split file", _MAX_SPLIT_BYTES).decode()
+    reader = csv.DictReader(io.StringIO(text, newline=""))
+    if tuple(reader.fieldnames or ()) != COLUMNS:
+        raise InputError(
+            "the split file has other columns",
+            where=path,
+            got=reader.fieldnames,
+            expected=COLUMNS,
+        )
+    rows = list(reader)
     entries: dict[str, SplitEntry] = {}
     side: dict[str, str] = {}
     for row in rows:
