@@ -142,7 +142,7 @@ STAGES = (
         lambda o: stages.SkyStageConfig(SourceSunConfig(gps=o.gps)),
         stages.make_sky,
     ),
-    Stage("twin", 1, ("assets", "sky"), lambda o: stages.TwinConfig(), stages.make_twin),
+    Stage("twin", 2, ("assets", "sky"), lambda o: stages.TwinConfig(), stages.make_twin),
     Stage("report", 1, ("masks", "fields", "twin"), lambda o: None, stages.make_report),
 )
 
@@ -224,7 +224,7 @@ def status(work: Path) -> list[StageStatus]:
     Raises:
         ArtefactError: `work` holds no build.
     """
-    options = _read_options(work)
+    options = read_options(work)
     lines: list[StageStatus] = []
     for name, recipe in recipes(options).items():
         found = read_record(work / name)
@@ -235,7 +235,12 @@ def status(work: Path) -> list[StageStatus]:
     return lines
 
 
-def _read_options(work: Path) -> BuildOptions:
+def read_options(work: Path) -> BuildOptions:
+    """The options that the last build of `work` used.
+
+    Raises:
+        ArtefactError: `work` holds no build, or its options are broken.
+    """
     path = work / OPTIONS_NAME
     if not path.is_file():
         raise ArtefactError(
