@@ -160,7 +160,7 @@ STAGES = (
         lambda o: stages.SkyStageConfig(SourceSunConfig(gps=o.gps)),
         stages.make_sky,
     ),
-    Stage("twin", 1, ("assets", "sky"), lambda o: stages.TwinConfig(), stages.make_twin),
+    Stage("twin", 2, ("assets", "sky"), lambda o: stages.TwinConfig(), stages.make_twin),
     Stage("report", 1, ("masks", "fields", "twin"), lambda o: None, stages.make_report),
 )
 
@@ -281,7 +281,7 @@ def status(work: Path, *, is_hashed: bool = False) -> list[StageStatus]:
     Raises:
         ArtefactError: `work` holds no build.
     """
-    options = _read_options(work)
+    options = read_options(work)
     by_stage = recipes(options, _source_key(work, Path(options.reading.source)))
     return [_status_of(work / name, recipe, is_hashed) for name, recipe in by_stage.items()]
 
@@ -309,7 +309,12 @@ def _status_of(folder: Path, recipe: Recipe, is_hashed: bool) -> StageStatus:
     return StageStatus(folder.name, state, record["seconds"], record["peak_memory_mb"], damage)
 
 
-def _read_options(work: Path) -> BuildOptions:
+def read_options(work: Path) -> BuildOptions:
+    """The options that the last build of `work` used.
+
+    Raises:
+        ArtefactError: `work` holds no build, or its options are broken.
+    """
     path = work / OPTIONS_NAME
     if not path.is_file():
         raise ArtefactError(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
 from lightsim.assets.delight_light import LightAt, SurfaceLight
 from lightsim.assets.delight_surfels import LidarReturns
@@ -12,9 +14,11 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
 from lightsim.core.twin import SceneAssets
+from lightsim.render.composite import CompositeCaster
+from lightsim.render.embree import make_embree_caster
 from lightsim.render.irradiance import IrradianceConfig, irradiance_at
 from lightsim.render.light import sun_visibility, unshadowed_sun
-from lightsim.render.scene import make_static_scene, without_actors
+from lightsim.render.scene import FrameScene, make_static_scene, without_actors
 from lightsim.render.transport import static_face_table
 from lightsim.scene_setup import parked_actor_meshes
 
@@ -35,7 +39,7 @@ class SourceLight:
         parked = parked_actor_meshes(log, assets)
         measured = [assets.background, *parked]
         self._measured = without_actors(make_static_scene(measured))
-        self._all = without_actors(make_static_scene(measured, [inferred]))
+        self._all = _with_casters(self._measured, inferred)
         self._dome, self._config, self._seed = dome, config, seed
         self._faces = None
         if config.bounce_albedo is not None:
@@ -47,12 +51,15 @@ class SourceLight:
         def light_at(
             points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
         ) -> SurfaceLight:
-            return self._at(world_from_mesh.apply(points), world_from_mesh.rotate(normals))
+            return self._at(
+                world_from_mesh.apply(points).astype(np.float32),
+                world_from_mesh.rotate(normals).astype(np.float32),
+            )
 
         return light_at
 
     def _at(
-        self, points_world: Float[np.ndarray, "n 3"], normals_world: Float[np.ndarray, "n 3"]
+        self, points_world: Float32[np.ndarray, "n 3"], normals_world: Float32[np.ndarray, "n 3"]
     ) -> SurfaceLight:
         config, dome = self._config, self._dome
         found = irradiance_at(
@@ -62,9 +69,10 @@ class SourceLight:
         columns = [found.sun_visibility, found.sun_visibility]
         direct = np.zeros((len(points_world), 3), dtype=np.float32)
         if dome.sun is not None:
-            points, normals = points_world.astype(np.float32), normals_world.astype(np.float32)
-            columns[0] = sun_visibility(self._measured.caster, points, normals, dome.sun, rays)
-            direct = unshadowed_sun(normals, dome.sun)
+            columns[0] = sun_visibility(
+                self._measured.caster, points_world, normals_world, dome.sun, rays
+            )
+            direct = unshadowed_sun(normals_world, dome.sun)
         return SurfaceLight(
             direct,
             np.stack(columns, axis=1),
@@ -73,6 +81,17 @@ class SourceLight:
             found.bounce_of_sky,
             config.bounce_albedo or 1.0,
         )
+
+
+def _with_casters(scene: FrameScene, inferred: TriMesh) -> FrameScene:
+    """The scene with a mesh that no camera sees; the structure over the rest serves both."""
+    static = replace(
+        scene.static,
+        shadow_only=(inferred,),
+        caster=CompositeCaster([scene.static.caster, make_embree_caster([inferred])]),
+        normals=(*scene.static.normals, inferred.vertex_normals()),
+    )
+    return replace(scene, static=static)
 
 
 def static_returns(log: DrivingLog, count: int, rng: np.random.Generator) -> LidarReturns:

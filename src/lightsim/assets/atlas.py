@@ -8,7 +8,8 @@ texel for the whole face.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32, Int64
@@ -182,6 +183,28 @@ def _shelves(
 def texture_texels(texture: Texture) -> Texels:
     """Every texel of a texture that this module packed, with its place on the mesh."""
     return texels_of(patches_of(texture))
+
+
+def texel_parts(texture: Texture, count: int) -> Iterator[Texels]:
+    """The same in parts of whole faces: about `count` texels, or one face, each."""
+    patches = patches_of(texture)
+    first = patches.first_texel
+    start = 0
+    while start < len(first) - 1:
+        end = int(np.searchsorted(first, first[start] + count, side="right")) - 1
+        end = max(end, start + 1)
+        part = slice(start, end)
+        texels = texels_of(
+            replace(
+                patches,
+                resolution=patches.resolution[part],
+                right_corner=patches.right_corner[part],
+                origin_px=patches.origin_px[part],
+                is_turned=patches.is_turned[part],
+            )
+        )
+        yield replace(texels, face=texels.face + np.int32(start))
+        start = end
 
 
 def texels_of(patches: Patches) -> Texels:

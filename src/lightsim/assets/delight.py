@@ -10,12 +10,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float32, Float64, Int64
 
 from lightsim.assets.delight_config import DelightConfig
 from lightsim.assets.delight_divide import base_colour_from_radiance, inpaint_colour
 from lightsim.assets.delight_edges import LabelField, Seen, label_field, refine_visibility
-from lightsim.assets.delight_labels import Observed, label_shadows, predict_tone_steps
+from lightsim.assets.delight_labels import (
+    Observed,
+    label_shadows,
+    predict_tone_steps,
+    rendered_visibility,
+)
 from lightsim.assets.delight_light import LightAt, LightScales, SurfaceLight
 from lightsim.assets.delight_surfels import (
     LidarReturns,
@@ -77,31 +82,59 @@ def delight(
     """
     if len(mesh.vertices) == 0:
         return Delit(mesh, np.zeros(0, np.float32), scales or _unknown(), ())
-    vertices = mesh.vertices.astype(np.float64)
-    light = light_at(vertices, mesh.vertex_normals().astype(np.float64)).floored()
+    normals = mesh.vertex_normals()
+    light = light_at(mesh.vertices, normals).floored()
     if len(light.sun) != len(mesh.vertices):
         raise InputError(
-            "the light must be given for every vertex", got=len(light.sun), expected=len(vertices)
+            "the light must be given for every vertex",
+            got=len(light.sun),
+            expected=len(mesh.vertices),
         )
     if config.method == "divide":
         return _divided(mesh, light, config)
-    surfels = make_surfels(mesh, config.surfel_m, rng)
+    faces = _labelled_faces(mesh, config)
+    surfels = make_surfels(mesh, faces, config.surfel_m, rng)
     if len(surfels) < _LEAST_SURFELS:
         known = VertexLight(light, scales or _unknown(), light.visibility[:, 1])
         return _finished(mesh, known, None, config)
     observed, tone_gain = _observe(surfels, light_at, config, rng, returns)
     labels = label_shadows(observed, config, scales)
-    field = label_field(observed, labels)
-    seen = Seen(
-        vertices,
-        mesh.vertex_normals().astype(np.float64),
-        mesh.base_colour.astype(np.float64),
-        light.diffuse(labels.scales),
-        light.direct(labels.scales),
-    )
-    found = VertexLight(light, labels.scales, refine_visibility(field, seen))
+    field = label_field(faces, observed, labels)
+    del surfels, observed  # Larger than all that is left to do.
+    found = VertexLight(light, labels.scales, _visibility(mesh, normals, light, field, config))
     done = _finished(mesh, found, field, config)
     return replace(done, notes=_notes(labels.scales, tone_gain) if scales is None else ())
+
+
+def _labelled_faces(mesh: TriMesh, config: DelightConfig) -> Int64[np.ndarray, " k"]:
+    """Faces on which the pictures say where shadows lie."""
+    unlabelled = [i for i, m in enumerate(mesh.materials) if m.name in config.unlabelled]
+    if mesh.face_material is None:
+        return np.arange(0 if 0 in unlabelled else len(mesh.faces))
+    return np.flatnonzero(~np.isin(mesh.face_material, unlabelled))
+
+
+def _visibility(
+    mesh: TriMesh,
+    normals: Float32[np.ndarray, "n 3"],
+    light: SurfaceLight,
+    field: LabelField,
+    config: DelightConfig,
+) -> Float32[np.ndarray, " n"]:
+    """Of the sun at each vertex: as labels have it, or as rendered where there are none."""
+    seen = Seen(
+        mesh.vertices,
+        normals,
+        mesh.base_colour,
+        light.diffuse(field.scales).astype(np.float32),
+        light.direct(field.scales).astype(np.float32),
+    )
+    visibility = rendered_visibility(light, config).astype(np.float32)
+    is_labelled = np.zeros(len(visibility), dtype=bool)
+    is_labelled[mesh.faces[field.faces]] = True
+    rows = np.flatnonzero(is_labelled)
+    visibility[rows] = refine_visibility(field, seen.at(rows))
+    return visibility
 
 
 def _unknown() -> LightScales:
@@ -119,7 +152,7 @@ def _observe(
     graph = connect(surfels, config.reach_m, rng)
     light = light_at(surfels.position, surfels.normal).floored()
     log_radiance = np.log(np.maximum(surfels.radiance, _LEAST_RADIANCE))
-    step, gain = np.zeros(len(graph.pairs)), 0.0
+    step, gain = np.zeros(len(graph.pairs), np.float32), 0.0
     if returns is not None and len(returns.intensity):
         tone = lidar_tone(surfels, returns, _TONE_REACH_M)
         step, gain = predict_tone_steps(graph, log_radiance, tone, light.visibility)

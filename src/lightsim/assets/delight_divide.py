@@ -11,6 +11,9 @@ from lightsim.core.colour import LUMINANCE_WEIGHTS
 from lightsim.core.mesh import TriMesh
 from lightsim.errors import InputError
 
+_CHUNK = 1 << 15
+"""Vertices inpainted together: some 20 MB of intermediate results, whatever the log."""
+
 
 @dataclass(frozen=True)
 class DivideConfig:
@@ -106,15 +109,17 @@ def inpaint_colour(
     if len(other) == 0 or len(trusted) == 0:
         return colour
     k = min(config.neighbours, len(trusted))
-    distance, index = KDTree(mesh.vertices[trusted]).query(mesh.vertices[other], k=k)
-    distance, index = distance.reshape(len(other), k), trusted[index.reshape(len(other), k)]
-    normals = mesh.vertex_normals().astype(np.float64)
-    facing = np.clip((normals[other][:, None] * normals[index]).sum(axis=2), 0.0, 1.0)
-    share = facing**config.normal_power / np.maximum(distance, 0.02) ** 2
-    share *= distance < config.max_distance_m
-    total = share.sum(axis=1)
-    is_found = total > 1e-9
-    found = (share[:, :, None] * colour[index]).sum(axis=1)
+    tree, normals = KDTree(mesh.vertices[trusted]), mesh.vertex_normals()
     result = colour.copy()
-    result[other[is_found]] = found[is_found] / total[is_found, None]
+    for start in range(0, len(other), _CHUNK):
+        rows = other[start : start + _CHUNK]
+        distance, index = tree.query(mesh.vertices[rows], k=k)
+        distance, index = distance.reshape(len(rows), k), trusted[index.reshape(len(rows), k)]
+        facing = np.clip(np.einsum("nc,nkc->nk", normals[rows], normals[index]), 0.0, 1.0)
+        share = facing.astype(np.float64) ** config.normal_power / np.maximum(distance, 0.02) ** 2
+        share *= distance < config.max_distance_m
+        total = share.sum(axis=1)
+        is_found = total > 1e-9
+        found = np.einsum("nk,nkc->nc", share, colour[index])
+        result[rows[is_found]] = found[is_found] / total[is_found, None]
     return result

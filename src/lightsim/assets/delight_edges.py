@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 from scipy.spatial import KDTree
 
 from lightsim.assets.delight_labels import Labels, Observed
@@ -14,7 +14,8 @@ from lightsim.assets.delight_light import LightScales
 _NEAREST, _AROUND = 6, 32
 _REACH_M = 1.2
 _MIXED = 0.03
-_CHUNK = 1 << 17
+_CHUNK = 1 << 15
+"""Points looked at together: some 30 MB of intermediate results, whatever the log."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,12 +23,14 @@ class LabelField:
     """Labels and base colour on surfels, ready to be asked anywhere. Make it with `label_field`.
 
     Args:
+        faces: of the mesh, those that the surfels lie on.
         lit: probability that the sun reaches each surfel.
         log_colour: log base colour of the firmly labelled surface around each surfel.
         is_known: whether there is such a surface.
         is_mixed: whether lit and shadowed surface meet at the surfel.
     """
 
+    faces: Int64[np.ndarray, " k"]
     tree: KDTree
     normal: Float64[np.ndarray, "n 3"]
     lit: Float64[np.ndarray, " n"]
@@ -38,7 +41,7 @@ class LabelField:
     surfel_m: float
 
 
-def label_field(observed: Observed, labels: Labels) -> LabelField:
+def label_field(faces: Int64[np.ndarray, " k"], observed: Observed, labels: Labels) -> LabelField:
     """What `refine_visibility` needs of labelled surfels."""
     surfels, graph = observed.surfels, observed.graph
     light = np.maximum(observed.light.total(labels.scales, labels.lit), 1e-6)
@@ -51,6 +54,7 @@ def label_field(observed: Observed, labels: Labels) -> LabelField:
     is_firm = ~is_mixed & (surfels.confidence > 0.5)
     colour, is_known = _colour_around(observed, log_colour, is_firm, is_mixed)
     return LabelField(
+        faces,
         KDTree(surfels.position),
         surfels.normal,
         labels.lit,
@@ -74,22 +78,26 @@ def _colour_around(
     touched = observed.graph.pairs[is_mixed[observed.graph.pairs].any(axis=1)]
     asked[touched.ravel()] = True
     is_known, result = is_firm.copy(), log_colour.copy()
-    rows, firm = np.flatnonzero(asked), np.flatnonzero(is_firm)
-    if len(rows) == 0 or len(firm) == 0:
+    all_rows, firm = np.flatnonzero(asked), np.flatnonzero(is_firm)
+    if len(all_rows) == 0 or len(firm) == 0:
         return result, is_known
-    index, share, distance = _around(
-        (KDTree(position[firm]), normal[firm]), position[rows], normal[rows], _AROUND, _REACH_M / 2
-    )
-    result[rows] = (share[:, :, None] * log_colour[firm[index]]).sum(axis=1)
-    facing = (share * (normal[firm[index]] * normal[rows][:, None]).sum(axis=2)).sum(axis=1)
-    is_known[rows] = (distance < _REACH_M) & (facing > 0.8)
+    surfels = KDTree(position[firm]), normal[firm]
+    step = _CHUNK * _NEAREST // _AROUND
+    for start in range(0, len(all_rows), step):
+        rows = all_rows[start : start + step]
+        index, share, distance = _around(
+            surfels, position[rows], normal[rows], _AROUND, _REACH_M / 2
+        )
+        result[rows] = (share[:, :, None] * log_colour[firm[index]]).sum(axis=1)
+        facing = (share * (normal[firm[index]] * normal[rows][:, None]).sum(axis=2)).sum(axis=1)
+        is_known[rows] = (distance < _REACH_M) & (facing > 0.8)
     return result, is_known
 
 
 def _around(
     surfels: tuple[KDTree, Float64[np.ndarray, "n 3"]],
-    points: Float64[np.ndarray, "m 3"],
-    normals: Float64[np.ndarray, "m 3"],
+    points: Float[np.ndarray, "m 3"],
+    normals: Float[np.ndarray, "m 3"],
     count: int,
     width_m: float,
 ) -> tuple[Int64[np.ndarray, "m k"], Float64[np.ndarray, "m k"], Float64[np.ndarray, " m"]]:
@@ -108,11 +116,11 @@ def _around(
 class Seen:
     """Points of the surface with what was seen, and the light without and of the sun there."""
 
-    points: Float64[np.ndarray, "n 3"]
-    normals: Float64[np.ndarray, "n 3"]
-    radiance: Float64[np.ndarray, "n 3"]
-    diffuse: Float64[np.ndarray, "n 3"]
-    direct: Float64[np.ndarray, "n 3"]
+    points: Float32[np.ndarray, "n 3"]
+    normals: Float32[np.ndarray, "n 3"]
+    radiance: Float32[np.ndarray, "n 3"]
+    diffuse: Float32[np.ndarray, "n 3"]
+    direct: Float32[np.ndarray, "n 3"]
 
     def __len__(self) -> int:
         return len(self.points)

@@ -10,9 +10,10 @@ about shadows than about light, because what no sensor saw can only add shadows.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import exp
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int64
+from jaxtyping import Float32, Float64, Int64
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -34,6 +35,8 @@ _MOST_REFLECTED = 0.3
 """Greatest mean base colour of a street's surfaces."""
 _SWEEPS, _DAMPING = 16, 0.2
 _MAX_PAIRS = 15_000
+_CHUNK_PAIRS = 1 << 16
+"""Pairs whose energies are found together: some 20 MB of intermediate results, whatever the log."""
 _BLOCK_M = 4.0
 """Pairs within a block of this size count as one observation."""
 
@@ -52,7 +55,7 @@ class Observed:
     surfels: Surfels
     graph: Graph
     log_radiance: Float64[np.ndarray, "n 3"]
-    tone_step: Float64[np.ndarray, " e"]
+    tone_step: Float32[np.ndarray, " e"]
     light: SurfaceLight
     surfel_m: float
 
@@ -84,7 +87,7 @@ def label_shadows(
     block = light_blocks(observed.surfels.position, _BLOCK_M)
     found = scales or _fit(observed, prior, block, LightScales.assumed(np.inf), config)
     lit = prior
-    messages = np.zeros((len(observed.graph.pairs), 2))
+    messages = np.zeros((len(observed.graph.pairs), 2), np.float32)
     for _ in range(config.rounds):
         lit = infer_labels(observed, prior, found, config, messages)
         if scales is None:
@@ -133,22 +136,27 @@ def shadow_pairs(observed: Observed, lit: Float64[np.ndarray, " n"]) -> ShadowPa
     chosen = np.flatnonzero(np.abs(difference) > _FIRM)
     chosen = chosen[:: max(1, len(chosen) // _MAX_PAIRS)]
     is_first = difference[chosen] > 0
-    a, b = first[chosen], second[chosen]
-    step = observed.tone_step[chosen]
+    a, b = first[chosen].astype(np.int64), second[chosen].astype(np.int64)
+    step = observed.tone_step[chosen].astype(np.float64)
     return ShadowPairs(
         np.where(is_first, a, b),
         np.where(is_first, b, a),
         np.where(is_first, -step, step),
-        observed.graph.weight[chosen],
+        observed.graph.weight[chosen].astype(np.float64),
     )
 
 
 def visibility_prior(observed: Observed, config: DelightConfig) -> Float64[np.ndarray, " n"]:
     """Probability that a patch is lit, from the renderings alone."""
-    measured, inferred = observed.light.visibility.astype(np.float64).T
-    believed = config.trust_inferred * inferred + (1 - config.trust_inferred) * measured
+    believed = rendered_visibility(observed.light, config)
     smooth = _smoothed(believed, observed.graph, config.edge_error_m)
     return config.least_lit + (1 - config.unseen_shadow - config.least_lit) * smooth
+
+
+def rendered_visibility(light: SurfaceLight, config: DelightConfig) -> Float64[np.ndarray, " n"]:
+    """Of the sun, with inferred surfaces as far as they are believed."""
+    measured, inferred = light.visibility.astype(np.float64).T
+    return config.trust_inferred * inferred + (1 - config.trust_inferred) * measured
 
 
 def _smoothed(
@@ -169,7 +177,7 @@ def infer_labels(
     prior: Float64[np.ndarray, " n"],
     scales: LightScales,
     config: DelightConfig,
-    messages: Float64[np.ndarray, "e 2"],
+    messages: Float32[np.ndarray, "e 2"],
 ) -> Float64[np.ndarray, " n"]:
     """Probability of being lit by loopy belief propagation.
 
@@ -198,7 +206,8 @@ def without_islands(
     first, second = graph.pairs.T
     is_lit = lit > 0.5
     near = (graph.distance_m < 2.0 * observed.surfel_m) & (is_lit[first] == is_lit[second])
-    links = coo_matrix((np.ones(near.sum()), (first[near], second[near])), (len(lit), len(lit)))
+    ends = first[near], second[near]
+    links = coo_matrix((np.ones(len(ends[0]), np.bool_), ends), (len(lit), len(lit)))
     count, piece = connected_components(links, directed=False)
     area = np.bincount(piece, surfels.area_m2, minlength=count)
     mean = np.bincount(piece, prior * surfels.area_m2, minlength=count) / np.maximum(area, 1e-9)
@@ -208,7 +217,7 @@ def without_islands(
 
 def pair_energies(
     observed: Observed, scales: LightScales, config: DelightConfig
-) -> Float64[np.ndarray, "e 2 2"]:
+) -> Float32[np.ndarray, "e 2 2"]:
     """Energy of each pair by the labels of its two patches, in nats.
 
     The step of the log base colour that labels imply, minus the step that LiDAR predicts, is
@@ -217,20 +226,22 @@ def pair_energies(
     light, graph = observed.light, observed.graph
     diffuse = np.maximum(light.diffuse(scales), 1e-6)
     log_light = np.log(np.stack([diffuse, diffuse + light.direct(scales)], axis=1))
-    log_colour = observed.log_radiance[:, None] - log_light
-    first, second = graph.pairs.T
-    energy = np.empty((len(first), 2, 2))
-    reach = 1 + graph.distance_m / config.reach_m
-    for a in (0, 1):
-        for b in (0, 1):
-            step = log_colour[second, b] - log_colour[first, a] - observed.tone_step[:, None]
-            cost = _misfit(step, config) / reach
-            cost = -np.log(np.exp(-cost) + np.exp(-config.cap))
-            energy[:, a, b] = graph.weight * (cost * config.strength + config.potts * (a != b))
+    log_colour = (observed.log_radiance[:, None] - log_light).astype(np.float32)
+    energy = np.empty((len(graph.pairs), 2, 2), np.float32)
+    for start in range(0, len(energy), _CHUNK_PAIRS):
+        part = slice(start, start + _CHUNK_PAIRS)
+        first, second = graph.pairs[part].T
+        reach = 1 + graph.distance_m[part] / np.float32(config.reach_m)
+        for a in (0, 1):
+            for b in (0, 1):
+                step = log_colour[second, b] - log_colour[first, a]
+                cost = _misfit(step - observed.tone_step[part, None], config) / reach
+                cost = config.strength * -np.log(np.exp(-cost) + exp(-config.cap))
+                energy[part, a, b] = graph.weight[part] * (cost + config.potts * (a != b))
     return energy
 
 
-def _misfit(step: Float[np.ndarray, "e 3"], config: DelightConfig) -> Float64[np.ndarray, " e"]:
+def _misfit(step: Float32[np.ndarray, "e 3"], config: DelightConfig) -> Float32[np.ndarray, " e"]:
     """Squared step of brightness and of colour, in units of their spread."""
     mean = step.mean(axis=1)
     chroma = step - mean[:, None]
@@ -242,20 +253,22 @@ def predict_tone_steps(
     log_radiance: Float64[np.ndarray, "n 3"],
     tone: Float64[np.ndarray, " n"],
     visibility: Float32[np.ndarray, "n 2"],
-) -> tuple[Float64[np.ndarray, " e"], float]:
+) -> tuple[Float32[np.ndarray, " e"], float]:
     """Step of log base colour across each pair that LiDAR intensity predicts, and the gain.
 
     The gain is the regression of radiance steps on intensity steps over pairs that every
     rendering puts on the same side of the sun; noise of the intensity shrinks it, as it should.
     """
     first, second = graph.pairs.T
-    step = (tone[second] - tone[first]).astype(np.float64)
+    step = (tone[second] - tone[first]).astype(np.float32)
     known = np.isfinite(step)
-    step = np.where(known, np.clip(step, -2.0, 2.0), 0.0)
+    step = np.where(known, np.clip(step, -2.0, 2.0), 0.0).astype(np.float32)
     same = (np.abs(visibility[first] - visibility[second]) < 0.1).all(axis=1) & known
     if same.sum() < 100:
-        return np.zeros(len(step)), 0.0
-    seen = np.clip((log_radiance[second] - log_radiance[first]).mean(axis=1)[same], -1.0, 1.0)
-    gain = float((seen * step[same]).sum() / np.maximum((step[same] ** 2).sum(), 1e-9))
+        return np.zeros_like(step), 0.0
+    level = log_radiance.mean(axis=1)
+    seen = np.clip((level[second] - level[first])[same], -1.0, 1.0)
+    known_step = step[same].astype(np.float64)
+    gain = float((seen * known_step).sum() / np.maximum((known_step**2).sum(), 1e-9))
     gain = float(np.clip(gain, 0.0, 1.0))
-    return gain * step, gain
+    return np.float32(gain) * step, gain

@@ -235,8 +235,9 @@ def weighted_median(
 def light_blocks(position: Float64[np.ndarray, "n 3"], block_m: float) -> Int64[np.ndarray, " n"]:
     """A number for the block of space that each point lies in."""
     cell = np.floor(position / block_m).astype(np.int64)
-    _, number = np.unique(cell, axis=0, return_inverse=True)
-    return number.ravel().astype(np.int64)
+    cell -= cell.min(axis=0, initial=0)
+    size = cell.max(axis=0, initial=0) + 1
+    return np.asarray(np.ravel_multi_index(tuple(cell.T), tuple(size)))
 
 
 def is_lit_enough(light: SurfaceLight, scales: LightScales) -> Bool[np.ndarray, " n"]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int64
+from jaxtyping import Float32, Float64, Int32, Int64
 from scipy.spatial import KDTree
 
 from lightsim.core.mesh import TriMesh
@@ -13,6 +14,8 @@ from lightsim.core.mesh import TriMesh
 _NEAR, _FAR = 8, 5
 """Nearest patches that each is compared with, and random ones, to see past thin things."""
 _MIN_RETURNS = 3
+_CHUNK, _CHUNK_SURFELS = 1 << 17, 1 << 14
+"""Samples and surfels looked at together: some 50 MB of intermediate results, whatever the log."""
 _RANGE_EDGES_M = (0.0, 4.0, 6.0, 8.0, 11.0, 15.0, 20.0, 27.0, 36.0, 50.0, 70.0, 1e9)
 _COSINE_BINS = 8
 
@@ -47,50 +50,106 @@ class Samples:
     barycentric: Float64[np.ndarray, "n 3"]
 
 
-def sample_surface(mesh: TriMesh, spacing_m: float, rng: np.random.Generator) -> Samples:
-    """Random points, one for each `spacing_m` squared of area on average."""
-    a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(np.float64) for i in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-    wanted = area / spacing_m**2
-    count = np.floor(wanted + rng.random(len(area))).astype(np.int64)
-    face = np.repeat(np.arange(len(area), dtype=np.int64), count)
-    root, v = np.sqrt(rng.random(len(face))), rng.random(len(face))
-    return Samples(face, np.stack([1 - root, root * (1 - v), root * v], axis=1))
+def sample_surface(
+    mesh: TriMesh, faces: Int64[np.ndarray, " k"], spacing_m: float, rng: np.random.Generator
+) -> Iterator[Samples]:
+    """Random points of some faces, one for each `spacing_m` squared of area on average, in parts
+    of at most `_CHUNK`."""
+    a, b, c = (mesh.vertices[mesh.faces[faces, i]].astype(np.float64) for i in range(3))
+    wanted = np.linalg.norm(np.cross(b - a, c - a), axis=1) / (2 * spacing_m**2)
+    end = np.cumsum(np.floor(wanted + rng.random(len(wanted))).astype(np.int64))
+    total = int(end[-1]) if len(end) else 0
+    for start in range(0, total, _CHUNK):
+        number = np.arange(start, min(start + _CHUNK, total))
+        face = faces[np.searchsorted(end, number, side="right")]
+        root, v = np.sqrt(rng.random(len(face))), rng.random(len(face))
+        yield Samples(face, np.stack([1 - root, root * (1 - v), root * v], axis=1))
 
 
-def make_surfels(mesh: TriMesh, size_m: float, rng: np.random.Generator) -> Surfels:
-    """Cells of a grid of `size_m`, apart by the six sides a surface can face.
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Sums over the samples in cells of space, apart by side.
+
+    Args:
+        key: of the cell and the side, ascending, each once.
+        count: of samples.
+        sums: of position, normal, colour and confidence.
+    """
+
+    key: Int64[np.ndarray, " c"]
+    count: Int64[np.ndarray, " c"]
+    sums: Float64[np.ndarray, "c 10"]
+
+    @staticmethod
+    def joined(parts: Sequence[_Cells]) -> _Cells:
+        """Of parts that may have cells in common."""
+        key, index = np.unique(np.concatenate([part.key for part in parts]), return_inverse=True)
+        count = np.zeros(len(key), np.int64)
+        sums = np.zeros((len(key), 10))
+        start = 0
+        for part in parts:
+            rows = index[start : start + len(part.key)]
+            count[rows] += part.count
+            sums[rows] += part.sums
+            start += len(part.key)
+        return _Cells(key, count, sums)
+
+
+def make_surfels(
+    mesh: TriMesh, faces: Int64[np.ndarray, " k"], size_m: float, rng: np.random.Generator
+) -> Surfels:
+    """Cells of a grid of `size_m` over some faces, apart by the six sides a surface can face.
 
     Colour is the mean over the patch of the texture where there is one, else of the vertices.
     """
     spacing = size_m / 2.5
-    samples = sample_surface(mesh, spacing, rng)
+    normals = mesh.vertex_normals()
+    corners = mesh.vertices[mesh.faces[faces]].reshape(-1, 3)
+    low = np.floor(corners.min(axis=0, initial=np.inf).astype(np.float64) / size_m)
+    size = np.floor(corners.max(axis=0, initial=-np.inf).astype(np.float64) / size_m) - low + 1
+    del corners
+    parts = [_Cells(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 10)))]
+    for samples in sample_surface(mesh, faces, spacing, rng):
+        values = _values_at(mesh, normals, samples)
+        cell = np.clip(np.floor(values[:, :3] / size_m) - low, 0, size - 1).astype(np.int64)
+        place = (*cell.T, _side(values[:, 3:6]))
+        key = np.ravel_multi_index(place, (*size.astype(np.int64), 6))
+        parts.append(_summed(np.asarray(key), values))
+    cells = _Cells.joined(parts)
+    mean = cells.sums / cells.count[:, None]
+    length = np.linalg.norm(mean[:, 3:6], axis=1, keepdims=True)
+    is_good = length[:, 0] > 0.3
+    normal = mean[is_good, 3:6] / length[is_good]
+    area = cells.count[is_good] * spacing**2
+    return Surfels(mean[is_good, :3], normal, mean[is_good, 6:9], area, mean[is_good, 9])
+
+
+def _values_at(
+    mesh: TriMesh, normals: Float32[np.ndarray, "v 3"], samples: Samples
+) -> Float64[np.ndarray, "n 10"]:
+    """Position, normal, colour and confidence."""
     corners = mesh.faces[samples.face]
     weight = samples.barycentric[:, :, None]
-    position = (weight * mesh.vertices[corners]).sum(axis=1)
-    normal = (weight * mesh.vertex_normals()[corners]).sum(axis=1)
+    seen = np.ones((len(corners), 1))
+    if mesh.confidence is not None:
+        seen = (weight[:, :, 0] * mesh.confidence[corners]).sum(axis=1, keepdims=True)
     colour = mesh.colour_at(samples.face, samples.barycentric)
-    known = np.ones(len(mesh.vertices)) if mesh.confidence is None else mesh.confidence
-    seen = (samples.barycentric * known[corners]).sum(axis=1)
+    position, normal = (
+        (weight * vectors[corners]).sum(axis=1) for vectors in (mesh.vertices, normals)
+    )
+    return np.concatenate([position, normal, colour, seen], axis=1)
+
+
+def _side(normal: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
+    """Which of the six sides each normal faces."""
     axis = np.abs(normal).argmax(axis=1)
-    side = 2 * axis + (np.take_along_axis(normal, axis[:, None], 1)[:, 0] < 0)
-    cell = np.floor(position / size_m).astype(np.int64)
-    key = np.concatenate([cell - cell.min(axis=0, initial=0), side[:, None]], axis=1)
-    _, index, count = np.unique(key, axis=0, return_inverse=True, return_counts=True)
-    seen3 = np.repeat(seen[:, None], 3, axis=1)
-    mean = [_mean(values, index.ravel(), count) for values in (position, normal, colour, seen3)]
-    length = np.linalg.norm(mean[1], axis=1, keepdims=True)
-    is_good = length[:, 0] > 0.3
-    normal = (mean[1] / np.maximum(length, 1e-9))[is_good]
-    area = count[is_good] * spacing**2
-    return Surfels(mean[0][is_good], normal, mean[2][is_good], area, mean[3][is_good, 0])
+    return 2 * axis + (np.take_along_axis(normal, axis[:, None], 1)[:, 0] < 0)
 
 
-def _mean(
-    values: Float[np.ndarray, "n 3"], index: Int64[np.ndarray, " n"], count: Int64[np.ndarray, " m"]
-) -> Float64[np.ndarray, "m 3"]:
-    sums = [np.bincount(index, values[:, c], minlength=len(count)) for c in range(3)]
-    return np.stack(sums, axis=1) / count[:, None]
+def _summed(keys: Int64[np.ndarray, " n"], values: Float64[np.ndarray, "n 10"]) -> _Cells:
+    key, index, count = np.unique(keys, return_inverse=True, return_counts=True)
+    sums = [np.bincount(index, column, minlength=len(key)) for column in values.T]
+    return _Cells(key, count.astype(np.int64), np.stack(sums, axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,40 +219,68 @@ class Graph:
         weight: of the pair; those of one surfel sum to about `2`.
     """
 
-    pairs: Int64[np.ndarray, "e 2"]
-    distance_m: Float64[np.ndarray, " e"]
-    weight: Float64[np.ndarray, " e"]
+    pairs: Int32[np.ndarray, "e 2"]
+    distance_m: Float32[np.ndarray, " e"]
+    weight: Float32[np.ndarray, " e"]
 
 
 def connect(surfels: Surfels, reach_m: float, rng: np.random.Generator) -> Graph:
     """Each surfel with its nearest, and random ones within `reach_m`, of the same surface:
     similar normal, little offset from the other's plane."""
-    tree = KDTree(surfels.position)
+    tree, count = KDTree(surfels.position), len(surfels)
+    keys = [np.zeros(0, np.int64)]
+    for start in range(0, count, _CHUNK_SURFELS):
+        rows = np.arange(start, min(start + _CHUNK_SURFELS, count))
+        found = [_nearest(tree, surfels, rows), _random(tree, surfels, rows, reach_m, rng)]
+        others = np.concatenate(found, axis=1)
+        pairs = np.stack([np.repeat(rows, others.shape[1]), others.ravel()], axis=1)
+        keys.append(_keys_of_one_surface(surfels, pairs, reach_m))
+    key = np.unique(np.concatenate(keys))
+    pairs = np.stack(np.divmod(key, max(count, 1)), axis=1).astype(np.int32)
+    first, second = pairs.T
+    degree = np.bincount(pairs.ravel(), minlength=count).astype(np.float64)
+    strength = surfels.confidence / np.sqrt(np.maximum(degree, 1.0))
+    distance = np.linalg.norm(surfels.position[first] - surfels.position[second], axis=1)
+    weight = 2.0 * strength[first] * strength[second]
+    return Graph(pairs, distance.astype(np.float32), weight.astype(np.float32))
+
+
+def _nearest(
+    tree: KDTree, surfels: Surfels, rows: Int64[np.ndarray, " n"]
+) -> Int64[np.ndarray, "n k"]:
     k = min(_NEAR + 1, len(surfels))
-    _, index = tree.query(surfels.position, k=k)
-    parts = [_pairs_of(index.reshape(len(surfels), k))]
-    for _ in range(_FAR):
-        offset = rng.normal(size=(len(surfels), 3))
-        offset -= (offset * surfels.normal).sum(axis=1, keepdims=True) * surfels.normal
-        offset /= np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), 1e-9)
-        reach = reach_m * np.sqrt(rng.random((len(surfels), 1)))
-        _, other = tree.query(surfels.position + offset * reach)
-        parts.append(np.stack([np.arange(len(surfels)), other], axis=1))
-    pairs = np.unique(np.sort(np.concatenate(parts).astype(np.int64), axis=1), axis=0)
-    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
-    delta = surfels.position[pairs[:, 1]] - surfels.position[pairs[:, 0]]
+    _, index = tree.query(surfels.position[rows], k=k)
+    return np.asarray(index).reshape(len(rows), k)
+
+
+def _random(
+    tree: KDTree,
+    surfels: Surfels,
+    rows: Int64[np.ndarray, " n"],
+    reach_m: float,
+    rng: np.random.Generator,
+) -> Int64[np.ndarray, "n k"]:
+    """Those nearest to random points of each surfel's plane."""
+    normal = surfels.normal[rows][:, None]
+    offset = rng.normal(size=(len(rows), _FAR, 3))
+    offset -= (offset * normal).sum(axis=2, keepdims=True) * normal
+    offset /= np.maximum(np.linalg.norm(offset, axis=2, keepdims=True), 1e-9)
+    offset *= reach_m * np.sqrt(rng.random((len(rows), _FAR, 1)))
+    _, index = tree.query(surfels.position[rows][:, None] + offset)
+    return np.asarray(index)
+
+
+def _keys_of_one_surface(
+    surfels: Surfels, pairs: Int64[np.ndarray, "m 2"], reach_m: float
+) -> Int64[np.ndarray, " k"]:
+    """Those pairs whose surfels lie on one surface, as smaller index x count + larger index; each
+    once."""
+    low, high = pairs.min(axis=1), pairs.max(axis=1)
+    key = np.unique((low * len(surfels) + high)[low != high])
+    low, high = np.divmod(key, len(surfels))
+    delta = surfels.position[high] - surfels.position[low]
     distance = np.linalg.norm(delta, axis=1)
-    turn = (surfels.normal[pairs[:, 0]] * surfels.normal[pairs[:, 1]]).sum(axis=1)
-    lift = np.maximum(*(np.abs((delta * surfels.normal[pairs[:, i]]).sum(axis=1)) for i in (0, 1)))
+    turn = (surfels.normal[low] * surfels.normal[high]).sum(axis=1)
+    lift = np.maximum(*(np.abs((delta * surfels.normal[i]).sum(axis=1)) for i in (low, high)))
     keep = (turn > 0.85) & (lift < 0.08 + 0.12 * distance) & (distance < 1.5 * reach_m)
-    pairs, distance = pairs[keep], distance[keep]
-    degree = np.bincount(pairs.ravel(), minlength=len(surfels)).astype(np.float64)
-    weight = 2.0 / np.sqrt(degree[pairs[:, 0]] * degree[pairs[:, 1]])
-    weight *= surfels.confidence[pairs[:, 0]] * surfels.confidence[pairs[:, 1]]
-    return Graph(pairs, distance, weight)
-
-
-def _pairs_of(index: Int64[np.ndarray, "n k"]) -> Int64[np.ndarray, "m 2"]:
-    """(row, neighbour) of a table of neighbours."""
-    rows = np.repeat(np.arange(len(index)), index.shape[1])
-    return np.stack([rows, index.ravel()], axis=1)
+    return key[keep]

@@ -8,12 +8,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int32
 from scipy.spatial import KDTree
 
-from lightsim.assets.atlas import texture_texels
+from lightsim.assets.atlas import texel_parts
 from lightsim.assets.delight_edges import LabelField, Seen, refine_visibility
 from lightsim.assets.delight_light import LightScales, SurfaceLight
 from lightsim.core.mesh import Texture, TriMesh
 
-_CHUNK = 1 << 19
+_CHUNK = 1 << 17
+"""Texels looked at together: some 50 MB of intermediate results, whatever the log."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,7 @@ class DeepShade:
         return trust * colour + (1.0 - trust) * self.fill
 
     def between(
-        self, corners: Int32[np.ndarray, "t 3"], barycentric: Float64[np.ndarray, "t 3"]
+        self, corners: Int32[np.ndarray, "t 3"], barycentric: Float32[np.ndarray, "t 3"]
     ) -> DeepShade:
         """At points inside triangles."""
         fill = (barycentric[:, :, None] * self.fill[corners]).sum(axis=1)
@@ -71,20 +72,19 @@ def texture_without_light(
         limits: least and greatest base colour.
         shade: at the vertices; None trusts every quotient.
     """
-    texels = texture_texels(texture)
     attributes = _VertexAttributes(
-        mesh.vertices.astype(np.float64),
-        mesh.vertex_normals().astype(np.float64),
-        found.light.diffuse(found.scales),
-        found.light.direct(found.scales),
-        found.visibility.astype(np.float64),
+        mesh.vertices,
+        mesh.vertex_normals(),
+        found.light.diffuse(found.scales).astype(np.float32),
+        found.light.direct(found.scales).astype(np.float32),
+        found.visibility,
     )
-    is_edge = np.zeros(len(mesh.faces), dtype=bool) if field is None else edge_faces(mesh, field)
+    is_edge = np.zeros(len(mesh.faces), dtype=bool)
+    if field is not None:
+        is_edge[field.faces] = edge_faces(mesh, field)
     image = texture.image.reshape(-1, 3).copy()
-    for start in range(0, len(texels.pixel), _CHUNK):
-        part = slice(start, start + _CHUNK)
-        face, pixel = texels.face[part], texels.pixel[part]
-        barycentric = texels.barycentric[part].astype(np.float64)
+    for texels in texel_parts(texture, _CHUNK):
+        face, pixel, barycentric = texels.face, texels.pixel, texels.barycentric
         seen, visibility = attributes.between(mesh.faces[face], barycentric, image[pixel])
         rows = np.flatnonzero(is_edge[face])
         if field is not None and len(rows):
@@ -101,18 +101,18 @@ def texture_without_light(
 class _VertexAttributes:
     """What is interpolated between the vertices."""
 
-    points: Float64[np.ndarray, "n 3"]
-    normals: Float64[np.ndarray, "n 3"]
-    diffuse: Float64[np.ndarray, "n 3"]
-    direct: Float64[np.ndarray, "n 3"]
-    visibility: Float64[np.ndarray, " n"]
+    points: Float32[np.ndarray, "n 3"]
+    normals: Float32[np.ndarray, "n 3"]
+    diffuse: Float32[np.ndarray, "n 3"]
+    direct: Float32[np.ndarray, "n 3"]
+    visibility: Float32[np.ndarray, " n"]
 
     def between(
         self,
         corners: Int32[np.ndarray, "t 3"],
-        barycentric: Float64[np.ndarray, "t 3"],
+        barycentric: Float32[np.ndarray, "t 3"],
         radiance: Float32[np.ndarray, "t 3"],
-    ) -> tuple[Seen, Float64[np.ndarray, " t"]]:
+    ) -> tuple[Seen, Float32[np.ndarray, " t"]]:
         """Points inside triangles, and the visibility between the corners'."""
         weights = barycentric[:, :, None]
         points, normals, diffuse, direct = (
@@ -121,16 +121,20 @@ class _VertexAttributes:
         )
         visibility = (barycentric * self.visibility[corners]).sum(axis=1)
         light = np.maximum(diffuse, 1e-6), np.maximum(direct, 0.0)
-        return Seen(points, normals, radiance.astype(np.float64), *light), visibility
+        return Seen(points, normals, radiance, *light), visibility
 
 
-def edge_faces(mesh: TriMesh, field: LabelField) -> Bool[np.ndarray, " m"]:
-    """Faces that come near a surfel at which light and shadow meet."""
+def edge_faces(mesh: TriMesh, field: LabelField) -> Bool[np.ndarray, " k"]:
+    """Which of the labelled faces come near a surfel at which light and shadow meet."""
     mixed = field.tree.data[field.is_mixed]
+    is_edge = np.zeros(len(field.faces), dtype=bool)
     if len(mixed) == 0:
-        return np.zeros(len(mesh.faces), dtype=bool)
-    corners = mesh.vertices[mesh.faces].astype(np.float64)
-    centre = corners.mean(axis=1)
-    radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
-    distance = np.asarray(KDTree(mixed).query(centre)[0])
-    return distance < radius + 1.5 * field.surfel_m
+        return is_edge
+    tree = KDTree(mixed)
+    for start in range(0, len(is_edge), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        corners = mesh.vertices[mesh.faces[field.faces[part]]]
+        centre = corners.mean(axis=1)
+        radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+        is_edge[part] = np.asarray(tree.query(centre)[0]) < radius + 1.5 * field.surfel_m
+    return is_edge

@@ -32,22 +32,33 @@ class PointIrradiance:
     """Light on n points.
 
     Args:
-        irradiance_over_pi: RGB of sun, sky and bounce; a white Lambert surface shows it.
         sun_visibility: fraction of the solar disc seen, 0 behind the surface's own horizon.
         sky_visibility: cosine-weighted fraction of the hemisphere that is open.
-        sun: the part of `irradiance_over_pi` that the sun gives.
+        sun: irradiance / pi, RGB, that the sun gives.
         sky: the part of the open sky.
         bounce: the part of other surfaces.
         bounce_of_sky: what of `bounce` is skylight; the rest is sunlight.
     """
 
-    irradiance_over_pi: Float32[np.ndarray, "n 3"]
     sun_visibility: Float32[np.ndarray, " n"]
     sky_visibility: Float32[np.ndarray, " n"]
     sun: Float32[np.ndarray, "n 3"]
     sky: Float32[np.ndarray, "n 3"]
     bounce: Float32[np.ndarray, "n 3"]
     bounce_of_sky: Float32[np.ndarray, "n 3"]
+
+    @property
+    def irradiance_over_pi(self) -> Float32[np.ndarray, "n 3"]:
+        """RGB of sun, sky and bounce; a white Lambert surface shows it."""
+        return self.sun + self.sky + self.bounce
+
+    @staticmethod
+    def zeros(count: int) -> PointIrradiance:
+        """Darkness, to be filled in."""
+        one, two = (np.zeros(count, dtype=np.float32) for _ in range(2))
+        return PointIrradiance(
+            one, two, *(np.zeros((count, 3), dtype=np.float32) for _ in range(4))
+        )
 
 
 def irradiance_at(
@@ -73,26 +84,20 @@ def irradiance_at(
         rays = replace(rays, face_rays=0)
     cells = prepare_sky(dome, rays)
     table = static_face_table(scene, rays, seed) if faces is None else faces
-    out = np.zeros((len(points_world), 17), dtype=np.float32)
+    found = PointIrradiance.zeros(len(points_world))
     for start in range(0, len(points_world), _TILE_POINTS):
         part = slice(start, start + _TILE_POINTS)
         numbers = np.arange(start, min(start + _TILE_POINTS, len(points_world)), dtype=np.int64)
-        out[part] = _tile(
+        tile = _tile(
             (points_world[part].astype(np.float32), normals_world[part].astype(np.float32)),
             hashed_shifts(numbers, seed),
             scene,
             (cells, table),
             replace(config, transport=rays),
         )
-    return PointIrradiance(
-        out[:, :3],
-        out[:, 3],
-        out[:, 4],
-        out[:, 5:8],
-        out[:, 8:11],
-        out[:, 11:14],
-        out[:, 14:17],
-    )
+        for name, values in vars(tile).items():
+            getattr(found, name)[part] = values
+    return found
 
 
 def _tile(
@@ -101,29 +106,20 @@ def _tile(
     scene: FrameScene,
     shared: tuple[SkyCells, FaceTable],
     config: IrradianceConfig,
-) -> Float32[np.ndarray, "n 17"]:
-    """Columns: total, sun visibility, openness, sun, sky, bounce, bounce of sky."""
+) -> PointIrradiance:
     points, normals = surface
     cells, face_table = shared
     table = trace_points(scene, points, normals, shifts, config.transport, face_table)
     if config.bounce_albedo is not None:
         table = replace(table, faces=_grey(table.faces, config.bounce_albedo))
     lit = light_points(table, scene, points, normals, cells, config.transport)
-    total = lit.direct_sun + lit.sky + lit.bounce
-    sky_alone = None
+    bounce_of_sky = lit.bounce
     if cells.sun is not None and config.bounce_albedo is not None:
         no_sun = SkyCells(cells.radiance, None)
-        sky_alone = light_table(table, scene.caster, no_sun, config.transport)
-    columns = [
-        total,
-        lit.sun_visibility[:, None],
-        table.openness[:, None],
-        lit.direct_sun,
-        lit.sky,
-        lit.bounce,
-        lit.bounce if sky_alone is None else sky_alone[:, 3:6],
-    ]
-    return np.concatenate(columns, axis=1)
+        bounce_of_sky = light_table(table, scene.caster, no_sun, config.transport)[:, 3:6]
+    return PointIrradiance(
+        lit.sun_visibility, table.openness, lit.direct_sun, lit.sky, lit.bounce, bounce_of_sky
+    )
 
 
 def _grey(faces: FaceSamples, albedo: float) -> FaceSamples:
