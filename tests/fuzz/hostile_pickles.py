@@ -294,7 +294,7 @@ BUILDERS: tuple[Callable[[Path, Rng], bytes], ...] = (
     big_integers, strange_frames, self_reference, bad_escapes,
 )  # fmt: skip
 RUNS_CODE = (
-    os_system, builtin_eval, instance_opcode, object_opcode, stack_global, new_object,
+    os_system, builtin_eval, instance_opcode, object_opcode, stack_global,
     through_numpy, inside_a_table,
 )  # fmt: skip
 """Those that do run code in the plain unpickler."""

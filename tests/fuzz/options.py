@@ -11,8 +11,8 @@ from .seeds import Seeds
 from .targets import read_with_options, relight_with_options, sky_words
 
 _NAMES = (
-    "noon", "../../outside", "/tmp/../outside", "..", ".", "", "a/b", "a\0b", "x" * 300, "-x", "é", " ",
-    "../scenarios/x", "~", "CON", "a\nb",
+    "noon", "../../outside", "/tmp/../outside", "..", ".", "", "a/b", "a\0b", "x" * 300, "-x", "é",
+    " ", "../scenarios/x", "~", "CON", "a\nb",
 )  # fmt: skip
 _SKIES = (
     "sun:180,60", "sun:10,20,3", "time:2019-05-11T01:59:16Z", "time:2019-05-11", "source", "sun:",
@@ -55,7 +55,8 @@ _TIMES = (
     "2019-05-11T01:59:16+23:59",
 )
 _NUMBERS = (
-    0.0, 45.0, -90.0, 360.0, 1e6, 1e300, -1e300, float("nan"), float("inf"), float("-inf"), 1e-300, 91.0,
+    0.0, 45.0, -90.0, 360.0, 1e6, 1e300, -1e300, float("nan"), float("inf"), float("-inf"), 1e-300,
+    91.0,
 )  # fmt: skip
 _IMAGE_SCALES = (1.0, 0.5, 0.01, 1e-9, 0.0, -1.0, 2.0, float("nan"), float("inf"), 1e300)
 

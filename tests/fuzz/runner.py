@@ -6,6 +6,7 @@ The parent has imported all that the readers need, so a child costs milliseconds
 
 from __future__ import annotations
 
+import faulthandler
 import gc
 import json
 import os
@@ -45,8 +46,8 @@ class Limits:
     """Peak resident memory of the whole process, interpreter and libraries included."""
     processor_s: int = 10
     """The largest honest case takes a second."""
-    wall_s: float = 40.0
-    """Several times the processor time: other work may share the machine."""
+    wall_s: float = 20.0
+    """Twice the processor time: other work may share the machine."""
     address_mb: int = 3000
     """Address space beyond the parent's; protects the machine from a case that would fill it."""
 
@@ -128,6 +129,7 @@ def _child(
 ) -> None:
     """Never returns. The first line to the parent is the damage, the second the outcome."""
     gc.disable()
+    faulthandler.disable()
     nowhere = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1, 2):
         os.dup2(nowhere, stream)

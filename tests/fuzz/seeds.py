@@ -20,7 +20,8 @@ from lightsim.ingest.reader import read_log
 from lightsim.pipeline import OPTIONS_NAME, STAGES, BuildOptions, recipes
 from lightsim.reconstruct.neural_config import draft
 from lightsim.store.alignment import write_alignment
-from lightsim.store.artefact import make_artefact, write_json as write_own_json
+from lightsim.store.artefact import make_artefact
+from lightsim.store.artefact import write_json as write_own_json
 from lightsim.store.assets import write_assets, write_mesh
 from lightsim.store.checkpoint import FolderJournal, write_weights
 from lightsim.store.fields import write_fields
