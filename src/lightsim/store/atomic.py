@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import stat
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
 from lightsim.errors import InputError
+
+_MAX_BYTES = 1 << 30
+"""Of a picture or a mesh; what they hold takes several times their bytes of memory."""
 
 
 @contextmanager
@@ -41,13 +45,26 @@ def whole_file(path: Path) -> Generator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def require_regular(path: Path) -> None:
+    """A device or FIFO never ends, or waits for ever: only regular files are opened.
+
+    Raises:
+        OSError: the file does not exist, or is no regular file.
+    """
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise OSError("not a regular file")
+
+
 def read_bytes(path: Path, kind: str) -> bytes:
     """All bytes of a file the user named.
 
     Raises:
-        InputError: it does not exist, is a folder, or cannot be read.
+        InputError: it does not exist, is no regular file, is too large, or cannot be read.
     """
     try:
+        require_regular(path)
+        if path.stat().st_size > _MAX_BYTES:
+            raise ValueError(f"{path.stat().st_size} bytes are more than {_MAX_BYTES}")
         return path.read_bytes()
     except (OSError, ValueError) as error:
         raise InputError(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lightsim.errors import ArtefactError
-from lightsim.store.atomic import whole_file
+from lightsim.store.atomic import require_regular, whole_file
 
 CHECKPOINT_NAME = "checkpoint.pt"
 METRICS_NAME = "metrics.jsonl"
@@ -35,6 +35,7 @@ def read_weights(path: Path) -> dict[str, Any]:
     from safetensors.torch import load_file
 
     try:
+        require_regular(path)
         return {name: tensor.to(torch.float32) for name, tensor in load_file(path).items()}
     except (OSError, SafetensorError) as error:
         raise ArtefactError(
@@ -60,6 +61,7 @@ class FolderJournal:
         if not path.is_file():
             return None
         try:
+            require_regular(path)
             # weights_only: an allow-list unpickler, tensors and plain containers alone.
             state = torch.load(path, map_location="cpu", weights_only=True)
         except Exception as error:
@@ -69,7 +71,13 @@ class FolderJournal:
                 got=f"{type(error).__name__}: {error}"[:200],
                 remedy="Delete the file; training then starts again.",
             ) from error
-        self._forget_after(int(state["step"]))
+        if not isinstance(state, dict) or type(state.get("step")) is not int:
+            raise ArtefactError(
+                "the checkpoint names no step",
+                where=path,
+                remedy="Delete the file; training then starts again.",
+            )
+        self._forget_after(state["step"])
         return state
 
     def save(self, state: Mapping[str, Any]) -> None:
@@ -91,6 +99,17 @@ class FolderJournal:
         path = self._folder / METRICS_NAME
         if not path.is_file():
             return
-        lines = [line for line in path.read_text().splitlines() if line.strip()]
-        kept = [line for line in lines if json.loads(line)["step"] < step]
+        lines = [line for line in path.read_text(errors="replace").splitlines() if line.strip()]
+        kept = [line for line in lines if self._step(line) < step]
         path.write_text("".join(line + "\n" for line in kept))
+
+    def _step(self, line: str) -> float:
+        try:
+            return float(json.loads(line)["step"])
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
+            raise ArtefactError(
+                "a line of the metrics is broken",
+                where=self._folder / METRICS_NAME,
+                got=f"{line[:60]!r}",
+                remedy="Delete the file, or the line.",
+            ) from error

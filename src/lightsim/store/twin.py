@@ -8,7 +8,9 @@ import numpy as np
 
 from lightsim.core.mesh import TriMesh
 from lightsim.core.twin import ActorAsset, DigitalTwin, SceneAssets
-from lightsim.store.artefact import json_ready, read_json, write_json
+from lightsim.store.artefact import json_ready, write_json
+from lightsim.store.assets import read_gains
+from lightsim.store.entries import Entries, require_plain_name
 from lightsim.store.meshes import read_glb, write_glb
 
 
@@ -19,6 +21,7 @@ def write_twin(folder: Path, twin: DigitalTwin, inferred: TriMesh) -> None:
         write_glb(folder / "inferred.glb", inferred)
     (folder / "actors").mkdir(exist_ok=True)
     for actor in twin.assets.actors.values():
+        require_plain_name(actor.actor_id, folder)
         write_glb(folder / "actors" / f"{actor.actor_id}.glb", actor.mesh)
     tracks = {track.actor_id: track for track in twin.log.actors}
     write_json(
@@ -48,19 +51,30 @@ def write_twin(folder: Path, twin: DigitalTwin, inferred: TriMesh) -> None:
 
 
 def read_twin_assets(folder: Path) -> tuple[SceneAssets, TriMesh]:
-    """Meshes with base colour, gains, and the inferred shadow casters (empty if none)."""
-    value = read_json(folder / "twin.json")
-    actors = {
-        a["actor_id"]: ActorAsset(a["actor_id"], a["kind"], read_glb(folder / a["mesh"], "actor"))
-        for a in value["actors"]
-    }
-    gains = {name: np.array(g, np.float32) for name, g in value["camera_gains"].items()}
-    background = read_glb(folder / value["background"], "world")
+    """Meshes with base colour, gains, and the inferred shadow casters (empty if none).
+
+    Raises:
+        InputError, ArtefactError: a file is missing or damaged, or lies outside the folder.
+    """
+    value = Entries.of_file(folder / "twin.json")
+    actors: dict[str, ActorAsset] = {}
+    for entry in value.objects("actors"):
+        name = entry.plain_name("actor_id")
+        mesh = read_glb(_inside(folder, entry.text("mesh")), "actor")
+        actors[name] = ActorAsset(name, entry.text("kind"), mesh)
+    background = read_glb(_inside(folder, value.text("background")), "world")
     inferred = empty_mesh()
-    if value["inferred"] is not None:
-        inferred = read_glb(folder / value["inferred"], "world")
-    notes = tuple(value["notes"]) if "notes" in value else ()
-    return SceneAssets(background, actors, gains, notes), inferred
+    if not value.is_null("inferred"):
+        inferred = read_glb(_inside(folder, value.text("inferred")), "world")
+    notes = value.texts("notes") if "notes" in value else ()
+    return SceneAssets(background, actors, read_gains(value), notes), inferred
+
+
+def _inside(folder: Path, relative: str) -> Path:
+    """A file of the twin by the name that twin.json gives it."""
+    for part in relative.split("/"):
+        require_plain_name(part, folder / "twin.json")
+    return folder / relative
 
 
 def empty_mesh() -> TriMesh:
