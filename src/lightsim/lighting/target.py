@@ -140,7 +140,7 @@ def dome_from_array(radiance: Shaped[np.ndarray, "h w 3"], name: str = "the sky 
             remedy="Save it as 32-bit float: suns exceed the half-float range of 65504.",
         )
     values = radiance.astype(np.float32)
-    mean = float(values.mean())
+    mean = float(values.mean(dtype=np.float64))
     if mean <= 0 or float(values.min()) < -_NEGATIVE_TOLERANCE * mean:
         raise InputError(
             "the sky is black or has negative radiance",

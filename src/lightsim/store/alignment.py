@@ -8,8 +8,9 @@ import numpy as np
 
 from lightsim.core.alignment import Alignment, CameraCorrection, PathCorrection
 from lightsim.errors import ArtefactError
-from lightsim.store.arrays import load_arrays, save_arrays
-from lightsim.store.artefact import read_json, write_json
+from lightsim.store.arrays import ArrayFile, save_arrays
+from lightsim.store.artefact import write_json
+from lightsim.store.entries import Entries
 
 ARRAYS_NAME = "alignment.npz"
 SUMMARY_NAME = "alignment.json"
@@ -47,42 +48,35 @@ def read_alignment(folder: Path) -> Alignment:
     """The alignment written by `write_alignment`, without loss.
 
     Raises:
-        ArtefactError: a file is missing or broken.
-        InputError: the arrays are damaged.
+        ArtefactError: an entry or array is missing or broken.
+        InputError: the arrays cannot be read.
     """
-    summary = read_json(folder / SUMMARY_NAME)
-    arrays = load_arrays(folder / ARRAYS_NAME)
-    cameras = {
-        name.removeprefix("camera/"): CameraCorrection(x[:3].copy(), x[3:6].copy(), float(x[6]))
-        for name, x in arrays.items()
-        if name.startswith("camera/")
-    }
-    tracks = {
-        name.removeprefix("actor/"): matrices
-        for name, matrices in arrays.items()
-        if name.startswith("actor/")
-    }
+    summary = Entries.of_file(folder / SUMMARY_NAME)
+    arrays = ArrayFile(folder / ARRAYS_NAME)
+    cameras: dict[str, CameraCorrection] = {}
+    for name in arrays.names("camera/"):
+        x = arrays.take(f"camera/{name}", "f8", "7")
+        cameras[name] = CameraCorrection(x[:3].copy(), x[3:6].copy(), float(x[6]))
+    ids = summary.texts("actor_ids")
+    actors = {a: arrays.take(f"actor/{i}", "f8", "_ 4 4") for i, a in enumerate(ids)}
     path = None
     if "path/times_ns" in arrays:
-        names = ("times_ns", "pivot_world", "rotations_rad", "shifts_m")
-        path = PathCorrection(*(arrays[f"path/{name}"] for name in names))
-    try:
-        actors = tracks
-        # Older versions named the arrays by the ids.
-        if "actor_ids" in summary:
-            actors = {str(a): tracks[str(i)] for i, a in enumerate(summary["actor_ids"])}
-        return Alignment(
-            path,
-            cameras,
-            actors,
-            **{name: bool(summary[name]) for name in _SWITCHES},
-            numbers=summary["numbers"],
-            notes=tuple(summary["notes"]),
+        path = PathCorrection(
+            arrays.take("path/times_ns", "i8", "n"),
+            arrays.take("path/pivot_world", "f8", "3"),
+            arrays.take("path/rotations_rad", "f8", "n 3"),
+            arrays.take("path/shifts_m", "f8", "n 3"),
         )
-    except (KeyError, TypeError) as error:
-        raise ArtefactError(
-            "the summary of the alignment is broken",
-            where=folder / SUMMARY_NAME,
-            got=error,
-            remedy="Build again.",
-        ) from error
+        if not len(path.times_ns) or (np.diff(path.times_ns) <= 0).any():
+            raise ArtefactError(
+                "the times of the path do not increase", where=arrays.path, remedy="Build again."
+            )
+    numbers = summary.object("numbers")
+    return Alignment(
+        path,
+        cameras,
+        actors,
+        **{name: summary.flag(name) for name in _SWITCHES},
+        numbers={name: numbers.number(name) for name in numbers},
+        notes=summary.texts("notes"),
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import zipfile
 import zlib
@@ -12,9 +13,8 @@ from typing import BinaryIO
 import numpy as np
 from jaxtyping import Shaped
 
-from lightsim.errors import InputError
+from lightsim.errors import ArtefactError, InputError
 from lightsim.store.atomic import whole_file
-from lightsim.store.reading import open_regular
 
 _MAX_BYTES = 16 << 30
 """The fields of a street of 300 m take 2 GB; they are stored without compression."""
@@ -46,13 +46,18 @@ def load_arrays(path: Path) -> dict[str, Shaped[np.ndarray, "..."]]:
             unpacks to far more than it holds.
     """
     try:
-        with open_regular(path, "file of arrays", _MAX_BYTES) as handle:
-            _check_sizes(handle)
-            with np.load(handle, allow_pickle=False) as archive:
-                return {name: archive[name] for name in archive.files}
+        require_regular(path)
+        if not zipfile.is_zipfile(path):
+            raise ValueError("it is no zip archive")
+        _check_members(path)
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except FileNotFoundError as error:
+        raise InputError("the file does not exist", where=path, remedy=_REMEDY) from error
     except (
         OSError,
         ValueError,
+        OverflowError,
         EOFError,
         KeyError,
         NotImplementedError,
@@ -72,14 +77,86 @@ def load_arrays(path: Path) -> dict[str, Shaped[np.ndarray, "..."]]:
         ) from error
 
 
-def _check_sizes(handle: BinaryIO) -> None:
-    """Refuse archives that would unpack to more than they hold, before anything is unpacked."""
+def _check_members(handle: BinaryIO) -> None:
+    """Refuse before anything is allocated: the archive unpacks to no more than it holds, and every
+    member has just the bytes that its header claims."""
     if not zipfile.is_zipfile(handle):
         raise ValueError("it is no zip archive")
     with zipfile.ZipFile(handle) as archive:
-        entries = archive.infolist()
-    stored = sum(e.file_size for e in entries if e.compress_type == zipfile.ZIP_STORED)
-    inflated = sum(e.file_size for e in entries) - stored
-    if stored > handle.seek(0, os.SEEK_END) or inflated > _MAX_INFLATED_BYTES:
-        raise ValueError(f"it claims to hold {stored} and, compressed, {inflated} bytes")
+        members = archive.infolist()
+        stored = sum(m.file_size for m in members if m.compress_type == zipfile.ZIP_STORED)
+        inflated = sum(m.file_size for m in members) - stored
+        if stored > handle.seek(0, os.SEEK_END) or inflated > _MAX_INFLATED_BYTES:
+            raise ValueError(f"it claims to hold {stored} and, compressed, {inflated} bytes")
+        for member in members:
+            _check_member(archive, member)
     handle.seek(0)
+
+
+def _check_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
+    with archive.open(member) as handle:
+        version = np.lib.format.read_magic(handle)
+        if version != (1, 0):
+            raise ValueError(f"'{member.filename}' has a header of version {version}")
+        shape, _, dtype = np.lib.format.read_array_header_1_0(handle)
+        claimed = handle.tell() + math.prod(shape) * dtype.itemsize
+    if dtype.hasobject or dtype.fields or min(shape, default=0) < 0:
+        raise ValueError(f"'{member.filename}' holds no plain numbers")
+    if claimed != member.file_size:
+        raise ValueError(f"'{member.filename}' claims {claimed} bytes of {member.file_size}")
+
+
+class ArrayFile:
+    """The arrays of one file, each of the type and shape that its reader needs.
+
+    Raises:
+        InputError: as `load_arrays`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.arrays = load_arrays(path)
+        self._sizes: dict[str, int] = {}
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.arrays
+
+    def names(self, prefix: str) -> tuple[str, ...]:
+        """Names below a prefix, without it."""
+        return tuple(n.removeprefix(prefix) for n in self.arrays if n.startswith(prefix))
+
+    def take(self, name: str, kind: str, shape: str) -> Shaped[np.ndarray, "..."]:
+        """One array; a letter in `shape` is any size, the same wherever it stands in this file,
+        and "_" any size.
+
+        Args:
+            kind: of the type, such as "f4" or "i8"; "U" is any text. Numbers must be finite.
+            shape: such as "n 3"; "" is a single number.
+
+        Raises:
+            ArtefactError: the array is missing, of another type or shape, or not finite.
+        """
+        if name not in self.arrays:
+            raise ArtefactError(f"the array '{name}' is missing", where=self.path, remedy=_REMEDY)
+        array = self.arrays[name]
+        is_kind = array.dtype.kind == "U" if kind == "U" else array.dtype == np.dtype(kind)
+        words = shape.split()
+        sizes = [self._sizes.get(w, int(w) if w.isdigit() else None) for w in words]
+        fits = len(sizes) == array.ndim and all(
+            s is None or s == n for s, n in zip(sizes, array.shape, strict=True)
+        )
+        if not is_kind or not fits:
+            raise ArtefactError(
+                f"the array '{name}' is damaged",
+                where=self.path,
+                got=f"{array.dtype}{list(array.shape)}",
+                expected=f"{kind}[{', '.join(words)}]",
+                remedy=_REMEDY,
+            )
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise ArtefactError(
+                f"the array '{name}' is not finite", where=self.path, remedy=_REMEDY
+            )
+        named = {w: n for w, n in zip(words, array.shape, strict=True) if w.isalpha()}
+        self._sizes |= named
+        return array

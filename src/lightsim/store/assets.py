@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from jaxtyping import Float32
 
 from lightsim.core.mesh import Material, Texture, TriMesh
 from lightsim.core.twin import ActorAsset, SceneAssets
 from lightsim.errors import ArtefactError
-from lightsim.store.arrays import load_arrays, save_arrays
-from lightsim.store.artefact import json_ready, read_json, write_json
+from lightsim.store.arrays import ArrayFile, save_arrays
+from lightsim.store.artefact import json_ready, write_json
+from lightsim.store.entries import Entries
 from lightsim.store.names import file_names, inside
 
 _HALF_MAX = np.float32(65504.0)
@@ -42,31 +42,40 @@ def read_mesh(path: Path, frame: str) -> TriMesh:
     """A mesh written by `write_mesh`.
 
     Raises:
-        ArtefactError: an array is missing.
+        InputError: the file is damaged, or a face names no vertex.
+        ArtefactError: an array is missing, or of another shape or type.
     """
-    arrays = load_arrays(path)
-    try:
-        numbers = arrays["material"].reshape(-1, 2).tolist()
-        # Files of older versions have one material, without name.
-        names = arrays["material_name"].tolist() if "material_name" in arrays else ["matte"]
-        texture = None
-        if "texture" in arrays:
-            texture = Texture(arrays["texture"].astype(np.float32), arrays["corner_uv"])
-        return TriMesh(
-            frame,
-            arrays["vertices"],
-            arrays["faces"],
-            arrays["base_colour"],
-            tuple(
-                Material(float(roughness), float(metallic), str(name))
-                for (roughness, metallic), name in zip(numbers, names, strict=True)
-            ),
-            arrays.get("face_material"),
-            texture,
-            arrays.get("confidence"),
-        )
-    except KeyError as error:
-        raise ArtefactError("an array of the mesh is missing", where=path, got=error) from error
+    arrays = ArrayFile(path)
+    vertices, faces = arrays.take("vertices", "f4", "n 3"), arrays.take("faces", "i4", "m 3")
+    texture = None
+    if "texture" in arrays:
+        image = arrays.take("texture", "f2", "h w 3").astype(np.float32)
+        if not image.size:
+            raise ArtefactError("the texture is empty", where=path)
+        texture = Texture(image, arrays.take("corner_uv", "f4", "m 3 2"))
+    materials = _materials(arrays)
+    face_material = None
+    if "face_material" in arrays:
+        face_material = arrays.take("face_material", "u1", "m")
+        if len(faces) and int(face_material.max()) >= len(materials):
+            raise ArtefactError("a face names no material", where=path)
+    confidence = arrays.take("confidence", "f4", "n") if "confidence" in arrays else None
+    colour = arrays.take("base_colour", "f4", "n 3")
+    return TriMesh(frame, vertices, faces, colour, materials, face_material, texture, confidence)
+
+
+def _materials(arrays: ArrayFile) -> tuple[Material, ...]:
+    numbers = arrays.take("material", "f8", "k 2").tolist()
+    # Files of older versions have one material, without name.
+    names = ["matte"] * len(numbers)
+    if "material_name" in arrays:
+        names = arrays.take("material_name", "U", "k").tolist()
+    if not numbers:
+        raise ArtefactError("the mesh has no material", where=arrays.path)
+    return tuple(
+        Material(float(roughness), float(metallic), str(name))
+        for (roughness, metallic), name in zip(numbers, names, strict=True)
+    )
 
 
 def write_assets(folder: Path, assets: SceneAssets) -> None:
@@ -98,25 +107,29 @@ def read_assets(folder: Path) -> SceneAssets:
     """The assets written by `write_assets`.
 
     Raises:
-        ArtefactError: a file is missing or broken, or leads out of the folder.
+        InputError, ArtefactError: a file is missing or damaged.
     """
-    value = read_json(folder / "assets.json")
-    try:
-        actors = {entry["actor_id"]: _read_actor(folder, entry) for entry in value["actors"]}
-        gains = {name: np.array(g, np.float32) for name, g in value["camera_gains"].items()}
-        notes = tuple(value["notes"]) if "notes" in value else ()
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ArtefactError(
-            "the list of assets is broken",
-            where=folder / "assets.json",
-            got=error,
-            remedy="Build again.",
-        ) from error
-    return SceneAssets(read_mesh(folder / "background.npz", "world"), actors, gains, notes)
+    value = Entries.of_file(folder / "assets.json")
+    actors: dict[str, ActorAsset] = {}
+    for entry in value.objects("actors"):
+        actor_id = entry.text("actor_id")
+        mesh = read_mesh(inside(folder, entry.text("mesh")), "actor")
+        actors[actor_id] = ActorAsset(actor_id, entry.text("kind"), mesh)
+    notes = value.texts("notes") if "notes" in value else ()
+    return SceneAssets(
+        read_mesh(folder / "background.npz", "world"), actors, read_gains(value), notes
+    )
 
 
-def _read_actor(folder: Path, entry: Mapping[str, Any]) -> ActorAsset:
-    actor_id = entry["actor_id"]
-    # Older versions named the file by the id and did not say so.
-    file = entry.get("mesh", f"actors/{actor_id}.npz")
-    return ActorAsset(actor_id, entry["kind"], read_mesh(inside(folder, file), "actor"))
+def read_gains(value: Entries) -> dict[str, Float32[np.ndarray, "3"]]:
+    """RGB gain of each camera.
+
+    Raises:
+        ArtefactError: a gain is no three positive numbers.
+    """
+    gains = value.object("camera_gains")
+    found = {name: gains.numbers(name, (3,)).astype(np.float32) for name in gains}
+    for name, gain in found.items():
+        if not (gain > 0).all():
+            raise ArtefactError("a camera's gain is not positive", where=name, got=gain.tolist())
+    return found

@@ -79,20 +79,3 @@ def sweep_partials(folder: Path) -> int:
             path.unlink(missing_ok=True)
             swept += 1
     return swept
-
-
-def read_bytes(path: Path, kind: str) -> bytes:
-    """All bytes of a file the user named.
-
-    Raises:
-        InputError: it does not exist, is a folder, or cannot be read.
-    """
-    try:
-        return path.read_bytes()
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"cannot open this {kind}",
-            where=path,
-            got=error,
-            remedy="Check the path and the permissions.",
-        ) from error

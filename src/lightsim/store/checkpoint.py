@@ -81,7 +81,13 @@ class FolderJournal:
                 got=f"{type(error).__name__}: {error}"[:200],
                 remedy="Delete the file; training then starts again.",
             ) from error
-        self._forget_after(int(state["step"]))
+        if not isinstance(state, dict) or type(state.get("step")) is not int:
+            raise ArtefactError(
+                "the checkpoint names no step",
+                where=path,
+                remedy="Delete the file; training then starts again.",
+            )
+        self._forget_after(state["step"])
         return state
 
     def save(self, state: Mapping[str, Any]) -> None:
@@ -107,8 +113,19 @@ class FolderJournal:
         path = self._folder / METRICS_NAME
         if not path.is_file():
             return
-        text = read_bytes(path, "list of metrics", _MAX_BYTES).decode()
+        text = read_bytes(path, "list of metrics", _MAX_BYTES).decode(errors="replace")
         lines = [line for line in text.splitlines() if line.strip()]
-        kept = [line for line in lines if json.loads(line)["step"] < step]
+        kept = [line for line in lines if self._step(line) < step]
         with whole_file(path) as temporary:
             temporary.write_text("".join(line + "\n" for line in kept))
+
+    def _step(self, line: str) -> float:
+        try:
+            return float(json.loads(line)["step"])
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
+            raise ArtefactError(
+                "a line of the metrics is broken",
+                where=self._folder / METRICS_NAME,
+                got=f"{line[:60]!r}",
+                remedy="Delete the file, or the line.",
+            ) from error

@@ -10,8 +10,9 @@ from typing import Any
 from lightsim.core.checks import check_number
 from lightsim.core.log import DrivingLog
 from lightsim.core.solar import azimuth_elevation, solar_position
-from lightsim.errors import ArtefactError, InputError
-from lightsim.store.artefact import json_ready, read_json, write_json
+from lightsim.errors import InputError
+from lightsim.store.artefact import json_ready, write_json
+from lightsim.store.entries import Entries
 
 LOG_NAME = "log.json"
 SOURCE_HASHES_NAME = "source.json"
@@ -96,23 +97,34 @@ def read_reading(folder: Path) -> LogReading:
         ArtefactError: missing or broken.
     """
     path = folder / LOG_NAME
-    value = read_json(path)
-    try:
-        return reading_from_json(value["reading"])
-    except (KeyError, TypeError) as error:
-        raise ArtefactError(
-            "the reading options are broken", where=path, got=error, remedy="Build again."
-        ) from error
+    return _reading(Entries.of_file(path).object("reading"))
 
 
 def read_source_hashes(folder: Path) -> dict[str, str]:
     """Hash of every file of the recording at the time of the build, by name."""
-    return read_json(folder / SOURCE_HASHES_NAME)
+    hashes = Entries.of_file(folder / SOURCE_HASHES_NAME)
+    return {name: hashes.text(name) for name in hashes}
 
 
-def reading_from_json(value: dict[str, Any]) -> LogReading:
-    """Inverse of `json_ready(reading)`; a KeyError or TypeError tells a broken value."""
-    return LogReading(**{**value, "cameras": tuple(value["cameras"])})
+def reading_from_json(value: Any) -> LogReading:
+    """Inverse of `json_ready(reading)`.
+
+    Raises:
+        ArtefactError: an option is missing or of another type.
+    """
+    return _reading(Entries(value, "the reading options"))
+
+
+def _reading(value: Entries) -> LogReading:
+    return LogReading(
+        value.text("source"),
+        value.text("dataset"),
+        value.texts("cameras"),
+        value.text("frames"),
+        None if value.is_null("heading_deg") else value.number("heading_deg"),
+        value.number("image_scale"),
+        int(value.number("hold_out")),
+    )
 
 
 def _geo_summary(log: DrivingLog) -> dict[str, Any] | None:

@@ -10,9 +10,13 @@ from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.dome import SkyDome, Sun
 from lightsim.core.twin import Panorama, SkyEstimate
 from lightsim.errors import ArtefactError
-from lightsim.store.arrays import load_arrays, save_arrays
-from lightsim.store.artefact import read_json, write_json
+from lightsim.store.arrays import ArrayFile, save_arrays
+from lightsim.store.artefact import write_json
+from lightsim.store.entries import Entries
 from lightsim.store.images import read_hdr, write_exr, write_png
+
+_UNIT_TOLERANCE = 1e-3
+"""Of a stored direction's length; people edit sun.json by hand."""
 
 
 def write_panorama(folder: Path, panorama: Panorama) -> None:
@@ -40,8 +44,15 @@ def write_panorama_pictures(folder: Path, panorama: Panorama) -> None:
 
 
 def read_panorama(folder: Path) -> Panorama:
-    arrays = load_arrays(folder / "panorama.npz")
-    return Panorama(arrays["radiance"], arrays["is_seen"], arrays["is_sky"], arrays["is_clipped"])
+    """The panorama written by `write_panorama`.
+
+    Raises:
+        InputError, ArtefactError: the arrays are damaged.
+    """
+    arrays = ArrayFile(folder / "panorama.npz")
+    radiance = arrays.take("radiance", "f4", "h w 3")
+    masks = [arrays.take(name, "?", "h w") for name in ("is_seen", "is_sky", "is_clipped")]
+    return Panorama(radiance, *masks)
 
 
 def write_sky(folder: Path, sky: SkyEstimate, dome_name: str = "source.exr") -> None:
@@ -68,27 +79,33 @@ def read_estimate(folder: Path) -> SkyEstimate:
     """The sky written by `write_sky`.
 
     Raises:
-        ArtefactError: sun.json lacks an entry.
+        InputError: source.exr is damaged.
+        ArtefactError: an entry of sun.json is missing or broken.
     """
-    value = read_json(folder / "sun.json")
-    try:
-        sun = None
-        if value["direction_world"] is not None:
-            sun = Sun(
-                np.array(value["direction_world"], dtype=np.float64),
-                np.array(value["irradiance"], dtype=np.float32),
-            )
-        return SkyEstimate(
-            SkyDome(read_hdr(folder / "source.exr"), sun),
-            value["azimuth_deg"],
-            value["elevation_deg"],
-            value["origin"],
-            value["uncertainty_deg"],
-            value["irradiance_log_std"],
-            np.array(value["sky_irradiance"], np.float32),
-            tuple(value["notes"]),
-        )
-    except KeyError as error:
+    path = folder / "sun.json"
+    value = Entries.of_file(path)
+    return SkyEstimate(
+        SkyDome(read_hdr(folder / "source.exr"), _read_sun(value, path)),
+        None if value.is_null("azimuth_deg") else value.number("azimuth_deg"),
+        value.number("elevation_deg"),
+        value.text("origin"),
+        value.number("uncertainty_deg"),
+        value.number("irradiance_log_std"),
+        value.numbers("sky_irradiance", (3,)).astype(np.float32),
+        value.texts("notes"),
+    )
+
+
+def _read_sun(value: Entries, path: Path) -> Sun | None:
+    if value.is_null("direction_world"):
+        return None
+    direction = value.numbers("direction_world", (3,))
+    irradiance = value.numbers("irradiance", (3,)).astype(np.float32)
+    if abs(float(np.linalg.norm(direction)) - 1.0) > _UNIT_TOLERANCE or (irradiance < 0).any():
         raise ArtefactError(
-            "an entry is missing", where=folder / "sun.json", got=error, remedy="Build again."
-        ) from error
+            "the sun is no unit vector with light",
+            where=path,
+            got=f"{direction.tolist()}, {irradiance.tolist()}",
+            remedy="Build again.",
+        )
+    return Sun(direction, irradiance)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from lightsim.core.mesh import TriMesh
 from lightsim.core.twin import ActorAsset, DigitalTwin, SceneAssets
-from lightsim.errors import ArtefactError
-from lightsim.store.artefact import json_ready, read_json, write_json
+from lightsim.store.artefact import json_ready, write_json
+from lightsim.store.assets import read_gains
+from lightsim.store.entries import Entries
 from lightsim.store.meshes import read_glb, write_glb
 from lightsim.store.names import file_names, inside
 
@@ -56,31 +56,20 @@ def read_twin_assets(folder: Path) -> tuple[SceneAssets, TriMesh]:
     """Meshes with base colour, gains, and the inferred shadow casters (empty if none).
 
     Raises:
-        ArtefactError: twin.json is broken, or names a file outside the folder.
+        InputError, ArtefactError: a file is missing or damaged, or lies outside the folder.
     """
-    value = read_json(folder / "twin.json")
-
-    def read(name: Any, frame: str) -> TriMesh:
-        return read_glb(inside(folder, name), frame)
-
-    try:
-        actors = {
-            a["actor_id"]: ActorAsset(a["actor_id"], a["kind"], read(a["mesh"], "actor"))
-            for a in value["actors"]
-        }
-        gains = {name: np.array(g, np.float32) for name, g in value["camera_gains"].items()}
-        background = read(value["background"], "world")
-        inferred = value["inferred"]
-        casters = empty_mesh() if inferred is None else read(inferred, "world")
-        notes = tuple(value["notes"]) if "notes" in value else ()
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ArtefactError(
-            "the twin's list of files is broken",
-            where=folder / "twin.json",
-            got=error,
-            remedy="Build again.",
-        ) from error
-    return SceneAssets(background, actors, gains, notes), casters
+    value = Entries.of_file(folder / "twin.json")
+    actors: dict[str, ActorAsset] = {}
+    for entry in value.objects("actors"):
+        actor_id = entry.text("actor_id")
+        mesh = read_glb(inside(folder, entry.text("mesh")), "actor")
+        actors[actor_id] = ActorAsset(actor_id, entry.text("kind"), mesh)
+    background = read_glb(inside(folder, value.text("background")), "world")
+    inferred = empty_mesh()
+    if not value.is_null("inferred"):
+        inferred = read_glb(inside(folder, value.text("inferred")), "world")
+    notes = value.texts("notes") if "notes" in value else ()
+    return SceneAssets(background, actors, read_gains(value), notes), inferred
 
 
 def empty_mesh() -> TriMesh:

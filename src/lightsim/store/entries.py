@@ -1,0 +1,105 @@
+"""Our own JSON objects, entry by entry: each is of the type that its reader needs, or named."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from lightsim.errors import ArtefactError
+from lightsim.store.artefact import read_json
+
+_REMEDY = "Build again."
+_MAX_NUMBER = 1e30
+"""Nothing we store is larger; float32 holds it."""
+_SHOWN = 60
+
+
+class Entries:
+    """A JSON object of a file, `where`.
+
+    Raises:
+        ArtefactError: from every method: an entry is missing or of another type.
+    """
+
+    def __init__(self, value: Any, where: object) -> None:
+        self._where = where
+        if not isinstance(value, dict):
+            raise self._error("not a JSON object", value)
+        self._value: dict[str, Any] = value
+
+    @staticmethod
+    def of_file(path: Path) -> Entries:
+        return Entries(read_json(path), path)
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._value
+
+    def is_null(self, key: str) -> bool:
+        return self._entry(key) is None
+
+    def flag(self, key: str) -> bool:
+        return self._checked(key, bool, "true or false")
+
+    def text(self, key: str) -> str:
+        return self._checked(key, str, "a text")
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        values = self._checked(key, list, "a list of texts")
+        if not all(isinstance(value, str) for value in values):
+            raise self._error(f"'{key}' is no list of texts", values)
+        return tuple(values)
+
+    def number(self, key: str) -> float:
+        return float(self.numbers(key, ()))
+
+    def numbers(self, key: str, shape: tuple[int | None, ...]) -> Float64[np.ndarray, "..."]:
+        """A finite number, or nested lists of them in this shape; None is any length."""
+        value = self._entry(key)
+        if not _is_nested(value, shape):
+            raise self._error(f"'{key}' is no {_words(shape)}", value)
+        return np.array(value, dtype=np.float64)
+
+    def object(self, key: str) -> Entries:
+        return Entries(self._entry(key), f"{self._where}, '{key}'")
+
+    def objects(self, key: str) -> tuple[Entries, ...]:
+        values = self._checked(key, list, "a list")
+        return tuple(Entries(v, f"{self._where}, '{key}'[{i}]") for i, v in enumerate(values))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._value)
+
+    def _entry(self, key: str) -> Any:
+        if key not in self._value:
+            raise ArtefactError(f"'{key}' is missing", where=self._where, remedy=_REMEDY)
+        return self._value[key]
+
+    def _checked(self, key: str, kind: type, words: str) -> Any:
+        value = self._entry(key)
+        if not isinstance(value, kind):
+            raise self._error(f"'{key}' is not {words}", value)
+        return value
+
+    def _error(self, what: str, got: Any) -> ArtefactError:
+        shown = f"{type(got).__name__} {got!r:.{_SHOWN}}"
+        return ArtefactError(what, where=self._where, got=shown, remedy=_REMEDY)
+
+
+def _is_nested(value: Any, shape: tuple[int | None, ...]) -> bool:
+    if shape:
+        is_list = isinstance(value, list) and shape[0] in (None, len(value))
+        return is_list and all(_is_nested(item, shape[1:]) for item in value)
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and abs(value) <= _MAX_NUMBER
+
+
+def _words(shape: tuple[int | None, ...]) -> str:
+    return (
+        f"list of {' x '.join('any' if n is None else str(n) for n in shape)} finite numbers"
+        if shape
+        else "finite number"
+    )

@@ -1,0 +1,81 @@
+"""Many cases: seeds made once, then one forked child a case."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from lightsim.store.images import write_hdr
+
+from .kinds import ROUND
+from .report import Report
+from .runner import Limits, Outcome, import_what_was_needed, run_case
+from .seeds import Seeds, make_seeds
+from .targets import (
+    read_artefacts,
+    read_panorama_picture,
+    read_sky_file,
+    read_whole_log,
+    relight_with_options,
+)
+
+
+def prepare(root: Path, source: Path | None) -> Seeds:
+    """Seeds below `root`; every reader has been imported afterwards."""
+    import_what_was_needed(partial(_rehearse, root / "rehearsal", source))
+    return make_seeds(_fresh(root / "seeds"), source)
+
+
+def _fresh(folder: Path) -> Path:
+    folder.mkdir(parents=True)
+    return folder
+
+
+def _rehearse(folder: Path, source: Path | None) -> None:
+    """Read honest files of every kind: they must be accepted, and all is imported then."""
+    seeds = make_seeds(_fresh(folder), source)
+    os.chdir(folder)
+    read_whole_log(folder)
+    read_artefacts(folder)
+    shutil.copyfile(seeds.work / "panorama" / "panorama.png", folder / "panorama.png")
+    read_panorama_picture(folder)
+    picture = np.full((8, 16, 3), 0.5, np.float32)
+    write_hdr(folder / "sky.hdr", picture)
+    read_sky_file(folder)
+    relight_with_options(seeds.work, "noon", "sun:180,60", "auto", (0.0, 1.0), ("", ""))
+    Image.init()
+
+
+def run(
+    root: Path,
+    seeds: Seeds,
+    numbers: Iterable[int],
+    seed: int,
+    limits: Limits,
+    tell: Callable[[int, str, Outcome], None],
+) -> Report:
+    """Run cases by number; case n depends on n and `seed` alone."""
+    report = Report()
+    room = _fresh(root / "room")
+    for number in numbers:
+        kind = ROUND[number % len(ROUND)]
+        rng = np.random.default_rng([seed, number])
+        outcome = run_case(room, partial(_make, kind.make, seeds, rng), kind.read, limits)
+        report.add(number, kind.name, outcome)
+        tell(number, kind.name, outcome)
+    return report
+
+
+def _make(
+    make: Callable[[Seeds, Path, np.random.Generator], str],
+    seeds: Seeds,
+    rng: np.random.Generator,
+    folder: Path,
+) -> str:
+    return make(seeds, folder, rng)

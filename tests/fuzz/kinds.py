@@ -1,0 +1,161 @@
+"""The kinds of cases: what is copied, how it is damaged, and what reads it."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from .containers import mutate_glb, mutate_npz, mutate_safetensors
+from .mutations import Rng, mutate_bytes, mutate_json, mutate_text, pick
+from .options import read_options_case, write_options_case
+from .pictures import mutate_picture, write_exr_case, write_hdr_case
+from .runner import CANARY_NAME
+from .seeds import Seeds
+from .special import any_path, replace_by_special
+from .tables import mutate_table_file, write_hostile_pickle
+from .targets import read_artefacts, read_panorama_picture, read_sky_file, read_whole_log
+from .yaml_bombs import mutate_yaml
+
+Damage = Callable[[Path, Path, Rng], str]
+"""(folder to damage, canary, generator) -> words."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One row of the table.
+
+    Args:
+        name: on the command line and in the table.
+        share: cases of this kind in each round of all kinds.
+        make: fills a case's folder from the seeds, says what is damaged.
+        read: reads the case; LightSimError is the only exception allowed.
+    """
+
+    name: str
+    share: int
+    make: Callable[[Seeds, Path, Rng], str]
+    read: Callable[[Path], None]
+
+
+def _files(folder: Path, *patterns: str) -> list[Path]:
+    return sorted(p for pattern in patterns for p in folder.rglob(pattern) if p.is_file())
+
+
+def _in_log(damage: Damage) -> Callable[[Seeds, Path, Rng], str]:
+    def make(seeds: Seeds, folder: Path, rng: Rng) -> str:
+        shutil.copytree(seeds.log, folder / "log")
+        return damage(folder / "log", folder / CANARY_NAME, rng)
+
+    return make
+
+
+def _in_work(damage: Damage) -> Callable[[Seeds, Path, Rng], str]:
+    def make(seeds: Seeds, folder: Path, rng: Rng) -> str:
+        shutil.copytree(seeds.work, folder / "work")
+        return damage(folder / "work", folder / CANARY_NAME, rng)
+
+    return make
+
+
+def _json(folder: Path, canary: Path, rng: Rng) -> str:
+    path = pick(rng, _files(folder, "*.json", "*.jsonl"))
+    if path.suffix == ".jsonl":
+        text, words = mutate_text(path.read_text(), rng)
+        path.write_text(text, errors="replace")
+    else:
+        data, words = mutate_json(path.read_bytes(), rng)
+        path.write_bytes(data)
+    return f"{path.relative_to(folder)}: {words}"
+
+
+def _calibration(folder: Path, canary: Path, rng: Rng) -> str:
+    path = pick(rng, _files(folder, "*.yaml"))
+    return mutate_yaml(path, canary, rng)
+
+
+def _table(folder: Path, canary: Path, rng: Rng) -> str:
+    return mutate_table_file(pick(rng, _files(folder, "*.pkl.gz")), rng)
+
+
+def _hostile(folder: Path, canary: Path, rng: Rng) -> str:
+    path = pick(rng, _files(folder, "00.pkl.gz"))
+    return f"{path.parent.name}/" + write_hostile_pickle(path, canary, rng)
+
+
+def _picture(folder: Path, canary: Path, rng: Rng) -> str:
+    return mutate_picture(pick(rng, _files(folder, "*.jpg", "*.png")), rng)
+
+
+def _special(folder: Path, canary: Path, rng: Rng) -> str:
+    return replace_by_special(any_path(folder, rng), rng)
+
+
+def _several(folder: Path, canary: Path, rng: Rng) -> str:
+    """Two files damaged at once."""
+    changes = (_json, _table, _picture, _calibration, _special)
+    words: list[str] = []
+    for _ in range(2):
+        found = [c for c in changes if c is not _special or not words]
+        words.append(pick(rng, found)(folder, canary, rng))
+    return "; and ".join(words)
+
+
+def _arrays(folder: Path, canary: Path, rng: Rng) -> str:
+    return mutate_npz(pick(rng, _files(folder, "*.npz")), rng)
+
+
+def _meshes(folder: Path, canary: Path, rng: Rng) -> str:
+    return mutate_glb(pick(rng, _files(folder, "*.glb")), rng)
+
+
+def _weights(folder: Path, canary: Path, rng: Rng) -> str:
+    path = pick(rng, _files(folder, "*.safetensors", "*.pt"))
+    if path.suffix == ".safetensors":
+        return mutate_safetensors(path, rng)
+    data, words = mutate_bytes(path.read_bytes(), rng)
+    path.write_bytes(data)
+    return f"{path.name}: {words}"
+
+
+def _source_sky(folder: Path, canary: Path, rng: Rng) -> str:
+    return write_exr_case(folder / "sky" / "source.exr", rng)
+
+
+def _hdr(seeds: Seeds, folder: Path, rng: Rng) -> str:
+    return write_hdr_case(folder / "sky.hdr", rng)
+
+
+def _exr(seeds: Seeds, folder: Path, rng: Rng) -> str:
+    return write_exr_case(folder / "sky.exr", rng)
+
+
+def _panorama(seeds: Seeds, folder: Path, rng: Rng) -> str:
+    path = folder / "panorama.png"
+    shutil.copyfile(seeds.work / "panorama" / "panorama.png", path)
+    return mutate_picture(path, rng)
+
+
+KINDS: tuple[Kind, ...] = (
+    Kind("log json", 4, _in_log(_json), read_whole_log),
+    Kind("log calibration", 2, _in_log(_calibration), read_whole_log),
+    Kind("log tables", 4, _in_log(_table), read_whole_log),
+    Kind("hostile pickles", 3, _in_log(_hostile), read_whole_log),
+    Kind("log pictures", 3, _in_log(_picture), read_whole_log),
+    Kind("log special files", 2, _in_log(_special), read_whole_log),
+    Kind("log several files", 1, _in_log(_several), read_whole_log),
+    Kind("sky hdr", 3, _hdr, read_sky_file),
+    Kind("sky exr", 2, _exr, read_sky_file),
+    Kind("panorama", 2, _panorama, read_panorama_picture),
+    Kind("work json", 4, _in_work(_json), read_artefacts),
+    Kind("work arrays", 3, _in_work(_arrays), read_artefacts),
+    Kind("work meshes", 3, _in_work(_meshes), read_artefacts),
+    Kind("work weights", 1, _in_work(_weights), read_artefacts),
+    Kind("work pictures", 1, _in_work(_picture), read_artefacts),
+    Kind("work source sky", 1, _in_work(_source_sky), read_artefacts),
+    Kind("work special files", 2, _in_work(_special), read_artefacts),
+    Kind("options", 2, write_options_case, read_options_case),
+)
+ROUND: tuple[Kind, ...] = tuple(kind for kind in KINDS for _ in range(kind.share))
+"""Case n is of kind ROUND[n % len(ROUND)], whichever kinds are asked for."""

@@ -1,0 +1,201 @@
+"""Honest files to damage: a small log, and a work folder as a build leaves it."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ingest.mini_log import write_json, write_mini_log
+from lightsim.core.alignment import Alignment, CameraCorrection, PathCorrection
+from lightsim.core.dome import Sun, add_sun
+from lightsim.core.fields import GroundMap, SceneFields, TsdfGrid
+from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import Material, Texture, TriMesh
+from lightsim.core.twin import ActorAsset, DigitalTwin, Panorama, SceneAssets, SkyEstimate
+from lightsim.ingest.reader import read_log
+from lightsim.pipeline import OPTIONS_NAME, STAGES, BuildOptions, recipes
+from lightsim.reconstruct.neural_config import draft
+from lightsim.store.alignment import write_alignment
+from lightsim.store.artefact import make_artefact
+from lightsim.store.artefact import write_json as write_own_json
+from lightsim.store.assets import write_assets, write_mesh
+from lightsim.store.checkpoint import FolderJournal, write_weights
+from lightsim.store.fields import write_fields
+from lightsim.store.images import write_grey8
+from lightsim.store.log import LogReading, write_log
+from lightsim.store.sky import write_panorama, write_sky
+from lightsim.store.twin import write_twin
+from lightsim.workspace import FIELD_CONFIG_NAME, FIELD_NAME
+
+_MAX_FRAMES = 3
+_MAX_CAMERAS = 2
+
+
+@dataclass(frozen=True)
+class Seeds:
+    """Folders that are copied and damaged, never changed."""
+
+    log: Path
+    work: Path
+
+
+def make_seeds(folder: Path, source: Path | None) -> Seeds:
+    """The seeds in `folder`, from a log of PandaSet's layout or the synthetic mini log."""
+    log = folder / "log"
+    if source is None:
+        write_mini_log(log)
+        write_json(log / "annotations" / "semseg" / "classes.json", {"7": "Road", "13": "Car"})
+    else:
+        _copy_a_little(source, log)
+    work = folder / "work"
+    _write_work(work, log)
+    return Seeds(log, work)
+
+
+def _copy_a_little(source: Path, log: Path) -> None:
+    """Two cameras and three frames of a recording; lists of poses and times whole."""
+    names = sorted(p.name for p in (source / "camera").iterdir() if p.is_dir())
+    first = [n for n in names if n == "front_camera"]
+    cameras = (first + [n for n in names if n not in first])[:_MAX_CAMERAS]
+    for path in sorted(source.rglob("*")):
+        parts = path.relative_to(source).parts
+        if not path.is_file() or (parts[0] == "camera" and parts[1] not in cameras):
+            continue
+        stem = path.name.split(".")[0]
+        if stem.isdigit() and int(stem) >= _MAX_FRAMES:
+            continue
+        target = log / path.relative_to(source)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, target)
+
+
+def _write_work(work: Path, log_folder: Path) -> None:
+    """All artefacts that a build makes, from tiny stand-ins for what its stages compute."""
+    work.mkdir()
+    reading = LogReading(str(log_folder), "auto", (), "", None, 1.0, 0)
+    options = BuildOptions(reading, "draft", 0, 0)
+    write_own_json(work / OPTIONS_NAME, options)
+    log = read_log(log_folder)
+    writers = _Writers(log, reading)
+    recipe_of = recipes(options)
+    for stage in STAGES:
+        write = getattr(writers, stage.name, writers.nothing)
+        make_artefact(work / stage.name, recipe_of[stage.name], write)
+
+
+@dataclass(frozen=True)
+class _Writers:
+    """Fill the folder of the stage of the same name with the store's own writers."""
+
+    log_: DrivingLog
+    reading: LogReading
+
+    def nothing(self, folder: Path) -> Iterable[str]:
+        (folder / "index.html").write_text("<html></html>")
+        return ()
+
+    def log(self, folder: Path) -> Iterable[str]:
+        write_log(folder, self.log_, self.reading)
+        return self.log_.notes
+
+    def masks(self, folder: Path) -> Iterable[str]:
+        for frame in self.log_.frames:
+            (folder / frame.camera_name).mkdir(exist_ok=True)
+            camera = self.log_.cameras[frame.camera_name]
+            matte = np.full((camera.height_px, camera.width_px), 200, np.uint8)
+            write_grey8(folder / frame.camera_name / f"{frame.stem}.png", matte)
+        return ()
+
+    def alignment(self, folder: Path) -> Iterable[str]:
+        ego = self.log_.ego
+        n = len(ego.times_ns)
+        small = np.full((n, 3), 1e-3)
+        path = PathCorrection(ego.times_ns, np.zeros(3), small, small)
+        cameras = {name: CameraCorrection(small[0], small[0], 1e-3) for name in self.log_.cameras}
+        actors = {a.actor_id: a.trajectory.matrices for a in self.log_.actors[:2]}
+        write_alignment(folder, Alignment(path, cameras, actors, numbers={"x": 1.0}, notes=("y",)))
+        return ()
+
+    def fields(self, folder: Path) -> Iterable[str]:
+        write_fields(folder, _fields())
+        return ()
+
+    def neural(self, folder: Path) -> Iterable[str]:
+        import torch
+
+        write_fields(folder, _fields())
+        write_weights(folder / FIELD_NAME, {"a": torch.ones(4, 3), "b.c": torch.zeros(7)})
+        write_own_json(folder / FIELD_CONFIG_NAME, draft())
+        journal = FolderJournal(folder)
+        journal.record({"step": 3.0, "loss": 0.5})
+        journal.save({"step": 5, "model": {"a": torch.ones(4, 3)}})
+        return ()
+
+    def geometry(self, folder: Path) -> Iterable[str]:
+        write_assets(folder, self._assets())
+        return ()
+
+    def assets(self, folder: Path) -> Iterable[str]:
+        write_assets(folder, self._assets())
+        write_mesh(folder / "inferred.npz", _mesh("world"))
+        return ()
+
+    def panorama(self, folder: Path) -> Iterable[str]:
+        radiance = np.full((16, 32, 3), 0.5, np.float32)
+        seen = np.ones((16, 32), bool)
+        write_panorama(folder, Panorama(radiance, seen, seen, ~seen))
+        return ()
+
+    def sky(self, folder: Path) -> Iterable[str]:
+        write_sky(folder, _sky())
+        return ()
+
+    def twin(self, folder: Path) -> Iterable[str]:
+        write_twin(folder, DigitalTwin(self.log_, self._assets(), _sky()), _mesh("world"))
+        return ()
+
+    def _assets(self) -> SceneAssets:
+        actors = {
+            a.actor_id: ActorAsset(a.actor_id, a.kind, _mesh("actor")) for a in self.log_.actors[:2]
+        }
+        gains = {name: np.array([1.0, 0.9, 1.1], np.float32) for name in self.log_.cameras}
+        return SceneAssets(_mesh("world"), actors, gains, ("a note",))
+
+
+def _fields() -> SceneFields:
+    def grid(frame: str) -> TsdfGrid:
+        values = np.linspace(-0.2, 0.2, 512, dtype=np.float32).reshape(1, 8, 8, 8)
+        corner = np.zeros((1, 3), np.int32)
+        return TsdfGrid(frame, np.zeros(3), 0.1, 0.3, corner, values, np.ones_like(values))
+
+    ground = GroundMap(np.zeros(2), 1.0, np.zeros((4, 4), np.float32), np.ones((4, 4), bool))
+    return SceneFields((grid("world"),), (50.0,), {"a": grid("actor")}, ground, np.zeros((2, 3)))
+
+
+def _mesh(frame: str) -> TriMesh:
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]], np.int32)
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
+    image = np.linspace(0, 1, 4 * 6 * 3, dtype=np.float32).reshape(4, 6, 3)
+    corner_uv = np.tile(np.array([[1, 1], [3, 1], [1, 3]], np.float32), (4, 1, 1))
+    return TriMesh(
+        frame,
+        vertices,
+        faces,
+        np.full((4, 3), 0.5, np.float32),
+        (Material(0.3, 0.4, "car paint"), Material(0.05, 0.0, "glass")),
+        np.array([0, 1, 1, 0], np.uint8),
+        Texture(image, corner_uv),
+        np.ones(4, np.float32),
+    )
+
+
+def _sky() -> SkyEstimate:
+    sun = Sun(np.array([0.0, 0.6, 0.8]), np.array([60.0, 50.0, 40.0], np.float32))
+    dome = add_sun(np.full((16, 32, 3), 0.25, np.float32), sun)
+    return SkyEstimate(
+        dome, 0.0, 53.13, "image", 3.0, 0.3, np.full(3, 0.7, np.float32), ("a note",)
+    )
