@@ -63,7 +63,9 @@ def read_mesh(path: Path, frame: str) -> TriMesh:
             arrays.get("confidence"),
         )
     except KeyError as error:
-        raise ArtefactError("an array of the mesh is missing", where=path, got=error) from error
+        raise ArtefactError(
+            "an array of the mesh is missing", where=path, got=error, remedy="Build again."
+        ) from error
 
 
 def write_assets(folder: Path, assets: SceneAssets) -> None:
