@@ -9,11 +9,30 @@ from pathlib import Path
 
 import pytest
 
+from lightsim import errors
+
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "lightsim"
 STAGES = {
     "align", "ingest", "reconstruct", "assets", "lighting", "assemble", "edit", "render",
     "relighting", "baselines", "video", "evaluate", "view",
 }  # fmt: skip
+ERRORS = {
+    name for name, kind in vars(errors).items()
+    if isinstance(kind, type) and issubclass(kind, errors.LightSimError)
+}  # fmt: skip
+HELPLESS_FOR_NOW = (
+    "ingest/files.py",
+    "ingest/pandaset.py",
+    "ingest/pandaset_cameras.py",
+    "ingest/pandaset_rig.py",
+    "ingest/pandaset_sweeps.py",
+    "ingest/pandaset_tracks.py",
+    "ingest/scale.py",
+    "store/exr.py",
+    "store/images.py",
+    "store/radiance.py",
+)
+"""Files whose errors do not all help yet; none may be added."""
 HEAVY = ("torch", "mitsuba", "bpy", "viser", "numba", "pandas", "av", "trimesh", "skimage")
 
 
@@ -76,3 +95,33 @@ def test_files_stay_short() -> None:
         if (count := len(path.read_text().splitlines())) > 400
     }
     assert not long
+
+
+def helpless_errors(source: str) -> list[int]:
+    """Lines that make an error of ours with neither `expected` nor `remedy`."""
+    lines = []
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, ast.Call):
+            continue
+        name = getattr(node.func, "id", None) or getattr(node.func, "attr", None)
+        given = {keyword.arg for keyword in node.keywords if not is_none(keyword.value)}
+        if name in ERRORS and not given & {"expected", "remedy"}:
+            lines.append(node.lineno)
+    return lines
+
+
+def is_none(value: ast.expr) -> bool:
+    return isinstance(value, ast.Constant) and value.value is None
+
+
+def test_errors_say_what_was_expected_or_what_to_do() -> None:
+    assert helpless_errors('raise InputError("a", where=x, got=y)\nraise error.at(path)') == [1]
+    assert helpless_errors('raise errors.InputError("a", remedy=None)') == [1]
+    assert not helpless_errors('raise ArtefactError("a", remedy="Build again.")')
+    helpless = [
+        f"{path.relative_to(PACKAGE)}:{line}"
+        for path in sorted(PACKAGE.rglob("*.py"))
+        if path.relative_to(PACKAGE).as_posix() not in HELPLESS_FOR_NOW
+        for line in helpless_errors(path.read_text())
+    ]
+    assert not helpless

@@ -63,6 +63,7 @@ from lightsim.store.images import read_hdr, read_srgb8
 from lightsim.workspace import Workspace
 
 LoadMask = Bool[np.ndarray, "h w"]
+_TRUTH_REMEDY = "Give the folder truth that lightsim synthesize wrote beside the log."
 
 
 def held_out_frames(
@@ -329,7 +330,7 @@ def base_colours_of(
         raise InputError(
             "no true base colour of a frame of the build",
             where=truth / "base_colour",
-            remedy="Give the folder truth that lightsim synthesize wrote beside the log.",
+            remedy=_TRUTH_REMEDY,
         )
     tasks = (_base_colour_task(truth, frames[p.parent.name, p.stem], log, meshes) for p in known)
     return score_base_colour(tasks, progress=progress)
@@ -359,7 +360,11 @@ def normal_error_deg(work: Path, truth: Path) -> float:
         cosine = (buffers.normal_world[valid] * true_normal[valid]).sum(axis=1)
         angles.append(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
     if not angles:
-        raise InputError("no true normals of a frame of the build", where=truth / "normal_world")
+        raise InputError(
+            "no true normals of a frame of the build",
+            where=truth / "normal_world",
+            remedy=_TRUTH_REMEDY,
+        )
     return float(np.median(np.concatenate(angles)))
 
 

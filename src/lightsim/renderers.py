@@ -88,7 +88,9 @@ class RendererChoice:
 
     def __post_init__(self) -> None:
         if self.rays is not None and self.rays < 1:
-            raise InputError("there must be rays", where="--rays", got=self.rays)
+            raise InputError(
+                "there must be rays", where="--rays", got=self.rays, expected="1 or more"
+            )
         if self.bounces is not None and not 1 <= self.bounces <= _MOST_BOUNCES:
             raise InputError(
                 "there is no such number of bounces",

@@ -23,6 +23,7 @@ from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.edit.timeline import replay
 from lightsim.errors import InputError
+from lightsim.lighting.target import FORMS
 from lightsim.progress import Progress
 from lightsim.renderers import Renderer, RendererChoice, TracedFrame, make_renderer
 from lightsim.scenarios import select_frames
@@ -118,7 +119,9 @@ class RenderOptions:
                 expected=f"some of {', '.join((*GEOMETRY, *LIGHT))}",
             )
         if self.needs_light and not self.skies:
-            raise InputError("light buffers need a sky", where="--sky")
+            raise InputError(
+                "light buffers need a sky", where="--sky", expected=f"{FORMS}, or an HDR file"
+            )
 
     @property
     def needs_light(self) -> bool:

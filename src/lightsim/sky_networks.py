@@ -55,7 +55,12 @@ def decoded_dome(
         InputError: the factor is not positive, the sun is below the horizon, or nothing was seen.
     """
     if not sun_factor > 0 or not np.isfinite(sun_factor):
-        raise InputError("the sun's factor must be positive", got=sun_factor)
+        raise InputError(
+            "the sun's factor must be positive",
+            where="--sun-factor",
+            got=sun_factor,
+            expected="a finite number above 0",
+        )
     ldr, exposure = _completed(panorama)
     said = _estimator().predict(ldr, panorama.is_seen, averages=True)
     upper = _estimator().decode(

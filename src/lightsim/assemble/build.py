@@ -24,7 +24,12 @@ def build_twin(log: DrivingLog, assets: SceneAssets, sky: SkyEstimate) -> Digita
         )
     missing = [name for name in log.cameras if name not in assets.camera_gains]
     if missing:
-        raise InputError("cameras have no gain", where=log.name, got=", ".join(missing))
+        raise InputError(
+            "cameras have no gain",
+            where=log.name,
+            got=f"none for {', '.join(missing)}",
+            expected="one for every camera of the log",
+        )
     meshes = [("background", assets.background, "world")]
     meshes += [(a.actor_id, a.mesh, "actor") for a in assets.actors.values()]
     for name, mesh, frame in meshes:
@@ -34,5 +39,10 @@ def build_twin(log: DrivingLog, assets: SceneAssets, sky: SkyEstimate) -> Digita
             )
         colour = mesh.base_colour
         if not np.isfinite(colour).all() or (colour < 0).any() or (colour > 1).any():
-            raise InputError("base colour must lie in [0, 1]", where=name)
+            raise InputError(
+                "the base colour is out of range",
+                where=name,
+                got=f"{colour.min():g} to {colour.max():g}",
+                expected="finite values in [0, 1]",
+            )
     return DigitalTwin(log, assets, sky)

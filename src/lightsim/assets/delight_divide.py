@@ -61,7 +61,11 @@ def base_colour_from_radiance(
             expected=len(mesh.vertices),
         )
     if not np.isfinite(irradiance_over_pi).all() or (irradiance_over_pi < 0).any():
-        raise InputError("the light of a mesh is negative or not finite")
+        raise InputError(
+            "the light of a mesh is negative or not finite",
+            got=f"{irradiance_over_pi.min():g} to {irradiance_over_pi.max():g}",
+            expected="finite values of 0 or more",
+        )
     if len(mesh.vertices) == 0:
         return mesh
     light = irradiance_over_pi.astype(np.float64)

@@ -47,7 +47,10 @@ class SurfaceLight:
     def __post_init__(self) -> None:
         parts = (self.sun, self.visibility, self.sky, self.bounce_of_sun, self.bounce_of_sky)
         if any(not np.isfinite(part).all() or (part < 0).any() for part in parts):
-            raise InputError("the light of a mesh is negative or not finite")
+            raise InputError(
+                "the light of a mesh is negative or not finite",
+                expected="finite values of 0 or more from sun, sky and other surfaces",
+            )
 
     def diffuse(self, scales: LightScales) -> Float64[np.ndarray, "n 3"]:
         """All light but the direct sun."""

@@ -27,6 +27,7 @@ class ActorTrack:
                 "the box size must be positive and finite",
                 where=f"actor '{self.actor_id}'",
                 got=self.size_lwh_m.tolist(),
+                expected="length, width and height in metres, each above 0",
             )
 
     def is_present(self, time_ns: int, hold_s: float = 0.1) -> bool:

@@ -27,9 +27,10 @@ class PinholeCamera:
         is_bad_size = self.width_px < 1 or self.height_px < 1
         if not np.isfinite(values).all() or self.fx <= 0 or self.fy <= 0 or is_bad_size:
             raise InputError(
-                "camera intrinsics must be finite, with positive size and focal lengths",
+                "the intrinsics are those of no pinhole camera",
                 where=f"camera '{self.name}'",
                 got=f"{self.width_px}x{self.height_px} px, fx fy cx cy {values.tolist()}",
+                expected="1x1 px or more, finite numbers, fx and fy above 0",
             )
 
     def scaled(self, scale: float) -> PinholeCamera:

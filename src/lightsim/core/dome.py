@@ -69,7 +69,11 @@ class SkyDome:
     def __post_init__(self) -> None:
         height, width = self.radiance.shape[:2]
         if width != 2 * height:
-            raise InputError("a sky dome must be twice as wide as high", got=f"{width}x{height} px")
+            raise InputError(
+                "a sky dome must be twice as wide as high",
+                got=f"{width}x{height} px",
+                expected=f"{2 * height}x{height} px",
+            )
         if not np.isfinite(self.radiance).all() or (self.radiance < 0).any():
             raise InputError(
                 "a sky dome has negative or non-finite radiance",

@@ -29,7 +29,12 @@ class RigidTransform:
         object.__setattr__(self, "matrix", matrix)
         name = f"{self.dst}_from_{self.src}"
         if not np.isfinite(matrix).all():
-            raise InputError("the transform is not finite", where=name, got=matrix.tolist())
+            raise InputError(
+                "the transform is not finite",
+                where=name,
+                got=matrix.tolist(),
+                expected="16 finite numbers",
+            )
         rotation = matrix[:3, :3]
         error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
         if error > _ORTHONORMAL_TOLERANCE or np.linalg.det(rotation) < 0:
@@ -40,7 +45,12 @@ class RigidTransform:
                 remedy="Normalise the quaternion or fix the calibration.",
             )
         if not np.allclose(matrix[3], [0, 0, 0, 1]):
-            raise InputError("the last row is not 0 0 0 1", where=name, got=matrix[3].tolist())
+            raise InputError(
+                "the last row of the transform is wrong",
+                where=name,
+                got=matrix[3].tolist(),
+                expected="0 0 0 1",
+            )
 
     @staticmethod
     def identity(dst: str, src: str) -> RigidTransform:
@@ -157,8 +167,13 @@ def matrices_from_quaternions(
         InputError: a quaternion is not finite or has zero length.
     """
     norm = np.linalg.norm(quaternions_wxyz, axis=1, keepdims=True)
-    if not np.isfinite(norm).all() or (norm < 1e-9).any():
-        raise InputError("a quaternion is not finite or has zero length")
+    is_bad = ~np.isfinite(norm[:, 0]) | (norm[:, 0] < 1e-9)
+    if is_bad.any():
+        raise InputError(
+            "a quaternion is not finite or has zero length",
+            got=quaternions_wxyz[is_bad][0].tolist(),
+            expected="finite (w, x, y, z) that are not all 0",
+        )
     w, x, y, z = (quaternions_wxyz / norm).T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -210,10 +225,18 @@ class Trajectory:
     matrices: Float[np.ndarray, "n 4 4"]
 
     def __post_init__(self) -> None:
+        name = f"{self.dst}_from_{self.src}"
         if len(self.times_ns) == 0:
-            raise InputError("a trajectory needs at least one pose")
-        if (np.diff(self.times_ns) <= 0).any():
-            raise InputError("the times of a trajectory must increase strictly")
+            raise InputError("the trajectory is empty", where=name, expected="one pose or more")
+        backward = np.flatnonzero(np.diff(self.times_ns) <= 0)
+        if len(backward):
+            first = int(backward[0])
+            raise InputError(
+                "the times of a trajectory must increase strictly",
+                where=name,
+                got=f"{self.times_ns[first + 1]} ns after {self.times_ns[first]} ns",
+                expected=f"each time once and in order ({len(backward)} are not)",
+            )
         for matrix in self.matrices:
             RigidTransform(self.dst, self.src, matrix)
 

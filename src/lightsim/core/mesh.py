@@ -86,15 +86,32 @@ class TriMesh:
     confidence: Float32[np.ndarray, " n"] | None = None
 
     def __post_init__(self) -> None:
-        if not np.isfinite(self.vertices).all():
-            raise InputError("a mesh vertex is not finite", where=f"mesh in '{self.frame}'")
+        where = f"mesh in '{self.frame}'"
+        is_finite = np.isfinite(self.vertices).all(axis=1)
+        if not is_finite.all():
+            raise InputError(
+                "a mesh vertex is not finite",
+                where=where,
+                got=f"{int((~is_finite).sum())} of {len(self.vertices)}",
+                expected="finite coordinates in metres",
+            )
         is_out = len(self.faces) and (
             self.faces.min() < 0 or self.faces.max() >= len(self.vertices)
         )
         if is_out:
-            raise InputError("a face names no vertex", where=f"mesh in '{self.frame}'")
+            raise InputError(
+                "a face names no vertex",
+                where=where,
+                got=f"vertex numbers {self.faces.min()} to {self.faces.max()}",
+                expected=f"numbers from 0 and below {len(self.vertices)}",
+            )
         if self.texture is not None and len(self.texture.corner_uv) != len(self.faces):
-            raise InputError("the texture has other faces", where=f"mesh in '{self.frame}'")
+            raise InputError(
+                "the texture has other faces",
+                where=where,
+                got=len(self.texture.corner_uv),
+                expected=len(self.faces),
+            )
 
     @property
     def material(self) -> Material:
@@ -148,9 +165,12 @@ def concatenate_meshes(meshes: list[TriMesh]) -> TriMesh:
     Textures are dropped (they belong to single meshes); confidence stays where all have it.
     """
     if not meshes:
-        raise InputError("no meshes to concatenate")
-    if len({mesh.frame for mesh in meshes}) > 1:
-        raise FrameMismatchError("meshes lie in several frames")
+        raise InputError("no meshes to concatenate", expected="one mesh or more")
+    frames = {mesh.frame for mesh in meshes}
+    if len(frames) > 1:
+        raise FrameMismatchError(
+            "meshes lie in several frames", got=", ".join(sorted(frames)), expected="one of them"
+        )
     offsets = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes[:-1]])
     materials = tuple(dict.fromkeys(m for mesh in meshes for m in mesh.materials))
     face_material = [_renumbered(mesh, materials) for mesh in meshes]

@@ -91,7 +91,11 @@ class BaseColourReport:
         for row in self.rows:
             if (row.method, row.region) == (method, region):
                 return row
-        raise InputError("no such row in the report", got=(method, region))
+        raise InputError(
+            "no such row in the report",
+            got=f"{method}, {region}",
+            expected="; ".join(f"{row.method}, {row.region}" for row in self.rows),
+        )
 
     def to_table(self) -> str:
         """Markdown."""
@@ -141,7 +145,10 @@ def score_base_colour(
         for method, load in task.load_by_method.items():
             parts.setdefault(method, []).append(_compare(task, load(), config))
     if not parts or all(len(part.upward) == 0 for part in next(iter(parts.values()))):
-        raise InputError("no pixel of the truth can be compared with the twin")
+        raise InputError(
+            "no pixel of the truth can be compared with the twin",
+            remedy="Give the truth of the log that the twin was built from.",
+        )
     rows = []
     for method, found in parts.items():
         pixels = _Pixels(

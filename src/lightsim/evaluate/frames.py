@@ -153,7 +153,9 @@ def score_frames(
         InputError: there is nothing to score, or an image has another size than its truth.
     """
     if not tasks:
-        raise InputError("there are no frames to score")
+        raise InputError(
+            "there are no frames to score", expected="one frame or more with its truth"
+        )
     progress = progress or SilentProgress()
     ordered = sorted(tasks, key=_sequence_key)
     rows: list[FrameRow] = []
@@ -253,7 +255,10 @@ def _load_prediction(
 ) -> Float32[np.ndarray, "h w 3"]:
     if method not in task.load_prediction_by_method:
         raise InputError(
-            f"a frame lacks method '{method}'", where=f"{task.camera_name}/{task.stem}"
+            f"a frame lacks method '{method}'",
+            where=f"{task.camera_name}/{task.stem}",
+            got=", ".join(task.load_prediction_by_method),
+            expected="the methods of the first frame of its camera",
         )
     image = task.load_prediction_by_method[method]()
     if image.shape != truth.shape:
@@ -302,7 +307,9 @@ def pair_folders(folders: Mapping[str, Path]) -> list[tuple[str, str, dict[str, 
 
 def _images_under(folder: Path) -> dict[tuple[str, str], Path]:
     if not folder.is_dir():
-        raise InputError("no such folder of frames", where=folder)
+        raise InputError(
+            "no such folder of frames", where=folder, expected="<camera>/<frame>.png or .jpg in it"
+        )
     suffixes = {".png", ".jpg", ".jpeg"}
     paths = sorted(p for p in folder.glob("*/*") if p.suffix.lower() in suffixes)
     return {(path.parent.name, path.stem): path for path in paths}

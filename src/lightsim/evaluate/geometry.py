@@ -174,7 +174,11 @@ def evaluate_lidar(
             found = np.minimum(found, nearer)
         beams.append(np.stack([distances, found, cosine], axis=1))
     if not beams:
-        raise InputError("no LiDAR return to compare with", got=f"{len(sweeps)} sweeps")
+        raise InputError(
+            "no LiDAR return to compare with",
+            got=f"{len(sweeps)} sweeps",
+            expected=f"returns {config.least_distance_m:g} to {config.largest_distance_m:g} m away",
+        )
     return _lidar_scores(np.concatenate(beams))
 
 
@@ -270,7 +274,12 @@ def _distances_m(
     if seen is not None and is_truth and len(points):
         points = points[seen.is_visible(points, mesh)]
     if not len(points):
-        raise InputError("no seen surface to compare", where=f"mesh in '{mesh.frame}'")
+        raise InputError(
+            "no seen surface to compare",
+            where="true mesh" if is_truth else "mesh of the twin",
+            expected=f"surface within {radius:g} m of a LiDAR return and in sight of the sensors",
+            remedy="Give the truth of the log that the twin was built from.",
+        )
     # The nearest triangle of the other surface may lie a little further out.
     support, faces = _sample_near(other, config.support_samples, seen, 3 * radius, rng)
     corners = other.vertices[other.faces].astype(np.float64)
@@ -322,7 +331,12 @@ def sample_surface(
     edges = corners[:, 1:] - corners[:, :1]
     area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     if not area.sum() > 0:
-        raise InputError("a mesh without area cannot be compared", where=mesh.frame)
+        raise InputError(
+            "a mesh without area cannot be sampled",
+            where=f"mesh in '{mesh.frame}'",
+            got=f"{len(mesh.faces)} faces",
+            expected="a face with an area above 0",
+        )
     faces = rng.choice(len(area), count, p=area / area.sum())
     u, v = rng.random((2, count))
     is_outside = u + v > 1

@@ -85,7 +85,11 @@ def evaluate_sky(
         InputError: no reference is given.
     """
     if truth is None and ephemeris_world is None and observed_sun_world is None:
-        raise InputError("there is no reference to compare the sky with")
+        raise InputError(
+            "there is no reference to compare the sky with",
+            remedy="Give --truth of a synthetic log; else the log needs GPS and a heading, or its "
+            "pictures the sun.",
+        )
     dome = estimate.dome
     measured = _compare_domes(dome, truth) if truth is not None else {}
     return SkyReport(

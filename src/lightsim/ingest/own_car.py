@@ -52,7 +52,7 @@ def find_own_car(
     """
     n, height, width = images.shape
     if n < 3:
-        raise InputError("the own car needs at least three pictures", got=n)
+        raise InputError("too few pictures to find the own car", got=n, expected="3 or more")
     top = min(height - 2, int(height * (1.0 - config.search_height)))
     outline = _outline(_standing_edges(images)[top:] - config.min_edge, config.max_step_px) + top
     is_car_column = outline < height - 1

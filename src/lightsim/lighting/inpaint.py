@@ -37,9 +37,16 @@ def complete_panorama(
     """
     height, width = ldr.shape[:2]
     if width != 2 * height:
-        raise InputError("a panorama must be twice as wide as high", got=f"{width}x{height} px")
+        raise InputError(
+            "a panorama must be twice as wide as high",
+            got=f"{width}x{height} px",
+            expected=f"{2 * height}x{height} px",
+        )
     if not is_seen.any():
-        raise InputError("nothing of the panorama was seen, so nothing continues it")
+        raise InputError(
+            "nothing of the panorama was seen, so nothing continues it",
+            expected="one seen pixel or more",
+        )
     if is_seen.all():
         return ldr.copy()
     small_height = SMOOTH_HEIGHT_PX if weights is None else int(weights["height_px"])

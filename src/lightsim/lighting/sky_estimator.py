@@ -100,6 +100,7 @@ class SkyEstimator:
             raise InputError(
                 "the sun of a sky dome must be above the horizon",
                 got=f"elevation {math.degrees(math.asin(max(-1.0, float(direction[2])))):.1f} deg",
+                expected="an elevation above 0 deg",
             )
         batch = self._tensors(ldr, seen)
         encoding = _encoding(prediction, prediction.latent if latent is None else latent)
@@ -117,6 +118,8 @@ class SkyEstimator:
             raise InputError(
                 "a panorama must be twice as wide as high, and of even height",
                 got=f"{width}x{height} px",
+                expected=f"for example {2 * self.network.config.height_px}x"
+                f"{self.network.config.height_px} px",
             )
         rows = self.network.config.height_px
         mask = np.ones((height, width), bool) if seen is None else seen

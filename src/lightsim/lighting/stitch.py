@@ -131,8 +131,10 @@ def stitch_panorama(
     missing = [name for name in log.cameras if name not in camera_gains]
     if not log.frames or missing or config.frame_count < 1:
         raise InputError(
-            "a panorama needs a moment with frames and a gain for every camera",
+            "a panorama cannot be stitched",
+            where=log.name,
             got=f"{config.frame_count} moments, {len(log.frames)} frames, no gain for {missing}",
+            expected="1 moment or more, 1 frame or more, and a gain for every camera",
         )
     stems = log.stems
     middle = stems[len(stems) // 2]

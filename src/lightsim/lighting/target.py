@@ -77,7 +77,11 @@ def target_sky(
 
 def _source_sky(source: SkyEstimate | None) -> tuple[SkyDome, str, dict[str, Any]]:
     if source is None:
-        raise InputError("the twin has no estimated sky", where="source")
+        raise InputError(
+            "there is no twin whose estimated sky this names",
+            where="source",
+            expected="sun:AZIMUTH,ELEVATION[,TURBIDITY] or an HDR file",
+        )
     facts: dict[str, Any] = {
         "azimuth_deg": source.sun_azimuth_deg,
         "elevation_deg": source.sun_elevation_deg,
@@ -131,6 +135,8 @@ def dome_from_array(radiance: Shaped[np.ndarray, "h w 3"], name: str = "the sky 
             "a sky must be an equirectangular image, twice as wide as high",
             where=name,
             got=f"{width}x{height} px",
+            expected="4 rows or more, for example 1024x512 px",
+            remedy="Convert light probes, cube maps or cropped panoramas to equirectangular.",
         )
     if not np.isfinite(radiance).all():
         raise InputError(
@@ -146,6 +152,8 @@ def dome_from_array(radiance: Shaped[np.ndarray, "h w 3"], name: str = "the sky 
             "the sky is black or has negative radiance",
             where=name,
             got=f"minimum {float(values.min()):g}, mean {mean:g}",
+            expected="values of 0 or more that are not all 0",
+            remedy="Export it again with its light, and clip it at zero.",
         )
     values = np.maximum(values, 0.0)
     rows = width // 2
@@ -176,12 +184,23 @@ def scale_to_source(
             )
         target, wanted = _level_luminance(dome), _level_luminance(source)
         if target <= 0 or wanted <= 0:
-            raise InputError("a sky without light cannot be matched", got=f"{target}, {wanted}")
+            raise InputError(
+                "a sky without light from above cannot be matched",
+                where="--sky-scale",
+                got=f"luminance {target:g} of the sky, {wanted:g} of the source",
+                expected="both above 0 on level ground",
+                remedy="Give --sky-scale none or a number.",
+            )
         factor = wanted / target
     else:
         factor = float(mode)
         if not np.isfinite(factor) or factor <= 0:
-            raise InputError("the sky's scale must be positive", got=mode)
+            raise InputError(
+                "the sky's scale must be positive",
+                where="--sky-scale",
+                got=mode,
+                expected="a finite number above 0",
+            )
     return dome.scaled(factor), factor
 
 

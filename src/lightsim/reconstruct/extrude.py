@@ -92,7 +92,9 @@ def infer_tall_structures(
         InputError: a matte does not fit its camera.
     """
     if background.frame != "world":
-        raise FrameMismatchError("the background must be in world", got=background.frame)
+        raise FrameMismatchError(
+            "the background lies in the wrong frame", got=background.frame, expected="world"
+        )
     if len(background.faces) == 0:
         return mesh_columns([], VoxelGrid(np.zeros(3), config.voxel_m, (1, 1, 1)))
     grid = VoxelGrid.around(background, config.voxel_m, config.max_height_m)

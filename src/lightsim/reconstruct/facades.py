@@ -119,7 +119,9 @@ def complete_facades(
         InputError: a matte does not fit its camera.
     """
     if background.frame != "world":
-        raise FrameMismatchError("the background must be in world", got=background.frame)
+        raise FrameMismatchError(
+            "the background lies in the wrong frame", got=background.frame, expected="world"
+        )
     walls = find_walls(background, config.walls)
     caster = make_caster([background])
     cells = [_measure(wall, caster, config) for wall in walls]

@@ -98,7 +98,9 @@ def build_far_field(
         InputError: a matte does not fit its camera.
     """
     if background.frame != "world":
-        raise FrameMismatchError("the background must be in world", got=background.frame)
+        raise FrameMismatchError(
+            "the background lies in the wrong frame", got=background.frame, expected="world"
+        )
     backdrop = _empty_backdrop(background, path_m, config)
     extended = _extend_ground(background, ground, path_m, backdrop, config, make_caster)
     caster = make_caster([background, extended])

@@ -98,7 +98,11 @@ def camera_rays(
         InputError: the log has no frame.
     """
     if not log.frames:
-        raise InputError("the log has no camera frame", where=log.name)
+        raise InputError(
+            "the log has no camera frame",
+            where=log.name,
+            remedy="The neural field needs pictures: choose other frames, or --neural-steps 0.",
+        )
     each = max(1, count // len(log.frames))
     pools = []
     for frame in progress.track(log.frames, "draw camera rays", len(log.frames)):
@@ -150,7 +154,11 @@ def lidar_rays(
         InputError: the log has no sweep.
     """
     if not log.sweeps:
-        raise InputError("the log has no LiDAR sweep", where=log.name)
+        raise InputError(
+            "the log has no LiDAR sweep",
+            where=log.name,
+            remedy="The neural field needs LiDAR: add the sweeps, or choose other frames.",
+        )
     each = max(1, count // len(log.sweeps))
     pools = []
     for lazy in progress.track(log.sweeps, "draw LiDAR rays", len(log.sweeps)):

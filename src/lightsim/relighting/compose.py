@@ -20,7 +20,16 @@ def camera_image(
         InputError: a gain is not positive, or the radiance is not finite.
     """
     if not np.isfinite(gain).all() or (gain <= 0).any():
-        raise InputError("a camera gain must be positive", got=gain.tolist())
-    if not np.isfinite(radiance).all():
-        raise InputError("the relit radiance is not finite")
+        raise InputError(
+            "a camera gain is out of range",
+            got=gain.tolist(),
+            expected="three finite numbers above 0",
+        )
+    is_finite = np.isfinite(radiance).all(axis=2)
+    if not is_finite.all():
+        raise InputError(
+            "the relit radiance is not finite",
+            got=f"{int((~is_finite).sum())} infinite or undefined pixels",
+            expected="none",
+        )
     return srgb8_from_linear(radiance * gain * np.float32(2.0**exposure_ev))

@@ -185,8 +185,9 @@ class Cycles:
         if "error" in reply:
             raise LightSimError(
                 "Blender failed",
-                where=request["do"],
-                got=reply["error"] + "\n" + self._last_words(),
+                where=f"{self.python}, at '{request['do']}'",
+                got=" ".join(f"{reply['error']} {self._last_words()}".split()),
+                remedy="Check its bpy (4.5) and the free memory, or choose another --renderer.",
             )
         return reply
 

@@ -36,8 +36,13 @@ def denoise(
         LightSimError: the library failed.
     """
     pyoidn = need("pyoidn", extra="denoise")
-    if not np.isfinite(image).all():
-        raise InputError("the image to denoise has infinite or undefined values")
+    is_finite = np.isfinite(image).all(axis=2)
+    if not is_finite.all():
+        raise InputError(
+            "the image to denoise has infinite or undefined values",
+            got=f"{int((~is_finite).sum())} such pixels",
+            expected="none",
+        )
     try:
         cleaned = pyoidn.denoise(
             np.ascontiguousarray(image),
@@ -47,5 +52,7 @@ def denoise(
             clean_aux=True,
         )
     except RuntimeError as error:
-        raise LightSimError("Open Image Denoise failed", got=str(error)) from error
+        raise LightSimError(
+            "Open Image Denoise failed", got=error, remedy="Render without --denoise."
+        ) from error
     return np.maximum(cleaned, 0).astype(np.float32)

@@ -133,8 +133,9 @@ def _rays(
         return view.pixel_rays(camera, uv)
     if (view.dst, view.src) != ("world", "camera"):
         raise FrameMismatchError(
-            "the camera pose must be world_from_camera",
+            "the camera pose joins the wrong frames",
             got=f"{view.dst}_from_{view.src}",
+            expected="world_from_camera",
         )
     directions = view.rotate(camera.directions(uv))
     return np.broadcast_to(view.translation_m, directions.shape).copy(), directions

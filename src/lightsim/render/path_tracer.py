@@ -232,7 +232,9 @@ def camera_pose(view: CameraFrame | RigidTransform) -> RigidTransform:
         return view.world_from_camera
     if (view.dst, view.src) != ("world", "camera"):
         raise FrameMismatchError(
-            "the camera pose must be world_from_camera", got=f"{view.dst}_from_{view.src}"
+            "the camera pose joins the wrong frames",
+            got=f"{view.dst}_from_{view.src}",
+            expected="world_from_camera",
         )
     return view
 

@@ -32,7 +32,10 @@ def save_arrays(path: Path, arrays: Mapping[str, Shaped[np.ndarray, "..."]]) -> 
     for name, array in arrays.items():
         if array.dtype.hasobject:
             raise InputError(
-                "an array of Python objects is not stored", where=path, got=f"'{name}'"
+                "an array of Python objects is not stored",
+                where=path,
+                got=f"'{name}'",
+                expected="numbers, or text of a fixed type",
             )
     with whole_file(path) as temporary, temporary.open("wb") as handle:
         np.savez(handle, allow_pickle=False, **dict(arrays))

@@ -51,14 +51,14 @@ def read_mesh(path: Path, frame: str) -> TriMesh:
     if "texture" in arrays:
         image = arrays.take("texture", "f2", "h w 3").astype(np.float32)
         if not image.size:
-            raise ArtefactError("the texture is empty", where=path)
+            raise ArtefactError("the texture is empty", where=path, remedy="Build again.")
         texture = Texture(image, arrays.take("corner_uv", "f4", "m 3 2"))
     materials = _materials(arrays)
     face_material = None
     if "face_material" in arrays:
         face_material = arrays.take("face_material", "u1", "m")
         if len(faces) and int(face_material.max()) >= len(materials):
-            raise ArtefactError("a face names no material", where=path)
+            raise ArtefactError("a face names no material", where=path, remedy="Build again.")
     confidence = arrays.take("confidence", "f4", "n") if "confidence" in arrays else None
     colour = arrays.take("base_colour", "f4", "n 3")
     return TriMesh(frame, vertices, faces, colour, materials, face_material, texture, confidence)
@@ -71,7 +71,7 @@ def _materials(arrays: ArrayFile) -> tuple[Material, ...]:
     if "material_name" in arrays:
         names = arrays.take("material_name", "U", "k").tolist()
     if not numbers:
-        raise ArtefactError("the mesh has no material", where=arrays.path)
+        raise ArtefactError("the mesh has no material", where=arrays.path, remedy="Build again.")
     return tuple(
         Material(float(roughness), float(metallic), str(name))
         for (roughness, metallic), name in zip(numbers, names, strict=True)

@@ -42,7 +42,9 @@ def write_glb(path: Path, mesh: TriMesh) -> None:
         InputError: the mesh has no face, or the folder does not exist.
     """
     if not len(mesh.faces):
-        raise InputError("a mesh without faces is not written", where=path)
+        raise InputError(
+            "a mesh without faces is not written", where=path, expected="one face or more"
+        )
     pieces = glb_pieces(mesh, _GLTF_FROM_Z_UP)
     with whole_file(path) as temporary, temporary.open("wb") as handle:
         handle.writelines(pieces)
@@ -75,7 +77,9 @@ def read_glb(path: Path, frame: str, texture_edge_m: float = 0.06) -> TriMesh:
             remedy=_REMEDY,
         ) from error
     except InputError as error:
-        raise InputError(error.what, where=path, remedy=_REMEDY) from error
+        raise InputError(
+            error.what, where=path, got=error.got, expected=error.expected, remedy=_REMEDY
+        ) from error
 
 
 def _foreign(primitives: list[Primitive], frame: str, texture_edge_m: float) -> TriMesh:

@@ -24,6 +24,8 @@ _MAX_PIXELS = 1 << 26
 """8192x8192; a frame is decoded whole."""
 _MAX_BYTES = 16 << 30
 """Frames are decoded one at a time: an hour of six 4k cameras side by side."""
+_MAX_FPS = 1000
+"""Far above any camera: more is a fault of the time stamps."""
 
 
 class Mp4Writer:
@@ -39,14 +41,20 @@ class Mp4Writer:
     """
 
     def __init__(self, path: Path, width: int, height: int, fps: float) -> None:
-        if min(width, height) < _MIN_SIDE_PX or not 0 < fps <= 1000:
+        if min(width, height) < _MIN_SIDE_PX or not 0 < fps <= _MAX_FPS:
             raise InputError(
-                "a video needs sides of 16 pixels or more and a positive frame rate",
+                "a video of this size or frame rate cannot be written",
                 where=path,
-                got=f"{width}x{height} px at {fps} frames a second",
+                got=f"{width}x{height} px at {fps:g} frames a second",
+                expected=f"sides of {_MIN_SIDE_PX} px or more, above 0 and up to {_MAX_FPS} "
+                "frames a second",
             )
         if not path.parent.is_dir():
-            raise InputError("the folder to write to does not exist", where=path.parent)
+            raise InputError(
+                "the folder to write to does not exist",
+                where=path.parent,
+                remedy="Create the folder first.",
+            )
         self._path = path
         self._size = (height, width)
         self._temporary = partial_name(path)

@@ -56,7 +56,11 @@ def prepare(command: TrainPrepare) -> None:
             expected="at least 2 and 1",
         )
     if not command.out.absolute().parent.is_dir():
-        raise InputError("the folder to write to does not exist", where=command.out.parent)
+        raise InputError(
+            "the folder to write to does not exist",
+            where=command.out.parent,
+            remedy="Create the folder first.",
+        )
     streets = StreetConfig(
         street_count=command.streets,
         test_count=max(1, command.streets // 5),

@@ -95,9 +95,16 @@ def read_split(path: Path) -> dict[str, SplitEntry]:
     for row in rows:
         entry = _entry(row, path)
         if entry.name in entries:
-            raise InputError("a name occurs twice", where=path, got=entry.name)
+            raise InputError(
+                "a name occurs twice", where=path, got=entry.name, expected="one line for a file"
+            )
         if entry.split != "out" and side.setdefault(entry.group, entry.split) != entry.split:
-            raise InputError("a group lies on both sides", where=path, got=entry.group)
+            raise InputError(
+                "a group lies on both sides",
+                where=path,
+                got=entry.group,
+                expected="all files of a group in train, or all in test",
+            )
         entries[entry.name] = entry
     return entries
 
@@ -135,7 +142,11 @@ def read_pool(
     """
     paths = sorted(p for p in folder.glob("*") if p.suffix.lower() in _SUFFIXES)
     if not paths:
-        raise InputError("no .hdr or .exr file is in the folder", where=folder)
+        raise InputError(
+            "no .hdr or .exr file is in the folder",
+            where=folder,
+            remedy="Give the folder of the panoramas as --hdri.",
+        )
     skies = []
     for path in (progress or SilentProgress()).track(paths, "measured skies"):
         entry = None if split is None else split.get(path.stem)

@@ -75,7 +75,12 @@ def prepare_cache(
     """
     height = config.height_px
     if height < 16 or height % 2:
-        raise InputError("the height must be even and at least 16", where="--height", got=height)
+        raise InputError(
+            "the height does not suit the networks",
+            where="--height",
+            got=height,
+            expected="an even number of 16 or more",
+        )
     progress = progress or SilentProgress()
     entries = None if split is None else read_split(split)
     skies = read_pool(hdri, entries, height, progress)

@@ -43,6 +43,8 @@ _SPEED_M_S = 13.0
 _GOLDEN = 0.5698402909980532
 """Second coordinate of the R2 sequence (Roberts 2018)."""
 _CLEARANCE_M = 0.9
+_PLACE_TRIES = 50
+"""Most places on the lanes are free: so many in a row without one mean a street that is full."""
 _STREETS_PER_FINISH = 4
 """Streets in a row that share textures, which take longer to make than the street."""
 _ROAD_M = (STREET_END_M - STREET_START_M, 2 * ROAD_HALF_M)
@@ -163,14 +165,19 @@ class ViewTracer:
     ) -> tuple[Float[np.ndarray, "3"], Hits]:
         """On either lane, at the height of roof cameras, and not inside another car."""
         rng = self._rng
-        for _ in range(50):
+        for _ in range(_PLACE_TRIES):
             side = float(rng.choice([-1.0, 1.0]))
             place = [rng.uniform(-35.0, 105.0), side * rng.uniform(1.0, 2.3), rng.uniform(1.5, 2.3)]
             eye = self._world_from_street.apply(np.array(place)[None])[0]
             hits = self._snapshot.intersect(np.broadcast_to(eye, directions.shape), directions)
             if float(hits.distance_m.min()) > _CLEARANCE_M:
                 return eye, hits
-        raise InputError("no free place for a camera was found in a street")
+        raise InputError(
+            "no free place for a camera was found in a street",
+            got=f"{_PLACE_TRIES} places in or near something",
+            expected=f"one with {_CLEARANCE_M} m of clearance",
+            remedy="Choose another --seed.",
+        )
 
     def _met(
         self,

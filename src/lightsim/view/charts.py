@@ -24,7 +24,11 @@ def bar_chart(value_by_name: Mapping[str, float], unit: str) -> str:
     """
     values = np.array(list(value_by_name.values()), dtype=np.float64)
     if not len(values) or not np.isfinite(values).all() or (values < 0).any():
-        raise InputError("a bar chart needs finite, non-negative values", got=dict(value_by_name))
+        raise InputError(
+            "a bar chart needs finite, non-negative values",
+            got=dict(value_by_name),
+            expected="one value of 0 or more, or several",
+        )
     left = 12 + 7 * max(len(name) for name in value_by_name)
     scale = (_WIDTH - left - 90) / max(float(values.max()), 1e-12)
     parts: list[str] = []
@@ -52,7 +56,11 @@ def line_chart(
     finite = [p[np.isfinite(p).all(axis=1)] for p in points_by_name.values()]
     everything = np.concatenate(finite) if finite else np.zeros((0, 2))
     if not len(everything):
-        raise InputError("a line chart needs a finite point", got=list(points_by_name))
+        raise InputError(
+            "a line chart needs a finite point",
+            got=f"none in {list(points_by_name)}",
+            expected="one or more with finite x and y",
+        )
     axes = _Axes(everything.min(axis=0), everything.max(axis=0))
     parts = [axes.frame(x_label, y_label)]
     for index, (name, points) in enumerate(points_by_name.items()):
@@ -81,7 +89,11 @@ def histogram(
     """
     finite = values[np.isfinite(values)].astype(np.float64)
     if not len(finite):
-        raise InputError("a histogram needs a finite value", got=len(values))
+        raise InputError(
+            "a histogram needs a finite value",
+            got=f"none among {len(values)} values",
+            expected="one or more",
+        )
     top = float(finite.max()) if limit is None else limit
     counts, edges = np.histogram(np.minimum(finite, top), bins=bins)
     share = counts / len(finite) * 100

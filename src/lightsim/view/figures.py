@@ -75,7 +75,11 @@ def strip(
     """
     heights = {picture.shape[0] for picture in pictures}
     if len(heights) != 1:
-        raise InputError("a strip needs pictures of one height", got=sorted(heights))
+        raise InputError(
+            "a strip needs pictures of one height",
+            got=f"heights {sorted(heights)} px",
+            expected="one or more pictures that share it",
+        )
     gap = np.full((heights.pop(), gap_px, 3), _GAP_GREY, dtype=np.uint8)
     parts = [part for picture in pictures for part in (picture, gap)]
     return np.concatenate(parts[:-1], axis=1)

@@ -120,7 +120,11 @@ def write_report(
         InputError: the folder does not exist.
     """
     if not path.parent.is_dir():
-        raise InputError("the folder to write to does not exist", where=path.parent)
+        raise InputError(
+            "the folder to write to does not exist",
+            where=path.parent,
+            remedy="Create the folder first.",
+        )
     page = render_report(title, sections, subtitle=subtitle, cards=cards)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:

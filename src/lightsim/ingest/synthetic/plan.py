@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from lightsim.core.checks import check_seed
 from lightsim.core.frames import RigidTransform
 from lightsim.core.solar import SolarPosition, solar_position
 from lightsim.errors import InputError
@@ -105,10 +106,9 @@ def plan_street(seed: int) -> StreetPlan:
     and facades show sunlit and shaded parts.
 
     Raises:
-        InputError: the seed is negative.
+        InputError: the seed is out of range.
     """
-    if seed < 0:
-        raise InputError("the seed must not be negative", where="seed", got=seed)
+    check_seed(seed)
     rng = np.random.default_rng([seed, 1])
     latitude, longitude = _PLACES[int(rng.integers(len(_PLACES)))]
     latitude += float(rng.uniform(-0.02, 0.02))
