@@ -97,7 +97,7 @@ def require_object(value: Any, where: object) -> dict[str, Any]:
         InputError: it is something else.
     """
     if not isinstance(value, dict):
-        raise InputError("not a JSON object", where=where, got=type(value).__name__)
+        raise InputError("not a JSON object", where=where, got=type(value).__name__, remedy=_BROKEN)
     return value
 
 
@@ -108,7 +108,9 @@ def require_list(value: Any, where: object) -> list[Any]:
         InputError: it is something else, or empty.
     """
     if not isinstance(value, list) or not value:
-        raise InputError("not a JSON array with entries", where=where, got=type(value).__name__)
+        raise InputError(
+            "not a JSON array with entries", where=where, got=type(value).__name__, remedy=_BROKEN
+        )
     return value
 
 
@@ -141,7 +143,7 @@ def require_number(value: Any, where: object) -> float:
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     is_finite = is_number and abs(value) <= 1e300
     if not is_finite:
-        raise InputError("not a finite number", where=where, got=str(value)[:40])
+        raise InputError("not a finite number", where=where, got=f"{value!r:.40}", remedy=_BROKEN)
     return float(value)
 
 
@@ -160,6 +162,7 @@ def read_times_ns(path: Path) -> Int64[np.ndarray, " n"]:
             "a time is no UTC second between 1980 and 2100",
             where=path,
             got=f"{seconds.min()} to {seconds.max()}",
+            remedy="Times are POSIX seconds, not milliseconds or counts.",
         )
     times_ns = np.round(seconds * 1e6).astype(np.int64) * 1000
     backwards = np.flatnonzero(np.diff(times_ns) <= 0)

@@ -213,6 +213,7 @@ def _read_actors(source: Path, ego: Trajectory, sweeps: _Sweeps) -> tuple[tuple,
             "boxes need the sweeps' times",
             where=source / "lidar" / "timestamps.json",
             got="no such file",
+            remedy="Copy it again from the original data set, or remove annotations/cuboids.",
         )
     notes: tuple[str, ...] = ()
     timing = ScanTiming.instantaneous()
@@ -252,6 +253,7 @@ def _read_gps(source: Path, start_ns: int) -> GpsTrack | None:
             "GPS fixes and times differ in number",
             where=path,
             got=f"{len(entries)} fixes, {len(times_ns)} times",
+            expected="one fix a time of meta/timestamps.json",
         )
     fixes = np.stack(
         [require_numbers(e, ("lat", "long"), f"{path}[{i}]") for i, e in enumerate(entries)]

@@ -27,6 +27,7 @@ from lightsim.ingest.files import (
     require_numbers,
     require_object,
 )
+from lightsim.ingest.layout import has_folder
 from lightsim.ingest.plausible import check_intrinsics, check_poses
 from lightsim.store.images import read_size, read_srgb8
 
@@ -73,6 +74,7 @@ def read_camera(folder: Path, readout_s: float) -> CameraFolder:
             "poses and times differ in number",
             where=folder / "poses.json",
             got=f"{len(matrices)} poses, {len(times_ns)} times",
+            expected="one pose a time",
         )
     trajectory = Trajectory("world", folder.name, times_ns, matrices)
     notes = check_poses(folder / "poses.json", trajectory)
@@ -161,7 +163,9 @@ def read_poses(path: Path) -> Float64[np.ndarray, "n 4 4"]:
         parts = require_object(entry, where)
         for key in ("position", "heading"):
             if key not in parts:
-                raise InputError(f"the pose has no '{key}'", where=where)
+                raise InputError(
+                    f"the pose has no '{key}'", where=where, expected="position and heading"
+                )
         matrices[i, :3, 3] = require_numbers(parts["position"], ("x", "y", "z"), where)
         quaternions[i] = require_numbers(parts["heading"], ("w", "x", "y", "z"), where)
         length = float(np.linalg.norm(quaternions[i]))
@@ -235,12 +239,6 @@ def _image_size(path: Path) -> tuple[int, int]:
             expected=f"at most {_MAX_ASPECT} to 1",
         )
     return size
-
-
-def _png_bits(path: Path) -> int:
-    """Bits of a channel: Pillow itself does not tell a 16-bit RGB from an 8-bit one."""
-    with path.open("rb") as file:
-        return file.read(_PNG_DEPTH_AT + 1)[_PNG_DEPTH_AT]
 
 
 def camera_times_ns(folders: Sequence[CameraFolder]) -> Int64[np.ndarray, " n"]:

@@ -192,7 +192,9 @@ def _parse_rig(path: Path) -> Rig:
     try:
         text = read_bytes(path, "calibration", _MAX_BYTES).decode()
     except UnicodeDecodeError as error:
-        raise InputError("the calibration is no text", where=path, got=error) from error
+        raise InputError(
+            "the calibration is no text", where=path, got=error, expected="YAML in UTF-8"
+        ) from error
     transforms: dict[str, RigidTransform] = {}
     readouts: dict[str, float] = {}
     for name, numbers in _sensors(text).items():
@@ -284,5 +286,7 @@ def _transform(
         return RigidTransform.from_quaternion(name, "pandar64", quaternion_wxyz, translation_m)
     except InputError as error:
         raise InputError(
-            f"the calibration of '{name}' is wrong: {error.what}", where=path
+            f"the calibration of '{name}' is wrong: {error.what}",
+            where=path,
+            expected="a rotation w, x, y, z of about unit length",
         ) from error

@@ -129,7 +129,10 @@ def _read_points(source: SweepSource) -> tuple[Table, Bool[np.ndarray, " n"]]:
     for name in _COLUMNS:
         if table[name].dtype.kind not in "fiu":
             raise InputError(
-                f"the column '{name}' holds no numbers", where=source.path, got=table[name].dtype
+                f"the column '{name}' holds no numbers",
+                where=source.path,
+                got=table[name].dtype,
+                expected=f"numbers in {', '.join(_COLUMNS)}",
             )
     n = len(table["x"])
     is_good = np.ones(n, dtype=bool)
@@ -211,6 +214,9 @@ def read_class_names(path: Path) -> dict[int, str]:
     names = require_object(read_json(path), path)
     if not all(key.isdigit() and isinstance(name, str) for key, name in names.items()):
         raise InputError(
-            "the class names are not a table of number: name", where=path, got=str(names)[:60]
+            "the class names are not a table of number: name",
+            where=path,
+            got=f"{names!r:.60}",
+            expected='such as {"1": "Smoke"}',
         )
     return {int(key): name for key, name in names.items()}

@@ -169,7 +169,12 @@ def _checked_numbers(
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
     for name in ("yaw", *_POSITION, *_DIMENSIONS):
         if table[name].dtype.kind not in "fiu":
-            raise InputError(f"the column '{name}' holds no numbers", where=path)
+            raise InputError(
+                f"the column '{name}' holds no numbers",
+                where=path,
+                got=table[name].dtype,
+                expected="numbers",
+            )
     centres = np.stack([table[name] for name in _POSITION], axis=1).astype(np.float64)
     sizes = np.stack([table[name] for name in _DIMENSIONS], axis=1).astype(np.float64)
     yaw = table["yaw"].astype(np.float64)
@@ -181,6 +186,7 @@ def _checked_numbers(
             "a box has no finite place and positive size",
             where=f"{path}, row {i} (uuid {table['uuid'][i]})",
             got=f"centre {centres[i].tolist()}, yaw {yaw[i]}, size {sizes[i].tolist()}",
+            remedy="Remove the row, or copy the file again from the original data set.",
         )
     return centres, yaw, sizes
 

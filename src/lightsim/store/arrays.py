@@ -15,6 +15,7 @@ from jaxtyping import Shaped
 
 from lightsim.errors import ArtefactError, InputError
 from lightsim.store.atomic import whole_file
+from lightsim.store.reading import open_regular
 
 _MAX_BYTES = 16 << 30
 """The fields of a street of 300 m take 2 GB; they are stored without compression."""
@@ -49,14 +50,10 @@ def load_arrays(path: Path) -> dict[str, Shaped[np.ndarray, "..."]]:
             unpacks to far more than it holds.
     """
     try:
-        require_regular(path)
-        if not zipfile.is_zipfile(path):
-            raise ValueError("it is no zip archive")
-        _check_members(path)
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except FileNotFoundError as error:
-        raise InputError("the file does not exist", where=path, remedy=_REMEDY) from error
+        with open_regular(path, "file of arrays", _MAX_BYTES) as handle:
+            _check_members(handle)
+            with np.load(handle, allow_pickle=False) as archive:
+                return {name: archive[name] for name in archive.files}
     except (
         OSError,
         ValueError,

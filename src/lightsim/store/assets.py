@@ -131,5 +131,10 @@ def read_gains(value: Entries) -> dict[str, Float32[np.ndarray, "3"]]:
     found = {name: gains.numbers(name, (3,)).astype(np.float32) for name in gains}
     for name, gain in found.items():
         if not (gain > 0).all():
-            raise ArtefactError("a camera's gain is not positive", where=name, got=gain.tolist())
+            raise ArtefactError(
+                "a camera's gain is not positive",
+                where=name,
+                got=gain.tolist(),
+                remedy="Build again.",
+            )
     return found

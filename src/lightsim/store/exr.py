@@ -81,7 +81,10 @@ def write_exr(
     """
     if array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,)) or not array.size:
         raise InputError(
-            "an EXR picture must be [h, w] or [h, w, 3]", where=path, got=list(array.shape)
+            "the array is no EXR picture",
+            where=path,
+            got=list(array.shape),
+            expected="[h, w] or [h, w, 3]",
         )
     if half and (np.abs(array[np.isfinite(array)]) > _HALF_MAX).any():
         raise InputError(

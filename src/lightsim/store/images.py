@@ -147,7 +147,9 @@ def write_hdr(path: Path, rgb: Float[np.ndarray, "h w 3"]) -> None:
     try:
         data = encode_radiance(rgb)
     except ValueError as error:
-        raise InputError("cannot write this picture", where=path, got=error) from error
+        raise InputError(
+            "cannot write this picture", where=path, got=error, expected="finite values from 0 up"
+        ) from error
     with whole_file(path) as temporary:
         temporary.write_bytes(data)
 
@@ -369,6 +371,11 @@ def _write_pil(path: Path, pixels: UInt8[np.ndarray, "h w *c"], kind: str, **opt
     from PIL import Image
 
     if not pixels.size or (pixels.ndim == 3 and pixels.shape[2] not in (3, 4)):
-        raise InputError("not a picture", where=path, got=f"an array {list(pixels.shape)}")
+        raise InputError(
+            "not a picture",
+            where=path,
+            got=f"an array {list(pixels.shape)}",
+            expected="[h, w], [h, w, 3] or [h, w, 4], not empty",
+        )
     with whole_file(path) as temporary, temporary.open("wb") as handle:
         Image.fromarray(np.ascontiguousarray(pixels)).save(handle, format=kind, **options)
