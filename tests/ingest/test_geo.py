@@ -92,6 +92,7 @@ def test_a_given_heading_is_the_azimuth_of_world_x(
     assert azimuth_elevation(x_enu).azimuth_deg == pytest.approx(heading_deg, abs=1e-9)
 
 
-def test_a_heading_must_be_an_azimuth() -> None:
+@pytest.mark.parametrize("heading_deg", [float("nan"), float("inf"), float("-inf"), 361.0])
+def test_a_heading_must_be_an_azimuth(heading_deg: float) -> None:
     with pytest.raises(InputError, match="--heading-deg"):
-        check_heading(float("nan"))
+        check_heading(heading_deg)

@@ -111,6 +111,12 @@ def rename_camera(name: str) -> Break:
     return lambda log: (log / "camera/back_camera").rename(log / "camera" / name) and None
 
 
+def long_tram(log: Path) -> None:
+    for i in range(3):
+        table = {**cuboid_columns(START_S + 0.1 * i), "dimensions.y": [45.0, 4.2, 4.2]}
+        write_frame(log / f"annotations/cuboids/{i:02d}.pkl.gz", table)
+
+
 def far_sweep(log: Path) -> None:
     table = sweep_columns(START_S)
     table["x"] = table["x"] + 10_000.0
@@ -251,16 +257,7 @@ NOTED: list[tuple[str, Break, str]] = [
     ),
     (
         "a long tram",
-        lambda log: (
-            [
-                write_frame(
-                    log / f"annotations/cuboids/{i:02d}.pkl.gz",
-                    {**cuboid_columns(START_S + 0.1 * i), "dimensions.y": [45.0, 4.2, 4.2]},
-                )
-                for i in range(3)
-            ]
-            and None
-        ),
+        long_tram,
         "actor parked (car) is 45 m long",
     ),
     (
