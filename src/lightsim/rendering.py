@@ -120,7 +120,7 @@ class RenderOptions:
             )
         if self.needs_light and not self.skies:
             raise InputError(
-                "light buffers need a sky", where="--sky", expected=f"{FORMS}, or an HDR file"
+                "light buffers need a sky", where="--sky", expected=f"an HDR file, {FORMS}"
             )
 
     @property

@@ -235,7 +235,7 @@ class Trajectory:
                 "the times of a trajectory must increase strictly",
                 where=name,
                 got=f"{self.times_ns[first + 1]} ns after {self.times_ns[first]} ns",
-                expected=f"each time once and in order ({len(backward)} are not)",
+                expected="each time once, in order",
             )
         for matrix in self.matrices:
             RigidTransform(self.dst, self.src, matrix)

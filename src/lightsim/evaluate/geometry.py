@@ -334,8 +334,8 @@ def sample_surface(
         raise InputError(
             "a mesh without area cannot be sampled",
             where=f"mesh in '{mesh.frame}'",
-            got=f"{len(mesh.faces)} faces",
-            expected="a face with an area above 0",
+            got=f"{area.sum():g} m2 in {len(mesh.faces)} faces",
+            expected="an area above 0 m2",
         )
     faces = rng.choice(len(area), count, p=area / area.sum())
     u, v = rng.random((2, count))
