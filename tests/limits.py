@@ -16,8 +16,11 @@ resource.setrlimit(resource.RLIMIT_CPU, ({cpu_s}, {cpu_s} + 1))
 resource.setrlimit(resource.RLIMIT_AS, ({memory_mb} << 20, {memory_mb} << 20))
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 def _say_peak():
+    # ru_maxrss would count the parent, whose memory the child shares until it runs Python.
+    with open("/proc/self/status") as status:
+        peak_kb = next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
     usage = resource.getrusage(resource.RUSAGE_SELF)
-    print("LIMITS", usage.ru_maxrss // 1024, usage.ru_utime + usage.ru_stime, file=sys.stderr)
+    print("LIMITS", peak_kb // 1024, usage.ru_utime + usage.ru_stime, file=sys.stderr)
 atexit.register(_say_peak)
 """
 

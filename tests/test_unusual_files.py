@@ -99,3 +99,20 @@ def test_calibrations_take_time_in_proportion_to_their_length(tmp_path: Path) ->
     assert "translation is incomplete" in lines[2]
     assert "names no sensor" in lines[3]
     assert lines[4] == "['front_camera']"
+
+
+SIBLINGS = """
+import numpy as np
+from lightsim.ingest.pandaset_tracks import _Box, _owners
+place, names = np.zeros(3), [f"{i:06d}" for i in range(60_000)]
+chain = [
+    _Box(0, uuid, sibling, 0, "Car", place, 0.0, place, False)
+    for uuid, sibling in zip(names, [*names[1:], names[-1]])
+]
+print(set(_owners([chain[::-1]]).values()))
+"""
+
+
+def test_a_chain_of_siblings_takes_time_in_proportion_to_its_length() -> None:
+    finished = run_limited(SIBLINGS, cpu_s=20, memory_mb=2000)
+    assert finished.output.strip() == "{'000000'}"

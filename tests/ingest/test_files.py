@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lightsim.errors import InputError, LightSimError
+from lightsim.ingest import files
 from lightsim.ingest.files import read_gzip, read_json, read_times_ns, require_numbers
 from lightsim.ingest.pandaset_cameras import read_poses
 from lightsim.ingest.selection import FrameSelection
@@ -66,6 +69,26 @@ def test_extreme_json_raises_our_error(tmp_path: Path, text: str | bytes) -> Non
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(InputError, match=r"extreme\.json"):
         require_numbers(read_json(path), ("a",), path)
+
+
+def test_gzip_members_and_padding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.gz"
+    parts = [bytes(300_000), b"", np.random.default_rng(0).bytes(200_000), b"end"]
+    path.write_bytes(b"".join(map(gzip.compress, parts)) + bytes(1000))
+    assert read_gzip(path, 500_003) == b"".join(parts)
+    with pytest.raises(InputError, match="decompresses to more"):
+        read_gzip(path, 500_002)
+    monkeypatch.setattr(files, "_MAX_MEMBERS", 3)
+    with pytest.raises(InputError, match="in 3 gzip members"):
+        read_gzip(path, 500_003)
+
+
+def test_json_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.json"
+    path.write_text("[1, 2]")
+    monkeypatch.setattr(files, "MAX_JSON_BYTES", 5)
+    with pytest.raises(InputError, match=r"a\.json: this JSON file is too large"):
+        read_json(path)
 
 
 def test_times_keep_microseconds(tmp_path: Path) -> None:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float32
 
+from lightsim.core.frames import RigidTransform
+from lightsim.core.sensors import CameraFrame
 from lightsim.ingest.own_car import OwnCarConfig, find_own_car
+from lightsim.ingest.pandaset import _small_grey
 
 H, W = 90, 160
 
@@ -40,3 +43,12 @@ def test_a_kerb_along_the_motion_is_no_own_car(rng: np.random.Generator) -> None
     images = pictures(rng, has_car=False)
     images[:, 70:73] = 250.0
     assert not find_own_car(images, OwnCarConfig()).any()
+
+
+def test_narrow_pictures_are_not_enlarged() -> None:
+    """They grew to 480 columns, and in height as much: 2x12000 pixels to five gigabytes."""
+    pose = RigidTransform("world", "camera", np.eye(4))
+    tall = np.zeros((320, 40, 3), dtype=np.uint8)
+    assert _small_grey(CameraFrame("a", "0", 0, pose, lambda: tall)).shape == (320, 40)
+    wide = np.zeros((540, 960, 3), dtype=np.uint8)
+    assert _small_grey(CameraFrame("a", "0", 0, pose, lambda: wide)).shape == (270, 480)

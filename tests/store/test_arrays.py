@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lightsim.errors import InputError
+from lightsim.store import arrays as arrays_file
 from lightsim.store.arrays import load_arrays, save_arrays
 
 
@@ -32,6 +33,16 @@ def test_objects_and_pickles_are_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "pickled.npz", o=objects, allow_pickle=True)
     with pytest.raises(InputError, match=r"pickled\.npz"):
         load_arrays(tmp_path / "pickled.npz")
+
+
+def test_archives_that_unpack_to_far_more_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    np.savez_compressed(tmp_path / "a.npz", a=np.zeros(10_000))
+    assert len(load_arrays(tmp_path / "a.npz")["a"]) == 10_000
+    monkeypatch.setattr(arrays_file, "_MAX_INFLATED_BYTES", 10_000)
+    with pytest.raises(InputError, match=r"a\.npz.*claims to hold 0 and, compressed, 80128 bytes"):
+        load_arrays(tmp_path / "a.npz")
 
 
 def test_broken_files(tmp_path: Path) -> None:

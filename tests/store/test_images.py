@@ -14,7 +14,8 @@ from PIL import Image
 
 from lightsim.core.dome import SkyDome
 from lightsim.errors import InputError
-from lightsim.store import images, radiance
+from lightsim.store import exr, images, radiance
+from limits import run_limited
 
 FUZZ = settings(
     max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
@@ -152,6 +153,76 @@ def test_bad_skies(tmp_path: Path, hdr: np.ndarray, change, message: str) -> Non
     images.write_exr(tmp_path / "bad.exr", change(hdr).astype(np.float32))
     with pytest.raises(InputError, match=f"(?s)bad.exr.*{message}"):
         images.read_sky(tmp_path / "bad.exr")
+
+
+@pytest.mark.parametrize("name", ["a.hdr", "flat.hdr", "a.exr"])
+def test_large_skies_are_averaged_over_squares(
+    tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    picture = rng.lognormal(0, 1, (30, 60, 3)).astype(np.float32)
+    path = tmp_path / name
+    if name == "a.exr":
+        images.write_exr(path, picture)
+    else:
+        images.write_hdr(path, picture)
+    if name == "flat.hdr":
+        head = b"#?RADIANCE\n\n-Y 30 +X 60\n"
+        path.write_bytes(head + radiance._codes_from_rgb(picture.astype(np.float64)).tobytes())
+    whole = images.read_hdr(path)
+    monkeypatch.setattr(images, "_MAX_SKY_ROWS", 8)
+    monkeypatch.setattr(radiance, "_BLOCK_PIXELS", 900)
+    sky = images.read_sky(path)
+    expected = whole.reshape(6, 5, 12, 5, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(sky.radiance, expected, rtol=1e-5)
+    assert sky.notes == ("reduced from 60x30 to 12x6 px",)
+    np.testing.assert_array_equal(images.read_hdr(path), whole)
+
+
+READ_SKY = """
+from pathlib import Path
+from lightsim.store.images import read_sky
+print(read_sky(Path(sys.argv[1])).radiance.mean())
+"""
+
+
+def test_a_large_panorama_takes_little_more_than_its_file_and_its_result(tmp_path: Path) -> None:
+    """8192x4096 px, run-length coded; whole as floats it takes 400 MB, and took 1.7 GB."""
+    runs = b"".join(bytes([128 + min(127, 8192 - i), 129]) for i in range(0, 8192, 127))
+    row = bytes([2, 2, 8192 >> 8, 0]) + 4 * runs
+    path = tmp_path / "large.hdr"
+    path.write_bytes(b"#?RADIANCE\n\n-Y 4096 +X 8192\n" + 4096 * row)
+    finished = run_limited(READ_SKY, path, cpu_s=20, memory_mb=1000)
+    assert float(finished.output) == pytest.approx(129 / 128, rel=1e-5)
+    assert finished.peak_mb < 500
+
+
+def test_sizes_are_refused_by_their_headers(
+    tmp_path: Path, hdr: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grey = _grey_png(tmp_path)
+    images.write_exr(tmp_path / "a.exr", hdr)
+    images.write_hdr(tmp_path / "a.hdr", hdr)
+    assert images.read_size(grey) == (8, 4)
+    monkeypatch.setattr(images, "_MAX_PIXELS", 31)
+    monkeypatch.setattr(exr, "_MAX_VALUES", 3 * 16 * 32 - 1)
+    monkeypatch.setattr(radiance, "_MAX_PIXELS", 16 * 32 - 1)
+    for read, path, message in (
+        (images.read_size, grey, "8x4 px, more than 31"),
+        (images.read_srgb8, grey, "8x4 px, more than 31"),
+        (images.read_sky, tmp_path / "a.exr", "32x16 px in 3 channels is out of range"),
+        (images.read_sky, tmp_path / "a.hdr", "32x16 px is out of range"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read(path)
+
+
+def test_repeat_marks_stand_for_no_more_than_the_picture(tmp_path: Path) -> None:
+    """A few marks of the first generation claimed gigabytes."""
+    head = b"#?RADIANCE\n\n-Y 64 +X 128\n"
+    pixels = bytes([128, 64, 32, 129] + [1, 1, 1, 255] * 3) * 4
+    (tmp_path / "a.hdr").write_bytes(head + pixels)
+    with pytest.raises(InputError, match="do not add up"):
+        images.read_hdr(tmp_path / "a.hdr")
 
 
 def test_wrong_kinds_and_missing_files(tmp_path: Path) -> None:
