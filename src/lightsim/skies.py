@@ -14,6 +14,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.log import GeoReference
 from lightsim.core.twin import SkyEstimate
 from lightsim.errors import InputError
+from lightsim.ingest.geo import check_heading
 from lightsim.lighting.sun import SunDirection, sun_from_geo
 from lightsim.lighting.target import dome_from_array, parse_time, scale_to_source, target_sky
 from lightsim.store.artefact import fingerprint
@@ -105,6 +106,7 @@ def sun_of_command(
             "the sun needs all of --time, --latitude, --longitude and --heading-deg",
             remedy="Give all four, or none to find the sun in the picture.",
         )
+    check_heading(heading_deg)
     time_ns = parse_time(f"time:{time}")
     yaw_rad = np.radians(90.0 - heading_deg)
     enu_from_world = RigidTransform.from_yaw("enu", "world", float(yaw_rad), np.zeros(3))
