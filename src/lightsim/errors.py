@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+_MAX_SHOWN = 500
+"""Characters of each part of a message: a path and a sentence."""
+
 
 class LightSimError(Exception):
     """Base of every error a user can cause or mend.
@@ -46,8 +49,15 @@ class LightSimError(Exception):
             parts.append(f"got {self.got}")
         if self.expected is not None:
             parts.append(f"expected {self.expected}")
-        head = ", ".join(parts) + "."
+        head = ", ".join(_shown(part) for part in parts) + "."
         return f"{head} {self.remedy}" if self.remedy else head
+
+
+def _shown(text: str) -> str:
+    """One line of bounded length: files and options may hold line ends, or what steers a
+    terminal."""
+    line = "".join(c if c.isprintable() else " " for c in text[: _MAX_SHOWN + 1])
+    return line if len(line) <= _MAX_SHOWN else line[:_MAX_SHOWN] + "..."
 
 
 class InputError(LightSimError):

@@ -118,7 +118,7 @@ def sun_of_command(
             remedy="Give all four, or none to find the sun in the picture.",
         )
     check_number("--latitude", latitude_deg, -90.0, 90.0)
-    check_number("--longitude", longitude_deg, -180.0, 360.0)
+    check_number("--longitude", longitude_deg, -180.0, 180.0)
     check_number("--heading-deg", heading_deg, -360.0, 360.0)
     time_ns = parse_time(f"time:{time}")
     yaw_rad = np.radians(90.0 - heading_deg)

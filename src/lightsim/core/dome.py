@@ -22,6 +22,8 @@ from lightsim.errors import InputError
 
 SOLAR_RADIUS_DEG = 0.265
 """Mean angular radius of the solar disc."""
+MAX_RADIANCE = 1e15
+"""Squares, summed over all pixels of a large dome, stay within float32; suns reach 1e10."""
 _SUN_REGION_DEG = 4.0
 _WHOLE_COLUMN = 1e-6
 """Turning by a number of columns this close to a whole one interpolates nothing."""
@@ -60,7 +62,8 @@ class SkyDome:
         sun: direction and irradiance of the sun that the image contains, if any.
 
     Raises:
-        InputError: the image is not (h, 2h, 3), or has negative or non-finite values.
+        InputError: the image is not (h, 2h, 3) with h >= 2, or has negative or non-finite values
+            or such beyond MAX_RADIANCE.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]
@@ -68,7 +71,7 @@ class SkyDome:
 
     def __post_init__(self) -> None:
         height, width = self.radiance.shape[:2]
-        if width != 2 * height:
+        if width != 2 * height or height < 2:
             raise InputError(
                 "a sky dome must be twice as wide as high",
                 got=f"{width}x{height} px",
@@ -79,6 +82,7 @@ class SkyDome:
                 "a sky dome has negative or non-finite radiance",
                 remedy="Clip it at zero and replace infinities before use.",
             )
+        _require_in_range(float(self.radiance.max()))
 
     @property
     def height_px(self) -> int:
@@ -98,8 +102,15 @@ class SkyDome:
         return irradiance(lifted.rest, normal_world) + lifted.energy * cosine
 
     def scaled(self, factor: ArrayLike | float) -> SkyDome:
-        """Radiance and sun times a number or an RGB factor."""
-        rgb = np.broadcast_to(np.asarray(factor, dtype=np.float32), (3,))
+        """Radiance and sun times a number or an RGB factor.
+
+        Raises:
+            InputError: the product exceeds MAX_RADIANCE.
+        """
+        exact = np.broadcast_to(np.asarray(factor, dtype=np.float64), (3,))
+        _require_in_range(float(self.radiance.max()) * float(exact.max()))
+        _require_in_range(float(exact.max()))
+        rgb = exact.astype(np.float32)
         sun = self.sun and Sun(
             self.sun.direction_world,
             (self.sun.irradiance * rgb).astype(np.float32),
@@ -112,7 +123,17 @@ class SkyDome:
 
         Between whole columns the sky is interpolated. A known sun is not: it is taken out and put
         into the pixels that its disc covers at the new azimuth.
+
+        Raises:
+            InputError: the angle is not finite.
         """
+        if not np.isfinite(yaw_deg):
+            raise InputError(
+                "the sky cannot be turned by this angle",
+                got=f"{yaw_deg} degrees",
+                expected="a finite number",
+            )
+        yaw_deg = float(np.fmod(yaw_deg, 360.0))
         shift = -yaw_deg / 360.0 * self.radiance.shape[1]
         if abs(shift - round(shift)) < _WHOLE_COLUMN:
             rolled = np.roll(self.radiance, round(shift), axis=1)
@@ -129,6 +150,16 @@ class SkyDome:
 
     def look_up(self, directions_world: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
         return sample_bilinear(self.radiance, directions_world)
+
+
+def _require_in_range(largest: float) -> None:
+    if not largest <= MAX_RADIANCE:
+        raise InputError(
+            "the sky is too bright",
+            got=f"a radiance or scale of {largest:g}",
+            expected=f"at most {MAX_RADIANCE:g}",
+            remedy="Scale it down, or find the broken pixels.",
+        )
 
 
 def irradiance(

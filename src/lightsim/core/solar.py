@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from lightsim.core.frames import RigidTransform
+from lightsim.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,17 @@ class SolarPosition:
 
 
 def solar_position(latitude_deg: float, longitude_deg: float, time_ns: int) -> SolarPosition:
-    """NREL's SPA (Reda & Andreas 2004, doi:10.1016/j.solener.2003.12.003) through pvlib."""
+    """NREL's SPA (Reda & Andreas 2004, doi:10.1016/j.solener.2003.12.003) through pvlib.
+
+    Raises:
+        InputError: the place is none on Earth.
+    """
+    if not (abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 360.0):
+        raise InputError(
+            "the place is none on Earth",
+            got=f"latitude {latitude_deg}, longitude {longitude_deg} degrees",
+            expected="-90 to 90, and -360 to 360",
+        )
     import pandas as pd
     from pvlib.solarposition import get_solarposition
 

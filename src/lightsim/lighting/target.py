@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any, Literal
 
@@ -19,6 +20,8 @@ from lightsim.lighting.clear_sky import clear_sky
 
 FORMS = "sun:AZIMUTH,ELEVATION[,TURBIDITY], time:ISO (such as 2019-05-11T01:59:16Z) or source"
 _DEFAULT_TURBIDITY = 3.0
+_YEARS = (1900, 2200)
+"""Where the ephemeris is exact and times fit into nanoseconds."""
 _NEGATIVE_TOLERANCE = 1e-3
 """Negative radiance down to this share of the mean is filter ringing and is clipped."""
 
@@ -111,13 +114,24 @@ def _parse_sun(spec: str) -> tuple[float, float, float]:
 
 
 def parse_time(spec: str) -> int:
-    """Nanoseconds UTC of time:ISO; a time without an offset is UTC."""
+    """Nanoseconds UTC of time:ISO; a time without an offset is UTC.
+
+    Raises:
+        InputError: it is no ISO 8601 time of the years 1900 to 2199.
+    """
     try:
         moment = datetime.fromisoformat(spec.removeprefix("time:"))
     except ValueError as error:
         raise InputError("the time cannot be read", where=spec, expected=FORMS) from error
     if moment.tzinfo is None:
         moment = moment.replace(tzinfo=UTC)
+    if not _YEARS[0] <= moment.year < _YEARS[1]:
+        raise InputError(
+            "the time is out of range",
+            where=spec,
+            got=f"the year {moment.year}",
+            expected=f"{_YEARS[0]} to {_YEARS[1] - 1}",
+        )
     return round(moment.timestamp() * 1e6) * 1000
 
 
@@ -159,7 +173,11 @@ def dome_from_array(radiance: Shaped[np.ndarray, "h w 3"], name: str = "the sky 
     rows = width // 2
     if (rows, 2 * rows) != (height, width):
         values = resize_area(values, rows, 2 * rows)
-    return SkyDome(values, find_sun(values))
+    try:
+        dome = SkyDome(values, None)
+    except InputError as error:
+        raise error.at(name) from error
+    return replace(dome, sun=find_sun(values))
 
 
 def scale_to_source(

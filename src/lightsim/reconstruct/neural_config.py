@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from lightsim.errors import ArtefactError
 from lightsim.reconstruct.hash_grid_spec import HashGridSpec
 
 
@@ -90,14 +91,19 @@ def config_from_json(value: Mapping[str, Any]) -> NeuralConfig:
     """Inverse of `dataclasses.asdict`.
 
     Raises:
-        KeyError, TypeError: fields are missing or unknown.
+        ArtefactError: fields are missing or unknown.
     """
-    nested = {
-        "background_grid": HashGridSpec(**value["background_grid"]),
-        "actor_grid": HashGridSpec(**value["actor_grid"]),
-        "weights": LossWeights(**value["weights"]),
-    }
-    return NeuralConfig(**{**value, **nested})
+    try:
+        nested = {
+            "background_grid": HashGridSpec(**value["background_grid"]),
+            "actor_grid": HashGridSpec(**value["actor_grid"]),
+            "weights": LossWeights(**value["weights"]),
+        }
+        return NeuralConfig(**{**value, **nested})
+    except (KeyError, TypeError) as error:
+        raise ArtefactError(
+            "the settings of the neural field are broken", got=error, remedy="Build again."
+        ) from error
 
 
 def draft() -> NeuralConfig:

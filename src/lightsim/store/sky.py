@@ -9,7 +9,7 @@ import numpy as np
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.dome import SkyDome, Sun
 from lightsim.core.twin import Panorama, SkyEstimate
-from lightsim.errors import ArtefactError
+from lightsim.errors import ArtefactError, InputError
 from lightsim.store.arrays import ArrayFile, save_arrays
 from lightsim.store.artefact import write_json
 from lightsim.store.entries import Entries
@@ -84,8 +84,13 @@ def read_estimate(folder: Path) -> SkyEstimate:
     """
     path = folder / "sun.json"
     value = Entries.of_file(path)
+    picture = folder / "source.exr"
+    try:
+        dome = SkyDome(read_hdr(picture), _read_sun(value, path))
+    except InputError as error:
+        raise error.at(picture) from error
     return SkyEstimate(
-        SkyDome(read_hdr(folder / "source.exr"), _read_sun(value, path)),
+        dome,
         None if value.is_null("azimuth_deg") else value.number("azimuth_deg"),
         value.number("elevation_deg"),
         value.text("origin"),
