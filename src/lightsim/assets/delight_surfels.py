@@ -235,14 +235,28 @@ def connect(surfels: Surfels, reach_m: float, rng: np.random.Generator) -> Graph
         others = np.concatenate(found, axis=1)
         pairs = np.stack([np.repeat(rows, others.shape[1]), others.ravel()], axis=1)
         keys.append(_keys_of_one_surface(surfels, pairs, reach_m))
-    key = np.unique(np.concatenate(keys))
-    pairs = np.stack(np.divmod(key, max(count, 1)), axis=1).astype(np.int32)
-    first, second = pairs.T
-    degree = np.bincount(pairs.ravel(), minlength=count).astype(np.float64)
+    joined = np.concatenate(keys)
+    keys.clear()
+    return _graph(surfels, np.unique(joined))
+
+
+def _graph(surfels: Surfels, keys: Int64[np.ndarray, " e"]) -> Graph:
+    """The pairs that keys stand for (`_keys_of_one_surface`)."""
+    graph = Graph(
+        np.empty((len(keys), 2), np.int32),
+        np.empty(len(keys), np.float32),
+        np.empty(len(keys), np.float32),
+    )
+    graph.pairs[:, 0], graph.pairs[:, 1] = np.divmod(keys, max(len(surfels), 1))
+    degree = np.bincount(graph.pairs.ravel(), minlength=len(surfels)).astype(np.float64)
     strength = surfels.confidence / np.sqrt(np.maximum(degree, 1.0))
-    distance = np.linalg.norm(surfels.position[first] - surfels.position[second], axis=1)
-    weight = 2.0 * strength[first] * strength[second]
-    return Graph(pairs, distance.astype(np.float32), weight.astype(np.float32))
+    for start in range(0, len(keys), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        first, second = graph.pairs[part].T
+        delta = surfels.position[first] - surfels.position[second]
+        graph.distance_m[part] = np.linalg.norm(delta, axis=1)
+        graph.weight[part] = 2.0 * strength[first] * strength[second]
+    return graph
 
 
 def _nearest(
@@ -274,7 +288,7 @@ def _keys_of_one_surface(
     surfels: Surfels, pairs: Int64[np.ndarray, "m 2"], reach_m: float
 ) -> Int64[np.ndarray, " k"]:
     """Those pairs whose surfels lie on one surface, as smaller index x count + larger index; each
-    once."""
+    once: unique integers take a tenth of the memory of unique rows."""
     low, high = pairs.min(axis=1), pairs.max(axis=1)
     key = np.unique((low * len(surfels) + high)[low != high])
     low, high = np.divmod(key, len(surfels))
