@@ -130,12 +130,12 @@ def link_to_nowhere(log: Path) -> None:
 
 INTRINSICS = f"{FRONT}/intrinsics.json"
 CASES: list[tuple[str, Break, str]] = [
-    ("16-bit grey", picture("png16"), r"01\.jpg: the picture is not of the kind.*16 bits"),
-    ("16-bit colour", png_rgb16, r"01\.jpg: the picture is not of the kind.*16 bits"),
-    ("float picture", picture("float"), r"01\.jpg: the picture is damaged"),
-    ("CMYK picture", picture("cmyk"), r"01\.jpg: the picture is not of the kind.*CMYK"),
-    ("EPS picture", picture("EPS"), r"01\.jpg: the picture is damaged"),
-    ("GIF picture", picture("GIF"), r"01\.jpg: the picture is damaged"),
+    ("16-bit grey", picture("png16"), r"01\.jpg: the picture cannot be read.*(I;16|16 bits)"),
+    ("16-bit colour", png_rgb16, r"01\.jpg: the picture cannot be read.*(I;16|16 bits)"),
+    ("float picture", picture("float"), r"01\.jpg: the picture cannot be read.*JPEG or PNG"),
+    ("CMYK picture", picture("cmyk"), r"01\.jpg: the picture cannot be read.*CMYK"),
+    ("EPS picture", picture("EPS"), r"01\.jpg: the picture cannot be read.*JPEG or PNG"),
+    ("GIF picture", picture("GIF"), r"01\.jpg: the picture cannot be read.*JPEG or PNG"),
     ("tiny fx", change_json(INTRINSICS, with_value(("fx",), 1e-9)), r"intrinsics\.json: .*fit"),
     (
         "both focal lengths tiny",
@@ -188,9 +188,13 @@ CASES: list[tuple[str, Break, str]] = [
         r"cuboids/00.*row 0 .*holds the recording LiDAR",
     ),
     ("slow readout", calibration("readout_s: 0.0", "readout_s: 0.5"), r"front_camera': no camera"),
-    ("endless readout", calibration("readout_s: 0.0", "readout_s: 1e999"), r"readout_s: inf"),
+    (
+        "endless readout",
+        calibration("readout_s: 0.0", "readout_s: 1e999"),
+        r"incomplete, got s inf",
+    ),
     ("negative readout", calibration("readout_s: 0.0", "readout_s: -0.01"), r"0 to 0\.1"),
-    ("endless mount", calibration("z: -0.5", "z: -1e999"), r"front_camera': the sensor is not on"),
+    ("endless mount", calibration("z: -0.5", "z: -1e999"), r"the translation is incomplete.*-inf"),
     ("mount in millimetres", calibration("z: -0.5", "z: -500"), r"got a translation of 500 m"),
     ("LiDAR is a file", file_instead("lidar"), r"lidar: something else stands in its place"),
     ("boxes are a file", file_instead("annotations/cuboids"), r"cuboids: something else"),
@@ -214,7 +218,7 @@ CASES: list[tuple[str, Break, str]] = [
     ),
     ("an empty id", change_boxes(uuid=["", "b", "c"]), r"row 0: an actor's id"),
     ("an id of two lines", change_boxes(uuid=["a\nb", "b", "c"]), r"row 0: an actor's id"),
-    ("an endless id", change_boxes(uuid=["a" * 9999, "b", "c"]), r"row 0: an actor's id"),
+    ("an endless id", change_boxes(uuid=["a" * 900, "b", "c"]), r"row 0: an actor's id"),
     ("camera with a space", rename_camera("back camera"), r"camera's name .*'back camera'"),
     ("camera like an option", rename_camera("-rf"), r"camera's name .*'-rf'"),
     ("camera of two lines", rename_camera("a\nb"), r"camera's name .*'a\\nb'"),

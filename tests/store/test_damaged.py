@@ -14,16 +14,16 @@ import pytest
 from lightsim.core.dome import MAX_RADIANCE, SkyDome
 from lightsim.core.mesh import TriMesh
 from lightsim.core.solar import solar_position
-from lightsim.core.twin import ActorAsset, Panorama, SceneAssets
+from lightsim.core.twin import Panorama
 from lightsim.errors import ArtefactError, InputError, LightSimError
 from lightsim.lighting.target import dome_from_array, parse_time
 from lightsim.reconstruct.neural_config import config_from_json
 from lightsim.store.arrays import load_arrays, save_arrays
-from lightsim.store.assets import read_assets, read_mesh, write_assets, write_mesh
-from lightsim.store.atomic import read_bytes
+from lightsim.store.assets import read_assets, read_mesh, write_mesh
 from lightsim.store.checkpoint import FolderJournal, read_weights
-from lightsim.store.entries import Entries, require_plain_name
+from lightsim.store.entries import Entries
 from lightsim.store.log import reading_from_json
+from lightsim.store.reading import read_bytes
 from lightsim.store.sky import read_panorama, write_panorama
 from lightsim.store.twin import read_twin_assets
 
@@ -57,28 +57,33 @@ def test_a_mesh_with_a_wrong_array_is_refused(tmp_path: Path, name: str, array: 
 
 def test_arrays_that_claim_more_than_the_file_holds_take_no_memory(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
-    np.savez_compressed(path, zeros=np.zeros(1 << 20))
-    with pytest.raises(InputError, match="compressed"):
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("zeros.npy", "w", force_zip64=True) as member,
+    ):
+        for _ in range(80):
+            member.write(bytes(1 << 24))
+    with pytest.raises(InputError, match="compressed, 1342177280 bytes"):
         load_arrays(path)
     head = b"{'descr': '<f8', 'fortran_order': False, 'shape': (999999999999,), }\n"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("x.npy", b"\x93NUMPY\x01\x00" + bytes([len(head), 0]) + head + bytes(64))
-    with pytest.raises(InputError, match="claims 799"):
+    with pytest.raises(InputError, match="claims 8000000000071 bytes of 143"):
         load_arrays(path)
 
 
 def test_what_is_no_regular_file_is_not_opened(tmp_path: Path) -> None:
     fifo = tmp_path / "fifo"
     os.mkfifo(fifo)
-    for read in (load_arrays, read_weights, lambda path: read_bytes(path, "mesh")):
+    for read in (load_arrays, read_weights, lambda path: read_bytes(path, "mesh", 1 << 30)):
         for path in (fifo, Path("/dev/zero")):
-            with pytest.raises(LightSimError, match="not a regular file"):
+            with pytest.raises(LightSimError, match="a pipe, device or socket"):
                 read(path)
     giant = tmp_path / "giant.glb"
     with giant.open("wb") as handle:
         handle.truncate(1 << 40)
-    with pytest.raises(InputError, match="bytes are more than"):
-        read_bytes(giant, "mesh")
+    with pytest.raises(InputError, match="too large"):
+        read_bytes(giant, "mesh", 1 << 30)
 
 
 def test_masks_of_another_size_are_refused(tmp_path: Path) -> None:
@@ -90,16 +95,11 @@ def test_masks_of_another_size_are_refused(tmp_path: Path) -> None:
         read_panorama(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["../x", "a/b", "", ".", "..", ".x", "a\nb", "a\0b", "x" * 300])
+@pytest.mark.parametrize("name", ["../x", "/x", "", ".", "..", "a\nb", "a\0b"])
 def test_names_that_leave_their_folder_are_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(ArtefactError, match="cannot be that of a file"):
-        require_plain_name(name, "x")
-    actor = ActorAsset(name, "car", _mesh())
-    with pytest.raises(ArtefactError, match="cannot be that of a file"):
-        write_assets(tmp_path, SceneAssets(_mesh(), {name: actor}, {}))
     value = {"actors": [], "camera_gains": {}, "background": f"actors/{name}", "inferred": None}
     (tmp_path / "twin.json").write_text(json.dumps(value))
-    with pytest.raises(ArtefactError, match=r"twin\.json"):
+    with pytest.raises(ArtefactError, match="leads out of its folder"):
         read_twin_assets(tmp_path)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -69,8 +68,8 @@ def test_hostile_ids_stay_inside_and_come_back(tmp_path: Path, kind: str) -> Non
     assert not list(Path("/tmp").glob("lightsim-escaped*"))
 
 
-@pytest.mark.parametrize("name", ["../../x.glb", "/etc/passwd.glb", 7])
-def test_files_that_our_own_json_names_lie_inside(tmp_path: Path, name: Any) -> None:
+@pytest.mark.parametrize("name", ["../../x.glb", "/etc/passwd.glb"])
+def test_files_that_our_own_json_names_lie_inside(tmp_path: Path, name: str) -> None:
     write_twin(tmp_path, _twin(_hostile_assets()), empty_mesh())
     value = read_json(tmp_path / "twin.json")
     value["actors"][0]["mesh"] = name
@@ -89,7 +88,7 @@ def test_a_list_of_files_that_is_broken_says_so(tmp_path: Path) -> None:
     write_twin(tmp_path, _twin(_hostile_assets()), empty_mesh())
     for broken in ({}, [], {"actors": [{}], "camera_gains": {}}):
         write_json(tmp_path / "twin.json", broken)
-        with pytest.raises(ArtefactError, match=r"twin\.json: .*broken"):
+        with pytest.raises(ArtefactError, match=r"twin\.json.*Build again"):
             read_twin_assets(tmp_path)
 
 
