@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -102,6 +103,16 @@ def test_a_work_folder_in_the_recording_is_refused(recording: Path) -> None:
     assert sorted(p.name for p in recording.iterdir()) == sorted(
         p.name for p in (shipped_street() / "log").iterdir()
     )
+
+
+def test_a_folder_of_no_known_layout_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    source = tmp_path / "disk"
+    source.mkdir()
+    (source / "huge").symlink_to("/dev/zero")
+    os.mkfifo(source / "pipe")
+    with pytest.raises(InputError, match="no known data set"):
+        build(tmp_path / "work", options_of(source), SilentProgress(), until="log")
+    assert not (tmp_path / "work").exists()
 
 
 def test_a_second_build_is_refused_while_one_is_at_work(recording: Path, tmp_path: Path) -> None:

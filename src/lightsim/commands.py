@@ -41,12 +41,6 @@ def build(command: cli.Build) -> None:
     from lightsim import pipeline
     from lightsim.store.log import LogReading
 
-    if not command.source.exists():
-        raise InputError(
-            "the recording does not exist",
-            where=command.source,
-            remedy="Give the folder of one log, for example pandaset/002.",
-        )
     reading = LogReading(
         str(command.source.resolve()),
         command.dataset,

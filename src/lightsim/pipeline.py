@@ -21,6 +21,7 @@ from lightsim.assets.config import Colour
 from lightsim.core.checks import check_number, check_seed
 from lightsim.errors import ArtefactError, InputError
 from lightsim.ingest.fingerprint import hash_recording
+from lightsim.ingest.reader import check_layout
 from lightsim.ingest.sky_mask import SkyMaskConfig
 from lightsim.lighting.stitch import StitchConfig
 from lightsim.progress import Progress
@@ -197,6 +198,7 @@ def build(
             ours.
     """
     _check_places(Path(options.reading.source), work)
+    check_layout(Path(options.reading.source), options.reading.dataset)
     try:
         work.mkdir(parents=True, exist_ok=True)
     except OSError as error:
