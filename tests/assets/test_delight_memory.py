@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.assets.plane_mesh import plane_mesh
 
 from lightsim.assets import delight_surfels
 from lightsim.assets.atlas import choose_resolution, edge_lengths_m, pack, texel_parts, texels_of
@@ -17,7 +18,6 @@ from lightsim.assets.delight_surfels import connect, make_surfels
 from lightsim.core.mesh import Texture, TriMesh, concatenate_meshes
 from lightsim.lighting.surface_samples import SampleConfig
 from lightsim.reconstruct.far_field import BACKDROP
-from tests.assets.plane_mesh import plane_mesh
 
 _MOST_BYTES_A_SURFEL = 700
 """Grows with the measured surface: surfels, their pairs, and parts that wait to be joined."""
