@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
+_CHUNK = 1 << 20
+"""Values coded together: the curve's intermediate results are six times as large as they are."""
 LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
 
 
@@ -32,7 +34,12 @@ def linear_from_srgb8(srgb8: UInt8[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]
 
 def srgb8_from_linear(linear: Shaped[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:
     """8-bit sRGB codes, rounded to nearest."""
-    return np.round(srgb_from_linear(linear) * 255.0).astype(np.uint8)
+    flat = linear.reshape(-1)
+    codes = np.empty(flat.shape, np.uint8)
+    for start in range(0, len(flat), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        codes[part] = np.round(srgb_from_linear(flat[part]) * 255.0)
+    return codes.reshape(linear.shape)
 
 
 def luminance(linear: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
