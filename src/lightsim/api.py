@@ -7,6 +7,7 @@ from pathlib import Path
 from lightsim import pipeline, scenarios
 from lightsim.core.log import DrivingLog
 from lightsim.core.twin import DigitalTwin
+from lightsim.ingest.own_car import ego_vehicle_masks
 from lightsim.ingest.reader import read_log
 from lightsim.ingest.scale import at_scale
 from lightsim.progress import Progress, SilentProgress
@@ -30,7 +31,12 @@ def load_log(
         InputError: a file is missing or broken, or an option is wrong.
     """
     log = read_log(
-        Path(source), dataset=dataset, cameras=cameras, frames=frames, heading_deg=heading_deg
+        Path(source),
+        dataset=dataset,
+        cameras=cameras,
+        frames=frames,
+        heading_deg=heading_deg,
+        find_ego_vehicle=ego_vehicle_masks,
     )
     return at_scale(log, image_scale)
 

@@ -141,7 +141,7 @@ def make_masks(
     for camera in work.recorded_log.cameras:
         (folder / camera).mkdir(exist_ok=True)
     wanted = work.recorded_log.with_frames(missing)
-    for frame, matte in sky_mattes(wanted, 1.0, config, context.progress):
+    for frame, matte in sky_mattes(wanted, config, context.progress):
         write_grey8(path_of(frame), np.round(matte * 255).astype(np.uint8))
     return ()
 

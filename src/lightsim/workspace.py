@@ -147,6 +147,7 @@ class Workspace:
 
     @cached_property
     def _full_log(self) -> DrivingLog:
+        from lightsim.ingest.own_car import ego_vehicle_masks
         from lightsim.ingest.reader import read_log
 
         reading = self.reading
@@ -157,6 +158,7 @@ class Workspace:
             cameras=reading.cameras,
             frames=reading.frames,
             heading_deg=reading.heading_deg,
+            find_ego_vehicle=ego_vehicle_masks,
         )
 
     def log_at(self, image_scale: float) -> DrivingLog:

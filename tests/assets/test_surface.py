@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from lightsim.assets.surface import (
-    adjacency,
     drop_floaters,
     extract_surface,
     face_areas_m2,
     make_mesh,
     smooth,
 )
+from lightsim.core.adjacency import adjacency
 from lightsim.core.fields import TsdfGrid
 from lightsim.core.mesh import concatenate_meshes
 

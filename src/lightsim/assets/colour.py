@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64
 from scipy.sparse import diags
 
-from lightsim.assets.surface import adjacency
+from lightsim.core.adjacency import adjacency
 from lightsim.core.mesh import TriMesh
 
 _NEIGHBOURS = 6

@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64
-from scipy.sparse import coo_matrix, csr_matrix, diags
+from scipy.sparse import diags
 from scipy.sparse.csgraph import connected_components
 
+from lightsim.core.adjacency import adjacency
 from lightsim.core.fields import BLOCK, SceneFields, TsdfGrid
 from lightsim.core.mesh import Texture, TriMesh
 
@@ -142,16 +143,6 @@ def border_vertices(faces: Int32[np.ndarray, "m 3"]) -> Int64[np.ndarray, " b"]:
     ends = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
     edges, count = np.unique(ends, axis=0, return_counts=True)
     return np.unique(edges[count == 1])
-
-
-def adjacency(faces: Int32[np.ndarray, "m 3"], count: int) -> csr_matrix:
-    """Symmetric 0/1 matrix of vertices that share an edge."""
-    i = np.concatenate([faces[:, 0], faces[:, 1], faces[:, 2]])
-    j = np.concatenate([faces[:, 1], faces[:, 2], faces[:, 0]])
-    matrix = coo_matrix((np.ones(len(i), dtype=np.float32), (i, j)), shape=(count, count)).tocsr()
-    matrix = matrix + matrix.T
-    matrix.data[:] = 1.0
-    return matrix
 
 
 def smooth(mesh: TriMesh, rounds: int) -> TriMesh:

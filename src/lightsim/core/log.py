@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -74,3 +74,17 @@ class DrivingLog:
     def stems(self) -> tuple[str, ...]:
         """Distinct frame stems in time order."""
         return tuple(dict.fromkeys(f.stem for f in self.frames))
+
+
+FindEgoVehicle = Callable[
+    [Sequence[tuple[PinholeCamera, Sequence[CameraFrame]]], Trajectory],
+    tuple[dict[str, Bool[np.ndarray, "h w"]], tuple[str, ...]],
+]
+"""(cameras with their frames, world_from_ego) -> masks of the recording car, notes."""
+
+
+def without_ego_vehicle(
+    views: Sequence[tuple[PinholeCamera, Sequence[CameraFrame]]], ego: Trajectory
+) -> tuple[dict[str, Bool[np.ndarray, "h w"]], tuple[str, ...]]:
+    """No masks: nobody looked for the recording car."""
+    return {}, ()

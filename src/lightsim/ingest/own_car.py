@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
+from PIL import Image
 
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.frames import Trajectory
+from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
+
+_SMALL_WIDTH_PX = 480
+_HOLD_S = 1.0
+"""Pictures may be taken a little before the first pose of the ego and after the last."""
 
 
 @dataclass(frozen=True)
@@ -110,3 +119,47 @@ def _grown_upwards(mask: Bool[np.ndarray, "h w"], n_px: int) -> Bool[np.ndarray,
     for shift in range(1, n_px + 1):
         grown[:-shift] |= mask[shift:]
     return grown
+
+
+def ego_vehicle_masks(
+    views: Sequence[tuple[PinholeCamera, Sequence[CameraFrame]]], ego: Trajectory
+) -> tuple[dict[str, Bool[np.ndarray, "h w"]], tuple[str, ...]]:
+    """The recording car's mask of every camera that sees it, by camera name, and notes.
+
+    Args:
+        views: cameras with their frames in order of time.
+        ego: `world_from_ego`.
+    """
+    config = OwnCarConfig()
+    masks: dict[str, Bool[np.ndarray, "h w"]] = {}
+    notes: list[str] = []
+    for camera, frames in views:
+        path = (
+            ego.at(frames[-1].time_ns, _HOLD_S).translation_m
+            - ego.at(frames[0].time_ns, _HOLD_S).translation_m
+        )
+        if len(frames) < 3 or float(np.linalg.norm(path)) < config.min_path_m:
+            notes.append(
+                f"{camera.name}: too little motion to find the recording car in its pictures"
+            )
+            continue
+        chosen = np.unique(np.linspace(0, len(frames) - 1, config.n_images).round().astype(int))
+        small = find_own_car(np.stack([_small_grey(frames[i]) for i in chosen]), config)
+        if small.any():
+            masks[camera.name] = _enlarged(small, camera)
+    return masks, tuple(notes)
+
+
+def _small_grey(frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
+    image = Image.fromarray(frame.load_srgb8()).convert("L")
+    # Only ever reduced: narrow pictures would grow in both directions.
+    width = min(_SMALL_WIDTH_PX, image.width)
+    height = max(8, round(image.height * width / image.width))
+    small = image.resize((width, height), Image.Resampling.BOX)
+    return np.asarray(small, dtype=np.float32)
+
+
+def _enlarged(mask: Bool[np.ndarray, "h w"], camera: PinholeCamera) -> Bool[np.ndarray, "h2 w2"]:
+    image = Image.fromarray(mask.astype(np.uint8) * 255)
+    size = (camera.width_px, camera.height_px)
+    return np.asarray(image.resize(size, Image.Resampling.BILINEAR)) >= 128

@@ -13,17 +13,15 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Int64
-from PIL import Image
+from jaxtyping import Int64
 
 from lightsim.core.frames import Trajectory
-from lightsim.core.log import DrivingLog
+from lightsim.core.log import DrivingLog, FindEgoVehicle
 from lightsim.core.sensors import CameraFrame, LazySweep
 from lightsim.errors import InputError
 from lightsim.ingest.files import read_json, read_times_ns, require_list, require_numbers
 from lightsim.ingest.geo import GpsTrack, check_heading, locate
 from lightsim.ingest.layout import has_file, has_folder, subfolders
-from lightsim.ingest.own_car import OwnCarConfig, find_own_car
 from lightsim.ingest.pandaset_cameras import CameraFolder, numbered_files, read_camera
 from lightsim.ingest.pandaset_rig import READOUT_S, Rig, ego_trajectory, read_rig
 from lightsim.ingest.pandaset_sweeps import (
@@ -40,7 +38,6 @@ from lightsim.ingest.selection import FrameSelection
 _EGO_CAMERA = "front_camera"
 _EGO_HOLD_S = 0.2
 """Sweeps end a little after the last camera pose."""
-_SMALL_WIDTH_PX = 480
 
 
 @dataclass(frozen=True)
@@ -61,6 +58,7 @@ def read_pandaset(
     cameras: tuple[str, ...],
     frames: str,
     heading_deg: float | None,
+    find_ego_vehicle: FindEgoVehicle,
 ) -> DrivingLog:
     """The log of one PandaSet sequence; pictures and sweeps are read when asked for.
 
@@ -69,6 +67,7 @@ def read_pandaset(
         cameras: names of the cameras wanted; () for all.
         frames: START:STOP[:STEP] of pictures and sweeps; "" for all.
         heading_deg: azimuth (clockwise from true north) of world +x, if known.
+        find_ego_vehicle: looks for the recording car in all pictures of the cameras.
 
     Raises:
         InputError: something is missing or broken; the message names the file.
@@ -86,7 +85,7 @@ def read_pandaset(
     actors, actor_notes = _read_actors(source, ego, sweeps)
     track = _read_gps(source, selected[0].time_ns)
     geo, geo_notes = locate(track, ego, selected[0].time_ns, heading_deg)
-    masks, mask_notes = _own_car_masks(folders, ego)
+    masks, mask_notes = find_ego_vehicle([(f.camera, f.frames) for f in folders], ego)
     odd = (*_picture_notes(folders), *rig.notes, *clock_notes, *rigid_notes)
     return DrivingLog(
         source.resolve().name,
@@ -278,46 +277,6 @@ def _read_gps(source: Path, start_ns: int) -> GpsTrack | None:
             remedy="All files must be of one sequence and one clock.",
         )
     return GpsTrack(times_ns, fixes[:, 0].copy(), fixes[:, 1].copy())
-
-
-def _own_car_masks(
-    folders: list[CameraFolder], ego: Trajectory
-) -> tuple[dict[str, Bool[np.ndarray, "h w"]], tuple[str, ...]]:
-    config = OwnCarConfig()
-    masks: dict[str, Bool[np.ndarray, "h w"]] = {}
-    notes: list[str] = []
-    for folder in folders:
-        frames = folder.frames
-        path = (
-            ego.at(frames[-1].time_ns, 1.0).translation_m
-            - ego.at(frames[0].time_ns, 1.0).translation_m
-        )
-        if len(frames) < 3 or float(np.linalg.norm(path)) < config.min_path_m:
-            notes.append(
-                f"{folder.camera.name}: too little motion to find the recording car in its pictures"
-            )
-            continue
-        chosen = np.unique(np.linspace(0, len(frames) - 1, config.n_images).round().astype(int))
-        grey = np.stack([_small_grey(frames[i]) for i in chosen])
-        small = find_own_car(grey, config)
-        if small.any():
-            masks[folder.camera.name] = _enlarged(small, folder)
-    return masks, tuple(notes)
-
-
-def _small_grey(frame: CameraFrame) -> np.ndarray:
-    image = Image.fromarray(frame.load_srgb8()).convert("L")
-    # Only ever reduced: narrow pictures would grow in both directions.
-    width = min(_SMALL_WIDTH_PX, image.width)
-    height = max(8, round(image.height * width / image.width))
-    small = image.resize((width, height), Image.Resampling.BOX)
-    return np.asarray(small, dtype=np.float32)
-
-
-def _enlarged(mask: Bool[np.ndarray, "h w"], folder: CameraFolder) -> Bool[np.ndarray, "h2 w2"]:
-    size = (folder.camera.width_px, folder.camera.height_px)
-    image = Image.fromarray(mask.astype(np.uint8) * 255)
-    return np.asarray(image.resize(size, Image.Resampling.BILINEAR)) >= 128
 
 
 def _picture_notes(folders: list[CameraFolder]) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
-from lightsim.core.log import DrivingLog
+from lightsim.core.log import DrivingLog, FindEgoVehicle, without_ego_vehicle
 from lightsim.errors import InputError
 from lightsim.ingest.layout import has_folder
 from lightsim.ingest.pandaset import is_pandaset, read_pandaset
@@ -16,8 +16,8 @@ from lightsim.store.names import is_harmless
 Dataset = Literal["pandaset"]
 
 
-ReadDataset = Callable[[Path, tuple[str, ...], str, float | None], DrivingLog]
-"""(source, cameras, frames as "START:STOP[:STEP]", heading_deg) -> the recording."""
+ReadDataset = Callable[[Path, tuple[str, ...], str, float | None, FindEgoVehicle], DrivingLog]
+"""(source, cameras, frames as "START:STOP[:STEP]", heading_deg, find_ego_vehicle) -> recording."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,7 @@ def read_log(
     cameras: tuple[str, ...] = (),
     frames: str = "",
     heading_deg: float | None = None,
+    find_ego_vehicle: FindEgoVehicle = without_ego_vehicle,
 ) -> DrivingLog:
     """The recording in a folder.
 
@@ -50,11 +51,14 @@ def read_log(
         frames: "START:STOP[:STEP]" over frame numbers, STOP not included, for pictures and sweeps
             alike; "" for all.
         heading_deg: azimuth (clockwise from true north) of world +x; replaces the GPS fit.
+        find_ego_vehicle: finds the recording car in the pictures; by default nobody looks.
 
     Raises:
         InputError: the folder is of no known data set, or a file in it is missing or broken.
     """
-    log = READERS[check_layout(source, dataset)].read(source, cameras, frames, heading_deg)
+    log = READERS[check_layout(source, dataset)].read(
+        source, cameras, frames, heading_deg, find_ego_vehicle
+    )
     _check_camera_names(log, source)
     return log
 

@@ -22,7 +22,6 @@ from lightsim.core.log import DrivingLog
 from lightsim.core.resample import resize_area
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
-from lightsim.ingest.scale import at_scale
 from lightsim.ingest.sky_mask_matting import refine_matte
 from lightsim.ingest.sky_mask_regions import (
     ImageEvidence,
@@ -113,27 +112,26 @@ def estimate_sky_matte(
 
 
 def sky_mattes(
-    log: DrivingLog, scale: float, config: SkyMaskConfig, progress: Progress
+    log: DrivingLog, config: SkyMaskConfig, progress: Progress
 ) -> Iterator[tuple[CameraFrame, Float32[np.ndarray, "h w"]]]:
-    """Each frame of the log at image scale `scale`, with its matte; few in memory at a time."""
-    scaled = at_scale(log, scale)
+    """Each frame of the log with its matte; few in memory at a time."""
     points_world = gather_high_points(log, config)
 
     def matte_of(frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
         return estimate_sky_matte(
             frame.load_srgb8(),
-            scaled.cameras[frame.camera_name],
+            log.cameras[frame.camera_name],
             frame.world_from_camera,
             points_world,
-            scaled.own_car_masks.get(frame.camera_name),
+            log.own_car_masks.get(frame.camera_name),
             config,
         )
 
     # Array operations leave Python's lock, so threads do share the work.
     with ThreadPoolExecutor(_WORKERS) as pool:
         ahead: deque[Future[Float32[np.ndarray, "h w"]]] = deque()
-        coming = iter(scaled.frames)
-        for frame in progress.track(scaled.frames, "sky mattes", len(scaled.frames)):
+        coming = iter(log.frames)
+        for frame in progress.track(log.frames, "sky mattes", len(log.frames)):
             ahead.extend(
                 pool.submit(matte_of, f) for f in islice(coming, _WORKERS - len(ahead) + 1)
             )

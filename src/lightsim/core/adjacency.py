@@ -1,0 +1,17 @@
+"""Which vertices of a mesh share an edge."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Int32
+from scipy.sparse import coo_matrix, csr_matrix
+
+
+def adjacency(faces: Int32[np.ndarray, "m 3"], count: int) -> csr_matrix:
+    """Symmetric 0/1 matrix of vertices that share an edge."""
+    i = np.concatenate([faces[:, 0], faces[:, 1], faces[:, 2]])
+    j = np.concatenate([faces[:, 1], faces[:, 2], faces[:, 0]])
+    matrix = coo_matrix((np.ones(len(i), dtype=np.float32), (i, j)), shape=(count, count)).tocsr()
+    matrix = matrix + matrix.T
+    matrix.data[:] = 1.0
+    return matrix
