@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -58,6 +59,7 @@ def load_arrays(path: Path) -> dict[str, Shaped[np.ndarray, "..."]]:
         SyntaxError,
         TypeError,
         MemoryError,
+        tokenize.TokenError,  # of a damaged header
         zipfile.BadZipFile,
         zlib.error,
     ) as error:
