@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -65,6 +66,7 @@ def load_arrays(path: Path) -> dict[str, Shaped[np.ndarray, "..."]]:
         SyntaxError,
         TypeError,
         MemoryError,
+        tokenize.TokenError,  # of a damaged header
         zipfile.BadZipFile,
         zlib.error,
     ) as error:
