@@ -36,7 +36,7 @@ _MOST_REFLECTED = 0.3
 _SWEEPS, _DAMPING = 16, 0.2
 _MAX_PAIRS = 15_000
 _CHUNK_PAIRS = 1 << 16
-"""Pairs whose energies are found together: some 20 MB of intermediate results, whatever the log."""
+"""Pairs whose energies are found together: some 10 MB of intermediate results, whatever the log."""
 _BLOCK_M = 4.0
 """Pairs within a block of this size count as one observation."""
 
