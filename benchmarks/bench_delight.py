@@ -16,16 +16,16 @@ from pathlib import Path
 
 import numpy as np
 
-from lightsim.assets.delight import delight
-from lightsim.assets.delight_config import DelightConfig
-from lightsim.assets.delight_light import LightScales
+from lightsim.appearance.intrinsic.config import DelightConfig
+from lightsim.appearance.intrinsic.decompose import delight
+from lightsim.appearance.intrinsic.light import LightScales
+from lightsim.build.source_light import SourceLight, static_returns
+from lightsim.build.stages.light import TwinConfig
+from lightsim.build.workspace import Workspace
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
-from lightsim.evaluation import base_colours_of
 from lightsim.progress import SilentProgress
-from lightsim.source_light import SourceLight, static_returns
-from lightsim.stages import TwinConfig
-from lightsim.workspace import Workspace
+from lightsim.simulate.against_truth import base_colours_of
 
 DEFAULT = DelightConfig()
 VARIANTS: dict[str, DelightConfig] = {

@@ -27,8 +27,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightsim.reconstruct.hash_grid import HashGridSpec, Implementation, hash_encode, make_table
-from lightsim.reconstruct.sparse_adam import SparseAdam, zeros_on
+from lightsim.reconstruct.field.hash_grid.grid import (
+    HashGridSpec,
+    Implementation,
+    hash_encode,
+    make_table,
+)
+from lightsim.reconstruct.field.hash_grid.sparse_adam import SparseAdam, zeros_on
 
 SPEC = HashGridSpec(levels=12, features=2, log2_entries=20, coarsest_m=4.0, finest_m=0.1)
 RATE = 1e-2

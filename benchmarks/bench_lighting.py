@@ -22,11 +22,11 @@ from lightsim.core.dome import SkyDome, Sun, add_sun, resized, split_sun
 from lightsim.core.solar import angle_between_deg, azimuth_elevation
 from lightsim.evaluate.shadow_caster import caster_rmse
 from lightsim.evaluate.sky import evaluate_sky, relative_rmse, sphere_radiance
-from lightsim.lighting.estimate import SkyConfig, estimate_sky
-from lightsim.lighting.image_sky import panorama_from_image, picture_sun
 from lightsim.lighting.sample import LightingBatch
-from lightsim.lighting.sun import SunDirection
-from lightsim.lighting.sun_posterior import sun_direction
+from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
+from lightsim.lighting.sky.image_sky import panorama_from_image, picture_sun
+from lightsim.lighting.sun.direction import SunDirection
+from lightsim.lighting.sun.posterior import sun_direction
 from lightsim.progress import SilentProgress
 from lightsim.training.lighting_data import LightingSet
 
@@ -51,11 +51,11 @@ def main() -> None:
 
 def _networks(cache: Path, models: Path) -> None:
     """Angle and decoding errors of each network on the fixed test views."""
-    from lightsim.lighting.sky_evaluate import evaluate_sky_networks, parts_of
-    from lightsim.lighting.sky_network import SkyNetwork, network_from_tensors
+    from lightsim.lighting.sky.network import SkyNetwork, network_from_tensors
     from lightsim.store.checkpoint import read_weights
-    from lightsim.training.commands import completion_of
+    from lightsim.training.run import completion_of
     from lightsim.training.sky_models import sky_recipe
+    from lightsim.training.sky_scores import evaluate_sky_networks, parts_of
 
     complete = completion_of(models / "inpaint" / "weights.safetensors")
     networks = {}
@@ -99,7 +99,7 @@ def _networks(cache: Path, models: Path) -> None:
 def _pictures(cache: Path, per_sky: int) -> None:
     """The shipped estimate on masked pictures: without GPS by cues alone, by the network, and
     with the true direction in place of GPS."""
-    from lightsim.sky_networks import decoded_dome, predict_sky
+    from lightsim.lighting.sky.shipped import decoded_dome, predict_sky
 
     views = LightingSet.load(cache, "test").fixed_views(per_sky)
     batch = views.batch
@@ -191,11 +191,11 @@ def _known_sun(direction: np.ndarray, sunny_probability: float) -> SunDirection:
 
 def _log(work: Path, truth: Path | None) -> None:
     """The sun of a build with all, some and no GPS; the stage sky stays as it is on disk."""
-    from lightsim.evaluation import true_source_sky
-    from lightsim.sky_networks import predict_sky
-    from lightsim.source_sun import SourceSunConfig, find_source_sun
-    from lightsim.stages import SkyStageConfig, source_sky
-    from lightsim.workspace import Workspace
+    from lightsim.build.source_sun import SourceSunConfig, find_source_sun
+    from lightsim.build.stages.light import SkyStageConfig, source_sky
+    from lightsim.build.workspace import Workspace
+    from lightsim.lighting.sky.shipped import predict_sky
+    from lightsim.synthetic.reader import true_source_sky
 
     workspace = Workspace(work)
     true_dome = true_source_sky(truth) if truth is not None else None

@@ -19,13 +19,16 @@ from pathlib import Path
 
 import numpy as np
 
-from lightsim import evaluation, pipeline
+from lightsim.build import pipeline
+from lightsim.build.measures import geometry as measure_geometry
+from lightsim.build.measures import held_out_frames
+from lightsim.build.workspace import FIELD_NAME, Workspace
 from lightsim.evaluate.frames import FramesConfig
 from lightsim.evaluate.geometry import GeometryConfig
 from lightsim.progress import LineProgress, SilentProgress
+from lightsim.simulate.against_truth import normal_error_deg
 from lightsim.store.artefact import read_record, state_of
 from lightsim.store.log import LogReading
-from lightsim.workspace import FIELD_NAME, Workspace
 
 QUICK: dict = {"preset": "draft", "neural_steps": 0}
 """Ablations of the alignment: fused LiDAR and textures of every fourth image."""
@@ -97,13 +100,13 @@ def _build_and_measure(options: argparse.Namespace, name: str) -> None:
     work = options.out / name
     _take_from_siblings(options.out, work, _options(options, name))
     pipeline.build(work, _options(options, name), LineProgress(), until="sky")
-    frames = evaluation.held_out_frames(
+    frames = held_out_frames(
         work,
         SilentProgress(),
         FramesConfig(with_lpips=options.lpips, with_exposure=False),
         with_field=options.field and (work / "neural" / FIELD_NAME).exists(),
     )
-    geometry, _ = evaluation.geometry(work, options.truth, SilentProgress())
+    geometry, _ = measure_geometry(work, options.truth, SilentProgress())
     records = {stage: read_record(work / stage) for stage in STAGES}
     workspace = Workspace(work)
     assets = workspace.assets
@@ -120,7 +123,7 @@ def _build_and_measure(options: argparse.Namespace, name: str) -> None:
         ),
         "normal_error_deg": None
         if options.truth is None
-        else evaluation.normal_error_deg(work, options.truth),
+        else normal_error_deg(work, options.truth),
     }
     (work / "scores.json").write_text(json.dumps(scores, indent=1))
 

@@ -17,11 +17,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from lightsim.pipeline import STAGES, BuildOptions, read_options
+from lightsim.build.pipeline import STAGES, BuildOptions, read_options
+from lightsim.build.stages.context import Context
+from lightsim.build.workspace import Workspace
 from lightsim.progress import SilentProgress
-from lightsim.stages import Context
 from lightsim.store.artefact import peak_memory_mb
-from lightsim.workspace import Workspace
 
 _HEAD = "| stage | base MB | peak MB | wall s | processor s |\n|---|---:|---:|---:|---:|"
 

@@ -13,16 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
+from lightsim.build.workspace import Workspace
 from lightsim.evaluate.metrics import psnr
-from lightsim.ingest.synthetic.generate import _poses
-from lightsim.ingest.synthetic.plan import config_of, plan_street
-from lightsim.ingest.synthetic.rig import SWEEP_S, mount_cameras
-from lightsim.ingest.synthetic.sensor import develop
-from lightsim.ingest.synthetic.skies import build_sky, environment, sky_specs
-from lightsim.ingest.synthetic.street import build_street
-from lightsim.ingest.synthetic.tracer import PathTracer, Placed
-from lightsim.ingest.synthetic.writer import camera_pose
-from lightsim.workspace import Workspace
+from lightsim.synthetic.generate import _poses
+from lightsim.synthetic.plan import config_of, plan_street
+from lightsim.synthetic.rig import SWEEP_S, mount_cameras
+from lightsim.synthetic.sensor import develop
+from lightsim.synthetic.skies import build_sky, environment, sky_specs
+from lightsim.synthetic.street import build_street
+from lightsim.synthetic.tracer import PathTracer, Placed
+from lightsim.synthetic.writer import camera_pose
 
 
 def main() -> None:

@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 import lightsim
-from lightsim.ingest.synthetic import shipped_street
 from lightsim.progress import terminal_progress
 from lightsim.store.log import LogReading
+from lightsim.synthetic import shipped_street
 
 
 def main(work: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from lightsim.core.dome import split_sun
 from lightsim.core.solar import azimuth_elevation
-from lightsim.skies import SkyChoice, sky_alone
+from lightsim.simulate.skies import SkyChoice, sky_alone
 
 
 def main() -> None:

@@ -12,10 +12,10 @@ import numpy as np
 
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.equirect import pixel_directions
-from lightsim.lighting.estimate import SkyConfig
-from lightsim.lighting.image_sky import estimate_from_panorama, panorama_from_image
-from lightsim.lighting.target import target_sky
-from lightsim.sky_networks import decoded_dome, edited_sky, predict_sky
+from lightsim.lighting.sky.estimate import SkyConfig
+from lightsim.lighting.sky.image_sky import estimate_from_panorama, panorama_from_image
+from lightsim.lighting.sky.shipped import decoded_dome, edited_sky, predict_sky
+from lightsim.lighting.target_sky import target_sky
 from lightsim.store.sky import write_sky
 
 

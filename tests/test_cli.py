@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from lightsim import cli
+from lightsim.cli.doctor import Doctor
 from lightsim.store.images import write_hdr, write_png
 
 COMMANDS = ["build", "relight", "render", "sky", "evaluate", "synthesize", "demo", "doctor"]
@@ -63,7 +64,7 @@ def test_interruption_is_130(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(command: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "run", interrupt)
+    monkeypatch.setattr(Doctor, "run", interrupt)
     assert run("doctor") == 130
 
 
@@ -160,7 +161,7 @@ def test_what_should_not_happen_is_one_line_that_asks_for_a_report(
     def fail(command: object) -> None:
         raise ZeroDivisionError("two\nlines")
 
-    monkeypatch.setattr(cli, "run", fail)
+    monkeypatch.setattr(Doctor, "run", fail)
     assert run("doctor") == 1
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert "ZeroDivisionError: two lines. Please report it" in line
@@ -171,7 +172,7 @@ def test_what_should_not_happen_is_one_line_that_asks_for_a_report(
 def test_sigterm_ends_a_command_like_ctrl_c(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cli, "run", lambda _: os.kill(os.getpid(), signal.SIGTERM))
+    monkeypatch.setattr(Doctor, "run", lambda _: os.kill(os.getpid(), signal.SIGTERM))
     before = signal.getsignal(signal.SIGTERM)
     assert run("doctor") == 130
     assert "interrupted" in capsys.readouterr().err

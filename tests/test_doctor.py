@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from lightsim import doctor
+from lightsim.cli import diagnosis as doctor
 
 
 def test_this_machine_is_described() -> None:
@@ -25,7 +25,7 @@ def test_this_machine_is_described() -> None:
 
 def test_it_imports_nothing_heavy() -> None:
     script = (
-        "import sys\nfrom lightsim.doctor import diagnose\ndiagnose().to_table()\n"
+        "import sys\nfrom lightsim.cli.diagnosis import diagnose\ndiagnose().to_table()\n"
         "assert not {'torch', 'mitsuba', 'numba', 'pandas'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", script], check=True)

@@ -14,8 +14,8 @@ from limits import run_limited
 READ_ALL = """
 from pathlib import Path
 from lightsim.errors import LightSimError
-from lightsim.ingest.files import read_gzip, read_json
-from lightsim.ingest.pandaset_rig import read_rig
+from lightsim.datasets.files import read_gzip, read_json
+from lightsim.datasets.pandaset.rig import read_rig
 from lightsim.store import artefact, arrays, exr, images, meshes, mp4
 from lightsim.training.hdr_skies import read_split
 path = Path(sys.argv[1])
@@ -35,7 +35,7 @@ for read in readers:
 READ_RIG = """
 from pathlib import Path
 from lightsim.errors import InputError
-from lightsim.ingest.pandaset_rig import read_rig
+from lightsim.datasets.pandaset.rig import read_rig
 for folder in sorted(Path(sys.argv[1]).iterdir()):
     try:
         print(sorted(read_rig(folder).camera_from_pandar64))
@@ -103,7 +103,7 @@ def test_calibrations_take_time_in_proportion_to_their_length(tmp_path: Path) ->
 
 SIBLINGS = """
 import numpy as np
-from lightsim.ingest.pandaset_tracks import _Box, _owners
+from lightsim.datasets.pandaset.tracks import _Box, _owners
 place, names = np.zeros(3), [f"{i:06d}" for i in range(60_000)]
 chain = [
     _Box(0, uuid, sibling, 0, "Car", place, 0.0, place, False)

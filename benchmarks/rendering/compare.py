@@ -29,12 +29,18 @@ from methods import Frames, Result, ShotMethod, TableMethod, denoised
 
 from lightsim.core.mesh import TriMesh
 from lightsim.errors import MissingDependencyError
-from lightsim.render.cycles import Cycles
 from lightsim.render.gbuffers import render_gbuffers
-from lightsim.render.light import light, prepare_sky
-from lightsim.render.path_tracer import PathTracer
-from lightsim.render.reference import Shot
-from lightsim.render.transport import TransportConfig, exact, static_face_table, trace_transport
+from lightsim.render.reference.cycles import Cycles
+from lightsim.render.reference.path_tracer import PathTracer
+from lightsim.render.reference.renderer import Shot
+from lightsim.render.transport.light import light
+from lightsim.render.transport.sky import prepare_sky
+from lightsim.render.transport.table import (
+    TransportConfig,
+    exact,
+    static_face_table,
+    trace_transport,
+)
 
 Array = np.ndarray[Any, Any]
 _PASS = 64

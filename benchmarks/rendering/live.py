@@ -32,11 +32,12 @@ import torch
 from methods import Frames
 
 from lightsim.core.dome import Sun
+from lightsim.render.casters.mitsuba import MitsubaBackend
 from lightsim.render.gbuffers import render_gbuffers
-from lightsim.render.light import SkyCells, light, prepare_sky
-from lightsim.render.live import LiveFrame
-from lightsim.render.mitsuba_caster import MitsubaBackend
-from lightsim.render.transport import TransportConfig, static_face_table, trace_transport
+from lightsim.render.transport.light import light
+from lightsim.render.transport.live import LiveFrame
+from lightsim.render.transport.sky import SkyCells, prepare_sky
+from lightsim.render.transport.table import TransportConfig, static_face_table, trace_transport
 
 
 def say(line: str = "") -> None:

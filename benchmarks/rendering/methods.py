@@ -11,20 +11,21 @@ from typing import Any
 
 import numpy as np
 
+from lightsim.build.workspace import Workspace
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.dome import SkyDome
 from lightsim.core.frames import RigidTransform
-from lightsim.edit.timeline import replay
-from lightsim.render.cycles import Cycles
-from lightsim.render.denoise import denoise
 from lightsim.render.gbuffers import render_gbuffers
-from lightsim.render.light import light, prepare_sky
-from lightsim.render.path_tracer import PathTracer
-from lightsim.render.reference import Shot
-from lightsim.render.samples import render_samples
+from lightsim.render.reference.cycles import Cycles
+from lightsim.render.reference.denoise import denoise
+from lightsim.render.reference.path_tracer import PathTracer
+from lightsim.render.reference.renderer import Shot
 from lightsim.render.scene import FrameScene, StaticScene, make_static_scene, place
-from lightsim.render.transport import TransportConfig, static_face_table, trace_transport
-from lightsim.workspace import Workspace
+from lightsim.render.transport.light import light
+from lightsim.render.transport.samples import render_samples
+from lightsim.render.transport.sky import prepare_sky
+from lightsim.render.transport.table import TransportConfig, static_face_table, trace_transport
+from lightsim.scenario.replay import replay
 
 Array = np.ndarray[Any, Any]
 

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from lightsim.edit.timeline import replay
-from lightsim.renderers import RendererChoice, make_renderer
-from lightsim.workspace import Workspace
+from lightsim.build.workspace import Workspace
+from lightsim.render.renderers import RendererChoice, make_renderer
+from lightsim.scenario.replay import replay
 
 
 def main() -> None:

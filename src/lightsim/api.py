@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lightsim import pipeline, scenarios
+from lightsim.build import pipeline
+from lightsim.build.workspace import Workspace
 from lightsim.core.log import DrivingLog
 from lightsim.core.twin import DigitalTwin
-from lightsim.ingest.own_car import ego_vehicle_masks
-from lightsim.ingest.reader import read_log
-from lightsim.ingest.scale import at_scale
+from lightsim.datasets.reader import read_log
+from lightsim.datasets.scale import at_scale
+from lightsim.masks.ego_vehicle import ego_vehicle_masks
 from lightsim.progress import Progress, SilentProgress
-from lightsim.skies import SkyChoice
+from lightsim.simulate import relight as scenarios
+from lightsim.simulate.skies import SkyChoice
 from lightsim.store.log import LogReading
-from lightsim.workspace import Workspace
 
 
 def load_log(

@@ -11,12 +11,12 @@ import pytest
 import torch
 
 from lightsim.baselines.sold_net import cell_of
-from lightsim.lighting.sky_evaluate import SkyModel, evaluate_sky_networks
-from lightsim.lighting.sky_train import SkyRecipe, SkyTrainConfig, train_sky
 from lightsim.networks.panorama import direction_map
-from lightsim.networks.training import LoopConfig
 from lightsim.progress import SilentProgress
+from lightsim.training.loop import LoopConfig
+from lightsim.training.sky import SkyRecipe, SkyTrainConfig, train_sky
 from lightsim.training.sky_models import SkyKind, sky_recipe, weights_of
+from lightsim.training.sky_scores import SkyModel, evaluate_sky_networks
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "lighting"))
 from fake_skies import FakeSkies

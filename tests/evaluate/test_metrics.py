@@ -12,7 +12,7 @@ from lightsim.core.colour import linear_from_srgb, srgb_from_linear
 from lightsim.errors import InputError
 from lightsim.evaluate.lpips import lpips, lpips_features, lpips_of_features
 from lightsim.evaluate.metrics import fill_invalid, fit_exposure, psnr, ssim
-from lightsim.weights import list_weights, load_weights
+from lightsim.store.weights import list_weights, load_weights
 
 
 @pytest.fixture

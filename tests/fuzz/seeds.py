@@ -9,18 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
-from ingest.mini_log import write_json, write_mini_log
+from datasets.mini_log import write_json, write_mini_log
+from lightsim.build.pipeline import STAGES, BuildOptions, recipes
+from lightsim.build.workspace import FIELD_CONFIG_NAME, FIELD_NAME, OPTIONS_NAME
 from lightsim.core.alignment import Alignment, CameraCorrection, PathCorrection
 from lightsim.core.dome import Sun, add_sun
 from lightsim.core.fields import GroundMap, SceneFields, TsdfGrid
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import Material, Texture, TriMesh
 from lightsim.core.twin import ActorAsset, DigitalTwin, Panorama, SceneAssets, SkyEstimate
-from lightsim.ingest.reader import read_log
-from lightsim.pipeline import OPTIONS_NAME, STAGES, BuildOptions, recipes
-from lightsim.reconstruct.neural_config import draft
+from lightsim.datasets.fingerprint import hash_recording
+from lightsim.datasets.reader import read_log
+from lightsim.reconstruct.field.config import draft
 from lightsim.store.alignment import write_alignment
-from lightsim.store.artefact import make_artefact
+from lightsim.store.artefact import hash_names, make_artefact
 from lightsim.store.artefact import write_json as write_own_json
 from lightsim.store.assets import write_assets, write_mesh
 from lightsim.store.checkpoint import FolderJournal, write_weights
@@ -29,7 +31,6 @@ from lightsim.store.images import write_grey8
 from lightsim.store.log import LogReading, write_log
 from lightsim.store.sky import write_panorama, write_sky
 from lightsim.store.twin import write_twin
-from lightsim.workspace import FIELD_CONFIG_NAME, FIELD_NAME
 
 _MAX_FRAMES = 3
 _MAX_CAMERAS = 2
@@ -80,8 +81,8 @@ def _write_work(work: Path, log_folder: Path) -> None:
     options = BuildOptions(reading, "draft", 0, 0)
     write_own_json(work / OPTIONS_NAME, options)
     log = read_log(log_folder)
-    writers = _Writers(log, reading)
-    recipe_of = recipes(options)
+    writers = _Writers(log, reading, hash_recording(log_folder))
+    recipe_of = recipes(options, hash_names(writers.hashes))
     for stage in STAGES:
         write = getattr(writers, stage.name, writers.nothing)
         make_artefact(work / stage.name, recipe_of[stage.name], write)
@@ -93,13 +94,14 @@ class _Writers:
 
     log_: DrivingLog
     reading: LogReading
+    hashes: dict[str, str]
 
     def nothing(self, folder: Path) -> Iterable[str]:
         (folder / "index.html").write_text("<html></html>")
         return ()
 
     def log(self, folder: Path) -> Iterable[str]:
-        write_log(folder, self.log_, self.reading)
+        write_log(folder, self.log_, self.reading, self.hashes)
         return self.log_.notes
 
     def masks(self, folder: Path) -> Iterable[str]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from lightsim.ingest.safe_pickle import read_table
+from lightsim.datasets.safe_pickle import read_table
 
 from .hostile_pickles import BUILDERS
 from .mutations import Rng, mutate_bytes, pick

@@ -8,20 +8,21 @@ from unittest import mock
 
 import numpy as np
 
-from lightsim import scenarios
 from lightsim.api import load_log
+from lightsim.build.pipeline import status
+from lightsim.build.workspace import FIELD_CONFIG_NAME, FIELD_NAME, Workspace
 from lightsim.core.dome import SkyDome
 from lightsim.core.fields import SceneFields
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
 from lightsim.core.twin import ActorAsset, SceneAssets, SkyEstimate
 from lightsim.errors import LightSimError
-from lightsim.lighting.image_sky import panorama_from_image
-from lightsim.lighting.target import scale_to_source
-from lightsim.pipeline import status
+from lightsim.lighting.sky.image_sky import panorama_from_image
+from lightsim.lighting.target_sky import scale_to_source
 from lightsim.progress import SilentProgress
-from lightsim.reconstruct.neural_config import config_from_json
-from lightsim.skies import SkyChoice, resolve_sky, sky_alone, sun_of_command
+from lightsim.reconstruct.field.config import config_from_json
+from lightsim.simulate import relight as scenarios
+from lightsim.simulate.skies import SkyChoice, resolve_sky, sky_alone, sun_of_command
 from lightsim.store.alignment import read_alignment
 from lightsim.store.artefact import read_json
 from lightsim.store.assets import read_assets, read_mesh, write_assets
@@ -31,7 +32,6 @@ from lightsim.store.images import read_grey8, read_srgb8_alpha
 from lightsim.store.log import LogReading, read_reading, write_log
 from lightsim.store.sky import read_estimate, read_panorama
 from lightsim.store.twin import read_twin_assets
-from lightsim.workspace import FIELD_CONFIG_NAME, FIELD_NAME, Workspace
 
 _MAX_PICTURES, _MAX_SWEEPS = 6, 3
 
@@ -42,7 +42,7 @@ def read_whole_log(folder: Path) -> None:
     use_log(log)
     out = folder / "out"
     out.mkdir()
-    write_log(out, log, LogReading(str(folder / "log"), "auto", (), "", None, 1.0, 4))
+    write_log(out, log, LogReading(str(folder / "log"), "auto", (), "", None, 1.0, 4), {})
     cube = TriMesh(
         "actor", np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32),
         np.zeros((3, 3), np.float32),

@@ -13,8 +13,8 @@ from lightsim.core.dome import irradiance
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import GeoReference
 from lightsim.errors import InputError
-from lightsim.lighting.clear_sky import LUMINANCE_CD_M2, clear_sky_parts
-from lightsim.lighting.target import target_sky
+from lightsim.lighting.sky.clear_sky import LUMINANCE_CD_M2, clear_sky_parts
+from lightsim.lighting.target_sky import target_sky
 
 _NM = np.arange(380.0, 781.0)
 _RGB_FROM_XYZ = np.linalg.inv(

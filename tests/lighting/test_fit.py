@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lightsim.core.colour import luminance
-from lightsim.lighting.evidence import LightEvidence
-from lightsim.lighting.fit import SunFit, SunFitConfig, fit_sun
+from lightsim.lighting.sky.fit import SunFit, SunFitConfig, fit_sun
+from lightsim.lighting.sun.evidence import LightEvidence
 
 SKY = np.array([0.5, 0.6, 0.8])
 SURFACES = np.array([0.3, 0.3, 0.25])

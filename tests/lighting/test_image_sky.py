@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from lightsim.errors import InputError
-from lightsim.lighting.image_sky import panorama_from_image
+from lightsim.lighting.sky.image_sky import panorama_from_image
 from lightsim.store.images import read_srgb8_alpha
 
 SKY = (120, 160, 220)

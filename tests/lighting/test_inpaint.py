@@ -14,29 +14,33 @@ from torch.nn import functional
 
 from lightsim.core.twin import Panorama
 from lightsim.errors import InputError
-from lightsim.lighting.attention_network import contextual_attention, fold_sphere, pad_sphere
-from lightsim.lighting.complete import completed_ldr
-from lightsim.lighting.inpaint import (
+from lightsim.lighting.panorama.attention_network import (
+    contextual_attention,
+    fold_sphere,
+    pad_sphere,
+)
+from lightsim.lighting.panorama.complete import completed_ldr
+from lightsim.lighting.panorama.inpaint import (
     complete_panorama,
     fill_by_laplace,
     fill_by_nearest,
     fill_by_rows,
 )
-from lightsim.lighting.inpaint_evaluation import evaluate_inpaint
-from lightsim.lighting.inpaint_losses import (
+from lightsim.lighting.panorama.inpaint_network import (
+    GatedConvolution,
+    InpaintGenerator,
+    PatchDiscriminator,
+)
+from lightsim.lighting.sample import LightingBatch
+from lightsim.progress import SilentProgress
+from lightsim.training.inpaint import InpaintConfig, train_inpaint
+from lightsim.training.inpaint_losses import (
     discriminator_loss,
     generator_loss,
     reconstruction_loss,
     row_weights,
 )
-from lightsim.lighting.inpaint_network import (
-    GatedConvolution,
-    InpaintGenerator,
-    PatchDiscriminator,
-)
-from lightsim.lighting.inpaint_train import InpaintConfig, train_inpaint
-from lightsim.lighting.sample import LightingBatch
-from lightsim.progress import SilentProgress
+from lightsim.training.inpaint_scores import evaluate_inpaint
 
 HEIGHT = 16
 TINY = InpaintConfig(

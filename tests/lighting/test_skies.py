@@ -15,11 +15,16 @@ from lightsim.core.log import GeoReference
 from lightsim.core.solar import angle_between_deg, direction_enu
 from lightsim.core.twin import Panorama
 from lightsim.errors import InputError
-from lightsim.lighting.clear_sky import clear_sky, clear_sky_parts, overcast_sky
-from lightsim.lighting.estimate import SkyConfig, estimate_sky
-from lightsim.lighting.image_sky import estimate_from_panorama
-from lightsim.lighting.sun import SunDirection, find_sun_blob, sun_from_geo, sun_from_panorama
-from lightsim.lighting.target import dome_from_array, scale_to_source, target_sky
+from lightsim.lighting.sky.clear_sky import clear_sky, clear_sky_parts, overcast_sky
+from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
+from lightsim.lighting.sky.image_sky import estimate_from_panorama
+from lightsim.lighting.sun.direction import (
+    SunDirection,
+    find_sun_blob,
+    sun_from_geo,
+    sun_from_panorama,
+)
+from lightsim.lighting.target_sky import dome_from_array, scale_to_source, target_sky
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -12,26 +12,26 @@ from fake_skies import FakeSkies
 
 from lightsim.errors import InputError
 from lightsim.lighting.sample import LightingData, SkyPrediction
-from lightsim.lighting.sky_estimator import SkyEstimator
-from lightsim.lighting.sky_evaluate import (
+from lightsim.lighting.sky.estimator import SkyEstimator
+from lightsim.lighting.sky.network import (
+    SkyNetwork,
+    SkyNetworkConfig,
+    network_from_tensors,
+    tensors_of,
+)
+from lightsim.networks.panorama import UNet, filled
+from lightsim.networks.sky_terms import fisher_loss, laplace_loss, sun_lobe
+from lightsim.progress import SilentProgress
+from lightsim.training.loop import LoopConfig, run_training
+from lightsim.training.sky import SkyRecipe, SkyTrainConfig, sky_tensors, train_sky
+from lightsim.training.sky_losses import sky_loss
+from lightsim.training.sky_scores import (
     angles_deg,
     brightest_spot,
     credible_cone_deg,
     evaluate_sky_networks,
     parts_of,
 )
-from lightsim.lighting.sky_losses import sky_loss
-from lightsim.lighting.sky_network import (
-    SkyNetwork,
-    SkyNetworkConfig,
-    network_from_tensors,
-    tensors_of,
-)
-from lightsim.lighting.sky_train import SkyRecipe, SkyTrainConfig, sky_tensors, train_sky
-from lightsim.networks.panorama import UNet, filled
-from lightsim.networks.sky_terms import fisher_loss, laplace_loss, sun_lobe
-from lightsim.networks.training import LoopConfig, run_training
-from lightsim.progress import SilentProgress
 
 TINY: dict[str, Any] = {"widths": (8, 8, 16), "decoder_widths": (8, 8, 16), "height_px": 32}
 DATA = FakeSkies()

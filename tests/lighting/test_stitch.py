@@ -18,10 +18,10 @@ from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame, RollingShutter
 from lightsim.core.twin import Panorama, SceneAssets
 from lightsim.errors import InputError
-from lightsim.lighting.evidence import EvidenceConfig, Surroundings, collect_evidence
-from lightsim.lighting.sky_overlaps import sky_factors
-from lightsim.lighting.stitch import StitchConfig, stitch_panorama
-from lightsim.render.embree import make_embree_caster
+from lightsim.lighting.panorama.overlaps import sky_factors
+from lightsim.lighting.panorama.stitch import StitchConfig, stitch_panorama
+from lightsim.lighting.sun.evidence import EvidenceConfig, Surroundings, collect_evidence
+from lightsim.render.casters.embree import make_embree_caster
 
 HALF_M = 6.0
 GAIN = np.array([1.2, 0.9, 1.1], np.float32)

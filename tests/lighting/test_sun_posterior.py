@@ -16,9 +16,7 @@ from lightsim.core.solar import angle_between_deg, direction_enu, solar_position
 from lightsim.core.twin import Panorama
 from lightsim.lighting.directions import fibonacci_hemisphere, log_vmf
 from lightsim.lighting.sample import SkyPrediction
-from lightsim.lighting.shadow_votes import ShadowVoteConfig, ShadowVotes, vote
-from lightsim.lighting.sun import SunBlob
-from lightsim.lighting.sun_cues import (
+from lightsim.lighting.sun.cues import (
     BlobCue,
     GradientCue,
     NetworkCue,
@@ -26,9 +24,11 @@ from lightsim.lighting.sun_cues import (
     ShadowCue,
     ephemeris_cue,
 )
-from lightsim.lighting.sun_posterior import SunPosteriorConfig, sun_direction, sun_posterior
-from lightsim.lighting.surface_samples import SampleConfig, sample_surfaces
-from lightsim.render.embree import make_embree_caster
+from lightsim.lighting.sun.direction import SunBlob
+from lightsim.lighting.sun.posterior import SunPosteriorConfig, sun_direction, sun_posterior
+from lightsim.lighting.sun.shadow_votes import ShadowVoteConfig, ShadowVotes, vote
+from lightsim.lighting.sun.surface_samples import SampleConfig, sample_surfaces
+from lightsim.render.casters.embree import make_embree_caster
 
 CONFIG = ShadowVoteConfig(
     samples=SampleConfig(point_count=1500, sky_rays=16), coarse_count=500, bootstraps=60
@@ -208,7 +208,7 @@ def test_grids_are_uniform_and_densities_integrate_to_one():
 
 
 def test_the_gradient_cue_knows_a_clear_sky():
-    from lightsim.lighting.clear_sky import clear_sky_parts
+    from lightsim.lighting.sky.clear_sky import clear_sky_parts
 
     sun = direction_enu(130.0, 35.0)
     radiance = 0.3 * clear_sky_parts(sun, 4.0, 0.2, 64)[0]

@@ -8,14 +8,14 @@ import pytest
 import torch
 
 from lightsim.errors import InputError
-from lightsim.reconstruct.hash_grid import (
+from lightsim.reconstruct.field.hash_grid.grid import (
     HashGridSpec,
     Implementation,
     encode_plainly,
     hash_encode,
     make_table,
 )
-from lightsim.reconstruct.sparse_adam import SparseAdam
+from lightsim.reconstruct.field.hash_grid.sparse_adam import SparseAdam
 
 SPEC = HashGridSpec(levels=5, features=2, log2_entries=10, coarsest_m=4.0, finest_m=0.1)
 

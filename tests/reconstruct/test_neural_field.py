@@ -14,18 +14,19 @@ from lightsim.core.fields import BLOCK, GroundMap, SceneFields, TsdfGrid
 from lightsim.core.frames import RigidTransform
 from lightsim.errors import ArtefactError, InputError
 from lightsim.progress import SilentProgress
-from lightsim.reconstruct import neural_config, train
-from lightsim.reconstruct.hash_grid_spec import HashGridSpec
-from lightsim.reconstruct.losses import scene_loss
-from lightsim.reconstruct.neural import choose_device
-from lightsim.reconstruct.prior_torch import TorchPrior
-from lightsim.reconstruct.ray_pool import RayPool
-from lightsim.reconstruct.refine import refined_fields
-from lightsim.reconstruct.sampling import place_samples
-from lightsim.reconstruct.sdf_field import SceneField
-from lightsim.reconstruct.train import TrainingRays, batch_of, train_field
-from lightsim.reconstruct.tsdf_prior import TsdfPrior
-from lightsim.reconstruct.volume_rendering import composite, crossings_m, opacities
+from lightsim.reconstruct.field import config as neural_config
+from lightsim.reconstruct.field import train
+from lightsim.reconstruct.field.hash_grid.spec import HashGridSpec
+from lightsim.reconstruct.field.losses import scene_loss
+from lightsim.reconstruct.field.neural import choose_device
+from lightsim.reconstruct.field.prior_torch import TorchPrior
+from lightsim.reconstruct.field.ray_pool import RayPool
+from lightsim.reconstruct.field.refine import refined_fields
+from lightsim.reconstruct.field.sampling import place_samples
+from lightsim.reconstruct.field.sdf_field import SceneField
+from lightsim.reconstruct.field.train import TrainingRays, batch_of, train_field
+from lightsim.reconstruct.field.tsdf_prior import TsdfPrior
+from lightsim.reconstruct.field.volume_rendering import composite, crossings_m, opacities
 from lightsim.store.checkpoint import FolderJournal
 
 WALL_M = 5.0

@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lightsim.assets.mesh_config import MeshConfig
-from lightsim.assets.mesh_scene import mesh_background
-from lightsim.assets.surface import extract_surface
 from lightsim.core.actors import ActorTrack
 from lightsim.core.fields import SceneFields
 from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import LazySweep, LidarSweep
 from lightsim.errors import ArtefactError, InputError
+from lightsim.geometry.config import MeshConfig
+from lightsim.geometry.mesh_scene import mesh_background
+from lightsim.geometry.surface import extract_surface
 from lightsim.progress import SilentProgress
-from lightsim.reconstruct.ground import GroundBuilder
-from lightsim.reconstruct.tsdf import FuseConfig, fuse_log
-from lightsim.render.embree import make_embree_caster
+from lightsim.reconstruct.fusion.ground import GroundBuilder
+from lightsim.reconstruct.fusion.tsdf import FuseConfig, fuse_log
+from lightsim.render.casters.embree import make_embree_caster
 
 SPHERE = np.array([8.0, 4.0, 1.5])
 RADIUS_M = 1.5

@@ -7,9 +7,9 @@ import pytest
 
 from lightsim.core.colour import linear_from_srgb8
 from lightsim.errors import InputError
-from lightsim.relighting.compose import camera_image
-from lightsim.relighting.filters import box_mean, fill_holes, guided_filter, weighted_mean
-from lightsim.relighting.matte import foreground_radiance
+from lightsim.relighting.physical.compose import camera_image
+from lightsim.relighting.physical.filters import box_mean, fill_holes, guided_filter, weighted_mean
+from lightsim.relighting.physical.matte import foreground_radiance
 
 
 def test_gain_and_exposure_are_factors_on_linear_light(rng: np.random.Generator) -> None:

@@ -19,7 +19,7 @@ from tests.relighting.scene import (
 
 from lightsim.core.buffers import ShadowBuffers
 from lightsim.errors import InputError
-from lightsim.relighting.ratio import RatioConfig, RelightInputs, relight_physical
+from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
 
 OLD_SKY = np.array([0.7, 0.8, 0.95], np.float32)
 NEW_SKY = np.array([0.9, 0.5, 0.2], np.float32)

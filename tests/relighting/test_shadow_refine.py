@@ -9,8 +9,8 @@ import pytest
 from tests.relighting.scene import SKY_ROWS, light, shadow_right_of
 from tests.relighting.test_ratio import SUN, make_inputs
 
-from lightsim.relighting.ratio import RatioConfig, RelightInputs, relight_physical
-from lightsim.relighting.shadow_refine import (
+from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
+from lightsim.relighting.physical.shadow_refine import (
     ShadowRefineConfig,
     refine_sun_visibility,
     unoccluded_sun,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from lightsim.core.casting import MakeCaster
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.render.casters.mitsuba import MitsubaBackend, MitsubaCaster, is_usable
 from lightsim.render.composite import CompositeCaster
-from lightsim.render.embree import make_embree_caster
-from lightsim.render.mitsuba_caster import MitsubaBackend, MitsubaCaster, is_usable
 
 
 def _one_each(meshes):

@@ -9,14 +9,14 @@ from rendering_scenes import box, camera, look_at, mesh, plane, sphere, sun_sky
 from lightsim.core.casting import RayCaster
 from lightsim.core.scenario import Scenario
 from lightsim.errors import FrameMismatchError, InputError
-from lightsim.render import mitsuba_caster
-from lightsim.render.backends import Backend, choose_caster
-from lightsim.render.embree import EmbreeCaster, make_embree_caster
+from lightsim.render.casters import mitsuba as mitsuba_caster
+from lightsim.render.casters.choice import Backend, choose_caster
+from lightsim.render.casters.embree import EmbreeCaster, make_embree_caster
+from lightsim.render.casters.mitsuba import MitsubaBackend, is_usable, mitsuba_caster_maker
 from lightsim.render.gbuffers import render_gbuffers
-from lightsim.render.light import light
-from lightsim.render.mitsuba_caster import MitsubaBackend, is_usable, mitsuba_caster_maker
 from lightsim.render.scene import make_static_scene, place
-from lightsim.render.transport import exact, trace_transport
+from lightsim.render.transport.light import light
+from lightsim.render.transport.table import exact, trace_transport
 
 
 @pytest.fixture(params=["llvm", pytest.param("cuda", marks=pytest.mark.gpu)])
@@ -104,7 +104,7 @@ def test_light_is_the_same_whatever_casts_the_rays(backend: MitsubaBackend) -> N
 
 
 def test_a_backend_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lightsim.render.backends.is_usable", lambda backend: False)
+    monkeypatch.setattr("lightsim.render.casters.choice.is_usable", lambda backend: False)
     monkeypatch.setattr(mitsuba_caster, "is_usable", lambda backend: False)
     assert choose_caster("auto") is make_embree_caster
     assert isinstance(choose_caster("embree")([plane()]), EmbreeCaster)

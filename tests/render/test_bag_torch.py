@@ -9,12 +9,12 @@ import pytest
 from rendering_scenes import box, camera, look_at, plane, sun_sky
 
 from lightsim.core.scenario import Scenario
-from lightsim.render.bag_torch import TorchBag
 from lightsim.render.gbuffers import render_gbuffers
-from lightsim.render.light import light
 from lightsim.render.scene import make_static_scene, place
-from lightsim.render.transport import exact, trace_transport
-from lightsim.render.transport_kernels import point_light
+from lightsim.render.transport.bag_torch import TorchBag
+from lightsim.render.transport.kernels import point_light
+from lightsim.render.transport.light import light
+from lightsim.render.transport.table import exact, trace_transport
 
 
 @pytest.mark.parametrize(

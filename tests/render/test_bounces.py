@@ -22,11 +22,16 @@ from lightsim.core.dome import SkyDome
 from lightsim.core.mesh import Material, Texture
 from lightsim.errors import InputError
 from lightsim.render.gbuffers import render_gbuffers
-from lightsim.render.light import light
-from lightsim.render.samples import render_samples
 from lightsim.render.scene import make_static_scene, without_actors
-from lightsim.render.transport import TransportConfig, exact, static_face_table, trace_transport
-from lightsim.render.transport_kernels import fill_unlisted
+from lightsim.render.transport.kernels import fill_unlisted
+from lightsim.render.transport.light import light
+from lightsim.render.transport.samples import render_samples
+from lightsim.render.transport.table import (
+    TransportConfig,
+    exact,
+    static_face_table,
+    trace_transport,
+)
 
 _VIEW = look_at((0.0, -9.0, 5.0), (0.0, 0.0, 0.5))
 

@@ -12,10 +12,10 @@ from rendering_scenes import box, camera, constant_sky, look_at, plane, sphere, 
 
 from lightsim.core.mesh import Material, Texture
 from lightsim.errors import LightSimError, MissingDependencyError
-from lightsim.render.cycles import Cycles
 from lightsim.render.gbuffers import render_gbuffers
-from lightsim.render.path_tracer import PathTracer
-from lightsim.render.reference import Shot
+from lightsim.render.reference.cycles import Cycles
+from lightsim.render.reference.path_tracer import PathTracer
+from lightsim.render.reference.renderer import Shot
 from lightsim.render.scene import make_static_scene, without_actors
 
 _LENS = replace(camera(64, 48, 55.0), cx=29.0, cy=25.5)

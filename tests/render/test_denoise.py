@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lightsim.errors import InputError, MissingDependencyError
-from lightsim.render.denoise import denoise
+from lightsim.render.reference.denoise import denoise
 
 
 def _noisy(rng):

@@ -8,7 +8,7 @@ import pytest
 from lightsim.core.casting import MISS
 from lightsim.core.mesh import TriMesh
 from lightsim.errors import FrameMismatchError
-from lightsim.render.embree import make_embree_caster, offset_origins
+from lightsim.render.casters.embree import make_embree_caster, offset_origins
 
 
 def _soup(rng: np.random.Generator, faces: int, centre_m: float = 0.0) -> TriMesh:

@@ -12,13 +12,13 @@ from lightsim.core.dome import SkyDome
 from lightsim.core.equirect import pixel_directions
 from lightsim.core.mesh import Material
 from lightsim.render.gbuffers import render_gbuffers
-from lightsim.render.glossy import specular_lobe
-from lightsim.render.glossy_kernels import reflected_rays
 from lightsim.render.image import scene_image
-from lightsim.render.light import light
-from lightsim.render.samples import render_samples
 from lightsim.render.scene import make_static_scene, without_actors
-from lightsim.render.transport import exact, trace_transport
+from lightsim.render.transport.glossy import specular_lobe
+from lightsim.render.transport.glossy_kernels import reflected_rays
+from lightsim.render.transport.light import light
+from lightsim.render.transport.samples import render_samples
+from lightsim.render.transport.table import exact, trace_transport
 
 _VIEW = look_at((0.0, -6.0, 3.0), (0.0, 0.0, 0.0))
 

@@ -21,9 +21,10 @@ from lightsim.core.dome import SkyDome, split_sun
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
 from lightsim.render.gbuffers import render_gbuffers
-from lightsim.render.light import light, prepare_sky
 from lightsim.render.scene import make_static_scene, without_actors
-from lightsim.render.transport import (
+from lightsim.render.transport.light import light
+from lightsim.render.transport.sky import prepare_sky
+from lightsim.render.transport.table import (
     TransportConfig,
     exact,
     static_face_table,

@@ -12,14 +12,15 @@ from lightsim.core.buffers import ShadowBuffers
 from lightsim.core.casting import MakeCaster
 from lightsim.core.scenario import Scenario
 from lightsim.errors import InputError
-from lightsim.render.embree import make_embree_caster
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.render.casters.mitsuba import MitsubaBackend, is_usable, mitsuba_caster_maker
 from lightsim.render.gbuffers import render_gbuffers
-from lightsim.render.light import light, prepare_sky
-from lightsim.render.live import LiveFrame, LiveLight
-from lightsim.render.mitsuba_caster import MitsubaBackend, is_usable, mitsuba_caster_maker
-from lightsim.render.samples import render_samples
 from lightsim.render.scene import FrameScene, make_static_scene, place
-from lightsim.render.transport import TransportConfig, exact, trace_transport
+from lightsim.render.transport.light import light
+from lightsim.render.transport.live import LiveFrame, LiveLight
+from lightsim.render.transport.samples import render_samples
+from lightsim.render.transport.sky import prepare_sky
+from lightsim.render.transport.table import TransportConfig, exact, trace_transport
 
 CONFIG = TransportConfig(sky_rays=16)
 
@@ -137,6 +138,6 @@ def test_samples_of_pixels_are_refused() -> None:
 
 def test_a_device_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     table, scene, buffers = _traced(make_embree_caster, CONFIG)
-    monkeypatch.setattr("lightsim.render.live_sun.is_usable", lambda backend: False)
+    monkeypatch.setattr("lightsim.render.transport.live_sun.is_usable", lambda backend: False)
     with pytest.raises(InputError, match="cuda"):
         LiveFrame(table, scene, buffers, CONFIG, "cuda")

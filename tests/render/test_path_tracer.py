@@ -15,12 +15,12 @@ from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import FrameMismatchError
 from lightsim.render.gbuffers import render_gbuffers
-from lightsim.render.light import light
-from lightsim.render.mitsuba_scene import choose_variant, corner_mesh, rows_at_edges
-from lightsim.render.path_tracer import PathTracer
-from lightsim.render.reference import ReferenceRenderer, Shot, open_irradiance_over_pi
+from lightsim.render.reference.mitsuba_scene import choose_variant, corner_mesh, rows_at_edges
+from lightsim.render.reference.path_tracer import PathTracer
+from lightsim.render.reference.renderer import ReferenceRenderer, Shot, open_irradiance_over_pi
 from lightsim.render.scene import make_static_scene, without_actors
-from lightsim.render.transport import exact, trace_transport
+from lightsim.render.transport.light import light
+from lightsim.render.transport.table import exact, trace_transport
 
 _LENS = camera(48, 36, 42.0)
 _VIEW = look_at((0.0, -7.0, 4.0), (0.0, 0.0, 0.5))
@@ -188,7 +188,7 @@ def test_a_pose_of_something_else_is_refused(tracer):
 
 
 def test_llvm_is_used_only_when_named(monkeypatch):
-    monkeypatch.setattr("lightsim.render.mitsuba_scene._has_cuda", lambda: False)
+    monkeypatch.setattr("lightsim.render.reference.mitsuba_scene._has_cuda", lambda: False)
     for path, expected in (
         ("/usr/lib/libLLVM-14.so", "scalar_rgb"),
         ("", "scalar_rgb"),

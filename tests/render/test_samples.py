@@ -12,10 +12,10 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.errors import InputError
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.image import scene_image
-from lightsim.render.light import light
-from lightsim.render.samples import render_samples, sample_offsets
 from lightsim.render.scene import make_static_scene, without_actors
-from lightsim.render.transport import TransportConfig, exact, trace_transport
+from lightsim.render.transport.light import light
+from lightsim.render.transport.samples import render_samples, sample_offsets
+from lightsim.render.transport.table import TransportConfig, exact, trace_transport
 
 _VIEW = look_at((0.0, -9.0, 5.0), (0.0, 0.0, 0.5))
 _ABOVE = look_at((0.0, 0.0, 10.0), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0))

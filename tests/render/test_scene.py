@@ -15,12 +15,12 @@ from lightsim.core.mesh import TriMesh
 from lightsim.core.scenario import ActorPlacement, Scenario
 from lightsim.core.twin import ActorAsset
 from lightsim.errors import FrameMismatchError
+from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.composite import CompositeCaster
-from lightsim.render.embree import make_embree_caster
 from lightsim.render.gbuffers import render_gbuffers
-from lightsim.render.light import light
 from lightsim.render.scene import FrameScene, make_static_scene, place, without_actors
-from lightsim.render.transport import exact, trace_transport
+from lightsim.render.transport.light import light
+from lightsim.render.transport.table import exact, trace_transport
 
 _ABOVE = look_at((0.0, 0.0, 30.0), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0))
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from lightsim import cli
-from lightsim.lighting import inpaint_evaluation
-from lightsim.lighting.inpaint_evaluation import evaluate_inpaint
 from lightsim.progress import Progress
-from lightsim.training import commands
+from lightsim.training import inpaint_scores as inpaint_evaluation
+from lightsim.training import run as commands
+from lightsim.training.inpaint_scores import evaluate_inpaint
 from lightsim.training.lighting_cache import LightingCache, PrepareConfig, read_cache
 from lightsim.training.street_panoramas import StreetConfig
 

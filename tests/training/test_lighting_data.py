@@ -10,11 +10,11 @@ import pytest
 from lightsim.core.dome import irradiance
 from lightsim.core.equirect import pixel_directions, uv_from_directions
 from lightsim.errors import InputError
-from lightsim.ingest.synthetic.finishes import make_finishes
-from lightsim.ingest.synthetic.geometry import Snapshot
-from lightsim.ingest.synthetic.plan import plan_street
-from lightsim.ingest.synthetic.street import Street, build_background
 from lightsim.lighting.sample import LightingData
+from lightsim.synthetic.finishes import make_finishes
+from lightsim.synthetic.geometry import Snapshot
+from lightsim.synthetic.plan import plan_street
+from lightsim.synthetic.street import Street, build_background
 from lightsim.training.hdr_skies import measured_sky, read_split, shrunk, sky_mask
 from lightsim.training.lighting_data import LightingSet
 from lightsim.training.procedural_skies import Heaven, raised_heaven, turned_heaven

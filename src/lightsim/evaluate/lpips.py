@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Float32
 from torch.nn import functional
 
 from lightsim.errors import InputError
-from lightsim.weights import load_weights
+from lightsim.store.weights import load_weights
 
 _SHIFT = (-0.030, -0.088, -0.188)
 _SCALE = (0.458, 0.448, 0.450)

@@ -158,7 +158,7 @@ def _surface(
     scene: FrameScene, hits: RayHits, directions_world: Float[np.ndarray, "n 3"]
 ) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
     """Shading normal that faces the ray, bulge and base colour at each hit."""
-    from lightsim.render.transport_kernels import shading_normals
+    from lightsim.render.transport.kernels import shading_normals
 
     meshes: Sequence[TriMesh] = scene.camera_meshes
     normal = np.zeros((len(hits.distance_m), 3), dtype=np.float32)

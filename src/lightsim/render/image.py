@@ -6,6 +6,10 @@ import numpy as np
 from jaxtyping import Float32
 
 from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.dome import SkyDome
+from lightsim.core.frames import points_rotated
+from lightsim.core.sensors import CameraFrame
 
 
 def scene_image(
@@ -23,3 +27,12 @@ def scene_image(
     coverage = gbuffers.has_surface if light.coverage is None else light.coverage
     covered = coverage.astype(np.float32)[..., None]
     return covered * surface + (1 - covered) * sky
+
+
+def sky_image(
+    dome: SkyDome, camera: PinholeCamera, frame: CameraFrame
+) -> Float32[np.ndarray, "h w 3"]:
+    """The dome as a camera sees it, pixel by pixel."""
+    directions = camera.directions(camera.pixel_centres())
+    rotation = frame.world_from_camera.rotation
+    return dome.look_up(points_rotated(directions, rotation)).astype(np.float32)

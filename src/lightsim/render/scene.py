@@ -12,8 +12,8 @@ from lightsim.core.buffers import BACKGROUND
 from lightsim.core.casting import MakeCaster, RayCaster
 from lightsim.core.mesh import TriMesh
 from lightsim.core.scenario import Scenario
+from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.composite import CompositeCaster
-from lightsim.render.embree import make_embree_caster
 
 
 @dataclass(frozen=True, eq=False)

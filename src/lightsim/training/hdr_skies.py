@@ -17,7 +17,7 @@ from lightsim.core.dome import SkyDome, Sun, find_sun, irradiance, split_sun
 from lightsim.core.equirect import pixel_directions, solid_angles_sr
 from lightsim.core.resample import resize_area
 from lightsim.errors import InputError
-from lightsim.lighting.clear_sky import clear_sky_parts
+from lightsim.lighting.sky.clear_sky import clear_sky_parts
 from lightsim.progress import Progress, SilentProgress
 from lightsim.store.images import read_sky
 from lightsim.store.reading import read_bytes

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Shaped
 
 from lightsim.core.colour import luminance
-from lightsim.lighting.clear_sky import clear_sky_parts
+from lightsim.lighting.sky.clear_sky import clear_sky_parts
 from lightsim.progress import Progress, SilentProgress
 from lightsim.training import grids
 from lightsim.training.grids import level_weights

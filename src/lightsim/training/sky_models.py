@@ -9,10 +9,10 @@ from torch import Tensor, nn
 
 from lightsim.baselines.nlfe import Nlfe, NlfeConfig, nlfe_loss
 from lightsim.baselines.sold_net import SoldNet, SoldNetConfig, sold_net_loss
-from lightsim.lighting.sky_losses import sky_loss
-from lightsim.lighting.sky_network import SkyNetwork, SkyNetworkConfig, tensors_of
-from lightsim.lighting.sky_train import SkyRecipe, SkyTrainConfig
-from lightsim.networks.training import LoopConfig
+from lightsim.lighting.sky.network import SkyNetwork, SkyNetworkConfig, tensors_of
+from lightsim.training.loop import LoopConfig
+from lightsim.training.sky import SkyRecipe, SkyTrainConfig
+from lightsim.training.sky_losses import sky_loss
 
 Preset = Literal["small", "full"]
 SkyKind = Literal["lightsim", "lightsim_paper", "nlfe", "nlfe_panorama", "sold_net"]

@@ -17,10 +17,12 @@ from lightsim.core.equirect import directions_from_uv, pixel_directions, uv_from
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
 from lightsim.errors import InputError
-from lightsim.ingest.synthetic.finishes import make_finishes
-from lightsim.ingest.synthetic.geometry import Hits, Snapshot
-from lightsim.ingest.synthetic.plan import plan_street
-from lightsim.ingest.synthetic.street import (
+from lightsim.progress import Progress, SilentProgress
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.synthetic.finishes import make_finishes
+from lightsim.synthetic.geometry import Hits, Snapshot
+from lightsim.synthetic.plan import plan_street
+from lightsim.synthetic.street import (
     LANE_M,
     ROAD_HALF_M,
     STREET_END_M,
@@ -29,9 +31,7 @@ from lightsim.ingest.synthetic.street import (
     build_background,
     build_participants,
 )
-from lightsim.ingest.synthetic.textures import Finish
-from lightsim.progress import Progress, SilentProgress
-from lightsim.render.embree import make_embree_caster
+from lightsim.synthetic.textures import Finish
 from lightsim.training.procedural_skies import Heaven
 
 HORIZON_AZIMUTHS = 64

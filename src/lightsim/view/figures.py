@@ -8,9 +8,10 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
 from lightsim.core.buffers import GBuffers, ShadowBuffers
-from lightsim.core.colour import luminance, srgb8_from_linear
+from lightsim.core.colour import linear_from_srgb8, luminance, srgb8_from_linear
 from lightsim.core.dome import SkyDome
 from lightsim.core.equirect import uv_from_directions
+from lightsim.core.resample import resize_area
 from lightsim.errors import InputError
 
 _NO_SURFACE_GREY = 24
@@ -140,3 +141,11 @@ def _draw_ring(picture: UInt8[np.ndarray, "h w 3"], u: float, v: float) -> None:
     distance = np.hypot(np.minimum(dx, width - dx), y - v * height)
     radius = max(6.0, height / 24)
     picture[np.abs(distance - radius) < max(1.0, height / 250)] = _MARKER
+
+
+def reduced(image: UInt8[np.ndarray, "h w 3"], width_px: int = 640) -> UInt8[np.ndarray, "h2 w2 3"]:
+    """At most `width_px` wide, averaged in linear light."""
+    if image.shape[1] <= width_px:
+        return image
+    height_px = round(image.shape[0] * width_px / image.shape[1])
+    return srgb8_from_linear(resize_area(linear_from_srgb8(image), height_px, width_px))

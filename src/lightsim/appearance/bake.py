@@ -1,0 +1,301 @@
+"""Colour of every texel from all images that see it (paper Sec. 3.1: "textured meshes")."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int64, UInt8, UInt16
+
+from lightsim.appearance.atlas import (
+    choose_resolution,
+    edge_lengths_m,
+    first_texels,
+    pack,
+    texels_of,
+)
+from lightsim.appearance.bake_kernels import (
+    code_weight,
+    fill_unseen_texels,
+    robust_texels,
+    sample_texels,
+    vertex_sums,
+)
+from lightsim.appearance.colour import fill_unseen
+from lightsim.appearance.config import AssetConfig
+from lightsim.appearance.gains import solve_gains
+from lightsim.appearance.observe import (
+    PlacedScene,
+    SkyMatte,
+    View,
+    in_moving_shade,
+    load_images,
+    look,
+    pixel_weights,
+    pixels_per_metre,
+)
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.casting import MakeCaster
+from lightsim.core.colour import linear_from_srgb8
+from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import Texture, TriMesh
+from lightsim.progress import Progress
+
+_WEIGHT_UNIT_PX = 30.0
+_SHADE_WEIGHT = 0.02
+_UNSEEN = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class TexelSamples:
+    """The best samples of every texel, face after face.
+
+    Args:
+        colours: 8-bit sRGB codes, gains not divided out.
+        codes: weights (bake_kernels.weight_code); 0 where a slot is empty.
+        frames: index into the frames that were used.
+    """
+
+    colours: UInt8[np.ndarray, "t k 3"]
+    codes: UInt8[np.ndarray, "t k"]
+    frames: UInt16[np.ndarray, "t k"]
+
+
+def bake(
+    log: DrivingLog,
+    background: TriMesh,
+    actors: Mapping[str, TriMesh],
+    config: AssetConfig,
+    *,
+    make_caster: MakeCaster,
+    progress: Progress,
+    sky_matte: SkyMatte | None = None,
+) -> tuple[list[TriMesh], Float32[np.ndarray, "c 3"]]:
+    """The meshes (background first, then the actors) with textures of radiance, and the gains.
+
+    Texels that no image saw take the colour between the vertices, whose colour is the local mean
+    of the texels seen, spread along the surface where there is none.
+    """
+    scene = PlacedScene(log, background, actors, make_caster)
+    frames = [
+        frame for name in log.cameras for frame in log.frames_of(name)[:: config.every_nth_frame]
+    ]
+    views = [
+        look(scene, frame, log.cameras[frame.camera_name], config)
+        for frame in progress.track(frames, "look at the meshes", len(frames))
+    ]
+    edges = edge_lengths_m(scene.vertices, scene.faces)
+    resolution = choose_resolution(
+        edges,
+        footprints_m(views, len(scene.faces)),
+        config.texel_m,
+        config.max_resolution,
+        config.max_texels,
+    )
+    corner = edges.argmax(axis=1).astype(np.int32)
+    table = _Table(scene, resolution, corner, first_texels(resolution))
+    samples = _collect(table, views, log, config, sky_matte, progress)
+    names = list(log.cameras)
+    camera_of_frame = np.array([names.index(f.camera_name) for f in frames], dtype=np.int16)
+    gains = _gains(samples, camera_of_frame, len(names), config)
+    radiance, is_seen = mean_radiance(samples, gains[camera_of_frame], config.outlier_ratio)
+    return _finish(table, edges, radiance, is_seen), gains
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """Texels of all faces of a scene, in one numbering."""
+
+    scene: PlacedScene
+    resolution: np.ndarray
+    corner: np.ndarray
+    first: Int64[np.ndarray, " m"]
+
+    @property
+    def patch(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self.resolution, self.corner, self.first
+
+
+def footprints_m(views: Sequence[View], face_count: int) -> Float32[np.ndarray, " face_count"]:
+    """Size of the finest pixel on each face; inf where no image shows it."""
+    best = np.zeros(face_count, dtype=np.float32)
+    for view in views:
+        best[view.faces] = np.maximum(best[view.faces], view.pixels_per_m)
+    return np.where(best > 0, 1.0 / np.maximum(best, 1e-9), np.inf).astype(np.float32)
+
+
+def _collect(
+    table: _Table,
+    views: list[View],
+    log: DrivingLog,
+    config: AssetConfig,
+    sky_matte: SkyMatte | None,
+    progress: Progress,
+) -> TexelSamples:
+    scene = table.scene
+    shape = (int(table.first[-1]), config.samples_per_texel)
+    samples = TexelSamples(
+        np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.uint8), np.zeros(shape, np.uint16)
+    )
+    corners = _Corners.empty(len(scene.vertices))
+    images = load_images(views, log)
+    for index, (view, image) in enumerate(progress.track(images, "bake the textures", len(views))):
+        frame = view.frame
+        inverse_depth = view.inverse_depth.astype(np.float32)
+        alpha = None if sky_matte is None else sky_matte(frame)
+        own_car = log.own_car_masks.get(frame.camera_name)
+        pixel_weight = pixel_weights(image, own_car, alpha, inverse_depth, config)
+        scene.place(frame, config.max_view_m)
+        _project(corners, scene, view, log.cameras[frame.camera_name], config)
+        step, tolerance = float(config.depth_step_px), config.occlusion_tolerance_m
+        sample_texels(
+            view.faces,
+            table.patch,
+            scene.faces,
+            corners.uv,
+            corners.depth_m,
+            corners.weight,
+            (image, pixel_weight, inverse_depth, step, tolerance, index),
+            (samples.colours, samples.codes, samples.frames),
+        )
+    return samples
+
+
+@dataclass(frozen=True, eq=False)
+class _Corners:
+    """Where the vertices of a scene appear in one image; only those of its faces are set."""
+
+    uv: Float32[np.ndarray, "n 2"]
+    depth_m: Float32[np.ndarray, " n"]
+    weight: Float32[np.ndarray, " n"]
+
+    @staticmethod
+    def empty(count: int) -> _Corners:
+        return _Corners(
+            np.zeros((count, 2), np.float32),
+            np.zeros(count, np.float32),
+            np.zeros(count, np.float32),
+        )
+
+
+def _project(
+    corners: _Corners,
+    scene: PlacedScene,
+    view: View,
+    camera: PinholeCamera,
+    config: AssetConfig,
+) -> None:
+    """Project a view's vertices and weigh how well they are seen."""
+    frame = view.frame
+    is_used = np.zeros(len(scene.vertices), dtype=bool)
+    is_used[scene.faces[view.faces].ravel()] = True
+    used = np.flatnonzero(is_used)
+    points = scene.vertices[used].astype(np.float64)
+    pose = frame.world_from_camera
+    corners.uv[used] = frame.project(camera, points)[0]
+    corners.depth_m[used] = (points - pose.translation_m) @ pose.rotation[:, 2]
+    sharp = pixels_per_metre(scene.vertices[used], scene.normals[used], pose, camera)
+    weight = (sharp / _WEIGHT_UNIT_PX) ** (2 * config.sharpness_power)
+    shade = in_moving_shade(scene, used, frame.time_ns, config.shade_margin_m)
+    corners.weight[used] = np.where(shade, _SHADE_WEIGHT * weight, weight)
+
+
+def _gains(
+    samples: TexelSamples,
+    camera_of_frame: np.ndarray,
+    camera_count: int,
+    config: AssetConfig,
+) -> Float32[np.ndarray, "c 3"]:
+    """From texels that several images saw, evenly taken."""
+    if not config.has_camera_gains:
+        return np.ones((camera_count, 3), dtype=np.float32)
+    shared = np.flatnonzero((samples.codes > 0).sum(axis=1) > 1)
+    shared = shared[:: max(1, len(shared) // config.gain_samples)]
+    weight_by_code = np.array([code_weight(code) for code in range(256)], dtype=np.float32)
+    return solve_gains(
+        linear_from_srgb8(samples.colours[shared]),
+        weight_by_code[samples.codes[shared]],
+        camera_of_frame[samples.frames[shared]],
+        camera_count,
+        config.gain_strength,
+    )
+
+
+def mean_radiance(
+    samples: TexelSamples, gains: Float32[np.ndarray, "f 3"], outlier_ratio: float
+) -> tuple[Float32[np.ndarray, "t 3"], Bool[np.ndarray, " t"]]:
+    """Mean observed radiance of every texel, and whether any image saw it.
+
+    Args:
+        gains: of each frame.
+    """
+    count = len(samples.codes)
+    radiance, is_seen = np.zeros((count, 3), np.float32), np.zeros(count, dtype=bool)
+    robust_texels(
+        (samples.colours, samples.codes, samples.frames),
+        linear_from_srgb8(np.arange(256, dtype=np.uint8)),
+        1.0 / gains,
+        float(np.log(outlier_ratio)),
+        radiance,
+        is_seen,
+    )
+    return radiance, is_seen
+
+
+def _finish(
+    table: _Table,
+    edges_m: Float32[np.ndarray, "m 3"],
+    radiance: Float32[np.ndarray, "t 3"],
+    is_seen: Bool[np.ndarray, " t"],
+) -> list[TriMesh]:
+    """Colour of the vertices, of what nobody saw, and each mesh's own texture."""
+    scene = table.scene
+    half = edges_m.astype(np.float64).sum(axis=1) / 2
+    area = np.sqrt(np.maximum(half * np.prod(half[:, None] - edges_m, axis=1), 0.0))
+    sums, total = np.zeros((len(scene.vertices), 3)), np.zeros(len(scene.vertices))
+    vertex_sums(table.patch, scene.faces, area, radiance, is_seen, sums, total)
+    is_known = total > 0
+    colour = (sums / np.where(is_known, total, 1.0)[:, None]).astype(np.float32)
+    usual = np.median(colour[is_known], axis=0) if is_known.any() else np.full(3, _UNSEEN)
+    for k, mesh in enumerate(scene.meshes):
+        part = slice(scene.first_vertex[k], scene.first_vertex[k + 1])
+        colour[part] = fill_unseen(mesh, colour[part], is_known[part], usual.astype(np.float32))
+    fill_unseen_texels(table.patch, scene.faces, colour, radiance, is_seen)
+    return [
+        _textured(table, k, edges_m, (colour, is_known), radiance) for k in range(len(scene.meshes))
+    ]
+
+
+def _textured(
+    table: _Table,
+    number: int,
+    edges_m: Float32[np.ndarray, "m 3"],
+    painted: tuple[Float32[np.ndarray, "n 3"], Bool[np.ndarray, " n"]],
+    radiance: Float32[np.ndarray, "t 3"],
+) -> TriMesh:
+    """One mesh with its colours and its own texture; confidence 0 where no image saw it.
+
+    Args:
+        painted: colour of the vertices, and whether an image saw them.
+    """
+    scene = table.scene
+    mesh = scene.meshes[number]
+    faces = slice(scene.first_face[number], scene.first_face[number + 1])
+    vertices = slice(scene.first_vertex[number], scene.first_vertex[number + 1])
+    patches = pack(table.resolution[faces], edges_m[faces])
+    pixel = texels_of(patches).pixel
+    image = np.zeros((patches.height_px * patches.width_px, 3), np.float32)
+    start = int(table.first[faces.start])
+    image[pixel] = radiance[start : start + len(pixel)]
+    image = image.reshape(patches.height_px, patches.width_px, 3)
+    colour, is_seen = painted
+    confidence = is_seen[vertices].astype(np.float32)
+    if mesh.confidence is not None:
+        confidence *= mesh.confidence
+    return replace(
+        mesh,
+        base_colour=colour[vertices],
+        texture=Texture(image, patches.corner_uv()),
+        confidence=confidence,
+    )

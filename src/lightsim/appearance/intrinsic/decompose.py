@@ -1,0 +1,221 @@
+"""Base colour without the source light: shadows found in the pictures, the light divided out.
+
+The paper bakes shadows into the base colour and names that its main failure (Sec. 5). Here the
+source light is rendered on the reconstructed surface; what it says about shadows is a prior, and
+the pictures decide (delight_labels).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from lightsim.appearance.intrinsic.config import DelightConfig
+from lightsim.appearance.intrinsic.divide import base_colour_from_radiance, inpaint_colour
+from lightsim.appearance.intrinsic.edges import LabelField, Seen, label_field, refine_visibility
+from lightsim.appearance.intrinsic.labels import (
+    Observed,
+    label_shadows,
+    predict_tone_steps,
+    rendered_visibility,
+)
+from lightsim.appearance.intrinsic.light import LightAt, LightScales, SurfaceLight
+from lightsim.appearance.intrinsic.surfels import (
+    LidarReturns,
+    Surfels,
+    connect,
+    lidar_tone,
+    make_surfels,
+)
+from lightsim.appearance.intrinsic.texture import DeepShade, VertexLight, texture_without_light
+from lightsim.core.colour import LUMINANCE_WEIGHTS
+from lightsim.core.mesh import TriMesh
+from lightsim.errors import InputError
+
+__all__ = ["DelightConfig", "Delit", "LidarReturns", "LightScales", "SurfaceLight", "delight"]
+
+_LEAST_RADIANCE = 1e-3
+_TONE_REACH_M = 0.3
+_WEIGHTS = LUMINANCE_WEIGHTS.astype(np.float64)
+_LEAST_SURFELS = 50
+
+
+@dataclass(frozen=True, eq=False)
+class Delit:
+    """A mesh without its light.
+
+    Args:
+        mesh: with base colour and confidence.
+        visibility: of the sun, at each vertex, as found.
+        scales: of the light, as found or as given.
+        notes: the evidence.
+    """
+
+    mesh: TriMesh
+    visibility: Float32[np.ndarray, " n"]
+    scales: LightScales
+    notes: tuple[str, ...]
+
+
+def delight(
+    mesh: TriMesh,
+    light_at: LightAt,
+    config: DelightConfig,
+    rng: np.random.Generator,
+    *,
+    returns: LidarReturns | None = None,
+    scales: LightScales | None = None,
+) -> Delit:
+    """The mesh with base colour in place of the radiance that it must hold.
+
+    Args:
+        mesh: `base_colour` is the mean observed radiance (assets.build.build_assets);
+            `confidence`, where there is one, says which vertices were seen.
+        light_at: the source light at points of the mesh's frame.
+        returns: LiDAR, whose intensity knows no shadows.
+        scales: strength of the light, known from a larger surface; None to find it here.
+
+    Raises:
+        InputError: the light is negative or not finite, or not one per point.
+    """
+    if len(mesh.vertices) == 0:
+        return Delit(mesh, np.zeros(0, np.float32), scales or _unknown(), ())
+    normals = mesh.vertex_normals()
+    light = light_at(mesh.vertices, normals).floored()
+    if len(light.sun) != len(mesh.vertices):
+        raise InputError(
+            "the light must be given for every vertex",
+            got=len(light.sun),
+            expected=len(mesh.vertices),
+        )
+    if config.method == "divide":
+        return _divided(mesh, light, config)
+    faces = _labelled_faces(mesh, config)
+    surfels = make_surfels(mesh, faces, config.surfel_m, rng)
+    if len(surfels) < _LEAST_SURFELS:
+        known = VertexLight(light, scales or _unknown(), light.visibility[:, 1])
+        return _finished(mesh, known, None, config)
+    observed, tone_gain = _observe(surfels, light_at, config, rng, returns)
+    labels = label_shadows(observed, config, scales)
+    field = label_field(faces, observed, labels)
+    del surfels, observed  # Larger than all that is left to do.
+    found = VertexLight(light, labels.scales, _visibility(mesh, normals, light, field, config))
+    done = _finished(mesh, found, field, config)
+    return replace(done, notes=_notes(labels.scales, tone_gain) if scales is None else ())
+
+
+def _labelled_faces(mesh: TriMesh, config: DelightConfig) -> Int64[np.ndarray, " k"]:
+    """Faces on which the pictures say where shadows lie."""
+    unlabelled = [i for i, m in enumerate(mesh.materials) if m.name in config.unlabelled]
+    if mesh.face_material is None:
+        return np.arange(0 if 0 in unlabelled else len(mesh.faces))
+    return np.flatnonzero(~np.isin(mesh.face_material, unlabelled))
+
+
+def _visibility(
+    mesh: TriMesh,
+    normals: Float32[np.ndarray, "n 3"],
+    light: SurfaceLight,
+    field: LabelField,
+    config: DelightConfig,
+) -> Float32[np.ndarray, " n"]:
+    """Of the sun at each vertex: as labels have it, or as rendered where there are none."""
+    seen = Seen(
+        mesh.vertices,
+        normals,
+        mesh.base_colour,
+        light.diffuse(field.scales).astype(np.float32),
+        light.direct(field.scales).astype(np.float32),
+    )
+    visibility = rendered_visibility(light, config).astype(np.float32)
+    is_labelled = np.zeros(len(visibility), dtype=bool)
+    is_labelled[mesh.faces[field.faces]] = True
+    rows = np.flatnonzero(is_labelled)
+    visibility[rows] = refine_visibility(field, seen.at(rows))
+    return visibility
+
+
+def _unknown() -> LightScales:
+    return LightScales.assumed(np.inf)
+
+
+def _observe(
+    surfels: Surfels,
+    light_at: LightAt,
+    config: DelightConfig,
+    rng: np.random.Generator,
+    returns: LidarReturns | None,
+) -> tuple[Observed, float]:
+    """What is known of the surfels, and the gain from LiDAR intensity to base colour."""
+    graph = connect(surfels, config.reach_m, rng)
+    light = light_at(surfels.position, surfels.normal).floored()
+    log_radiance = np.log(np.maximum(surfels.radiance, _LEAST_RADIANCE))
+    step, gain = np.zeros(len(graph.pairs), np.float32), 0.0
+    if returns is not None and len(returns.intensity):
+        tone = lidar_tone(surfels, returns, _TONE_REACH_M)
+        step, gain = predict_tone_steps(graph, log_radiance, tone, light.visibility)
+    return Observed(surfels, graph, log_radiance, step, light, config.surfel_m), gain
+
+
+def _finished(
+    mesh: TriMesh, found: VertexLight, field: LabelField | None, config: DelightConfig
+) -> Delit:
+    """Radiance over light; confidence falls where the sun's share hangs on an unsure label."""
+    visibility = found.visibility.astype(np.float64)
+    total = np.maximum(found.light.total(found.scales, visibility), 1e-6)
+    colour = np.clip(mesh.base_colour / total, config.low, config.high)
+    share = found.light.direct(found.scales).sum(axis=1) / total.sum(axis=1)
+    unsure = 4 * visibility * (1 - visibility) * np.minimum(share, 1.0)
+    seen = np.ones(len(unsure)) if mesh.confidence is None else mesh.confidence
+    open_sky = float(np.percentile(found.light.diffuse(found.scales) @ _WEIGHTS, 95))
+    shade = _deep_shade(mesh, colour, total @ _WEIGHTS / max(open_sky, 1e-9), seen > 0, config)
+    texture = mesh.texture
+    if texture is not None:
+        limits = (config.low, config.high)
+        texture = texture_without_light(mesh, texture, found, field, limits, shade)
+    done = replace(
+        mesh,
+        base_colour=shade.blended(colour).astype(np.float32),
+        confidence=(seen * (1 - 0.8 * unsure) * (0.2 + 0.8 * shade.trust)).astype(np.float32),
+        texture=texture,
+    )
+    return Delit(done, found.visibility, found.scales, ())
+
+
+def _deep_shade(
+    mesh: TriMesh,
+    colour: Float64[np.ndarray, "n 3"],
+    openness: Float64[np.ndarray, " n"],
+    is_seen: Bool[np.ndarray, " n"],
+    config: DelightConfig,
+) -> DeepShade:
+    """Under vehicles and in deep corners nearly all light is stray light that no model knows: the
+    quotient there says little, surfaces beside them more. `openness`: light over an open sky's."""
+    trust = np.interp(openness, config.deep_shade, (0.0, 1.0))
+    fill = inpaint_colour(mesh, colour, (trust >= 1.0) & is_seen, config.divide)
+    return DeepShade(trust, fill)
+
+
+def _divided(mesh: TriMesh, light: SurfaceLight, config: DelightConfig) -> Delit:
+    """The baseline, with the light as the sky stage estimated it."""
+    found = VertexLight(light, _unknown(), light.visibility[:, 1])
+    total = light.total(found.scales, found.visibility.astype(np.float64))
+    done = base_colour_from_radiance(mesh, total.astype(np.float32), config.divide)
+    if mesh.texture is not None:
+        limits = (config.low, config.high)
+        done = replace(done, texture=texture_without_light(mesh, mesh.texture, found, None, limits))
+    return Delit(done, found.visibility, found.scales, ("divided by the rendered light",))
+
+
+def _notes(scales: LightScales, tone_gain: float) -> tuple[str, ...]:
+    tone = f"LiDAR intensity predicts base colour with exponent {tone_gain:.2f}"
+    if scales.pair_count == 0:
+        return ("too few lit and shadowed neighbours to correct the sun's strength", tone)
+    factors = ", ".join(f"{value:.2f}" for value in scales.sun)
+    return (
+        f"the sun's irradiance times ({factors}) agrees with {scales.pair_count} lit/shadowed "
+        f"pairs (log std {scales.log_std:.2f}); the sky is the gauge",
+        tone,
+    )

@@ -1,0 +1,165 @@
+"""Sun visibility at any point of a surface from labelled surfels; soft along shadow edges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Float64, Int64
+from scipy.spatial import KDTree
+
+from lightsim.appearance.intrinsic.labels import Labels, Observed
+from lightsim.appearance.intrinsic.light import LightScales
+
+_NEAREST, _AROUND = 6, 32
+_REACH_M = 1.2
+_MIXED = 0.03
+_CHUNK = 1 << 15
+"""Points looked at together: some 30 MB of intermediate results, whatever the log."""
+
+
+@dataclass(frozen=True, eq=False)
+class LabelField:
+    """Labels and base colour on surfels, ready to be asked anywhere. Make it with `label_field`.
+
+    Args:
+        faces: of the mesh, those that the surfels lie on.
+        lit: probability that the sun reaches each surfel.
+        log_colour: log base colour of the firmly labelled surface around each surfel.
+        is_known: whether there is such a surface.
+        is_mixed: whether lit and shadowed surface meet at the surfel.
+    """
+
+    faces: Int64[np.ndarray, " k"]
+    tree: KDTree
+    normal: Float64[np.ndarray, "n 3"]
+    lit: Float64[np.ndarray, " n"]
+    log_colour: Float64[np.ndarray, "n 3"]
+    is_known: Bool[np.ndarray, " n"]
+    is_mixed: Bool[np.ndarray, " n"]
+    scales: LightScales
+    surfel_m: float
+
+
+def label_field(faces: Int64[np.ndarray, " k"], observed: Observed, labels: Labels) -> LabelField:
+    """What `refine_visibility` needs of labelled surfels."""
+    surfels, graph = observed.surfels, observed.graph
+    light = np.maximum(observed.light.total(labels.scales, labels.lit), 1e-6)
+    log_colour = observed.log_radiance - np.log(light)
+    near = graph.pairs[graph.distance_m < 2.5 * observed.surfel_m]
+    differs = np.abs(labels.lit[near[:, 0]] - labels.lit[near[:, 1]]) > 0.5
+    is_unsure = (labels.lit > 0.1) & (labels.lit < 0.9)
+    is_mixed = is_unsure.copy()
+    is_mixed[near[differs].ravel()] = True
+    is_firm = ~is_mixed & (surfels.confidence > 0.5)
+    colour, is_known = _colour_around(observed, log_colour, is_firm, is_mixed)
+    return LabelField(
+        faces,
+        KDTree(surfels.position),
+        surfels.normal,
+        labels.lit,
+        colour,
+        is_known,
+        is_mixed,
+        labels.scales,
+        observed.surfel_m,
+    )
+
+
+def _colour_around(
+    observed: Observed,
+    log_colour: Float64[np.ndarray, "n 3"],
+    is_firm: Bool[np.ndarray, " n"],
+    is_mixed: Bool[np.ndarray, " n"],
+) -> tuple[Float64[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+    """Mean log base colour of the firm surfels around those near an edge, and whether any are."""
+    position, normal = observed.surfels.position, observed.surfels.normal
+    asked = is_mixed.copy()
+    touched = observed.graph.pairs[is_mixed[observed.graph.pairs].any(axis=1)]
+    asked[touched.ravel()] = True
+    is_known, result = is_firm.copy(), log_colour.copy()
+    all_rows, firm = np.flatnonzero(asked), np.flatnonzero(is_firm)
+    if len(all_rows) == 0 or len(firm) == 0:
+        return result, is_known
+    surfels = KDTree(position[firm]), normal[firm]
+    step = _CHUNK * _NEAREST // _AROUND
+    for start in range(0, len(all_rows), step):
+        rows = all_rows[start : start + step]
+        index, share, distance = _around(
+            surfels, position[rows], normal[rows], _AROUND, _REACH_M / 2
+        )
+        result[rows] = (share[:, :, None] * log_colour[firm[index]]).sum(axis=1)
+        facing = (share * (normal[firm[index]] * normal[rows][:, None]).sum(axis=2)).sum(axis=1)
+        is_known[rows] = (distance < _REACH_M) & (facing > 0.8)
+    return result, is_known
+
+
+def _around(
+    surfels: tuple[KDTree, Float64[np.ndarray, "n 3"]],
+    points: Float[np.ndarray, "m 3"],
+    normals: Float[np.ndarray, "m 3"],
+    count: int,
+    width_m: float,
+) -> tuple[Int64[np.ndarray, "m k"], Float64[np.ndarray, "m k"], Float64[np.ndarray, " m"]]:
+    """Nearest surfels, their shares (which favour near ones of the same facing), and the distance
+    of the nearest."""
+    tree, normal = surfels
+    distance, index = (np.asarray(part) for part in tree.query(points, k=min(count, tree.n)))
+    distance, index = distance.reshape(len(points), -1), index.reshape(len(points), -1)
+    facing = np.clip((normal[index] * normals[:, None]).sum(axis=2), 0.0, 1.0)
+    near = np.exp(-0.5 * ((distance - distance[:, :1]) / width_m) ** 2)
+    share = near * (facing**4 + 1e-4)
+    return index.astype(np.int64), share / share.sum(axis=1, keepdims=True), distance[:, 0]
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Points of the surface with what was seen, and the light without and of the sun there."""
+
+    points: Float32[np.ndarray, "n 3"]
+    normals: Float32[np.ndarray, "n 3"]
+    radiance: Float32[np.ndarray, "n 3"]
+    diffuse: Float32[np.ndarray, "n 3"]
+    direct: Float32[np.ndarray, "n 3"]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def at(self, rows: slice | Int64[np.ndarray, " m"]) -> Seen:
+        """Some of the points."""
+        return Seen(
+            self.points[rows],
+            self.normals[rows],
+            self.radiance[rows],
+            self.diffuse[rows],
+            self.direct[rows],
+        )
+
+
+def refine_visibility(field: LabelField, seen: Seen) -> Float32[np.ndarray, " n"]:
+    """Fraction of the sun that reaches each point.
+
+    Away from edges it is the label of the surfels around. Near an edge it is what makes the
+    point's base colour that of the firm surfels around it, which places the edge, and its
+    penumbra, at the resolution of the radiance.
+    """
+    result = np.empty(len(seen), dtype=np.float32)
+    for start in range(0, len(seen), _CHUNK):
+        rows = slice(start, start + _CHUNK)
+        result[rows] = _refine(field, seen.at(rows))
+    return result
+
+
+def _refine(field: LabelField, seen: Seen) -> Float64[np.ndarray, " n"]:
+    surfels = (field.tree, field.normal)
+    index, share, _ = _around(surfels, seen.points, seen.normals, _NEAREST, 0.6 * field.surfel_m)
+    lit = (share * field.lit[index]).sum(axis=1)
+    known = (share * field.is_known[index]).sum(axis=1)
+    colour = share * field.is_known[index]
+    colour = (colour[:, :, None] * field.log_colour[index]).sum(axis=1)
+    colour = np.exp(colour / np.maximum(known, 1e-9)[:, None])
+    wanted = ((seen.radiance / colour - seen.diffuse) * seen.direct).sum(axis=1)
+    found = wanted / np.maximum((seen.direct**2).sum(axis=1), 1e-12)
+    is_edge = (lit > _MIXED) & (lit < 1 - _MIXED) & (known > 0.3)
+    is_edge |= field.is_mixed[index].any(axis=1) & (known > 0.3)
+    return np.where(is_edge, np.clip(found, 0.0, 1.0), lit)

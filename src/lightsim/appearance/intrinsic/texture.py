@@ -1,0 +1,140 @@
+"""Light taken out of a texture, texel by texel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Float64, Int32
+from scipy.spatial import KDTree
+
+from lightsim.appearance.atlas import texel_parts
+from lightsim.appearance.intrinsic.edges import LabelField, Seen, refine_visibility
+from lightsim.appearance.intrinsic.light import LightScales, SurfaceLight
+from lightsim.core.mesh import Texture, TriMesh
+
+_CHUNK = 1 << 17
+"""Texels looked at together: some 50 MB of intermediate results, whatever the log."""
+
+
+@dataclass(frozen=True, eq=False)
+class VertexLight:
+    """Light at a mesh's vertices as delighting found it.
+
+    Args:
+        visibility: of the sun.
+    """
+
+    light: SurfaceLight
+    scales: LightScales
+    visibility: Float32[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, eq=False)
+class DeepShade:
+    """Where light is too weak to be divided by, and what takes the quotient's place.
+
+    Args:
+        trust: 1 where the quotient holds, 0 where the fill does.
+        fill: base colour of what lies around.
+    """
+
+    trust: Float64[np.ndarray, " n"]
+    fill: Float64[np.ndarray, "n 3"]
+
+    def blended(self, colour: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        trust = self.trust[:, None]
+        return trust * colour + (1.0 - trust) * self.fill
+
+    def between(
+        self, corners: Int32[np.ndarray, "t 3"], barycentric: Float32[np.ndarray, "t 3"]
+    ) -> DeepShade:
+        """At points inside triangles."""
+        fill = (barycentric[:, :, None] * self.fill[corners]).sum(axis=1)
+        return DeepShade((barycentric * self.trust[corners]).sum(axis=1), fill)
+
+
+def texture_without_light(
+    mesh: TriMesh,
+    texture: Texture,
+    found: VertexLight,
+    field: LabelField | None,
+    limits: tuple[float, float],
+    shade: DeepShade | None = None,
+) -> Texture:
+    """The texture of radiance divided by the light at each texel.
+
+    Light is interpolated between the vertices. On faces near a shadow's edge visibility is found
+    for each texel; without `field` it is interpolated as well.
+
+    Args:
+        mesh: carries `texture`.
+        limits: least and greatest base colour.
+        shade: at the vertices; None trusts every quotient.
+    """
+    attributes = _VertexAttributes(
+        mesh.vertices,
+        mesh.vertex_normals(),
+        found.light.diffuse(found.scales).astype(np.float32),
+        found.light.direct(found.scales).astype(np.float32),
+        found.visibility,
+    )
+    is_edge = np.zeros(len(mesh.faces), dtype=bool)
+    if field is not None:
+        is_edge[field.faces] = edge_faces(mesh, field)
+    image = texture.image.reshape(-1, 3).copy()
+    for texels in texel_parts(texture, _CHUNK):
+        face, pixel, barycentric = texels.face, texels.pixel, texels.barycentric
+        seen, visibility = attributes.between(mesh.faces[face], barycentric, image[pixel])
+        rows = np.flatnonzero(is_edge[face])
+        if field is not None and len(rows):
+            visibility[rows] = refine_visibility(field, seen.at(rows))
+        light = seen.diffuse + np.clip(visibility, 0.0, 1.0)[:, None] * seen.direct
+        colour = np.clip(seen.radiance / np.maximum(light, 1e-6), *limits)
+        if shade is not None:
+            colour = shade.between(mesh.faces[face], barycentric).blended(colour)
+        image[pixel] = colour
+    return Texture(image.reshape(texture.image.shape), texture.corner_uv)
+
+
+@dataclass(frozen=True, eq=False)
+class _VertexAttributes:
+    """What is interpolated between the vertices."""
+
+    points: Float32[np.ndarray, "n 3"]
+    normals: Float32[np.ndarray, "n 3"]
+    diffuse: Float32[np.ndarray, "n 3"]
+    direct: Float32[np.ndarray, "n 3"]
+    visibility: Float32[np.ndarray, " n"]
+
+    def between(
+        self,
+        corners: Int32[np.ndarray, "t 3"],
+        barycentric: Float32[np.ndarray, "t 3"],
+        radiance: Float32[np.ndarray, "t 3"],
+    ) -> tuple[Seen, Float32[np.ndarray, " t"]]:
+        """Points inside triangles, and the visibility between the corners'."""
+        weights = barycentric[:, :, None]
+        points, normals, diffuse, direct = (
+            (weights * values[corners]).sum(axis=1)
+            for values in (self.points, self.normals, self.diffuse, self.direct)
+        )
+        visibility = (barycentric * self.visibility[corners]).sum(axis=1)
+        light = np.maximum(diffuse, 1e-6), np.maximum(direct, 0.0)
+        return Seen(points, normals, radiance, *light), visibility
+
+
+def edge_faces(mesh: TriMesh, field: LabelField) -> Bool[np.ndarray, " k"]:
+    """Which of the labelled faces come near a surfel at which light and shadow meet."""
+    mixed = field.tree.data[field.is_mixed]
+    is_edge = np.zeros(len(field.faces), dtype=bool)
+    if len(mixed) == 0:
+        return is_edge
+    tree = KDTree(mixed)
+    for start in range(0, len(is_edge), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        corners = mesh.vertices[mesh.faces[field.faces[part]]]
+        centre = corners.mean(axis=1)
+        radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+        is_edge[part] = np.asarray(tree.query(centre)[0]) < radius + 1.5 * field.surfel_m
+    return is_edge

@@ -1,0 +1,257 @@
+"""What each image shows of the meshes: the faces in it and their depth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float16, Float32, Int32, Int64, UInt8
+from scipy import ndimage
+
+from lightsim.appearance.bake_kernels import touching_faces
+from lightsim.appearance.config import AssetConfig
+from lightsim.core.actors import ActorTrack
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.casting import MakeCaster, RayCaster, RayHits
+from lightsim.core.frames import RigidTransform
+from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import TriMesh
+from lightsim.core.sensors import CameraFrame
+from lightsim.errors import InputError
+
+SkyMatte = Callable[[CameraFrame], Float32[np.ndarray, "h w"]]
+"""Sky alpha of a frame at its image's size, 1 = sky."""
+
+_HOLD_S = 0.1
+_CLIPPED_WEIGHT = 0.02
+_SKY_ALPHA = 0.5
+_MIN_COSINE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One image's look at the scene.
+
+    Args:
+        inverse_depth: 1 / depth along the optical axis, one ray for `depth_step_px` pixels;
+            0 where nothing was hit.
+        faces: of the scene, seen or beside a seen one.
+        pixels_per_m: see `pixels_per_metre`, of each of these faces.
+    """
+
+    frame: CameraFrame
+    inverse_depth: Float16[np.ndarray, "h w"]
+    faces: Int32[np.ndarray, " c"]
+    pixels_per_m: Float32[np.ndarray, " c"]
+
+
+class PlacedScene:
+    """All meshes in one table of vertices and faces, placed where they are at a time.
+
+    The background comes first, then the actors in their order. `vertices` and `normals` lie in
+    frame `world` and are those of the last call of `place`, as are `moving`, the tracks of the
+    moving actors near the camera.
+    """
+
+    def __init__(
+        self,
+        log: DrivingLog,
+        background: TriMesh,
+        actors: Mapping[str, TriMesh],
+        make_caster: MakeCaster,
+    ) -> None:
+        self._make_caster = make_caster
+        self.meshes = [background, *actors.values()]
+        self.first_vertex = np.cumsum([0] + [len(m.vertices) for m in self.meshes]).tolist()
+        self.first_face = np.cumsum([0] + [len(m.faces) for m in self.meshes]).tolist()
+        self._own_normals = [m.vertex_normals() for m in self.meshes]
+        self.vertices = np.concatenate([m.vertices for m in self.meshes])
+        self.normals = np.concatenate(self._own_normals)
+        self.faces = np.concatenate(
+            [m.faces + np.int32(o) for m, o in zip(self.meshes, self.first_vertex, strict=False)]
+        ).astype(np.int32)
+        number = {actor_id: k + 1 for k, actor_id in enumerate(actors)}
+        tracks = [track for track in log.actors if track.actor_id in number]
+        self._movable = [(track, number[track.actor_id]) for track in tracks if track.is_moving]
+        self.moving: list[ActorTrack] = []
+        self.is_static = np.ones(len(self.vertices), dtype=bool)
+        for _, k in self._movable:
+            self.is_static[self._vertices_of(k)] = False
+        fixed, self._fixed_numbers = [background], [0]
+        for track in tracks:
+            if not track.is_moving:
+                fixed.append(self._put(track, number[track.actor_id], track.trajectory.start_ns))
+                self._fixed_numbers.append(number[track.actor_id])
+        self._fixed: RayCaster = make_caster(fixed)
+
+    def place(self, frame: CameraFrame, max_view_m: float) -> list[tuple[TriMesh, int]]:
+        """Move the actors to a frame's time; the moved meshes and their numbers."""
+        placed: list[tuple[TriMesh, int]] = []
+        self.moving = []
+        for track, number in self._movable:
+            if not track.is_present(frame.time_ns, _HOLD_S):
+                continue
+            centre = track.world_from_actor(frame.time_ns, _HOLD_S).translation_m
+            reach = float(np.linalg.norm(track.size_lwh_m))
+            if _is_ahead(frame, centre, reach, max_view_m):
+                placed.append((self._put(track, number, frame.time_ns), number))
+                self.moving.append(track)
+        return placed
+
+    def casters(self, frame: CameraFrame, max_view_m: float) -> list[tuple[RayCaster, list[int]]]:
+        """As `place`; casters, each with the numbers of its meshes."""
+        placed = self.place(frame, max_view_m)
+        moving = self._make_caster([mesh for mesh, _ in placed])
+        return [(self._fixed, self._fixed_numbers), (moving, [number for _, number in placed])]
+
+    def _vertices_of(self, number: int) -> slice:
+        return slice(self.first_vertex[number], self.first_vertex[number + 1])
+
+    def _put(self, track: ActorTrack, number: int, time_ns: int) -> TriMesh:
+        pose = track.world_from_actor(time_ns, _HOLD_S)
+        mesh = self.meshes[number].moved(pose)
+        part = self._vertices_of(number)
+        self.vertices[part] = mesh.vertices
+        self.normals[part] = pose.rotate(self._own_normals[number].astype(np.float64))
+        return mesh
+
+
+def look(
+    scene: PlacedScene, frame: CameraFrame, camera: PinholeCamera, config: AssetConfig
+) -> View:
+    """Cast one ray for `depth_step_px` x `depth_step_px` pixels."""
+    step = config.depth_step_px
+    shape = (-(-camera.height_px // step), -(-camera.width_px // step))
+    v, u = np.indices(shape).reshape(2, -1)
+    origins, directions = frame.pixel_rays(camera, (np.stack([u, v], axis=1) + 0.5) * step)
+    distance = np.full(len(origins), np.inf, dtype=np.float32)
+    face = np.full(len(origins), -1, dtype=np.int32)
+    for caster, numbers in scene.casters(frame, config.max_view_m):
+        hits = caster.intersect(origins, directions)
+        is_nearer = hits.is_hit & (hits.distance_m < distance)
+        distance[is_nearer] = hits.distance_m[is_nearer]
+        face[is_nearer] = _scene_faces(scene, numbers, hits, is_nearer)
+    depth = distance * np.maximum(directions @ frame.world_from_camera.rotation[:, 2], 1e-6)
+    inverse = np.where(face >= 0, 1.0 / np.maximum(depth, 1e-3), 0.0)
+    face[distance >= config.max_view_m] = -1
+    faces = np.flatnonzero(touching_faces(scene.faces, face, len(scene.vertices)))
+    corners = scene.vertices[scene.faces[faces]].mean(axis=1)
+    normals = scene.normals[scene.faces[faces]].mean(axis=1)
+    sharp = pixels_per_metre(corners, normals, frame.world_from_camera, camera)
+    return View(frame, inverse.astype(np.float16).reshape(shape), faces.astype(np.int32), sharp)
+
+
+def _scene_faces(
+    scene: PlacedScene, numbers: Sequence[int], hits: RayHits, chosen: Bool[np.ndarray, " n"]
+) -> Int32[np.ndarray, " k"]:
+    first = np.array([scene.first_face[k] for k in numbers], dtype=np.int64)
+    return (first[hits.mesh_index[chosen]] + hits.face_index[chosen]).astype(np.int32)
+
+
+def _is_ahead(
+    frame: CameraFrame, centre_world: Float[np.ndarray, "3"], reach_m: float, max_view_m: float
+) -> bool:
+    camera_from_world = frame.world_from_camera.inverse()
+    centre = camera_from_world.apply(np.asarray(centre_world, dtype=np.float64))
+    return bool(centre[2] > -reach_m and np.linalg.norm(centre) < max_view_m + reach_m)
+
+
+def pixels_per_metre(
+    points_world: Float32[np.ndarray, "n 3"],
+    normals_world: Float32[np.ndarray, "n 3"],
+    world_from_camera: RigidTransform,
+    camera: PinholeCamera,
+) -> Float32[np.ndarray, " n"]:
+    """Root of the pixels that a square metre of surface covers; 0 where it faces away."""
+    ray = points_world - world_from_camera.translation_m.astype(np.float32)
+    distance = np.maximum(np.linalg.norm(ray, axis=1), 0.1)
+    cosine = -(ray * normals_world).sum(axis=1) / distance
+    return np.where(
+        cosine > _MIN_COSINE, camera.fx * np.sqrt(np.maximum(cosine, 0)) / distance, 0
+    ).astype(np.float32)
+
+
+def in_moving_shade(
+    scene: PlacedScene, vertices: Int64[np.ndarray, " n"], time_ns: int, margin_m: float
+) -> Bool[np.ndarray, " n"]:
+    """Which vertices of the static scene lie within a margin of a moving actor's box."""
+    is_near = np.zeros(len(vertices), dtype=bool)
+    points = scene.vertices[vertices].astype(np.float64)
+    for track in scene.moving:
+        centre = track.world_from_actor(time_ns, _HOLD_S).translation_m
+        reach = float(np.linalg.norm(track.size_lwh_m)) / 2 + 2 * margin_m
+        is_close = np.abs(points[:, 0] - centre[0]) < reach
+        is_close &= np.abs(points[:, 1] - centre[1]) < reach
+        close = np.flatnonzero(is_close)
+        is_near[close] |= track.contains(points[close], time_ns, margin_m)
+    return is_near & scene.is_static[vertices]
+
+
+def load_images(
+    views: Sequence[View], log: DrivingLog
+) -> Iterator[tuple[View, UInt8[np.ndarray, "h w 3"]]]:
+    """Each view with its image; the next one is read meanwhile."""
+
+    def load(view: View) -> UInt8[np.ndarray, "h w 3"]:
+        return load_image(view.frame, log.cameras[view.frame.camera_name])
+
+    with ThreadPoolExecutor(1) as reader:
+        coming = [reader.submit(load, view) for view in views[:1]]
+        for index, view in enumerate(views):
+            image = coming.pop().result()
+            coming += [reader.submit(load, later) for later in views[index + 1 : index + 2]]
+            yield view, image
+
+
+def load_image(frame: CameraFrame, camera: PinholeCamera) -> UInt8[np.ndarray, "h w 3"]:
+    """The frame's image.
+
+    Raises:
+        InputError: it is not as large as its camera says.
+    """
+    image = frame.load_srgb8()
+    if image.shape[:2] != (camera.height_px, camera.width_px):
+        raise InputError(
+            "the image is not as large as its camera says",
+            where=f"{frame.camera_name}/{frame.stem}",
+            got=f"{image.shape[1]}x{image.shape[0]} px",
+            expected=f"{camera.width_px}x{camera.height_px} px",
+        )
+    return image
+
+
+def pixel_weights(
+    image: UInt8[np.ndarray, "h w 3"],
+    own_car: Bool[np.ndarray, "h w"] | None,
+    sky_alpha: Float32[np.ndarray, "h w"] | None,
+    inverse_depth: Float32[np.ndarray, "h2 w2"],
+    config: AssetConfig,
+) -> Float32[np.ndarray, "h w"]:
+    """Little where a channel is clipped or an outline is near, nothing on own car and sky."""
+    weight = np.where(image.max(axis=2) >= config.clipped_code, _CLIPPED_WEIGHT, 1.0)
+    step = config.depth_step_px
+    is_outline = outlines(inverse_depth, config.edge_step, config.edge_radius_px / step)
+    is_outline = is_outline.repeat(step, axis=0).repeat(step, axis=1)
+    weight[is_outline[: len(weight), : weight.shape[1]]] *= config.edge_weight
+    if own_car is not None:
+        weight[own_car] = 0.0
+    if sky_alpha is not None:
+        weight[sky_alpha > _SKY_ALPHA] = 0.0
+    return weight.astype(np.float32)
+
+
+def outlines(
+    inverse_depth: Float32[np.ndarray, "h w"], step: float, radius: float
+) -> Bool[np.ndarray, "h w"]:
+    """Where one surface ends in front of another: planes have no second difference there."""
+    bend = np.zeros_like(inverse_depth)
+    for axis in (0, 1):
+        middle = np.abs(np.diff(inverse_depth, n=2, axis=axis))
+        inner = [slice(None), slice(None)]
+        inner[axis] = slice(1, -1)
+        bend[tuple(inner)] = np.maximum(bend[tuple(inner)], middle)
+    is_edge = bend > step * np.maximum(ndimage.maximum_filter(inverse_depth, 3), 1e-4)
+    size = 2 * round(radius) + 1
+    return np.asarray(ndimage.maximum_filter(is_edge, size))

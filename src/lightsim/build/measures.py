@@ -1,0 +1,246 @@
+"""Measures of a built twin against its own recording: held-out images, LiDAR, sun and sky."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+
+from lightsim.build.stages.recording import prior_surfaces
+from lightsim.build.workspace import Workspace
+from lightsim.core.colour import srgb8_from_linear
+from lightsim.core.mesh import TriMesh
+from lightsim.core.sensors import CameraFrame
+from lightsim.core.solar import direction_world, solar_position
+from lightsim.core.twin import DigitalTwin
+from lightsim.errors import ArtefactError, InputError
+from lightsim.evaluate.frames import (
+    FrameRow,
+    FramesConfig,
+    FramesReport,
+    FrameTask,
+    score_frames,
+)
+from lightsim.evaluate.geometry import (
+    GeometryConfig,
+    GeometryReport,
+    LidarScores,
+    SeenSurface,
+    evaluate_lidar,
+    evaluate_surface,
+)
+from lightsim.evaluate.metrics import ImageScores
+from lightsim.evaluate.sky import SkyReport, evaluate_sky
+from lightsim.lighting.sun.direction import find_sun_blob
+from lightsim.progress import Progress
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.render.frame_renderer import FrameRenderer
+from lightsim.render.image import sky_image
+from lightsim.render.transport.table import TransportConfig
+from lightsim.scenario.replay import replay
+from lightsim.store.artefact import read_json, write_json
+from lightsim.synthetic.reader import read_true_meshes, true_source_sky
+
+LoadMask = Bool[np.ndarray, "h w"]
+MEASURES_NAME = "measures.json"
+QUICK = FramesConfig(with_lpips=False, with_exposure=False)
+"""Scores that a build can afford: raw PSNR and SSIM."""
+
+
+@dataclass(frozen=True)
+class Measures:
+    """What a build says of itself.
+
+    Args:
+        lidar: LiDAR beams cast again on the meshes.
+        is_held_out: whether the sweeps were kept from the build.
+        frames: held-out images; None where nothing was held out.
+    """
+
+    lidar: LidarScores
+    is_held_out: bool
+    frames: FramesReport | None
+
+
+def measure(work: Path, config: FramesConfig, progress: Progress) -> Measures:
+    """All that a build can measure without ground truth."""
+    found, is_held_out = geometry(work, None, progress)
+    frames = held_out_frames(work, progress, config) if Workspace(work).held_out else None
+    return Measures(found.lidar, is_held_out, frames)
+
+
+def write_measures(folder: Path, measures: Measures) -> None:
+    """measures.json; scores without a value are null."""
+    frames = None if measures.frames is None else json.loads(measures.frames.to_json())["rows"]
+    write_json(
+        folder / MEASURES_NAME,
+        {
+            "lidar": measures.lidar,
+            "is_held_out": measures.is_held_out,
+            "held_out_frames": frames,
+        },
+    )
+
+
+def read_measures(folder: Path) -> Measures:
+    """What `write_measures` wrote.
+
+    Raises:
+        ArtefactError: the file is missing or broken.
+    """
+    path = folder / MEASURES_NAME
+    value = read_json(path)
+    try:
+        rows = value["held_out_frames"]
+        return Measures(
+            LidarScores(**value["lidar"]),
+            bool(value["is_held_out"]),
+            None if rows is None else FramesReport(tuple(_row(row) for row in rows)),
+        )
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ArtefactError(
+            "the measures are broken", where=path, got=error, remedy="Build again."
+        ) from error
+
+
+def _row(row: dict[str, Any]) -> FrameRow:
+    scores = {name: np.nan if v is None else float(v) for name, v in row["scores"].items()}
+    return FrameRow(**{**row, "scores": ImageScores(**scores)})
+
+
+def held_out_frames(
+    work: Path,
+    progress: Progress,
+    config: FramesConfig | None = None,
+    *,
+    with_field: bool = False,
+) -> FramesReport:
+    """Novel-view images of the twin at held-out frames, against the camera.
+
+    The twin's observed radiance is rendered through each held-out camera, inferred upper facades
+    included; beside it stands the trivial baseline, the nearest training image of the same
+    camera, and `with_field` the neural field itself, volume-rendered. The region `masked` leaves
+    out sky and own car.
+
+    Raises:
+        InputError: the build held nothing out.
+        ArtefactError: `with_field`, and the build trained none.
+    """
+    workspace = Workspace(work)
+    log, held_out = workspace.log, workspace.held_out
+    if not held_out:
+        raise InputError(
+            "nothing was held out", where=work, remedy="Build with --hold-out 8 or another number."
+        )
+    assets, dome = workspace.assets, workspace.sky.dome
+    renderer = FrameRenderer(
+        assets.background, workspace.inferred, TransportConfig(), 0, inferred_is_visible=True
+    )
+    scenario = replay(DigitalTwin(log, assets, workspace.sky), "held-out", log.frames)
+
+    def render(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
+        camera = log.cameras[frame.camera_name]
+        buffers = renderer.geometry(scenario, frame, camera)
+        sky = sky_image(dome, camera, frame)
+        radiance = np.where(buffers.has_surface[..., None], buffers.base_colour, sky)
+        return srgb8_from_linear(radiance * assets.camera_gains[frame.camera_name])
+
+    def is_valid(frame: CameraFrame) -> LoadMask:
+        valid = workspace.sky_matte(frame) < 0.5
+        own_car = workspace.recorded_log.own_car_masks.get(frame.camera_name)
+        return valid if own_car is None else valid & ~own_car
+
+    extra = {"field": _field_renderer(workspace)} if with_field else {}
+    tasks = []
+    for frame in log.frames:
+        if frame.stem not in held_out:
+            continue
+        others = [f for f in log.frames_of(frame.camera_name) if f.stem not in held_out]
+        nearest = min(others, key=lambda f, t=frame.time_ns: abs(f.time_ns - t))
+        tasks.append(
+            FrameTask(
+                frame.camera_name,
+                frame.camera_name,
+                frame.stem,
+                frame.load_srgb8,
+                {
+                    "twin": partial(render, frame),
+                    "nearest image": nearest.load_srgb8,
+                    **{name: partial(show, frame) for name, show in extra.items()},
+                },
+                partial(is_valid, frame),
+            )
+        )
+    return score_frames(tasks, config or FramesConfig(), progress=progress)
+
+
+def _field_renderer(
+    workspace: Workspace,
+) -> Callable[[CameraFrame], UInt8[np.ndarray, "h w 3"]]:
+    from lightsim.reconstruct.field.render_field import render_frame
+
+    field, surfaces = workspace.scene_field, prior_surfaces(workspace.fused)
+    return lambda frame: render_frame(field, workspace.log, frame, surfaces)
+
+
+def geometry(work: Path, truth: Path | None, progress: Progress) -> tuple[GeometryReport, bool]:
+    """LiDAR errors, on held-out sweeps where there are any (then the flag is true), and
+    F-scores against a synthetic log's true background near LiDAR returns."""
+    workspace = Workspace(work)
+    log, assets = workspace.log, workspace.assets
+    held = tuple(s for s in log.sweeps if s.stem in workspace.held_out)
+    sweeps = held or log.sweeps
+    config, rng = GeometryConfig(), np.random.default_rng(0)
+
+    def actors_at(time_ns: int) -> list[TriMesh]:
+        return [
+            assets.actors[track.actor_id].mesh.moved(track.world_from_actor(time_ns))
+            for track in log.actors_at(time_ns)
+            if track.actor_id in assets.actors
+        ]
+
+    lidar = evaluate_lidar(
+        sweeps,
+        [assets.background],
+        actors_at,
+        config,
+        make_caster=make_embree_caster,
+        rng=rng,
+        progress=progress,
+    )
+    if truth is None:
+        return GeometryReport(lidar), bool(held)
+    loaded = [s.load() for s in log.sweeps]
+    seen = SeenSurface(
+        np.concatenate([sweep.points_world[::7] for sweep in loaded]).astype(np.float64),
+        np.stack([sweep.origins_world.mean(axis=0) for sweep in loaded]).astype(np.float64),
+        make_embree_caster,
+    )
+    true_background = read_true_meshes(truth / "scene.npz")["background"]
+    surface = evaluate_surface(assets.background, true_background, config, seen=seen, rng=rng)
+    return GeometryReport(lidar, surface), bool(held)
+
+
+def sky(work: Path, truth: Path | None) -> SkyReport:
+    """The source sky against ephemeris, the sun seen in the panorama, and a true source sky."""
+    workspace = Workspace(work)
+    estimate, geo = workspace.sky, workspace.log.geo
+    ephemeris = None
+    if geo is not None and geo.enu_from_world is not None:
+        frames = workspace.log.frames
+        at = solar_position(geo.latitude_deg, geo.longitude_deg, frames[len(frames) // 2].time_ns)
+        ephemeris = direction_world(at.azimuth_deg, at.elevation_deg, geo.enu_from_world)
+    near = None if estimate.dome.sun is None else estimate.dome.sun.direction_world
+    blob = find_sun_blob(workspace.panorama, near)
+    return evaluate_sky(
+        estimate,
+        truth=None if truth is None else true_source_sky(truth),
+        ephemeris_world=ephemeris,
+        observed_sun_world=None if blob is None else blob.direction_world,
+    )

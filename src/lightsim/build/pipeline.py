@@ -1,0 +1,359 @@
+"""From a log to a twin: the ordered table of stages. The whole build can be read here.
+
+Each stage is a function call on what earlier stages made, and its result an artefact folder
+(store/artefact.py). Stages know nothing of each other: what one needs from another (a ray caster,
+a sky matte, light at vertices) is handed to it in stages.py.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from lightsim.align.config import AlignConfig
+from lightsim.appearance import config as asset_config
+from lightsim.appearance.config import Colour
+from lightsim.build.source_sun import GpsUse, SourceSunConfig
+from lightsim.build.stages import light, recording, results, surfaces
+from lightsim.build.stages.context import Context
+from lightsim.build.workspace import OPTIONS_NAME, Workspace
+from lightsim.core.checks import check_number, check_seed
+from lightsim.datasets.fingerprint import hash_recording
+from lightsim.datasets.reader import check_layout
+from lightsim.errors import ArtefactError, InputError
+from lightsim.evaluate.frames import FramesConfig
+from lightsim.geometry import config as mesh_config
+from lightsim.lighting.panorama.stitch import StitchConfig
+from lightsim.masks.sky import SkyMaskConfig
+from lightsim.progress import Progress
+from lightsim.reconstruct.field import config as neural_config
+from lightsim.reconstruct.fusion import config as fuse_config
+from lightsim.store.artefact import (
+    Recipe,
+    State,
+    find_damage,
+    hash_names,
+    json_ready,
+    make_artefact,
+    read_json,
+    read_record,
+    state_of,
+    write_json,
+)
+from lightsim.store.atomic import sweep_partials
+from lightsim.store.lock import LOCK_NAME, locked
+from lightsim.store.log import LogReading, reading_from_json
+
+logger = logging.getLogger(__name__)
+
+PRESETS = ("draft", "standard", "paper")
+_MAX_STEPS = 10_000_000
+"""Weeks of training; beyond it somebody has slipped a digit."""
+
+_FUSE = {"draft": fuse_config.draft, "standard": fuse_config.standard, "paper": fuse_config.paper}
+_NEURAL = {
+    "draft": neural_config.draft,
+    "standard": neural_config.standard,
+    "paper": neural_config.paper,
+}
+_MESHES = {"draft": mesh_config.draft, "standard": mesh_config.standard, "paper": mesh_config.paper}
+_ASSETS = {
+    "draft": asset_config.draft,
+    "standard": asset_config.standard,
+    "paper": asset_config.paper,
+}
+
+
+@dataclass(frozen=True)
+class BuildOptions:
+    """What a build is made from.
+
+    Args:
+        reading: how to read the log.
+        preset: "draft", "standard" or "paper".
+        seed: of all random numbers.
+        neural_steps: of training the neural field; None is the preset's, 0 goes without.
+        device: "auto", "cpu" or "cuda", for training; results on the CPU do not depend on it.
+        no_refine: physics of the log to leave out (align/config.py: PARTS, OTHER_PARTS).
+        colour: "texture", "vertex" or "field" (assets/config.py); None is the preset's.
+        gps: how much of the log's place, time and heading the sun is found with.
+    """
+
+    reading: LogReading
+    preset: str = "standard"
+    seed: int = 0
+    neural_steps: int | None = None
+    device: str = "auto"
+    no_refine: tuple[str, ...] = ()
+    colour: Colour | None = None
+    gps: GpsUse = "all"
+
+    def __post_init__(self) -> None:
+        if self.preset not in PRESETS:
+            raise InputError(
+                "there is no such preset",
+                where="--preset",
+                got=self.preset,
+                expected=f"one of {', '.join(PRESETS)}",
+            )
+        check_seed(self.seed)
+        if self.neural_steps is not None:
+            check_number("--neural-steps", self.neural_steps, 0, _MAX_STEPS)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One row of the table.
+
+    Args:
+        name: of the artefact folder.
+        schema: raise it when the stage's algorithm or files change.
+        needs: artefacts it reads.
+        config: its configuration, from the options.
+        make: fills the folder, returns notes.
+    """
+
+    name: str
+    schema: int
+    needs: tuple[str, ...]
+    config: Callable[[BuildOptions], Any]
+    make: Callable[[Workspace, Any, Path, Context], Iterable[str]]
+
+
+def _asset_config(options: BuildOptions) -> asset_config.AssetConfig:
+    config = _ASSETS[options.preset]()
+    config = replace(config, has_camera_gains="camera_gains" not in options.no_refine)
+    return config if options.colour is None else replace(config, colour=options.colour)
+
+
+def _neural_config(options: BuildOptions) -> neural_config.NeuralConfig:
+    config = _NEURAL[options.preset]()
+    if "camera_gains" in options.no_refine:
+        config = replace(config, has_camera_gains=False)
+    return config if options.neural_steps is None else replace(config, steps=options.neural_steps)
+
+
+STAGES = (
+    Stage("log", 2, (), lambda o: replace(o.reading, source=""), recording.make_log),
+    Stage("masks", 1, ("log",), lambda o: SkyMaskConfig(), recording.make_masks),
+    Stage(
+        "alignment",
+        2,
+        ("log",),
+        lambda o: AlignConfig().without(o.no_refine),
+        recording.make_alignment,
+    ),
+    Stage("fields", 1, ("log", "alignment"), lambda o: _FUSE[o.preset](), recording.make_fields),
+    Stage("neural", 1, ("log", "masks", "fields"), _neural_config, recording.make_neural),
+    Stage(
+        "geometry",
+        2,
+        ("log", "masks", "neural"),
+        lambda o: surfaces.GeometryConfig(_MESHES[o.preset]()),
+        surfaces.make_geometry,
+    ),
+    Stage("assets", 2, ("log", "masks", "geometry"), _asset_config, surfaces.make_assets),
+    Stage("panorama", 2, ("masks", "assets"), lambda o: StitchConfig(), light.make_panorama),
+    Stage(
+        "sky",
+        4,
+        ("assets", "panorama"),
+        lambda o: light.SkyStageConfig(SourceSunConfig(gps=o.gps)),
+        light.make_sky,
+    ),
+    Stage("twin", 2, ("assets", "sky"), lambda o: light.TwinConfig(), light.make_twin),
+    Stage(
+        "measures",
+        1,
+        ("log", "masks", "alignment", "assets", "sky"),
+        lambda o: FramesConfig(with_lpips=False, with_exposure=False),
+        results.make_measures,
+    ),
+    Stage(
+        "report",
+        2,
+        ("log", "masks", "panorama", "sky", "twin", "measures"),
+        lambda o: results.ReportConfig(tuple(s.name for s in STAGES if s.name != "report")),
+        results.make_report,
+    ),
+)
+
+
+def recipes(options: BuildOptions, source_key: str) -> dict[str, Recipe]:
+    """The recipe of every stage; a stage's key holds the keys of all it needs.
+
+    Args:
+        source_key: hash of the recording.
+    """
+    made: dict[str, Recipe] = {}
+    for stage in STAGES:
+        inputs = {name: made[name].key for name in stage.needs} or {"source": source_key}
+        made[stage.name] = Recipe(
+            stage.name, stage.schema, json_ready(_as_mapping(stage, options)), inputs, options.seed
+        )
+    return made
+
+
+def _as_mapping(stage: Stage, options: BuildOptions) -> dict[str, Any]:
+    config = json_ready(stage.config(options))
+    return config if isinstance(config, dict) else {"value": config}
+
+
+def build(
+    work: Path, options: BuildOptions, progress: Progress, until: str = "report"
+) -> Workspace:
+    """Make what is missing or stale in `work`, in order, up to the stage `until`; finished
+    artefacts are kept, damaged ones are made anew.
+
+    Raises:
+        InputError: the log is broken, or an option is out of range.
+        ArtefactError: another command is at work in `work`, or what must be replaced there is not
+            ours.
+    """
+    _check_places(Path(options.reading.source), work)
+    check_layout(Path(options.reading.source), options.reading.dataset)
+    try:
+        work.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            "the work folder cannot be made",
+            where=work,
+            got=error.strerror,
+            remedy="Choose another --work.",
+        ) from error
+    with locked(work / LOCK_NAME):
+        sweep_partials(work)
+        return _build(work, options, progress, until)
+
+
+def _build(work: Path, options: BuildOptions, progress: Progress, until: str) -> Workspace:
+    source_hashes = hash_recording(Path(options.reading.source))
+    by_stage = recipes(options, hash_names(source_hashes))
+    write_json(work / OPTIONS_NAME, options)
+    workspace = Workspace(work, options.reading, source_hashes)
+    context = Context(progress, options.seed, options.preset, options.device)
+    for stage in _stages_until(until):
+        recipe = by_stage[stage.name]
+        folder = work / stage.name
+        state = state_of(folder, recipe, is_hashed=True)
+        if state == "made":
+            logger.info("%-9s kept", stage.name)
+            continue
+        logger.info("%-9s %s", stage.name, "is damaged: anew ..." if state == "broken" else "...")
+        record = make_artefact(
+            folder,
+            recipe,
+            lambda partial, stage=stage: stage.make(
+                workspace, stage.config(options), partial, context
+            ),
+        )
+        logger.info(
+            "%-9s made in %.1f s (peak memory %d MB)",
+            stage.name,
+            record["seconds"],
+            record["peak_memory_mb"],
+        )
+        for note in record["notes"]:
+            logger.info("          note: %s", note)
+    return workspace
+
+
+def _check_places(source: Path, work: Path) -> None:
+    """The work folder must not become part of the recording."""
+    inside = work.resolve()
+    if source.resolve() in (inside, *inside.parents):
+        raise InputError(
+            "the work folder lies in the recording, which is never written to",
+            where=f"--work {work}",
+            got=f"SOURCE {source}",
+            remedy="Choose a folder beside it.",
+        )
+
+
+def _stages_until(name: str) -> tuple[Stage, ...]:
+    """The table's rows up to one, with it."""
+    return STAGES[: [stage.name for stage in STAGES].index(name) + 1]
+
+
+@dataclass(frozen=True)
+class StageStatus:
+    """One line of `lightsim status`."""
+
+    name: str
+    state: State
+    seconds: float | None
+    peak_memory_mb: int | None
+    damage: tuple[str, ...]
+
+
+def status(work: Path, *, is_hashed: bool = False) -> list[StageStatus]:
+    """State of every artefact against the options that the last build of `work` used, and against
+    the recording, where that is still in its place.
+
+    Args:
+        is_hashed: read every file and compare its bytes, not only its size.
+
+    Raises:
+        ArtefactError: `work` holds no build.
+    """
+    options = read_options(work)
+    by_stage = recipes(options, _source_key(work, Path(options.reading.source)))
+    return [_status_of(work / name, recipe, is_hashed) for name, recipe in by_stage.items()]
+
+
+def _source_key(work: Path, source: Path) -> str:
+    """Hash of the recording; where it is gone, of what the build found."""
+    if source.is_dir():
+        return hash_names(hash_recording(source))
+    logger.warning("%s: the recording is gone; changes in it cannot be told", source)
+    record = read_record(work / "log")
+    return "" if record is None else record["inputs"]["source"]
+
+
+def _status_of(folder: Path, recipe: Recipe, is_hashed: bool) -> StageStatus:
+    state = state_of(folder, recipe)
+    try:
+        record = read_record(folder)
+    except ArtefactError as error:
+        return StageStatus(folder.name, state, None, None, (error.what,))
+    if record is None:
+        return StageStatus(folder.name, state, None, None, ())
+    damage = find_damage(folder, record, is_hashed=is_hashed)
+    if damage and state == "made":
+        state = "broken"
+    return StageStatus(folder.name, state, record["seconds"], record["peak_memory_mb"], damage)
+
+
+def read_options(work: Path) -> BuildOptions:
+    """The options that the last build of `work` used.
+
+    Raises:
+        ArtefactError: `work` holds no build, or its options are broken.
+    """
+    path = work / OPTIONS_NAME
+    if not path.is_file():
+        raise ArtefactError(
+            "the folder holds no build",
+            where=work,
+            remedy=f"Run: lightsim build SOURCE --work {work}",
+        )
+    value = read_json(path)
+    try:
+        reading = reading_from_json(value["reading"])
+        return BuildOptions(
+            reading,
+            value["preset"],
+            value["seed"],
+            value["neural_steps"],
+            value["device"],
+            tuple(value["no_refine"]),
+            value["colour"],
+            value["gps"],
+        )
+    except (KeyError, TypeError) as error:
+        raise ArtefactError(
+            "the options of the build are broken", where=path, got=error, remedy="Build again."
+        ) from error

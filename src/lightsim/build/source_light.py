@@ -1,0 +1,115 @@
+"""The estimated source light on the surfaces of a log, as delighting asks for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from lightsim.appearance.intrinsic.light import LightAt, SurfaceLight
+from lightsim.appearance.intrinsic.surfels import LidarReturns
+from lightsim.core.dome import SkyDome
+from lightsim.core.frames import RigidTransform
+from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import TriMesh
+from lightsim.core.twin import SceneAssets
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.render.composite import CompositeCaster
+from lightsim.render.frame_renderer import parked_actor_meshes
+from lightsim.render.scene import FrameScene, make_static_scene, without_actors
+from lightsim.render.transport.irradiance import IrradianceConfig, irradiance_at
+from lightsim.render.transport.sun import sun_visibility, unshadowed_sun
+from lightsim.render.transport.table import static_face_table
+
+
+class SourceLight:
+    """The estimated source light on meshes of a log: with the measured surfaces alone, and with
+    the inferred ones."""
+
+    def __init__(
+        self,
+        log: DrivingLog,
+        assets: SceneAssets,
+        inferred: TriMesh,
+        dome: SkyDome,
+        config: IrradianceConfig,
+        seed: int,
+    ) -> None:
+        parked = parked_actor_meshes(log, assets)
+        measured = [assets.background, *parked]
+        self._measured = without_actors(make_static_scene(measured))
+        self._all = _with_casters(self._measured, inferred)
+        self._dome, self._config, self._seed = dome, config, seed
+        self._faces = None
+        if config.bounce_albedo is not None:
+            self._faces = static_face_table(self._all, config.transport, seed)
+
+    def on(self, world_from_mesh: RigidTransform) -> LightAt:
+        """Light at points of a mesh at a pose."""
+
+        def light_at(
+            points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
+        ) -> SurfaceLight:
+            return self._at(
+                world_from_mesh.apply(points).astype(np.float32),
+                world_from_mesh.rotate(normals).astype(np.float32),
+            )
+
+        return light_at
+
+    def _at(
+        self, points_world: Float32[np.ndarray, "n 3"], normals_world: Float32[np.ndarray, "n 3"]
+    ) -> SurfaceLight:
+        config, dome = self._config, self._dome
+        found = irradiance_at(
+            points_world, normals_world, self._all, dome, config, self._seed, self._faces
+        )
+        rays = config.transport
+        columns = [found.sun_visibility, found.sun_visibility]
+        direct = np.zeros((len(points_world), 3), dtype=np.float32)
+        if dome.sun is not None:
+            columns[0] = sun_visibility(
+                self._measured.caster, points_world, normals_world, dome.sun, rays
+            )
+            direct = unshadowed_sun(normals_world, dome.sun)
+        return SurfaceLight(
+            direct,
+            np.stack(columns, axis=1),
+            found.sky,
+            np.maximum(found.bounce - found.bounce_of_sky, 0.0),
+            found.bounce_of_sky,
+            config.bounce_albedo or 1.0,
+        )
+
+
+def _with_casters(scene: FrameScene, inferred: TriMesh) -> FrameScene:
+    """The scene with a mesh that no camera sees; the structure over the rest serves both."""
+    static = replace(
+        scene.static,
+        shadow_only=(inferred,),
+        caster=CompositeCaster([scene.static.caster, make_embree_caster([inferred])]),
+        normals=(*scene.static.normals, inferred.vertex_normals()),
+    )
+    return replace(scene, static=static)
+
+
+def static_returns(log: DrivingLog, count: int, rng: np.random.Generator) -> LidarReturns:
+    """About `count` LiDAR returns from what does not move, in frame `world`."""
+    share = count / max(1, sum(len(s.load().intensity) for s in log.sweeps))
+    points, origins, intensity = [], [], []
+    for lazy in log.sweeps:
+        sweep = lazy.load()
+        keep = rng.random(len(sweep.intensity)) < share
+        for actor in log.actors_at(sweep.time_ns):
+            if actor.is_moving:
+                keep &= ~actor.contains(sweep.points_world.astype(np.float64), sweep.time_ns, 0.3)
+        points.append(sweep.points_world[keep])
+        origins.append(sweep.origins_world[keep])
+        intensity.append(sweep.intensity[keep])
+    empty = np.zeros((0, 3), np.float32)
+    return LidarReturns(
+        np.concatenate([empty, *points]),
+        np.concatenate([empty, *origins]),
+        np.concatenate([empty[:, 0], *intensity]),
+    )

@@ -1,0 +1,1 @@
+"""What each stage of the build does, on a work folder; the order stands in pipeline.py."""

@@ -1,0 +1,147 @@
+"""The source sky, and the base colour that it leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.appearance.intrinsic.decompose import DelightConfig, delight
+from lightsim.build.assemble import build_twin
+from lightsim.build.source_light import SourceLight, static_returns
+from lightsim.build.source_sun import SourceSunConfig, find_source_sun
+from lightsim.build.stages.context import Context
+from lightsim.build.workspace import Workspace
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.frames import RigidTransform
+from lightsim.core.sensors import CameraFrame
+from lightsim.core.twin import SkyEstimate
+from lightsim.lighting.panorama.stitch import StitchConfig, stitch_panorama
+from lightsim.lighting.sample import SkyPrediction
+from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
+from lightsim.lighting.sky.shipped import predict_sky
+from lightsim.lighting.sun.direction import SunDirection
+from lightsim.lighting.sun.evidence import EvidenceConfig, Surroundings, collect_evidence
+from lightsim.progress import Progress
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.render.frame_renderer import parked_actor_meshes
+from lightsim.render.gbuffers import render_gbuffers
+from lightsim.render.scene import make_static_scene, without_actors
+from lightsim.render.transport.irradiance import IrradianceConfig
+from lightsim.render.transport.table import TransportConfig
+from lightsim.store.sky import write_panorama, write_panorama_pictures, write_sky
+from lightsim.store.twin import write_twin
+
+
+@dataclass(frozen=True)
+class SkyStageConfig:
+    """Direction of the sun, evidence and fit of the source sky."""
+
+    sun: SourceSunConfig = field(default_factory=SourceSunConfig)
+    evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
+    sky: SkyConfig = field(default_factory=SkyConfig)
+
+
+@dataclass(frozen=True)
+class TwinConfig:
+    """From observed radiance to base colour."""
+
+    irradiance: IrradianceConfig = field(
+        default_factory=lambda: IrradianceConfig(TransportConfig(sky_rays=32, face_rays=8), 0.25)
+    )
+    """Light at the vertices; one bounce off grey surfaces."""
+    delight: DelightConfig = field(default_factory=DelightConfig)
+    """How shadows are found."""
+    lidar_returns: int = 1_500_000
+    """LiDAR returns whose intensity is asked."""
+
+
+def make_panorama(
+    work: Workspace, config: StitchConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    log, assets = work.training_log, work.assets
+    scene = without_actors(
+        make_static_scene([assets.background, *parked_actor_meshes(log, assets)])
+    )
+
+    def cast_depth(frame: CameraFrame, camera: PinholeCamera) -> Float32[np.ndarray, "h w"]:
+        return render_gbuffers(scene, camera, frame).depth_z_m
+
+    def sky_matte(frame: CameraFrame, camera: PinholeCamera) -> Float32[np.ndarray, "h w"]:
+        return work.sky_matte(frame)
+
+    panorama = stitch_panorama(
+        log, assets.camera_gains, cast_depth, sky_matte, config, progress=context.progress
+    )
+    write_panorama(folder, panorama)
+    return ()
+
+
+def make_sky(
+    work: Workspace, config: SkyStageConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    said = predict_sky(work.panorama)
+    sun, _ = find_source_sun(
+        work, config.sun, seed=context.seed, progress=context.progress, prediction=said
+    )
+    sky = source_sky(work, sun, config, said, seed=context.seed, progress=context.progress)
+    write_sky(folder, sky)
+    write_panorama_pictures(folder, work.panorama)
+    return sky.notes
+
+
+def source_sky(
+    work: Workspace,
+    sun: SunDirection,
+    config: SkyStageConfig,
+    prediction: SkyPrediction | None,
+    *,
+    seed: int,
+    progress: Progress,
+) -> SkyEstimate:
+    """The dome of a log whose sun was found: strengths by lit and shadowed surfaces."""
+    log = work.training_log
+    evidence = collect_evidence(
+        log,
+        work.assets,
+        make_embree_caster,
+        sun.direction_world,
+        config.evidence,
+        np.random.default_rng(seed),
+        around=Surroundings(parked_actor_meshes(log, work.assets), [work.inferred]),
+        progress=progress,
+    )
+    return estimate_sky(
+        work.panorama, sun, evidence, config.sky, progress=progress, prediction=prediction
+    )
+
+
+def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Context) -> Iterable[str]:
+    """Find and remove the source light, mesh by mesh, and write the twin."""
+    assets, inferred, log = work.assets, work.inferred, work.training_log
+    source = SourceLight(log, assets, inferred, work.sky.dome, config.irradiance, context.seed)
+    rng = np.random.default_rng(context.seed)
+    identity = RigidTransform.identity("world", "world")
+    street = delight(
+        assets.background,
+        source.on(identity),
+        config.delight,
+        rng,
+        returns=static_returns(log, config.lidar_returns, rng),
+    )
+    tracks = {track.actor_id: track for track in log.actors}
+    actors = {}
+    for actor in context.progress.track(assets.actors.values(), "base colour", len(assets.actors)):
+        trajectory = tracks[actor.actor_id].trajectory
+        pose = trajectory.at(int(trajectory.times_ns[len(trajectory) // 2]))
+        done = delight(actor.mesh, source.on(pose), config.delight, rng, scales=street.scales)
+        actors[actor.actor_id] = replace(actor, mesh=done.mesh)
+    if len(inferred.faces):
+        found = delight(inferred, source.on(identity), config.delight, rng, scales=street.scales)
+        inferred = found.mesh
+    assets = replace(assets, background=street.mesh, actors=actors)
+    write_twin(folder, build_twin(work.log, assets, work.sky), inferred)
+    return street.notes

@@ -1,0 +1,112 @@
+"""The recording and its fields: load, call one function, save. Order: pipeline.py."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from lightsim.align.build import align_log
+from lightsim.align.config import AlignConfig
+from lightsim.build.stages.context import Context
+from lightsim.build.workspace import FIELD_CONFIG_NAME, FIELD_NAME, Workspace
+from lightsim.core.fields import SceneFields
+from lightsim.core.frames import RigidTransform
+from lightsim.core.sensors import CameraFrame
+from lightsim.geometry.surface import background_levels, extract_surface
+from lightsim.masks.sky import SkyMaskConfig, sky_mattes
+from lightsim.reconstruct.field.config import NeuralConfig
+from lightsim.reconstruct.field.ray_pool import PriorSurfaces
+from lightsim.reconstruct.fusion.config import FuseConfig
+from lightsim.reconstruct.fusion.tsdf import fuse_log
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.store.alignment import write_alignment
+from lightsim.store.artefact import write_json
+from lightsim.store.checkpoint import FolderJournal, write_weights
+from lightsim.store.fields import write_fields
+from lightsim.store.images import write_grey8
+from lightsim.store.log import LogReading, write_log
+
+
+def make_log(work: Workspace, config: LogReading, folder: Path, context: Context) -> Iterable[str]:
+    write_log(folder, work.recorded_log, config, work.source_hashes)
+    return work.recorded_log.notes
+
+
+def make_alignment(
+    work: Workspace, config: AlignConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    alignment = align_log(
+        work.recorded_training_log,
+        config,
+        rng=np.random.default_rng(context.seed),
+        progress=context.progress,
+    )
+    write_alignment(folder, alignment)
+    return alignment.notes
+
+
+def make_masks(
+    work: Workspace, config: SkyMaskConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    """One matte a frame; those that an interrupted run left are kept."""
+
+    def path_of(frame: CameraFrame) -> Path:
+        return folder / frame.camera_name / f"{frame.stem}.png"
+
+    missing = tuple(f for f in work.recorded_log.frames if not path_of(f).exists())
+    for camera in work.recorded_log.cameras:
+        (folder / camera).mkdir(exist_ok=True)
+    wanted = work.recorded_log.with_frames(missing)
+    for frame, matte in sky_mattes(wanted, config, context.progress):
+        write_grey8(path_of(frame), np.round(matte * 255).astype(np.uint8))
+    return ()
+
+
+def make_fields(
+    work: Workspace, config: FuseConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    fields = fuse_log(work.training_log, config, progress=context.progress)
+    write_fields(folder, fields)
+    return fields.notes
+
+
+def make_neural(
+    work: Workspace, config: NeuralConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    """The neural field, trained on images and LiDAR from where the fused LiDAR stands."""
+    fused, journal = work.fused, FolderJournal(folder)
+    if config.steps == 0:
+        write_fields(folder, fused)
+        return (*fused.notes, "no neural field was trained; geometry is fused LiDAR alone")
+    from lightsim.reconstruct.field.neural import Training, refine_by_field
+
+    training = Training(
+        prior_surfaces(fused),
+        work.sky_matte,
+        journal,
+        context.seed,
+        context.device,
+    )
+    fields, field = refine_by_field(
+        work.training_log, fused, config, training, progress=context.progress
+    )
+    write_fields(folder, fields)
+    write_weights(folder / FIELD_NAME, field.state_dict())
+    write_json(folder / FIELD_CONFIG_NAME, asdict(config))
+    journal.finish()
+    return fields.notes
+
+
+def prior_surfaces(fused: SceneFields) -> PriorSurfaces:
+    """Where rays of the neural field are sampled: the meshes of the fused LiDAR."""
+    at_origin = RigidTransform.identity("world", "actor")
+    return PriorSurfaces(
+        make_embree_caster(background_levels(fused, 0.03)),
+        {
+            actor_id: make_embree_caster([extract_surface(grid, 0.03).moved(at_origin)])
+            for actor_id, grid in fused.actors.items()
+        },
+    )

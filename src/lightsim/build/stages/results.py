@@ -1,0 +1,35 @@
+"""What a build says of itself: numbers first, then the page that shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from lightsim.build.measures import measure, write_measures
+from lightsim.build.report import write_build_report
+from lightsim.build.stages.context import Context
+from lightsim.build.workspace import Workspace
+from lightsim.evaluate.frames import FramesConfig
+
+
+@dataclass(frozen=True)
+class ReportConfig:
+    """What the page shows."""
+
+    stages: tuple[str, ...]
+    """Stages with their times and notes."""
+
+
+def make_measures(
+    work: Workspace, config: FramesConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    write_measures(folder, measure(work.root, config, context.progress))
+    return ()
+
+
+def make_report(
+    work: Workspace, config: ReportConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    write_build_report(folder / "index.html", work, config.stages)
+    return ()

@@ -1,0 +1,141 @@
+"""From fields to coloured meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.appearance.build import AssetConfig, build_assets
+from lightsim.appearance.colour import colour_of_nearest
+from lightsim.build.stages.context import Context
+from lightsim.build.workspace import Workspace
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.mesh import TriMesh, concatenate_meshes
+from lightsim.core.sensors import CameraFrame
+from lightsim.core.twin import SceneAssets
+from lightsim.geometry.completion.extrude import ExtrudeConfig, infer_tall_structures
+from lightsim.geometry.completion.facades import FacadeConfig, complete_facades
+from lightsim.geometry.completion.far_field import FarFieldConfig, build_far_field
+from lightsim.geometry.completion.flatten import FlattenConfig, flatten_walls
+from lightsim.geometry.config import MeshConfig
+from lightsim.geometry.mesh_scene import mesh_scene
+from lightsim.geometry.simplify import simplify_planar
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.store.assets import read_mesh, write_assets, write_mesh
+
+
+@dataclass(frozen=True)
+class GeometryConfig:
+    """From fields to meshes, measured and inferred."""
+
+    mesh: MeshConfig = field(default_factory=MeshConfig)
+    """Measured surfaces."""
+    walls: FlattenConfig = field(default_factory=FlattenConfig)
+    """Their bumps on walls."""
+    facades: FacadeConfig = field(default_factory=FacadeConfig)
+    """Windows and upper facades: visible."""
+    far: FarFieldConfig = field(default_factory=FarFieldConfig)
+    """What stands beyond the LiDAR's reach: visible."""
+    tall: ExtrudeConfig = field(default_factory=ExtrudeConfig)
+    """Roofs and rear walls: they only cast shadows."""
+
+
+def make_geometry(
+    work: Workspace, config: GeometryConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    """Everything that has a shape, before it has a colour; casters of shadows apart."""
+    log, fields = work.training_log, work.fields
+    meshes = mesh_scene(
+        log,
+        fields,
+        config.mesh,
+        make_caster=make_embree_caster,
+        progress=context.progress,
+        calm=partial(flatten_walls, config=config.walls),
+    )
+
+    def views() -> Iterable[tuple[CameraFrame, PinholeCamera, Float32[np.ndarray, "h w"]]]:
+        return ((f, log.cameras[f.camera_name], work.sky_matte(f)) for f in log.frames)
+
+    background = meshes.background
+    facades = complete_facades(
+        background,
+        views(),
+        (sweep.load() for sweep in log.sweeps),
+        config.facades,
+        make_caster=make_embree_caster,
+    )
+    background = concatenate_meshes([background, simplify_planar(facades)])
+    far = build_far_field(
+        background,
+        views(),
+        fields.ground,
+        fields.path_m,
+        config.far,
+        make_caster=make_embree_caster,
+    )
+    casters = infer_tall_structures(
+        background,
+        views(),
+        config.tall,
+        make_caster=make_embree_caster,
+        progress=context.progress,
+    )
+    background = concatenate_meshes([background, far])
+    write_assets(folder, replace(meshes, background=background))
+    write_mesh(folder / "inferred.npz", casters)
+    return (
+        *meshes.notes,
+        f"{len(facades.faces)} faces close windows and raise facades, {len(far.faces)} stand "
+        f"beyond the LiDAR's reach, {len(casters.faces)} only cast shadows: inferred, not measured",
+    )
+
+
+def make_assets(
+    work: Workspace, config: AssetConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    assets = build_assets(
+        work.training_log,
+        work.meshes,
+        config,
+        make_caster=make_embree_caster,
+        progress=context.progress,
+        sky_matte=work.sky_matte,
+    )
+    if config.colour != "texture":
+        assets = _vertex_coloured(work, assets, config)
+    write_assets(folder, assets)
+    casters = read_mesh(work.need("geometry") / "inferred.npz", "world")
+    write_mesh(folder / "inferred.npz", colour_of_nearest(casters, assets.background))
+    return ()
+
+
+def _vertex_coloured(work: Workspace, assets: SceneAssets, config: AssetConfig) -> SceneAssets:
+    """Colours at the vertices alone: means of the texture, or the neural field's k_d."""
+
+    def plain(mesh: TriMesh, actor: int) -> TriMesh:
+        mesh = replace(mesh, texture=None)
+        if field is None:
+            return mesh
+        return replace(mesh, base_colour=vertex_radiance(field, mesh, actor))
+
+    gains = assets.camera_gains
+    field = None
+    if config.colour == "field":
+        from lightsim.reconstruct.field.refine import vertex_radiance
+
+        field = work.scene_field
+        gains = field.radiance_gains()
+    numbers = {actor.actor_id: number for number, actor in enumerate(work.training_log.actors)}
+    actors = {
+        actor_id: replace(actor, mesh=plain(actor.mesh, numbers[actor_id]))
+        for actor_id, actor in assets.actors.items()
+    }
+    return replace(
+        assets, background=plain(assets.background, -1), actors=actors, camera_gains=gains
+    )

@@ -1,0 +1,282 @@
+"""A work folder: one sub-folder per artefact, loaded when asked for and kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.core.alignment import Alignment
+from lightsim.core.fields import SceneFields
+from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import TriMesh
+from lightsim.core.sensors import CameraFrame
+from lightsim.core.twin import DigitalTwin, Panorama, SceneAssets, SkyEstimate
+from lightsim.errors import ArtefactError
+from lightsim.store.alignment import read_alignment
+from lightsim.store.artefact import read_json, require_whole
+from lightsim.store.assets import read_assets, read_mesh
+from lightsim.store.fields import read_fields
+from lightsim.store.images import read_grey8
+from lightsim.store.log import (
+    LogReading,
+    held_out_stems,
+    read_reading,
+    read_source_hashes,
+)
+from lightsim.store.sky import read_estimate, read_panorama
+from lightsim.store.twin import read_twin_assets
+
+if TYPE_CHECKING:
+    from lightsim.reconstruct.field.sdf_field import SceneField
+
+FIELD_NAME = "field.safetensors"
+FIELD_CONFIG_NAME = "field.json"
+OPTIONS_NAME = "build.json"
+
+
+class Workspace:
+    """The artefacts of one log under `root` (INTERFACE: WORK).
+
+    Every artefact is held against the hashes in its record before it is first read, and the
+    recording against what the build found.
+    """
+
+    def __init__(
+        self,
+        root: Path,
+        reading: LogReading | None = None,
+        source_hashes: Mapping[str, str] | None = None,
+        *,
+        is_stale_allowed: bool = False,
+    ) -> None:
+        """
+        Args:
+            root: the work folder.
+            reading: how the log is read; by default as the build of `root` did.
+            source_hashes: of the recording's files (ingest/fingerprint.py); by default they are
+                made when the recording is first read, and compared with those of the build.
+            is_stale_allowed: go on where the recording has changed since the build.
+        """
+        self.root = root
+        self._reading = reading
+        self._source_hashes = source_hashes
+        self._is_stale_allowed = is_stale_allowed
+        self._records: dict[str, dict[str, Any]] = {}
+
+    def folder(self, stage: str) -> Path:
+        return self.root / stage
+
+    def need(self, stage: str) -> Path:
+        """Folder of a finished artefact, whose files are as they were written.
+
+        Raises:
+            ArtefactError: it has not been made, or is damaged.
+        """
+        self.record(stage)
+        return self.folder(stage)
+
+    def record(self, stage: str) -> dict[str, Any]:
+        """artefact.json of a finished artefact; raises as `need`."""
+        if stage not in self._records:
+            record = require_whole(self.folder(stage), self._remedy)
+            if record is None:
+                raise ArtefactError(
+                    f"the '{stage}' artefact has not been made",
+                    where=self.root,
+                    remedy=self._remedy,
+                )
+            self._records[stage] = record
+        return self._records[stage]
+
+    @cached_property
+    def _remedy(self) -> str:
+        path = self.root / OPTIONS_NAME
+        source = read_source(path) if path.is_file() else "SOURCE"
+        return f"Run: lightsim build {source} --work {self.root}"
+
+    @cached_property
+    def reading(self) -> LogReading:
+        if self._reading is not None:
+            return self._reading
+        recorded = read_reading(self.need("log"))
+        return replace(recorded, source=read_source(self.root / OPTIONS_NAME))
+
+    @cached_property
+    def source_hashes(self) -> Mapping[str, str]:
+        """Hashes of the recording's files as they are now."""
+        from lightsim.datasets.fingerprint import hash_recording
+
+        if self._source_hashes is not None:
+            return self._source_hashes
+        return hash_recording(Path(self.reading.source))
+
+    def _check_source(self) -> None:
+        """The recording must be the one that was built from."""
+        from lightsim.datasets.fingerprint import describe_change
+
+        if self._source_hashes is not None or self._is_stale_allowed:
+            return
+        change = describe_change(read_source_hashes(self.need("log")), self.source_hashes)
+        if change is not None:
+            raise ArtefactError(
+                "the recording has changed since the twin was built from it",
+                where=self.reading.source,
+                got=change,
+                remedy=f"{self._remedy} (or give --allow-stale to go on with the old twin).",
+            )
+
+    @cached_property
+    def log(self) -> DrivingLog:
+        """All frames at the scale of the build; sensors, path and boxes aligned."""
+        return self.alignment.applied_to(self.recorded_log)
+
+    @cached_property
+    def recorded_log(self) -> DrivingLog:
+        """The same as recorded."""
+        return self._recorded_at(self.reading.image_scale)
+
+    @cached_property
+    def alignment(self) -> Alignment:
+        return read_alignment(self.need("alignment"))
+
+    @cached_property
+    def _full_log(self) -> DrivingLog:
+        from lightsim.datasets.reader import read_log
+        from lightsim.masks.ego_vehicle import ego_vehicle_masks
+
+        reading = self.reading
+        self._check_source()
+        return read_log(
+            Path(reading.source),
+            dataset=reading.dataset,
+            cameras=reading.cameras,
+            frames=reading.frames,
+            heading_deg=reading.heading_deg,
+            find_ego_vehicle=ego_vehicle_masks,
+        )
+
+    def log_at(self, image_scale: float) -> DrivingLog:
+        """The aligned log at another image scale."""
+        return self.alignment.applied_to(self._recorded_at(image_scale))
+
+    def _recorded_at(self, image_scale: float) -> DrivingLog:
+        from lightsim.datasets.scale import at_scale
+
+        return at_scale(self._full_log, image_scale)
+
+    @cached_property
+    def held_out(self) -> frozenset[str]:
+        return held_out_stems(self._full_log, self.reading.hold_out)
+
+    @cached_property
+    def training_log(self) -> DrivingLog:
+        """The log without held-out frames and sweeps: all that building may look at."""
+        return self._without_held_out(self.log)
+
+    @cached_property
+    def recorded_training_log(self) -> DrivingLog:
+        """The same as recorded: what is aligned."""
+        return self._without_held_out(self.recorded_log)
+
+    def _without_held_out(self, log: DrivingLog) -> DrivingLog:
+        out = self.held_out
+        return replace(
+            log,
+            frames=tuple(f for f in log.frames if f.stem not in out),
+            sweeps=tuple(s for s in log.sweeps if s.stem not in out),
+        )
+
+    def sky_matte(self, frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
+        """Sky alpha of a frame at the build's image scale, 1 = sky."""
+        path = self.need("masks") / frame.camera_name / f"{frame.stem}.png"
+        return read_grey8(path).astype(np.float32) / 255.0
+
+    @cached_property
+    def fused(self) -> SceneFields:
+        """The fused LiDAR."""
+        return read_fields(self.need("fields"))
+
+    @cached_property
+    def fields(self) -> SceneFields:
+        """The geometry that is meshed: the fused LiDAR as the neural field has refined it."""
+        return read_fields(self.need("neural"))
+
+    @cached_property
+    def scene_field(self) -> SceneField:
+        """The trained neural field.
+
+        Raises:
+            ArtefactError: the build trained none.
+        """
+        from lightsim.reconstruct.field.config import config_from_json
+        from lightsim.reconstruct.field.neural import make_field
+        from lightsim.store.checkpoint import read_weights
+
+        folder = self.need("neural")
+        config = config_from_json(read_json(folder / FIELD_CONFIG_NAME))
+        field = make_field(self.training_log, self.fused, config, 0)
+        field.load_state_dict(read_weights(folder / FIELD_NAME))
+        return field
+
+    @cached_property
+    def meshes(self) -> SceneAssets:
+        """The same without colour."""
+        return read_assets(self.need("geometry"))
+
+    @cached_property
+    def assets(self) -> SceneAssets:
+        """Meshes whose colour is the observed radiance under the source sky."""
+        return read_assets(self.need("assets"))
+
+    @cached_property
+    def inferred(self) -> TriMesh:
+        """Roofs and rear walls that no sensor measured but that cast shadows."""
+        return read_mesh(self.need("assets") / "inferred.npz", "world")
+
+    @cached_property
+    def panorama(self) -> Panorama:
+        return read_panorama(self.need("panorama"))
+
+    @cached_property
+    def sky(self) -> SkyEstimate:
+        return read_estimate(self.need("sky"))
+
+    @cached_property
+    def _twin_assets(self) -> tuple[SceneAssets, TriMesh]:
+        return read_twin_assets(self.need("twin"))
+
+    @property
+    def shadow_casters(self) -> TriMesh:
+        """The inferred casters with their base colour."""
+        return self._twin_assets[1]
+
+    @cached_property
+    def twin(self) -> DigitalTwin:
+        return DigitalTwin(self.log, self._twin_assets[0], self.sky)
+
+
+def read_source(path: Path) -> str:
+    """Where the recording was at the last build: the one thing about it that may change without
+    anything becoming stale.
+
+    Args:
+        path: build.json of a work folder.
+
+    Raises:
+        ArtefactError: the file is missing or broken.
+    """
+    try:
+        return str(read_json(path)["reading"]["source"])
+    except (KeyError, TypeError) as error:
+        raise ArtefactError(
+            "the options of the build are broken",
+            where=path,
+            got=error,
+            remedy="Run lightsim build again with the recording's folder.",
+        ) from error

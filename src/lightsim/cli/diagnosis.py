@@ -1,0 +1,217 @@
+"""What this machine has, what will be slow on it, and what to do about it."""
+
+from __future__ import annotations
+
+import ctypes.util
+import os
+import platform
+import re
+import shutil
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Literal
+
+from lightsim import __version__
+from lightsim.errors import InputError
+from lightsim.store.weights import WEIGHTS_FOLDER, list_weights
+
+State = Literal["ok", "note", "missing"]
+
+_GIB = 1 << 30
+_MIN_MEMORY_GIB = 8
+_MIN_DISK_GIB = 10
+_MIN_PYTHON = (3, 11)
+_CPU_FEATURES = ("avx", "avx2", "avx512f", "f16c", "fma")
+_LLVM_VERSIONS = range(25, 14, -1)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report.
+
+    Args:
+        topic: "python", "package", "processor", "memory", "disk", "gpu", "renderer", "weights".
+        name: what was looked at.
+        value: what was found.
+        state: "missing" stops LightSim, "note" costs time or an option.
+        advice: what to do, or what follows; empty where all is well.
+    """
+
+    topic: str
+    name: str
+    value: str
+    state: State = "ok"
+    advice: str = ""
+
+
+@dataclass(frozen=True)
+class DoctorReport:
+    """All findings, in order."""
+
+    findings: tuple[Finding, ...]
+
+    @property
+    def is_ready(self) -> bool:
+        """Nothing that LightSim cannot do without is missing."""
+        return all(finding.state != "missing" for finding in self.findings)
+
+    def to_table(self) -> str:
+        """Plain text: one line a finding, then what will be slow or is missing, with advice."""
+        width = max(len(f.name) for f in self.findings) + 2
+        mark = {"ok": "ok", "note": "note", "missing": "MISSING"}
+        lines = [
+            f"{mark[f.state]:9s}{f.topic:11s}{f.name:{width}s}{f.value}" for f in self.findings
+        ]
+        advice = [f"- {f.name}: {f.advice}" for f in self.findings if f.advice]
+        head = "ready" if self.is_ready else "NOT ready: install what is missing"
+        return "\n".join([*lines, "", f"LightSim {__version__} is {head}.", *advice])
+
+
+def diagnose(folder: Path | None = None) -> DoctorReport:
+    """Look at packages, processor, memory, disk of `folder`, GPU, renderers and weights.
+
+    Heavy packages are found by their metadata and not imported.
+    """
+    findings = [
+        _python(),
+        *_packages(),
+        *_processor(Path("/proc/cpuinfo")),
+        *_memory(Path("/proc/meminfo")),
+        _disk(folder or Path.cwd()),
+        _gpu(),
+        _llvm(),
+        *_weights(WEIGHTS_FOLDER),
+        _data(os.environ.get("LIGHTSIM_DATA")),
+    ]
+    return DoctorReport(tuple(findings))
+
+
+def _python() -> Finding:
+    version = platform.python_version_tuple()
+    is_new = (int(version[0]), int(version[1])) >= _MIN_PYTHON
+    value = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
+    if is_new:
+        return Finding("python", "Python", value)
+    return Finding("python", "Python", value, "missing", "Install Python 3.11 or newer.")
+
+
+def _packages() -> list[Finding]:
+    """Declared requirements with their versions; those of extras are notes when absent."""
+    findings: list[Finding] = []
+    for requirement in metadata.requires("lightsim") or []:
+        name = re.match(r"[A-Za-z0-9_.-]+", requirement)
+        extra = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", requirement)
+        if name is None or (extra and extra[1] == "dev"):
+            continue
+        version = _version(name[0])
+        if version is not None:
+            findings.append(Finding("package", name[0], version))
+        elif extra:
+            advice = f"Optional. Run: pip install 'lightsim[{extra[1]}]'"
+            findings.append(Finding("package", name[0], "not installed", "note", advice))
+        else:
+            advice = f"Run: pip install '{requirement.split(';')[0].strip()}'"
+            findings.append(Finding("package", name[0], "not installed", "missing", advice))
+    return findings
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _processor(cpuinfo: Path) -> list[Finding]:
+    text = cpuinfo.read_text() if cpuinfo.is_file() else ""
+    model = re.search(r"model name\s*:\s*(.+)", text)
+    flags = re.search(r"flags\s*:\s*(.+)", text)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    name = model[1].strip() if model else platform.processor() or "unknown processor"
+    advice = "" if (cores or 1) >= 4 else "Building takes many minutes; try --image-scale 0.5."
+    state: State = "note" if advice else "ok"
+    findings = [Finding("processor", "CPU", f"{name}, {cores} usable cores", state, advice)]
+    if flags is None:
+        return findings
+    present = [feature for feature in _CPU_FEATURES if feature in flags[1].split()]
+    value = " ".join(present) or "none of " + " ".join(_CPU_FEATURES)
+    if "avx2" in present:
+        return [*findings, Finding("processor", "instructions", value)]
+    slow = "Without AVX2, ray casting and training are several times slower."
+    return [*findings, Finding("processor", "instructions", value, "note", slow)]
+
+
+def _memory(meminfo: Path) -> list[Finding]:
+    text = meminfo.read_text() if meminfo.is_file() else ""
+    total = re.search(r"MemTotal:\s*(\d+) kB", text)
+    free = re.search(r"MemAvailable:\s*(\d+) kB", text)
+    if total is None or free is None:
+        return [Finding("memory", "RAM", "unknown", "note", "The size could not be read.")]
+    free_gib, total_gib = int(free[1]) * 1024 / _GIB, int(total[1]) * 1024 / _GIB
+    value = f"{free_gib:.1f} GiB free of {total_gib:.1f} GiB"
+    if free_gib >= _MIN_MEMORY_GIB:
+        return [Finding("memory", "RAM", value)]
+    advice = f"Building wants {_MIN_MEMORY_GIB} GiB; close programs or use --image-scale 0.25."
+    return [Finding("memory", "RAM", value, "note", advice)]
+
+
+def _disk(folder: Path) -> Finding:
+    free_gib = shutil.disk_usage(folder).free / _GIB
+    value = f"{free_gib:.1f} GiB free"
+    if free_gib >= _MIN_DISK_GIB:
+        return Finding("disk", "current folder", value)
+    advice = f"A work folder wants up to {_MIN_DISK_GIB} GiB; point --work to another disk."
+    return Finding("disk", "current folder", value, "note", advice)
+
+
+def _gpu() -> Finding:
+    """An NVIDIA driver and a CUDA build of torch; neither is loaded."""
+    has_driver = ctypes.util.find_library("cuda") is not None or Path("/dev/nvidia0").exists()
+    has_cuda_torch = "+cpu" not in (_version("torch") or "+cpu")
+    if has_driver and has_cuda_torch:
+        return Finding("gpu", "CUDA", "driver and a CUDA build of torch found")
+    if has_driver:
+        advice = "A driver is here, but torch is the CPU build: install torch with CUDA."
+        return Finding("gpu", "CUDA", "driver found, torch without CUDA", "note", advice)
+    advice = "All runs on the CPU; training networks is slow, building and relighting are fine."
+    return Finding("gpu", "CUDA", "no NVIDIA driver", "note", advice)
+
+
+def _llvm() -> Finding:
+    """libLLVM, which Mitsuba's fast llvm variants need; the scalar ones always run."""
+    found = os.environ.get("DRJIT_LIBLLVM_PATH") or ctypes.util.find_library("LLVM")
+    for version in _LLVM_VERSIONS:
+        found = found or ctypes.util.find_library(f"LLVM-{version}")
+    if found:
+        return Finding("renderer", "Mitsuba", f"scalar_rgb and llvm variants ({found})")
+    advice = "Only `--renderer path` and `synthesize` are slower: install libLLVM 15 or newer."
+    return Finding("renderer", "Mitsuba", "scalar_rgb only (no libLLVM)", "note", advice)
+
+
+def _weights(folder: Path) -> list[Finding]:
+    try:
+        cards = list_weights(folder)
+    except InputError as error:
+        return [Finding("weights", "manifest", "not readable", "missing", str(error))]
+    findings: list[Finding] = []
+    for name, card in cards.items():
+        absent = [file for file in card.sha256_by_file if not (folder / file).is_file()]
+        if absent:
+            advice = "Reinstall lightsim; the package is incomplete."
+            findings.append(
+                Finding("weights", name, f"lacks {', '.join(absent)}", "missing", advice)
+            )
+        else:
+            findings.append(Finding("weights", name, f"{len(card.sha256_by_file)} files"))
+    return findings
+
+
+def _data(data: str | None) -> Finding:
+    """The folder of real logs is for development; `lightsim demo` needs none."""
+    if data is None:
+        return Finding("data", "LIGHTSIM_DATA", "not set (only tests on real logs need it)")
+    if Path(data).is_dir():
+        return Finding("data", "LIGHTSIM_DATA", data)
+    advice = "Point LIGHTSIM_DATA to the folder that holds pandaset/, hdri/ and cad/."
+    return Finding("data", "LIGHTSIM_DATA", f"{data} is no folder", "note", advice)

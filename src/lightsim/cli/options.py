@@ -1,0 +1,42 @@
+"""What the commands share: options, words, and how results are shown."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal, Protocol, runtime_checkable
+
+import tyro
+
+Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"])]
+Device = Literal["auto", "cpu", "cuda"]
+
+
+@runtime_checkable
+class Report(Protocol):
+    """A measurement that can be shown."""
+
+    def to_table(self) -> str: ...
+
+    def to_json(self) -> str: ...
+
+
+def say(text: str) -> None:
+    """A line on standard output, at once."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def names(text: str) -> tuple[str, ...]:
+    """ "a, b" -> ("a", "b")."""
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+def show(report: Report, out: Path | None) -> None:
+    """The table on standard output, and the numbers as JSON where a file is named."""
+    say(report.to_table())
+    if out is not None:
+        from lightsim.store.artefact import write_text
+
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_text(out, report.to_json() + "\n")

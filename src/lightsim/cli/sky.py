@@ -1,0 +1,100 @@
+"""`lightsim sky`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from lightsim.cli.options import Verbose, say
+from lightsim.errors import InputError
+
+
+@dataclass(frozen=True)
+class SkyEstimateCommand:
+    """Estimate the HDR sky of an equirectangular sRGB panorama (alpha 0 = not observed)."""
+
+    panorama: tyro.conf.Positional[Path]
+    """PNG or JPEG, twice as wide as high; the centre column looks along world +x."""
+    out: Path
+    """Folder for sky.exr and sun.json."""
+    time: str | None = None
+    """UTC time, ISO 8601."""
+    latitude: float | None = None
+    """Degrees north."""
+    longitude: float | None = None
+    """Degrees east."""
+    heading_deg: float | None = None
+    """Azimuth of the centre column, clockwise from north."""
+    move_sun: str | None = None
+    """AZIMUTH,ELEVATION in degrees, clockwise from north (from the centre column without
+    --heading-deg): the same sky under a sun that stands there."""
+    sun_factor: float = 1.0
+    """Makes the sun of the same sky weaker or stronger."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Estimate the sky of a panorama."""
+        from lightsim.lighting.sky.estimate import SkyConfig
+        from lightsim.lighting.sky.image_sky import estimate_from_picture, panorama_from_image
+        from lightsim.lighting.sky.shipped import edited_sky, predict_sky
+        from lightsim.simulate.skies import sun_of_command
+        from lightsim.store.images import read_srgb8_alpha
+        from lightsim.store.sky import write_sky
+
+        picture, alpha = read_srgb8_alpha(self.panorama)
+        sun = sun_of_command(self.time, self.latitude, self.longitude, self.heading_deg)
+        try:
+            panorama = panorama_from_image(picture, alpha > 127)
+            prediction = predict_sky(panorama)
+            estimate = estimate_from_picture(panorama, sun, SkyConfig(), prediction)
+        except InputError as error:
+            raise error.at(self.panorama) from error
+        if self.move_sun is not None or self.sun_factor != 1.0:
+            estimate = edited_sky(
+                estimate, panorama, self.move_sun, self.sun_factor, self.heading_deg
+            )
+        self.out.mkdir(parents=True, exist_ok=True)
+        write_sky(self.out, estimate, "sky.exr")
+        say(f"sky: {self.out / 'sky.exr'}")
+        say(f"sun: {self.out / 'sun.json'}")
+
+
+@dataclass(frozen=True)
+class SkyShow:
+    """Describe a sky (sun, illuminance) and write a picture of it."""
+
+    sky: tyro.conf.Positional[str]
+    """A .hdr or .exr file, or sun:AZIMUTH,ELEVATION[,TURBIDITY] with world +y as north."""
+    out: Path = Path("sky.png")
+    """Picture to write."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Describe a sky."""
+        from lightsim.simulate.skies import SkyChoice, sky_alone
+        from lightsim.store.images import write_png
+        from lightsim.view.figures import dome_preview
+
+        sky = sky_alone(SkyChoice(self.sky))
+        for name, value in sky.facts.items():
+            say(f"{name}: {value}")
+        write_png(self.out, dome_preview(sky.dome))
+        say(f"picture: {self.out}")
+
+
+Sky = (
+    Annotated[SkyEstimateCommand, tyro.conf.subcommand("estimate")]
+    | Annotated[SkyShow, tyro.conf.subcommand("show")]
+)
+
+
+@dataclass(frozen=True)
+class SkyGroup:
+    """Work with skies alone: estimate one from a panorama, or look at one."""
+
+    do: tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[Sky]]

@@ -1,0 +1,33 @@
+"""`lightsim status`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from lightsim.cli.options import Verbose, say
+
+
+@dataclass(frozen=True)
+class Status:
+    """Show which artefacts of a work folder are made, stale, broken or missing."""
+
+    work: tyro.conf.Positional[Path]
+    """Work folder."""
+    verify: bool = False
+    """Read every file and compare its bytes with what was written, not only its size."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """A line for each artefact, and what is damaged."""
+        from lightsim.build import pipeline
+
+        for line in pipeline.status(self.work, is_hashed=self.verify):
+            took = "" if line.seconds is None else f"{line.seconds:8.1f} s"
+            memory = "" if line.peak_memory_mb is None else f"{line.peak_memory_mb:6d} MB"
+            say(f"{line.name:10s}{line.state:8s}{took:>12s}{memory:>12s}")
+            for damage in line.damage:
+                say(f"          {damage}")

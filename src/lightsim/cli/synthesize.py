@@ -1,0 +1,32 @@
+"""`lightsim synthesize`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from lightsim.cli.options import Verbose, say
+from lightsim.progress import terminal_progress
+
+
+@dataclass(frozen=True)
+class Synthesize:
+    """Make a synthetic street log with exact ground truth."""
+
+    out: Path
+    """Folder to write: log/ and truth/."""
+    seed: int = 0
+    """Another seed, another street."""
+    size: Literal["small", "medium", "full"] = "small"
+    """Image size and number of frames."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Make the street."""
+        from lightsim.synthetic import synthesize as make_street
+
+        make_street(self.out, seed=self.seed, size=self.size, progress=terminal_progress())
+        say(f"log:   {self.out / 'log'}")
+        say(f"truth: {self.out / 'truth'}")

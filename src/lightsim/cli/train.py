@@ -1,0 +1,91 @@
+"""`lightsim train`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from lightsim.cli.options import Verbose
+from lightsim.training.options import PrepareOptions, TrainingOptions
+
+
+@dataclass(frozen=True)
+class TrainPrepare(PrepareOptions):
+    """Make the file that training of the lighting networks draws from."""
+
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Make the file."""
+        from lightsim.training import run
+
+        run.prepare(self)
+
+
+@dataclass(frozen=True)
+class TrainInpaint(TrainingOptions):
+    """Train the completion of panoramas."""
+
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Train, or go on."""
+        from lightsim.training import run
+
+        run.train_inpaint(self)
+
+
+@dataclass(frozen=True)
+class TrainSky(TrainingOptions):
+    """Train the estimator of sky domes."""
+
+    inpaint: Path | None = None
+    """Weights of the completion that the estimator is to work behind; without them smooth fills."""
+    network: Literal["lightsim", "lightsim_paper"] = "lightsim"
+    """lightsim_paper is the published form."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Train, or go on."""
+        from lightsim.training import run
+
+        run.train_sky_network(self, self.network, self.inpaint)
+
+
+@dataclass(frozen=True)
+class TrainBaseline(TrainingOptions):
+    """Train a method to compare with."""
+
+    which: Literal["sold_net", "nlfe", "nlfe_panorama"] = "nlfe"
+    """SOLD-Net, NLFE's sky branch from one picture, or from the completed panorama."""
+    inpaint: Path | None = None
+    """Weights of the completion, as for sky."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Train, or go on."""
+        from lightsim.training import run
+
+        run.train_sky_network(self, self.which, self.inpaint)
+
+
+_Train = (
+    Annotated[TrainPrepare, tyro.conf.subcommand("prepare")]
+    | Annotated[TrainInpaint, tyro.conf.subcommand("inpaint")]
+    | Annotated[TrainSky, tyro.conf.subcommand("sky")]
+    | Annotated[TrainBaseline, tyro.conf.subcommand("baseline")]
+)
+
+
+@dataclass(frozen=True)
+class TrainGroup:
+    """Train the lighting networks."""
+
+    what: tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[_Train]]

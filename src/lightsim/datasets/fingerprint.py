@@ -1,0 +1,54 @@
+"""What a recording consists of, so that a change after the build does not go unseen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from lightsim.datasets.pandaset.rig import calibration_path
+from lightsim.errors import InputError
+from lightsim.store.artefact import hash_file, hash_files
+
+_SHOWN = 3
+"""Files that a message names."""
+
+
+def hash_recording(source: Path) -> dict[str, str]:
+    """Hash of every file that reading the log may look at, by its path from the log's folder.
+
+    The folder's own name is not in it: a recording may be moved and renamed.
+
+    Raises:
+        InputError: the folder is not there, or a file in it cannot be read.
+    """
+    if not source.is_dir():
+        raise InputError(
+            "the recording is not there",
+            where=source,
+            remedy="Move it back, or run lightsim build with its new place.",
+        )
+    try:
+        found = hash_files(source)
+        calibration = calibration_path(source)
+        if calibration is not None and calibration.parent != source:
+            found[f"../{calibration.name}"] = hash_file(calibration)
+    except OSError as error:
+        raise InputError(
+            "a file of the recording cannot be read",
+            where=error.filename or source,
+            got=error.strerror,
+            remedy="Check the permissions and the disk.",
+        ) from error
+    return found
+
+
+def describe_change(before: Mapping[str, str], now: Mapping[str, str]) -> str | None:
+    """What differs between two hashes of a recording, in words; None where nothing does."""
+    changed = [
+        f"{name} was changed" for name in before if now.get(name, before[name]) != before[name]
+    ]
+    changed += [f"{name} is gone" for name in before if name not in now]
+    changed += [f"{name} is new" for name in now if name not in before]
+    more = len(changed) - _SHOWN
+    words = "; ".join(changed[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
+    return words or None

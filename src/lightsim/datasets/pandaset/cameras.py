@@ -1,0 +1,246 @@
+"""PandaSet's camera folders: intrinsics, poses, times and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, Int64, UInt8
+
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.frames import (
+    RigidTransform,
+    Trajectory,
+    matrices_from_quaternions,
+    rotation_from_vector,
+    vector_from_rotation,
+)
+from lightsim.core.sensors import CameraFrame, RollingShutter
+from lightsim.datasets.files import (
+    read_json,
+    read_times_ns,
+    require_list,
+    require_numbers,
+    require_object,
+)
+from lightsim.datasets.layout import has_folder
+from lightsim.datasets.plausible import check_intrinsics, check_poses
+from lightsim.errors import InputError
+from lightsim.store.images import read_size, read_srgb8
+
+_MAX_PIXELS = 80_000_000
+"""More than any camera on a car has; twelve pictures are compared at once."""
+_FORMATS = ("JPEG", "PNG")
+"""What logs hold. Other decoders of Pillow run programs (EPS) or are rarely looked after."""
+_MODES = ("L", "RGB")
+"""Grey or colour of 8 bits: what cameras of a log record."""
+_MAX_ASPECT = 8
+"""Of the longer to the shorter side; the widest cameras on cars crop to 3 to 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFolder:
+    """One camera of the log: model, poses of all listed times, the pictures that are there, and
+    what is odd about them."""
+
+    camera: PinholeCamera
+    world_from_camera: Trajectory
+    frames: tuple[CameraFrame, ...]
+    notes: tuple[str, ...] = ()
+
+
+def read_camera(folder: Path, readout_s: float) -> CameraFolder:
+    """Everything in one camera folder; pictures are opened for their size only.
+
+    PandaSet's times mark the end of a picture's readout (measured on sequence 002 by depth edges:
+    the middle row was read 18 ms before, between 8 and 30 ms in the six cameras), a frame's time
+    and pose the middle of it.
+
+    Args:
+        folder: of the camera.
+        readout_s: from the top row to the bottom row; 0 for a global shutter.
+
+    Raises:
+        InputError: a file is missing, broken or implausible (plausible.py), pictures differ in
+            size, or a picture's number lies beyond the lists of poses and times.
+    """
+    times_ns = read_times_ns(folder / "timestamps.json")
+    matrices = read_poses(folder / "poses.json")
+    if len(times_ns) != len(matrices):
+        raise InputError(
+            "poses and times differ in number",
+            where=folder / "poses.json",
+            got=f"{len(matrices)} poses, {len(times_ns)} times",
+            expected="one pose a time",
+        )
+    trajectory = Trajectory("world", folder.name, times_ns, matrices)
+    notes = check_poses(folder / "poses.json", trajectory)
+    images = numbered_files(folder, ".jpg")
+    if not images:
+        raise InputError("the camera has no pictures", where=folder, expected="files like 00.jpg")
+    last = max(images)
+    if last >= len(times_ns):
+        raise InputError(
+            "the picture's number lies beyond the lists of poses and times",
+            where=images[last],
+            got=last,
+            expected=f"0 to {len(times_ns) - 1}",
+        )
+    camera, lens_notes = _read_intrinsics(folder, list(images.values()))
+    velocities = _velocities(trajectory)
+    frames = tuple(
+        _frame(trajectory, index, path, camera, RollingShutter(readout_s, *velocities[index]))
+        for index, path in images.items()
+    )
+    return CameraFolder(camera, trajectory, frames, (*notes, *lens_notes))
+
+
+def _frame(
+    trajectory: Trajectory, index: int, path: Path, camera: PinholeCamera, motion: RollingShutter
+) -> CameraFrame:
+    """The picture at the time and pose of its middle row."""
+    back_s = motion.readout_s / 2
+    matrix = trajectory.matrices[index].copy()
+    turn = rotation_from_vector(-back_s * motion.angular_velocity_rad_s)
+    matrix[:3, :3] = turn @ matrix[:3, :3]
+    matrix[:3, 3] -= back_s * motion.velocity_m_s
+    return CameraFrame(
+        camera.name,
+        path.name.removesuffix(".jpg"),
+        int(trajectory.times_ns[index]) - round(back_s * 1e9),
+        RigidTransform("world", "camera", matrix),
+        partial(load_image, path, camera.width_px, camera.height_px),
+        motion if motion.readout_s > 0 else None,
+    )
+
+
+def _velocities(
+    trajectory: Trajectory,
+) -> list[tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]]:
+    """Linear and angular velocity at each pose, frame `world`, from its neighbours."""
+    last = len(trajectory) - 1
+    if last == 0:
+        return [(np.zeros(3), np.zeros(3))]
+    found: list[tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]] = []
+    for i in range(last + 1):
+        before, after = max(i - 1, 0), min(i + 1, last)
+        seconds = float(trajectory.times_ns[after] - trajectory.times_ns[before]) * 1e-9
+        step = trajectory.positions_m[after] - trajectory.positions_m[before]
+        turn = trajectory.matrices[after][:3, :3] @ trajectory.matrices[before][:3, :3].T
+        found.append((step / seconds, vector_from_rotation(turn) / seconds))
+    return found
+
+
+def load_image(path: Path, width_px: int, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture as 8-bit sRGB.
+
+    Raises:
+        InputError: it is damaged, or no longer of the expected size.
+    """
+    if read_size(path, _FORMATS, _MODES) != (width_px, height_px):
+        raise InputError(
+            "the picture changed its size since the log was read",
+            where=path,
+            expected=f"{width_px}x{height_px} px",
+        )
+    return read_srgb8(path)
+
+
+def read_poses(path: Path) -> Float64[np.ndarray, "n 4 4"]:
+    """`world_from_sensor` of every entry.
+
+    Raises:
+        InputError: a pose is missing, not finite, or its quaternion has no length.
+    """
+    entries = require_list(read_json(path), path)
+    quaternions = np.empty((len(entries), 4))
+    matrices = np.tile(np.eye(4), (len(entries), 1, 1))
+    for i, entry in enumerate(entries):
+        where = f"{path}[{i}]"
+        parts = require_object(entry, where)
+        for key in ("position", "heading"):
+            if key not in parts:
+                raise InputError(
+                    f"the pose has no '{key}'", where=where, expected="position and heading"
+                )
+        matrices[i, :3, 3] = require_numbers(parts["position"], ("x", "y", "z"), where)
+        quaternions[i] = require_numbers(parts["heading"], ("w", "x", "y", "z"), where)
+        length = float(np.linalg.norm(quaternions[i]))
+        if not 0.5 < length < 2.0:
+            raise InputError(
+                "the heading is no unit quaternion",
+                where=where,
+                got=f"length {length:.3g}",
+                remedy="Copy the file again from the original data set.",
+            )
+    matrices[:, :3, :3] = matrices_from_quaternions(quaternions)
+    return matrices
+
+
+def numbered_files(folder: Path, suffix: str) -> dict[int, Path]:
+    """Files such as 42.jpg or 00.pkl.gz by number, in its order, without hidden files.
+
+    Raises:
+        InputError: a file of that kind has no number for its name, or two have the same, or no
+            folder stands where one belongs.
+    """
+    found: dict[int, Path] = {}
+    if not has_folder(folder):
+        return found
+    for path in sorted(folder.glob(f"*{suffix}")):
+        stem = path.name.removesuffix(suffix)
+        if stem.startswith("."):
+            continue
+        if not (stem.isascii() and stem.isdigit() and len(stem) < 9) or int(stem) in found:
+            raise InputError(
+                "the file's name must be a frame number of its own",
+                where=path,
+                expected=f"names like 00{suffix}",
+                remedy="Rename or remove it.",
+            )
+        found[int(stem)] = path
+    return dict(sorted(found.items()))
+
+
+def _read_intrinsics(folder: Path, images: Sequence[Path]) -> tuple[PinholeCamera, tuple[str, ...]]:
+    path = folder / "intrinsics.json"
+    fx, fy, cx, cy = require_numbers(read_json(path), ("fx", "fy", "cx", "cy"), path).tolist()
+    sizes = [_image_size(image) for image in images]
+    for image, size in zip(images, sizes, strict=True):
+        if size != sizes[0]:
+            raise InputError(
+                "the picture's size differs from the camera's other pictures",
+                where=image,
+                got=f"{size[0]}x{size[1]} px",
+                expected=f"{sizes[0][0]}x{sizes[0][1]} px",
+            )
+    notes = check_intrinsics(path, sizes[0], (fx, fy), (cx, cy))
+    # PandaSet counts from the centre of the first pixel, LightSim from its corner.
+    return PinholeCamera(folder.name, *sizes[0], fx, fy, cx + 0.5, cy + 0.5), notes
+
+
+def _image_size(path: Path) -> tuple[int, int]:
+    size = read_size(path, _FORMATS, _MODES)
+    if size[0] * size[1] > _MAX_PIXELS:
+        raise InputError(
+            "the picture is too large",
+            where=path,
+            got=f"{size[0]}x{size[1]} px",
+            expected=f"at most {_MAX_PIXELS} pixels",
+        )
+    if max(size) > _MAX_ASPECT * min(size):
+        raise InputError(
+            "the picture is no camera's: too long for its width",
+            where=path,
+            got=f"{size[0]}x{size[1]} px",
+            expected=f"at most {_MAX_ASPECT} to 1",
+        )
+    return size
+
+
+def camera_times_ns(folders: Sequence[CameraFolder]) -> Int64[np.ndarray, " n"]:
+    """Times of all pictures, in order."""
+    return np.array(sorted(frame.time_ns for folder in folders for frame in folder.frames))

@@ -1,0 +1,295 @@
+"""Reader of PandaSet sequences (Xiao et al. 2021, doi:10.1109/ITSC48978.2021.9565009).
+
+Layout: camera/<name>/{*.jpg, intrinsics.json, poses.json, timestamps.json}, lidar/{*.pkl.gz,
+timestamps.json}, annotations/{cuboids,semseg}/*.pkl.gz, meta/gps.json. A file's number is its
+index into the lists of poses, times and GPS fixes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int64
+
+from lightsim.core.frames import Trajectory
+from lightsim.core.log import DrivingLog, FindEgoVehicle
+from lightsim.core.sensors import CameraFrame, LazySweep
+from lightsim.datasets.files import read_json, read_times_ns, require_list, require_numbers
+from lightsim.datasets.geo import GpsTrack, check_heading, locate
+from lightsim.datasets.layout import has_file, has_folder, subfolders
+from lightsim.datasets.pandaset.cameras import CameraFolder, numbered_files, read_camera
+from lightsim.datasets.pandaset.rig import READOUT_S, Rig, ego_trajectory, read_rig
+from lightsim.datasets.pandaset.sweeps import (
+    ScanTiming,
+    SweepSource,
+    load_sweep,
+    measure_timing,
+    read_class_names,
+)
+from lightsim.datasets.pandaset.tracks import CuboidFile, read_tracks
+from lightsim.datasets.plausible import MAX_GPS_GAP_S, check_clocks, check_rigid
+from lightsim.datasets.selection import FrameSelection
+from lightsim.errors import InputError
+
+_EGO_CAMERA = "front_camera"
+_EGO_HOLD_S = 0.2
+"""Sweeps end a little after the last camera pose."""
+
+
+@dataclass(frozen=True)
+class _Sweeps:
+    lazy: tuple[LazySweep, ...]
+    sources: Mapping[int, SweepSource]
+    times_ns: Int64[np.ndarray, " n"]
+    notes: tuple[str, ...]
+
+
+def is_pandaset(source: Path) -> bool:
+    """Whether the folder has PandaSet's layout."""
+    return (source / "camera").is_dir() and any(source.glob("camera/*/intrinsics.json"))
+
+
+def read_pandaset(
+    source: Path,
+    cameras: tuple[str, ...],
+    frames: str,
+    heading_deg: float | None,
+    find_ego_vehicle: FindEgoVehicle,
+) -> DrivingLog:
+    """The log of one PandaSet sequence; pictures and sweeps are read when asked for.
+
+    Args:
+        source: the sequence's folder, such as pandaset/002.
+        cameras: names of the cameras wanted; () for all.
+        frames: START:STOP[:STEP] of pictures and sweeps; "" for all.
+        heading_deg: azimuth (clockwise from true north) of world +x, if known.
+        find_ego_vehicle: looks for the recording car in all pictures of the cameras.
+
+    Raises:
+        InputError: something is missing or broken; the message names the file.
+    """
+    selection = FrameSelection.parse(frames)
+    check_heading(heading_deg)
+    rig = read_rig(source)
+    folders, helpers = _read_cameras(source, cameras, rig)
+    clock_notes = _check_clocks(source, (*folders, *helpers))
+    paths = {f.camera.name: f.world_from_camera for f in (*folders, *helpers)}
+    ego = ego_trajectory(rig, paths, source)
+    rigid_notes = _check_rigid(source, (*folders, *helpers), ego)
+    sweeps = _read_sweeps(source, ego, rig, selection)
+    selected = _select_frames(folders, selection, source)
+    actors, actor_notes = _read_actors(source, ego, sweeps)
+    track = _read_gps(source, selected[0].time_ns)
+    geo, geo_notes = locate(track, ego, selected[0].time_ns, heading_deg)
+    masks, mask_notes = find_ego_vehicle([(f.camera, f.frames) for f in folders], ego)
+    odd = (*_picture_notes(folders), *rig.notes, *clock_notes, *rigid_notes)
+    return DrivingLog(
+        source.resolve().name,
+        {folder.camera.name: folder.camera for folder in folders},
+        selected,
+        sweeps.lazy,
+        ego,
+        actors,
+        geo,
+        masks,
+        (*odd, *sweeps.notes, *actor_notes, *geo_notes, *mask_notes),
+        read_class_names(source / "annotations" / "semseg" / "classes.json"),
+    )
+
+
+def _read_cameras(
+    source: Path, wanted: tuple[str, ...], rig: Rig
+) -> tuple[list[CameraFolder], list[CameraFolder]]:
+    """The wanted cameras, and others that only serve the ego's path."""
+    parent = source / "camera"
+    available = [path.name for path in subfolders(parent)]
+    if not available:
+        raise InputError(
+            "the log has no cameras", where=parent, remedy="SOURCE must be one PandaSet sequence."
+        )
+    for name in wanted:
+        if name not in available:
+            raise InputError(
+                f"camera '{name}' is not in the log",
+                where=source,
+                expected=f"one of {', '.join(available)}",
+            )
+    names = tuple(dict.fromkeys(wanted)) or tuple(available)
+    has_path = any(name in rig.camera_from_pandar64 for name in names)
+    needs_helper = _EGO_CAMERA in available and (_EGO_CAMERA not in names or not has_path)
+    helpers = [_EGO_CAMERA] if needs_helper else []
+
+    def read(name: str) -> CameraFolder:
+        return read_camera(parent / name, rig.readout_s_by_camera.get(name, READOUT_S))
+
+    return [read(n) for n in names], [read(n) for n in helpers]
+
+
+def _select_frames(
+    folders: list[CameraFolder], selection: FrameSelection, source: Path
+) -> tuple[CameraFrame, ...]:
+    frames = [f for folder in folders for f in folder.frames]
+    selected = [frame for frame in frames if selection.holds(int(frame.stem))]
+    if not selected:
+        numbers = [int(frame.stem) for frame in frames]
+        raise InputError(
+            "the range of frames holds no picture",
+            where=source,
+            expected=f"frames within {min(numbers)}:{max(numbers) + 1}",
+        )
+    return tuple(sorted(selected, key=lambda frame: (frame.time_ns, frame.camera_name)))
+
+
+def _check_clocks(source: Path, folders: tuple[CameraFolder, ...]) -> tuple[str, ...]:
+    times = {
+        source / "camera" / f.camera.name / "timestamps.json": f.world_from_camera.times_ns
+        for f in folders
+    }
+    lidar = source / "lidar" / "timestamps.json"
+    return check_clocks(times | ({lidar: read_times_ns(lidar)} if has_file(lidar) else {}))
+
+
+def _check_rigid(
+    source: Path, folders: tuple[CameraFolder, ...], ego: Trajectory
+) -> tuple[str, ...]:
+    notes: list[str] = []
+    for f in folders:
+        path = source / "camera" / f.camera.name / "poses.json"
+        notes += check_rigid(path, ego, f.world_from_camera)
+    return tuple(notes)
+
+
+def _read_sweeps(source: Path, ego: Trajectory, rig: Rig, selection: FrameSelection) -> _Sweeps:
+    folder = source / "lidar"
+    files = numbered_files(folder, ".pkl.gz")
+    has_times = has_file(folder / "timestamps.json")
+    if not files and not has_times:
+        return _Sweeps((), {}, np.empty(0, dtype=np.int64), ("the log has no LiDAR sweeps",))
+    times_ns = read_times_ns(folder / "timestamps.json")
+    classes = numbered_files(source / "annotations" / "semseg", ".pkl.gz")
+    sources: dict[int, SweepSource] = {}
+    for number, path in files.items():
+        if number >= len(times_ns):
+            raise InputError(
+                "the sweep's number lies beyond the list of times",
+                where=path,
+                got=number,
+                expected=f"0 to {len(times_ns) - 1}",
+            )
+        stem = path.name.removesuffix(".pkl.gz")
+        time_ns = int(times_ns[number])
+        _require_covered(ego, time_ns, path)
+        sources[number] = SweepSource(path, classes.get(number), stem, time_ns, ego, rig)
+    lazy = tuple(
+        LazySweep(s.stem, s.time_ns, partial(load_sweep, s))
+        for number, s in sources.items()
+        if selection.holds(number)
+    )
+    return _Sweeps(lazy, sources, times_ns, _gap_notes("LiDAR sweeps", list(files)))
+
+
+def _require_covered(ego: Trajectory, time_ns: int, path: Path) -> None:
+    if not ego.covers(time_ns, _EGO_HOLD_S):
+        raise InputError(
+            "the camera poses do not reach the file's time in lidar/timestamps.json",
+            where=path,
+            got=f"{time_ns} ns",
+            expected=f"{ego.start_ns} to {ego.end_ns} ns",
+            remedy="Cameras and LiDAR must be of one sequence.",
+        )
+
+
+def _read_actors(source: Path, ego: Trajectory, sweeps: _Sweeps) -> tuple[tuple, tuple[str, ...]]:
+    files = numbered_files(source / "annotations" / "cuboids", ".pkl.gz")
+    if not files:
+        return (), ("the log has no labelled boxes: moving actors stay in the background",)
+    if len(sweeps.times_ns) == 0:
+        raise InputError(
+            "boxes need the sweeps' times",
+            where=source / "lidar" / "timestamps.json",
+            got="no such file",
+            remedy="Copy it again from the original data set, or remove annotations/cuboids.",
+        )
+    notes: tuple[str, ...] = ()
+    timing = ScanTiming.instantaneous()
+    if sweeps.sources:
+        timing = measure_timing(next(iter(sweeps.sources.values())))
+    else:
+        notes = ("without sweeps, boxes are timed at the end of the LiDAR's revolution",)
+    cuboids: list[CuboidFile] = []
+    for number, path in files.items():
+        if number >= len(sweeps.times_ns):
+            raise InputError(
+                "the label file's number lies beyond the list of times",
+                where=path,
+                got=number,
+                expected=f"0 to {len(sweeps.times_ns) - 1}",
+            )
+        time_ns = int(sweeps.times_ns[number])
+        _require_covered(ego, time_ns, path)
+        cuboids.append(CuboidFile(path, time_ns, ego.at(time_ns, _EGO_HOLD_S)))
+    tracks, track_notes = read_tracks(cuboids, timing)
+    return tracks, (*notes, *track_notes)
+
+
+def _read_gps(source: Path, start_ns: int) -> GpsTrack | None:
+    """The GPS fixes of a log that starts at a time; None where it has none.
+
+    Raises:
+        InputError: a fix lies on no globe, or all were taken at another time.
+    """
+    path = source / "meta" / "gps.json"
+    if not has_folder(path.parent) or not has_file(path):
+        return None
+    entries = require_list(read_json(path), path)
+    times_ns = read_times_ns(source / "meta" / "timestamps.json")
+    if len(entries) != len(times_ns):
+        raise InputError(
+            "GPS fixes and times differ in number",
+            where=path,
+            got=f"{len(entries)} fixes, {len(times_ns)} times",
+            expected="one fix a time of meta/timestamps.json",
+        )
+    fixes = np.stack(
+        [require_numbers(e, ("lat", "long"), f"{path}[{i}]") for i, e in enumerate(entries)]
+    )
+    # East of Greenwich up to 180, west below 0: 0 to 360 is another convention, and no log's.
+    is_off = (np.abs(fixes[:, 0]) > 90) | (np.abs(fixes[:, 1]) > 180)
+    if is_off.any():
+        i = int(np.flatnonzero(is_off)[0])
+        raise InputError(
+            "a GPS fix lies on no globe",
+            where=f"{path}[{i}]",
+            got=f"latitude {fixes[i, 0]:g}, longitude {fixes[i, 1]:g}",
+            expected="degrees within 90 and 180 of zero",
+        )
+    gap_s = float(np.abs(times_ns - start_ns).min()) * 1e-9
+    if gap_s > MAX_GPS_GAP_S:
+        raise InputError(
+            "no GPS fix is near the log's first picture in time",
+            where=source / "meta" / "timestamps.json",
+            got=f"the nearest {gap_s:.4g} s away",
+            expected=f"at most {MAX_GPS_GAP_S:g} s",
+            remedy="All files must be of one sequence and one clock.",
+        )
+    return GpsTrack(times_ns, fixes[:, 0].copy(), fixes[:, 1].copy())
+
+
+def _picture_notes(folders: list[CameraFolder]) -> tuple[str, ...]:
+    notes = [
+        (*f.notes, *_gap_notes(f.camera.name, [int(x.stem) for x in f.frames])) for f in folders
+    ]
+    return tuple(note for some in notes for note in some)
+
+
+def _gap_notes(what: str, numbers: list[int]) -> tuple[str, ...]:
+    if not numbers:
+        return (f"{what}: none",)
+    missing = sorted(set(range(min(numbers), max(numbers) + 1)) - set(numbers))
+    if not missing:
+        return ()
+    return (f"{what}: missing {', '.join(map(str, missing))} between the first and the last",)

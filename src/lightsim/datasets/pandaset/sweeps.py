@@ -1,0 +1,222 @@
+"""PandaSet's LiDAR sweeps: points in frame `world`, and where the sensor stood for each."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from lightsim.core.frames import Trajectory
+from lightsim.core.sensors import LidarSweep
+from lightsim.datasets.files import read_json, require_object
+from lightsim.datasets.layout import has_file
+from lightsim.datasets.pandaset.rig import Rig, ego_from_pandar64, positions_along
+from lightsim.datasets.plausible import MAX_COORDINATE_M, MAX_RANGE_M
+from lightsim.datasets.safe_pickle import Table, read_table
+from lightsim.errors import InputError
+
+_LOGGER = logging.getLogger(__name__)
+_COLUMNS = ("x", "y", "z", "i", "t", "d")
+_MAX_TIME_OFFSET_S = 0.5
+_ROOF, _FRONT = 0, 1
+_N_BINS = 72
+
+
+@dataclass(frozen=True, eq=False)
+class SweepSource:
+    """Where a sweep lies, and what turns it into points with origins."""
+
+    path: Path
+    class_path: Path | None
+    stem: str
+    time_ns: int
+    ego: Trajectory
+    rig: Rig
+
+
+def load_sweep(source: SweepSource) -> LidarSweep:
+    """The sweep of both LiDARs. Rows that are not finite are dropped and said so in the log.
+
+    Returns:
+        Points and origins in frame `world`; `ring` is -1 (PandaSet does not store it).
+
+    Raises:
+        InputError: the file is damaged, empty, or its times are not those of the sweep, or its
+            points lie elsewhere.
+    """
+    table, is_good = _read_points(source)
+    classes = _read_classes(source, len(is_good))[is_good]
+    points = np.stack([table[k][is_good] for k in ("x", "y", "z")], axis=1)
+    times_ns, device = _times_and_device(table, is_good, source)
+    origins = _origins(source, times_ns, device)
+    range_m = float(np.median(np.linalg.norm(points - origins, axis=1)))
+    if range_m > MAX_RANGE_M:
+        raise InputError(
+            "the sweep's points are not where the vehicle was",
+            where=source.path,
+            got=f"half of them more than {range_m:.4g} m away",
+            expected=f"at most {MAX_RANGE_M:g} m",
+            remedy="Points must be in metres, in the world frame of the camera poses.",
+        )
+    n = len(points)
+    return LidarSweep(
+        source.stem,
+        source.time_ns,
+        points.astype(np.float32),
+        origins.astype(np.float32),
+        np.clip(table["i"][is_good] / 255.0, 0.0, 1.0).astype(np.float32),
+        ((times_ns - source.time_ns) * 1e-9).astype(np.float32),
+        np.full(n, -1, dtype=np.int16),
+        classes,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class ScanTiming:
+    """When within a sweep the roof LiDAR measures each direction: boxes are drawn around those
+    points, so this is the time at which a box is right.
+
+    Args:
+        offset_s: seconds from the sweep's time, by azimuth in frame ego (72 bins from -180).
+    """
+
+    offset_s: Float64[np.ndarray, " bins"]
+
+    @staticmethod
+    def instantaneous() -> ScanTiming:
+        return ScanTiming(np.zeros(_N_BINS))
+
+    def offsets_s(self, points_ego: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+        """Seconds from the sweep's time at which points in these places are measured."""
+        return self.offset_s[_bins(points_ego)]
+
+
+def measure_timing(source: SweepSource) -> ScanTiming:
+    """The scan pattern, from the points' own times in one sweep. It is the same in every sweep;
+    the PandarGT's is not (it runs free, 3 ms a sweep in sequence 002) and is left out.
+
+    Raises:
+        InputError: as `load_sweep`.
+    """
+    table, is_good = _read_points(source)
+    times_ns, device = _times_and_device(table, is_good, source)
+    is_roof = device == _ROOF
+    if not is_roof.any():
+        return ScanTiming.instantaneous()
+    points = np.stack([table[k][is_good] for k in ("x", "y", "z")], axis=1)
+    pose = source.ego.at(source.time_ns, hold_s=_MAX_TIME_OFFSET_S)
+    rays_ego = pose.inverse().rotate(points - _origins(source, times_ns, device))
+    bins = _bins(rays_ego[is_roof])
+    offsets_s = ((times_ns - source.time_ns) * 1e-9)[is_roof]
+    table_s = np.full(_N_BINS, np.nan)
+    for i in np.unique(bins):
+        table_s[i] = np.median(offsets_s[bins == i])
+    filled = np.flatnonzero(np.isfinite(table_s))
+    gap = np.abs((np.arange(_N_BINS)[:, None] - filled + _N_BINS // 2) % _N_BINS - _N_BINS // 2)
+    return ScanTiming(table_s[filled[np.argmin(gap, axis=1)]])
+
+
+def _bins(points_ego: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
+    azimuth = np.arctan2(points_ego[:, 1], points_ego[:, 0])
+    return (np.floor((azimuth / (2 * np.pi) + 0.5) * _N_BINS)).astype(np.int64) % _N_BINS
+
+
+def _read_points(source: SweepSource) -> tuple[Table, Bool[np.ndarray, " n"]]:
+    table = read_table(source.path, _COLUMNS)
+    for name in _COLUMNS:
+        if table[name].dtype.kind not in "fiu":
+            raise InputError(
+                f"the column '{name}' holds no numbers",
+                where=source.path,
+                got=table[name].dtype,
+                expected=f"numbers in {', '.join(_COLUMNS)}",
+            )
+    n = len(table["x"])
+    is_good = np.ones(n, dtype=bool)
+    for name in _COLUMNS:
+        is_good &= np.isfinite(table[name])
+    for name in ("x", "y", "z"):
+        is_good &= np.abs(table[name]) < MAX_COORDINATE_M
+    if not is_good.any():
+        raise InputError(
+            "the sweep has no valid point",
+            where=source.path,
+            got=f"{n} rows",
+            remedy="Remove the file: missing sweeps are survived.",
+        )
+    if not is_good.all():
+        _LOGGER.warning(
+            "%s: dropped %d of %d points that are not finite or far beyond any LiDAR's range",
+            source.path, int(n - is_good.sum()), n,
+        )  # fmt: skip
+    return table, is_good
+
+
+def _times_and_device(
+    table: Table, is_good: Bool[np.ndarray, " n"], source: SweepSource
+) -> tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]]:
+    """Nanoseconds and LiDAR (0 roof, 1 front) of every valid point."""
+    seconds = table["t"][is_good].astype(np.float64)
+    offset_s = seconds - source.time_ns * 1e-9
+    worst = float(np.abs(offset_s).max())
+    if worst > _MAX_TIME_OFFSET_S:
+        raise InputError(
+            "the points' times are not those of the sweep",
+            where=source.path,
+            got=f"up to {worst:.3g} s from lidar/timestamps.json",
+            expected=f"at most {_MAX_TIME_OFFSET_S} s",
+        )
+    device = table["d"][is_good].astype(np.int64)
+    if not np.isin(device, (_ROOF, _FRONT)).all():
+        raise InputError(
+            "the column 'd' names an unknown LiDAR",
+            where=source.path,
+            got=np.unique(device)[:5].tolist(),
+            expected="0 (Pandar64) or 1 (PandarGT)",
+        )
+    return np.round(seconds * 1e6).astype(np.int64) * 1000, device
+
+
+def _origins(
+    source: SweepSource, times_ns: Int64[np.ndarray, " n"], device: Int64[np.ndarray, " n"]
+) -> Float64[np.ndarray, "n 3"]:
+    transform = ego_from_pandar64()
+    roof = positions_along(source.ego, transform.translation_m.copy(), times_ns)
+    front = positions_along(source.ego, transform.apply(source.rig.front_lidar_pandar64), times_ns)
+    return np.where((device == _FRONT)[:, None], front, roof)
+
+
+def _read_classes(source: SweepSource, n: int) -> np.ndarray:
+    if source.class_path is None:
+        return np.full(n, -1, dtype=np.int16)
+    classes = read_table(source.class_path, ("class",))["class"]
+    if classes.dtype.kind not in "iu" or len(classes) != n:
+        raise InputError(
+            "the classes do not match the sweep's points",
+            where=source.class_path,
+            got=f"{len(classes)} rows of {classes.dtype}",
+            expected=f"{n} integers",
+        )
+    return classes.astype(np.int16)
+
+
+def read_class_names(path: Path) -> dict[int, str]:
+    """Names of the point classes by id; none where the sequence has no such labels.
+
+    Raises:
+        InputError: the file is broken.
+    """
+    if not has_file(path):
+        return {}
+    names = require_object(read_json(path), path)
+    if not all(key.isdigit() and isinstance(name, str) for key, name in names.items()):
+        raise InputError(
+            "the class names are not a table of number: name",
+            where=path,
+            got=f"{names!r:.60}",
+            expected='such as {"1": "Smoke"}',
+        )
+    return {int(key): name for key, name in names.items()}

@@ -1,0 +1,274 @@
+"""PandaSet's cuboids as actor tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from lightsim.core.actors import ActorTrack
+from lightsim.core.frames import RigidTransform, Trajectory
+from lightsim.datasets.pandaset.rig import EGO_BELOW_LIDAR_M
+from lightsim.datasets.pandaset.sweeps import ScanTiming
+from lightsim.datasets.plausible import MAX_BOX_DISTANCE_M, MAX_BOX_M, odd_track_notes
+from lightsim.datasets.safe_pickle import Table, read_table
+from lightsim.errors import InputError
+
+_POSITION = ("position.x", "position.y", "position.z")
+_DIMENSIONS = ("dimensions.x", "dimensions.y", "dimensions.z")
+_COLUMNS = ("uuid", "label", "yaw", *_POSITION, *_DIMENSIONS)
+_BOTH, _ROOF, _FRONT = -1, 0, 1
+MAX_ID_CHARACTERS = 512
+"""Ids are uuids of 36 characters; a longer text than this is another column's."""
+_MIN_GAP_S = 0.02
+"""Two labels of one actor nearer in time than this say the same thing twice."""
+_MOVED_M = 0.5
+"""An actor that got this far has moved, whatever its label says."""
+_LABELLED_MOVED_M = 0.2
+"""The same for one that is labelled as moving; below, labels only jitter."""
+
+
+@dataclass(frozen=True)
+class CuboidFile:
+    """The labels of one sweep: file, the sweep's time and the ego's pose then."""
+
+    path: Path
+    time_ns: int
+    world_from_ego: RigidTransform
+
+
+@dataclass(frozen=True)
+class _Box:
+    time_ns: int
+    uuid: str
+    sibling: str
+    sensor: int
+    label: str
+    centre_world: Float64[np.ndarray, "3"]
+    yaw_rad: float
+    size_wlh_m: Float64[np.ndarray, "3"]
+    is_labelled_moving: bool
+
+
+def read_tracks(
+    files: Sequence[CuboidFile], timing: ScanTiming
+) -> tuple[tuple[ActorTrack, ...], tuple[str, ...]]:
+    """One track for each actor, longest first, and notes on odd ones.
+
+    PandaSet labels an actor in the overlap of its two LiDARs twice, as siblings. Here they are
+    one: in each sweep the Pandar64's box is taken, else the PandarGT's. A box is right when its
+    actor is scanned, up to 0.1 s before the sweep's time, and is timed so (a box of the PandarGT
+    alone, which sequence 002 has none of, as if the Pandar64 had seen it).
+
+    Raises:
+        InputError: a file is damaged, lacks a column, or holds a box without an id, place or
+            size, or one that no actor can have (plausible.py).
+    """
+    boxes: list[list[_Box]] = [_read_boxes(file, timing) for file in files]
+    owner = _owners(boxes)
+    n_repeated = sum(len(sweep) - len({(b.uuid, b.sensor) for b in sweep}) for sweep in boxes)
+    by_actor: dict[str, list[list[_Box]]] = {}
+    for sweep in boxes:
+        found: dict[str, list[_Box]] = {}
+        for box in sweep:
+            found.setdefault(owner[box.uuid], []).append(box)
+        for actor, candidates in found.items():
+            by_actor.setdefault(actor, []).append(candidates)
+    tracks = [_track(sweeps) for sweeps in by_actor.values()]
+    tracks.sort(key=lambda t: (-len(t.trajectory), t.actor_id))
+    repeated = f"{n_repeated} boxes repeat an actor of the same sweep: the first of each is taken"
+    notes = (repeated,) if n_repeated else ()
+    return tuple(tracks), (*notes, *(note for t in tracks for note in odd_track_notes(t)))
+
+
+def _read_boxes(file: CuboidFile, timing: ScanTiming) -> list[_Box]:
+    table = read_table(file.path, _COLUMNS)
+    n = len(table["uuid"])
+    if n == 0:
+        return []
+    ids = _ids(table, file.path)
+    centres, yaw, sizes = _checked_numbers(table, file.path)
+    sensors = _sensors(table, file.path)
+    ego_from_world = file.world_from_ego.inverse()
+    _check_places(file, ids, centres, yaw, sizes)
+    offsets_s = timing.offsets_s(ego_from_world.apply(centres))
+    is_moving = _labelled_moving(table)
+    siblings = table.get("cuboids.sibling_id", np.array(ids, dtype=object))
+    return [
+        _Box(
+            file.time_ns + int(offsets_s[i] * 1e9),
+            ids[i],
+            str(siblings[i]),
+            int(sensors[i]),
+            str(table["label"][i]),
+            centres[i],
+            float(yaw[i]),
+            sizes[i],
+            bool(is_moving[i]),
+        )
+        for i in range(n)
+    ]
+
+
+def _ids(table: Table, path: Path) -> list[str]:
+    """The actors' ids: text, or whole numbers as text."""
+    ids: list[str] = []
+    for i, value in enumerate(table["uuid"].tolist()):
+        is_kind = isinstance(value, str) or type(value) is int
+        text = str(value)
+        if not is_kind or not 0 < len(text) <= MAX_ID_CHARACTERS or not text.isprintable():
+            raise InputError(
+                "an actor's id is no text",
+                where=f"{path}, row {i}",
+                got=f"{type(value).__name__} {text!r:.60}",
+                expected=f"1 to {MAX_ID_CHARACTERS} printable characters, or a whole number",
+            )
+        ids.append(text)
+    return ids
+
+
+def _check_places(
+    file: CuboidFile,
+    ids: Sequence[str],
+    centres: Float64[np.ndarray, "n 3"],
+    yaw: Float64[np.ndarray, " n"],
+    sizes_wlh: Float64[np.ndarray, "n 3"],
+) -> None:
+    """Refuse boxes that no actor fits into or no LiDAR could see, the vehicle's own among them."""
+    lidar_world = file.world_from_ego.apply(np.array([[0.0, 0.0, EGO_BELOW_LIDAR_M]]))[0]
+    away = lidar_world - centres
+    c, s = np.cos(yaw), np.sin(yaw)
+    x, y = c * away[:, 0] + s * away[:, 1], c * away[:, 1] - s * away[:, 0]
+    holds_lidar = (np.abs(np.stack([x, y, away[:, 2]], axis=1)) < sizes_wlh / 2).all(axis=1)
+    distances_m = np.linalg.norm(away, axis=1)
+    for is_bad, what, expected in (
+        ((sizes_wlh >= MAX_BOX_M).any(axis=1), "a box is too large", f"below {MAX_BOX_M:g} m"),
+        (
+            distances_m > MAX_BOX_DISTANCE_M,
+            "a box is beyond the LiDAR's reach",
+            f"within {MAX_BOX_DISTANCE_M:g} m",
+        ),
+        (holds_lidar, "a box holds the recording LiDAR itself", "boxes of other road users"),
+    ):
+        if is_bad.any():
+            i = int(np.flatnonzero(is_bad)[0])
+            raise InputError(
+                what,
+                where=f"{file.path}, row {i} (uuid {ids[i][:60]})",
+                got=f"size {sizes_wlh[i].tolist()} m, {distances_m[i]:.4g} m from the LiDAR",
+                expected=expected,
+                remedy="Sizes and places are in metres, places in the log's world frame.",
+            )
+
+
+def _checked_numbers(
+    table: Table, path: Path
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
+    for name in ("yaw", *_POSITION, *_DIMENSIONS):
+        if table[name].dtype.kind not in "fiu":
+            raise InputError(
+                f"the column '{name}' holds no numbers",
+                where=path,
+                got=table[name].dtype,
+                expected="numbers",
+            )
+    centres = np.stack([table[name] for name in _POSITION], axis=1).astype(np.float64)
+    sizes = np.stack([table[name] for name in _DIMENSIONS], axis=1).astype(np.float64)
+    yaw = table["yaw"].astype(np.float64)
+    is_bad = ~np.isfinite(centres).all(axis=1) | ~np.isfinite(yaw)
+    is_bad |= ~np.isfinite(sizes).all(axis=1) | (sizes <= 0).any(axis=1)
+    if is_bad.any():
+        i = int(np.flatnonzero(is_bad)[0])
+        raise InputError(
+            "a box has no finite place and positive size",
+            where=f"{path}, row {i} (uuid {table['uuid'][i]})",
+            got=f"centre {centres[i].tolist()}, yaw {yaw[i]}, size {sizes[i].tolist()}",
+            remedy="Remove the row, or copy the file again from the original data set.",
+        )
+    return centres, yaw, sizes
+
+
+def _sensors(table: Table, path: Path) -> np.ndarray:
+    if "cuboids.sensor_id" not in table:
+        return np.full(len(table["uuid"]), _BOTH)
+    sensors = table["cuboids.sensor_id"]
+    if sensors.dtype.kind not in "iu" or not np.isin(sensors, (_BOTH, _ROOF, _FRONT)).all():
+        raise InputError(
+            "the column 'cuboids.sensor_id' names an unknown LiDAR",
+            where=path,
+            expected="-1 (one box for both), 0 (Pandar64) or 1 (PandarGT)",
+        )
+    return sensors
+
+
+def _labelled_moving(table: Table) -> np.ndarray:
+    is_moving = np.zeros(len(table["uuid"]), dtype=bool)
+    if "attributes.object_motion" in table:
+        is_moving |= table["attributes.object_motion"] == "Moving"
+    if "stationary" in table and table["stationary"].dtype.kind == "b":
+        is_moving |= ~table["stationary"]
+    return is_moving
+
+
+def _owners(sweeps: Sequence[Sequence[_Box]]) -> Mapping[str, str]:
+    """The uuid that speaks for each uuid: siblings share one (the first in the alphabet)."""
+    parent = {box.uuid: box.uuid for boxes in sweeps for box in boxes}
+
+    def root(uuid: str) -> str:
+        while parent[uuid] != uuid:
+            # Halves the path, so that a long chain of siblings is not walked again for each.
+            parent[uuid] = parent[parent[uuid]]
+            uuid = parent[uuid]
+        return uuid
+
+    pairs = dict.fromkeys((box.uuid, box.sibling) for boxes in sweeps for box in boxes)
+    for uuid, sibling in pairs:
+        if sibling in parent:
+            first, second = sorted((root(uuid), root(sibling)))
+            parent[second] = first
+    return {uuid: root(uuid) for uuid in parent}
+
+
+def _track(sweeps: Sequence[Sequence[_Box]]) -> ActorTrack:
+    """The track of one actor from its candidate boxes of every sweep."""
+    order = {_ROOF: 0, _BOTH: 1, _FRONT: 2}
+    chosen = [min(boxes, key=lambda box: (order[box.sensor], box.uuid)) for boxes in sweeps]
+    chosen.sort(key=lambda box: box.time_ns)
+    kept = chosen[:1]
+    for box in chosen[1:]:
+        if box.time_ns - kept[-1].time_ns >= _MIN_GAP_S * 1e9:
+            kept.append(box)
+    speaker = min(chosen, key=lambda box: (order[box.sensor], box.uuid))
+    sizes = np.stack([box.size_wlh_m for box in chosen if box.uuid == speaker.uuid])
+    width, length, height = np.median(sizes, axis=0)
+    trajectory = Trajectory(
+        "world",
+        "actor",
+        np.array([box.time_ns for box in kept], dtype=np.int64),
+        np.stack([_world_from_actor(box).matrix for box in kept]),
+    )
+    moved_m = _extent_m(trajectory.positions_m)
+    is_labelled_moving = any(box.is_labelled_moving for box in chosen)
+    return ActorTrack(
+        speaker.uuid,
+        _kind(speaker.label),
+        np.array([length, width, height]),
+        trajectory,
+        moved_m > _MOVED_M or (is_labelled_moving and moved_m > _LABELLED_MOVED_M),
+    )
+
+
+def _world_from_actor(box: _Box) -> RigidTransform:
+    """PandaSet's yaw points along the box's width (its x); the actor looks along its length."""
+    return RigidTransform.from_yaw("world", "actor", box.yaw_rad + np.pi / 2, box.centre_world)
+
+
+def _extent_m(positions: Float64[np.ndarray, "n 3"]) -> float:
+    return float(np.linalg.norm(positions - positions[0], axis=1).max())
+
+
+def _kind(label: str) -> str:
+    return label.lower().removeprefix("other vehicle - ")

@@ -1,0 +1,277 @@
+"""What stands beyond the LiDAR's reach: a coarse backdrop with the images' skyline, on ground that
+goes on to it.
+
+Directions in which images show matter but nothing was measured or inferred end on an upright
+cylinder around the path. Over a log's short way the parallax at such distances is small, so the
+distance matters little to the picture; a low sun sets behind the backdrop as it does behind the
+real skyline.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64, Int64
+
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.casting import MakeCaster, RayCaster
+from lightsim.core.fields import GroundMap
+from lightsim.core.mesh import Material, TriMesh, concatenate_meshes
+from lightsim.core.sensors import CameraFrame
+from lightsim.errors import FrameMismatchError
+from lightsim.geometry.completion.silhouettes import classify_matte, spaced_views
+
+BACKDROP = Material(0.9, 0.0, "far field")
+_SINK_M = 0.15
+_STEPS_DOWN = 3
+_PANEL_M = 2.0
+"""Height of the quads that a panel is made of: colours are per face."""
+_MIN_CELLS = 10
+_PLANE_SPREAD_M = 0.3
+_OFF_PLANE_M = 1.5
+_BLEND_M = 8.0
+
+
+@dataclass(frozen=True)
+class FarFieldConfig:
+    """The backdrop."""
+
+    distance_m: float = 160.0
+    """Radius of the backdrop around the middle of the path; more where the path or the measured
+    surfaces reach further."""
+    margin_m: float = 20.0
+    """The backdrop stands at least this far beyond all measured surfaces."""
+    azimuth_step_deg: float = 0.5
+    """Width of a panel of the backdrop."""
+    level_m: float = 1.0
+    """Heights are found in steps of this."""
+    max_height_m: float = 90.0
+    """The backdrop ends at this height above the cameras."""
+    min_views: int = 2
+    """Views that must show matter in a cell."""
+    min_matter: float = 0.5
+    """Share of the views of a cell that must show matter."""
+    min_baseline_m: float = 2.0
+    """Views of a camera that moved less than this since its last used view are skipped."""
+    every_nth_pixel: int = 2
+    """Pixels used, along both axes."""
+    inner_m: float = 30.0
+    """The ground goes on from this distance from the path."""
+    ground_step_m: float = 4.0
+    """Edge of the ground's quads."""
+
+
+@dataclass(eq=False)
+class _Backdrop:
+    """Counts of views per panel and level [azimuth, height]."""
+
+    centre: Float64[np.ndarray, "3"]
+    radius_m: float
+    matter: Int64[np.ndarray, "a h"]
+    sky: Int64[np.ndarray, "a h"]
+    low_m: float
+
+
+def build_far_field(
+    background: TriMesh,
+    silhouettes: Iterable[tuple[CameraFrame, PinholeCamera, Float32[np.ndarray, "h w"]]],
+    ground: GroundMap,
+    path_m: Float[np.ndarray, "k 3"],
+    config: FarFieldConfig,
+    *,
+    make_caster: MakeCaster,
+) -> TriMesh:
+    """Backdrop and extended ground, frame world, material "far field"; black.
+
+    Args:
+        background: measured and inferred surfaces, frame world.
+        silhouettes: frames with their camera (of the matte's size) and sky matte.
+        ground: its heights are continued outwards.
+        path_m: positions of the sensors' carrier.
+        config: settings.
+        make_caster: builds the ray caster.
+
+    Raises:
+        FrameMismatchError: the mesh is not in frame world.
+        InputError: a matte does not fit its camera.
+    """
+    if background.frame != "world":
+        raise FrameMismatchError(
+            "the background lies in the wrong frame", got=background.frame, expected="world"
+        )
+    backdrop = _empty_backdrop(background, path_m, config)
+    extended = _extend_ground(background, ground, path_m, backdrop, config, make_caster)
+    caster = make_caster([background, extended])
+    for frame, camera, matte in spaced_views(silhouettes, config.min_baseline_m):
+        kind = classify_matte(camera, matte)
+        _look(backdrop, (frame, camera, kind), caster, config)
+    panels = _mesh_panels(backdrop, _skyline(backdrop, config), ground, config)
+    return concatenate_meshes([extended, panels])
+
+
+def _empty_backdrop(
+    background: TriMesh, path_m: Float[np.ndarray, "k 3"], config: FarFieldConfig
+) -> _Backdrop:
+    centre = 0.5 * (path_m.min(axis=0) + path_m.max(axis=0)).astype(np.float64)
+    places = np.concatenate([background.vertices[:, :2].astype(np.float64), path_m[:, :2]])
+    reach = float(np.linalg.norm(places - centre[:2], axis=1).max())
+    radius = max(config.distance_m, reach + config.margin_m)
+    shape = (
+        round(360.0 / config.azimuth_step_deg),
+        int(np.ceil(config.max_height_m / config.level_m)),
+    )
+    none = np.zeros(shape, dtype=np.int64)
+    low = float(path_m[:, 2].min()) - 2.0
+    return _Backdrop(centre, radius, none, none.copy(), low)
+
+
+def _look(
+    backdrop: _Backdrop,
+    view: tuple[CameraFrame, PinholeCamera, Float[np.ndarray, "h w"] | np.ndarray],
+    caster: RayCaster,
+    config: FarFieldConfig,
+) -> None:
+    """Which cells of the backdrop one view shows as matter or as sky, each cell once."""
+    frame, camera, kind = view
+    step = config.every_nth_pixel
+    uv = camera.pixel_centres()[::step, ::step].reshape(-1, 2)
+    kind = kind[::step, ::step].ravel()
+    uv, kind = uv[kind != 0], kind[kind != 0]
+    origins, rays = frame.pixel_rays(camera, uv)
+    matter = np.flatnonzero(kind < 0)
+    is_hit = caster.intersect(origins[matter], rays[matter]).is_hit
+    used = np.concatenate([matter[~is_hit], np.flatnonzero(kind > 0)])
+    origins, rays, kind = origins[used], rays[used], kind[used]
+    offset = origins[:, :2] - backdrop.centre[:2]
+    a = (rays[:, :2] ** 2).sum(axis=1)
+    b = (rays[:, :2] * offset).sum(axis=1)
+    c = (offset**2).sum(axis=1) - backdrop.radius_m**2
+    distance = (-b + np.sqrt(b * b - a * c)) / np.maximum(a, 1e-9)
+    place = offset + distance[:, None] * rays[:, :2]
+    azimuth = np.degrees(np.arctan2(place[:, 1], place[:, 0])) % 360.0
+    count = backdrop.matter.shape
+    i = (azimuth / config.azimuth_step_deg).astype(np.int64) % count[0]
+    height = origins[:, 2] + distance * rays[:, 2] - backdrop.low_m
+    j = np.floor(height / config.level_m).astype(np.int64)
+    # Not yet hit below the horizon: the road ahead sinks away; its far end is the lowest level.
+    j = np.where(kind < 0, np.maximum(j, 0), j)
+    is_inside = (j >= 0) & (j < count[1])
+    flat = i[is_inside] * count[1] + j[is_inside]
+    for table, sign in ((backdrop.matter, -1), (backdrop.sky, 1)):
+        seen = np.unique(flat[kind[is_inside] == sign])
+        table.reshape(-1)[seen] += 1
+
+
+def _skyline(backdrop: _Backdrop, config: FarFieldConfig) -> Float64[np.ndarray, " a"]:
+    """Height of each panel above the lowest level; 0 where nothing stands."""
+    from scipy.ndimage import median_filter
+
+    seen = backdrop.matter + backdrop.sky
+    is_matter = (backdrop.matter >= config.min_views) & (
+        backdrop.matter >= config.min_matter * np.maximum(seen, 1)
+    )
+    levels = np.arange(is_matter.shape[1])
+    is_sky = (backdrop.sky >= config.min_views) & ~is_matter
+    first_sky = np.where(is_sky.any(axis=1), is_sky.argmax(axis=1), len(levels))
+    is_below = is_matter & (levels < first_sky[:, None])
+    top = np.where(is_below.any(axis=1), np.where(is_below, levels + 1, 0).max(axis=1), 0)
+    top = np.asarray(median_filter(top, 3, mode="wrap"))
+    return top.astype(np.float64) * config.level_m
+
+
+def _mesh_panels(
+    backdrop: _Backdrop,
+    height_m: Float64[np.ndarray, " a"],
+    ground: GroundMap,
+    config: FarFieldConfig,
+) -> TriMesh:
+    """Upright quads from below the ground to the skyline, facing the path."""
+    panel = np.flatnonzero(height_m > 0)
+    angle = np.radians(config.azimuth_step_deg * np.stack([panel, panel + 1], axis=1))
+    xy = backdrop.centre[:2] + backdrop.radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    top = backdrop.low_m + height_m[panel]
+    foot = _continued_height(ground, xy.reshape(-1, 2)).min() if len(panel) else 0.0
+    low = np.minimum(foot, top) - _STEPS_DOWN * config.level_m
+    count = np.maximum(np.ceil((top - low) / _PANEL_M), 1).astype(np.int64)
+    row = np.repeat(np.arange(len(panel)), count)
+    part = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
+    step = ((top - low) / count)[row]
+    z0, z1 = low[row] + part * step, low[row] + (part + 1) * step
+    z = np.stack([z0, z0, z1, z1], axis=1)
+    # Counter-clockwise seen from the middle: azimuth grows to the left.
+    corners = np.concatenate([xy[row][:, [1, 0, 0, 1]], z[:, :, None]], axis=2).reshape(-1, 3)
+    start = 4 * np.arange(len(row))[:, None]
+    return _mesh(corners, np.concatenate([start + [[0, 1, 2]], start + [[0, 2, 3]]]))
+
+
+def _extend_ground(
+    background: TriMesh,
+    ground: GroundMap,
+    path_m: Float[np.ndarray, "k 3"],
+    backdrop: _Backdrop,
+    config: FarFieldConfig,
+    make_caster: MakeCaster,
+) -> TriMesh:
+    """Ground from the closed surface near the path out to the backdrop, where none was measured;
+    a little lower than the map, so that measured surfaces stay in front."""
+    from scipy.spatial import KDTree
+
+    step = config.ground_step_m
+    count = int(np.ceil(2 * backdrop.radius_m / step)) + 1
+    axis = step * (np.arange(count) - (count - 1) / 2)
+    xy = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1) + backdrop.centre[:2]
+    flat = xy.reshape(-1, 2)
+    height = _continued_height(ground, flat) - _SINK_M
+    points = np.concatenate([flat, height[:, None]], axis=1)
+    index = np.arange(count * count).reshape(count, count)
+    quads = np.stack(
+        [index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], axis=-1
+    ).reshape(-1, 4)
+    middle = points[quads].mean(axis=1)
+    is_used = np.linalg.norm(middle[:, :2] - backdrop.centre[:2], axis=1) < backdrop.radius_m
+    distance, _ = KDTree(path_m[:, :2]).query(middle[:, :2])
+    is_used &= np.asarray(distance) > config.inner_m
+    quads, middle = quads[is_used], middle[is_used]
+    # Quads that lie wholly under measured ground are not needed.
+    start = points[quads].reshape(-1, 3) + np.array([0.0, 0.0, 1.5])
+    down = np.broadcast_to(np.array([0.0, 0.0, -1.0]), start.shape).copy()
+    hits = make_caster([background]).intersect(start, down)
+    is_covered = (hits.distance_m < 1.5).reshape(-1, 4).all(axis=1)
+    quads = quads[~is_covered]
+    return _mesh(points, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
+
+
+def _continued_height(
+    ground: GroundMap, xy: Float64[np.ndarray, "n 2"]
+) -> Float64[np.ndarray, " n"]:
+    """The height of observed ground nearby, further away that of a plane through all of it.
+
+    Roofs and slopes that were taken for ground lie off the plane and do not count.
+    """
+    from scipy.spatial import KDTree
+
+    cells = np.argwhere(ground.is_observed)
+    if len(cells) < _MIN_CELLS:
+        return ground.look_up(xy).astype(np.float64)
+    places = ground.origin_m + ground.cell_m * cells
+    z = ground.height_m[ground.is_observed].astype(np.float64)
+    terms = np.concatenate([places, np.ones((len(cells), 1))], axis=1)
+    weight = np.ones(len(z))
+    plane = np.zeros(3)
+    for _ in range(10):
+        plane = np.linalg.lstsq(terms * weight[:, None], z * weight, rcond=None)[0]
+        weight = 1.0 / np.sqrt(1.0 + ((z - terms @ plane) / _PLANE_SPREAD_M) ** 2)
+    is_ground = np.abs(z - terms @ plane) < _OFF_PLANE_M
+    distance, nearest = KDTree(places[is_ground]).query(xy)
+    share = np.exp(-np.asarray(distance) / _BLEND_M)
+    far = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ plane
+    return share * z[is_ground][nearest] + (1.0 - share) * far
+
+
+def _mesh(points: Float64[np.ndarray, "n 3"], faces: Int64[np.ndarray, "m 3"]) -> TriMesh:
+    used, index = np.unique(faces, return_inverse=True)
+    black = np.zeros((len(used), 3), dtype=np.float32)
+    corners = points[used].astype(np.float32).reshape(-1, 3)
+    return TriMesh("world", corners, index.reshape(-1, 3).astype(np.int32), black, (BACKDROP,))

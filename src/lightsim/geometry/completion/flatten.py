@@ -1,0 +1,133 @@
+"""Walls without the bumps that beams through glass and grazing beams leave on them.
+
+A wall is smooth over a metre or two; what stands out of it by a few centimetres is noise, and a
+sun that grazes the wall draws long ragged shadows of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from lightsim.core.mesh import TriMesh
+from lightsim.geometry.completion.walls import Wall, WallConfig, find_walls
+
+
+@dataclass(frozen=True)
+class FlattenConfig:
+    """How bumps on walls are taken away."""
+
+    walls: WallConfig = field(default_factory=WallConfig)
+    """What counts as a wall."""
+    cell_voxels: float = 2.0
+    """Cells in which the wall's surface is measured, in samples of the level."""
+    reach_cells: tuple[int, ...] = (5, 2)
+    """The smooth wall is the median over this many cells to either side; then, in turn, what
+    stands out of it: panes, ledges."""
+    bump_m: tuple[float, float] = (0.03, 0.06)
+    """Vertices this near the smooth wall are put onto it: on calm walls, on rough ones."""
+    kept_m: tuple[float, float] = (0.07, 0.14)
+    """From here on vertices stay where they are, or belong to the next layer: the same."""
+    roughness: tuple[float, float] = (0.08, 0.2)
+    """Mean of 1 - cosine between the wall's normal and those of its surface up to which it counts
+    as calm (it has windows and pilasters), and from which on as rough (noise)."""
+    max_distance_m: float = 0.35
+    """Vertices further from the wall's plane do not count as its surface."""
+    min_cosine: float = 0.3
+    """Vertices whose normals lean away more than this tell nothing of the surface; they move with
+    it unless they look the other way."""
+
+
+def flatten_walls(mesh: TriMesh, voxel_m: float, config: FlattenConfig) -> TriMesh:
+    """The mesh with vertices near smooth walls moved onto them, along the wall's normal.
+
+    Each wall is a height field over its plane, smoothed by a running median (Tukey 1977): it
+    follows bowed walls and drops bumps. What stands out by more is a layer of its own, smoothed
+    over less: panes in their frames, ledges.
+    """
+    if len(mesh.faces) == 0:
+        return mesh
+    points = mesh.vertices.astype(np.float64)
+    normals = mesh.vertex_normals().astype(np.float64)
+    for wall in find_walls(mesh, config.walls):
+        _flatten(points, normals, wall, voxel_m, config)
+    return replace(mesh, vertices=points.astype(np.float32))
+
+
+def _flatten(
+    points: Float64[np.ndarray, "n 3"],
+    normals: Float64[np.ndarray, "n 3"],
+    wall: Wall,
+    voxel_m: float,
+    config: FlattenConfig,
+) -> None:
+    """Move the points of one wall in place."""
+    offset = points - wall.origin_m
+    s, out = offset @ wall.along, offset @ wall.normal
+    z, cosine = points[:, 2], normals @ wall.normal
+    is_near = (np.abs(out) < config.max_distance_m) & (cosine > -config.min_cosine)
+    is_near &= (s >= wall.span_m[0]) & (s <= wall.span_m[1])
+    is_near &= (z >= wall.height_m[0]) & (z <= wall.height_m[1])
+    cell = np.stack([s - wall.span_m[0], z - wall.height_m[0]]) / (config.cell_voxels * voxel_m)
+    layers = [np.flatnonzero(is_near)]
+    for reach in config.reach_cells:
+        remaining = []
+        for rows in layers:
+            known = rows[cosine[rows] > config.min_cosine]
+            if len(known) == 0:
+                continue
+            above = out[rows] - _smooth_height_m(cell[:, known], out[known], reach, cell[:, rows])
+            rough = _local_mean(cell[:, rows], 1.0 - cosine[rows], reach)
+            bump = np.interp(rough, config.roughness, config.bump_m)
+            share = (np.abs(above) - bump) / (
+                np.interp(rough, config.roughness, config.kept_m) - bump
+            )
+            way = np.clip(1.0 - share, 0.0, 1.0) * above
+            points[rows] -= way[:, None] * wall.normal
+            out[rows] -= way
+            is_out = share > 0
+            remaining += [rows[is_out & (above > 0)], rows[is_out & (above < 0)]]
+        layers = remaining
+
+
+def _local_mean(
+    cell: Float64[np.ndarray, "2 n"], values: Float64[np.ndarray, " n"], reach: int
+) -> Float64[np.ndarray, " n"]:
+    """Mean over the cells within `reach` of each point's own."""
+    from scipy.ndimage import uniform_filter
+
+    index = cell.astype(np.int64)
+    total = np.zeros((2, int(index[0].max()) + 1, int(index[1].max()) + 1))
+    np.add.at(total, (0, *index), values)
+    np.add.at(total, (1, *index), 1.0)
+    total, count = (uniform_filter(t, 2 * reach + 1, mode="constant") for t in total)
+    return total[tuple(index)] / count[tuple(index)]
+
+
+def _smooth_height_m(
+    cell: Float64[np.ndarray, "2 n"],
+    height_m: Float64[np.ndarray, " n"],
+    reach: int,
+    wanted: Float64[np.ndarray, "2 m"],
+) -> Float64[np.ndarray, " m"]:
+    """Running median of heights over a plane, at the wanted places; cells are of size 1."""
+    from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
+
+    index = cell.astype(np.int64)
+    shape = (int(index[0].max()) + 1, int(index[1].max()) + 1)
+    medians = np.full(shape, np.nan)
+    flat = index[0] * shape[1] + index[1]
+    order = np.lexsort((height_m, flat))
+    found, start, count = np.unique(flat[order], return_index=True, return_counts=True)
+    medians.reshape(-1)[found] = height_m[order[start + count // 2]]
+    around = np.pad(medians, reach, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(around, (2 * reach + 1,) * 2)
+    is_known = np.isfinite(medians)
+    level = np.zeros(shape)
+    level[is_known] = np.nanmedian(windows[is_known].reshape(len(found), -1), axis=1)
+    nearest = distance_transform_edt(~is_known, return_distances=False, return_indices=True)
+    row, column = np.asarray(nearest)
+    level = gaussian_filter(level[row, column], 1.0, mode="nearest")
+    return np.asarray(map_coordinates(level, wanted - 0.5, order=1, mode="nearest"))

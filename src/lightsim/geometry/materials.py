@@ -1,0 +1,162 @@
+"""Material classes of surfaces: by the LiDAR's labels where a log has them, else by shape.
+
+Roughness and metallic are the Principled model's (Burley 2012) and typical of the class; nothing
+here measures them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64, Int64, UInt8
+
+from lightsim.core.fields import GroundMap
+from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import Material, TriMesh
+from lightsim.geometry.denoise_kernels import neighbour_faces
+from lightsim.geometry.simplify_kernels import faces_by_vertex
+
+UNKNOWN = Material(0.9, 0.0, "matte")
+ASPHALT = Material(0.9, 0.0, "asphalt")
+PAVEMENT = Material(0.95, 0.0, "pavement")
+FACADE = Material(0.85, 0.0, "facade")
+VEGETATION = Material(0.75, 0.0, "vegetation")
+CAR_PAINT = Material(0.35, 0.0, "car paint")
+METAL = Material(0.5, 0.6, "metal")
+GLASS = Material(0.05, 0.0, "glass")
+CLOTH = Material(0.95, 0.0, "cloth")
+GROUND = Material(0.95, 0.0, "ground")
+_CLASSES = (
+    UNKNOWN, ASPHALT, PAVEMENT, FACADE, VEGETATION, CAR_PAINT, METAL, GLASS, CLOTH, GROUND,
+)  # fmt: skip
+_WORDS = (
+    (ASPHALT, ("road", "lane", "stop line", "asphalt", "driveable", "parking")),
+    (PAVEMENT, ("sidewalk", "driveway", "pavement", "curb", "concrete")),
+    (VEGETATION, ("vegetation", "tree", "bush", "plant")),
+    (FACADE, ("building", "facade", "wall", "house")),
+    (METAL, ("sign", "pole", "lamp", "fence", "rail")),
+    (
+        CAR_PAINT,
+        ("car", "truck", "bus", "van", "vehicle", "pickup", "motorcycle", "towed", "tram"),
+    ),
+    (CLOTH, ("pedestrian", "person", "walker")),
+    (GROUND, ("ground", "soil", "terrain")),
+)
+"""Checked in this order: "road barriers" are no road, see `_NOT`."""
+_NOT = ("barrier", "cart", "carton")
+_CELL_M = 0.25
+_REACH_M = 0.6
+_MAX_SWEEPS = 12
+_LEVEL = 0.8
+_GROUND_BAND_M = 0.35
+_WALL_HEIGHT_M = 0.6
+_COHERENT = 0.85
+
+
+def material_of(name: str) -> Material:
+    """The material class that a label or an actor's kind speaks of; matte if none."""
+    low = name.lower()
+    if any(word in low for word in _NOT):
+        return UNKNOWN
+    for material, words in _WORDS:
+        if any(word in low for word in words):
+            return material
+    return UNKNOWN
+
+
+def classify_background(mesh: TriMesh, log: DrivingLog, ground: GroundMap) -> TriMesh:
+    """A mesh (frame world) whose faces know their material.
+
+    A face takes the label of the nearest labelled returns within 0.6 m. Elsewhere level faces
+    near the ground map are ground, and smooth upright ones facade; the rest stays matte.
+    """
+    if len(mesh.faces) == 0:
+        return mesh
+    centres = mesh.vertices[mesh.faces].mean(axis=1).astype(np.float64)
+    index = _by_shape(mesh, centres, ground)
+    cells, labels = _labelled_cells(log)
+    if len(cells):
+        from scipy.spatial import KDTree
+
+        distance, nearest = KDTree(cells).query(centres, distance_upper_bound=_REACH_M)
+        is_near = np.isfinite(distance)
+        found = labels[np.where(is_near, nearest, 0)]
+        is_known = is_near & (found != _CLASSES.index(UNKNOWN))
+        index = np.where(is_known, found, index)
+    index = _without_islands(mesh, index)
+    used, face_material = np.unique(index, return_inverse=True)
+    return replace(
+        mesh,
+        materials=tuple(_CLASSES[i] for i in used),
+        face_material=face_material.astype(np.uint8),
+    )
+
+
+def _by_shape(
+    mesh: TriMesh, centres: Float64[np.ndarray, "m 3"], ground: GroundMap
+) -> Int64[np.ndarray, " m"]:
+    normals = mesh.face_normals()
+    height = centres[:, 2] - ground.look_up(centres[:, :2])
+    is_ground = (normals[:, 2] > _LEVEL) & (np.abs(height) < _GROUND_BAND_M)
+    is_wall = (np.abs(normals[:, 2]) < 0.3) & (height > _WALL_HEIGHT_M) & _is_coherent(mesh)
+    return np.select([is_ground, is_wall], [_CLASSES.index(GROUND), _CLASSES.index(FACADE)], 0)
+
+
+def _is_coherent(mesh: TriMesh) -> Bool[np.ndarray, " m"]:
+    """Faces whose neighbours look the same way: walls, not foliage."""
+    near, count = _near(mesh)
+    normals = mesh.face_normals()
+    total = normals.copy()
+    for k in range(near.shape[1]):
+        has = count > k
+        total[has] += normals[near[has, k]]
+    return np.linalg.norm(total, axis=1) > _COHERENT * (count + 1)
+
+
+def _near(mesh: TriMesh) -> tuple[np.ndarray, np.ndarray]:
+    faces = mesh.faces.astype(np.int64)
+    return neighbour_faces(faces, *faces_by_vertex(faces, len(mesh.vertices)))
+
+
+def _without_islands(mesh: TriMesh, index: Int64[np.ndarray, " m"]) -> Int64[np.ndarray, " m"]:
+    """The most frequent class among each face and its neighbours."""
+    near, count = _near(mesh)
+    votes = np.zeros((len(index), len(_CLASSES)), dtype=np.int16)
+    rows = np.arange(len(index))
+    votes[rows, index] += 2
+    for k in range(near.shape[1]):
+        has = rows[count > k]
+        votes[has, index[near[has, k]]] += 1
+    return votes.argmax(axis=1)
+
+
+def _labelled_cells(
+    log: DrivingLog,
+) -> tuple[Float[np.ndarray, "n 3"], UInt8[np.ndarray, " n"]]:
+    """Centres of 25 cm cells with labelled returns, and the class most returns there have.
+
+    Returns within the boxes of moving actors are left out.
+    """
+    empty = np.zeros((0, 3)), np.zeros(0, dtype=np.uint8)
+    if not log.semantic_names:
+        return empty
+    table = np.zeros(max(log.semantic_names) + 2, dtype=np.int64)
+    for number, name in log.semantic_names.items():
+        table[number] = _CLASSES.index(material_of(name))
+    step = max(1, len(log.sweeps) // _MAX_SWEEPS)
+    keys, classes = [], []
+    for lazy in log.sweeps[::step]:
+        sweep = lazy.load()
+        is_used = (sweep.semantic_class >= 0) & (sweep.semantic_class < len(table) - 1)
+        for track in log.actors_at(sweep.time_ns):
+            if track.is_moving:
+                is_used &= ~track.contains(sweep.points_world, sweep.time_ns, 0.2)
+        points = sweep.points_world[is_used]
+        keys.append(np.floor(points / _CELL_M).astype(np.int64))
+        classes.append(table[sweep.semantic_class[is_used]])
+    cells, row = np.unique(np.concatenate(keys), axis=0, return_inverse=True)
+    flat = row.reshape(-1) * len(_CLASSES) + np.concatenate(classes)
+    votes = np.bincount(flat, minlength=len(cells) * len(_CLASSES))
+    best = votes.reshape(len(cells), len(_CLASSES)).argmax(axis=1).astype(np.uint8)
+    return (cells + 0.5) * _CELL_M, best

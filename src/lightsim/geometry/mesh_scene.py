@@ -1,0 +1,103 @@
+"""Fields to meshes without colour: the static scene and every actor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from lightsim.core.actors import ActorTrack
+from lightsim.core.casting import MakeCaster
+from lightsim.core.fields import SceneFields
+from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import TriMesh, concatenate_meshes
+from lightsim.core.twin import ActorAsset, SceneAssets
+from lightsim.errors import InputError
+from lightsim.geometry.actors.cabin import ClosedCabin
+from lightsim.geometry.actors.complete import (
+    PROXY_VOXEL_M,
+    actor_surface,
+    ground_patches,
+    trim_ground,
+)
+from lightsim.geometry.config import MeshConfig
+from lightsim.geometry.materials import GLASS, classify_background, material_of
+from lightsim.geometry.simplify import denoise, simplify
+from lightsim.geometry.surface import background_levels, drop_floaters
+from lightsim.progress import Progress
+
+Calm = Callable[[TriMesh, float], TriMesh]
+"""Takes the noise off a level of the background that lies on known shapes, such as walls; the
+number is the distance between the level's samples, in metres."""
+
+
+def mesh_scene(
+    log: DrivingLog,
+    fields: SceneFields,
+    config: MeshConfig,
+    *,
+    make_caster: MakeCaster,
+    progress: Progress,
+    calm: Calm | None = None,
+) -> SceneAssets:
+    """Background and actors as black meshes; no gains yet (assets.build.build_assets)."""
+    background = mesh_background(fields, config, make_caster, calm)
+    background = classify_background(background, log, fields.ground)
+    actors, notes = {}, list(fields.notes)
+    for track in progress.track(log.actors, "mesh the actors", len(log.actors)):
+        grid = fields.actors.get(track.actor_id)
+        voxel_m = PROXY_VOXEL_M if grid is None else grid.voxel_m
+        surface, cabin = actor_surface(track, grid, config)
+        mesh = _with_materials(_refined(surface, voxel_m, config), track, cabin)
+        actors[track.actor_id] = ActorAsset(track.actor_id, track.kind, mesh)
+        if grid is None:
+            notes.append(f"actor {track.actor_id} ({track.kind}): default shape, too few returns")
+    return SceneAssets(background, actors, {}, tuple(notes))
+
+
+def _with_materials(mesh: TriMesh, track: ActorTrack, cabin: ClosedCabin) -> TriMesh:
+    """Body and, on closed cabins, window panes."""
+    body = material_of(track.kind)
+    centres = mesh.vertices[mesh.faces].mean(axis=1).astype(np.float64)
+    is_glass = cabin.is_glass(centres)
+    if not is_glass.any():
+        return replace(mesh, materials=(body,))
+    return replace(mesh, materials=(body, GLASS), face_material=is_glass.astype(np.uint8))
+
+
+def mesh_background(
+    fields: SceneFields, config: MeshConfig, make_caster: MakeCaster, calm: Calm | None = None
+) -> TriMesh:
+    """All levels of the static scene in one mesh, ground closed; black."""
+    levels = []
+    for level, grid in zip(
+        background_levels(fields, config.min_weight), fields.background, strict=True
+    ):
+        mesh = drop_floaters(level, config.min_piece_m2)
+        mesh = trim_ground(mesh, fields.ground, fields.path_m, config)
+        if calm is not None:
+            mesh = calm(mesh, grid.voxel_m)
+        levels.append(_refined(mesh, grid.voxel_m, config))
+    surface = concatenate_meshes(levels)
+    if len(surface.faces) == 0:
+        raise InputError(
+            "the reconstructed field has no surface",
+            remedy="Train longer (--neural-steps), or start from fused LiDAR (--preset standard).",
+        )
+    patches = ground_patches(surface, fields.ground, fields.path_m, config, make_caster)
+    return concatenate_meshes([surface, patches])
+
+
+def _refined(mesh: TriMesh, voxel_m: float, config: MeshConfig) -> TriMesh:
+    """Without noise of marching cubes, and with no more faces than the shape needs."""
+    if config.normal_rounds > 0:
+        mesh = denoise(mesh, config.max_move_voxels * voxel_m, normal_rounds=config.normal_rounds)
+    if config.error_voxels == 0:
+        return mesh
+    count = len(mesh.vertices)
+    return simplify(
+        mesh,
+        np.full(count, config.error_voxels * voxel_m),
+        np.full(count, config.edge_voxels * voxel_m),
+    )

@@ -1,0 +1,145 @@
+"""Incomplete panoramas completed: by the trained network, or smoothly without one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+from scipy import ndimage
+
+from lightsim.core.colour import linear_from_srgb, srgb_from_linear
+from lightsim.core.equirect import pixel_directions, sample_bilinear
+from lightsim.core.laplace import fill_smoothly
+from lightsim.core.resample import resize_area
+from lightsim.errors import InputError
+
+if TYPE_CHECKING:
+    import torch
+
+SMOOTH_HEIGHT_PX = 64
+_BLEND_PX = 1.5
+
+
+def complete_panorama(
+    ldr: Float32[np.ndarray, "h w 3"],
+    is_seen: Bool[np.ndarray, "h w"],
+    weights: Mapping[str, torch.Tensor] | None,
+) -> Float32[np.ndarray, "h w 3"]:
+    """A panorama (sRGB in [0, 1]) without holes; what was seen is kept to the bit.
+
+    The holes are filled at the network's size and brought up to the panorama's; towards the seen
+    pixels they fade into them. Without `weights` the colours are continued smoothly (Laplace).
+
+    Raises:
+        InputError: it is not twice as wide as high, or nothing of it was seen.
+    """
+    height, width = ldr.shape[:2]
+    if width != 2 * height:
+        raise InputError(
+            "a panorama must be twice as wide as high",
+            got=f"{width}x{height} px",
+            expected=f"{2 * height}x{height} px",
+        )
+    if not is_seen.any():
+        raise InputError(
+            "nothing of the panorama was seen, so nothing continues it",
+            expected="one seen pixel or more",
+        )
+    if is_seen.all():
+        return ldr.copy()
+    small_height = SMOOTH_HEIGHT_PX if weights is None else int(weights["height_px"])
+    small, small_seen = _shrunk(ldr, is_seen, small_height)
+    if weights is None:
+        filled = fill_by_laplace(small, small_seen)
+    else:
+        filled = fill_by_network(small[None], small_seen[None], weights)[0]
+    large = filled if height == small_height else sample_bilinear(filled, pixel_directions(height))
+    large = _faded(large, ldr, is_seen, _BLEND_PX * height / small_height)
+    return np.where(is_seen[..., None], ldr, np.clip(large, 0.0, 1.0)).astype(np.float32)
+
+
+def fill_by_network(
+    ldr: Float32[np.ndarray, "n h w 3"],
+    is_seen: Bool[np.ndarray, "n h w"],
+    weights: Mapping[str, torch.Tensor],
+) -> Float32[np.ndarray, "n h w 3"]:
+    """The generator's refined picture in the holes, for panoramas of any size that it divides."""
+    import torch
+
+    from lightsim.lighting.panorama.inpaint_network import InpaintGenerator
+
+    generator = InpaintGenerator.from_weights(weights)
+    image = torch.from_numpy(np.ascontiguousarray(ldr.transpose(0, 3, 1, 2))) * 2 - 1
+    hole = torch.from_numpy(~is_seen)[:, None].float()
+    with torch.inference_mode():
+        _, refined = generator(image, hole)
+    filled = (refined.clamp(-1, 1).numpy().transpose(0, 2, 3, 1) + 1) / 2
+    return np.where(is_seen[..., None], ldr, filled).astype(np.float32)
+
+
+def fill_by_laplace(
+    ldr: Float32[np.ndarray, "h w 3"], is_seen: Bool[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "h w 3"]:
+    """The holes as membranes between the seen pixels, around the panorama without a seam."""
+    margin = ldr.shape[1] // 2
+    around = np.pad(ldr, ((0, 0), (margin, margin), (0, 0)), mode="wrap").astype(np.float64)
+    known = np.pad(is_seen, ((0, 0), (margin, margin)), mode="wrap")
+    channels = [fill_smoothly(around[..., c], known)[:, margin:-margin] for c in range(3)]
+    return np.stack(channels, axis=-1).astype(np.float32)
+
+
+def fill_by_nearest(
+    ldr: Float32[np.ndarray, "h w 3"], is_seen: Bool[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "h w 3"]:
+    """Every hole pixel the colour of the nearest seen one, in pixels, wrapped sideways."""
+    margin = ldr.shape[1] // 2
+    known = np.pad(is_seen, ((0, 0), (margin, margin)), mode="wrap")
+    nearest = np.asarray(
+        ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    )
+    around = np.pad(ldr, ((0, 0), (margin, margin), (0, 0)), mode="wrap")
+    return around[nearest[0], nearest[1]][:, margin:-margin]
+
+
+def fill_by_rows(
+    ldr: Float32[np.ndarray, "h w 3"], is_seen: Bool[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "h w 3"]:
+    """Every hole pixel the mean colour of what was seen in its row, or in the nearest row seen."""
+    counts = is_seen.sum(axis=1)
+    means = (ldr * is_seen[..., None]).sum(axis=1) / np.maximum(counts, 1)[:, None]
+    rows = np.flatnonzero(counts)
+    nearest = rows[np.abs(np.arange(len(counts))[:, None] - rows).argmin(axis=1)]
+    return np.where(is_seen[..., None], ldr, means[nearest][:, None]).astype(np.float32)
+
+
+def _shrunk(
+    ldr: Float32[np.ndarray, "h w 3"], is_seen: Bool[np.ndarray, "h w"], height_px: int
+) -> tuple[Float32[np.ndarray, "h2 w2 3"], Bool[np.ndarray, "h2 w2"]]:
+    """The seen pixels averaged as light over larger ones; seen is what was seen by half."""
+    weight = is_seen[..., None].astype(np.float32)
+    share = resize_area(weight, height_px, 2 * height_px)
+    linear = resize_area(linear_from_srgb(ldr) * weight, height_px, 2 * height_px)
+    seen = share[..., 0] >= min(0.5, float(share.max()))
+    small = srgb_from_linear(linear / np.maximum(share, 1e-6)) * seen[..., None]
+    return small.astype(np.float32), seen
+
+
+def _faded(
+    large: Float[np.ndarray, "h w 3"],
+    ldr: Float32[np.ndarray, "h w 3"],
+    is_seen: Bool[np.ndarray, "h w"],
+    sigma_px: float,
+) -> Float[np.ndarray, "h w 3"]:
+    """The fill plus its own error at the seen pixels, carried a little into the holes."""
+    weight = is_seen[..., None].astype(np.float64)
+    near = _blurred(weight, sigma_px)
+    error = _blurred((ldr - large) * weight, sigma_px) / np.maximum(near, 1e-6)
+    # At a straight border half of the neighbourhood is seen: there all of the error is carried.
+    return large + error * np.clip(2 * near, 0.0, 1.0)
+
+
+def _blurred(image: Float[np.ndarray, "h w c"], sigma_px: float) -> Float[np.ndarray, "h w c"]:
+    wide = ndimage.gaussian_filter1d(image, sigma_px, axis=1, mode="wrap")
+    return ndimage.gaussian_filter1d(wide, sigma_px, axis=0, mode="nearest")

@@ -1,0 +1,372 @@
+"""The HDR sky dome of a log: observed sky, analytic completion and the sun."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+from scipy import ndimage
+from scipy.optimize import nnls
+
+from lightsim.core.colour import luminance
+from lightsim.core.dome import Sun, add_sun, irradiance
+from lightsim.core.equirect import pixel_directions, solid_angles_sr
+from lightsim.core.solar import angle_between_deg
+from lightsim.core.twin import Panorama, SkyEstimate
+from lightsim.lighting.sample import SkyPrediction
+from lightsim.lighting.sky.clear_sky import clear_sky_parts, overcast_shape, with_ground
+from lightsim.lighting.sky.fit import SunFit, SunFitConfig, fit_sun
+from lightsim.lighting.sun.direction import SunDirection, find_sun_blob
+from lightsim.lighting.sun.evidence import LightEvidence
+from lightsim.progress import Progress, SilentProgress
+
+_USUAL_TURBIDITY, _USUAL_LOG_STD = 3.0, 0.8
+"""Of clear skies; spread of the ratio of sun to sky among them."""
+_CLOUD_LOG_FACTOR = float(np.log(0.15))
+"""What clouds before the sun leave of it."""
+_PEAK_ROWS = 64
+"""Rows of the domes that networks predict peaks of (lighting/sample.py)."""
+
+
+@dataclass(frozen=True)
+class SkyConfig:
+    """How the dome is estimated."""
+
+    height_px: int = 256
+    """Rows of the dome."""
+    fit_height_px: int = 64
+    """Rows of the shrunk panorama that the analytic sky is fitted to."""
+    turbidities: tuple[float, ...] = (2.0, 2.5, 3.0, 4.0, 5.0, 6.5, 8.0, 10.0)
+    """Candidates for the clear part."""
+    sun_gap_deg: float = 6.0
+    """Sky nearer to the sun is not fitted: its glow is that of cloud and lens."""
+    feather_px: float = 6.0
+    """Width of the transition from observed to analytic sky, in dome pixels."""
+    correction_deg: float = 12.0
+    """Reach of the observed sky's colour into the unobserved part."""
+    ground_albedo: float = 0.2
+    """Assumed where the ground was not seen."""
+    sun_fit: SunFitConfig = field(default_factory=SunFitConfig)
+    """How the sun's strength is read from shadows."""
+    seed: int = 0
+    """For thinning the pairs."""
+
+
+@dataclass(frozen=True, eq=False)
+class AnalyticFit:
+    """Clear and overcast parts that fit the observed sky.
+
+    Args:
+        radiance: the fitted sky without sun, lower half black.
+        turbidity: of the clear part.
+        overcast_share: part of the level illuminance that the overcast part brings.
+        clear_sun_irradiance: the sun of the clear part, no cloud before it.
+        residual: median relative residual of the luminance.
+        observed_count: fitted cells.
+    """
+
+    radiance: Float32[np.ndarray, "h w 3"]
+    turbidity: float
+    overcast_share: float
+    clear_sun_irradiance: Float32[np.ndarray, "3"]
+    residual: float
+    observed_count: int
+
+
+def estimate_sky(
+    panorama: Panorama,
+    sun: SunDirection,
+    evidence: LightEvidence | None,
+    config: SkyConfig,
+    *,
+    prediction: SkyPrediction | None = None,
+    progress: Progress | None = None,
+) -> SkyEstimate:
+    """The source sky in scene units.
+
+    An analytic clear + overcast sky is fitted per channel to the observed, unsaturated sky; where
+    sky was seen, the dome shows it. The lower half is the mean of what was seen below the horizon.
+    The sun's strength comes from lit/shadowed pairs (`fit_sun`); without pairs it is that of clear
+    skies, dimmed by the probability of cloud, and of a network's `prediction` where there is one
+    (in the panorama's unit); its uncertainty says so.
+    """
+    steps = (progress or SilentProgress()).track(range(3), "estimating the sky")
+    next(steps)
+    analytic = fit_analytic_sky(panorama, sun.direction_world, config)
+    next(steps)
+    sky = blend_observed(panorama, analytic, sun.direction_world, config)
+    ground = _ground_radiance(panorama, sky, config.ground_albedo)
+    up = np.array([0.0, 0.0, 1.0])
+    sky_irradiance = irradiance(sky, up)
+    next(steps)
+    strength = _sun_strength(analytic, evidence, sky, sun, config)
+    if strength.kind == "analytic" and prediction is not None:
+        strength = _with_prediction(strength, prediction)
+    dome = add_sun(with_ground(sky, ground), Sun(sun.direction_world, strength.irradiance))
+    for _ in steps:
+        continue
+    return SkyEstimate(
+        dome,
+        sun.azimuth_deg,
+        sun.elevation_deg,
+        sun.origin,
+        sun.uncertainty_deg,
+        float(np.hypot(strength.log_std, _level_log_std(panorama))),
+        sky_irradiance.astype(np.float32),
+        (*sun.notes, *_sky_notes(panorama, analytic, sun), *strength.notes),
+    )
+
+
+def _sun_strength(
+    analytic: AnalyticFit,
+    evidence: LightEvidence | None,
+    sky: Float32[np.ndarray, "h w 3"],
+    sun: SunDirection,
+    config: SkyConfig,
+) -> SunFit:
+    """The fit to shadows, or the analytic sun with a wide uncertainty."""
+    notes: tuple[str, ...] = ()
+    if evidence is not None and len(evidence):
+        fit = fit_sun(
+            evidence,
+            evidence.diffuse_light(sky),
+            irradiance(sky, np.array([0.0, 0.0, 1.0])),
+            config.sun_fit,
+            np.random.default_rng(config.seed),
+            sunny_probability=sun.sunny_probability,
+        )
+        if fit.kind != "unknown":
+            return fit
+        notes = fit.notes
+    return _usual_sun(analytic, sky, sun, config, notes)
+
+
+def _usual_sun(
+    analytic: AnalyticFit,
+    sky: Float32[np.ndarray, "h w 3"],
+    sun: SunDirection,
+    config: SkyConfig,
+    notes: tuple[str, ...],
+) -> SunFit:
+    """Without shadows: the sun of the fitted clear part, as far as it fits, and the usual ratio
+    of sun to sky at that elevation; clouds, where likely, dim both."""
+    up = np.array([0.0, 0.0, 1.0])
+    radiance, clear = clear_sky_parts(
+        sun.direction_world, _USUAL_TURBIDITY, config.ground_albedo, config.fit_height_px
+    )
+    usual_ratio = _grey(clear.irradiance) / _grey(irradiance(radiance, up))
+    usual = np.log(usual_ratio * _grey(irradiance(sky, up)))
+    fitted = np.log(max(_grey(analytic.clear_sun_irradiance), 1e-9))
+    fit_std = 0.2 + 8.0 * analytic.residual + 2.0 * analytic.overcast_share
+    weight = _USUAL_LOG_STD**2 / (_USUAL_LOG_STD**2 + fit_std**2)
+    sunny = sun.sunny_probability
+    if sunny is None:
+        sunny = 1.0 - analytic.overcast_share
+    log_sun = usual + weight * (fitted - usual) + (1.0 - sunny) * _CLOUD_LOG_FACTOR
+    spread = abs(_CLOUD_LOG_FACTOR) * np.sqrt(sunny * (1.0 - sunny))
+    log_std = float(np.linalg.norm([np.sqrt(weight) * fit_std, spread, 0.2]))
+    rgb = clear.irradiance.astype(np.float64)
+    rgb *= np.exp(log_sun) / _grey(rgb)
+    note = (
+        f"no shadows tell the sun's strength: that of clear skies (turbidity"
+        f" {analytic.turbidity:g}), with probability {sunny:.2f} of no cloud before it"
+    )
+    return SunFit(rgb.astype(np.float32), log_std, "analytic", 0, (*notes, note))
+
+
+def _with_prediction(strength: SunFit, prediction: SkyPrediction) -> SunFit:
+    """Joined with the brightest pixel that a network predicts, both weighted by their precision."""
+    direction = prediction.sun_direction.astype(np.float64)
+    row = int(np.arccos(np.clip(direction[2], 0.0, 1.0)) / np.pi * _PEAK_ROWS)
+    peak = prediction.log_peak + np.log(solid_angles_sr(_PEAK_ROWS)[min(row, _PEAK_ROWS - 1), 0])
+    peak_std = float(np.hypot(prediction.log_peak_std, 0.2))
+    own = np.log(_grey(strength.irradiance))
+    weight = strength.log_std**2 / (strength.log_std**2 + peak_std**2)
+    rgb = strength.irradiance * np.exp(weight * (peak - own))
+    note = f"a network's peak is {peak - own:+.2f} from it (log; weight {weight:.2f})"
+    log_std = float(np.sqrt(weight) * peak_std)
+    return SunFit(rgb.astype(np.float32), log_std, "analytic", 0, (*strength.notes, note))
+
+
+def _grey(rgb: Float[np.ndarray, "3"]) -> float:
+    return float(luminance(rgb))
+
+
+def fit_analytic_sky(
+    panorama: Panorama, sun_direction_world: Float[np.ndarray, "3"], config: SkyConfig
+) -> AnalyticFit:
+    """Per channel a clear + b overcast (a, b >= 0) with the turbidity that fits best.
+
+    Relative residuals, reweighted twice so that clouds and masts count less.
+    """
+    observed, is_used = _shrunk_sky(panorama, sun_direction_world, config)
+    low, full = config.fit_height_px, config.height_px
+    overcast = overcast_shape(low)[is_used].astype(np.float64)
+    best: tuple[float, float, Float[np.ndarray, "3 2"]] | None = None
+    for turbidity in config.turbidities:
+        clear, _ = clear_sky_parts(sun_direction_world, turbidity, config.ground_albedo, low)
+        weights = _fit_channels(observed, clear[is_used].astype(np.float64), overcast)
+        model = clear[is_used] * weights[:, 0] + overcast * weights[:, 1]
+        error = np.abs(model - observed) / np.maximum(observed, 1e-6)
+        score = float(np.median(error)) if len(observed) else 0.0
+        if best is None or score < best[0] - 1e-4:
+            best = (score, turbidity, weights)
+    assert best is not None
+    residual, turbidity, weights = best
+    if not len(observed):
+        turbidity, weights = (
+            3.0,
+            np.tile([_unseen_scale(panorama, sun_direction_world), 0.0], (3, 1)),
+        )
+    clear, clear_sun = clear_sky_parts(sun_direction_world, turbidity, config.ground_albedo, full)
+    cloud = overcast_shape(full) * weights[:, 1]
+    radiance = (clear * weights[:, 0] + cloud).astype(np.float32)
+    up = np.array([0.0, 0.0, 1.0])
+    total = float(irradiance(radiance, up).sum())
+    share = float(irradiance(cloud, up).sum() / max(total, 1e-12))
+    sun_rgb = clear_sun.irradiance * weights[:, 0].mean()
+    return AnalyticFit(
+        radiance, turbidity, share, sun_rgb.astype(np.float32), residual, len(observed)
+    )
+
+
+def _fit_channels(
+    observed: Float[np.ndarray, "n 3"],
+    clear: Float[np.ndarray, "n 3"],
+    overcast: Float[np.ndarray, "n 3"],
+) -> Float[np.ndarray, "3 2"]:
+    weights = np.zeros((3, 2))
+    for channel in range(3 if len(observed) else 0):
+        target = np.maximum(observed[:, channel], 1e-4)
+        columns = np.stack([clear[:, channel], overcast[:, channel]], axis=1) / target[:, None]
+        trust = np.ones(len(target))
+        for _ in range(3):
+            root = np.sqrt(trust)
+            weights[channel], _ = nnls(columns * root[:, None], root)
+            trust = 1.0 / np.maximum(np.abs(columns @ weights[channel] - 1.0) / 0.1, 1.0)
+    return weights
+
+
+def _shrunk_sky(
+    panorama: Panorama, sun_direction_world: Float[np.ndarray, "3"], config: SkyConfig
+) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, "h w"]]:
+    """Observed unsaturated sky, averaged to the fit's grid, away from the sun."""
+    low = config.fit_height_px
+    usable = panorama.is_sky & panorama.is_seen & ~panorama.is_clipped
+    mean, coverage = shrink_masked(panorama.radiance, usable, low)
+    directions = pixel_directions(low)
+    is_far = directions @ sun_direction_world < np.cos(np.radians(config.sun_gap_deg))
+    is_used = (coverage > 0.3) & is_far & (directions[..., 2] > 0)
+    return mean[is_used].astype(np.float64), is_used
+
+
+def shrink_masked(
+    image: Float[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"], height_px: int
+) -> tuple[Float[np.ndarray, "a b 3"], Float[np.ndarray, "a b"]]:
+    """Mean over the masked pixels of each cell, and the share of the cell that is masked."""
+    row = (np.arange(image.shape[0]) * height_px) // image.shape[0]
+    column = (np.arange(image.shape[1]) * 2 * height_px) // image.shape[1]
+    index = (row[:, None] * 2 * height_px + column[None, :]).ravel()
+    count = 2 * height_px * height_px
+    number = np.bincount(index, mask.ravel(), minlength=count)
+    size = np.bincount(index, minlength=count)
+    sums = [np.bincount(index, (image[..., c] * mask).ravel(), minlength=count) for c in range(3)]
+    mean = np.stack(sums, axis=-1) / np.maximum(number, 1)[:, None]
+    shape = (height_px, 2 * height_px)
+    return mean.reshape(*shape, 3), (number / np.maximum(size, 1)).reshape(shape)
+
+
+def _unseen_scale(panorama: Panorama, sun_direction_world: Float[np.ndarray, "3"]) -> float:
+    """Without any sky seen: the scale that lets surfaces of albedo 0.2, half of them in shadow,
+    shine as they do in the images."""
+    sky, sun = clear_sky_parts(sun_direction_world, 3.0, 0.2, 64)
+    level = irradiance(sky, np.array([0.0, 0.0, 1.0])) + 0.5 * sun.irradiance * max(
+        float(sun_direction_world[2]), 0.2
+    )
+    surfaces = panorama.radiance[panorama.is_seen & ~panorama.is_sky]
+    if not len(surfaces):
+        return 1.0
+    seen = float(luminance(surfaces).mean())
+    return seen * np.pi / 0.2 / float(luminance(level.astype(np.float32)))
+
+
+def blend_observed(
+    panorama: Panorama,
+    analytic: AnalyticFit,
+    sun_direction_world: Float[np.ndarray, "3"],
+    config: SkyConfig,
+) -> Float32[np.ndarray, "h w 3"]:
+    """Observed sky where it was seen, feathered into the analytic one, which takes on the
+    observed sky's colour near it. Saturated sky is at least as bright as the model."""
+    height = config.height_px
+    seen = panorama.is_sky & panorama.is_seen
+    observed, coverage = shrink_masked(panorama.radiance, seen, height)
+    _, clipped = shrink_masked(panorama.radiance, seen & panorama.is_clipped, height)
+    model = analytic.radiance.astype(np.float64)
+    upper = np.zeros(coverage.shape, dtype=bool)
+    upper[: height // 2] = True
+    is_seen = (coverage > 0.5) & upper
+    is_bright = is_seen & (clipped > 0)
+    observed[is_bright] = np.maximum(observed[is_bright], model[is_bright])
+    if not is_seen.any():
+        return analytic.radiance
+    near = np.clip(observed / np.maximum(model, 1e-6), 0.2, 5.0)
+    log_ratio = np.log(near) * (is_seen & ~is_bright)[..., None]
+    sigma_px = config.correction_deg / 180.0 * height
+    support = _blur((is_seen & ~is_bright).astype(np.float64), sigma_px)
+    extended = np.stack([_blur(log_ratio[..., c], sigma_px) for c in range(3)], axis=-1)
+    corrected = model * np.exp(extended / (support + 0.05)[..., None])
+    padded = np.concatenate([is_seen] * 3, axis=1)
+    padded[height // 2 :] = True
+    inside = np.asarray(ndimage.distance_transform_edt(padded))[:, 2 * height : 4 * height]
+    weight = np.clip(inside / config.feather_px, 0.0, 1.0) * is_seen
+    blended = corrected + weight[..., None] * (observed - corrected)
+    blended[height // 2 :] = 0.0
+    return blended.astype(np.float32)
+
+
+def _blur(image: Float[np.ndarray, "h w"], sigma_px: float) -> Float[np.ndarray, "h w"]:
+    """Gaussian, wrapping around in azimuth."""
+    rows = ndimage.gaussian_filter1d(image, sigma_px, axis=0, mode="nearest")
+    return np.asarray(ndimage.gaussian_filter1d(rows, sigma_px, axis=1, mode="wrap"))
+
+
+def _level_log_std(panorama: Panorama) -> float:
+    """Log standard deviation of the sky's irradiance: 0.3 for a sky that was not seen at all (the
+    error of extrapolating from the horizon strip), less by the share of it that was seen."""
+    height = panorama.radiance.shape[0]
+    weight = np.clip(pixel_directions(height)[..., 2], 0.0, None) * solid_angles_sr(height)
+    seen = panorama.is_sky & panorama.is_seen & ~panorama.is_clipped
+    return float(0.3 * (1.0 - weight[seen].sum() / weight.sum()))
+
+
+def _ground_radiance(
+    panorama: Panorama, sky: Float32[np.ndarray, "h w 3"], albedo: float
+) -> Float[np.ndarray, "3"]:
+    """Mean of what was seen below the horizon; else a Lambert ground under the sky."""
+    below = panorama.is_seen & ~panorama.is_sky
+    below[: below.shape[0] // 2] = False
+    if below.mean() > 0.02:
+        return panorama.radiance[below].astype(np.float64).mean(axis=0)
+    return albedo * irradiance(sky, np.array([0.0, 0.0, 1.0])) / np.pi
+
+
+def _sky_notes(panorama: Panorama, analytic: AnalyticFit, sun: SunDirection) -> tuple[str, ...]:
+    fitted = (
+        f"sky: turbidity {analytic.turbidity:g}, {100 * analytic.overcast_share:.0f} % of its"
+        f" light overcast, median residual {100 * analytic.residual:.0f} % over"
+        f" {analytic.observed_count} cells"
+    )
+    if not analytic.observed_count:
+        fitted = "no unsaturated sky was seen: a clear sky of turbidity 3 is assumed"
+    blob = find_sun_blob(panorama, sun.direction_world)
+    if blob is None:
+        return (fitted, "the sun's disc was not seen")
+    off_deg = angle_between_deg(blob.direction_world, sun.direction_world)
+    cut = ", cut by what hides it" if blob.is_cut else ""
+    return (
+        fitted,
+        f"a clipped spot (radius {blob.radius_deg:.1f} degrees{cut}) lies {off_deg:.2f} degrees"
+        " from the sun",
+    )

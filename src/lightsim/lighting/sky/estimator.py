@@ -1,0 +1,231 @@
+"""The trained sky dome estimator: LDR panorama -> sun, latent, and any dome that goes with them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float32
+from torch import Tensor
+
+from lightsim.core.colour import linear_from_srgb, srgb_from_linear
+from lightsim.core.dome import SkyDome, Sun, find_sun, resized
+from lightsim.core.resample import resize_area
+from lightsim.errors import InputError
+from lightsim.lighting.sample import SkyPrediction
+from lightsim.lighting.sky.network import SkyNetwork, network_from_tensors
+from lightsim.networks.sky_terms import SkyEncoding, SkyTensors
+from lightsim.store.weights import load_weights
+
+DEFAULT_WEIGHTS = "sky-small"
+# Turns by whole strides change nothing, for the network turns with its input.
+_TURNS_OF_WIDTH = (0.0, 5 / 128, 10 / 128)
+
+
+@dataclass(frozen=True, eq=False)
+class SkyEstimator:
+    """Reads skies off LDR panoramas (sRGB in [0, 1], row 0 up) and makes HDR domes.
+
+    Args:
+        network: trained.
+    """
+
+    network: SkyNetwork
+
+    @classmethod
+    def load(cls, weights: str | Mapping[str, Tensor] = DEFAULT_WEIGHTS) -> SkyEstimator:
+        """From weights of the package, by name, or from tensors.
+
+        Raises:
+            InputError: no such weights, or they are damaged.
+        """
+        tensors = load_weights(weights) if isinstance(weights, str) else weights
+        return cls(network_from_tensors(tensors))
+
+    def predict(
+        self,
+        ldr: Float32[np.ndarray, "h w 3"],
+        seen: Bool[np.ndarray, "h w"] | None = None,
+        *,
+        averages: bool = False,
+    ) -> SkyPrediction:
+        """Sun, intensity and latent of a completed panorama of any size.
+
+        Args:
+            ldr: complete; what was not seen is inpainted.
+            seen: what cameras saw of it; None means all.
+            averages: mean over small turns and their mirror images: slower by six.
+
+        Raises:
+            InputError: the panorama is not twice as wide as high.
+        """
+        batch = self._tensors(ldr, seen)
+        with torch.no_grad():
+            first = self.network.encode(batch)
+            if not averages:
+                return _prediction(first)
+            return _mean_prediction(first, _views(self.network, batch))
+
+    def decode(
+        self,
+        prediction: SkyPrediction,
+        ldr: Float32[np.ndarray, "h w 3"],
+        *,
+        seen: Bool[np.ndarray, "h w"] | None = None,
+        sun_direction: Float[np.ndarray, "3"] | None = None,
+        log_peak: float | None = None,
+        latent: Float32[np.ndarray, "64"] | None = None,
+    ) -> Float32[np.ndarray, "h/2 w 3"]:
+        """Radiance of the upper half, in units of the clipping value, under this or another sun.
+
+        At the network's own height the brightest pixel has luminance exp(log_peak) and lies at the
+        sun; at another height the sun keeps its energy and hence changes its radiance.
+
+        Args:
+            prediction: what `predict` said of `ldr`.
+            ldr: as given to `predict`.
+            seen: as given to `predict`.
+            sun_direction: another unit vector towards the sun; it must be above the horizon.
+            log_peak: another peak.
+            latent: of another sky.
+
+        Raises:
+            InputError: the sun asked for is below the horizon.
+        """
+        direction = prediction.sun_direction if sun_direction is None else sun_direction
+        if direction[2] <= 0:
+            raise InputError(
+                "the sun of a sky dome must be above the horizon",
+                got=f"elevation {math.degrees(math.asin(max(-1.0, float(direction[2])))):.1f} deg",
+                expected="an elevation above 0 deg",
+            )
+        batch = self._tensors(ldr, seen)
+        encoding = _encoding(prediction, prediction.latent if latent is None else latent)
+        peak = torch.tensor([prediction.log_peak if log_peak is None else log_peak])
+        with torch.no_grad():
+            dome = self.network.dome(batch, encoding, _row(direction), peak.to(torch.float32))
+        upper = dome[0].permute(1, 2, 0).numpy().astype(np.float32)
+        return _at_height(upper, np.asarray(direction, np.float64), ldr.shape[0])
+
+    def _tensors(
+        self, ldr: Float32[np.ndarray, "h w 3"], seen: Bool[np.ndarray, "h w"] | None
+    ) -> SkyTensors:
+        height, width = ldr.shape[:2]
+        if width != 2 * height or height % 2:
+            raise InputError(
+                "a panorama must be twice as wide as high, and of even height",
+                got=f"{width}x{height} px",
+                expected=f"for example {2 * self.network.config.height_px}x"
+                f"{self.network.config.height_px} px",
+            )
+        rows = self.network.config.height_px
+        mask = np.ones((height, width), bool) if seen is None else seen
+        if height != rows:
+            ldr = srgb_from_linear(resize_area(linear_from_srgb(ldr), rows, 2 * rows))
+            mask = resize_area(mask[..., None].astype(np.float32), rows, 2 * rows)[..., 0] > 0.5
+        image = torch.from_numpy(np.moveaxis(ldr, -1, 0)[None].copy())
+        nothing = torch.zeros(1)
+        return SkyTensors(
+            panorama=image,
+            seen=torch.from_numpy(mask.astype(np.float32))[None, None],
+            front=torch.zeros(1, 3, 1, 1),
+            sky=torch.zeros(1, 3, rows // 2, 2 * rows),
+            sun_direction=torch.zeros(1, 3),
+            log_peak=nothing,
+            is_sunny=nothing,
+        )
+
+
+def _views(network: SkyNetwork, batch: SkyTensors) -> list[SkyEncoding]:
+    """Encodings of turned and mirrored panoramas, directions turned back."""
+    width = batch.panorama.shape[3]
+    found = []
+    for mirrored in (False, True):
+        for share in _TURNS_OF_WIDTH:
+            shift = round(share * width)
+            panorama, seen = batch.panorama, batch.seen
+            if mirrored:
+                panorama, seen = panorama.flip(3), seen.flip(3)
+            view = batch.shown(panorama.roll(shift, 3), seen.roll(shift, 3))
+            encoding = network.encode(view)
+            # Columns grow clockwise: a shift to the right lowers the azimuth.
+            direction = _turned(encoding.direction, 2 * math.pi * shift / width)
+            if mirrored:
+                direction = direction * torch.tensor([1.0, -1.0, 1.0])
+            found.append(
+                SkyEncoding(
+                    direction,
+                    encoding.log_concentration,
+                    encoding.log_peak,
+                    encoding.log_peak_scale,
+                    encoding.sunny_logit,
+                    encoding.latent,
+                )
+            )
+    return found
+
+
+def _turned(direction: Float[Tensor, "n 3"], angle_rad: float) -> Float[Tensor, "n 3"]:
+    """Counter-clockwise about z."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return direction @ torch.tensor([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _mean_prediction(first: SkyEncoding, views: list[SkyEncoding]) -> SkyPrediction:
+    """Means over views; directions by their concentration, so that disagreement lowers it."""
+    said = [_prediction(view) for view in views]
+    total = np.mean([p.concentration * p.sun_direction for p in said], axis=0)
+    length = max(float(np.linalg.norm(total)), 1e-6)
+    return SkyPrediction(
+        sun_direction=(total / length).astype(np.float32),
+        concentration=length,
+        log_peak=float(np.mean([p.log_peak for p in said])),
+        log_peak_std=float(np.mean([p.log_peak_std for p in said])),
+        sunny_probability=float(np.mean([p.sunny_probability for p in said])),
+        latent=first.latent[0].numpy().astype(np.float32),
+    )
+
+
+def _prediction(encoding: SkyEncoding) -> SkyPrediction:
+    """The first of an encoding. A Laplace density's std is sqrt(2) times its scale."""
+    assert encoding.log_concentration is not None
+    assert encoding.log_peak_scale is not None
+    assert encoding.sunny_logit is not None
+    return SkyPrediction(
+        sun_direction=encoding.direction[0].numpy().astype(np.float32),
+        concentration=float(encoding.log_concentration[0].exp()),
+        log_peak=float(encoding.log_peak[0]),
+        log_peak_std=math.sqrt(2) * float(encoding.log_peak_scale[0].exp()),
+        sunny_probability=float(torch.sigmoid(encoding.sunny_logit[0])),
+        latent=encoding.latent[0].numpy().astype(np.float32),
+    )
+
+
+def _encoding(prediction: SkyPrediction, latent: Float32[np.ndarray, "64"]) -> SkyEncoding:
+    return SkyEncoding(
+        _row(prediction.sun_direction),
+        None,
+        torch.tensor([prediction.log_peak]),
+        None,
+        None,
+        _row(latent),
+    )
+
+
+def _row(vector: Float[np.ndarray, " v"]) -> Float[Tensor, "1 v"]:
+    return torch.from_numpy(np.asarray(vector, np.float32).copy())[None]
+
+
+def _at_height(
+    upper: Float32[np.ndarray, "r w 3"], direction: Float[np.ndarray, "3"], height_px: int
+) -> Float32[np.ndarray, "r2 w2 3"]:
+    """An upper half for another height of the panorama; a sun keeps its energy and direction."""
+    if 2 * len(upper) == height_px:
+        return upper
+    # The lower half repeats the horizon, so that no black ground bleeds into the last rows.
+    whole = np.concatenate([upper, np.broadcast_to(upper[-1:], upper.shape)]).astype(np.float32)
+    sun = Sun(direction, np.zeros(3, np.float32)) if find_sun(whole) else None
+    return resized(SkyDome(whole, sun), height_px).radiance[: height_px // 2]

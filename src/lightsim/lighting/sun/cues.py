@@ -1,0 +1,278 @@
+"""What single observations say about the sun: log likelihoods of directions under a sun that casts
+shadows and under an overcast sky.
+
+A cue is evaluated on cells of some size, so every cue takes the cells' half width as a blur: a
+narrow peak must not fall between cells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64
+from scipy.spatial import KDTree
+
+from lightsim.core.equirect import uv_from_directions
+from lightsim.core.log import GeoReference
+from lightsim.core.solar import SolarPosition, solar_position
+from lightsim.core.twin import Panorama
+from lightsim.errors import InputError
+from lightsim.lighting.directions import log_vmf
+from lightsim.lighting.sample import SkyPrediction
+from lightsim.lighting.sun.direction import SunBlob, find_sun_blobs, gradient_candidates
+from lightsim.lighting.sun.shadow_votes import ShadowVotes
+
+_UNIFORM = -float(np.log(2 * np.pi))
+"""Log density of the hemisphere, per sr."""
+_EPHEMERIS_STD_DEG = 0.05
+"""Refraction and levelling of the world frame; the ephemeris itself is better than 0.001."""
+_CLOCK_STD_DEG = 1.0 * 360.0 / 86164.0
+"""A second of clock."""
+_UNKNOWN_HEADING_STD_DEG = 1.0
+_WRONG_HEADING_SHARE, _WRONG_PLACE_SHARE = 0.002, 0.0005
+_NO_SPOT_WEIGHT = 0.15
+"""Plausibility of "none of the spots is the sun"."""
+_ODDS_LIMIT = 6.0
+"""No cue's log odds of sun against overcast count for more."""
+
+
+@runtime_checkable
+class Cue(Protocol):
+    """One observation."""
+
+    @property
+    def name(self) -> str: ...
+
+    def log_likelihood(
+        self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
+    ) -> Float[np.ndarray, "n 2"]:
+        """Of each direction: column 0 given a clear sun, column 1 given an overcast sky."""
+        ...
+
+
+def _both(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
+    return np.stack([values, values], axis=1)
+
+
+def _robust(log_density: Float[np.ndarray, " n"], outlier_share: float) -> Float[np.ndarray, " n"]:
+    """Mixed with a uniform hemisphere, relative to it."""
+    return np.logaddexp(
+        np.log1p(-outlier_share) + log_density - _UNIFORM, np.log(max(outlier_share, 1e-12))
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class EphemerisCue:
+    """Place and time: the elevation is known, the azimuth as well as the heading is."""
+
+    position: SolarPosition
+    geo: GeoReference
+    name: str = "place and time"
+
+    @property
+    def heading_std_deg(self) -> float | None:
+        """None: the heading is unknown."""
+        if self.geo.enu_from_world is None:
+            return None
+        residual = self.geo.heading_residual_deg
+        return _UNKNOWN_HEADING_STD_DEG if residual is None else float(residual)
+
+    def log_likelihood(
+        self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
+    ) -> Float[np.ndarray, "n 2"]:
+        level_deg = float(np.linalg.norm([_EPHEMERIS_STD_DEG, _CLOCK_STD_DEG, blur_deg]))
+        elevation = np.degrees(np.arcsin(np.clip(directions_world[:, 2], -1, 1)))
+        height = -0.5 * ((elevation - self.position.elevation_deg) / level_deg) ** 2
+        height -= np.log(level_deg)
+        cosine = np.maximum(np.cos(np.radians(self.position.elevation_deg)), 0.05)
+        if self.geo.enu_from_world is None or self.heading_std_deg is None:
+            turn = np.full(len(height), -np.log(360.0 * cosine))
+        else:
+            in_enu = self.geo.enu_from_world.rotate(directions_world)
+            azimuth = np.degrees(np.arctan2(in_enu[:, 0], in_enu[:, 1]))
+            off = (azimuth - self.position.azimuth_deg + 180.0) % 360.0 - 180.0
+            std = float(np.linalg.norm([self.heading_std_deg, level_deg / cosine]))
+            right = -0.5 * (off / std) ** 2 - np.log(std * np.sqrt(2 * np.pi) * cosine)
+            turn = np.logaddexp(
+                np.log1p(-_WRONG_HEADING_SHARE) + right,
+                np.log(_WRONG_HEADING_SHARE / 360.0 / cosine),
+            )
+        log_density = height + turn - 0.5 * np.log(2 * np.pi) + 2 * np.log(180.0 / np.pi)
+        return _both(_robust(log_density, _WRONG_PLACE_SHARE))
+
+
+def ephemeris_cue(geo: GeoReference, time_ns: int) -> EphemerisCue:
+    """The sun's place in the sky at a UTC time.
+
+    Raises:
+        InputError: the sun is below the horizon.
+    """
+    position = solar_position(geo.latitude_deg, geo.longitude_deg, time_ns)
+    if position.elevation_deg <= 0:
+        raise InputError(
+            "the sun is below the horizon: twilight and night are not modelled",
+            got=f"elevation {position.elevation_deg:.2f} degrees",
+            remedy="Give an HDR file as the sky.",
+        )
+    return EphemerisCue(position, geo)
+
+
+@dataclass(frozen=True, eq=False)
+class BlobCue:
+    """Clipped spots: one of them is the sun, or none. A cut one may be the rim of a glow whose
+    middle was not seen."""
+
+    blobs: Sequence[SunBlob]
+    name: str = "clipped spots"
+
+    def log_likelihood(
+        self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
+    ) -> Float[np.ndarray, "n 2"]:
+        weight = np.array([blob.plausibility for blob in self.blobs])
+        none = _NO_SPOT_WEIGHT / (_NO_SPOT_WEIGHT + weight.sum())
+        parts = [self._around(blob, directions_world, blur_deg) for blob in self.blobs]
+        density = np.tensordot(weight / weight.sum(), np.exp(parts), axes=1)
+        values = np.log((1 - none) * density * 2 * np.pi + none)
+        # A free, round spot is rare under cloud.
+        best = max(self.blobs, key=lambda blob: blob.plausibility)
+        odds = 0.0 if best.is_cut else float(np.clip(np.log(best.plausibility + 0.5), 0.0, 1.5))
+        near = directions_world @ best.direction_world > np.cos(np.radians(6.0 + blur_deg))
+        return np.stack([values + odds * near, values], axis=1)
+
+    @staticmethod
+    def _around(
+        blob: SunBlob, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
+    ) -> Float[np.ndarray, " n"]:
+        cosine = directions_world @ blob.direction_world
+        near_deg = float(np.hypot(0.5, blob.radius_deg * (0.8 if blob.is_cut else 0.33)))
+        wide_deg = 15.0 if blob.is_cut else 4.0
+        return np.logaddexp(
+            np.log(0.7) + log_vmf(cosine, float(np.hypot(near_deg, blur_deg))),
+            np.log(0.3) + log_vmf(cosine, float(np.hypot(wide_deg, blur_deg))),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class OpenSkyCue:
+    """A clear sun cannot stand where sky was seen that is not saturated."""
+
+    panorama: Panorama
+    log_penalty: float = -3.0
+    name: str = "sky without a sun"
+
+    def log_likelihood(
+        self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
+    ) -> Float[np.ndarray, "n 2"]:
+        is_open = looked_up(
+            self.panorama.is_sky & self.panorama.is_seen & ~self.panorama.is_clipped,
+            directions_world,
+        )
+        return np.stack([self.log_penalty * is_open, np.zeros(len(is_open))], axis=1)
+
+
+def looked_up(
+    mask: Bool[np.ndarray, "h w"], directions_world: Float[np.ndarray, "n 3"]
+) -> Bool[np.ndarray, " n"]:
+    """The mask's pixels at directions."""
+    height, width = mask.shape
+    uv = uv_from_directions(directions_world)
+    column = np.minimum((uv[:, 0] * width).astype(np.int64), width - 1)
+    row = np.minimum((uv[:, 1] * height).astype(np.int64), height - 1)
+    return mask[row, column]
+
+
+class _Interpolated:
+    """Log likelihoods given on scattered directions, between them by the three nearest."""
+
+    def __init__(
+        self, directions_world: Float[np.ndarray, "d 3"], values: Float[np.ndarray, " d"]
+    ) -> None:
+        self._tree, self._values = KDTree(directions_world), values
+
+    def at(self, directions_world: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+        distance, index = self._tree.query(directions_world, k=3)
+        weight = 1.0 / np.maximum(distance, 1e-4) ** 2
+        return (weight * self._values[index]).sum(axis=1) / weight.sum(axis=1)
+
+
+class GradientCue:
+    """Clear skies, compared with the unsaturated sky that was seen."""
+
+    name = "gradient of the sky"
+
+    def __init__(self, panorama: Panorama, std: float = 0.07, outlier_share: float = 0.4) -> None:
+        directions, residual = gradient_candidates(panorama)
+        # Relative errors that thin clouds and tone curves leave of a well-fitting model.
+        log_weight = -(residual - residual.min()) / (2 * std**2)
+        # Candidates lie on rings of equal count: each stands for a cosine's share of the sphere.
+        share = np.exp(log_weight) * np.sqrt(1 - directions[:, 2] ** 2)
+        density = np.exp(log_weight) / share.sum() * np.sqrt(1 - directions[:, 2] ** 2).sum()
+        self._values = _Interpolated(
+            directions, np.log((1 - outlier_share) * density + outlier_share)
+        )
+
+    def log_likelihood(
+        self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
+    ) -> Float[np.ndarray, "n 2"]:
+        return _both(self._values.at(directions_world))
+
+
+class ShadowCue:
+    """Cast shadows and shading of the reconstructed surfaces."""
+
+    name = "light and shade"
+
+    def __init__(self, votes: ShadowVotes) -> None:
+        self.votes = votes
+        self._values = _Interpolated(votes.direction_world, votes.log_likelihood)
+
+    def log_likelihood(
+        self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
+    ) -> Float[np.ndarray, "n 2"]:
+        values = self._values.at(directions_world)
+        # Thin cloud softens shadows but does not move them.
+        return np.stack([values + _log_odds(self.votes.sunny_probability), 0.5 * values], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkCue:
+    """A trained network's reading of the completed panorama."""
+
+    prediction: SkyPrediction
+    temper: float = 0.7
+    name: str = "network"
+
+    def log_likelihood(
+        self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
+    ) -> Float[np.ndarray, "n 2"]:
+        cosine = directions_world @ self.prediction.sun_direction.astype(np.float64)
+        kappa = max(self.prediction.concentration * self.temper, 1e-3)
+        std_deg = float(np.hypot(np.degrees(1 / np.sqrt(kappa)), blur_deg))
+        values = _robust(log_vmf(cosine, std_deg), 0.1)
+        odds = self.temper * _log_odds(self.prediction.sunny_probability)
+        return np.stack([values + odds, values], axis=1)
+
+
+def _log_odds(probability: float) -> float:
+    safe = float(np.clip(probability, 1e-6, 1 - 1e-6))
+    return float(np.clip(np.log(safe / (1 - safe)), -_ODDS_LIMIT, _ODDS_LIMIT))
+
+
+def panorama_cues(panorama: Panorama) -> list[Cue]:
+    """What a panorama says by itself; nothing, where no sky was seen."""
+    seen = panorama.is_sky & panorama.is_seen
+    if not seen.any():
+        return []
+    cues: list[Cue] = [OpenSkyCue(panorama)]
+    blobs = find_sun_blobs(panorama)
+    if blobs:
+        cues.append(BlobCue(blobs))
+    try:
+        cues.append(GradientCue(panorama))
+    except InputError:
+        # All of it is saturated or too little was seen: its gradient says nothing.
+        return cues
+    return cues

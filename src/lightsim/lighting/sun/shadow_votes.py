@@ -1,0 +1,321 @@
+"""Which sun explains the light and shade on the reconstructed surfaces?
+
+Two points of one plane and material share their base colour on average, so that the contrast of
+their radiance is that of the light on them: log L_i - log L_j = log(d_i + s c_i v_i) - log(d_j +
+s c_j v_j), with the diffuse light d (open share of the sky and what the surroundings send, in units
+of the level sky), the sun's strength s in the same units, its cosine c and its visibility v, cast
+through the meshes. Every direction of a grid is asked how likely it makes the contrasts seen; a sun
+of strength 0 is the rival hypothesis: overcast. Neighbouring pairs share paint and mesh errors:
+blocks of space are the unit of evidence, and the posterior is the mean over bootstrap samples of
+blocks (BayesBag, Huggins & Miller 2023, doi:10.1214/21-BA1301), which stays wide where few blocks
+carry the vote or the model is wrong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64, Int64
+from scipy import sparse
+from scipy.spatial import KDTree
+
+from lightsim.core.casting import RayCaster
+from lightsim.lighting.directions import count_for_spacing, fibonacci_hemisphere, log_vmf
+from lightsim.lighting.sun.surface_samples import SampleConfig, SurfaceSamples
+from lightsim.progress import Progress, SilentProgress
+
+STRENGTHS = (0.6, 1.5, 3.5, 8.0)
+"""Candidates of the irradiance of a high sun over the level sky's; 0 is the rival."""
+_MIN_BLOCKS, _MOST_CELLS = 5, 60
+_UNIFORM_SHARE = 0.02
+_LOG_INDEPENDENT = 4.6
+"""Log of the number of directions whose shadows differ altogether, about a hundred."""
+
+
+@dataclass(frozen=True)
+class ShadowVoteConfig:
+    """How surfaces are asked for the sun."""
+
+    samples: SampleConfig = field(default_factory=SampleConfig)
+    """The points."""
+    pairs_per_point: int = 2
+    """Partners of each point."""
+    pair_distance_m: tuple[float, float] = (0.3, 3.0)
+    """Nearest and farthest partner."""
+    min_normal_cosine: float = 0.97
+    """Their normals differ by no more (14 degrees)."""
+    max_plane_offset_m: float = 0.15
+    """A partner lies this close to the point's plane."""
+    block_m: float = 4.0
+    """Side of the blocks of space that vote as one."""
+    votes_per_block: float = 3.0
+    """Independent pairs that a block counts for at most."""
+    wrong_share: float = 0.3
+    """Share of pairs whose cast shadow is wrong: casters that no sensor saw."""
+    bounce: float = 0.35
+    """Light of the surroundings where no sky is seen, in units of the level sky."""
+    coarse_count: int = 700
+    """Directions of the first round over the hemisphere (5.4 degrees apart)."""
+    fine_deg: float = 1.2
+    """Spacing of the second round, near the first round's best."""
+    mesh_std_deg: float = 1.5
+    """Error that the meshes' shape adds to the direction."""
+    bootstraps: int = 200
+    """Resampled sets of blocks."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShadowVotes:
+    """What surfaces say about the sun.
+
+    Args:
+        direction_world: candidates.
+        weight_sr: solid angle that each stands for.
+        log_likelihood: of each, given a sun that casts shadows; 0 is a uniform sky's.
+        sunny_probability: of a sun that casts shadows, at even odds before.
+        log_strength: posterior mean of the log of the sun's irradiance over the level sky's.
+        pair_count, block_count: behind it.
+    """
+
+    direction_world: Float[np.ndarray, "d 3"]
+    weight_sr: Float[np.ndarray, " d"]
+    log_likelihood: Float[np.ndarray, " d"]
+    sunny_probability: float
+    log_strength: float
+    pair_count: int
+    block_count: int
+
+
+def vote(
+    samples: SurfaceSamples,
+    caster: RayCaster,
+    config: ShadowVoteConfig,
+    rng: np.random.Generator,
+    *,
+    progress: Progress | None = None,
+) -> ShadowVotes:
+    """Likelihood of every sun direction given the light and shade on the samples."""
+    first, second = _pairs(samples, config, rng)
+    coarse = fibonacci_hemisphere(config.coarse_count)
+    weight = np.full(len(coarse), 2 * np.pi / len(coarse))
+    blocks = _block_numbers(samples, first, config.block_m)
+    block_count = int(blocks.max()) + 1 if len(blocks) else 0
+    if block_count < _MIN_BLOCKS:
+        return ShadowVotes(coarse, weight, np.zeros(len(coarse)), 0.5, 0.0, len(first), block_count)
+    model = _PairModel(samples, caster, first, second, blocks, config)
+    counts = rng.multinomial(
+        block_count, np.full(block_count, 1.0 / block_count), size=config.bootstraps
+    ).astype(np.float32)
+    steps = (progress or SilentProgress()).track(range(3), "reading shadows")
+    next(steps)
+    votes = model.block_votes(coarse)
+    rough = _resampled(votes, counts)
+    next(steps)
+    sunny, trust = _reliability(votes, model.block_votes(coarse, is_flipped=True))
+    next(steps)
+    chosen = _best_cells(rough, weight)
+    fine = fibonacci_hemisphere(count_for_spacing(config.fine_deg))
+    fine = fine[np.isin(KDTree(coarse).query(fine)[1], chosen)]
+    exact = _resampled(model.block_votes(fine), counts)
+    for _ in steps:
+        continue
+    rest = np.ones(len(coarse), dtype=bool)
+    rest[chosen] = False
+    fine_sr = len(chosen) * weight[0] / max(1, len(fine))
+    directions = np.concatenate([coarse[rest], fine])
+    weight = np.concatenate([weight[rest], np.full(len(fine), fine_sr)])
+    joint = np.concatenate([rough[:, rest], exact], axis=1)
+    density = _blurred(
+        directions, _mean_density(trust * joint, weight), weight, config.mesh_std_deg
+    )
+    # Against a model that is wrong everywhere, no direction is ruled out.
+    relative = (1 - _UNIFORM_SHARE) * density * 2 * np.pi + _UNIFORM_SHARE
+    return ShadowVotes(
+        directions,
+        weight,
+        np.log(relative),
+        sunny,
+        _mean_log_strength(joint, weight),
+        len(first),
+        block_count,
+    )
+
+
+def _pairs(
+    samples: SurfaceSamples, config: ShadowVoteConfig, rng: np.random.Generator
+) -> tuple[Int64[np.ndarray, " p"], Int64[np.ndarray, " p"]]:
+    """Random partners on the same plane of the same material."""
+    nothing = np.zeros(0, np.int64)
+    if len(samples) < 2:
+        return nothing, nothing
+    near_m, far_m = config.pair_distance_m
+    tree = KDTree(samples.position_world)
+    found = tree.query_pairs(far_m, output_type="ndarray").astype(np.int64)
+    i, j = found[:, 0], found[:, 1]
+    offset = samples.position_world[j] - samples.position_world[i]
+    normal = samples.normal_world
+    keep = np.linalg.norm(offset, axis=1) >= near_m
+    keep &= np.einsum("ij,ij->i", normal[i], normal[j]) >= config.min_normal_cosine
+    keep &= np.abs(np.einsum("ij,ij->i", normal[i], offset)) <= config.max_plane_offset_m
+    keep &= samples.material[i] == samples.material[j]
+    i, j = i[keep], j[keep]
+    order = rng.permutation(len(i))[: config.pairs_per_point * len(samples)]
+    return i[order], j[order]
+
+
+def _block_numbers(
+    samples: SurfaceSamples, first: Int64[np.ndarray, " p"], block_m: float
+) -> Int64[np.ndarray, " p"]:
+    if not len(first):
+        return np.zeros(0, np.int64)
+    cell = np.floor(samples.position_world[first] / block_m).astype(np.int64)
+    return np.unique(cell, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
+
+
+class _PairModel:
+    """Log likelihood of the observed contrasts for any sun, block by block."""
+
+    def __init__(
+        self,
+        samples: SurfaceSamples,
+        caster: RayCaster,
+        first: Int64[np.ndarray, " p"],
+        second: Int64[np.ndarray, " p"],
+        blocks: Int64[np.ndarray, " p"],
+        config: ShadowVoteConfig,
+    ) -> None:
+        self._samples, self._caster, self._config = samples, caster, config
+        self._first, self._second = first, second
+        self._used = np.unique(np.concatenate([first, second]))
+        diffuse = samples.sky_share + config.bounce * (1 - samples.sky_share)
+        self._diffuse = np.maximum(diffuse, 0.05).astype(np.float32)
+        seen = samples.log_radiance[first] - samples.log_radiance[second]
+        flat = np.log(self._diffuse[first] / self._diffuse[second])
+        excess = seen - flat
+        # Robust: shadow edges are few among all pairs.
+        noise = np.clip(1.4826 * np.median(np.abs(excess)), 0.05, 0.5)
+        self._scale = np.float32(1.0 / noise)
+        self._excess = (excess * self._scale).astype(np.float32)
+        self._inverse_null = 1.0 / _density(self._excess)
+        share = np.minimum(1.0, config.votes_per_block / np.bincount(blocks)).astype(np.float32)
+        self._block_count = len(share)
+        self._sum_blocks = sparse.csr_matrix(
+            (share[blocks], (blocks, np.arange(len(blocks)))), dtype=np.float32
+        )
+
+    def block_votes(
+        self, directions: Float[np.ndarray, "d 3"], *, is_flipped: bool = False
+    ) -> Float32[np.ndarray, "b d s"]:
+        """Log likelihood ratio to an overcast sky; flipped: of a sun whose light were shade."""
+        votes = np.zeros((self._block_count, len(directions), len(STRENGTHS)), np.float32)
+        sign = -self._scale if is_flipped else self._scale
+        for d, direction in enumerate(directions):
+            sun = self._sun_on_points(direction)
+            through = _transmission(float(direction[2]))
+            for s, strength in enumerate(STRENGTHS):
+                step = sign * np.log1p(np.float32(strength * through) * sun)
+                ratio = self._ratio(step[self._first] - step[self._second])
+                votes[:, d, s] = self._sum_blocks @ np.log(ratio)
+        return votes
+
+    def _sun_on_points(self, direction: Float[np.ndarray, "3"]) -> Float32[np.ndarray, " n"]:
+        """Cosine times visibility over the diffuse light."""
+        samples = self._samples
+        sun = np.zeros(len(samples), np.float32)
+        cosine = samples.normal_world[self._used] @ direction
+        facing = self._used[cosine > 0.02]
+        start = (
+            samples.position_world[facing]
+            + self._config.samples.lift_m * samples.normal_world[facing]
+        )
+        hidden = self._caster.is_occluded(start, np.broadcast_to(direction, start.shape).copy())
+        sun[facing] = np.where(hidden, 0.0, cosine[cosine > 0.02])
+        return sun / self._diffuse
+
+    def _ratio(self, step: Float32[np.ndarray, " p"]) -> Float32[np.ndarray, " p"]:
+        wrong = np.float32(self._config.wrong_share)
+        return (1 - wrong) * _density(self._excess - step) * self._inverse_null + wrong
+
+
+def _transmission(sine: float) -> float:
+    """What the air leaves of the sun, relative to the zenith: a sun at the horizon makes no hard
+    shadows. Air mass by Kasten & Young 1989 (doi:10.1364/AO.28.004735), 0.1 a unit."""
+    elevation_deg = float(np.degrees(np.arcsin(np.clip(sine, 0.0, 1.0))))
+    air_mass = 1.0 / (sine + 0.50572 * (elevation_deg + 6.07995) ** -1.6364)
+    return float(np.exp(-0.1 * (air_mass - 1.0)))
+
+
+def _density(z: Float32[np.ndarray, " p"]) -> Float32[np.ndarray, " p"]:
+    """Unnormalised: Student's t with 3 degrees of freedom, and a fifth with three times its
+    width, because paint has heavy tails."""
+    square = z * z
+    narrow, wide = 1 + square * np.float32(1 / 3), 1 + square * np.float32(1 / 27)
+    return np.float32(0.8) / (narrow * narrow) + np.float32(0.2 / 3) / (wide * wide)
+
+
+def _reliability(
+    found: Float32[np.ndarray, "b d s"], flipped: Float32[np.ndarray, "b d s"]
+) -> tuple[float, float]:
+    """(probability of a sun that casts shadows at even odds, share of the vote to be trusted).
+
+    The flipped sun is a control: it meets the same shapes, paint and look-elsewhere effect, and
+    whatever it explains is chance. Its best stands against the sun's best; a true sun must beat
+    it by more than the number of independent directions makes likely.
+    """
+    best = float(found.sum(axis=0).max())
+    chance = max(float(flipped.sum(axis=0).max()), 0.0)
+    spread = max(1.0, chance / _LOG_INDEPENDENT)
+    log_odds = (best - chance) / spread - _LOG_INDEPENDENT
+    probability = 1.0 / (1.0 + np.exp(-np.clip(log_odds, -20.0, 20.0)))
+    return float(probability), float(np.clip((best - chance) / max(best, 1e-6), 0.0, 1.0))
+
+
+def _resampled(
+    votes: Float32[np.ndarray, "b d s"], counts: Float32[np.ndarray, "k b"]
+) -> Float32[np.ndarray, "k d s"]:
+    flat = counts @ votes.reshape(len(votes), -1)
+    return flat.reshape(len(counts), *votes.shape[1:])
+
+
+def _best_cells(
+    log_ratio: Float32[np.ndarray, "k d s"], weight: Float[np.ndarray, " d"]
+) -> Int64[np.ndarray, " m"]:
+    """Directions that are worth a closer look: most of the posterior's mass, flattened because
+    the coarse grid steps over narrow peaks."""
+    density = _mean_density(0.5 * log_ratio, weight) * weight
+    order = np.argsort(density)[::-1]
+    count = int((np.cumsum(density[order]) < 0.98).sum()) + 1
+    return order[: min(count, _MOST_CELLS)].astype(np.int64)
+
+
+def _mean_density(
+    log_ratio: Float32[np.ndarray, "k d s"], weight: Float[np.ndarray, " d"]
+) -> Float64[np.ndarray, " d"]:
+    """Posterior density per sr given a sun, mean over the bootstrap samples."""
+    top = log_ratio.max(axis=(1, 2), keepdims=True)
+    density = np.exp((log_ratio - top).astype(np.float64)).mean(axis=2)
+    density /= (density @ weight)[:, None]
+    return density.mean(axis=0)
+
+
+def _mean_log_strength(
+    log_ratio: Float32[np.ndarray, "k d s"], weight: Float[np.ndarray, " d"]
+) -> float:
+    top = log_ratio.max(axis=(1, 2), keepdims=True)
+    share = np.einsum("kds,d->ks", np.exp((log_ratio - top).astype(np.float64)), weight)
+    share /= share.sum(axis=1, keepdims=True)
+    return float(share.mean(axis=0) @ np.log(STRENGTHS))
+
+
+def _blurred(
+    directions: Float[np.ndarray, "d 3"],
+    density: Float[np.ndarray, " d"],
+    weight: Float[np.ndarray, " d"],
+    std_deg: float,
+) -> Float[np.ndarray, " d"]:
+    """Spread by errors of the meshes that all blocks share."""
+    kernel = np.exp(log_vmf(np.clip(directions @ directions.T, -1, 1), std_deg))
+    # Coarse cells are wider than the kernel: a row that does not sum to one keeps its own mass.
+    mass = kernel * weight[None]
+    return (mass / mass.sum(axis=1, keepdims=True)) @ density

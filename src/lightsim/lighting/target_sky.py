@@ -1,0 +1,233 @@
+"""Target skies: named ones, arrays from files, and how bright they are made."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from lightsim.core.colour import luminance
+from lightsim.core.dome import SkyDome, find_sun
+from lightsim.core.log import GeoReference
+from lightsim.core.resample import resize_area
+from lightsim.core.solar import azimuth_elevation, direction_enu, direction_world, solar_position
+from lightsim.core.twin import SkyEstimate
+from lightsim.errors import InputError
+from lightsim.lighting.sky.clear_sky import clear_sky
+
+FORMS = "sun:AZIMUTH,ELEVATION[,TURBIDITY], time:ISO (such as 2019-05-11T01:59:16Z) or source"
+_DEFAULT_TURBIDITY = 3.0
+_YEARS = (1900, 2200)
+"""Where the ephemeris is exact and times fit into nanoseconds."""
+_NEGATIVE_TOLERANCE = 1e-3
+"""Negative radiance down to this share of the mean is filter ringing and is clipped."""
+
+
+def target_sky(
+    spec: str, *, geo: GeoReference | None, source: SkyEstimate | None, height_px: int
+) -> tuple[SkyDome, str, dict[str, Any]]:
+    """The sky that a form names: dome in frame `world`, a one-line description, and the facts to
+    record (sun azimuth from true north, elevation, turbidity, what was assumed).
+
+    Azimuths are clockwise from true north; a log of unknown heading is taken as world = ENU, and
+    the facts say so. `source` comes at its own resolution.
+
+    Raises:
+        InputError: the form is not one of FORMS, or asks for what the log does not have.
+    """
+    if spec == "source":
+        return _source_sky(source)
+    if spec.startswith("sun:"):
+        azimuth_deg, elevation_deg, turbidity = _parse_sun(spec)
+        facts: dict[str, Any] = {}
+    elif spec.startswith("time:"):
+        time_ns = parse_time(spec)
+        if geo is None:
+            raise InputError(
+                "the log has no place on Earth, so a time does not give a sun",
+                where=spec,
+                remedy="Use sun:AZIMUTH,ELEVATION instead.",
+            )
+        position = solar_position(geo.latitude_deg, geo.longitude_deg, time_ns)
+        azimuth_deg, elevation_deg = position.azimuth_deg, position.elevation_deg
+        turbidity, facts = _DEFAULT_TURBIDITY, {"utc_ns": time_ns}
+        if elevation_deg <= 0:
+            raise InputError(
+                "the sun is below the horizon then: twilight and night skies are not modelled",
+                where=spec,
+                got=f"an elevation of {elevation_deg:.1f} degrees at the log's place",
+                remedy="Choose another time (UTC unless it says otherwise), or give an HDR file.",
+            )
+    else:
+        raise InputError("the sky is not a known form", where=spec, expected=FORMS)
+    if geo is not None and geo.enu_from_world is not None:
+        direction = direction_world(azimuth_deg, elevation_deg, geo.enu_from_world)
+    else:
+        direction = direction_enu(azimuth_deg, elevation_deg)
+        facts["assumed"] = "the heading is unknown: world x is taken as east"
+    dome = clear_sky(direction, turbidity, height_px=height_px)
+    facts |= {
+        "azimuth_deg": azimuth_deg,
+        "elevation_deg": elevation_deg,
+        "turbidity": turbidity,
+    }
+    name = f"clear sky, sun at {azimuth_deg:.1f}, {elevation_deg:.1f}, turbidity {turbidity:g}"
+    return dome, name, facts
+
+
+def _source_sky(source: SkyEstimate | None) -> tuple[SkyDome, str, dict[str, Any]]:
+    if source is None:
+        raise InputError(
+            "there is no twin whose estimated sky this names",
+            where="source",
+            expected="sun:AZIMUTH,ELEVATION[,TURBIDITY] or an HDR file",
+        )
+    facts: dict[str, Any] = {
+        "azimuth_deg": source.sun_azimuth_deg,
+        "elevation_deg": source.sun_elevation_deg,
+        "origin": source.origin,
+    }
+    return source.dome, "the estimated source sky", facts
+
+
+def _parse_sun(spec: str) -> tuple[float, float, float]:
+    parts = spec.removeprefix("sun:").split(",")
+    try:
+        numbers = [float(part) for part in parts]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (2, 3) or not np.isfinite(numbers).all():
+        raise InputError("the sun cannot be read", where=spec, expected=FORMS)
+    azimuth_deg, elevation_deg = numbers[0] % 360.0, numbers[1]
+    if not 0 < elevation_deg <= 90:
+        raise InputError(
+            "the sun's elevation is out of range",
+            where=spec,
+            got=elevation_deg,
+            expected="above 0 and at most 90 degrees",
+            remedy="Night and twilight are not modelled; give an HDR file for them.",
+        )
+    return azimuth_deg, elevation_deg, numbers[2] if len(numbers) == 3 else _DEFAULT_TURBIDITY
+
+
+def parse_time(spec: str) -> int:
+    """Nanoseconds UTC of time:ISO; a time without an offset is UTC.
+
+    Raises:
+        InputError: it is no ISO 8601 time of the years 1900 to 2199.
+    """
+    try:
+        moment = datetime.fromisoformat(spec.removeprefix("time:"))
+    except ValueError as error:
+        raise InputError("the time cannot be read", where=spec, expected=FORMS) from error
+    if moment.tzinfo is None:
+        moment = moment.replace(tzinfo=UTC)
+    if not _YEARS[0] <= moment.year < _YEARS[1]:
+        raise InputError(
+            "the time is out of range",
+            where=spec,
+            got=f"the year {moment.year}",
+            expected=f"{_YEARS[0]} to {_YEARS[1] - 1}",
+        )
+    return round(moment.timestamp() * 1e6) * 1000
+
+
+def dome_from_array(radiance: Shaped[np.ndarray, "h w 3"], name: str = "the sky image") -> SkyDome:
+    """A dome of a file's pixels, frame `world`, with its sun if it has one.
+
+    Slight negative values are clipped. An image that misses 2:1 by a pixel or two is resampled.
+
+    Raises:
+        InputError: not 2:1, not finite, clearly negative, or black.
+    """
+    height, width = radiance.shape[:2]
+    if height < 4 or abs(width - 2 * height) > 2:
+        raise InputError(
+            "a sky must be an equirectangular image, twice as wide as high",
+            where=name,
+            got=f"{width}x{height} px",
+            expected="4 rows or more, for example 1024x512 px",
+            remedy="Convert light probes, cube maps or cropped panoramas to equirectangular.",
+        )
+    if not np.isfinite(radiance).all():
+        raise InputError(
+            "the sky has infinite or NaN pixels",
+            where=name,
+            got=f"{int((~np.isfinite(radiance)).any(axis=-1).sum())} of them",
+            remedy="Save it as 32-bit float: suns exceed the half-float range of 65504.",
+        )
+    values = radiance.astype(np.float32)
+    mean = float(values.mean(dtype=np.float64))
+    if mean <= 0 or float(values.min()) < -_NEGATIVE_TOLERANCE * mean:
+        raise InputError(
+            "the sky is black or has negative radiance",
+            where=name,
+            got=f"minimum {float(values.min()):g}, mean {mean:g}",
+            expected="values of 0 or more that are not all 0",
+            remedy="Export it again with its light, and clip it at zero.",
+        )
+    values = np.maximum(values, 0.0)
+    rows = width // 2
+    if (rows, 2 * rows) != (height, width):
+        values = resize_area(values, rows, 2 * rows)
+    try:
+        dome = SkyDome(values, None)
+    except InputError as error:
+        raise error.at(name) from error
+    return replace(dome, sun=find_sun(values))
+
+
+def scale_to_source(
+    dome: SkyDome, source: SkyDome | None, mode: Literal["auto", "none"] | float
+) -> tuple[SkyDome, float]:
+    """The dome times a factor, and the factor.
+
+    "auto" gives the dome the source's luminance on level ground; "none" keeps scene units as
+    stored (a clear sky then lights a white level surface to a luminance of about 1 at a sun of 45
+    degrees); a number multiplies.
+
+    Raises:
+        InputError: the number is not positive, a sky is black, or "auto" has no source.
+    """
+    if mode == "none":
+        return dome, 1.0
+    if isinstance(mode, str):
+        if source is None:
+            raise InputError(
+                "there is no source sky to match",
+                remedy="Give --sky-scale none or a number.",
+            )
+        target, wanted = _level_luminance(dome), _level_luminance(source)
+        if target <= 0 or wanted <= 0:
+            raise InputError(
+                "a sky without light from above cannot be matched",
+                where="--sky-scale",
+                got=f"luminance {target:g} of the sky, {wanted:g} of the source",
+                expected="both above 0 on level ground",
+                remedy="Give --sky-scale none or a number.",
+            )
+        factor = wanted / target
+    else:
+        factor = float(mode)
+        if not np.isfinite(factor) or factor <= 0:
+            raise InputError(
+                "the sky's scale must be positive",
+                where="--sky-scale",
+                got=mode,
+                expected="a finite number above 0",
+            )
+    return dome.scaled(factor), factor
+
+
+def _level_luminance(dome: SkyDome) -> float:
+    return float(luminance(dome.horizontal_irradiance()))
+
+
+def sun_azimuth_deg(direction: Float[np.ndarray, "3"], geo: GeoReference | None) -> float | None:
+    """Azimuth clockwise from true north of a direction in `world`; None of unknown heading."""
+    if geo is None or geo.enu_from_world is None:
+        return None
+    return azimuth_elevation(geo.enu_from_world.rotate(direction)).azimuth_deg

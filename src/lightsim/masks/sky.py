@@ -1,0 +1,234 @@
+"""Sky mattes without learned weights: which part of each pixel is sky.
+
+The image is cut into small regions of even colour. Each region gets log-odds of being sky from
+LiDAR returns and their absence, ray elevation, colour and texture; the odds spread between
+regions that meet without an edge; a matting step at full resolution gives soft borders.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, UInt8
+
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.frames import RigidTransform
+from lightsim.core.log import DrivingLog
+from lightsim.core.resample import resize_area
+from lightsim.core.sensors import CameraFrame
+from lightsim.errors import InputError
+from lightsim.masks.sky_matting import refine_matte
+from lightsim.masks.sky_regions import (
+    ImageEvidence,
+    keep_open_sky,
+    region_graph,
+    region_log_odds,
+    spread_log_odds,
+    with_image_colours,
+)
+from lightsim.progress import Progress
+
+_WORKERS = 2
+"""Frames worked on at once."""
+
+
+@dataclass(frozen=True)
+class SkyMaskConfig:
+    """Settings of the sky matte."""
+
+    working_width_px: int = 480
+    """Width at which regions are found; borders are refined at full width."""
+    region_scale: float = 30.0
+    """Felzenszwalb's scale: larger regions for larger values."""
+    min_region_px: int = 24
+    """Smallest region at working width."""
+    horizon_deg: float = 0.0
+    """No sky is expected below this elevation."""
+    lidar_band_deg: tuple[float, float] = (2.0, 9.0)
+    """Elevations in which a solid surface within range surely gives LiDAR returns."""
+    lidar_beam_gap_deg: float = 3.2
+    """Largest angle between neighbouring beams in that band."""
+    edge_contrast: float = 4.0
+    """CIE Lab step over two pixels at which two regions stop agreeing."""
+    smoothing: float = 1.5
+    """Weight of agreement between neighbours against a region's own evidence."""
+    border_px: int = 3
+    """Half width of the soft border, working pixels."""
+    min_sky_fraction: float = 0.0015
+    """Image fraction of the smallest sky that does not touch the top of the image."""
+    sweep_step: int = 6
+    """`sky_mattes` gathers the high returns of every n-th sweep: older viewpoints see higher."""
+
+
+def estimate_sky_matte(
+    srgb8: UInt8[np.ndarray, "h w 3"],
+    camera: PinholeCamera,
+    world_from_camera: RigidTransform,
+    lidar_points_world: Float[np.ndarray, "n 3"],
+    own_car_mask: Bool[np.ndarray, "h w"] | None,
+    config: SkyMaskConfig,
+) -> Float32[np.ndarray, "h w"]:
+    """Fraction of each pixel that is sky: 1 sky, 0 anything else.
+
+    An image without sky gives zeros. Without LiDAR points, colour, texture and elevation decide
+    alone, and a bright plain wall that fills the top of the image can pass for sky.
+
+    Args:
+        srgb8: the image.
+        camera: its intrinsics, for exactly this image size.
+        world_from_camera: the camera's pose; world z is up.
+        lidar_points_world: returns around the time of the image; may be empty.
+        own_car_mask: True where the camera sees the recording car.
+        config: settings.
+
+    Raises:
+        InputError: image and camera differ in size.
+    """
+    height, width = srgb8.shape[:2]
+    if (height, width) != (camera.height_px, camera.width_px):
+        raise InputError(
+            "the image and the camera differ in size",
+            where=f"camera '{camera.name}'",
+            got=f"image {width}x{height} px",
+            expected=f"{camera.width_px}x{camera.height_px} px",
+        )
+    evidence = _gather(srgb8, camera, world_from_camera, lidar_points_world, own_car_mask, config)
+    if not (evidence.elevation_deg > config.horizon_deg).any():
+        return np.zeros((height, width), np.float32)
+    labels = _segment(evidence.lab, config)
+    graph = region_graph(labels, evidence.lab, config.edge_contrast)
+    own = region_log_odds(labels, evidence)
+    first = spread_log_odds(graph, own, config.smoothing)
+    own = with_image_colours(labels, evidence, own, first)
+    sky = spread_log_odds(graph, own, config.smoothing)
+    min_px = int(config.min_sky_fraction * labels.size)
+    probability = keep_open_sky(labels, sky, evidence, max(min_px, 1))
+    return refine_matte(srgb8, probability, evidence, config.border_px)
+
+
+def sky_mattes(
+    log: DrivingLog, config: SkyMaskConfig, progress: Progress
+) -> Iterator[tuple[CameraFrame, Float32[np.ndarray, "h w"]]]:
+    """Each frame of the log with its matte; few in memory at a time."""
+    points_world = gather_high_points(log, config)
+
+    def matte_of(frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
+        return estimate_sky_matte(
+            frame.load_srgb8(),
+            log.cameras[frame.camera_name],
+            frame.world_from_camera,
+            points_world,
+            log.own_car_masks.get(frame.camera_name),
+            config,
+        )
+
+    # Array operations leave Python's lock, so threads do share the work.
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        ahead: deque[Future[Float32[np.ndarray, "h w"]]] = deque()
+        coming = iter(log.frames)
+        for frame in progress.track(log.frames, "sky mattes", len(log.frames)):
+            ahead.extend(
+                pool.submit(matte_of, f) for f in islice(coming, _WORKERS - len(ahead) + 1)
+            )
+            yield frame, ahead.popleft().result()
+
+
+def gather_high_points(log: DrivingLog, config: SkyMaskConfig) -> Float32[np.ndarray, "n 3"]:
+    """Static returns of every n-th sweep above the ego's ground, thinned to 0.15 m, in `world`.
+
+    A wall that towers over the LiDAR's field of view nearby was often measured from afar.
+    """
+    chosen = list(log.sweeps[:: max(1, config.sweep_step)])
+    if log.sweeps and chosen[-1] is not log.sweeps[-1]:
+        chosen.append(log.sweeps[-1])
+    kept = [np.zeros((0, 3), np.float32)]
+    for lazy in chosen:
+        sweep = lazy.load()
+        points = sweep.points_world[sweep.points_world[:, 2] > sweep.origins_world[:, 2] - 0.5]
+        is_moving = np.zeros(len(points), bool)
+        for actor in log.actors_at(lazy.time_ns):
+            if actor.is_moving:
+                is_moving |= actor.contains(points, lazy.time_ns, 0.3)
+        kept.append(points[~is_moving])
+    points_world = np.concatenate(kept)
+    cells = np.floor(points_world / 0.15).astype(np.int64)
+    _, first = np.unique(cells @ np.array([1, 1 << 20, 1 << 40]), return_index=True)
+    return points_world[first]
+
+
+def _gather(
+    srgb8: UInt8[np.ndarray, "h w 3"],
+    camera: PinholeCamera,
+    world_from_camera: RigidTransform,
+    lidar_points_world: Float[np.ndarray, "n 3"],
+    own_car_mask: Bool[np.ndarray, "h w"] | None,
+    config: SkyMaskConfig,
+) -> ImageEvidence:
+    """Per-pixel evidence at working width."""
+    from skimage.color import rgb2lab
+
+    small = camera.scaled(min(1.0, config.working_width_px / camera.width_px))
+    rows, columns = small.height_px, small.width_px
+    rgb = resize_area(srgb8.astype(np.float32) / np.float32(255.0), rows, columns)
+    directions = world_from_camera.rotate(small.directions(small.pixel_centres()))
+    elevation_deg = np.degrees(np.arcsin(np.clip(directions[..., 2], -1.0, 1.0)))
+    is_own_car = np.zeros((rows, columns), bool)
+    if own_car_mask is not None:
+        share = resize_area(own_car_mask[..., None].astype(np.float32), rows, columns)
+        is_own_car = share[..., 0] > 0.01
+    hits = _project_hits(lidar_points_world, small, world_from_camera)
+    low, high = config.lidar_band_deg
+    in_band = (elevation_deg > low) & (elevation_deg < high)
+    is_silent = np.zeros((rows, columns), bool)
+    if hits.any():
+        is_silent = in_band & ~_near_hits(hits, small, config.lidar_beam_gap_deg)
+    return ImageEvidence(
+        lab=rgb2lab(rgb).astype(np.float32),
+        elevation_deg=elevation_deg.astype(np.float32),
+        has_hit=hits,
+        is_scanned=elevation_deg < high,
+        is_silent=is_silent,
+        is_excluded=is_own_car | (elevation_deg < config.horizon_deg),
+    )
+
+
+def _segment(lab: Float32[np.ndarray, "h w 3"], config: SkyMaskConfig) -> np.ndarray:
+    from skimage.segmentation import felzenszwalb
+
+    return felzenszwalb(
+        lab.astype(np.float64) / 100.0,
+        scale=config.region_scale,
+        sigma=0.7,
+        min_size=config.min_region_px,
+        channel_axis=-1,
+    )
+
+
+def _project_hits(
+    points_world: Float[np.ndarray, "n 3"],
+    camera: PinholeCamera,
+    world_from_camera: RigidTransform,
+) -> Bool[np.ndarray, "h w"]:
+    """Pixels that a return falls into; returns nearer than 1 m are the car's own."""
+    hits = np.zeros((camera.height_px, camera.width_px), bool)
+    points_camera = world_from_camera.inverse().apply(points_world.astype(np.float64))
+    uv, inside = camera.project(points_camera)
+    inside &= points_camera[:, 2] > 1.0
+    columns, rows = uv[inside].astype(np.int64).T
+    hits[rows, columns] = True
+    return hits
+
+
+def _near_hits(
+    hits: Bool[np.ndarray, "h w"], camera: PinholeCamera, beam_gap_deg: float
+) -> Bool[np.ndarray, "h w"]:
+    """Pixels with a return within half a beam gap above or below and 1 pixel beside."""
+    from scipy.ndimage import maximum_filter
+
+    reach_px = int(np.ceil(np.tan(np.radians(beam_gap_deg / 2)) * camera.fy))
+    return maximum_filter(hits, size=(2 * reach_px + 1, 3))

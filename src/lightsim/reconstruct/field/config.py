@@ -1,0 +1,138 @@
+"""Settings of the neural field and its training."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from lightsim.errors import ArtefactError
+from lightsim.reconstruct.field.hash_grid.spec import HashGridSpec
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Weights of the terms of the scene loss (paper Sec. 3.3); 0 switches a term off."""
+
+    lidar: float = 0.2
+    """Depth of LiDAR rays, after `depth_norm`."""
+    opacity: float = 0.02
+    """LiDAR rays must end somewhere."""
+    eikonal: float = 0.02
+    """Gradient length 1 near surfaces (paper: L_reg; doi:10.48550/arXiv.2002.10099)."""
+    occupancy: float = 0.0
+    """Weights away from returns must vanish (paper: L_reg, "free space"; UniSim's L_reg)."""
+    free_space: float = 0.5
+    """Hinge: in front of a return the signed distance is at least `free_distance_m`."""
+    surface: float = 2.0
+    """The signed distance at a return is 0."""
+    sky: float = 0.05
+    """Rays into the sky meet nothing."""
+    residual: float = 0.5
+    """Where the prior is sure, the field stays near it."""
+    smooth: float = 0.1
+    """The residual on the prior varies slowly along and across surfaces."""
+
+
+@dataclass(frozen=True)
+class NeuralConfig:
+    """The field F: x -> (s, k_d) and how it is trained."""
+
+    steps: int = 2000
+    """Optimiser steps; 0 leaves the fused LiDAR as it is."""
+    background_grid: HashGridSpec = field(default_factory=HashGridSpec)
+    """Features of the static scene, frame `world`."""
+    actor_grid: HashGridSpec = field(
+        default_factory=lambda: HashGridSpec(
+            levels=8, log2_entries=18, coarsest_m=1.0, finest_m=0.05
+        )
+    )
+    """Features of all actors, each in its box frame with its own salt."""
+    hidden: int = 64
+    """Width of the MLP heads."""
+    has_prior: bool = True
+    """Learn a residual on the fused LiDAR instead of the whole signed distance."""
+    prior_half_weight: float = 0.5
+    """Evidence at which the fused LiDAR counts half."""
+    has_camera_gains: bool = True
+    """Learn exposure and white balance of each camera."""
+    conversion: Literal["neus", "unisim"] = "neus"
+    """Signed distance to opacity: Wang et al. 2021 (doi:10.48550/arXiv.2106.10689), or UniSim's
+    1 / (1 + exp(beta s))."""
+    depth_norm: Literal["smooth", "l2"] = "smooth"
+    """LiDAR depth error: smooth L1 over (1 + t / 10), or the paper's plain distance."""
+    colour_norm: Literal["l2", "squared"] = "squared"
+    """Colour error of a ray: the paper's Euclidean norm, or its square."""
+    weights: LossWeights = field(default_factory=LossWeights)
+    """Of the loss terms."""
+    camera_pool: int = 1_500_000
+    """Pixels drawn from all frames; batches are drawn from these."""
+    lidar_pool: int = 1_500_000
+    """Returns drawn from all sweeps."""
+    camera_batch: int = 3072
+    """Camera rays a step."""
+    lidar_batch: int = 1024
+    """LiDAR rays a step."""
+    near_samples: int = 8
+    """Samples around the expected surface."""
+    free_samples: int = 4
+    """Samples between the sensor and there."""
+    near_half_m: float = 0.4
+    """Half width of the band around the expected surface, times (1 + t / 40)."""
+    free_distance_m: float = 0.3
+    """Signed distance asked of free space."""
+    table_rate: float = 1e-2
+    """Learning rate of the grids."""
+    head_rate: float = 2e-3
+    """Learning rate of everything else."""
+
+
+def config_from_json(value: Mapping[str, Any]) -> NeuralConfig:
+    """Inverse of `dataclasses.asdict`.
+
+    Raises:
+        ArtefactError: fields are missing or unknown.
+    """
+    try:
+        nested = {
+            "background_grid": HashGridSpec(**value["background_grid"]),
+            "actor_grid": HashGridSpec(**value["actor_grid"]),
+            "weights": LossWeights(**value["weights"]),
+        }
+        return NeuralConfig(**{**value, **nested})
+    except (KeyError, TypeError) as error:
+        raise ArtefactError(
+            "the settings of the neural field are broken", got=error, remedy="Build again."
+        ) from error
+
+
+def draft() -> NeuralConfig:
+    """Two minutes on two cores."""
+    return NeuralConfig(steps=600)
+
+
+def standard() -> NeuralConfig:
+    return NeuralConfig()
+
+
+def paper() -> NeuralConfig:
+    """The paper's field and losses (Sec. 3.3): no prior; L_rgb, L_lidar, L_reg; UniSim opacity."""
+    return NeuralConfig(
+        steps=20_000,
+        has_prior=False,
+        has_camera_gains=False,
+        conversion="unisim",
+        depth_norm="l2",
+        colour_norm="l2",
+        weights=LossWeights(
+            lidar=0.1,
+            opacity=0.0,
+            eikonal=0.1,
+            occupancy=0.1,
+            free_space=0.0,
+            surface=0.0,
+            sky=0.0,
+            residual=0.0,
+            smooth=0.0,
+        ),
+    )

@@ -1,0 +1,173 @@
+"""Adam for hash tables: only entries that a batch reached are read, updated and cleared."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float32, UInt8
+from torch import Tensor
+
+from lightsim.errors import InputError
+from lightsim.reconstruct.field.hash_grid import kernels
+from lightsim.reconstruct.field.hash_grid.threads import for_ranges
+
+_ATTRIBUTE = "lightsim_sparse_gradient"
+
+
+@dataclass(frozen=True)
+class SparseGradient:
+    """Sum of the gradients of a table since the last step, beside the table itself.
+
+    A dense `table.grad` would have to be written and read in full at every step. Here the backward
+    pass adds to `values` and marks the blocks it wrote; the step visits marked blocks only.
+    """
+
+    values: Float32[Tensor, "entries features"]
+    is_touched: UInt8[Tensor, "blocks"]
+    """One mark for every `hash_grid_kernels.BLOCK_ENTRIES` entries."""
+
+
+def new_sparse_gradient(table: Tensor) -> SparseGradient:
+    """No gradient yet, on the table's device."""
+    blocks = table.shape[0] // kernels.BLOCK_ENTRIES
+    marks = torch.zeros(blocks, dtype=torch.uint8, device=table.device)
+    return SparseGradient(zeros_on(table.device, tuple(table.shape)), marks)
+
+
+def sparse_gradient_of(table: Tensor) -> SparseGradient | None:
+    """The sparse gradient that an optimiser attached to `table`, if any."""
+    return getattr(table, _ATTRIBUTE, None)
+
+
+class SparseAdam:
+    """Adam (Kingma & Ba 2015) that leaves values without gradient, and their moments, untouched.
+
+    Where every value has a gradient it equals `torch.optim.Adam`. From now on compiled
+    `hash_encode` calls on `table` add to a sparse gradient beside it, not to `table.grad`, which
+    only the plain torch implementation fills. `step` uses the sum of both and clears both.
+
+    Args:
+        table: [entries, features] float32; entries a multiple of `BLOCK_ENTRIES`.
+        learning_rate: step size; `step` may override it.
+        betas: decay of the first and second moment.
+        eps: added to the root of the second moment.
+
+    Raises:
+        InputError: the table has the wrong type or size.
+    """
+
+    def __init__(
+        self,
+        table: torch.nn.Parameter,
+        *,
+        learning_rate: float,
+        betas: tuple[float, float] = (0.9, 0.99),
+        eps: float = 1e-15,
+    ) -> None:
+        _check_table(table)
+        self.table = table
+        self.learning_rate = learning_rate
+        self.betas = betas
+        self.eps = eps
+        self.steps = 0
+        self.first_moment = zeros_on(table.device, tuple(table.shape))
+        self.second_moment = zeros_on(table.device, tuple(table.shape))
+        self.gradient = new_sparse_gradient(table)
+        setattr(table, _ATTRIBUTE, self.gradient)
+
+    @torch.no_grad()
+    def step(self, learning_rate: float | None = None) -> None:
+        """Move the table along its gradient, then forget the gradient."""
+        rate = self.learning_rate if learning_rate is None else learning_rate
+        self.steps += 1
+        beta1, beta2 = self.betas
+        step_size = rate / (1.0 - beta1**self.steps)
+        correction = 1.0 / math.sqrt(1.0 - beta2**self.steps)
+        rates = beta1, beta2, step_size, correction, self.eps
+        if self.table.grad is not None:
+            self.gradient.values.add_(self.table.grad)
+            self.gradient.is_touched.fill_(1)
+            self.table.grad = None
+        if self.table.is_cuda:
+            triton_loops = importlib.import_module(
+                "lightsim.reconstruct.field.hash_grid.triton_kernels"
+            )
+            moments = self.first_moment, self.second_moment
+            triton_loops.update(self.table, self.gradient.values, moments, rates)
+        else:
+            self._step_blocks(rates)
+
+    def zero_grad(self) -> None:
+        """Forget the gradient gathered so far."""
+        self.table.grad = None
+        self.gradient.values.zero_()
+        self.gradient.is_touched.zero_()
+
+    def state_dict(self) -> dict[str, Any]:
+        """What a resumed training needs besides the table; gradients are not kept."""
+        return {
+            "steps": self.steps,
+            "learning_rate": self.learning_rate,
+            "first_moment": self.first_moment,
+            "second_moment": self.second_moment,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from `state_dict`.
+
+        Raises:
+            InputError: the state belongs to a table of another shape.
+        """
+        shape = tuple(state["first_moment"].shape)
+        if shape != tuple(self.table.shape):
+            raise InputError(
+                "the optimiser state does not fit the table",
+                got=shape,
+                expected=tuple(self.table.shape),
+                remedy="Resume with the hash grid settings of the checkpoint.",
+            )
+        self.steps = int(state["steps"])
+        self.learning_rate = float(state["learning_rate"])
+        self.first_moment.copy_(state["first_moment"])
+        self.second_moment.copy_(state["second_moment"])
+        self.zero_grad()
+
+    def _step_blocks(self, rates: tuple[float, float, float, float, float]) -> None:
+        tensors = self.table, self.gradient.values, self.first_moment, self.second_moment
+        arrays = [tensor.detach().numpy().reshape(-1) for tensor in tensors]
+        features = (0,) * self.table.shape[1]
+        marks = self.gradient.is_touched.numpy()
+        single = tuple(np.float32(rate) for rate in rates)
+
+        def update(first: int, last: int) -> None:
+            kernels.update_touched(*arrays, marks, features, first, last, single)
+
+        for_ranges(update, marks.size, smallest=4096)
+
+
+def zeros_on(device: torch.device | str, shape: tuple[int, ...]) -> Tensor:
+    """Zeros, float32; on the CPU in memory that NumPy asks huge pages for.
+
+    Random access to a hundred megabytes otherwise waits for address translation.
+    """
+    if torch.device(device).type != "cpu":
+        return torch.zeros(shape, device=device)
+    zeros = np.empty(shape, np.float32)
+    zeros.fill(0.0)
+    return torch.from_numpy(zeros)
+
+
+def _check_table(table: Tensor) -> None:
+    is_whole = table.ndim == 2 and table.shape[0] % kernels.BLOCK_ENTRIES == 0
+    if table.dtype != torch.float32 or not is_whole or not table.is_contiguous():
+        raise InputError(
+            "the hash table cannot be optimised",
+            got=f"{table.dtype} {tuple(table.shape)}",
+            expected=f"contiguous float32 [n * {kernels.BLOCK_ENTRIES}, features]",
+            remedy="Make it with make_table.",
+        )

@@ -1,0 +1,91 @@
+"""Neural reconstruction: from fused LiDAR and images to refined fields (paper Sec. 3.1, 3.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from lightsim.core.fields import SceneFields
+from lightsim.core.log import DrivingLog
+from lightsim.errors import InputError
+from lightsim.progress import Progress
+from lightsim.reconstruct.field.config import NeuralConfig, draft, paper, standard
+from lightsim.reconstruct.field.ray_pool import PriorSurfaces, SkyMatte, camera_rays, lidar_rays
+from lightsim.reconstruct.field.refine import refined_fields
+from lightsim.reconstruct.field.sdf_field import SceneField
+from lightsim.reconstruct.field.train import Journal, TrainingRays, train_field
+from lightsim.reconstruct.field.tsdf_prior import TsdfPrior
+
+__all__ = ["NeuralConfig", "Training", "draft", "paper", "refine_by_field", "standard"]
+
+
+@dataclass(frozen=True, eq=False)
+class Training:
+    """What training needs beside the log and its fused LiDAR.
+
+    Args:
+        surfaces: ray casters over the meshes of the fused LiDAR.
+        sky_matte: sky alpha of a frame.
+        journal: keeps checkpoints and metrics.
+        seed: of rays, initial values and batches.
+        device: "auto", "cpu" or "cuda".
+    """
+
+    surfaces: PriorSurfaces
+    sky_matte: SkyMatte
+    journal: Journal
+    seed: int = 0
+    device: str = "auto"
+
+
+def refine_by_field(
+    log: DrivingLog,
+    fields: SceneFields,
+    config: NeuralConfig,
+    training: Training,
+    *,
+    progress: Progress,
+) -> tuple[SceneFields, SceneField]:
+    """Train the neural field on all rays of the log; the fields with its distances, and itself.
+
+    Raises:
+        InputError: the log has no image or no sweep, or the device is not there.
+    """
+    rng = np.random.default_rng(training.seed)
+    rays = TrainingRays(
+        camera_rays(log, config.camera_pool, training.surfaces, training.sky_matte, rng, progress),
+        lidar_rays(log, config.lidar_pool, training.surfaces, rng, progress),
+    )
+    field = make_field(log, fields, config, training.seed).to(choose_device(training.device))
+    train_field(field, rays, training.journal, training.seed, progress=progress)
+    return refined_fields(fields, field, progress=progress), field
+
+
+def make_field(log: DrivingLog, fields: SceneFields, config: NeuralConfig, seed: int) -> SceneField:
+    """An untrained field of a log."""
+    return SceneField(
+        config,
+        tuple(actor.actor_id for actor in log.actors),
+        tuple(log.cameras),
+        TsdfPrior.of(fields) if config.has_prior else None,
+        torch.Generator().manual_seed(seed),
+    )
+
+
+def choose_device(name: str) -> torch.device:
+    """The device of a name; "auto" is CUDA where there is one.
+
+    Raises:
+        InputError: CUDA was asked for and is not there.
+    """
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise InputError(
+            "no CUDA device is available",
+            where="--device cuda",
+            remedy="Use --device cpu, or install a CUDA build of torch and a driver.",
+        )
+    return torch.device(name)

@@ -1,0 +1,78 @@
+"""The trained field written back into the sparse grids that meshing reads."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+
+from lightsim.core.colour import linear_from_srgb
+from lightsim.core.fields import BLOCK, SceneFields, TsdfGrid
+from lightsim.core.mesh import TriMesh
+from lightsim.progress import Progress
+from lightsim.reconstruct.field.sdf_field import SceneField
+
+_BATCH = 131_072
+
+
+def refined_fields(fields: SceneFields, field: SceneField, *, progress: Progress) -> SceneFields:
+    """The same grids with the field's signed distance at every sample that any ray has seen.
+
+    Unknown samples stay unknown: the field invents no surface where nothing was observed.
+    """
+    numbers = {actor_id: number for number, actor_id in enumerate(field.actor_ids)}
+    levels = tuple(
+        _refined(grid, field, -1)
+        for grid in progress.track(fields.background, "read out the background")
+    )
+    actors = {
+        actor_id: _refined(grid, field, numbers[actor_id])
+        for actor_id, grid in progress.track(
+            fields.actors.items(), "read out the actors", len(fields.actors)
+        )
+    }
+    return replace(fields, background=levels, actors=actors)
+
+
+def _refined(grid: TsdfGrid, field: SceneField, actor: int) -> TsdfGrid:
+    """One grid; distances clipped to its truncation."""
+    block, *local = np.nonzero(grid.weight > 0)
+    if len(block) == 0:
+        return grid
+    steps = BLOCK * grid.block_coords[block].astype(np.float64) + np.stack(local, axis=1)
+    points = (grid.origin_m + grid.voxel_m * steps).astype(np.float32)
+    sdf = grid.sdf_m.copy()
+    found = signed_distances(field, points, actor)
+    sdf[(block, *local)] = np.clip(found, -grid.truncation_m, grid.truncation_m)
+    return replace(grid, sdf_m=sdf)
+
+
+def signed_distances(
+    field: SceneField, points: Float32[np.ndarray, "n 3"], actor: int
+) -> Float32[np.ndarray, " n"]:
+    """Signed distance of points in the frame of the background (-1) or of an actor."""
+    device = next(field.parameters()).device
+    parts = [np.zeros(0, np.float32)]
+    with torch.no_grad():
+        for start in range(0, len(points), _BATCH):
+            part = torch.from_numpy(points[start : start + _BATCH]).to(device)
+            owner = torch.full((len(part),), actor, dtype=torch.int64, device=device)
+            parts.append(field(part, owner)[0].cpu().numpy())
+    return np.concatenate(parts)
+
+
+def vertex_radiance(field: SceneField, mesh: TriMesh, actor: int) -> Float32[np.ndarray, "n 3"]:
+    """k_d of the field at each vertex as linear radiance, camera gains left out.
+
+    The paper's base colour (appendix, "Neural Scene Reconstruction").
+    """
+    device = next(field.parameters()).device
+    parts = [np.zeros((0, 3), np.float32)]
+    with torch.no_grad():
+        for start in range(0, len(mesh.vertices), _BATCH):
+            part = torch.from_numpy(mesh.vertices[start : start + _BATCH]).to(device)
+            owner = torch.full((len(part),), actor, dtype=torch.int64, device=device)
+            parts.append(field(part, owner)[1].cpu().numpy())
+    return linear_from_srgb(np.concatenate(parts)).astype(np.float32)

@@ -1,0 +1,100 @@
+"""Where samples lie along training rays, and whose field each one belongs to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from lightsim.reconstruct.field.config import NeuralConfig
+
+NEAREST_M = 0.5
+_FARTHEST_M = 200.0
+
+
+@dataclass(frozen=True, eq=False)
+class RayBatch:
+    """Rays of one step as tensors; see `ray_pool.RayPool` for the meaning."""
+
+    origin: Float[Tensor, "r 3"]
+    direction: Float[Tensor, "r 3"]
+    slot_actor: Int[Tensor, "r 2"]
+    slot_span_m: Float[Tensor, "r 2 2"]
+    slot_origin: Float[Tensor, "r 2 3"]
+    slot_direction: Float[Tensor, "r 2 3"]
+    surface_m: Float[Tensor, " r"]
+    colour: Float[Tensor, "r 3"]
+    camera: Int[Tensor, " r"]
+    sky: Float[Tensor, " r"]
+    return_m: Float[Tensor, " r"]
+    label: Int[Tensor, " r"]
+
+    @property
+    def is_lidar(self) -> Bool[Tensor, " r"]:
+        return self.camera < 0
+
+    def owner(self, t: Float[Tensor, "r s"]) -> Int[Tensor, "r s"]:
+        """Which slot's box each distance lies in; -1 outside all boxes."""
+        inside = (t[:, :, None] >= self.slot_span_m[:, None, :, 0]) & (
+            t[:, :, None] <= self.slot_span_m[:, None, :, 1]
+        )
+        inside &= (self.slot_actor >= 0)[:, None, :]
+        first = inside.to(torch.int64).argmax(dim=2)
+        return torch.where(inside.any(dim=2), first, torch.full_like(first, -1))
+
+    def points(self, t: Float[Tensor, "r s"]) -> tuple[Float[Tensor, "n 3"], Int[Tensor, " n"]]:
+        """Samples as points of their own field, flat: metres in frame `world` or `actor`, and the
+        actor's number (-1: the background)."""
+        slot = self.owner(t)
+        points = self.origin[:, None] + t[:, :, None] * self.direction[:, None]
+        actor = torch.full_like(slot, -1)
+        row, column = torch.nonzero(slot >= 0, as_tuple=True)
+        if len(row):
+            s = slot[row, column]
+            local = self.slot_origin[row, s] + t[row, column, None] * self.slot_direction[row, s]
+            points = points.index_put((row, column), local)
+            actor = actor.index_put((row, column), self.slot_actor[row, s].to(actor.dtype))
+        return points.reshape(-1, 3), actor.reshape(-1)
+
+
+def place_samples(
+    rays: RayBatch, config: NeuralConfig, generator: torch.Generator
+) -> Float[Tensor, "r s"]:
+    """Sorted sample distances: some in a band around the expected surface (the measured return of
+    a LiDAR ray), some in the free space before it.
+
+    Rays without an expected surface are sampled through the first actor box they pass, else
+    evenly in the logarithm of the distance.
+    """
+    near, free = config.near_samples, config.free_samples
+    count = len(rays.origin)
+    centre = torch.where(rays.is_lidar, rays.return_m, rays.surface_m)
+    half = config.near_half_m * (1 + centre / 40)
+    span = rays.slot_span_m[:, 0]
+    through_box = ~torch.isfinite(centre) & (rays.slot_actor[:, 0] >= 0)
+    centre = torch.where(through_box, span.mean(dim=1), centre)
+    half = torch.where(through_box, (span[:, 1] - span[:, 0]) / 2, half)
+    has_centre = torch.isfinite(centre)
+    centre = torch.where(has_centre, centre, torch.ones_like(centre))
+    half = torch.where(has_centre, half, torch.ones_like(half))
+    start = (centre - half).clamp(min=NEAREST_M)
+    in_band = (
+        start[:, None]
+        + _stratified(count, near, generator, centre)
+        * ((centre + half - start).clamp(min=0.05)[:, None])
+    )
+    in_free = NEAREST_M + _stratified(count, free, generator, centre) * (start - NEAREST_M)[:, None]
+    guided = torch.cat([in_free, in_band], dim=1)
+    steps = _stratified(count, near + free, generator, centre)
+    blind = torch.exp(torch.log(torch.tensor(_FARTHEST_M)) * steps.clamp(min=0.0)) * 1.0
+    return torch.where(has_centre[:, None], guided, blind)
+
+
+def _stratified(
+    rows: int, count: int, generator: torch.Generator, like: Float[Tensor, " r"]
+) -> Float[Tensor, "r s"]:
+    """One random number in each of `count` equal parts of [0, 1], ascending."""
+    jitter = torch.rand((rows, count), generator=generator).to(like.device)
+    return (torch.arange(count, device=like.device) + jitter) / max(count, 1)

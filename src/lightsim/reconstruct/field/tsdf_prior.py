@@ -1,0 +1,86 @@
+"""The fused LiDAR as a prior of the neural field: stacked grids that answer points and rays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Float32, Int32
+
+from lightsim.core.fields import SceneFields, TsdfGrid
+from lightsim.reconstruct.field import prior_kernels as kernels
+
+GridRange = tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class TsdfPrior:
+    """Signed-distance grids in one stack: the background's levels first, then one per actor.
+
+    Args:
+        grids: in that order.
+        background_levels: how many of them are the background's.
+        actor_ids: of the other grids.
+    """
+
+    grids: tuple[TsdfGrid, ...]
+    background_levels: int
+    actor_ids: tuple[str, ...]
+
+    @staticmethod
+    def of(fields: SceneFields) -> TsdfPrior:
+        grids = (*fields.background, *fields.actors.values())
+        return TsdfPrior(grids, len(fields.background), tuple(fields.actors))
+
+    @property
+    def background(self) -> GridRange:
+        """The range of the background's grids."""
+        return 0, self.background_levels
+
+    def actor(self, number: int) -> GridRange:
+        """The range of one actor's grid."""
+        return self.background_levels + number, self.background_levels + number + 1
+
+    @cached_property
+    def stack(self) -> tuple[np.ndarray, ...]:
+        """Block tables, their starts, lowest blocks and shapes; origins with sample distances and
+        truncation; distances and weights of all blocks."""
+        tables, starts, lows, shapes, first, count = [], [], [], [], 0, 0
+        for grid in self.grids:
+            low = grid.block_coords.min(axis=0) if len(grid.block_coords) else np.zeros(3, np.int32)
+            local = grid.block_coords - low
+            shape = local.max(axis=0) + 1 if len(local) else np.zeros(3, np.int32)
+            table = np.full(tuple(shape.tolist()), -1, dtype=np.int32)
+            table[tuple(local.T)] = count + np.arange(len(local), dtype=np.int32)
+            tables.append(table.ravel())
+            starts.append(first)
+            lows.append(low)
+            shapes.append(shape)
+            first += table.size
+            count += len(local)
+        geometry = [[*g.origin_m.tolist(), g.voxel_m, g.truncation_m] for g in self.grids]
+        return (
+            np.concatenate([np.zeros(0, np.int32), *tables]),
+            np.array(starts, dtype=np.int64),
+            np.array(lows, dtype=np.int64).reshape(-1, 3),
+            np.array(shapes, dtype=np.int64).reshape(-1, 3),
+            np.array(geometry, dtype=np.float64).reshape(-1, 5),
+            _joined([grid.sdf_m for grid in self.grids]),
+            _joined([grid.weight for grid in self.grids]),
+        )
+
+    def look_up(
+        self, points: Float[np.ndarray, "n 3"], ranges: Int32[np.ndarray, "n 2"]
+    ) -> Float32[np.ndarray, "n 3"]:
+        """Signed distance [m], weight (0 = unknown) and truncation [m] of points, each in the
+        frame of its grids: those from ranges[:, 0] up to, not including, ranges[:, 1]."""
+        found = np.zeros((len(points), 3), dtype=np.float32)
+        kernels.look_up(self.stack, points, ranges[:, 0], ranges[:, 1], found)
+        return found
+
+
+def _joined(parts: Sequence[Float32[np.ndarray, "_ 8 8 8"]]) -> Float32[np.ndarray, "b 512"]:
+    empty = np.zeros((0, 512), dtype=np.float32)
+    return np.concatenate([empty, *[part.reshape(-1, 512) for part in parts]])

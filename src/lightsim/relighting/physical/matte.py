@@ -1,0 +1,45 @@
+"""The sky behind a soft matte: taking the old one out of mixed pixels, putting the new one in."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.relighting.physical.filters import fill_holes
+
+_PURE = np.float32(0.02)
+"""A matte this close to 0 or 1 counts as unmixed."""
+_THINNEST = np.float32(0.15)
+"""Below this share of foreground, un-mixing only amplifies noise."""
+
+
+def foreground_radiance(
+    radiance: Float32[np.ndarray, "h w 3"], sky_matte: Float32[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "h w 3"]:
+    """The image without the light of the sky in mixed pixels (leaves, wires, edges).
+
+    A mixed pixel is C = (1 - a) F + a S (Porter and Duff 1984, doi:10.1145/800031.808606). S comes
+    from pure sky nearby; F is solved for, and the thinner the foreground, the more it is replaced
+    by that of its surroundings. Pixels without sky are returned as they are.
+    """
+    is_mixed = sky_matte > _PURE
+    if not is_mixed.any():
+        return radiance
+    is_sky = sky_matte >= 1 - _PURE
+    surroundings = fill_holes(radiance, ~is_mixed) if not is_mixed.all() else radiance * 0
+    sky = fill_holes(radiance, is_sky) if is_sky.any() else radiance
+    alpha = sky_matte[..., None]
+    share = np.maximum(1 - alpha, _THINNEST)
+    unmixed = np.clip((radiance - alpha * sky) / share, 0.0, np.maximum(radiance, surroundings))
+    mixed = (1 - alpha) * unmixed + alpha * surroundings
+    return np.where(is_mixed[..., None], mixed, radiance).astype(np.float32)
+
+
+def composite(
+    foreground: Float32[np.ndarray, "h w 3"],
+    sky: Float32[np.ndarray, "h w 3"],
+    sky_matte: Float32[np.ndarray, "h w"],
+) -> Float32[np.ndarray, "h w 3"]:
+    """Foreground over sky. The sun behind a nearly closed matte stays out of the picture."""
+    alpha = np.where(sky_matte > _PURE, sky_matte, 0.0)[..., None]
+    return ((1 - alpha) * foreground + alpha * sky).astype(np.float32)

@@ -1,0 +1,239 @@
+"""Physical relighting: the image divided by its own shading, times that of the target sky.
+
+Every texture and every detail that no mesh holds stays in the picture, because only the light is
+exchanged (quotient images, Shashua and Riklin-Raviv 2001, doi:10.1109/34.908964). Where the image
+carries no information (clipped, or deep in a shadow that the target lights up), the base colour
+of the twin stands in. Paper, Sec. 4: this is what its network is compared to and trained on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float32
+
+from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.dome import Sun
+from lightsim.core.solar import angle_between_deg
+from lightsim.errors import InputError
+from lightsim.relighting.physical.filters import fill_holes
+from lightsim.relighting.physical.matte import composite, foreground_radiance
+from lightsim.relighting.physical.shadow_refine import (
+    ShadowRefineConfig,
+    refine_sun_visibility,
+    unoccluded_sun,
+    with_sun_visibility,
+)
+
+_SEALED_RIM_PX = 3
+
+
+@dataclass(frozen=True, eq=False)
+class RelightInputs:
+    """One frame. Radiances are linear, in scene units.
+
+    Args:
+        radiance: the recorded image, linear, divided by the camera's gain.
+        is_clipped: at least one channel of the recorded image is saturated.
+        sky_matte: share of each pixel that is sky, in [0, 1].
+        buffers: geometry, moving actors included.
+        source: light of the sky under which the image was taken.
+        target: light of the sky wanted.
+        target_sky: the target dome along the pixels' rays, sun included.
+        source_sun: the sun of the source sky; without it, its shadows are taken as rendered.
+        target_sun: the sun of the target sky, if it has one.
+    """
+
+    radiance: Float32[np.ndarray, "h w 3"]
+    is_clipped: Bool[np.ndarray, "h w"]
+    sky_matte: Float32[np.ndarray, "h w"]
+    buffers: GBuffers
+    source: ShadowBuffers
+    target: ShadowBuffers
+    target_sky: Float32[np.ndarray, "h w 3"]
+    source_sun: Sun | None = None
+    target_sun: Sun | None = None
+
+    def __post_init__(self) -> None:
+        size = self.radiance.shape[:2]
+        arrays = {
+            "is_clipped": self.is_clipped,
+            "sky_matte": self.sky_matte,
+            "buffers": self.buffers.depth_z_m,
+            "source": self.source.shaded,
+            "target": self.target.shaded,
+            "target_sky": self.target_sky,
+        }
+        for name, array in arrays.items():
+            if array.shape[:2] != size:
+                raise InputError(
+                    "the inputs of relighting differ in size",
+                    where=name,
+                    got=array.shape[:2],
+                    expected=size,
+                )
+
+
+@dataclass(frozen=True)
+class RatioConfig:
+    """How shading ratios are made robust."""
+
+    are_shadows_refined: bool = True
+    """Move the source's shadow edges to where the image has them."""
+    refine: ShadowRefineConfig = field(default_factory=ShadowRefineConfig)
+    """How they are found."""
+    darkest_share: float = 0.02
+    """Light below this share of the frame's median counts as that much, under both skies."""
+    largest_albedo: float = 1.0
+    """What exceeds this reflectance is a highlight: it follows the sky, not the shading."""
+    base_colour_deviation: float = 0.35
+    """Relative error of the twin's base colour times target light."""
+    shading_deviation: float = 0.25
+    """Relative error of a ratio for every e-fold by which it changes the light."""
+    radiance_deviation: float = 0.004
+    """Absolute error of the recorded radiance: noise and 8 bits in the dark."""
+    same_sun_deg: float = 2.0
+    """Up to this angle between the suns, found shadow edges hold for the target as well."""
+
+
+def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.ndarray, "h w 3"]:
+    """Scene radiance of the frame under the target sky, linear, before camera gain.
+
+    With the source sky as the target, the source comes back outside clipped pixels and sky.
+    """
+    foreground = foreground_radiance(inputs.radiance, inputs.sky_matte)
+    source, target = (
+        _refined(inputs, config)
+        if config.are_shadows_refined
+        else (
+            inputs.source,
+            inputs.target,
+        )
+    )
+    is_surface = inputs.buffers.has_surface & (inputs.sky_matte < 0.5)
+    is_surface &= ~_is_sealed(foreground, inputs.source, is_surface, config)
+    ratio = _light_ratio(source, target, is_surface, config)
+    relit = _relit_surface(foreground, ratio, inputs, source, target, is_surface, config)
+    return composite(relit, inputs.target_sky, inputs.sky_matte)
+
+
+def _refined(inputs: RelightInputs, config: RatioConfig) -> tuple[ShadowBuffers, ShadowBuffers]:
+    """Source and target light with the shadow edges that the image shows."""
+    sun = inputs.source_sun
+    if sun is None or sun.direction_world[2] <= 0:
+        return inputs.source, inputs.target
+    rendered = inputs.source.sun_visibility
+    visibility = refine_sun_visibility(
+        inputs.radiance,
+        inputs.buffers,
+        inputs.source,
+        sun,
+        inputs.sky_matte < 0.5,
+        config.refine,
+    )
+    sunlight = unoccluded_sun(inputs.buffers, inputs.source, sun)
+    source = with_sun_visibility(inputs.source, sunlight, visibility)
+    if inputs.target_sun is None:
+        return source, inputs.target
+    # The same sun has the same shadow edges; two suns apart err independently.
+    angle = angle_between_deg(sun.direction_world, inputs.target_sun.direction_world)
+    share = np.float32(max(0.0, 1.0 - angle / config.same_sun_deg))
+    if share == 0:
+        return source, inputs.target
+    moved = np.clip(inputs.target.sun_visibility + share * (visibility - rendered), 0.0, 1.0)
+    sunlight = unoccluded_sun(inputs.buffers, inputs.target, inputs.target_sun)
+    return source, with_sun_visibility(inputs.target, sunlight, moved.astype(np.float32))
+
+
+def _is_sealed(
+    foreground: Float32[np.ndarray, "h w 3"],
+    source: ShadowBuffers,
+    is_surface: Bool[np.ndarray, "h w"],
+    config: RatioConfig,
+) -> Bool[np.ndarray, "h w"]:
+    """Pixels where no light arrives in the rendering and the picture shows some: the camera looks
+    through a hole of the mesh into what is closed all around. Their mesh tells nothing, nor does
+    the rim of the hole, where light is smoothed."""
+    from scipy.ndimage import binary_dilation
+
+    least = np.float32(config.darkest_share) * _median_light(source.shaded, is_surface)
+    is_dark = (source.shaded <= 0.25 * least).all(axis=-1)
+    is_bright = (foreground > least * np.float32(config.largest_albedo)).any(axis=-1)
+    return np.asarray(binary_dilation(is_surface & is_dark & is_bright, iterations=_SEALED_RIM_PX))
+
+
+def _light_ratio(
+    source: ShadowBuffers,
+    target: ShadowBuffers,
+    is_surface: Bool[np.ndarray, "h w"],
+    config: RatioConfig,
+) -> Float32[np.ndarray, "h w 3"]:
+    """Target over source light; where no mesh is, that of the surroundings (1 if there are none).
+
+    Both get the same share of their own median added, so that a pixel in the dark under both
+    keeps its radiance instead of an arbitrary quotient.
+    """
+    if not is_surface.any():
+        return np.ones_like(source.shaded)
+    lit = [
+        light.shaded + np.float32(config.darkest_share) * _median_light(light.shaded, is_surface)
+        for light in (source, target)
+    ]
+    tiny = np.float32(1e-8)
+    log_ratio = np.log(lit[1] + tiny) - np.log(lit[0] + tiny)
+    return np.exp(fill_holes(log_ratio.astype(np.float32), is_surface)).astype(np.float32)
+
+
+def _relit_surface(
+    foreground: Float32[np.ndarray, "h w 3"],
+    ratio: Float32[np.ndarray, "h w 3"],
+    inputs: RelightInputs,
+    source: ShadowBuffers,
+    target: ShadowBuffers,
+    is_surface: Bool[np.ndarray, "h w"],
+    config: RatioConfig,
+) -> Float32[np.ndarray, "h w 3"]:
+    """Ratio and base colour combined by the inverse of their variances, pixel by pixel."""
+    diffuse, highlight = _split_highlight(foreground, source, is_surface, config)
+    by_ratio = diffuse * ratio + highlight * _sky_ratio(source, target, is_surface)
+    by_model = inputs.buffers.base_colour * target.shaded
+    change = np.abs(np.log(np.maximum(ratio, np.float32(1e-8))))
+    variance_ratio = np.square(by_ratio * change * np.float32(config.shading_deviation))
+    variance_ratio += np.square(np.maximum(ratio - 1, 0) * np.float32(config.radiance_deviation))
+    variance_ratio += np.square(np.where(inputs.is_clipped[..., None], by_ratio, 0.0))
+    variance_model = np.square(by_model * np.float32(config.base_colour_deviation)) + 1e-8
+    weight = np.where(
+        is_surface[..., None], variance_model / (variance_model + variance_ratio), 1.0
+    )
+    return (weight * by_ratio + (1 - weight) * by_model).astype(np.float32)
+
+
+def _split_highlight(
+    radiance: Float32[np.ndarray, "h w 3"],
+    source: ShadowBuffers,
+    is_surface: Bool[np.ndarray, "h w"],
+    config: RatioConfig,
+) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:
+    """What a diffuse surface can reflect, and the rest."""
+    floor = np.float32(config.darkest_share) * _median_light(source.shaded, is_surface)
+    most = np.float32(config.largest_albedo) * (source.shaded + floor)
+    diffuse = np.where(is_surface[..., None], np.minimum(radiance, most), radiance)
+    return diffuse.astype(np.float32), (radiance - diffuse).astype(np.float32)
+
+
+def _sky_ratio(
+    source: ShadowBuffers, target: ShadowBuffers, is_surface: Bool[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "3"]:
+    """Change of the light of the sky alone, per channel; 1 where the source has none."""
+    before = _median_light(source.sky, is_surface)
+    after = _median_light(target.sky, is_surface)
+    return np.where(before > 0, after / np.where(before > 0, before, 1.0), 1.0).astype(np.float32)
+
+
+def _median_light(
+    light: Float32[np.ndarray, "h w 3"], is_surface: Bool[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "3"]:
+    """Per channel over the surfaces; every seventh pixel is plenty."""
+    values = light[is_surface][::7]
+    return np.median(values, axis=0).astype(np.float32) if len(values) else np.zeros(3, np.float32)

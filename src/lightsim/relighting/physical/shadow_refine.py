@@ -1,0 +1,204 @@
+"""Where the image says that the source's sun shadows lie.
+
+Reconstructed geometry puts shadow edges some decimetres off, and misses some casters. Dividing an
+image by wrong shading leaves a ghost of every shadow, so the source's sun visibility is decided
+again per pixel: by the rendered one, less and less trusted near its own edges, by how bright and
+how blue the pixel is for its surface, and by its neighbours up to the next image edge.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float32
+from scipy import ndimage
+
+from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.colour import luminance
+from lightsim.core.dome import Sun
+from lightsim.relighting.physical.filters import box_mean, guided_filter, weighted_mean
+
+_DARKEST = np.float32(1e-4)
+
+
+@dataclass(frozen=True)
+class ShadowRefineConfig:
+    """How the evidence is weighed."""
+
+    geometry_error_m: float = 0.2
+    """Distance from a rendered shadow edge over which it gains the trust of one logit."""
+    largest_prior_logit: float = 3.0
+    """Trust in the rendered visibility far from its edges."""
+    luminance_deviation: float = 0.4
+    """Standard deviation of log luminance of an image against base colour times light."""
+    chroma_deviation: float = 0.3
+    """The same of the log of red over blue and of green over the two."""
+    largest_image_logit: float = 4.0
+    """Most that the look of one pixel may say."""
+    smoothness_logit: float = 8.0
+    """Weight of the neighbours' vote."""
+    neighbourhood_share: float = 1 / 100
+    """Radius of the neighbourhood as a share of the image width."""
+    calibration_share: float = 1 / 16
+    """Radius, as a share of the width, over which base colour is calibrated on the image."""
+    smallest_share: float = 1 / 240
+    """Width of a strip, as a share of the image width, below which a change is taken for noise."""
+    iterations: int = 5
+    """Rounds of calibration, evidence and vote."""
+    least_contrast: float = 0.15
+    """Sun light below this share of the other light is left as rendered."""
+
+
+def refine_sun_visibility(
+    radiance: Float32[np.ndarray, "h w 3"],
+    buffers: GBuffers,
+    shadows: ShadowBuffers,
+    sun: Sun,
+    is_usable: Bool[np.ndarray, "h w"],
+    config: ShadowRefineConfig,
+) -> Float32[np.ndarray, "h w"]:
+    """Sun visibility in [0, 1] that agrees with the image; as rendered where it cannot be told.
+
+    Args:
+        radiance: the image in scene units.
+        shadows: the rendered light of the image's own sky.
+        is_usable: pixels with a surface that are neither sky nor clipped.
+    """
+    sunlight = unoccluded_sun(buffers, shadows, sun)
+    ambient = np.maximum(shadows.sky + shadows.bounce, _DARKEST)
+    contrast = luminance(sunlight) / luminance(ambient)
+    is_open = is_usable & buffers.has_surface & (contrast > config.least_contrast)
+    if not is_open.any():
+        return shadows.sun_visibility
+    prior = _prior_logit(shadows.sun_visibility, buffers, is_open, config)
+    residual = np.log(np.maximum(radiance, _DARKEST)) - np.log(
+        np.maximum(buffers.base_colour, np.float32(0.02)) * ambient
+    )
+    step = np.log1p(sunlight / ambient)
+    visibility = _infer(residual, step, prior, luminance(radiance), is_open, config)
+    share = is_open * _changed_share(visibility, shadows.sun_visibility, config)
+    rendered = shadows.sun_visibility
+    return np.where(share > 0, rendered + share * (visibility - rendered), rendered)
+
+
+def _changed_share(
+    visibility: Float32[np.ndarray, "h w"],
+    rendered: Float32[np.ndarray, "h w"],
+    config: ShadowRefineConfig,
+) -> Float32[np.ndarray, "h w"]:
+    """1 where lit and shadowed are exchanged, fading to 0 beside: elsewhere rendered edges are
+    sharper than found ones. Specks are left out."""
+    smallest = max(2, round(rendered.shape[1] * config.smallest_share))
+    is_changed = (visibility > 0.5) != (rendered > 0.5)
+    is_changed = ndimage.binary_opening(is_changed, np.ones((smallest, smallest)))
+    grown = np.asarray(ndimage.binary_dilation(is_changed, np.ones((3, 3))))
+    return np.clip(3 * box_mean(grown.astype(np.float32), smallest), 0.0, 1.0)
+
+
+def unoccluded_sun(
+    buffers: GBuffers, shadows: ShadowBuffers, sun: Sun
+) -> Float32[np.ndarray, "h w 3"]:
+    """Sun light over pi without visibility; from the rendered light itself where it is lit."""
+    direction = sun.direction_world.astype(np.float32)
+    cosine = np.maximum(buffers.normal_world @ direction, 0.0)[..., None]
+    computed = cosine * (sun.irradiance / np.float32(np.pi))
+    visibility = shadows.sun_visibility[..., None]
+    is_lit = visibility > 0.5
+    rendered = shadows.direct_sun / np.where(is_lit, visibility, 1.0)
+    return np.where(is_lit, rendered, computed).astype(np.float32)
+
+
+def with_sun_visibility(
+    shadows: ShadowBuffers,
+    sunlight: Float32[np.ndarray, "h w 3"],
+    visibility: Float32[np.ndarray, "h w"],
+) -> ShadowBuffers:
+    """The same light with another sun visibility; pixels where it is unchanged stay exact."""
+    is_same = visibility == shadows.sun_visibility
+    direct = np.where(is_same[..., None], shadows.direct_sun, sunlight * visibility[..., None])
+    direct = direct.astype(np.float32)
+    shaded = np.where(is_same[..., None], shadows.shaded, direct + shadows.sky + shadows.bounce)
+    return replace(
+        shadows,
+        sun_visibility=visibility,
+        direct_sun=direct,
+        shaded=shaded.astype(np.float32),
+    )
+
+
+def _infer(
+    residual: Float32[np.ndarray, "h w 3"],
+    step: Float32[np.ndarray, "h w 3"],
+    prior: Float32[np.ndarray, "h w"],
+    brightness: Float32[np.ndarray, "h w"],
+    is_open: Bool[np.ndarray, "h w"],
+    config: ShadowRefineConfig,
+) -> Float32[np.ndarray, "h w"]:
+    """Mean-field inference: `residual` is log(image / unlit model), `step` what sun adds to it."""
+    width = residual.shape[1]
+    near = max(1, round(width * config.neighbourhood_share))
+    far = max(2, round(width * config.calibration_share))
+    weight = is_open.astype(np.float32)
+    guide = np.log(np.maximum(brightness, _DARKEST)).astype(np.float32)
+    visibility = _sigmoid(prior)
+    for _ in range(config.iterations):
+        certainty = weight * np.square(2 * visibility - 1)
+        unexplained = residual - visibility[..., None] * step
+        local, share = weighted_mean(unexplained, certainty, far)
+        offset = local * (share / (share + np.float32(0.02)))[..., None]
+        logit = prior + _image_logit(residual - offset, step, config)
+        vote = guided_filter(guide, visibility, weight, near, 0.05)
+        logit += np.float32(config.smoothness_logit) * (2 * np.clip(vote, 0, 1) - 1)
+        visibility = _sigmoid(logit)
+    soft = guided_filter(guide, visibility, weight, max(1, near // 2), 0.01)
+    return np.clip(soft, 0.0, 1.0).astype(np.float32)
+
+
+def _image_logit(
+    residual: Float32[np.ndarray, "h w 3"],
+    step: Float32[np.ndarray, "h w 3"],
+    config: ShadowRefineConfig,
+) -> Float32[np.ndarray, "h w"]:
+    """Log-odds of lit against shadowed from the look of each pixel alone, clipped.
+
+    Brightness, red over blue, and green over both are taken as independent Gaussians.
+    """
+    basis = np.array([[1 / 3, 1 / 3, 1 / 3], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]], np.float32)
+    deviation = np.array(
+        [config.luminance_deviation, config.chroma_deviation, config.chroma_deviation], np.float32
+    )
+    if_shadowed = residual @ basis.T / deviation
+    if_lit = (residual - step) @ basis.T / deviation
+    logit = 0.5 * (np.square(if_shadowed) - np.square(if_lit)).sum(axis=-1)
+    limit = np.float32(config.largest_image_logit)
+    return (limit * np.tanh(logit / limit)).astype(np.float32)
+
+
+def _prior_logit(
+    visibility: Float32[np.ndarray, "h w"],
+    buffers: GBuffers,
+    is_open: Bool[np.ndarray, "h w"],
+    config: ShadowRefineConfig,
+) -> Float32[np.ndarray, "h w"]:
+    """Log-odds of lit from the rendered visibility: 0 on its edges, growing with distance."""
+    is_lit = visibility > 0.5
+    inside = np.asarray(ndimage.distance_transform_edt(is_lit | ~is_open))
+    outside = np.asarray(ndimage.distance_transform_edt(~is_lit | ~is_open))
+    signed_px = np.where(is_lit, inside, -outside)
+    logit = signed_px * _footprint_m(buffers) / config.geometry_error_m
+    limit = config.largest_prior_logit
+    return (limit * np.tanh(logit / limit)).astype(np.float32)
+
+
+def _footprint_m(buffers: GBuffers) -> Float32[np.ndarray, "h w"]:
+    """Size of a pixel on its surface along the finer direction, smoothed; 0 without a surface."""
+    position = buffers.position_world
+    right = np.linalg.norm(np.diff(position, axis=1, append=position[:, -2:-1]), axis=-1)
+    down = np.linalg.norm(np.diff(position, axis=0, append=position[-2:-1]), axis=-1)
+    finer = np.where(buffers.has_surface, np.minimum(right, down), 0.0)
+    return ndimage.median_filter(finer.astype(np.float32), size=3)
+
+
+def _sigmoid(logit: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    return (0.5 * (1 + np.tanh(0.5 * logit))).astype(np.float32)

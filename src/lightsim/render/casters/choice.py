@@ -1,0 +1,30 @@
+"""The ray casters there are, by name."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from lightsim.core.casting import MakeCaster
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.render.casters.mitsuba import is_usable, mitsuba_caster_maker
+
+Backend = Literal["auto", "embree", "mitsuba-cuda", "mitsuba-llvm"]
+
+
+def resolve_backend(backend: Backend) -> Backend:
+    """What "auto" stands for here: CUDA where Mitsuba finds it, else Embree."""
+    if backend != "auto":
+        return backend
+    return "mitsuba-cuda" if is_usable("cuda") else "embree"
+
+
+def choose_caster(backend: Backend) -> MakeCaster:
+    """The maker of ray casters of a name; see `resolve_backend`.
+
+    Raises:
+        InputError: this machine does not have it.
+    """
+    backend = resolve_backend(backend)
+    if backend == "embree":
+        return make_embree_caster
+    return mitsuba_caster_maker("cuda" if backend == "mitsuba-cuda" else "llvm")

@@ -1,0 +1,165 @@
+"""How a twin's parts become a scene that can be rendered; used by stages and by relighting."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.casting import MakeCaster
+from lightsim.core.dome import SkyDome
+from lightsim.core.equirect import sample_bilinear
+from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import TriMesh
+from lightsim.core.scenario import Scenario
+from lightsim.core.sensors import CameraFrame
+from lightsim.core.twin import SceneAssets
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.render.gbuffers import render_gbuffers, with_ambient_occlusion
+from lightsim.render.image import scene_image
+from lightsim.render.scene import FrameScene, make_static_scene, place
+from lightsim.render.transport.faces import FaceTable
+from lightsim.render.transport.light import light
+from lightsim.render.transport.samples import render_samples
+from lightsim.render.transport.sky import SkyCells, prepare_sky
+from lightsim.render.transport.table import (
+    TransportConfig,
+    TransportTable,
+    static_face_table,
+    trace_transport,
+)
+
+
+def parked_actor_meshes(log: DrivingLog, assets: SceneAssets) -> list[TriMesh]:
+    """Meshes of the actors that never move, in frame `world`."""
+    return [
+        assets.actors[track.actor_id].mesh.moved(track.trajectory.at(track.trajectory.start_ns))
+        for track in log.actors
+        if not track.is_moving and track.actor_id in assets.actors
+    ]
+
+
+class TransportFrame:
+    """A frame whose rays are traced: light under any sky is a few sums away.
+
+    Args:
+        view: the frame and its camera.
+        buffers: geometry, with ambient occlusion.
+        scene: the scene at the frame's time.
+        table: its rays.
+        config: of the rays.
+    """
+
+    def __init__(
+        self,
+        view: tuple[CameraFrame, PinholeCamera],
+        buffers: GBuffers,
+        scene: FrameScene,
+        table: TransportTable,
+        config: TransportConfig,
+    ) -> None:
+        self.buffers = buffers
+        self._view = view
+        self._scene = scene
+        self._table = table
+        self._config = config
+        self._last: tuple[SkyDome | SkyCells, ShadowBuffers] | None = None
+
+    def light(self, sky: SkyDome | SkyCells) -> ShadowBuffers:
+        if self._last is None or self._last[0] is not sky:
+            self._last = None
+            self._last = (sky, light(self._table, self._scene, self.buffers, sky, self._config))
+        return self._last[1]
+
+    def image(self, sky: SkyCells) -> Float32[np.ndarray, "h w 3"]:
+        """Radiance: anti-aliased and with reflections where the renderer looks at samples of
+        pixels; the sky behind."""
+        return scene_image(self.buffers, self.light(sky), visible_sky(sky, *self._view))
+
+
+def visible_sky(
+    sky: SkyCells, frame: CameraFrame, camera: PinholeCamera
+) -> Float32[np.ndarray, "h w 3"]:
+    """The sky as a camera sees it, with a sharp solar disc."""
+    assert sky.smooth is not None
+    rays = frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))[1]
+    seen = sample_bilinear(sky.smooth, rays).astype(np.float32)
+    if sky.sun is not None:
+        radius_rad = np.radians(sky.sun.angular_radius_deg)
+        axis = sky.sun.direction_world / np.linalg.norm(sky.sun.direction_world)
+        in_disc = rays @ axis > np.cos(radius_rad)
+        solid_angle_sr = 2 * np.pi * (1 - np.cos(radius_rad))
+        seen[in_disc] += (sky.sun.irradiance / solid_angle_sr).astype(np.float32)
+    return seen.reshape(camera.height_px, camera.width_px, 3)
+
+
+class FrameRenderer:
+    """Buffers and light of single frames; what is static is prepared once."""
+
+    def __init__(
+        self,
+        background: TriMesh,
+        inferred: TriMesh,
+        transport: TransportConfig,
+        seed: int,
+        *,
+        inferred_is_visible: bool = False,
+        make_caster: MakeCaster = make_embree_caster,
+        is_sampled: bool = False,
+    ) -> None:
+        """`is_sampled`: light is the mean over `transport.pixel_samples` points of each pixel,
+        with reflections."""
+        shadow_only = [inferred] if len(inferred.faces) else []
+        self._static = make_static_scene(
+            [background],
+            shadow_only,
+            inferred_is_visible=inferred_is_visible,
+            make_caster=make_caster,
+        )
+        self._make_caster = make_caster
+        self._is_sampled = is_sampled
+        self._transport = transport
+        self._seed = seed
+        self._faces: FaceTable | None = None
+
+    def prepare(self, sky: SkyDome) -> SkyCells:
+        """A sky made ready once for many frames."""
+        return prepare_sky(sky, self._transport)
+
+    def scene(self, scenario: Scenario, time_ns: int) -> FrameScene:
+        return place(self._static, scenario, time_ns, self._make_caster)
+
+    def geometry(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> GBuffers:
+        """Geometry buffers alone (ambient occlusion 1)."""
+        scene = self.scene(scenario, frame.time_ns)
+        return render_gbuffers(scene, camera, frame)
+
+    def trace(
+        self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera
+    ) -> TransportFrame:
+        """Geometry and the ray table of a frame: all that does not depend on the sky."""
+        scene = self.scene(scenario, frame.time_ns)
+        if self._faces is None:
+            self._faces = static_face_table(scene, self._transport, self._seed)
+        buffers = render_gbuffers(scene, camera, frame)
+        config = self._transport
+        samples = (
+            render_samples(scene, camera, frame, buffers, config) if self._is_sampled else None
+        )
+        table = trace_transport(scene, buffers, config, self._seed, self._faces, samples)
+        buffers = with_ambient_occlusion(buffers, table.ambient_occlusion)
+        return TransportFrame((frame, camera), buffers, scene, table, config)
+
+    def render(
+        self,
+        scenario: Scenario,
+        frame: CameraFrame,
+        camera: PinholeCamera,
+        skies: Sequence[SkyDome | SkyCells],
+    ) -> tuple[GBuffers, list[ShadowBuffers]]:
+        """Geometry of a frame and its light under each sky, from one ray table."""
+        traced = self.trace(scenario, frame, camera)
+        return traced.buffers, [traced.light(sky) for sky in skies]

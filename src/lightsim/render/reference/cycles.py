@@ -1,0 +1,228 @@
+"""Blender's Cycles as a reference renderer (paper, Sec. 3.3), in a process of its own.
+
+The module bpy needs one exact version of Python and a NumPy before 2.0, which LightSim cannot use:
+it lives in another interpreter, which `cycles_worker.py` is run with.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.dome import Sun, split_sun
+from lightsim.core.frames import RigidTransform
+from lightsim.core.mesh import TriMesh
+from lightsim.core.sensors import CameraFrame
+from lightsim.errors import LightSimError, MissingDependencyError
+from lightsim.render.reference.mitsuba_scene import CornerMesh, corner_mesh
+from lightsim.render.reference.path_tracer import camera_pose
+from lightsim.render.reference.renderer import Picture, Shot
+from lightsim.render.scene import FrameScene, StaticScene
+
+PYTHON_VARIABLE = "LIGHTSIM_BLENDER_PYTHON"
+_REMEDY = (
+    "bpy and LightSim want different NumPys: make a virtual environment of Python 3.11 for "
+    "Blender alone, run `pip install 'bpy==4.5.*'` in it, and name its interpreter in "
+    f"{PYTHON_VARIABLE} or --blender-python."
+)
+
+
+class Cycles:
+    """Takes shots with Cycles on the CPU. A rolling shutter is rendered at its middle row.
+
+    Args:
+        python: an interpreter that has bpy; None for the one that the environment variable
+            LIGHTSIM_BLENDER_PYTHON names, else the running one.
+
+    Raises:
+        MissingDependencyError: that interpreter has no bpy.
+    """
+
+    def __init__(self, python: str | None = None) -> None:
+        self.python = python or os.environ.get(PYTHON_VARIABLE) or sys.executable
+        self.seconds: list[float] = []
+        """What Cycles took for each picture of the last call of `shoot`, its setup included."""
+        self._check_bpy()
+        self._folder = tempfile.TemporaryDirectory(prefix="lightsim-cycles-")
+        self._noise: IO[bytes] = (Path(self._folder.name) / "blender.log").open("w+b")
+        self._process = subprocess.Popen(
+            # -P: this folder's modules must not hide Blender's own `cycles`.
+            [self.python, "-P", str(Path(__file__).with_name("cycles_worker.py"))],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._noise,
+            env=_clean_environment(),
+            text=True,
+        )
+        self._static: StaticScene | None = None
+        self._scene: FrameScene | None = None
+        self._ask({"do": "start"})
+
+    @property
+    def pid(self) -> int:
+        """Of Blender's process."""
+        return self._process.pid
+
+    def _check_bpy(self) -> None:
+        """Whether the interpreter has bpy: importing it takes seconds, finding it does not."""
+        probe = "import importlib.util, sys; sys.exit(importlib.util.find_spec('bpy') is None)"
+        try:
+            found = subprocess.run(
+                [self.python, "-c", probe], env=_clean_environment(), check=False
+            )
+        except OSError as error:
+            raise MissingDependencyError(
+                "the interpreter for Blender cannot be run", where=self.python, remedy=_REMEDY
+            ) from error
+        if found.returncode:
+            raise MissingDependencyError(
+                "Cycles needs the package 'bpy'", where=self.python, remedy=_REMEDY
+            )
+
+    def close(self) -> None:
+        """End the process; done by itself when the object goes."""
+        if self._process.stdin is not None and not self._process.stdin.closed:
+            self._process.stdin.close()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+        self._process.wait()
+        self._noise.close()
+        self._folder.cleanup()
+
+    def __enter__(self) -> Cycles:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def shoot(
+        self,
+        scene: FrameScene,
+        camera: PinholeCamera,
+        view: CameraFrame | RigidTransform,
+        shots: Sequence[Shot],
+        seed: int,
+    ) -> list[Picture]:
+        """As `path_tracer.PathTracer.shoot`.
+
+        Raises:
+            FrameMismatchError: the pose does not map `camera` to `world`.
+            LightSimError: Blender failed.
+        """
+        pose = camera_pose(view)
+        self._load(scene)
+        out = Path(self._folder.name) / "picture.npy"
+        images = []
+        self.seconds = []
+        for number, shot in enumerate(shots):
+            request = _camera_request(camera, pose) | self._light_request(shot)
+            request |= {
+                "do": "shot",
+                "out": str(out),
+                "samples": shot.samples,
+                "bounces": shot.bounces,
+                "surfaces": shot.surfaces,
+                "is_antialiased": shot.is_antialiased,
+                "seed": (seed + 7919 * number) % (1 << 31),
+            }
+            self.seconds.append(self._ask(request)["seconds"])
+            images.append(np.load(out))
+        return images
+
+    def _load(self, scene: FrameScene) -> None:
+        """Hand over what has changed since the last call."""
+        static = scene.static
+        if static is not self._static:
+            self._ask({"do": "remove", "prefix": ""})
+            for k, (mesh, normals) in enumerate(zip(static.meshes, static.normals, strict=True)):
+                self._add(f"static{k}", mesh, normals, k < len(static.visible))
+            self._static, self._scene = static, None
+        if scene is not self._scene:
+            self._ask({"do": "remove", "prefix": "actor"})
+            for k, (mesh, normals) in enumerate(
+                zip(scene.actors, scene.actor_normals, strict=True)
+            ):
+                self._add(f"actor{k}", mesh, normals, True)
+            self._scene = scene
+
+    def _add(
+        self, name: str, mesh: TriMesh, normals: Float32[np.ndarray, "_ 3"], is_visible: bool
+    ) -> None:
+        if len(mesh.faces) == 0:
+            return
+        path = Path(self._folder.name) / "mesh.npz"
+        np.savez(path, **_arrays(corner_mesh(mesh, normals)))
+        self._ask({"do": "mesh", "name": name, "path": str(path), "is_visible": is_visible})
+
+    def _light_request(self, shot: Shot) -> dict[str, Any]:
+        rest, sun = split_sun(shot.dome)
+        path = Path(self._folder.name) / "sky.npz"
+        light = rest if shot.has_sky else np.zeros_like(rest)
+        np.savez(path, light=light, seen=shot.dome.radiance)
+        return {"sky": str(path), "sun": _sun_request(sun) if shot.has_sun else None}
+
+    def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
+        """One request, one reply."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        try:
+            self._process.stdin.write(json.dumps(request) + "\n")
+            self._process.stdin.flush()
+            line = self._process.stdout.readline()
+        except BrokenPipeError:
+            line = ""
+        reply = json.loads(line) if line else {"error": "the process ended", "trace": ""}
+        if "error" in reply:
+            raise LightSimError(
+                "Blender failed",
+                where=f"{self.python}, at '{request['do']}'",
+                got=" ".join(f"{reply['error']} {self._last_words()}".split()),
+                remedy="Check its bpy (4.5) and the free memory, or choose another --renderer.",
+            )
+        return reply
+
+    def _last_words(self) -> str:
+        """The end of what Blender printed."""
+        self._noise.flush()
+        self._noise.seek(0)
+        return self._noise.read().decode(errors="replace")[-800:]
+
+
+def _clean_environment() -> dict[str, str]:
+    """The other interpreter must not see this one's packages."""
+    hidden = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
+    return {key: value for key, value in os.environ.items() if key not in hidden}
+
+
+def _camera_request(camera: PinholeCamera, pose: RigidTransform) -> dict[str, Any]:
+    return {
+        "size_px": [camera.width_px, camera.height_px],
+        "intrinsics_px": [camera.fx, camera.fy, camera.cx, camera.cy],
+        "world_from_camera": pose.matrix.tolist(),
+    }
+
+
+def _sun_request(sun: Sun | None) -> dict[str, Any] | None:
+    if sun is None:
+        return None
+    return {
+        "direction": sun.direction_world.tolist(),
+        "irradiance": sun.irradiance.tolist(),
+        "angular_radius_deg": sun.angular_radius_deg,
+    }
+
+
+def _arrays(mesh: CornerMesh) -> dict[str, Any]:
+    names = ("vertices", "normals", "uv", "colour", "texture", "roughness", "metallic", "specular")
+    arrays = {name: getattr(mesh, name) for name in names}
+    return {name: array for name, array in arrays.items() if array is not None}

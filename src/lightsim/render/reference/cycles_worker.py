@@ -1,0 +1,296 @@
+"""Runs inside Blender's Python (module bpy, alone): renders what `cycles.py` asks for.
+
+Reads one JSON object a line from standard input and answers each with one line. Imports nothing
+of LightSim, since bpy wants a NumPy of its own.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import os
+import sys
+import time
+import traceback
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+_FILTER_OF_A_POINT_PX = 0.01
+_FAR_M = 1.0e5
+_MOST_MAP_COLUMNS = 4096
+
+
+class Worker:
+    """One Blender scene, changed by requests."""
+
+    def __init__(self) -> None:
+        self.bpy: Any = importlib.import_module("bpy")
+        self.bpy.ops.wm.read_factory_settings(use_empty=True)
+        self.scene: Any = self.bpy.context.scene
+        self.materials: dict[str, Any] = {}
+        self.shots = 0
+        _settings(self.scene)
+        self.camera = self._object("camera", self.bpy.data.cameras.new("camera"))
+        self.scene.camera = self.camera
+        self.sun = self._object("sun", self.bpy.data.lights.new("sun", "SUN"))
+        self.world = self.bpy.data.worlds.new("world")
+        self.scene.world = self.world
+        _world_nodes(self.world)
+
+    def _object(self, name: str, data: Any) -> Any:
+        thing = self.bpy.data.objects.new(name, data)
+        self.scene.collection.objects.link(thing)
+        return thing
+
+    def answer(self, request: dict[str, Any]) -> dict[str, Any]:
+        start = time.perf_counter()
+        getattr(self, f"do_{request['do']}")(request)
+        return {"seconds": time.perf_counter() - start}
+
+    def do_start(self, request: dict[str, Any]) -> None:
+        """Being asked this proves that bpy works."""
+
+    def do_mesh(self, request: dict[str, Any]) -> None:
+        """Add a mesh from a .npz file of a `mitsuba_scene.CornerMesh`."""
+        name = request["name"]
+        with np.load(request["path"]) as arrays:
+            mesh = _mesh(self.bpy, name, arrays)
+            texture = arrays.get("texture")
+        self.materials[name] = _material(self.bpy, name, texture)
+        mesh.materials.append(self.materials[name])
+        thing = self._object(name, mesh)
+        thing.visible_camera = request["is_visible"]
+        thing.cycles.shadow_terminator_geometry_offset = 0.0
+
+    def do_remove(self, request: dict[str, Any]) -> None:
+        """Remove the meshes whose name starts with a prefix, and all that they own."""
+        data = self.bpy.data
+        for name in [n for n in self.materials if n.startswith(request["prefix"])]:
+            data.meshes.remove(data.objects[name].data)
+            data.materials.remove(self.materials.pop(name))
+            if name in data.images:
+                data.images.remove(data.images[name])
+
+    def do_shot(self, request: dict[str, Any]) -> None:
+        """Render one picture into a .npy file, rows from the top."""
+        for material in self.materials.values():
+            _choose_surface(material, request["surfaces"])
+        self._set_camera(request)
+        self._set_light(request)
+        cycles = self.scene.cycles
+        cycles.samples = request["samples"]
+        cycles.seed = request["seed"]
+        for kind in ("max", "diffuse", "glossy"):
+            setattr(cycles, f"{kind}_bounces", request["bounces"])
+        is_wide = request["is_antialiased"]
+        # Cycles gives every box a width of 1.
+        cycles.pixel_filter_type = "BOX" if is_wide else "GAUSSIAN"
+        cycles.filter_width = _FILTER_OF_A_POINT_PX
+        out = Path(request["out"])
+        self.scene.render.filepath = str(out.with_suffix(".exr"))
+        self.bpy.ops.render.render(write_still=True)
+        np.save(out, self._read(out.with_suffix(".exr")))
+
+    def _read(self, path: Path) -> np.ndarray:
+        image = self.bpy.data.images.load(str(path))
+        width, height = image.size
+        pixels = np.empty(width * height * 4, dtype=np.float32)
+        image.pixels.foreach_get(pixels)
+        self.bpy.data.images.remove(image)
+        return pixels.reshape(height, width, 4)[::-1, :, :3].copy()
+
+    def _set_camera(self, request: dict[str, Any]) -> None:
+        width, height = request["size_px"]
+        fx, fy, cx, cy = request["intrinsics_px"]
+        render, lens = self.scene.render, self.camera.data
+        render.resolution_x, render.resolution_y = width, height
+        render.pixel_aspect_x, render.pixel_aspect_y = max(1.0, fy / fx), max(1.0, fx / fy)
+        lens.sensor_fit, lens.sensor_width = "HORIZONTAL", 36.0
+        lens.lens = fx / width * 36.0
+        lens.shift_x = (width / 2 - cx) / width
+        lens.shift_y = (cy - height / 2) / width
+        lens.clip_start, lens.clip_end = 0.01, _FAR_M
+        pose = np.array(request["world_from_camera"]) @ np.diag([1.0, -1.0, -1.0, 1.0])
+        self.camera.matrix_world = pose.T.tolist()
+
+    def _set_light(self, request: dict[str, Any]) -> None:
+        sun = request["sun"]
+        light = self.sun.data
+        if sun is None:
+            light.energy = 0.0
+        else:
+            level = max(sun["irradiance"])
+            light.energy = level
+            light.color = [value / level for value in sun["irradiance"]]
+            light.angle = math.radians(2 * sun["angular_radius_deg"])
+            self.sun.matrix_world = _turned_towards(np.array(sun["direction"])).T.tolist()
+        light.update_tag()
+        with np.load(request["sky"]) as arrays:
+            self.shots += 1
+            _set_world(self.bpy, self.world, arrays, f"sky{self.shots}:")
+
+
+def _settings(scene: Any) -> None:
+    """Unbiased: nothing clamped, blurred, denoised or stopped early."""
+    scene.render.engine = "CYCLES"
+    scene.render.resolution_percentage = 100
+    scene.render.use_persistent_data = True
+    scene.render.image_settings.file_format = "OPEN_EXR"
+    scene.render.image_settings.color_depth = "32"
+    scene.render.image_settings.exr_codec = "NONE"
+    cycles = scene.cycles
+    cycles.device = "CPU"
+    cycles.use_adaptive_sampling = False
+    cycles.use_denoising = False
+    cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
+    cycles.blur_glossy = 0.0
+    cycles.light_sampling_threshold = 0.0
+    cycles.caustics_reflective = True
+    cycles.transmission_bounces = cycles.volume_bounces = cycles.transparent_max_bounces = 0
+
+
+def _mesh(bpy: Any, name: str, arrays: Any) -> Any:
+    """Faces that share no vertices."""
+    corners = len(arrays["vertices"])
+    mesh = bpy.data.meshes.new(name)
+    mesh.vertices.add(corners)
+    mesh.vertices.foreach_set("co", arrays["vertices"].ravel())
+    mesh.loops.add(corners)
+    mesh.loops.foreach_set("vertex_index", np.arange(corners, dtype=np.int32))
+    mesh.polygons.add(corners // 3)
+    mesh.polygons.foreach_set("loop_start", np.arange(0, corners, 3, dtype=np.int32))
+    mesh.update(calc_edges=True)
+    mesh.polygons.foreach_set("use_smooth", np.ones(corners // 3, dtype=bool))
+    normals = mesh.attributes.new("custom_normal", "FLOAT_VECTOR", "CORNER")
+    normals.data.foreach_set("vector", arrays["normals"].ravel())
+    uv = arrays["uv"].copy()
+    uv[:, 1] = 1 - uv[:, 1]
+    mesh.uv_layers.new(name="uv").data.foreach_set("uv", uv.ravel())
+    colour = np.concatenate([arrays["colour"], np.ones((corners, 1), np.float32)], axis=1)
+    attribute = mesh.attributes.new("colour", "FLOAT_COLOR", "CORNER")
+    attribute.data.foreach_set("color", colour.ravel())
+    for key in ("roughness", "metallic", "specular"):
+        attribute = mesh.attributes.new(key, "FLOAT", "FACE")
+        attribute.data.foreach_set("value", arrays[key])
+    return mesh
+
+
+def _image(bpy: Any, name: str, pixels: np.ndarray) -> Any:
+    """A linear picture; Blender's first row is the lowest."""
+    height, width = pixels.shape[:2]
+    image = bpy.data.images.new(name, width, height, float_buffer=True, is_data=True)
+    full = np.concatenate([pixels[::-1], np.ones((height, width, 1), np.float32)], axis=2)
+    image.pixels.foreach_set(np.ascontiguousarray(full, dtype=np.float32).ravel())
+    image.update()
+    return image
+
+
+def _material(bpy: Any, name: str, texture: np.ndarray | None) -> Any:
+    """Principled, diffuse and white-to-the-camera shaders side by side."""
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    tree = material.node_tree
+    nodes, links = tree.nodes, tree.links
+    nodes.clear()
+    nodes.new("ShaderNodeOutputMaterial").name = "output"
+    if texture is None:
+        source = _attribute(nodes, "colour", "Color")
+    else:
+        picture = nodes.new("ShaderNodeTexImage")
+        picture.image = _image(bpy, name, texture)
+        picture.interpolation, picture.extension = "Linear", "EXTEND"
+        source = picture.outputs["Color"]
+    principled = nodes.new("ShaderNodeBsdfPrincipled")
+    principled.name = "principled"
+    links.new(principled.inputs["Base Color"], source)
+    inputs = {"roughness": "Roughness", "metallic": "Metallic", "specular": "Specular IOR Level"}
+    for key, name_of_input in inputs.items():
+        links.new(principled.inputs[name_of_input], _attribute(nodes, key, "Fac"))
+    for key in ("diffuse", "white"):
+        nodes.new("ShaderNodeBsdfDiffuse").name = key
+    links.new(nodes["diffuse"].inputs["Color"], source)
+    mixed = nodes.new("ShaderNodeMixRGB")
+    links.new(mixed.inputs[0], nodes.new("ShaderNodeLightPath").outputs["Is Camera Ray"])
+    links.new(mixed.inputs[1], source)
+    mixed.inputs[2].default_value = (1.0, 1.0, 1.0, 1.0)
+    links.new(nodes["white"].inputs["Color"], mixed.outputs[0])
+    return material
+
+
+def _attribute(nodes: Any, name: str, output: str) -> Any:
+    node = nodes.new("ShaderNodeAttribute")
+    node.attribute_name = name
+    return node.outputs[output]
+
+
+def _choose_surface(material: Any, surfaces: str) -> None:
+    tree = material.node_tree
+    surface = tree.nodes["output"].inputs["Surface"]
+    shader = tree.nodes[surfaces].outputs["BSDF"]
+    if not surface.links or surface.links[0].from_socket != shader:
+        tree.links.new(surface, shader)
+
+
+def _world_nodes(world: Any) -> None:
+    """The sky that gives light, and for camera rays the dome with its sun."""
+    world.use_nodes = True
+    nodes, links = world.node_tree.nodes, world.node_tree.links
+    nodes.clear()
+    shaders = []
+    for key in ("light", "seen"):
+        picture = nodes.new("ShaderNodeTexEnvironment")
+        picture.name = key
+        background = nodes.new("ShaderNodeBackground")
+        links.new(background.inputs["Color"], picture.outputs["Color"])
+        shaders.append(background.outputs[0])
+    mixed = nodes.new("ShaderNodeMixShader")
+    links.new(mixed.inputs[0], nodes.new("ShaderNodeLightPath").outputs["Is Camera Ray"])
+    links.new(mixed.inputs[1], shaders[0])
+    links.new(mixed.inputs[2], shaders[1])
+    links.new(nodes.new("ShaderNodeOutputWorld").inputs["Surface"], mixed.outputs[0])
+    world.cycles.sampling_method = "MANUAL"
+
+
+def _set_world(bpy: Any, world: Any, arrays: Any, prefix: str) -> None:
+    """Cycles keeps pictures by name, so each sky has a name of its own."""
+    for key in ("light", "seen"):
+        node = world.node_tree.nodes[key]
+        old = node.image
+        node.image = _image(bpy, prefix + key, arrays[key])
+        if old is not None:
+            bpy.data.images.remove(old)
+    columns = 2 * arrays["light"].shape[1]
+    world.cycles.sample_map_resolution = min(_MOST_MAP_COLUMNS, max(256, columns))
+    world.update_tag()
+
+
+def _turned_towards(direction: np.ndarray) -> np.ndarray:
+    """A pose whose z axis has a direction: lamps shine along -z."""
+    z = direction / np.linalg.norm(direction)
+    x = np.cross([1.0, 0.0, 0.0] if abs(z[0]) < 0.9 else [0.0, 1.0, 0.0], z)
+    x /= np.linalg.norm(x)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    return pose
+
+
+def serve(requests: IO[str], replies: IO[str]) -> None:
+    worker = None
+    for line in requests:
+        try:
+            worker = worker or Worker()
+            reply = worker.answer(json.loads(line))
+        except Exception as error:  # noqa: BLE001 - every failure is told to the caller
+            reply = {"error": f"{type(error).__name__}: {error}", "trace": traceback.format_exc()}
+        replies.write(json.dumps(reply) + "\n")
+        replies.flush()
+
+
+if __name__ == "__main__":
+    # Blender prints to standard output: replies get a descriptor of their own.
+    own = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    serve(sys.stdin, own)

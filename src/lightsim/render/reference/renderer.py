@@ -1,0 +1,214 @@
+"""What the reference renderers (Mitsuba, Cycles) have in common: shots, and frames made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.dome import SkyDome, split_sun
+from lightsim.core.equirect import pixel_directions, sample_bilinear, solid_angles_sr
+from lightsim.core.frames import RigidTransform
+from lightsim.core.mesh import TriMesh
+from lightsim.core.resample import resize_sphere
+from lightsim.core.scenario import Scenario
+from lightsim.core.sensors import CameraFrame
+from lightsim.render.gbuffers import render_gbuffers, with_ambient_occlusion
+from lightsim.render.scene import FrameScene, make_static_scene, place
+from lightsim.render.transport.sun import unshadowed_sun
+from lightsim.render.transport.table import TransportConfig, trace_transport
+
+Surfaces = Literal["principled", "diffuse", "white"]
+Picture = Float32[np.ndarray, "_ _ 3"]
+"""Linear radiance of the pixels of a camera."""
+_IRRADIANCE_ROWS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One picture that a reference renderer is to take.
+
+    Args:
+        dome: the sky. Its sun (`core.dome.split_sun`) shines as a disc of its own.
+        samples: paths per pixel.
+        bounces: reflections from surface to surface before the light; 0 is direct light alone.
+        surfaces: "principled" with roughness and metallic, Lambert where dielectrics are rough
+            (`core.mesh.MATTE_ROUGHNESS`); "diffuse": Lambert everywhere, or "white": diffuse, and
+            the surface that the camera sees is white, so that the picture is irradiance / pi.
+        has_sky: whether the dome without its sun gives light.
+        has_sun: whether its sun does.
+        is_antialiased: averages over the pixel; otherwise all paths go through its centre.
+    """
+
+    dome: SkyDome
+    samples: int
+    bounces: int = 1
+    surfaces: Surfaces = "principled"
+    has_sky: bool = True
+    has_sun: bool = True
+    is_antialiased: bool = True
+
+
+@runtime_checkable
+class ReferenceTracer(Protocol):
+    """Takes shots of a scene: linear radiance, the sky behind surfaces included."""
+
+    def shoot(
+        self,
+        scene: FrameScene,
+        camera: PinholeCamera,
+        view: CameraFrame | RigidTransform,
+        shots: Sequence[Shot],
+        seed: int,
+    ) -> list[Picture]: ...
+
+
+class ReferenceRenderer:
+    """As `scene_setup.FrameRenderer`, with the light path traced anew for every sky.
+
+    Args:
+        background: visible static mesh.
+        inferred: mesh that gives shadows and light but is not seen.
+        tracer: `render.path_tracer.PathTracer` or `render.cycles.Cycles`.
+        samples: paths per pixel.
+        bounces: as in `Shot`.
+        seed: of the sampling.
+    """
+
+    def __init__(
+        self,
+        background: TriMesh,
+        inferred: TriMesh,
+        tracer: ReferenceTracer,
+        samples: int = 64,
+        bounces: int = 4,
+        seed: int = 0,
+        *,
+        inferred_is_visible: bool = False,
+    ) -> None:
+        shadow_only = [inferred] if len(inferred.faces) else []
+        self._static = make_static_scene(
+            [background], shadow_only, inferred_is_visible=inferred_is_visible
+        )
+        self._tracer = tracer
+        self._samples = samples
+        self._bounces = bounces
+        self._seed = seed
+
+    def prepare(self, sky: SkyDome) -> SkyDome:
+        """A sky made ready once for many frames: as it is."""
+        return sky
+
+    def scene(self, scenario: Scenario, time_ns: int) -> FrameScene:
+        return place(self._static, scenario, time_ns)
+
+    def geometry(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> GBuffers:
+        """Geometry buffers alone (ambient occlusion 1)."""
+        return render_gbuffers(self.scene(scenario, frame.time_ns), camera, frame)
+
+    def trace(
+        self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera
+    ) -> ReferenceFrame:
+        """The geometry of a frame, ready for any number of skies."""
+        scene = self.scene(scenario, frame.time_ns)
+        buffers = render_gbuffers(scene, camera, frame)
+        occlusion = TransportConfig(sky_rays=16, face_rays=0)
+        table = trace_transport(scene, buffers, occlusion, self._seed)
+        buffers = with_ambient_occlusion(buffers, table.ambient_occlusion)
+        return ReferenceFrame(self, scene, frame, camera, buffers)
+
+    def render(
+        self,
+        scenario: Scenario,
+        frame: CameraFrame,
+        camera: PinholeCamera,
+        skies: Sequence[SkyDome],
+    ) -> tuple[GBuffers, list[ShadowBuffers]]:
+        """Geometry of a frame and its light under each sky, at pixel centres."""
+        traced = self.trace(scenario, frame, camera)
+        return traced.buffers, [traced.light(sky) for sky in skies]
+
+    def shoot(self, traced: ReferenceFrame, shots: Sequence[Shot]) -> list[Picture]:
+        """Pictures of a frame."""
+        return self._tracer.shoot(traced.scene, traced.camera, traced.frame, shots, self._seed)
+
+    def shot_of_image(self, sky: SkyDome) -> Shot:
+        """Principled surfaces, anti-aliased."""
+        return Shot(sky, self._samples, self._bounces)
+
+    def shots_of_light(self, sky: SkyDome) -> list[Shot]:
+        """The direct sun, the direct sky, and all light, each on white pixels."""
+        whole = Shot(sky, self._samples, self._bounces, "white", is_antialiased=False)
+        sun = replace(whole, bounces=0, has_sky=False, samples=max(4, self._samples // 4))
+        return [sun, replace(whole, bounces=0, has_sun=False), whole]
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceFrame:
+    """One frame of a `ReferenceRenderer`, ready for any number of skies.
+
+    Args:
+        renderer: that traced it.
+        scene: at the frame's time.
+        frame: what is rendered.
+        camera: of the frame.
+        buffers: its geometry, with ambient occlusion.
+    """
+
+    renderer: ReferenceRenderer
+    scene: FrameScene
+    frame: CameraFrame
+    camera: PinholeCamera
+    buffers: GBuffers
+
+    def light(self, sky: SkyDome) -> ShadowBuffers:
+        """Light under one sky at pixel centres. The bounce is a difference of independent
+        renderings: sampling noise can make it slightly negative, its mean is right."""
+        pictures = self.renderer.shoot(self, self.renderer.shots_of_light(sky))
+        return _shadow_buffers(self.buffers, sky, pictures)
+
+    def image(self, sky: SkyDome) -> Picture:
+        """Radiance under one sky: Principled surfaces, anti-aliased, the sky behind them."""
+        return self.renderer.shoot(self, [self.renderer.shot_of_image(sky)])[0]
+
+
+def _shadow_buffers(buffers: GBuffers, sky: SkyDome, images: Sequence[Picture]) -> ShadowBuffers:
+    """The light of one sky from its three shots (`ReferenceRenderer.shots_of_light`)."""
+    seen = buffers.has_surface[..., None]
+    sun, open_sky, whole = (np.where(seen, image, np.float32(0)) for image in images)
+    normals = buffers.normal_world[buffers.has_surface]
+    rest, disc = split_sun(sky)
+    sun_alone = np.zeros_like(sun)
+    if disc is not None:
+        sun_alone[buffers.has_surface] = unshadowed_sun(normals, disc)
+    open_alone = np.zeros_like(sun)
+    open_alone[buffers.has_surface] = open_irradiance_over_pi(rest, normals)
+    level = sun_alone.sum(axis=-1)
+    share = sun.sum(axis=-1) / np.where(level > 0, level, 1)
+    visibility = np.where(level > 0, np.clip(share, 0, 1), 0)
+    return ShadowBuffers(
+        visibility.astype(np.float32),
+        sun,
+        open_sky,
+        whole - sun - open_sky,
+        whole,
+        sun_alone + open_alone,
+    )
+
+
+def open_irradiance_over_pi(
+    radiance: Float32[np.ndarray, "a b 3"], normals_world: Float[np.ndarray, "n 3"]
+) -> Float32[np.ndarray, "n 3"]:
+    """What a white Lambert surface shows under a dome that nothing hides, any normal."""
+    rows = _IRRADIANCE_ROWS
+    cells = resize_sphere(radiance, rows)
+    towards = pixel_directions(rows).reshape(-1, 3)
+    solid = np.broadcast_to(solid_angles_sr(rows), (rows, 2 * rows)).reshape(-1, 1)
+    cosine = np.maximum(towards @ towards.T, 0.0)
+    table = cosine @ (cells.reshape(-1, 3) * solid) / np.pi
+    return sample_bilinear(table.reshape(cells.shape), normals_world).astype(np.float32)

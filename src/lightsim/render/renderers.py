@@ -1,0 +1,197 @@
+"""What `lightsim render` asks of a renderer, and the choice among them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.dome import SkyDome
+from lightsim.core.mesh import TriMesh
+from lightsim.core.scenario import Scenario
+from lightsim.core.sensors import CameraFrame
+from lightsim.errors import InputError
+from lightsim.render.casters.choice import Backend, choose_caster, resolve_backend
+from lightsim.render.frame_renderer import FrameRenderer
+from lightsim.render.transport.bag_torch import has_torch_cuda
+from lightsim.render.transport.table import TransportConfig
+
+_PATHS = 64
+_PATH_BOUNCES = 4
+RendererName = Literal["transport", "path", "cycles"]
+_MOST_BOUNCES = 64
+
+
+@runtime_checkable
+class TracedFrame(Protocol):
+    """One frame, ready for any number of skies."""
+
+    @property
+    def buffers(self) -> GBuffers:
+        """Geometry, with ambient occlusion."""
+        ...
+
+    def light(self, sky: Any) -> ShadowBuffers:
+        """Light under a sky that `Renderer.prepare` made ready."""
+        ...
+
+    def image(self, sky: Any) -> Float32[np.ndarray, "h w 3"]:
+        """Radiance that the camera sees under it, the sky behind."""
+        ...
+
+
+@runtime_checkable
+class Renderer(Protocol):
+    """Renders frames of one twin."""
+
+    def prepare(self, sky: SkyDome) -> Any:
+        """A sky made ready once for many frames."""
+        ...
+
+    def geometry(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> GBuffers:
+        """Geometry alone, ambient occlusion 1."""
+        ...
+
+    def trace(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> TracedFrame:
+        """All of a frame that does not depend on the sky."""
+        ...
+
+
+@dataclass(frozen=True)
+class RendererChoice:
+    """How light is computed.
+
+    Args:
+        name: "transport" is the ray table; "path" and "cycles" trace paths anew for every sky.
+        backend: what casts the rays of the ray table.
+        rays: per traced pixel over the hemisphere, or paths per pixel; None for the renderer's
+            own number.
+        pixel_samples: points of every pixel at which the ray table looks, a square number.
+        blender_python: Python that has bpy, for "cycles"; None looks for it.
+        bounces: of light between surfaces; None for the renderer's own number (1 of the ray
+            table, 4 of the others).
+        is_denoised: images pass Open Image Denoise.
+    """
+
+    name: RendererName = "transport"
+    backend: Backend = "auto"
+    rays: int | None = None
+    pixel_samples: int = 4
+    blender_python: Path | None = None
+    bounces: int | None = None
+    is_denoised: bool = False
+
+    def __post_init__(self) -> None:
+        if self.rays is not None and self.rays < 1:
+            raise InputError(
+                "there must be rays", where="--rays", got=self.rays, expected="1 or more"
+            )
+        if self.bounces is not None and not 1 <= self.bounces <= _MOST_BOUNCES:
+            raise InputError(
+                "there is no such number of bounces",
+                where="--bounces",
+                got=self.bounces,
+                expected=f"1 to {_MOST_BOUNCES}",
+            )
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What decides the pictures but for noise; the backend does not."""
+        samples = {"pixel_samples": self.pixel_samples} if self.name == "transport" else {}
+        more = {"bounces": self.bounces, "is_denoised": self.is_denoised}
+        return {"renderer": self.name, "rays": self.rays, **samples, **more}
+
+
+def make_renderer(
+    choice: RendererChoice, background: TriMesh, inferred: TriMesh, seed: int, *, has_images: bool
+) -> Renderer:
+    """The renderer that the user chose.
+
+    Args:
+        has_images: whether images are asked for, which takes rays for reflections.
+
+    Raises:
+        InputError: its backend is not available here.
+        MissingDependencyError: its package is not installed.
+    """
+    if choice.is_denoised and has_images:
+        from lightsim.render.reference.denoise import check_installed
+
+        check_installed()
+        noisy = replace(choice, is_denoised=False)
+        return _Denoised(make_renderer(noisy, background, inferred, seed, has_images=True))
+    if choice.name != "transport":
+        return _reference(choice, background, inferred, seed)
+    config = TransportConfig(pixel_samples=choice.pixel_samples)
+    if choice.bounces is not None:
+        config = replace(config, bounces=choice.bounces)
+    if choice.rays is not None:
+        config = replace(config, sky_rays=choice.rays)
+    if not has_images:
+        config = replace(config, glossy_rays=0)
+    backend = resolve_backend(choice.backend)
+    if backend == "mitsuba-cuda" and has_torch_cuda():
+        config = replace(config, device="cuda")
+    make_caster = choose_caster(backend)
+    return FrameRenderer(
+        background, inferred, config, seed, make_caster=make_caster, is_sampled=True
+    )
+
+
+def _reference(
+    choice: RendererChoice, background: TriMesh, inferred: TriMesh, seed: int
+) -> Renderer:
+    from lightsim.render.reference.renderer import ReferenceRenderer
+
+    if choice.name == "path":
+        from lightsim.render.reference.path_tracer import PathTracer
+
+        tracer = PathTracer()
+    else:
+        from lightsim.render.reference.cycles import Cycles
+
+        python = choice.blender_python
+        tracer = Cycles(None if python is None else str(python))
+    bounces = choice.bounces or _PATH_BOUNCES
+    return ReferenceRenderer(
+        background, inferred, tracer, choice.rays or _PATHS, bounces=bounces, seed=seed
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Denoised:
+    """A renderer whose images pass Open Image Denoise; buffers and light stay as they are."""
+
+    renderer: Renderer
+
+    def prepare(self, sky: SkyDome) -> Any:
+        return self.renderer.prepare(sky)
+
+    def geometry(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> GBuffers:
+        return self.renderer.geometry(scenario, frame, camera)
+
+    def trace(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> TracedFrame:
+        return _DenoisedFrame(self.renderer.trace(scenario, frame, camera))
+
+
+@dataclass(frozen=True, eq=False)
+class _DenoisedFrame:
+    traced: TracedFrame
+
+    @property
+    def buffers(self) -> GBuffers:
+        return self.traced.buffers
+
+    def light(self, sky: Any) -> ShadowBuffers:
+        return self.traced.light(sky)
+
+    def image(self, sky: Any) -> Float32[np.ndarray, "h w 3"]:
+        from lightsim.render.reference.denoise import denoise
+
+        buffers = self.buffers
+        return denoise(self.traced.image(sky), buffers.base_colour, buffers.normal_world)

@@ -1,0 +1,256 @@
+"""Faces that rays meet: the sky each of them sees, traced once and kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Int32, Int64, UInt16
+
+from lightsim.core.casting import RayCaster
+from lightsim.core.mesh import MATTE_ROUGHNESS, TriMesh
+from lightsim.errors import InputError
+from lightsim.render.casters.embree import offset_origins
+from lightsim.render.transport.sides import OPEN, SideFinder
+
+_TILE_RAYS = 1 << 19
+_TEXELS = 16
+"""Texels whose mean is the base colour of a face."""
+
+
+@dataclass(frozen=True)
+class TransportConfig:
+    """The ray table and the sun rays."""
+
+    sky_rays: int = 32
+    """Rays per traced pixel over the hemisphere."""
+    face_rays: int = 16
+    """Rays per face that a pixel ray met, for the bounce; 0 leaves the bounce out."""
+    sun_rays: int = 4
+    """Rays per pixel over the solar disc."""
+    face_sun_rays: int = 2
+    """Sun rays per met face."""
+    sky_cell_rows: int = 90
+    """Rows of the equirectangular grid of sky cells (2 degrees each at 90); at most 180."""
+    shading_step_px: int = 2
+    """One pixel in this many, along rows and columns, is traced; sun rays start from all."""
+    filter_radius: int = 1
+    """Traced neighbours over which sky and bounce light are smoothed along surfaces."""
+    origin_offset_m: float = 2e-3
+    """Distance by which rays start off their surface."""
+    bounces: int = 1
+    """Of light between surfaces. 2 takes a second level of faces and rays; more cost sums only."""
+    pixel_samples: int = 1
+    """Points of every pixel that are looked at, a square number; 1 takes the centre."""
+    glossy_rays: int = 8
+    """Rays per pixel for reflections; 0 leaves them out."""
+    glossy_max_roughness: float = MATTE_ROUGHNESS
+    """Surfaces at least this rough do not reflect."""
+    device: str = "cpu"
+    """Where the sums over pixel rays are taken: "cpu" (numba), or a device of torch."""
+
+    def __post_init__(self) -> None:
+        if self.bounces < 1:
+            raise InputError("light bounces at least once", got=self.bounces, expected="1 or more")
+        side = round(max(self.pixel_samples, 0) ** 0.5)
+        if side < 1 or side * side != self.pixel_samples or self.pixel_samples > 225:
+            raise InputError(
+                "the samples of a pixel form a square grid",
+                got=self.pixel_samples,
+                expected="1, 4, 9, 16 ... up to 225",
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class FaceSamples:
+    """Faces that rays met, each seen from one side, and the sky that they see.
+
+    Args:
+        sun_points_world: where its sun rays start.
+        normals_world: unit, on the side that was met.
+        base_colour: mean over the face.
+        sky_cells: one for each face ray, `transport_kernels.BLOCKED` where geometry is met.
+        next_rows: rows of these samples that the face rays meet, -1 for none, for further bounces.
+        bounces: of light, the one from these faces to what they were met from included.
+    """
+
+    sun_points_world: Float32[np.ndarray, "f s 3"]
+    normals_world: Float32[np.ndarray, "f 3"]
+    base_colour: Float32[np.ndarray, "f 3"]
+    sky_cells: UInt16[np.ndarray, "f m"]
+    next_rows: Int32[np.ndarray, "f m"] | None = None
+    bounces: int = 1
+
+
+class FaceTable:
+    """Sky seen by faces of a fixed list of meshes, traced when first asked for and kept.
+
+    Keep one over the static meshes for all frames of a log: what a wall sees of the sky does
+    not change (actors in front of it are left out there; they do cast sun shadows on it).
+    """
+
+    def __init__(
+        self, meshes: Sequence[TriMesh], caster: RayCaster, config: TransportConfig, seed: int = 0
+    ) -> None:
+        self._meshes = tuple(meshes)
+        self._first_face = np.cumsum([0] + [len(mesh.faces) for mesh in meshes])
+        self._caster = caster
+        self._config = config
+        self._seed = seed
+        self._row_by_side = np.full(2 * self._first_face[-1], -1, dtype=np.int32)
+        self._cells = np.zeros((0, config.face_rays), dtype=np.uint16)
+        self._next = np.zeros((0, config.face_rays), dtype=np.int32)
+        self._colour = np.zeros((0, 3), dtype=np.float32)
+
+    @property
+    def face_count(self) -> int:
+        return int(self._first_face[-1])
+
+    def samples(self, sides: Int64[np.ndarray, " f"]) -> FaceSamples:
+        """Samples of sides: 2 x (running face number) + (1 where seen from the back)."""
+        rows = self._rows(sides)
+        corners, normals = self._geometry(sides)
+        count = max(1, self._config.face_sun_rays)
+        points = self._points(sides, corners, count).reshape(-1, 3)
+        starts = offset_origins(
+            points, np.repeat(normals, count, axis=0), self._config.origin_offset_m
+        )
+        return FaceSamples(
+            starts.reshape(-1, count, 3), normals, self._colour[rows], self._cells[rows]
+        )
+
+    def next_sides(self, sides: Int64[np.ndarray, " f"]) -> Int32[np.ndarray, "f m"]:
+        """Sides that the face rays meet, counted over the caster's meshes, or OPEN; known where
+        the config has several bounces."""
+        rows = self._rows(sides)
+        return self._next[rows]
+
+    def _rows(self, sides: Int64[np.ndarray, " f"]) -> Int32[np.ndarray, " f"]:
+        """Rows of the sides, which are traced where they are new."""
+        new = sides[self._row_by_side[sides] < 0]
+        if len(new):
+            self._row_by_side[new] = len(self._cells) + np.arange(len(new), dtype=np.int32)
+            cells, met = self._trace(new)
+            self._cells = np.concatenate([self._cells, cells])
+            self._next = np.concatenate([self._next, met])
+            self._colour = np.concatenate([self._colour, self._mean_colour(new)])
+        return self._row_by_side[sides]
+
+    def _geometry(
+        self, sides: Int64[np.ndarray, " f"]
+    ) -> tuple[Float32[np.ndarray, "f 3 3"], Float32[np.ndarray, "f 3"]]:
+        """Corners and normals of the sides."""
+        faces = sides >> 1
+        corners = np.zeros((len(sides), 3, 3), dtype=np.float32)
+        for mesh, rows, own in self._by_mesh(faces):
+            corners[rows] = mesh.vertices[mesh.faces[own]]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        turn = np.where(sides & 1, -1.0, 1.0)[:, None]
+        unit = np.where(length > 0, normals / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
+        return corners, (turn * unit).astype(np.float32)
+
+    def _by_mesh(
+        self, faces: Int64[np.ndarray, " f"]
+    ) -> Iterator[tuple[TriMesh, Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]]:
+        """Each mesh, which of some faces are its own, and their numbers in it."""
+        for k, mesh in enumerate(self._meshes):
+            low, high = self._first_face[k], self._first_face[k + 1]
+            rows = np.flatnonzero((faces >= low) & (faces < high))
+            yield mesh, rows, faces[rows] - low
+
+    def _mean_colour(self, sides: Int64[np.ndarray, " f"]) -> Float32[np.ndarray, "f 3"]:
+        """Mean base colour of the sides' faces: of the texture, which has shades that its mean at
+        vertices has not, where there is one."""
+        from lightsim.render.transport.kernels import mean_texels
+
+        colour = np.zeros((len(sides), 3), dtype=np.float32)
+        for mesh, rows, own in self._by_mesh(sides >> 1):
+            if mesh.texture is None:
+                colour[rows] = mesh.base_colour[mesh.faces[own]].mean(axis=1)
+                continue
+            found = np.empty((len(own), 3), dtype=np.float32)
+            shifts = hashed_shifts(sides[rows], self._seed + 2)
+            corner_uv = mesh.texture.corner_uv[own]
+            mean_texels(mesh.texture.image, corner_uv, shifts, _TEXELS, found)
+            colour[rows] = found
+        return colour
+
+    def _points(
+        self, sides: Int64[np.ndarray, " f"], corners: Float32[np.ndarray, "f 3 3"], count: int
+    ) -> Float32[np.ndarray, "f c 3"]:
+        from lightsim.render.transport.kernels import face_points
+
+        points = np.empty((len(sides), count, 3), dtype=np.float32)
+        face_points(corners, hashed_shifts(sides, self._seed + 1), count, points)
+        return points
+
+    def _trace(
+        self, sides: Int64[np.ndarray, " f"]
+    ) -> tuple[UInt16[np.ndarray, "f m"], Int32[np.ndarray, "_ m"]]:
+        """Sky cells of the rays, BLOCKED where geometry is met; and which side that is, where
+        the config has several bounces."""
+        from lightsim.render.transport.kernels import BLOCKED
+
+        rays = self._config.face_rays
+        cells = np.empty((len(sides), rays), dtype=np.uint16)
+        met = np.full((len(sides) if self._config.bounces > 1 else 0, rays), OPEN, dtype=np.int32)
+        finder = SideFinder(self._caster) if self._config.bounces > 1 else None
+        tile = max(1, _TILE_RAYS // max(1, rays))
+        for start in range(0, len(sides) if rays else 0, tile):
+            part = slice(start, start + tile)
+            corners, normals = self._geometry(sides[part])
+            shifts = hashed_shifts(sides[part], self._seed)
+            directions, found = hemisphere_directions(
+                normals, shifts, rays, self._config.sky_cell_rows
+            )
+            points = self._points(sides[part], corners, rays).reshape(-1, 3)
+            origins = offset_origins(
+                points, np.repeat(normals, rays, axis=0), self._config.origin_offset_m
+            )
+            flat = directions.reshape(-1, 3)
+            if finder is not None:
+                met[part] = finder.met(origins, flat).reshape(-1, rays)
+                is_blocked = met[part] != OPEN
+            else:
+                is_blocked = self._caster.is_occluded(origins, flat).reshape(-1, rays)
+            cells[part] = np.where(is_blocked, BLOCKED, found)
+        return cells, met
+
+
+def hemisphere_directions(
+    normals: Float32[np.ndarray, "n 3"], shifts: Float32[np.ndarray, "n 2"], rays: int, rows: int
+) -> tuple[Float32[np.ndarray, "n k 3"], UInt16[np.ndarray, "n k"]]:
+    from lightsim.render.transport.kernels import hemisphere_rays
+
+    directions = np.empty((len(normals), rays, 3), dtype=np.float32)
+    cells = np.empty((len(normals), rays), dtype=np.uint16)
+    hemisphere_rays(normals, shifts, rays, rows, directions, cells)
+    return directions, cells
+
+
+def hashed_shifts(numbers: Int64[np.ndarray, " n"], seed: int) -> Float32[np.ndarray, "n 2"]:
+    """Two uniform numbers in [0, 1) for each integer (SplitMix64; Steele et al. 2014)."""
+    shifts = np.empty((len(numbers), 2), dtype=np.float32)
+    for axis in range(2):
+        with np.errstate(over="ignore"):
+            z = numbers.astype(np.uint64) * np.uint64(2) + np.uint64(2 * seed * 1000003 + axis)
+            z = (z + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+            z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+            z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        shifts[:, axis] = ((z ^ (z >> np.uint64(31))) >> np.uint64(40)).astype(np.float64) / 2**24
+    return shifts
+
+
+def pixel_shifts(
+    rows: Int64[np.ndarray, " n"], columns: Int64[np.ndarray, " n"], step: int, seed: int
+) -> Float32[np.ndarray, "n 2"]:
+    """One coordinate by interleaved gradient noise (Jimenez 2014), which covers [0, 1) evenly in
+    every 3x3 neighbourhood, as the smoothing afterwards wants; the other by hashing, since two
+    such patterns together show as stripes."""
+    offset = np.random.default_rng(seed).random(2) * 64.0
+    i, j = rows // step + offset[0], columns // step + offset[1]
+    u = (52.9829189 * ((0.06711056 * j + 0.00583715 * i) % 1.0)) % 1.0
+    numbers = (rows // step) * (1 << 20) + columns // step
+    return np.stack([u, hashed_shifts(numbers, seed)[:, 0]], axis=1).astype(np.float32)

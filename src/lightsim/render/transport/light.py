@@ -1,0 +1,166 @@
+"""One sky's light on a traced frame: table sums for the sky and the bounce, rays for the sun."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.casting import RayCaster
+from lightsim.core.dome import SkyDome, Sun
+from lightsim.render.scene import FrameScene
+from lightsim.render.transport.faces import FaceSamples
+from lightsim.render.transport.resolve import resolve
+from lightsim.render.transport.sky import SkyCells, prepare_sky
+from lightsim.render.transport.sun import sun_visibility, unshadowed_sun
+from lightsim.render.transport.table import PointTable, TransportConfig, TransportTable
+
+
+@dataclass(frozen=True, eq=False)
+class PointLight:
+    """Light on n points, irradiance / pi (see `core.buffers.ShadowBuffers`)."""
+
+    sun_visibility: Float32[np.ndarray, " n"]
+    direct_sun: Float32[np.ndarray, "n 3"]
+    sky: Float32[np.ndarray, "n 3"]
+    bounce: Float32[np.ndarray, "n 3"]
+    sky_unshadowed: Float32[np.ndarray, "n 3"]
+
+
+def light(
+    table: TransportTable,
+    scene: FrameScene,
+    gbuffers: GBuffers,
+    sky: SkyDome | SkyCells,
+    config: TransportConfig,
+) -> ShadowBuffers:
+    """Shaded and unshadowed images of one frame under one sky (paper, Sec. 3.3).
+
+    The sky part and the bounce are linear in the dome. `unshadowed` sums the same rays as
+    `sky` without their visibility, so that S <= 1, and S = 1 where nothing occludes, hold
+    for every pixel and not just on average. Below the horizon the dome's own radiance is used
+    where no geometry is met.
+
+    Args:
+        table: from `trace_transport` with the same scene, buffers and config; with samples, the
+            light is the mean over each pixel's surfaces, and reflections are added.
+        sky: a dome, or the result of `prepare_sky`, which saves time for many frames.
+    """
+    cells = prepare_sky(sky, config) if isinstance(sky, SkyDome) else sky
+    radiosity = face_radiosity(table.points.faces, scene.caster, cells)
+    sums = table_sums(table.points, cells, radiosity)
+    images = np.zeros((gbuffers.depth_z_m.size, 9), dtype=np.float32)
+    table.spread.add(sums, images, table.pixel)
+    images = images.reshape(*gbuffers.depth_z_m.shape, 9)
+    if table.detail is None:
+        return _at_centres(images, scene, gbuffers, cells, config)
+    return resolve(table.detail, scene, gbuffers, (cells, radiosity, sums, images), config)
+
+
+def _at_centres(
+    images: Float32[np.ndarray, "h w 9"],
+    scene: FrameScene,
+    gbuffers: GBuffers,
+    cells: SkyCells,
+    config: TransportConfig,
+) -> ShadowBuffers:
+    """Light at pixel centres: sky, bounce and unshadowed sky, and the sun."""
+    open_sky, bounce, sky_unshadowed = (images[..., i : i + 3] for i in (0, 3, 6))
+    visibility = np.zeros(gbuffers.depth_z_m.shape, dtype=np.float32)
+    sun_image = np.zeros((*visibility.shape, 3), dtype=np.float32)
+    if cells.sun is not None:
+        has_surface = gbuffers.has_surface
+        normals = gbuffers.normal_world[has_surface]
+        visibility[has_surface] = sun_visibility(
+            scene.caster, gbuffers.ray_starts_world[has_surface], normals, cells.sun, config
+        )
+        sun_image[has_surface] = unshadowed_sun(normals, cells.sun)
+    direct_sun = sun_image * visibility[..., None]
+    return ShadowBuffers(
+        visibility,
+        direct_sun,
+        open_sky,
+        bounce,
+        direct_sun + open_sky + bounce,
+        sun_image + sky_unshadowed,
+    )
+
+
+def light_points(
+    table: PointTable,
+    scene: FrameScene,
+    points_world: Float32[np.ndarray, "n 3"],
+    normals_world: Float32[np.ndarray, "n 3"],
+    cells: SkyCells,
+    config: TransportConfig,
+) -> PointLight:
+    """Light of one sky on traced points."""
+    sums = light_table(table, scene.caster, cells, config)
+    visibility = np.zeros(len(points_world), dtype=np.float32)
+    sun = np.zeros((len(points_world), 3), dtype=np.float32)
+    if cells.sun is not None:
+        visibility = sun_visibility(scene.caster, points_world, normals_world, cells.sun, config)
+        sun = unshadowed_sun(normals_world, cells.sun) * visibility[:, None]
+    return PointLight(visibility, sun, sums[:, :3], sums[:, 3:6], sums[:, 6:])
+
+
+def light_table(
+    table: PointTable, caster: RayCaster, cells: SkyCells, config: TransportConfig
+) -> Float32[np.ndarray, "n 9"]:
+    """Open sky, bounce and unshadowed sky of each point, irradiance / pi."""
+    return table_sums(table, cells, face_radiosity(table.faces, caster, cells))
+
+
+def table_sums(
+    table: PointTable, cells: SkyCells, radiosity: Float32[np.ndarray, "f 3"]
+) -> Float32[np.ndarray, "n 9"]:
+    """The same, with the light of the faces known."""
+    from lightsim.render.transport.kernels import point_light
+
+    if table.bag is not None:
+        return table.bag.point_light(cells.radiance, radiosity)
+    out = np.empty((len(table.sky_cells), 9), dtype=np.float32)
+    point_light(table.sky_cells, table.face_rows, cells.radiance, radiosity, out)
+    return out
+
+
+def face_radiosity(
+    faces: FaceSamples, caster: RayCaster, cells: SkyCells
+) -> Float32[np.ndarray, "f 3"]:
+    """Radiance that each face sends out: base colour x (sky + sun + other faces) irradiance / pi.
+
+    With further bounces the radiosity equation F = rho (E + K F) is iterated (Jacobi; Cohen &
+    Wallace 1993, ch. 5), one iteration a bounce: K is the mean over each face's own rays, so no
+    ray is traced.
+    """
+    from lightsim.render.transport.kernels import face_bounce, face_light
+
+    if faces.sky_cells.shape[1] == 0:
+        return np.zeros_like(faces.base_colour)
+    arriving = np.zeros_like(faces.base_colour)
+    face_light(faces.sky_cells, cells.radiance, arriving)
+    if cells.sun is not None and len(arriving):
+        arriving += _sun_on_faces(faces, caster, cells.sun)
+    first = (faces.base_colour * arriving).astype(np.float32)
+    radiosity = first
+    if faces.next_rows is None:
+        return first
+    from_faces = np.empty_like(first)
+    for _ in range(faces.bounces - 1):
+        face_bounce(faces.next_rows, radiosity, from_faces)
+        radiosity = first + faces.base_colour * from_faces
+    return radiosity
+
+
+def _sun_on_faces(faces: FaceSamples, caster: RayCaster, sun: Sun) -> Float32[np.ndarray, "f 3"]:
+    """Irradiance / pi of the sun's centre, mean over each face's sun points."""
+    arriving = unshadowed_sun(faces.normals_world, sun)
+    lit = np.flatnonzero(arriving.any(axis=1))
+    count = faces.sun_points_world.shape[1]
+    origins = faces.sun_points_world[lit].reshape(-1, 3)
+    towards = np.broadcast_to(sun.direction_world.astype(np.float32), origins.shape)
+    is_open = ~caster.is_occluded(origins, towards)
+    arriving[lit] *= is_open.reshape(-1, count).mean(axis=1, dtype=np.float32)[:, None]
+    return arriving

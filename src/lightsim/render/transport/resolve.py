@@ -1,0 +1,157 @@
+"""Light of one sky on the samples of pixels, averaged to pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.dome import Sun
+from lightsim.render.casters.embree import offset_origins
+from lightsim.render.scene import FrameScene
+from lightsim.render.transport.faces import TransportConfig, hashed_shifts
+from lightsim.render.transport.glossy import reflected_sun
+from lightsim.render.transport.samples import PixelSamples
+from lightsim.render.transport.sky import SkyCells
+from lightsim.render.transport.sun import PATTERNS, TILE_RAYS, disc_patterns, unshadowed_sun
+from lightsim.render.transport.table import SampleTable
+
+
+def resolve(
+    detail: SampleTable,
+    scene: FrameScene,
+    gbuffers: GBuffers,
+    arrived: tuple[
+        SkyCells,
+        Float32[np.ndarray, "f 3"],
+        Float32[np.ndarray, "t 9"],
+        Float32[np.ndarray, "h w 9"],
+    ],
+    config: TransportConfig,
+) -> ShadowBuffers:
+    """Means over the samples of each pixel.
+
+    Sky and bounce light at pixel centres hold for all samples of a pixel, except at edges, where
+    every sample gets its own. Sun rays start from every sample.
+
+    Args:
+        arrived: the sky; light of the faces met, of the traced points, and at pixel centres.
+    """
+    cells, radiosity, sums, images = arrived
+    samples = detail.samples
+    share = samples.share
+    edge_light = detail.edge_spread(sums)
+    images.reshape(-1, 9)[samples.pixel[samples.edge.rows]] = 0
+    samples.add_means(images, samples.edge.rows, edge_light, share)
+    open_sky, bounce, sky_unshadowed = (images[..., i : i + 3].copy() for i in (0, 3, 6))
+    del images
+    visible = np.zeros(len(samples.pixel), dtype=np.float32)
+    sun = samples.black
+    edge_shaded = edge_light[:, :3] + edge_light[:, 3:6]
+    sunlight = np.zeros(3, np.float32)
+    if cells.sun is not None:
+        sunlight = (cells.sun.irradiance / np.pi).astype(np.float32)
+        visible = _add_sun(sun, share, (samples, scene, gbuffers), cells.sun, config)
+        edge_shaded += _sun_at_edges(samples, visible, cells.sun)
+    direct_sun = sun[..., 1:2] * sunlight
+    shaded = direct_sun + open_sky + bounce
+    return ShadowBuffers(
+        sun[..., 0].copy(),
+        direct_sun,
+        open_sky,
+        bounce,
+        shaded,
+        sun[..., 2:] * sunlight + sky_unshadowed,
+        samples.coverage,
+        _diffuse(detail, shaded, edge_shaded, share),
+        _glossy(detail, cells, radiosity, visible, share),
+    )
+
+
+def _sun_at_edges(
+    samples: PixelSamples, visible: Float32[np.ndarray, " n"], sun: Sun
+) -> Float32[np.ndarray, "e 3"]:
+    """Irradiance / pi of the sun on the samples at edges."""
+    return unshadowed_sun(samples.edge.normal_world, sun) * visible[samples.edge.rows, None]
+
+
+def _diffuse(
+    detail: SampleTable,
+    shaded: Float32[np.ndarray, "h w 3"],
+    edge_shaded: Float32[np.ndarray, "e 3"],
+    share: Float32[np.ndarray, " p"],
+) -> Float32[np.ndarray, "h w 3"]:
+    """Mean radiance by diffuse reflection: colours differ within a pixel, light at edges only."""
+    samples = detail.samples
+    image = detail.base_colour * shaded
+    image.reshape(-1, 3)[samples.pixel[samples.edge.rows]] = 0
+    return samples.add_means(image, samples.edge.rows, detail.edge_colour * edge_shaded, share)
+
+
+def _add_sun(
+    image: Float32[np.ndarray, "h w 3"],
+    share: Float32[np.ndarray, " p"],
+    frame: tuple[PixelSamples, FrameScene, GBuffers],
+    sun: Sun,
+    config: TransportConfig,
+) -> Float32[np.ndarray, " n"]:
+    """Fraction of the solar disc that each sample sees, 0 where the sun stands behind it; adds to
+    `image` the means of that, of it times the sun's cosine, and of the cosine.
+
+    The samples of a pixel share `sun_rays` points on the disc, at least one each.
+    """
+    samples, scene, gbuffers = frame
+    rays = max(1, config.sun_rays // samples.per_pixel)
+    patterns = disc_patterns(sun, rays * samples.per_pixel)
+    direction = (sun.direction_world / np.linalg.norm(sun.direction_world)).astype(np.float32)
+    centre_normals = gbuffers.normal_world.reshape(-1, 3)
+    caster = scene.caster
+    visible = np.zeros(len(samples.pixel), dtype=np.float32)
+    edge_rows = samples.edge.rows
+    tile = max(1, TILE_RAYS // rays)
+    for start in range(0, len(visible), tile):
+        part = slice(start, start + tile)
+        normals = centre_normals[samples.pixel[part]]
+        edges = slice(*np.searchsorted(edge_rows, (start, start + tile)))
+        normals[edge_rows[edges] - start] = samples.edge.normal_world[edges]
+        cosine = np.maximum(normals @ direction, 0)
+        facing = np.flatnonzero(cosine > 0)
+        pixel = samples.pixel[part][facing]
+        origins = offset_origins(
+            samples.ray_starts_world[part][facing], normals[facing], config.origin_offset_m
+        )
+        chosen = (hashed_shifts(pixel.astype(np.int64), 7)[:, 0] * PATTERNS).astype(np.int64)
+        which = samples.number[part][facing, None] + samples.per_pixel * np.arange(rays)
+        directions = patterns[chosen[:, None], which].reshape(-1, 3)
+        occluded = caster.is_occluded(np.repeat(origins, rays, axis=0), directions)
+        visible[start + facing] = 1 - occluded.reshape(-1, rays).mean(axis=1, dtype=np.float32)
+        seen = visible[part]
+        samples.add_means(image, part, np.stack([seen, cosine * seen, cosine], axis=1), share)
+    return visible
+
+
+def _glossy(
+    detail: SampleTable,
+    cells: SkyCells,
+    radiosity: Float32[np.ndarray, "f 3"],
+    visible: Float32[np.ndarray, " n"],
+    share: Float32[np.ndarray, " p"],
+) -> Float32[np.ndarray, "h w 3"] | None:
+    """Mean radiance that the samples reflect; None where reflections are left out."""
+    from lightsim.render.transport.glossy_kernels import reflected_light
+
+    if detail.glossy is None:
+        return None
+    table, smoothing = detail.glossy
+    samples = detail.samples
+    points = samples.glossy
+    assert cells.smooth is not None
+    rays = np.empty((len(points.rows), 3), dtype=np.float32)
+    reflected_light(
+        table.directions_uv, table.face_rows, table.weights, table.f0, cells.smooth, radiosity, rays
+    )
+    image = smoothing(samples.add_means(samples.black, points.rows, rays, share))
+    if cells.sun is not None:
+        sun = reflected_sun(points, table.f0, cells.sun) * visible[points.rows, None]
+        samples.add_means(image, points.rows, sun, share)
+    return image

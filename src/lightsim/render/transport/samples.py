@@ -1,0 +1,243 @@
+"""What pixels show between their centres, so that edges are averaged, not stair-stepped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int32, Int64, UInt8
+
+from lightsim.core.buffers import GBuffers
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.casting import RayHits
+from lightsim.core.frames import RigidTransform
+from lightsim.core.sensors import CameraFrame
+from lightsim.render.gbuffers import BAND_RAYS, GBufferConfig, SeenSurfaces, see
+from lightsim.render.scene import FrameScene
+from lightsim.render.transport.faces import TransportConfig
+
+_SAME_NORMAL = 0.95
+"""Cosine above which neighbouring normals count as one surface."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfacePoints:
+    """Some of the samples, with all that is known of their surface.
+
+    Args:
+        rows: among the samples.
+        towards_camera: unit.
+    """
+
+    rows: Int64[np.ndarray, " k"]
+    normal_world: Float32[np.ndarray, "k 3"]
+    base_colour: Float32[np.ndarray, "k 3"]
+    towards_camera: Float32[np.ndarray, "k 3"]
+    depth_z_m: Float32[np.ndarray, " k"]
+    roughness: Float32[np.ndarray, " k"]
+    metallic: Float32[np.ndarray, " k"]
+
+
+@dataclass(frozen=True, eq=False)
+class PixelSamples:
+    """Surfaces at `per_pixel` points of every pixel. Samples that see the sky are left out.
+
+    Args:
+        per_pixel: how many points were looked at.
+        pixel: flat number of the pixel of each sample.
+        number: of the sample within its pixel.
+        ray_starts_world: of each sample, see core.buffers.GBuffers.
+        base_colour: mean over the samples of a pixel; 0 without a surface.
+        coverage: share of each pixel's samples that show a surface.
+        edge: samples of pixels that show more than one surface; the samples of other pixels lie
+            on the surface at the pixel's centre.
+        glossy: samples on surfaces that reflect.
+    """
+
+    per_pixel: int
+    pixel: Int32[np.ndarray, " n"]
+    number: UInt8[np.ndarray, " n"]
+    ray_starts_world: Float32[np.ndarray, "n 3"]
+    base_colour: Float32[np.ndarray, "h w 3"]
+    coverage: Float32[np.ndarray, "h w"]
+    edge: SurfacePoints
+    glossy: SurfacePoints
+
+    @property
+    def share(self) -> Float32[np.ndarray, " p"]:
+        """Weight of a sample in the mean of its pixel's surface samples, for each pixel."""
+        count = np.bincount(self.pixel, minlength=self.coverage.size)
+        return (1.0 / np.maximum(count, 1)).astype(np.float32)
+
+    def add_means(
+        self,
+        image: Float32[np.ndarray, "h w c"],
+        rows: Int64[np.ndarray, " k"] | slice,
+        values: Float32[np.ndarray, "k c"],
+        share: Float32[np.ndarray, " p"],
+    ) -> Float32[np.ndarray, "h w c"]:
+        """`image`, to which each pixel's values times `share` are added in place."""
+        from lightsim.render.transport.kernels import add_to_pixels
+
+        add_to_pixels(self.pixel[rows], share, values, image.reshape(share.size, -1))
+        return image
+
+    @property
+    def black(self) -> Float32[np.ndarray, "h w 3"]:
+        """An image of zeros."""
+        return np.zeros((*self.coverage.shape, 3), dtype=np.float32)
+
+
+def render_samples(
+    scene: FrameScene,
+    camera: PinholeCamera,
+    view: CameraFrame | RigidTransform,
+    gbuffers: GBuffers,
+    config: TransportConfig,
+) -> PixelSamples:
+    """Look at `config.pixel_samples` points of every pixel.
+
+    Args:
+        gbuffers: of the same view, to tell edges.
+    """
+    count = config.pixel_samples
+    width = camera.width_px
+    corners = camera.pixel_centres() - 0.5
+    offsets = sample_offsets(count)
+    band = max(1, BAND_RAYS // (width * count))
+    gathered = _Gathered(gbuffers, count)
+    for start in range(0, camera.height_px, band):
+        uv = (corners[start : start + band, :, None] + offsets).reshape(-1, 2)
+        seen = see(scene, camera, view, uv, GBufferConfig())
+        gathered.add(scene, seen, slice(start * width, start * width + len(uv) // count), config)
+    return gathered.result()
+
+
+def sample_offsets(count: int) -> Float[np.ndarray, "n 2"]:
+    """Points of the unit square, one in each cell of a grid, no two in one row or column (Kensler
+    2013, correlated multi-jittered sampling, without jitter). The centre for a single one."""
+    side = round(np.sqrt(count))
+    i, j = np.divmod(np.arange(count), side)
+    return np.stack([(i + (j + 0.5) / side) / side, (j + (i + 0.5) / side) / side], axis=1)
+
+
+class _Gathered:
+    """Samples as they come, band by band. Arrays are as long as they can become: memory that is
+    never written is never used."""
+
+    def __init__(self, gbuffers: GBuffers, per_pixel: int) -> None:
+        size = gbuffers.depth_z_m.size
+        self._gbuffers = gbuffers
+        self._per_pixel = per_pixel
+        self._total = 0
+        self._pixel = np.empty(size * per_pixel + size, dtype=np.int32)
+        self._number = np.empty(len(self._pixel), dtype=np.uint8)
+        self._position = np.empty((len(self._pixel), 3), dtype=np.float32)
+        self._colour = np.zeros((size, 3), dtype=np.float32)
+        self._coverage = np.zeros(size, dtype=np.float32)
+        self._edges: list[SurfacePoints] = []
+        self._glossy: list[SurfacePoints] = []
+
+    def add(
+        self, scene: FrameScene, seen: SeenSurfaces, band: slice, config: TransportConfig
+    ) -> None:
+        """The samples of the pixels of `band`."""
+        pixels = band.stop - band.start
+        local, number = np.divmod(seen.rows, self._per_pixel)
+        count = np.bincount(local, minlength=pixels)
+        for c in range(3):
+            total = np.bincount(local, seen.base_colour[:, c], minlength=pixels)
+            self._colour[band, c] = total / np.maximum(count, 1)
+        self._coverage[band] = count / self._per_pixel
+        is_edge = np.zeros(pixels, dtype=bool)
+        if self._per_pixel > 1:
+            is_edge = (count > 0) & (count < self._per_pixel)
+            is_edge[local[_is_unlike(scene, seen, band.start + local, self._gbuffers)]] = True
+        roughness, metallic = surface_material(scene, seen.hits)
+        is_glossy = (roughness < config.glossy_max_roughness) & (config.glossy_rays > 0)
+        for found, chosen in ((self._edges, is_edge[local]), (self._glossy, is_glossy)):
+            points = _points(seen, np.flatnonzero(chosen), roughness, metallic)
+            found.append(replace(points, rows=points.rows + self._total))
+        self._append(band.start + local, number, seen.lifted_world)
+
+    def _append(
+        self,
+        pixel: Int64[np.ndarray, " n"],
+        number: Int64[np.ndarray, " n"],
+        position: Float32[np.ndarray, "n 3"],
+    ) -> None:
+        new = slice(self._total, self._total + len(pixel))
+        self._pixel[new], self._number[new], self._position[new] = pixel, number, position
+        self._total = new.stop
+
+    def result(self) -> PixelSamples:
+        """All samples; pixels whose centre alone meets a surface keep the light at their centre."""
+        buffers = self._gbuffers
+        shape = buffers.depth_z_m.shape
+        missed = np.flatnonzero((self._coverage == 0) & buffers.has_surface.reshape(-1))
+        positions = buffers.ray_starts_world.reshape(-1, 3)
+        self._append(missed, np.zeros_like(missed), positions[missed])
+        self._colour[missed] = buffers.base_colour.reshape(-1, 3)[missed]
+        return PixelSamples(
+            self._per_pixel,
+            self._pixel[: self._total],
+            self._number[: self._total],
+            self._position[: self._total],
+            self._colour.reshape(*shape, 3),
+            self._coverage.reshape(shape),
+            _joined(self._edges),
+            _joined(self._glossy),
+        )
+
+
+def _is_unlike(
+    scene: FrameScene, seen: SeenSurfaces, pixel: Int64[np.ndarray, " n"], gbuffers: GBuffers
+) -> Bool[np.ndarray, " n"]:
+    """Whether samples show another surface than the centre of their pixel."""
+    normal = gbuffers.normal_world.reshape(-1, 3)[pixel]
+    gap = seen.position_world - gbuffers.position_world.reshape(-1, 3)[pixel]
+    depth = gbuffers.depth_z_m.reshape(-1)[pixel]
+    tolerance = np.where(np.isfinite(depth), 0.004 * depth + 0.02, 0.0)
+    far = np.abs(np.einsum("nc,nc->n", gap, normal)) > tolerance
+    bent = np.einsum("nc,nc->n", seen.normal_world, normal) < _SAME_NORMAL
+    other = scene.actor_index[seen.hits.mesh_index] != gbuffers.actor_index.reshape(-1)[pixel]
+    return far | bent | other
+
+
+def surface_material(
+    scene: FrameScene, hits: RayHits
+) -> tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
+    """Roughness and metallic of faces that cameras see."""
+    values = np.zeros((len(hits.face_index), 2), dtype=np.float32)
+    order = np.argsort(hits.mesh_index, kind="stable")
+    bounds = np.searchsorted(hits.mesh_index[order], np.arange(len(scene.camera_meshes) + 1))
+    for k, mesh in enumerate(scene.camera_meshes):
+        rows = order[bounds[k] : bounds[k + 1]]
+        known = np.array([(m.roughness, m.metallic) for m in mesh.materials], dtype=np.float32)
+        if mesh.face_material is None:
+            values[rows] = known[0]
+        else:
+            values[rows] = known[mesh.face_material[hits.face_index[rows]]]
+    return values[:, 0], values[:, 1]
+
+
+def _points(
+    seen: SeenSurfaces,
+    rows: Int64[np.ndarray, " k"],
+    roughness: Float32[np.ndarray, " n"],
+    metallic: Float32[np.ndarray, " n"],
+) -> SurfacePoints:
+    return SurfacePoints(
+        rows,
+        seen.normal_world[rows],
+        seen.base_colour[rows],
+        seen.towards_camera[rows],
+        seen.depth_z_m[rows],
+        roughness[rows],
+        metallic[rows],
+    )
+
+
+def _joined(parts: list[SurfacePoints]) -> SurfacePoints:
+    names = [f.name for f in fields(SurfacePoints)]
+    return SurfacePoints(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))

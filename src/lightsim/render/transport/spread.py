@@ -1,0 +1,86 @@
+"""Light of traced pixels carried along surfaces to all pixels and to points within them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Int32, Int64, UInt8
+
+from lightsim.render.transport.faces import TransportConfig
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """Which traced points shade each of n points, and how much; made once for all skies.
+
+    Args:
+        rows: of the traced points.
+        weights: adding up to 1 over the first `count`.
+        count: how many there are; 0 without a surface nearby.
+    """
+
+    rows: Int32[np.ndarray, "n q"]
+    weights: Float32[np.ndarray, "n q"]
+    count: UInt8[np.ndarray, " n"]
+
+    def __call__(self, values: Float32[np.ndarray, "t c"]) -> Float32[np.ndarray, "n c"]:
+        """Values of the traced points at the n points."""
+        out = np.zeros((len(self.rows), values.shape[1]), dtype=np.float32)
+        self.add(values, out, np.arange(len(out)))
+        return out
+
+    def add(
+        self,
+        values: Float32[np.ndarray, "t c"],
+        out: Float32[np.ndarray, "m c"],
+        place: Int64[np.ndarray, " n"],
+    ) -> None:
+        """Add them to the rows `place` of `out`, each of which occurs once."""
+        from lightsim.render.transport.kernels import weighted_rows
+
+        weighted_rows(self.rows, self.weights, self.count, values, place, out)
+
+
+@dataclass(frozen=True, eq=False)
+class TracedPixels:
+    """Where the traced points of one frame lie.
+
+    Args:
+        index: number of each block's traced point, -1 without a surface.
+        surface: position and normal of each.
+        width: of the image, pixels.
+    """
+
+    index: Int32[np.ndarray, "hb wb"]
+    surface: Float32[np.ndarray, "t 6"]
+    width: int
+
+    def spread(
+        self,
+        pixel: Int32[np.ndarray, " n"] | Int64[np.ndarray, " n"],
+        position_world: Float32[np.ndarray, "n 3"],
+        normal_world: Float32[np.ndarray, "n 3"],
+        depth_z_m: Float32[np.ndarray, " n"],
+        config: TransportConfig,
+    ) -> Spread:
+        """How light reaches points on surfaces that are seen in the given (flat) pixels."""
+        from lightsim.render.transport.kernels import spread_weights
+
+        size = (2 * config.filter_radius + 1) ** 2
+        spread = Spread(
+            np.zeros((len(pixel), size), dtype=np.int32),
+            np.zeros((len(pixel), size), dtype=np.float32),
+            np.zeros(len(pixel), dtype=np.uint8),
+        )
+        spread_weights(
+            (self.index, self.surface, config.shading_step_px, config.filter_radius, self.width),
+            pixel,
+            position_world,
+            normal_world,
+            depth_z_m,
+            spread.rows,
+            spread.weights,
+            spread.count,
+        )
+        return spread

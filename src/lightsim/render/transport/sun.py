@@ -1,0 +1,60 @@
+"""The sun on points: its irradiance by the cosine law, and how much of its disc they see."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from lightsim.core.casting import RayCaster
+from lightsim.core.dome import Sun, disc_directions
+from lightsim.render.casters.embree import offset_origins
+from lightsim.render.transport.faces import TransportConfig, hashed_shifts
+
+TILE_RAYS = 1 << 19
+PATTERNS = 64
+
+
+def unshadowed_sun(normals_world: Float[np.ndarray, "n 3"], sun: Sun) -> Float32[np.ndarray, "n 3"]:
+    """Irradiance / pi of the sun by the cosine law."""
+    direction = sun.direction_world / np.linalg.norm(sun.direction_world)
+    cosine = np.maximum(normals_world @ direction.astype(np.float32), 0.0)
+    return (cosine[:, None] * (sun.irradiance / np.pi)).astype(np.float32)
+
+
+def sun_visibility(
+    caster: RayCaster,
+    points_world: Float32[np.ndarray, "n 3"],
+    normals_world: Float32[np.ndarray, "n 3"],
+    sun: Sun,
+    config: TransportConfig,
+) -> Float32[np.ndarray, " n"]:
+    """Fraction of the solar disc that each point sees; 0 where the sun stands behind the surface.
+
+    The disc is sampled at `sun_rays` points, turned by a fixed pseudo-random angle per point:
+    neighbouring pixels differ, frames of a sequence do not flicker.
+    """
+    direction = (sun.direction_world / np.linalg.norm(sun.direction_world)).astype(np.float32)
+    facing = np.flatnonzero(normals_world @ direction > 0)
+    patterns = disc_patterns(sun, config.sun_rays)
+    visible = np.zeros(len(points_world), dtype=np.float32)
+    tile = max(1, TILE_RAYS // config.sun_rays)
+    for start in range(0, len(facing), tile):
+        rows = facing[start : start + tile]
+        chosen = (hashed_shifts(rows, 7)[:, 0] * PATTERNS).astype(np.int64)
+        origins = offset_origins(points_world[rows], normals_world[rows], config.origin_offset_m)
+        occluded = caster.is_occluded(
+            np.repeat(origins, config.sun_rays, axis=0), patterns[chosen].reshape(-1, 3)
+        )
+        visible[rows] = 1 - occluded.reshape(-1, config.sun_rays).mean(axis=1, dtype=np.float32)
+    return visible
+
+
+def disc_patterns(sun: Sun, count: int) -> Float32[np.ndarray, "p k 3"]:
+    """Sample directions on the solar disc, turned about its centre by PATTERNS angles."""
+    axis = sun.direction_world / np.linalg.norm(sun.direction_world)
+    disc = disc_directions(axis, sun.angular_radius_deg, count)
+    along = (disc @ axis)[:, None] * axis
+    across = disc - along
+    angle = (np.arange(PATTERNS) / PATTERNS * 2 * np.pi)[:, None, None]
+    turned = along + np.cos(angle) * across + np.sin(angle) * np.cross(axis, across)
+    return turned.astype(np.float32)

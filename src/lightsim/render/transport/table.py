@@ -1,0 +1,307 @@
+"""The ray table: light transport is linear in the sky, so rays are traced once for all skies.
+
+For every traced pixel N cosine-distributed rays are stored as the sky cell they point at and the
+surface face they meet, if any; for every face met, M rays of its own. A sky then costs sums of
+table look-ups and a few sun rays (`render.light`). Diffuse surfaces, one bounce or two; reflections
+of smooth surfaces are traced by `render.glossy`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int32, Int64, UInt16
+
+from lightsim.core.buffers import GBuffers
+from lightsim.render.casters.embree import offset_origins
+from lightsim.render.scene import FrameScene
+from lightsim.render.transport.bag_torch import TorchBag
+from lightsim.render.transport.faces import (
+    FaceSamples,
+    FaceTable,
+    TransportConfig,
+    hemisphere_directions,
+    pixel_shifts,
+)
+from lightsim.render.transport.glossy import (
+    GlossyTable,
+    ReflectionSmoothing,
+    diffuse_share,
+    reflection_smoothing,
+    trace_glossy,
+)
+from lightsim.render.transport.samples import PixelSamples
+from lightsim.render.transport.sides import OPEN, SideFinder
+from lightsim.render.transport.spread import Spread, TracedPixels
+
+_TILE_RAYS = 1 << 19
+
+
+def exact() -> TransportConfig:
+    """Every pixel traced and nothing smoothed: for tests and comparisons."""
+    return TransportConfig(sky_rays=64, shading_step_px=1, filter_radius=0)
+
+
+@dataclass(frozen=True, eq=False)
+class PointTable:
+    """Rays of n points.
+
+    Args:
+        sky_cells: the cell that each ray points at.
+        face_rows: row in `faces` of the face it meets, or OPEN.
+        faces: what the rays meet.
+        bag: the rays on another device, where that is to sum them.
+    """
+
+    sky_cells: UInt16[np.ndarray, "n k"]
+    face_rows: Int32[np.ndarray, "n k"]
+    faces: FaceSamples
+    bag: TorchBag | None = None
+
+    @property
+    def openness(self) -> Float32[np.ndarray, " n"]:
+        """Cosine-weighted fraction of the hemisphere that is open."""
+        return (self.face_rows == OPEN).mean(axis=1, dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class SampleTable:
+    """How light reaches the samples of pixels; see `render.samples`.
+
+    Args:
+        samples: of the frame.
+        edge_spread: how the light of the traced pixels reaches samples at edges.
+        base_colour: of diffuse reflection, mean over each pixel's samples.
+        edge_colour: the same of each sample at edges.
+        glossy: rays of reflecting samples, and how their noise is smoothed; none where
+            reflections are left out.
+    """
+
+    samples: PixelSamples
+    edge_spread: Spread
+    base_colour: Float32[np.ndarray, "h w 3"]
+    edge_colour: Float32[np.ndarray, "e 3"]
+    glossy: tuple[GlossyTable, ReflectionSmoothing] | None
+
+
+@dataclass(frozen=True, eq=False)
+class TransportTable:
+    """The ray table of one frame.
+
+    Args:
+        points: rays of the traced pixels.
+        pixel: flat numbers of the pixels whose centre shows a surface.
+        spread: how the light of the traced pixels reaches them.
+        ambient_occlusion: open fraction of the hemisphere of every pixel; sky 1.
+        detail: what anti-aliased images and reflections need, where asked for.
+    """
+
+    points: PointTable
+    pixel: Int64[np.ndarray, " p"]
+    spread: Spread
+    ambient_occlusion: Float32[np.ndarray, "h w"]
+    detail: SampleTable | None = None
+
+
+def static_face_table(scene: FrameScene, config: TransportConfig, seed: int = 0) -> FaceTable:
+    """The face table to keep for all frames that share a static scene."""
+    return FaceTable(scene.static.meshes, scene.static.caster, config, seed)
+
+
+def trace_transport(
+    scene: FrameScene,
+    gbuffers: GBuffers,
+    config: TransportConfig,
+    seed: int = 0,
+    face_table: FaceTable | None = None,
+    samples: PixelSamples | None = None,
+) -> TransportTable:
+    """Trace the ray table of one frame.
+
+    Args:
+        face_table: from `static_face_table` with the same config, shared by the frames of a
+            log; without one it is made for this frame.
+        samples: from `render.samples.render_samples`, for anti-aliased images and reflections.
+    """
+    rows, columns, index = _traced_pixels(gbuffers.has_surface, config.shading_step_px)
+    positions = gbuffers.ray_starts_world[rows, columns]
+    normals = gbuffers.normal_world[rows, columns]
+    shifts = pixel_shifts(rows, columns, config.shading_step_px, seed)
+    finder = SideFinder(scene.caster)
+    cells, sides = _trace(finder, positions, normals, shifts, config)
+    glossy = None
+    if samples is not None and len(samples.glossy.rows):
+        glossy = trace_glossy(finder, samples, config, seed)
+    static = face_table or static_face_table(scene, config)
+    faces = _compact(
+        [sides] if glossy is None else [sides, glossy.face_rows], scene, static, config
+    )
+    bag = None
+    if config.device != "cpu":
+        cell_count = 2 * config.sky_cell_rows**2
+        bag = TorchBag(cells, sides, cell_count, config.device)
+    points = PointTable(cells, sides, faces, bag)
+    has_surface = gbuffers.has_surface
+    traced = TracedPixels(
+        index, np.concatenate([positions, normals], axis=1), int(has_surface.shape[1])
+    )
+    pixel = np.flatnonzero(has_surface)
+    spread = _spread_to_centres(traced, pixel, gbuffers, config)
+    occlusion = np.ones(has_surface.shape, dtype=np.float32)
+    occlusion[has_surface] = spread(points.openness[:, None])[:, 0]
+    detail = None if samples is None else _detail(samples, gbuffers, traced, glossy, config)
+    return TransportTable(points, pixel, spread, occlusion, detail)
+
+
+def _spread_to_centres(
+    traced: TracedPixels,
+    pixel: Int64[np.ndarray, " p"],
+    gbuffers: GBuffers,
+    config: TransportConfig,
+) -> Spread:
+    return traced.spread(
+        pixel,
+        gbuffers.ray_starts_world.reshape(-1, 3)[pixel],
+        gbuffers.normal_world.reshape(-1, 3)[pixel],
+        gbuffers.depth_z_m.reshape(-1)[pixel],
+        config,
+    )
+
+
+def _detail(
+    samples: PixelSamples,
+    gbuffers: GBuffers,
+    traced: TracedPixels,
+    glossy: GlossyTable | None,
+    config: TransportConfig,
+) -> SampleTable:
+    edge = samples.edge
+    spread = traced.spread(
+        samples.pixel[edge.rows],
+        samples.ray_starts_world[edge.rows],
+        edge.normal_world,
+        edge.depth_z_m,
+        config,
+    )
+    if glossy is None:
+        return SampleTable(samples, spread, samples.base_colour, edge.base_colour, None)
+    kept = samples.glossy.base_colour * diffuse_share(samples.glossy, glossy)
+    lost = kept - samples.glossy.base_colour
+    colour = samples.add_means(samples.base_colour.copy(), samples.glossy.rows, lost, samples.share)
+    by_sample = np.full(len(samples.pixel), OPEN, dtype=np.int32)
+    by_sample[samples.glossy.rows] = np.arange(len(kept), dtype=np.int32)
+    row = by_sample[edge.rows]
+    edge_colour = np.where((row >= 0)[:, None], kept[row], edge.base_colour)
+    smoothing = reflection_smoothing(samples, gbuffers, config)
+    return SampleTable(samples, spread, np.maximum(colour, 0), edge_colour, (glossy, smoothing))
+
+
+def trace_points(
+    scene: FrameScene,
+    points_world: Float32[np.ndarray, "n 3"],
+    normals_world: Float32[np.ndarray, "n 3"],
+    shifts: Float32[np.ndarray, "n 2"],
+    config: TransportConfig,
+    face_table: FaceTable | None = None,
+) -> PointTable:
+    """Trace the rays of surface points; `shifts` in [0, 1) turn each point's ray pattern."""
+    finder = SideFinder(scene.caster)
+    cells, sides = _trace(finder, points_world, normals_world, shifts, config)
+    faces = _compact([sides], scene, face_table or static_face_table(scene, config), config)
+    return PointTable(cells, sides, faces)
+
+
+def _trace(
+    finder: SideFinder,
+    points_world: Float32[np.ndarray, "n 3"],
+    normals_world: Float32[np.ndarray, "n 3"],
+    shifts: Float32[np.ndarray, "n 2"],
+    config: TransportConfig,
+) -> tuple[UInt16[np.ndarray, "n k"], Int32[np.ndarray, "n k"]]:
+    """Sky cell of each ray, and the side that it meets or OPEN."""
+    rays = config.sky_rays
+    cells = np.empty((len(points_world), rays), dtype=np.uint16)
+    sides = np.full((len(points_world), rays), OPEN, dtype=np.int32)
+    tile = max(1, _TILE_RAYS // rays)
+    for start in range(0, len(points_world), tile):
+        part = slice(start, start + tile)
+        directions, cells[part] = hemisphere_directions(
+            normals_world[part], shifts[part], rays, config.sky_cell_rows
+        )
+        origins = offset_origins(points_world[part], normals_world[part], config.origin_offset_m)
+        found = finder.met(np.repeat(origins, rays, axis=0), directions.reshape(-1, 3))
+        sides[part] = found.reshape(-1, rays)
+    return cells, sides
+
+
+def _compact(
+    sides: Sequence[Int32[np.ndarray, "_ _"]],
+    scene: FrameScene,
+    static: FaceTable,
+    config: TransportConfig,
+) -> FaceSamples:
+    """Samples of the sides that occur in this frame; `sides` become rows of them, in place."""
+    from lightsim.render.transport.kernels import UNLISTED, fill_unlisted, mark_rows, renumber
+
+    actors = FaceTable(scene.actors, scene.caster, config, seed=1)
+    is_met = np.zeros(2 * sum(len(mesh.faces) for mesh in scene.meshes), dtype=np.bool_)
+    for array in sides:
+        mark_rows(array, is_met)
+    met = np.flatnonzero(is_met)
+    next_rows = None
+    if config.bounces > 1:
+        mark_rows(_next_sides(met, static, actors), is_met)
+        met = np.flatnonzero(is_met)
+        next_rows = _next_sides(met, static, actors)
+    number = np.full(len(is_met), UNLISTED, dtype=np.int32)
+    number[met] = np.arange(len(met), dtype=np.int32)
+    for array in sides if next_rows is None else [*sides, next_rows]:
+        renumber(array, number)
+    if next_rows is not None:
+        fill_unlisted(next_rows)
+    split = int(np.searchsorted(met, 2 * static.face_count))
+    parts = [static.samples(met[:split]), actors.samples(met[split:] - 2 * static.face_count)]
+    return FaceSamples(
+        np.concatenate([p.sun_points_world for p in parts]),
+        np.concatenate([p.normals_world for p in parts]),
+        np.concatenate([p.base_colour for p in parts]),
+        np.concatenate([p.sky_cells for p in parts]),
+        next_rows,
+        config.bounces,
+    )
+
+
+def _next_sides(
+    met: Int64[np.ndarray, " f"], static: FaceTable, actors: FaceTable
+) -> Int32[np.ndarray, "f m"]:
+    """Sides that the rays of met sides meet, numbered over all meshes of the scene."""
+    first_actor = 2 * static.face_count
+    split = int(np.searchsorted(met, first_actor))
+    return np.concatenate(
+        [static.next_sides(met[:split]), actors.next_sides(met[split:] - first_actor)]
+    )
+
+
+def _traced_pixels(
+    has_surface: Bool[np.ndarray, "h w"], step: int
+) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"], Int32[np.ndarray, "hb wb"]]:
+    """One pixel with a surface in every block of step x step: the first in reading order from
+    the middle. Returns rows, columns, and the number of each block's pixel or -1."""
+    height, width = has_surface.shape
+    blocks = (-(-height // step), -(-width // step))
+    row = np.full(blocks, -1, dtype=np.int64)
+    column = np.full(blocks, -1, dtype=np.int64)
+    shifts = [(step // 2 + k) % step for k in range(step)]
+    base_row, base_column = np.meshgrid(*[np.arange(b) * step for b in blocks], indexing="ij")
+    for dr in shifts:
+        for dc in shifts:
+            r = np.minimum(base_row + dr, height - 1)
+            c = np.minimum(base_column + dc, width - 1)
+            take = (row < 0) & has_surface[r, c]
+            row[take], column[take] = r[take], c[take]
+    is_traced = row >= 0
+    index = np.full(blocks, -1, dtype=np.int32)
+    index[is_traced] = np.arange(int(is_traced.sum()), dtype=np.int32)
+    return row[is_traced], column[is_traced], index

@@ -1,0 +1,225 @@
+"""Measures against the ground truth of a synthetic log: relit frames, base colour, normals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float32
+
+from lightsim.appearance.intrinsic.decompose import delight
+from lightsim.baselines.colour_transfer import BASELINES
+from lightsim.build.source_light import SourceLight
+from lightsim.build.stages.light import TwinConfig
+from lightsim.build.workspace import Workspace
+from lightsim.core.buffers import BACKGROUND
+from lightsim.core.frames import RigidTransform
+from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import TriMesh
+from lightsim.core.scenario import ActorPlacement, Scenario
+from lightsim.core.sensors import CameraFrame
+from lightsim.core.twin import ActorAsset
+from lightsim.errors import InputError
+from lightsim.evaluate.base_colour import (
+    BaseColourReport,
+    BaseColourTask,
+    score_base_colour,
+)
+from lightsim.evaluate.frames import (
+    FramesConfig,
+    FramesReport,
+    FrameTask,
+    apply_baseline,
+    pair_folders,
+    score_frames,
+)
+from lightsim.progress import Progress
+from lightsim.render.frame_renderer import FrameRenderer
+from lightsim.render.gbuffers import render_gbuffers
+from lightsim.render.scene import make_static_scene, without_actors
+from lightsim.render.transport.table import TransportConfig
+from lightsim.simulate.relight import relight
+from lightsim.simulate.relighter import RelightOptions
+from lightsim.simulate.skies import SkyChoice
+from lightsim.store.exr import read_exr
+from lightsim.store.images import read_srgb8
+from lightsim.synthetic.reader import read_true_meshes
+
+_TRUTH_REMEDY = "Give the folder truth that lightsim synthesize wrote beside the log."
+
+
+def relit_frames(
+    work: Path, truth: Path, progress: Progress, config: FramesConfig | None = None
+) -> FramesReport:
+    """Relit frames against the ground truth of a synthetic log, beside copy, oracle affine copy
+    and colour transfer; one condition for each target sky in TRUTH/relit.
+
+    Skies are taken in scene units, without scaling. `masked` leaves out the (true) sky.
+
+    Raises:
+        InputError: `truth` is not a folder that `lightsim synthesize` wrote.
+    """
+    workspace = Workspace(work)
+    conditions = sorted(p.name for p in (truth / "relit").glob("*") if p.is_dir())
+    if not conditions:
+        raise InputError("no relit ground truth", where=truth / "relit", expected="NAME/<camera>/")
+    masks = TrueSurfaces(truth / "scene.npz", workspace)
+    tasks: list[FrameTask] = []
+    for name in conditions:
+        folder = truth / "relit" / name
+        stems = sorted({int(p.stem) for p in folder.glob("*/*") if p.stem.isdigit()})
+        step = int(np.gcd.reduce(np.diff(stems))) if len(stems) > 1 else 1
+        options = RelightOptions(
+            f"truth-{name}",
+            SkyChoice(str(truth / "skies" / f"{name}.exr"), scale="none"),
+            frames=f"{stems[0]}:{stems[-1] + 1}:{step}",
+            image_scale=1.0,
+            is_overwriting=True,
+        )
+        relit = relight(work, options, progress) / "frames"
+        source = Path(workspace.reading.source) / "camera"
+        for camera, stem, files in pair_folders(
+            {"relit": relit, "truth": folder, "source": source}
+        ):
+            load = {key: partial(read_srgb8, path) for key, path in files.items()}
+            valid = partial(masks.is_surface, camera, stem)
+            methods = {"LightSim": load["relit"]}
+            for label, baseline in BASELINES.items():
+                methods[label] = partial(
+                    apply_baseline, baseline, load["source"], load["truth"], valid
+                )
+            tasks.append(FrameTask(name, camera, stem, load["truth"], methods, valid))
+    return score_frames(tasks, config or FramesConfig(), progress=progress)
+
+
+class TrueSurfaces:
+    """Where the true geometry of a synthetic log covers the sky, pixel centre by pixel centre."""
+
+    def __init__(self, path: Path, workspace: Workspace) -> None:
+        self.meshes = read_true_meshes(path)
+        self._log = workspace.log_at(1.0)
+        background = self.meshes["background"]
+        tracks = {track.actor_id: track for track in self._log.actors}
+        placements = tuple(
+            ActorPlacement(ActorAsset(name, tracks[name].kind, mesh), tracks[name])
+            for name, mesh in self.meshes.items()
+            if name in tracks
+        )
+        self.scenario = Scenario("truth", self._log.frames, placements)
+        empty = replace(background, faces=background.faces[:0])
+        self._renderer = FrameRenderer(background, empty, TransportConfig(), 0)
+
+    def is_surface(self, camera_name: str, stem: str) -> Bool[np.ndarray, "h w"]:
+        frame = next(f for f in self._log.frames_of(camera_name) if f.stem == stem)
+        camera = self._log.cameras[camera_name]
+        return self._renderer.geometry(self.scenario, frame, camera).has_surface
+
+
+def base_colour(work: Path, truth: Path, progress: Progress) -> BaseColourReport:
+    """Base colour of the twin's background against a synthetic log's truth, beside the plain
+    division by the rendered light and the radiance itself.
+
+    Compared is where the twin's surface lies within 5 cm + 2 % of the distance of the true one.
+
+    Raises:
+        InputError: `truth` is not a folder that `lightsim synthesize` wrote, or holds no frame of
+            the build.
+    """
+    workspace = Workspace(work)
+    radiance, twin = workspace.assets.background, workspace.twin
+    config = TwinConfig()
+    source = SourceLight(
+        workspace.training_log,
+        workspace.assets,
+        workspace.inferred,
+        workspace.sky.dome,
+        config.irradiance,
+        0,
+    )
+    identity = RigidTransform.identity("world", "world")
+    baseline = replace(config.delight, method="divide")
+    divided = delight(radiance, source.on(identity), baseline, np.random.default_rng(0)).mesh
+    meshes = {"labels": twin.assets.background, "divide": divided, "radiance": radiance}
+    return base_colours_of(meshes, workspace, truth, progress)
+
+
+def base_colours_of(
+    meshes: Mapping[str, TriMesh], workspace: Workspace, truth: Path, progress: Progress
+) -> BaseColourReport:
+    """Base colours of several meshes of the background, by method; see `base_colour`."""
+    log = workspace.log_at(1.0)
+    paths = sorted((truth / "base_colour").glob("*/*.exr"))
+    frames = {(f.camera_name, f.stem): f for f in log.frames}
+    known = [p for p in paths if (p.parent.name, p.stem) in frames]
+    if not known:
+        raise InputError(
+            "no true base colour of a frame of the build",
+            where=truth / "base_colour",
+            remedy=_TRUTH_REMEDY,
+        )
+    tasks = (_base_colour_task(truth, frames[p.parent.name, p.stem], log, meshes) for p in known)
+    return score_base_colour(tasks, progress=progress)
+
+
+def normal_error_deg(work: Path, truth: Path) -> float:
+    """Median angle between the twin's shading normals and the true ones of a synthetic log, on
+    static surface of the frames with true buffers.
+
+    Raises:
+        InputError: `truth` holds no frame of the build.
+    """
+    workspace = Workspace(work)
+    log, background = workspace.log_at(1.0), workspace.assets.background
+    frames = {(f.camera_name, f.stem): f for f in log.frames}
+    scene = without_actors(make_static_scene([background]))
+    angles: list[np.ndarray] = []
+    for path in sorted((truth / "normal_world").glob("*/*.exr")):
+        frame = frames.get((path.parent.name, path.stem))
+        if frame is None:
+            continue
+        buffers = render_gbuffers(scene, log.cameras[frame.camera_name], frame)
+        true_normal = read_exr(path)
+        actor = read_exr(truth / "actor_index" / path.parent.name / path.name)
+        is_static = np.rint(actor.reshape(buffers.depth_z_m.shape)) == BACKGROUND
+        valid = is_static & buffers.has_surface
+        cosine = (buffers.normal_world[valid] * true_normal[valid]).sum(axis=1)
+        angles.append(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    if not angles:
+        raise InputError(
+            "no true normals of a frame of the build",
+            where=truth / "normal_world",
+            remedy=_TRUTH_REMEDY,
+        )
+    return float(np.median(np.concatenate(angles)))
+
+
+def _base_colour_task(
+    truth: Path, frame: CameraFrame, log: DrivingLog, meshes: Mapping[str, TriMesh]
+) -> BaseColourTask:
+    """One frame: the truth, and each mesh's colour through its camera."""
+    camera = log.cameras[frame.camera_name]
+
+    def read(what: str) -> Float32[np.ndarray, "h w *c"]:
+        return read_exr(truth / what / frame.camera_name / f"{frame.stem}.exr")
+
+    def colour(mesh: TriMesh) -> Float32[np.ndarray, "h w 3"]:
+        scene = without_actors(make_static_scene([mesh]))
+        return render_gbuffers(scene, camera, frame).base_colour
+
+    scene = without_actors(make_static_scene([next(iter(meshes.values()))]))
+    depth = render_gbuffers(scene, camera, frame).depth_z_m
+    true_depth = read("depth_z_m").reshape(depth.shape)
+    is_static = np.rint(read("actor_index").reshape(depth.shape)) == BACKGROUND
+    is_valid = is_static & np.isfinite(depth) & np.isfinite(true_depth)
+    gap = np.abs(np.where(is_valid, depth, 0.0) - np.where(is_valid, true_depth, 0.0))
+    is_valid &= gap < 0.05 + 0.02 * np.where(is_valid, true_depth, 0.0)
+    return BaseColourTask(
+        read("base_colour"),
+        read("sun_visibility").reshape(depth.shape),
+        read("normal_world"),
+        is_valid,
+        {name: partial(colour, mesh) for name, mesh in meshes.items()},
+    )

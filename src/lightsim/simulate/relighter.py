@@ -1,0 +1,158 @@
+"""Single frames of a twin under one target sky, and what is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from lightsim.build.workspace import Workspace
+from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.checks import MAX_EXPOSURE_EV, check_number, check_seed
+from lightsim.core.colour import linear_from_srgb8
+from lightsim.core.log import DrivingLog
+from lightsim.core.resample import resize_area
+from lightsim.core.scenario import Scenario
+from lightsim.core.sensors import CameraFrame
+from lightsim.errors import InputError
+from lightsim.relighting.physical.compose import camera_image
+from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
+from lightsim.render.frame_renderer import FrameRenderer
+from lightsim.render.image import sky_image
+from lightsim.render.transport.table import TransportConfig
+from lightsim.simulate.skies import SkyChoice, TargetSky
+from lightsim.store.log import MIN_IMAGE_SCALE
+from lightsim.store.names import is_harmless
+
+
+@dataclass(frozen=True)
+class RelightOptions:
+    """What `lightsim relight` is asked for.
+
+    Args:
+        name: of the result folder: letters, digits, and . _ - after the first.
+        sky: target sky.
+        method: "physical".
+        exposure_ev: exposure of the output, stops.
+        cameras: empty for all.
+        frames: START:STOP[:STEP] over the log's own frame numbers, empty for all.
+        image_scale: factor on the log's image size; None for that of the build.
+        is_linear_written: also write linear EXR frames.
+        seed: of the sampling of rays.
+        is_overwriting: replace a scenario of this name that was made with other settings.
+        is_stale_allowed: go on where the recording has changed since the build.
+
+    Raises:
+        InputError: the name is not one for a folder, or a number is out of range.
+    """
+
+    name: str
+    sky: SkyChoice
+    method: str = "physical"
+    exposure_ev: float = 0.0
+    cameras: tuple[str, ...] = ()
+    frames: str = ""
+    image_scale: float | None = None
+    is_linear_written: bool = False
+    seed: int = 0
+    is_overwriting: bool = False
+    is_stale_allowed: bool = False
+
+    def __post_init__(self) -> None:
+        if not is_harmless(self.name):
+            raise InputError(
+                "the name is not fit for a folder",
+                where="--name",
+                got=repr(self.name[:40]),
+                expected="letters, digits and . _ -, a letter or digit first",
+            )
+        check_number("--exposure-ev", self.exposure_ev, -MAX_EXPOSURE_EV, MAX_EXPOSURE_EV)
+        if self.image_scale is not None:
+            check_number("--image-scale", self.image_scale, MIN_IMAGE_SCALE, 1.0)
+        check_seed(self.seed)
+
+    def settings(self, image_scale: float) -> dict[str, Any]:
+        """All that decides the frames besides twin and sky file."""
+        return {
+            "sky": self.sky.made_from,
+            "method": self.method,
+            "exposure_ev": self.exposure_ev,
+            "cameras": list(self.cameras),
+            "frames": self.frames,
+            "image_scale": image_scale,
+            "is_linear_written": self.is_linear_written,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class RelitFrame:
+    """One relit frame and what it was made of.
+
+    Args:
+        frame: of the log.
+        image_srgb8: as the camera would have recorded it.
+        radiance: linear, scene units, before gain and exposure.
+        buffers: geometry.
+        source: light of the source sky.
+        target: light of the target sky.
+        source_srgb8: the recorded image.
+    """
+
+    frame: CameraFrame
+    image_srgb8: UInt8[np.ndarray, "h w 3"]
+    radiance: Float32[np.ndarray, "h w 3"]
+    buffers: GBuffers
+    source: ShadowBuffers
+    target: ShadowBuffers
+    source_srgb8: UInt8[np.ndarray, "h w 3"]
+
+
+class Relighter:
+    """Renders and relights single frames of one workspace under one target sky."""
+
+    def __init__(
+        self, workspace: Workspace, log: DrivingLog, target: TargetSky, options: RelightOptions
+    ) -> None:
+        self.log = log
+        self.target = target
+        self._workspace = workspace
+        self._options = options
+        self._renderer = FrameRenderer(
+            workspace.twin.assets.background,
+            workspace.shadow_casters,
+            TransportConfig(),
+            options.seed,
+        )
+        level = [d.horizontal_irradiance() for d in (workspace.sky.dome, target.dome)]
+        self._level_ratio = (level[1] / np.maximum(level[0], 1e-9)).astype(np.float32)
+        self._skies = [self._renderer.prepare(dome) for dome in (workspace.sky.dome, target.dome)]
+
+    def relit(self, frame: CameraFrame, scenario: Scenario) -> RelitFrame:
+        """One frame under the target sky."""
+        camera = self.log.cameras[frame.camera_name]
+        gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
+        buffers, (source, target) = self._renderer.render(scenario, frame, camera, self._skies)
+        source_srgb8 = frame.load_srgb8()
+        matte = resize_area(
+            self._workspace.sky_matte(frame)[..., None], camera.height_px, camera.width_px
+        )[..., 0]
+        inputs = RelightInputs(
+            radiance=(linear_from_srgb8(source_srgb8) / gain).astype(np.float32),
+            is_clipped=np.any(source_srgb8 >= 254, axis=-1),
+            sky_matte=matte,
+            buffers=buffers,
+            source=source,
+            target=target,
+            target_sky=sky_image(self.target.dome, camera, frame),
+            source_sun=self._skies[0].sun,
+            target_sun=self._skies[1].sun,
+        )
+        radiance = relight_physical(inputs, RatioConfig())
+        own_car = self.log.own_car_masks.get(frame.camera_name)
+        if own_car is not None:
+            # It moves with the camera and has no mesh: lit as a level surface in the open.
+            radiance[own_car] = inputs.radiance[own_car] * self._level_ratio
+        image = camera_image(radiance, gain, self._options.exposure_ev)
+        return RelitFrame(frame, image, radiance, buffers, source, target, source_srgb8)

@@ -1,0 +1,106 @@
+"""report.html of a relight, and the page of the demo."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from lightsim.build.workspace import Workspace
+from lightsim.core.scenario import Scenario
+from lightsim.evaluate.frames import FramesReport
+from lightsim.simulate.relighter import Relighter
+from lightsim.simulate.skies import TargetSky
+from lightsim.store.images import read_srgb8
+from lightsim.view.figures import (
+    dome_preview,
+    ratio_grey,
+    reduced,
+    strip,
+)
+from lightsim.view.report import Figure, Section, Table, Video, write_report
+
+_PICTURE_WIDTH = 640
+
+
+def write_relight_report(
+    path: Path, folder: Path, scenario: Scenario, relighter: Relighter, target: TargetSky
+) -> None:
+    """report.html of a relight: the sky, one strip a camera, the films."""
+    cameras = list(dict.fromkeys(f.camera_name for f in scenario.frames))
+    figures = []
+    for name in cameras:
+        frames = [f for f in scenario.frames if f.camera_name == name]
+        result = relighter.relit(frames[len(frames) // 2], scenario)
+        caption = (
+            f"{name}, frame {result.frame.stem}: recorded | relit | shadow ratio source | target"
+        )
+        parts = [
+            result.source_srgb8,
+            result.image_srgb8,
+            ratio_grey(result.source.ratio),
+            ratio_grey(result.target.ratio),
+        ]
+        figures.append(Figure(caption, strip([reduced(p, 480) for p in parts]), is_wide=True))
+    facts = [[key, _text(value)] for key, value in target.facts.items()]
+    sky = Section(
+        "Target sky",
+        "Azimuths are clockwise from true north. Radiance is in scene units: 1.0 is what the "
+        "source camera maps to a pixel value of 1.0.",
+        tables=[Table(["fact", "value"], facts)],
+        figures=[Figure("target sky, centre column along world +x", dome_preview(target.dome))],
+    )
+    videos = [Video(name, f"video/{name}.mp4") for name in cameras]
+    sections = [Section("Cameras", figures=figures), sky, Section("Video", videos=videos)]
+    write_report(path, scenario.name, sections, subtitle=f"lightsim relight, {target.facts['sky']}")
+
+
+def write_demo_report(path: Path, work: Path, names: Sequence[str], relit: FramesReport) -> Path:
+    """index.html of the demo: links, films, and relit frames against ground truth."""
+    films = []
+    for name in names:
+        base = f"{work.name}/scenarios/{name}/video"
+        films += [Video(f"{name}: {c}", f"{base}/{c}.mp4") for c in ("front_camera", "left_camera")]
+    pictures = []
+    log = Workspace(work).log
+    for name in names:
+        folder = work / "scenarios" / name / "frames"
+        for camera in ("front_camera", "left_camera"):
+            stem = sorted((folder / camera).glob("*.png"))[0].stem
+            frame = next(f for f in log.frames_of(camera) if f.stem == stem)
+            pair = [frame.load_srgb8(), read_srgb8(folder / camera / f"{stem}.png")]
+            caption = f"{camera}: recorded | {name}"
+            pictures.append(Figure(caption, strip([reduced(p) for p in pair]), is_wide=True))
+    text = (
+        "The street is synthetic, path-traced with glossy paint and glass, sensor noise and JPEG; "
+        "the method sees only its log. Scores are raw, outside the sky, against ground truth "
+        "rendered under each target sky."
+    )
+    sections = [
+        Section("Relit frames", text, figures=pictures),
+        Section("Against ground truth", tables=[_relit_table(relit)]),
+        Section("Films", videos=films),
+        Section(
+            "More",
+            f"Build report: {work.name}/report/index.html. Relight reports: "
+            + ", ".join(f"{work.name}/scenarios/{n}/report.html" for n in names),
+        ),
+    ]
+    write_report(path, "LightSim demo", sections, subtitle="the shipped synthetic street")
+    return path
+
+
+def _relit_table(report: FramesReport) -> Table:
+    rows = []
+    for condition in report.conditions:
+        for method in report.methods:
+            s = report.mean(condition, method, "masked")
+            rows.append([condition, method, round(s.psnr_db, 2), round(s.ssim, 3)])
+    return Table(["target sky", "method", "PSNR dB", "SSIM"], rows)
+
+
+def _text(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.5g}"
+    if isinstance(value, list):
+        return ", ".join(_text(v) for v in value)
+    return str(value)

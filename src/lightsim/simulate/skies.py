@@ -1,0 +1,189 @@
+"""The target sky that a user names: a file, a sun position, a time, or the source's own."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from lightsim.build.workspace import Workspace
+from lightsim.core.checks import check_number
+from lightsim.core.dome import SkyDome, find_sun
+from lightsim.core.frames import RigidTransform
+from lightsim.core.log import GeoReference
+from lightsim.core.twin import SkyEstimate
+from lightsim.errors import InputError
+from lightsim.lighting.sun.direction import SunDirection, sun_from_geo
+from lightsim.lighting.target_sky import dome_from_array, parse_time, scale_to_source, target_sky
+from lightsim.store.artefact import hash_file
+from lightsim.store.images import read_sky
+
+SKY_HEIGHT_PX = 256
+_MIN_SCALE = 1e-9
+"""Skies are stored in anything from cd/m2 to arbitrary units: nine orders hold them all."""
+
+
+@dataclass(frozen=True)
+class SkyChoice:
+    """A target sky as the user names it.
+
+    Args:
+        sky: a .hdr or .exr file, sun:AZIMUTH,ELEVATION[,TURBIDITY], time:ISO or source.
+        yaw_deg: turns the sky clockwise seen from above.
+        scale: "auto", "none" or a number.
+    """
+
+    sky: str
+    yaw_deg: float = 0.0
+    scale: str = "auto"
+
+    def __post_init__(self) -> None:
+        check_number("--sky-yaw-deg", self.yaw_deg, -360.0, 360.0)
+        _scale_mode(self.scale)
+
+    @property
+    def path(self) -> Path | None:
+        """The file, if the sky is one."""
+        named = self.sky == "source" or self.sky.startswith(("sun:", "time:"))
+        return None if named else Path(self.sky)
+
+    @property
+    def name(self) -> str:
+        """A name for files: a file's stem, or the words with signs that file systems know."""
+        words = self.sky if self.path is None else self.path.stem
+        return re.sub(r"[^\w.+-]+", "_", words).strip("._-") or "sky"
+
+    @property
+    def input_key(self) -> str:
+        """Hash of the file's bytes, or the words themselves."""
+        if self.path is None:
+            return self.sky
+        _check_file(self)
+        return hash_file(self.path)
+
+    @property
+    def made_from(self) -> dict[str, Any]:
+        """What decides the sky's light; moving or renaming its file does not."""
+        return {"input": self.input_key, "yaw_deg": self.yaw_deg, "scale": self.scale}
+
+
+@dataclass(frozen=True, eq=False)
+class TargetSky:
+    """The sky to render with, in scene units, and what was done to get there."""
+
+    dome: SkyDome
+    facts: dict[str, Any]
+
+
+def resolve_sky(choice: SkyChoice, workspace: Workspace) -> TargetSky:
+    """The dome that a user's words name, turned and scaled, for the log of a workspace.
+
+    Raises:
+        InputError: the words or the file are wrong, or the sun is below the horizon.
+    """
+    dome, facts = _dome_of(choice, workspace.log.geo, workspace.sky)
+    if choice.yaw_deg:
+        dome = dome.turned(-choice.yaw_deg)
+    dome, factor = scale_to_source(dome, workspace.sky.dome, _scale_mode(choice.scale))
+    facts |= {"yaw_deg": choice.yaw_deg, "scale": choice.scale, "scale_factor": factor}
+    return TargetSky(dome, facts | _light_facts(dome))
+
+
+def sky_alone(choice: SkyChoice) -> TargetSky:
+    """A sky without a log: world axes are taken as east, north, up; nothing is scaled."""
+    dome, facts = _dome_of(choice, None, None)
+    return TargetSky(dome, facts | _light_facts(dome))
+
+
+def sun_of_command(
+    time: str | None,
+    latitude_deg: float | None,
+    longitude_deg: float | None,
+    heading_deg: float | None,
+) -> SunDirection | None:
+    """The sun of a place, a time and a heading (azimuth of world +x), or None if none is given.
+
+    Raises:
+        InputError: only some of them are given, or the time is not ISO 8601.
+    """
+    given = (time, latitude_deg, longitude_deg, heading_deg)
+    if all(value is None for value in given):
+        return None
+    if time is None or latitude_deg is None or longitude_deg is None or heading_deg is None:
+        raise InputError(
+            "the sun needs all of --time, --latitude, --longitude and --heading-deg",
+            remedy="Give all four, or none to find the sun in the picture.",
+        )
+    check_number("--latitude", latitude_deg, -90.0, 90.0)
+    check_number("--longitude", longitude_deg, -180.0, 180.0)
+    check_number("--heading-deg", heading_deg, -360.0, 360.0)
+    time_ns = parse_time(f"time:{time}")
+    yaw_rad = np.radians(90.0 - heading_deg)
+    enu_from_world = RigidTransform.from_yaw("enu", "world", float(yaw_rad), np.zeros(3))
+    geo = GeoReference(latitude_deg, longitude_deg, time_ns, enu_from_world, "given", None)
+    return sun_from_geo(geo, time_ns)
+
+
+def _dome_of(
+    choice: SkyChoice, geo: GeoReference | None, source: SkyEstimate | None
+) -> tuple[SkyDome, dict[str, Any]]:
+    """The dome as its words or its file give it, and what is to be recorded."""
+    facts: dict[str, Any] = {"sky": choice.sky}
+    if choice.path is None:
+        height_px = SKY_HEIGHT_PX if source is None else source.dome.height_px
+        dome, description, found = target_sky(
+            choice.sky, geo=geo, source=source, height_px=height_px
+        )
+        return dome, facts | {"description": description, **found}
+    _check_file(choice)
+    file = read_sky(choice.path)
+    dome = dome_from_array(file.radiance, str(choice.path))
+    if not dome.horizontal_irradiance().max() > 0:
+        raise InputError(
+            "all light of the sky lies below the horizon",
+            where=choice.path,
+            expected="the sky in the upper half of the picture",
+            remedy="Turn the picture the right way up; row 0 is the zenith.",
+        )
+    return dome, facts | {"notes": list(file.notes)}
+
+
+def _light_facts(dome: SkyDome) -> dict[str, Any]:
+    sun = dome.sun or find_sun(dome.radiance)
+    level = dome.horizontal_irradiance()
+    # Light of the sky alone: a sun stands for all that its disc holds.
+    from_sun = 0.0 if sun is None else sun.irradiance * max(0.0, float(sun.direction_world[2]))
+    return {
+        "horizontal_irradiance": level.tolist(),
+        "sky_irradiance": np.maximum(level - from_sun, 0.0).tolist(),
+        "sun_direction_world": None if sun is None else sun.direction_world.tolist(),
+        "sun_irradiance": None if sun is None else sun.irradiance.tolist(),
+    }
+
+
+def _check_file(choice: SkyChoice) -> None:
+    if choice.path is not None and not choice.path.is_file():
+        raise InputError(
+            "the sky is neither a file nor a known form",
+            where=f"--sky {choice.sky}",
+            expected="a .hdr or .exr file, sun:AZ,EL[,TURBIDITY], time:ISO or source",
+        )
+
+
+def _scale_mode(scale: str) -> Literal["auto", "none"] | float:
+    if scale == "auto" or scale == "none":
+        return scale
+    try:
+        factor = float(scale)
+    except ValueError as error:
+        raise InputError(
+            "the sky scale is not understood",
+            where="--sky-scale",
+            got=scale,
+            expected="auto, none or a number",
+        ) from error
+    check_number("--sky-scale", factor, _MIN_SCALE, 1.0 / _MIN_SCALE)
+    return factor

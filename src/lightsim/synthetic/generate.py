@@ -1,0 +1,185 @@
+"""`synthesize`: a street log and its ground truth; what is already finished is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+
+from lightsim.core.frames import RigidTransform
+from lightsim.progress import Progress
+from lightsim.store.atomic import whole_file
+from lightsim.store.images import write_exr
+from lightsim.synthetic.geometry import Snapshot
+from lightsim.synthetic.lidar import scan
+from lightsim.synthetic.plan import Size, StreetConfig, config_of, plan_street
+from lightsim.synthetic.rig import SWEEP_S, MountedCamera, mount_cameras
+from lightsim.synthetic.sensor import develop
+from lightsim.synthetic.skies import Sky, build_sky, environment, sky_specs
+from lightsim.synthetic.street import Street, build_street
+from lightsim.synthetic.tracer import PathTracer, Placed
+from lightsim.synthetic.truth import (
+    compute_buffers,
+    stem_of,
+    write_geometry,
+    write_sky,
+    write_truth_json,
+)
+from lightsim.synthetic.writer import (
+    Clock,
+    camera_pose,
+    write_cuboids,
+    write_rig,
+    write_sweep,
+)
+
+_JPEG_QUALITY = 92
+_HALF_BUFFERS = ("normal_world", "base_colour", "sun_visibility", "actor_index")
+
+
+@dataclass(frozen=True, eq=False)
+class _Shot:
+    """One picture to render: which sky, camera and frame, and where it goes."""
+
+    path: Path
+    mounted: MountedCamera
+    index: int
+    samples: int
+    seed: int
+
+
+def synthesize(out: Path, *, seed: int, size: Size, progress: Progress) -> None:
+    """Write OUT/log (PandaSet's layout) and OUT/truth; finished files are kept, so that an
+    interrupted run can be started again.
+
+    Raises:
+        InputError: the seed is negative, or OUT cannot be written to.
+    """
+    config = config_of(size)
+    plan = plan_street(seed)
+    street = build_street(plan, config.ego_speed_m_s)
+    cameras = mount_cameras(plan, config)
+    log, truth = out / "log", out / "truth"
+    log.mkdir(parents=True, exist_ok=True)
+    truth.mkdir(parents=True, exist_ok=True)
+    write_rig(log, plan, config, cameras)
+    write_truth_json(truth / "truth.json", street, config, cameras, size)
+    _missing(truth / "scene.npz", lambda path: write_geometry(path, street))
+    _write_sweeps(log, street, config, progress)
+    skies = [build_sky(spec, plan) for spec in sky_specs(plan)]
+    for sky in skies:
+        write_sky(truth / "skies", sky, config.dome_height_px)
+    _write_buffers(truth, street, config, cameras, skies[0], progress)
+    for number, sky in enumerate(skies):
+        shots = _shots(out, sky, number, config, cameras)
+        _render(street, config, sky, shots, progress)
+
+
+def _missing(path: Path, write: Callable[[Path], None]) -> None:
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(path)
+
+
+def _write_sweeps(log: Path, street: Street, config: StreetConfig, progress: Progress) -> None:
+    clock = Clock(street.plan.start_ns)
+    for k in progress.track(range(config.frame_count), "LiDAR sweeps and labels"):
+        time_s = SWEEP_S * k
+        name = f"{stem_of(k)}.pkl.gz"
+        sweep, cuboids = log / "lidar" / name, log / "annotations" / "cuboids" / name
+        if not sweep.exists():
+            rng = np.random.default_rng([street.plan.seed, 8, k])
+            write_sweep(sweep, scan(street, config, time_s, rng), clock.utc_s(time_s))
+        if not cuboids.exists():
+            write_cuboids(cuboids, street, config, time_s)
+
+
+def _write_buffers(
+    truth: Path,
+    street: Street,
+    config: StreetConfig,
+    cameras: tuple[MountedCamera, ...],
+    sky: Sky,
+    progress: Progress,
+) -> None:
+    """depth, normals, base colour, sun visibility and actor index of the chosen frames."""
+    wanted = config.buffer_cameras or [mounted.camera.name for mounted in cameras]
+    chosen = [mounted for mounted in cameras if mounted.camera.name in wanted]
+    jobs = [(k, mounted) for k in config.buffer_stems for mounted in chosen]
+    for k, mounted in progress.track(jobs, "exact buffers"):
+        file = f"{mounted.camera.name}/{stem_of(k)}.exr"
+        if (truth / "actor_index" / file).exists():
+            continue
+        time_s = SWEEP_S * k + mounted.time_offset_s
+        snapshot = Snapshot(street, list(_poses(street, time_s).values()))
+        pose = camera_pose(street.plan, config, mounted, time_s)
+        for name, buffer in compute_buffers(snapshot, mounted.camera, pose, sky).items():
+            path = truth / name / file
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_exr(path, buffer, half=name in _HALF_BUFFERS)
+
+
+def _shots(
+    out: Path, sky: Sky, number: int, config: StreetConfig, cameras: tuple[MountedCamera, ...]
+) -> list[_Shot]:
+    """The pictures of a sky that are still missing: the log itself for the first sky."""
+    is_source = number == 0
+    indices = range(config.frame_count) if is_source else config.truth_stems
+    root = out / "log" / "camera" if is_source else out / "truth" / "relit" / sky.spec.name
+    shots = []
+    for k in indices:
+        for i, mounted in enumerate(cameras):
+            shot = _Shot(
+                root / mounted.camera.name / f"{stem_of(k)}.jpg",
+                mounted,
+                k,
+                config.samples if is_source else config.truth_samples,
+                (number * 1000 + k) * len(cameras) + i,
+            )
+            if not shot.path.exists():
+                shots.append(shot)
+    return shots
+
+
+def _render(
+    street: Street, config: StreetConfig, sky: Sky, shots: list[_Shot], progress: Progress
+) -> None:
+    if not shots:
+        return
+    tracer = PathTracer(
+        [part.moved(street.plan.world_from_street) for part in street.background],
+        [Placed(_key(i), actor.parts) for i, actor in enumerate(street.participants)],
+        street.finishes,
+        environment(sky, config.environment_height_px),
+        sky.sun,
+    )
+    for shot in progress.track(shots, f"rendering '{sky.spec.name}' ({tracer.variant})"):
+        mounted = shot.mounted
+        time_s = SWEEP_S * shot.index + mounted.time_offset_s
+        tracer.place(_poses(street, time_s))
+        pose = camera_pose(street.plan, config, mounted, time_s)
+        radiance = tracer.render(mounted.camera, mounted.margin_px, pose, shot.samples, shot.seed)
+        rng = np.random.default_rng([street.plan.seed, 9, shot.seed])
+        shot.path.parent.mkdir(parents=True, exist_ok=True)
+        _write_jpeg(shot.path, develop(radiance, mounted.gain, rng))
+
+
+def _write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"]) -> None:
+    """With halved chroma, as PandaSet's own pictures."""
+    with whole_file(path) as temporary:
+        Image.fromarray(srgb8).save(temporary, quality=_JPEG_QUALITY, subsampling="4:2:0")
+
+
+def _key(index: int) -> str:
+    return f"actor{index}"
+
+
+def _poses(street: Street, time_s: float) -> dict[str, RigidTransform]:
+    return {
+        _key(i): street.plan.world_from_street @ actor.street_from_actor(time_s)
+        for i, actor in enumerate(street.participants)
+    }

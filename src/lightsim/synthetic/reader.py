@@ -1,0 +1,38 @@
+"""The reader of a synthetic log's truth: meshes and the source sky."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from lightsim.core.dome import SkyDome, Sun
+from lightsim.core.mesh import TriMesh
+from lightsim.store.arrays import load_arrays
+from lightsim.store.artefact import read_json
+from lightsim.store.images import read_hdr
+
+
+def read_true_meshes(path: Path) -> dict[str, TriMesh]:
+    """Background (frame `world`) and actors (frame `actor`) of a synthetic log's scene.npz."""
+    arrays = load_arrays(path)
+    meshes = {}
+    for name in dict.fromkeys(key.split("/")[0] for key in arrays):
+        vertices = arrays[f"{name}/vertices"].astype(np.float32)
+        frame = "world" if name == "background" else "actor"
+        faces = arrays[f"{name}/faces"].astype(np.int32)
+        meshes[name] = TriMesh(frame, vertices, faces, np.full_like(vertices, 0.5))
+    return meshes
+
+
+def true_source_sky(truth: Path) -> SkyDome:
+    """The sky that a synthetic log was recorded under.
+
+    Raises:
+        InputError, ArtefactError: `truth` is not a folder that `lightsim synthesize` wrote.
+    """
+    # The disc is smaller than a pixel of the file: its exact direction stands beside it.
+    beside = read_json(truth / "skies" / "source.json")
+    direction = np.array(beside["direction_world"], dtype=np.float64)
+    sun = Sun(direction, np.array(beside["irradiance"], dtype=np.float32))
+    return SkyDome(read_hdr(truth / "skies" / "source.exr"), sun)

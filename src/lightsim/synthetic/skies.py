@@ -1,0 +1,174 @@
+"""Skies of the synthetic street: CIE standard skies with clouds, and a sun.
+
+The same radiance lights the scene, fills the sky pixels and is written as ground truth. It is on
+purpose none of the analytic models that sky estimation fits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from lightsim.core.dome import SkyDome, Sun, add_sun
+from lightsim.core.equirect import pixel_directions, sample_bilinear, solid_angles_sr
+from lightsim.core.solar import SolarPosition, direction_world
+from lightsim.synthetic.plan import StreetPlan
+from lightsim.synthetic.textures import noise
+
+_SUN_AT_ZENITH = 6.3
+"""Luminous irradiance before extinction, scene units: a sunlit white wall comes out near 0.9."""
+_EXTINCTION_RGB = np.array([0.17, 0.22, 0.33])
+_CLEAR = (-1.0, -0.32, 10.0, -3.0, 0.45)
+"""CIE S 011 type 12: clear, low turbidity (Darula & Kittler 2002)."""
+_OVERCAST = (4.0, -0.70, 0.0, -1.0, 0.0)
+"""CIE S 011 type 1: overcast, steep gradation."""
+
+
+@dataclass(frozen=True)
+class SkySpec:
+    """A sky: clear with a sun at a position, or overcast (no sun).
+
+    Args:
+        sun: azimuth from true north and elevation; None is overcast.
+        sky_irradiance: luminous irradiance of the sky without its sun on level ground.
+        cloud_amount: 0 to 1, thin clouds of a clear sky.
+    """
+
+    name: str
+    sun: SolarPosition | None
+    sky_irradiance: float
+    cloud_amount: float
+    seed: int
+
+
+def sky_specs(plan: StreetPlan) -> tuple[SkySpec, ...]:
+    """The source sky first, then the three target skies."""
+    rng = np.random.default_rng([plan.seed, 5])
+    azimuth = plan.sun.azimuth_deg
+    turn = float(rng.choice([-1.0, 1.0]))
+    low = SolarPosition((azimuth + turn * float(rng.uniform(95, 150))) % 360.0, 24.0)
+    high = SolarPosition((azimuth - turn * float(rng.uniform(60, 110))) % 360.0, 62.0)
+    return (
+        SkySpec("source", plan.sun, 0.88, float(rng.uniform(0.1, 0.35)), 1),
+        SkySpec("low_sun", low, 0.62, float(rng.uniform(0.1, 0.5)), 2),
+        SkySpec("high_sun", high, 1.0, float(rng.uniform(0.0, 0.3)), 3),
+        SkySpec("overcast", None, 1.5, 1.0, 4),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Sky:
+    """A sky in frame `world`: smooth radiance without sun, and the sun."""
+
+    spec: SkySpec
+    smooth: Float32[np.ndarray, "h w 3"]
+    sun: Sun | None
+
+    def dome(self, height_px: int) -> SkyDome:
+        """The sky file: radiance averaged over each pixel, the sun in the image."""
+        radiance = _averaged(self.smooth, height_px)
+        return SkyDome(radiance, None) if self.sun is None else add_sun(radiance, self.sun)
+
+    def sky_irradiance(self) -> Float[np.ndarray, "3"]:
+        """RGB on level ground, sun excluded."""
+        height = self.smooth.shape[0]
+        cosine = np.clip(pixel_directions(height)[..., 2], 0, None) * solid_angles_sr(height)
+        return np.einsum("hwc,hw->c", self.smooth.astype(np.float64), cosine)
+
+
+def build_sky(spec: SkySpec, plan: StreetPlan, height_px: int = 512) -> Sky:
+    """The sky of a spec; the light of its lower half is that of dull ground."""
+    up = np.array([0.0, 0.0, 1.0])
+    towards = up
+    sun = None
+    if spec.sun is not None:
+        towards = direction_world(spec.sun.azimuth_deg, spec.sun.elevation_deg, plan.enu_from_world)
+        sun = Sun(towards, sun_irradiance(spec.sun.elevation_deg).astype(np.float32))
+    directions = pixel_directions(height_px)
+    radiance = _clear(directions, towards) if spec.sun else _overcast(directions)
+    radiance = _with_clouds(radiance, directions, spec, plan.seed)
+    is_below = directions[..., 2] <= 0
+    radiance[is_below] = 0.0
+    weight = np.clip(directions[..., 2], 0, None) * solid_angles_sr(height_px)
+    total = np.einsum("hwc,hw->c", radiance, weight)
+    level = spec.sky_irradiance / float(total @ [0.2126, 0.7152, 0.0722])
+    ground = level * total / np.pi * 0.18
+    if sun is not None:
+        ground = ground + sun.irradiance * towards[2] / np.pi * 0.18
+    radiance = radiance * level
+    radiance[is_below] = ground
+    return Sky(spec, radiance.astype(np.float32), sun)
+
+
+def sun_irradiance(elevation_deg: float) -> Float[np.ndarray, "3"]:
+    """RGB irradiance facing the sun: Beer's law along the air mass of Kasten & Young 1989."""
+    sine = np.sin(np.radians(elevation_deg))
+    mass = 1.0 / (sine + 0.50572 * (elevation_deg + 6.07995) ** -1.6364)
+    return _SUN_AT_ZENITH * np.exp(-_EXTINCTION_RGB * mass)
+
+
+def environment(sky: Sky, height_px: int) -> Float32[np.ndarray, "h w 3"]:
+    """The sky without sun for a renderer whose texels sit at u = j / w, v = i / (h - 1)."""
+    width = 2 * height_px
+    polar = np.linspace(0.0, np.pi, height_px)[:, None]
+    azimuth = (0.5 - np.arange(width) / width) * 2 * np.pi
+    sine = np.sin(polar)
+    grid = np.stack(
+        [sine * np.cos(azimuth), sine * np.sin(azimuth), np.cos(polar) + 0 * azimuth], axis=-1
+    )
+    return sample_bilinear(sky.smooth, grid).astype(np.float32)
+
+
+def _gradation(z: Float[np.ndarray, "h w"], a: float, b: float) -> Float[np.ndarray, "h w"]:
+    return 1 + a * np.exp(b / np.maximum(z, 0.03))
+
+
+def _clear(
+    directions: Float[np.ndarray, "h w 3"], towards: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "h w 3"]:
+    """CIE clear sky with a chromaticity that whitens towards the horizon and the sun."""
+    a, b, c, d, e = _CLEAR
+    cosine = np.clip(directions @ towards, -1.0, 1.0)
+    angle = np.arccos(cosine)
+    indicatrix = 1 + c * (np.exp(d * angle) - np.exp(d * np.pi / 2)) + e * cosine**2
+    luminous = _gradation(directions[..., 2], a, b) * indicatrix
+    haze = np.exp(-4.5 * np.clip(directions[..., 2], 0, 1)) + 0.6 * np.exp(-((angle / 0.35) ** 2))
+    haze = np.clip(haze, 0, 1)[..., None]
+    blue, white = np.array([0.42, 0.80, 1.75]), np.array([0.92, 1.0, 1.12])
+    return luminous[..., None] * ((1 - haze) * blue + haze * white)
+
+
+def _overcast(directions: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
+    a, b = _OVERCAST[:2]
+    return _gradation(directions[..., 2], a, b)[..., None] * np.array([0.97, 1.0, 1.05])
+
+
+def _with_clouds(
+    radiance: Float[np.ndarray, "h w 3"],
+    directions: Float[np.ndarray, "h w 3"],
+    spec: SkySpec,
+    seed: int,
+) -> Float[np.ndarray, "h w 3"]:
+    """Thin white clouds on a plane above; an overcast sky gets soft structure."""
+    field = noise(np.random.default_rng([seed, 6, spec.seed]), 512, 512, 1.6)
+    z = np.maximum(directions[..., 2], 0.06)
+    i = np.round(directions[..., 0] / z * 48).astype(np.int64) % 512
+    j = np.round(directions[..., 1] / z * 48).astype(np.int64) % 512
+    value = field[i, j]
+    if spec.sun is None:
+        return radiance * (1 + 0.08 * value)[..., None]
+    cover = np.clip(value - 1.6 + 1.9 * spec.cloud_amount, 0, 1) * np.clip(6 * z - 0.6, 0, 1)
+    white = 1.9 * np.median(radiance[directions[..., 2] > 0.05]) * np.array([1.0, 1.0, 1.02])
+    cover = cover[..., None] * 0.75
+    return radiance * (1 - cover) + np.maximum(white, radiance) * cover
+
+
+def _averaged(image: Float32[np.ndarray, "h w 3"], height_px: int) -> Float32[np.ndarray, "p q 3"]:
+    """Mean over blocks, each row weighted by its solid angle."""
+    k = image.shape[0] // height_px
+    weight = np.broadcast_to(solid_angles_sr(image.shape[0])[..., None], image.shape)
+    blocks = (height_px, k, 2 * height_px, k, 3)
+    total = (image * weight).reshape(blocks).sum(axis=(1, 3))
+    return (total / weight.reshape(blocks).sum(axis=(1, 3))).astype(np.float32)

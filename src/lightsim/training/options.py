@@ -1,0 +1,48 @@
+"""Options of the training commands, as a user gives them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class PrepareOptions:
+    """What the data of the lighting networks are made from."""
+
+    hdri: Path
+    """Folder of .hdr and .exr panoramas."""
+    out: Path
+    """File to write (.npz)."""
+    split: Path | None = None
+    """CSV that names train and test files; without it all files train."""
+    height: int = 64
+    """Rows of the panoramas: 64 for a CPU, 128 or more for a GPU."""
+    streets: int = 15
+    """Synthetic streets to trace; the last fifth is kept for tests."""
+    positions: int = 5
+    """Camera positions in each street."""
+    seed: int = 0
+    """Of all random numbers."""
+
+
+@dataclass(frozen=True)
+class TrainingOptions:
+    """What a training of a lighting network is made from."""
+
+    data: Path
+    """File that lightsim train prepare wrote."""
+    out: Path
+    """Folder for checkpoint, metrics.jsonl, weights.safetensors and scores.json; a run that was
+    stopped goes on here."""
+    preset: Literal["small", "full"] = "small"
+    """small for one CPU core, full for a GPU."""
+    steps: int | None = None
+    """Training steps; by default the preset's."""
+    minutes: float | None = None
+    """Stop after this time; the same command goes on."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to train; auto takes CUDA where there is one."""
+    seed: int = 0
+    """Of first weights and batches."""

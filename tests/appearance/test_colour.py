@@ -1,0 +1,66 @@
+"""Gains, the colour of what nobody saw, and the removal of light, with known answers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from plane_mesh import plane_mesh
+
+from lightsim.appearance.colour import fill_unseen
+from lightsim.appearance.gains import solve_gains
+from lightsim.appearance.intrinsic.divide import DivideConfig, base_colour_from_radiance
+from lightsim.core.mesh import TriMesh
+from lightsim.errors import InputError
+
+
+def test_cameras_without_overlap_keep_gain_one() -> None:
+    colours = np.full((100, 2, 3), 0.3, dtype=np.float32)
+    colours[50:] = 0.6
+    cameras = np.zeros((100, 2), dtype=np.int16)
+    cameras[50:] = 1
+    gains = solve_gains(colours, np.ones((100, 2), np.float32), cameras, 2, 10.0)
+    np.testing.assert_allclose(gains, 1.0, atol=1e-6)
+
+
+def test_unseen_vertices_take_the_colour_around_them() -> None:
+    plane = plane_mesh(4.0, 0.2)
+    colour = (0.4 + 0.05 * plane.vertices[:, :1] * np.ones(3)).astype(np.float32)
+    is_known = np.linalg.norm(plane.vertices, axis=1) > 0.7
+    holed = np.where(is_known[:, None], colour, 0).astype(np.float32)
+    filled = fill_unseen(plane, holed, is_known, np.zeros(3, np.float32))
+    np.testing.assert_allclose(filled, colour, atol=0.02)
+    usual = np.array([0.1, 0.2, 0.3], dtype=np.float32)
+    nothing = fill_unseen(plane, holed, np.zeros(len(holed), dtype=bool), usual)
+    np.testing.assert_array_equal(nothing, np.broadcast_to(usual, nothing.shape))
+
+
+def test_baked_shadows_disappear() -> None:
+    """A pole's shadow at a quarter of the light: albedo ratio 4 before, under 1.2 after, with
+    the shadow edge two vertices off."""
+    plane = plane_mesh(10.0, 0.1)
+    x, y = plane.vertices[:, 0], plane.vertices[:, 1]
+    albedo = (0.3 + 0.1 * np.sin(3 * y))[:, None] * np.array([1.0, 0.9, 0.8])
+    is_shadow = (np.abs(x) < 1.0) & (y > -2)
+    believed = (np.abs(x - 0.2) < 1.0) & (y > -2)
+    light = np.where(is_shadow, 0.25, 1.0)[:, None] * np.array([1.0, 1.0, 1.1])
+    source = np.where(believed, 0.25, 1.0)[:, None] * np.array([1.0, 1.0, 1.1])
+    baked = TriMesh("world", plane.vertices, plane.faces, (albedo * light).astype(np.float32))
+    result = base_colour_from_radiance(baked, source.astype(np.float32), DivideConfig())
+    inside, outside = (np.abs(x) < 1.0) & (y > -1.8), (np.abs(x) > 1.5) & (y > -1.8)
+    truth = albedo[outside].mean() / albedo[inside].mean()
+    before = baked.base_colour[outside].mean() / baked.base_colour[inside].mean()
+    after = result.base_colour[outside].mean() / result.base_colour[inside].mean()
+    assert before / truth > 3.8
+    assert 1 / 1.2 < after / truth < 1.2
+    wrong = np.abs(result.base_colour - albedo).max(axis=1) > 0.1
+    assert float(wrong.mean()) < 0.01
+
+
+def test_light_must_fit_the_mesh() -> None:
+    plane = plane_mesh(1.0, 0.5)
+    with pytest.raises(InputError, match="every vertex"):
+        base_colour_from_radiance(plane, np.ones((2, 3), np.float32), DivideConfig())
+    dark = np.zeros((len(plane.vertices), 3), np.float32)
+    result = base_colour_from_radiance(plane, dark, DivideConfig())
+    assert np.isfinite(result.base_colour).all()
+    assert result.base_colour.min() >= np.float32(0.02)

@@ -1,0 +1,179 @@
+"""Shadows taken out of the base colour, where the rendered ones lie wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from lightsim.appearance.atlas import choose_resolution, edge_lengths_m, pack, texels_of
+from lightsim.appearance.intrinsic.decompose import (
+    DelightConfig,
+    LidarReturns,
+    SurfaceLight,
+    delight,
+)
+from lightsim.core.mesh import Texture, TriMesh
+from lightsim.errors import InputError
+
+_SUN = np.array([1.0, 0.9, 0.7])
+_SKY = np.array([0.15, 0.2, 0.3])
+
+
+def _ground(cells: int = 160, half_m: float = 10.0) -> TriMesh:
+    line = np.linspace(-half_m, half_m, cells + 1)
+    x, y = np.meshgrid(line, line)
+    i = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
+    up = i + cells + 1
+    faces = np.concatenate([np.stack([i, i + 1, up], 1), np.stack([i + 1, up + 1, up], 1)])
+    vertices = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1).astype(np.float32)
+    return TriMesh("world", vertices, faces.astype(np.int32), np.full_like(vertices, 0.5))
+
+
+def _is_lit(points: np.ndarray, shift_m: float = 0.0) -> np.ndarray:
+    """A house's shadow, a lamp's, and one of something that no rendering knows."""
+    x, y = points[:, 0] - shift_m, points[:, 1]
+    house = y > 3 + np.sin(x)
+    pole = (np.abs(x + 4) < 0.5) & (y < 0)
+    return ~(house | pole)
+
+
+def _unknown_shadow(points: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(points[:, :2] - [4, -5], axis=1) < 1.8
+
+
+def _albedo(points: np.ndarray) -> np.ndarray:
+    """Asphalt, a strip of paint, and a light pavement."""
+    x, y = points[:, 0], points[:, 1]
+    grey = np.where(y < -8, 0.35, 0.12) * (1 + 0.05 * np.sin(9 * x) * np.cos(7 * y))
+    return np.where((np.abs(y - 1.0) < 0.15), 0.55, grey)
+
+
+def _light(points: np.ndarray, visibility: np.ndarray, sun: float) -> SurfaceLight:
+    def repeat(rgb: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(rgb.astype(np.float32), (len(points), 3)).copy()
+
+    both = np.stack([visibility, visibility], axis=1).astype(np.float32)
+    none = np.zeros((len(points), 3), np.float32)
+    return SurfaceLight(repeat(sun * _SUN), both, repeat(_SKY), none, none, 0.25)
+
+
+def _recorded(sun: float) -> tuple[TriMesh, np.ndarray, np.ndarray]:
+    """The ground as cameras saw it; true visibility and base colour."""
+    mesh = _ground()
+    lit = (_is_lit(mesh.vertices) & ~_unknown_shadow(mesh.vertices)).astype(float)
+    albedo = _albedo(mesh.vertices)
+    noise = np.exp(0.03 * np.random.default_rng(1).normal(size=(len(albedo), 1)))
+    radiance = albedo[:, None] * (_SKY + sun * lit[:, None] * _SUN) * noise
+    return replace(mesh, base_colour=radiance.astype(np.float32)), lit, albedo
+
+
+def _ratio(mesh: TriMesh, lit: np.ndarray, albedo: np.ndarray) -> float:
+    error = np.log(mesh.base_colour / albedo[:, None]).mean(axis=1)
+    return float(np.exp(error[lit > 0.5].mean() - error[lit < 0.5].mean()))
+
+
+@pytest.mark.parametrize("method", ["labels", "divide"])
+def test_shadows_vanish_though_rendered_ones_lie_elsewhere_and_the_sun_is_too_strong(
+    method: Literal["labels", "divide"],
+):
+    mesh, lit, albedo = _recorded(sun=1.0)
+
+    def light_at(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
+        return _light(points, _is_lit(points, shift_m=0.4), sun=2.2)
+
+    config = DelightConfig(method=method)
+    done = delight(mesh, light_at, config, np.random.default_rng(0))
+    ratio = _ratio(done.mesh, lit, albedo)
+    if method == "divide":
+        assert abs(np.log(ratio)) > np.log(1.3)
+        return
+    assert abs(np.log(ratio)) < np.log(1.05)
+    np.testing.assert_allclose(done.scales.sun, 1 / 2.2, rtol=0.15)
+    assert ((done.visibility > 0.5) == (lit > 0.5)).mean() > 0.97
+    paint = albedo > 0.5
+    assert np.median(done.mesh.base_colour[paint]) == pytest.approx(0.55, rel=0.1)
+    assert np.median(done.mesh.base_colour[albedo < 0.2]) == pytest.approx(0.12, rel=0.1)
+
+
+def test_without_hard_shadows_none_are_invented():
+    """A veiled sun: the rendered light has shadows, the pictures have none."""
+    mesh = _ground()
+    albedo = _albedo(mesh.vertices)
+    mesh = replace(mesh, base_colour=(albedo[:, None] * _SKY * 1.5).astype(np.float32))
+
+    def light_at(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
+        return _light(points, _is_lit(points), sun=0.5)
+
+    done = delight(mesh, light_at, DelightConfig(), np.random.default_rng(0))
+    lit = _is_lit(mesh.vertices).astype(float)
+    assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.05)
+
+
+def test_lidar_intensity_keeps_dark_patches_from_becoming_shadows():
+    mesh, lit, albedo = _recorded(sun=1.0)
+    rng = np.random.default_rng(2)
+    points = np.concatenate([rng.uniform(-10, 10, (60_000, 2)), np.zeros((60_000, 1))], axis=1)
+    intensity = 0.8 * _albedo(points) * np.exp(0.1 * rng.normal(size=len(points)))
+    origins = np.broadcast_to([0.0, 0.0, 40.0], points.shape)
+    returns = LidarReturns(
+        points.astype(np.float32), origins.astype(np.float32), intensity.astype(np.float32)
+    )
+
+    def light_at(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
+        return _light(points, _is_lit(points, shift_m=0.4), sun=2.2)
+
+    done = delight(mesh, light_at, DelightConfig(), np.random.default_rng(0), returns=returns)
+    exponent = float(done.notes[-1].split()[-1])
+    assert 0.6 < exponent <= 1.0
+    assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.05)
+
+
+def test_broken_light_is_refused():
+    mesh = _ground(cells=4)
+    points = mesh.vertices[:-1].astype(np.float64)
+    short = _light(points, np.ones(len(points)), 1.0)
+    with pytest.raises(InputError, match="every vertex"):
+        delight(mesh, lambda p, n: short, DelightConfig(), np.random.default_rng(0))
+    with pytest.raises(InputError, match="negative"):
+        replace(short, sky=-short.sky)
+
+
+def _textured(mesh: TriMesh, texel_m: float) -> tuple[TriMesh, np.ndarray, np.ndarray]:
+    """The mesh with a radiance texture; where its texels lie, and their pixels."""
+    edges = edge_lengths_m(mesh.vertices, mesh.faces)
+    seen = np.full(len(mesh.faces), texel_m, np.float32)
+    patches = pack(choose_resolution(edges, seen, texel_m, 64, 1 << 20), edges)
+    texels = texels_of(patches)
+    corners = mesh.vertices[mesh.faces[texels.face]]
+    points = (texels.barycentric[:, :, None] * corners).sum(axis=1)
+    lit = (_is_lit(points) & ~_unknown_shadow(points)).astype(float)
+    radiance = _albedo(points)[:, None] * (_SKY + lit[:, None] * _SUN)
+    image = np.zeros((patches.height_px * patches.width_px, 3), np.float32)
+    image[texels.pixel] = radiance
+    image = image.reshape(patches.height_px, patches.width_px, 3)
+    textured = replace(mesh, texture=Texture(image, patches.corner_uv()))
+    return textured, points, texels.pixel
+
+
+def test_a_texture_loses_its_shadows_texel_by_texel_on_coarse_faces():
+    mesh = _ground(cells=25)
+    lit = (_is_lit(mesh.vertices) & ~_unknown_shadow(mesh.vertices)).astype(float)
+    radiance = _albedo(mesh.vertices)[:, None] * (_SKY + lit[:, None] * _SUN)
+    mesh, points, pixel = _textured(replace(mesh, base_colour=radiance.astype(np.float32)), 0.1)
+
+    def light_at(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
+        return _light(points, _is_lit(points, shift_m=0.4), sun=2.2)
+
+    done = delight(mesh, light_at, DelightConfig(), np.random.default_rng(0)).mesh
+    assert done.texture is not None
+    assert mesh.texture is not None
+    assert done.texture.image.shape == mesh.texture.image.shape
+    colour = done.texture.image.reshape(-1, 3)[pixel]
+    error = np.abs(np.log(colour / _albedo(points)[:, None])).mean(axis=1)
+    assert np.median(error) < 0.05
+    assert (error > np.log(1.5)).mean() < 0.02
+    assert done.confidence is not None
+    assert np.median(done.confidence) > 0.9

@@ -1,0 +1,300 @@
+"""The whole way on a small part of the shipped street: build, interrupt, resume, relight."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import pytest
+
+from lightsim.build.pipeline import BuildOptions, build, status
+from lightsim.build.workspace import Workspace
+from lightsim.errors import ArtefactError, InputError, MissingDependencyError
+from lightsim.progress import SilentProgress
+from lightsim.render.renderers import RendererChoice
+from lightsim.simulate.buffers import RenderOptions, render
+from lightsim.simulate.relight import relight
+from lightsim.simulate.relighter import RelightOptions
+from lightsim.simulate.skies import SkyChoice
+from lightsim.store.images import read_exr, read_srgb8, write_exr
+from lightsim.store.log import LogReading
+from lightsim.store.mp4 import read_video
+from lightsim.synthetic import shipped_street
+
+T = TypeVar("T")
+CAMERAS = ("front_camera", "left_camera")
+
+
+def options() -> BuildOptions:
+    source = str(shipped_street() / "log")
+    return BuildOptions(LogReading(source, "auto", CAMERAS, "0:4", None, 0.5, 3), "draft", 0, 20)
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("street")
+    build(folder, options(), SilentProgress())
+    return folder
+
+
+class Interrupting(SilentProgress):
+    """Raises KeyboardInterrupt at the n-th step of all tracked loops."""
+
+    def __init__(self, after: int) -> None:
+        self.left = after
+
+    def track(self, items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
+        for item in items:
+            self.left -= 1
+            if self.left == 0:
+                raise KeyboardInterrupt
+            yield item
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {
+        str(p.relative_to(folder)): p.read_bytes()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file() and p.name != "artefact.json"
+    }
+
+
+@pytest.mark.slow
+def test_an_interrupted_build_gives_the_same_meshes(work: Path, tmp_path: Path) -> None:
+    for after in (3, 20, 31, 60):
+        try:
+            build(tmp_path, options(), Interrupting(after), until="assets")
+        except KeyboardInterrupt:
+            continue
+    build(tmp_path, options(), SilentProgress(), until="assets")
+    for stage in ("masks", "geometry", "assets"):
+        assert contents(tmp_path / stage) == contents(work / stage), stage
+    assert [p.name for p in tmp_path.glob(".*")] == [".lock"]
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """A copy of the street's log that a test may change."""
+    folder = tmp_path / "recording"
+    shutil.copytree(shipped_street() / "log", folder)
+    return folder
+
+
+def options_of(recording: Path, **changes: object) -> BuildOptions:
+    reading = replace(options().reading, source=str(recording), **changes)
+    return replace(options(), reading=reading)
+
+
+def made_at(work: Path, stage: str) -> int:
+    return (work / stage / "artefact.json").stat().st_mtime_ns
+
+
+def test_a_work_folder_in_the_recording_is_refused(recording: Path) -> None:
+    for work in (recording, recording / "work", recording / "lidar" / ".." / "w"):
+        with pytest.raises(InputError, match="--work"):
+            build(work, options_of(recording), SilentProgress(), until="log")
+    assert sorted(p.name for p in recording.iterdir()) == sorted(
+        p.name for p in (shipped_street() / "log").iterdir()
+    )
+
+
+def test_a_folder_of_no_known_layout_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    source = tmp_path / "disk"
+    source.mkdir()
+    (source / "huge").symlink_to("/dev/zero")
+    os.mkfifo(source / "pipe")
+    with pytest.raises(InputError, match="no known data set"):
+        build(tmp_path / "work", options_of(source), SilentProgress(), until="log")
+    assert not (tmp_path / "work").exists()
+
+
+def test_a_second_build_is_refused_while_one_is_at_work(recording: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    work.mkdir()
+    code = (
+        "import sys, time; from pathlib import Path; from lightsim.store.lock import locked\n"
+        "with locked(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
+    )
+    words = [sys.executable, "-c", code, str(work / ".lock")]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as first:
+        assert first.stdout is not None
+        assert first.stdout.readline() == "held\n"
+        with pytest.raises(ArtefactError, match=f"process {first.pid}"):
+            build(work, options_of(recording), SilentProgress(), until="log")
+        first.kill()
+    build(work, options_of(recording), SilentProgress(), until="log")
+
+
+def test_a_renamed_recording_is_not_built_anew_and_a_changed_one_is(
+    recording: Path, tmp_path: Path
+) -> None:
+    work = tmp_path / "work"
+    build(work, options_of(recording), SilentProgress(), until="log")
+    before = made_at(work, "log")
+    moved = tmp_path / "moved" / "elsewhere"
+    moved.parent.mkdir()
+    recording.rename(moved)
+    with pytest.raises(InputError, match="Move it back"):
+        _ = Workspace(work).recorded_log
+    build(work, options_of(moved), SilentProgress(), until="log")
+    assert made_at(work, "log") == before
+    assert Workspace(work).recorded_log.frames
+
+    picture = next((moved / "camera" / "front_camera").glob("*.jpg"))
+    shutil.copy(sorted(picture.parent.glob("*.jpg"))[-1], picture)
+    with pytest.raises(ArtefactError, match=f"{picture.name} was changed.*--allow-stale"):
+        _ = Workspace(work).recorded_log
+    assert Workspace(work, is_stale_allowed=True).recorded_log.frames
+    assert {line.name: line.state for line in status(work)}["log"] == "stale"
+    build(work, options_of(moved), SilentProgress(), until="log")
+    assert made_at(work, "log") != before
+    assert Workspace(work).recorded_log.frames
+
+
+def test_a_calibration_beside_the_recordings_is_part_of_them(
+    recording: Path, tmp_path: Path
+) -> None:
+    calibration = recording / "static_extrinsic_calibration.yaml"
+    beside = calibration.rename(recording.parent / calibration.name)
+    work = tmp_path / "work"
+    build(work, options_of(recording), SilentProgress(), until="log")
+    beside.write_text(beside.read_text() + "\n# another rig\n")
+    with pytest.raises(ArtefactError, match=r"\.\./static_extrinsic_calibration\.yaml was changed"):
+        _ = Workspace(work).recorded_log
+
+
+def test_a_build_stops_where_told_also_when_that_stage_is_there(tmp_path: Path) -> None:
+    for _ in range(2):
+        build(tmp_path, options(), SilentProgress(), until="log")
+    assert [path.parent.name for path in tmp_path.glob("*/artefact.json")] == ["log"]
+
+
+@pytest.mark.slow
+def test_a_second_build_makes_nothing_and_status_knows(work: Path) -> None:
+    before = {p: p.stat().st_mtime_ns for p in work.glob("*/artefact.json")}
+    build(work, options(), SilentProgress())
+    assert {p: p.stat().st_mtime_ns for p in before} == before
+    assert {line.state for line in status(work)} == {"made"}
+    write_options = (work / "build.json").read_text()
+    (work / "build.json").write_text(write_options.replace('"seed": 0', '"seed": 1'))
+    assert {line.state for line in status(work)} == {"stale"}
+    (work / "build.json").write_text(write_options)
+
+
+@pytest.mark.slow
+def test_sun_comes_from_gps_and_time(work: Path) -> None:
+    sun = json.loads((work / "sky" / "sun.json").read_text())
+    truth = json.loads((shipped_street() / "truth" / "skies" / "source.json").read_text())
+    assert sun["origin"] == "gps+time"
+    assert sun["azimuth_deg"] == pytest.approx(truth["azimuth_deg"], abs=0.5)
+    assert sun["elevation_deg"] == pytest.approx(truth["elevation_deg"], abs=0.5)
+
+
+@pytest.mark.slow
+def test_relight_writes_what_the_interface_promises(work: Path) -> None:
+    chosen = RelightOptions("noon", SkyChoice("sun:180,60"), frames="0:2", is_linear_written=True)
+    folder = relight(work, chosen, SilentProgress())
+    assert folder == work / "scenarios" / "noon"
+    log = Workspace(work).log
+    for camera in CAMERAS:
+        stems = [p.stem for p in sorted((folder / "frames" / camera).iterdir())]
+        assert stems == [f.stem for f in log.frames_of(camera)[:2]]
+        image = read_srgb8(folder / "frames" / camera / f"{stems[0]}.png")
+        linear = read_exr(folder / "linear" / camera / f"{stems[0]}.exr")
+        assert image.shape == linear.shape == (135, 240, 3)
+        assert np.isfinite(linear).all()
+        assert len(list(read_video(folder / "video" / f"{camera}.mp4"))) == 2
+    scenario = json.loads((folder / "scenario.json").read_text())
+    assert len(scenario["frames"]) == 4
+    assert scenario["frames"][0]["actors"]
+    assert (folder / "report.html").stat().st_size > 10_000
+    before = contents(folder)
+    assert relight(work, chosen, SilentProgress()) == folder
+    for other in (replace(chosen, sky=SkyChoice("sun:90,30")), replace(chosen, exposure_ev=1.0)):
+        with pytest.raises(InputError, match=r"noon.*other settings.*--overwrite"):
+            relight(work, other, SilentProgress())
+    assert contents(folder) == before
+    brighter = replace(chosen, exposure_ev=1.0, frames="0:1", is_overwriting=True)
+    relight(work, brighter, SilentProgress())
+    assert len(list((folder / "frames").rglob("*.png"))) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["background.glb", "twin.json"])
+def test_a_damaged_twin_is_not_read_and_is_made_anew(work: Path, name: str) -> None:
+    path = work / "twin" / name
+    whole = path.read_bytes()
+    path.write_bytes(whole[:1000] + bytes([whole[1000] ^ 1]) + whole[1001:])
+    with pytest.raises(ArtefactError, match=rf"{name} has other bytes.*lightsim build"):
+        relight(work, RelightOptions("x", SkyChoice("source")), SilentProgress())
+    states = {line.name: line.state for line in status(work, is_hashed=True)}
+    assert [stage for stage, state in states.items() if state != "made"] == ["twin"]
+    path.unlink()
+    assert {line.name: line.state for line in status(work)}["twin"] == "broken"
+    build(work, options(), SilentProgress())
+    assert path.read_bytes() == whole
+
+
+@pytest.mark.slow
+def test_relighting_with_the_source_sky_returns_the_image(work: Path) -> None:
+    chosen = RelightOptions("same", SkyChoice("source"), cameras=("left_camera",), frames="0:1")
+    folder = relight(work, chosen, SilentProgress())
+    workspace = Workspace(work)
+    frame = workspace.log.frames_of("left_camera")[0]
+    source = frame.load_srgb8()
+    relit = read_srgb8(folder / "frames" / "left_camera" / f"{frame.stem}.png")
+    inside = (workspace.sky_matte(frame) == 0) & (source < 250).all(-1)
+    difference = np.abs(relit.astype(int) - source.astype(int))[inside]
+    assert np.percentile(difference, 99) <= 2
+
+
+@pytest.mark.slow
+def test_buffers_are_written_as_exr(work: Path, tmp_path: Path) -> None:
+    what = ("depth", "normal", "albedo", "shadow", "ao")
+    chosen = RenderOptions(what, (SkyChoice("source"),), cameras=("front_camera",), frames="0:1")
+    render(work, tmp_path, chosen, SilentProgress())
+    stem = Workspace(work).log.stems[0]
+    depth = read_exr(tmp_path / "depth" / "front_camera" / f"{stem}.exr")
+    normal = read_exr(tmp_path / "normal" / "front_camera" / f"{stem}.exr")
+    shadow = read_exr(tmp_path / "shadow" / "front_camera" / f"{stem}.exr")
+    assert (depth > 0).all()
+    length = np.linalg.norm(normal, axis=-1)
+    np.testing.assert_allclose(length[np.isfinite(depth)], 1.0, atol=1e-4)
+    assert shadow.min() >= 0
+    assert shadow.max() <= 1
+    assert json.loads((tmp_path / "sky.json").read_text())["facts"]["scale_factor"] == 1.0
+    assert render(work, tmp_path, chosen, SilentProgress()).rendered == 0
+    for other in (replace(chosen, seed=1), replace(chosen, skies=(SkyChoice("sun:10,20"),))):
+        with pytest.raises(InputError, match="other settings"):
+            render(work, tmp_path, other, SilentProgress())
+    foreign = tmp_path / "depth" / "front_camera" / f"{stem}.exr"
+    ours = foreign.read_bytes()
+    write_exr(foreign, depth)
+    with pytest.raises(InputError, match=f"{stem}.exr: a file that this run did not make"):
+        render(work, tmp_path, chosen, SilentProgress())
+    foreign.write_bytes(ours)
+    no_blender = RendererChoice("cycles", blender_python=tmp_path / "nowhere")
+    empty = tmp_path / "empty"
+    with pytest.raises(MissingDependencyError, match="nowhere"):
+        render(work, empty, replace(chosen, renderer=no_blender), SilentProgress())
+    assert not empty.exists()
+
+
+def test_wrong_words_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ArtefactError, match="lightsim build"):
+        status(tmp_path)
+    with pytest.raises(InputError, match="shiny"):
+        RenderOptions(("depth", "shiny"), (SkyChoice("source"),))
+    with pytest.raises(InputError, match="sun:AZ,EL"):
+        _ = SkyChoice("no_such_file.hdr").input_key
+    broken = replace(options().reading, source=str(tmp_path / "nowhere"))
+    with pytest.raises((InputError, OSError)):
+        build(tmp_path / "work", BuildOptions(broken, "draft", 0), SilentProgress())

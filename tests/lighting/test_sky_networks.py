@@ -1,0 +1,86 @@
+"""The shipped lighting networks: what must hold for any good weights."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lightsim.core.colour import srgb_from_linear
+from lightsim.core.dome import find_sun, split_sun
+from lightsim.core.equirect import pixel_directions
+from lightsim.core.solar import angle_between_deg, azimuth_elevation, direction_enu
+from lightsim.core.twin import Panorama
+from lightsim.errors import InputError
+from lightsim.lighting.sky.estimate import SkyConfig
+from lightsim.lighting.sky.image_sky import estimate_from_panorama, panorama_from_image
+from lightsim.lighting.sky.shipped import decoded_dome, edited_sky, predict_sky
+from lightsim.lighting.target_sky import target_sky
+
+HEIGHT_PX = 64
+
+
+def clear_picture(sun_azimuth_deg: float, elevation_deg: float) -> np.ndarray:
+    """8-bit picture of a clear sky over grey ground."""
+    dome, _, _ = target_sky(
+        f"sun:{sun_azimuth_deg},{elevation_deg}", geo=None, source=None, height_px=HEIGHT_PX
+    )
+    level = np.median(dome.radiance[: HEIGHT_PX // 2])
+    ldr = srgb_from_linear(np.clip(0.4 * dome.radiance / level, 0.0, 1.0).astype(np.float32))
+    ldr[HEIGHT_PX // 2 :] = 0.4
+    return np.round(ldr * 255).astype(np.uint8)
+
+
+def seen_by_cameras() -> np.ndarray:
+    elevation = np.degrees(np.arcsin(pixel_directions(HEIGHT_PX)[..., 2]))
+    return elevation < 40.0
+
+
+@pytest.fixture(scope="module")
+def panorama() -> Panorama:
+    return panorama_from_image(clear_picture(20.0, 25.0), seen_by_cameras(), HEIGHT_PX)
+
+
+def test_visible_sun_is_found_and_turns_with_the_picture(panorama: Panorama) -> None:
+    said = predict_sky(panorama)
+    towards = said.sun_direction.astype(np.float64)
+    assert said.sunny_probability > 0.5
+    found = azimuth_elevation(towards).azimuth_deg
+    assert abs(found - 20.0) < 15.0
+    quarter = panorama_from_image(
+        np.roll(clear_picture(20.0, 25.0), 32, axis=1), seen_by_cameras(), HEIGHT_PX
+    )
+    turned = predict_sky(quarter).sun_direction.astype(np.float64)
+    # Rolling the columns by a quarter turns the world clockwise: (x, y) -> (y, -x).
+    assert angle_between_deg(turned, np.array([towards[1], -towards[0], towards[2]])) < 0.5
+
+
+def test_the_same_sky_with_its_sun_elsewhere_and_stronger(panorama: Panorama) -> None:
+    there = direction_enu(140.0, 35.0)
+    plain = decoded_dome(panorama, sun_direction=there)
+    strong = decoded_dome(panorama, sun_direction=there, sun_factor=3.0)
+    found = find_sun(plain.radiance)
+    assert found is not None
+    assert plain.sun is not None
+    assert strong.sun is not None
+    # Half the diagonal of a pixel of 2.8 degrees.
+    assert angle_between_deg(found.direction_world, there) < 2.0
+    assert strong.radiance.max() == pytest.approx(3.0 * plain.radiance.max(), rel=0.02)
+    np.testing.assert_allclose(
+        split_sun(plain)[0].sum(axis=(0, 1)), split_sun(strong)[0].sum(axis=(0, 1)), rtol=0.3
+    )
+
+
+def test_edits_of_an_estimated_picture(panorama: Panorama) -> None:
+    picture, seen = clear_picture(20.0, 25.0), seen_by_cameras()
+    estimate = estimate_from_panorama(
+        picture, seen, None, SkyConfig(height_px=HEIGHT_PX), predict_sky(panorama)
+    )
+    moved = edited_sky(estimate, panorama, "300,50", 1.0, 120.0)
+    assert (moved.sun_azimuth_deg, moved.sun_elevation_deg) == (300.0, 50.0)
+    assert moved.dome.sun is not None
+    # 180 degrees clockwise from the centre column, which looks along +x.
+    expected = direction_enu(90.0 + 180.0, 50.0)
+    assert angle_between_deg(moved.dome.sun.direction_world, expected) < 2.0
+    for words, factor in (("300", 1.0), ("a,b", 1.0), ("300,-5", 1.0), (None, 0.0), (None, np.nan)):
+        with pytest.raises(InputError):
+            edited_sky(estimate, panorama, words, float(factor), None)
