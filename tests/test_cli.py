@@ -144,6 +144,14 @@ def test_places_and_suns_that_cannot_be_are_named(
     assert not (tmp_path / "sky").exists()
 
 
+@pytest.mark.parametrize("sky", ["nowhere.hdr", "a" * 5000, "sun:nan,5", "sun:5,-5", "a\0b"])
+def test_words_that_name_no_sky_are_refused(sky: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("sky", "show", sky) == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "expected" in line
+    assert len(line) < 2000
+
+
 def test_a_sky_lit_only_from_below_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -4,10 +4,10 @@
         [--camera front_camera] [--rays 32] [--step 2] [--threads N]
 
 One frame of a finished build at pixel centres, faces flat, the twin's own sky with a sun that goes
-from the world's +x to -x, 60 degrees high in the middle. On a device: `render.live`, rays by
-Mitsuba (OptiX or LLVM), sums by torch. By the host: `render.light`, rays by Embree, sums by numba.
-Both make the radiance of all pixels; it stays on the device there. Medians over all suns but the
-first, which compiles.
+from the world's +x to -x, 60 degrees high in the middle. On a device: `render.transport.live`, rays
+by Mitsuba (OptiX or LLVM), sums by torch. By the host: `render.transport.light`, rays by Embree,
+sums by numba. Both make the radiance of all pixels; it stays on the device there. Medians over all
+suns but the first, which compiles.
 """
 
 from __future__ import annotations

@@ -133,6 +133,14 @@ def test_an_artefact_with_a_damaged_record_is_set_aside(tmp_path: Path, text: st
     assert sorted(p.name for p in tmp_path.iterdir()) == ["toy", "toy.broken-1"]
 
 
+def test_an_endless_record_is_not_read(tmp_path: Path) -> None:
+    folder = tmp_path / "toy"
+    make_artefact(folder, recipe(), fill)
+    with (folder / "artefact.json").open("w") as handle:
+        handle.truncate(1 << 40)
+    assert state_of(folder, recipe()) == "broken"
+
+
 def test_only_an_artefact_of_the_same_stage_is_replaced(tmp_path: Path) -> None:
     mine = tmp_path / "mine"
     mine.mkdir()

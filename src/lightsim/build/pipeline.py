@@ -2,7 +2,7 @@
 
 Each stage is a function call on what earlier stages made, and its result an artefact folder
 (store/artefact.py). Stages know nothing of each other: what one needs from another (a ray caster,
-a sky matte, light at vertices) is handed to it in stages.py.
+a sky matte, light at vertices) is handed to it in build/stages/.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class BuildOptions:
         neural_steps: of training the neural field; None is the preset's, 0 goes without.
         device: "auto", "cpu" or "cuda", for training; results on the CPU do not depend on it.
         no_refine: physics of the log to leave out (align/config.py: PARTS, OTHER_PARTS).
-        colour: "texture", "vertex" or "field" (assets/config.py); None is the preset's.
+        colour: "texture", "vertex" or "field" (appearance/config.py); None is the preset's.
         gps: how much of the log's place, time and heading the sun is found with.
     """
 

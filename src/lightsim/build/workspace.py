@@ -59,7 +59,7 @@ class Workspace:
         Args:
             root: the work folder.
             reading: how the log is read; by default as the build of `root` did.
-            source_hashes: of the recording's files (ingest/fingerprint.py); by default they are
+            source_hashes: of the recording's files (datasets/fingerprint.py); by default they are
                 made when the recording is first read, and compared with those of the build.
             is_stale_allowed: go on where the recording has changed since the build.
         """

@@ -1,4 +1,4 @@
-"""What stages ask of a ray caster; `render` brings implementations, pipeline.py hands them on."""
+"""What stages ask of a ray caster; `render` brings implementations, build/ hands them on."""
 
 from __future__ import annotations
 

@@ -7,6 +7,7 @@ drives show, so that a plain error passes none of them and an odd log all.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -173,7 +174,7 @@ def check_mounting(where: object, translation_m: Float64[np.ndarray, "3"]) -> No
     Raises:
         InputError: the translation is too long or not finite.
     """
-    distance_m = float(np.linalg.norm(translation_m))
+    distance_m = math.hypot(*translation_m)
     if not distance_m <= MAX_MOUNT_M:
         raise InputError(
             "the sensor is not on the vehicle",

@@ -18,8 +18,8 @@ def scene_image(
     """Radiance of every pixel, in the units of the sky.
 
     Args:
-        light: from `render.light.light`; anti-aliased and with reflections where its table was
-            traced with samples, else base colour x light at pixel centres.
+        light: from `render.transport.light`; anti-aliased and with reflections where its table
+            was traced with samples, else base colour x light at pixel centres.
         sky: the dome along the rays of the pixels.
     """
     diffuse = gbuffers.base_colour * light.shaded if light.diffuse is None else light.diffuse

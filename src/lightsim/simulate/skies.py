@@ -164,8 +164,15 @@ def _light_facts(dome: SkyDome) -> dict[str, Any]:
     }
 
 
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # Words that are too long for a path.
+        return False
+
+
 def _check_file(choice: SkyChoice) -> None:
-    if choice.path is not None and not choice.path.is_file():
+    if choice.path is not None and not _is_file(choice.path):
         raise InputError(
             "the sky is neither a file nor a known form",
             where=f"--sky {choice.sky}",

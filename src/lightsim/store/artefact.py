@@ -25,8 +25,9 @@ from typing import Any, Literal
 import numpy as np
 
 from lightsim import __version__
-from lightsim.errors import ArtefactError
+from lightsim.errors import ArtefactError, InputError
 from lightsim.store.atomic import sweep_partials, whole_file
+from lightsim.store.reading import MAX_JSON_BYTES, read_bytes
 
 RECORD_NAME = "artefact.json"
 _FORMAT = 2
@@ -285,8 +286,10 @@ def read_json(path: Path) -> Any:
 
 def _parsed_json(path: Path, remedy: str) -> Any:
     try:
-        return json.loads(path.read_text())
-    except (OSError, ValueError, RecursionError) as error:
+        return json.loads(read_bytes(path, "JSON file", MAX_JSON_BYTES))
+    except InputError as error:
+        raise ArtefactError(error.what, where=path, got=error.got, remedy=remedy) from error
+    except (ValueError, RecursionError) as error:
         raise ArtefactError(
             "the file is no valid JSON", where=path, got=f"{error}"[:200], remedy=remedy
         ) from error

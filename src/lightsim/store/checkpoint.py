@@ -54,7 +54,7 @@ def read_weights(path: Path) -> dict[str, Any]:
 
 
 class FolderJournal:
-    """Checkpoint and metrics.jsonl in one folder; see `reconstruct.train.Journal`."""
+    """Checkpoint and metrics.jsonl in one folder; see `reconstruct.field.train.Journal`."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

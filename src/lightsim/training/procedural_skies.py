@@ -1,6 +1,6 @@
 """Skies that nobody photographed: analytic clear skies, overcast ones, and clouds over both.
 
-The generator of the synthetic streets' skies (`ingest.synthetic.skies`) shares no model and no
+The generator of the synthetic streets' skies (`synthetic.skies`) shares no model and no
 parameter with this one, so that streets stay fair for evaluation.
 """
 

@@ -74,7 +74,7 @@ SYNTHETIC = Rig(
         *(_pixels(y, _FULL_HD, 930.0) for y in (47.0, -47.0, 95.0, -95.0, 180.0)),
     ),
 )
-"""As `ingest.synthetic.rig` mounts them."""
+"""As `synthetic.rig` mounts them."""
 NUSCENES = Rig(
     "nuscenes",
     (

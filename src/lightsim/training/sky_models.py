@@ -21,7 +21,7 @@ SkyKind = Literal["lightsim", "lightsim_paper", "nlfe", "nlfe_panorama", "sold_n
 def sky_recipe(
     kind: SkyKind, preset: Preset, seed: int = 0, *, inpaints: bool = False
 ) -> SkyRecipe:
-    """What `lighting.sky_train.train_sky` needs to train one of the networks.
+    """What `training.sky.train_sky` needs to train one of the networks.
 
     `small` is for one CPU core (panoramas of 64 x 128): about 25 minutes for the estimator and 7
     for a comparator; `full` is for a GPU. The comparators' encoders and decoders are as wide as

@@ -169,7 +169,7 @@ def _times_and_device(
             got=f"up to {worst:.3g} s from lidar/timestamps.json",
             expected=f"at most {_MAX_TIME_OFFSET_S} s",
         )
-    device = table["d"][is_good].astype(np.int64)
+    device = table["d"][is_good]
     if not np.isin(device, (_ROOF, _FRONT)).all():
         raise InputError(
             "the column 'd' names an unknown LiDAR",
@@ -177,7 +177,7 @@ def _times_and_device(
             got=np.unique(device)[:5].tolist(),
             expected="0 (Pandar64) or 1 (PandarGT)",
         )
-    return np.round(seconds * 1e6).astype(np.int64) * 1000, device
+    return np.round(seconds * 1e6).astype(np.int64) * 1000, device.astype(np.int64)
 
 
 def _origins(

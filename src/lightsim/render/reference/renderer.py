@@ -74,7 +74,7 @@ class ReferenceRenderer:
     Args:
         background: visible static mesh.
         inferred: mesh that gives shadows and light but is not seen.
-        tracer: `render.path_tracer.PathTracer` or `render.cycles.Cycles`.
+        tracer: `render.reference.path_tracer.PathTracer` or `render.reference.cycles.Cycles`.
         samples: paths per pixel.
         bounces: as in `Shot`.
         seed: of the sampling.

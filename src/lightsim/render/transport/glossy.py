@@ -53,7 +53,7 @@ class GlossyTable:
 def trace_glossy(
     finder: SideFinder, samples: PixelSamples, config: TransportConfig, seed: int
 ) -> GlossyTable:
-    """Trace `glossy_rays` per pixel; `face_rows` still holds sides (`render.sides`)."""
+    """Trace `glossy_rays` per pixel; `face_rows` still holds sides (`render.transport.sides`)."""
     from lightsim.render.transport.glossy_kernels import reflected_rays
 
     points = samples.glossy

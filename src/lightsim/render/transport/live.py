@@ -1,7 +1,7 @@
 """A traced frame kept on a device and lit there: the sun moves, nothing goes through the host.
 
-`render.light` does the same sums in numba and numpy. What is uploaded for a further sun are the
-directions of its disc; for a further sky also the sky's cells.
+`render.transport.light` does the same sums in numba and numpy. What is uploaded for a further sun
+are the directions of its disc; for a further sky also the sky's cells.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 For every traced pixel N cosine-distributed rays are stored as the sky cell they point at and the
 surface face they meet, if any; for every face met, M rays of its own. A sky then costs sums of
-table look-ups and a few sun rays (`render.light`). Diffuse surfaces, one bounce or two; reflections
-of smooth surfaces are traced by `render.glossy`.
+table look-ups and a few sun rays (`render.transport.light`). Diffuse surfaces, one bounce or two;
+reflections of smooth surfaces are traced by `render.transport.glossy`.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class PointTable:
 
 @dataclass(frozen=True, eq=False)
 class SampleTable:
-    """How light reaches the samples of pixels; see `render.samples`.
+    """How light reaches the samples of pixels; see `render.transport.samples`.
 
     Args:
         samples: of the frame.
@@ -123,7 +123,7 @@ def trace_transport(
     Args:
         face_table: from `static_face_table` with the same config, shared by the frames of a
             log; without one it is made for this frame.
-        samples: from `render.samples.render_samples`, for anti-aliased images and reflections.
+        samples: from `render.transport.samples`, for anti-aliased images and reflections.
     """
     rows, columns, index = _traced_pixels(gbuffers.has_surface, config.shading_step_px)
     positions = gbuffers.ray_starts_world[rows, columns]
