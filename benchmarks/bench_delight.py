@@ -19,11 +19,11 @@ import numpy as np
 from lightsim.appearance.intrinsic.config import DelightConfig
 from lightsim.appearance.intrinsic.decompose import delight
 from lightsim.appearance.intrinsic.light import LightScales
-from lightsim.build.source_light import SourceLight, static_returns
-from lightsim.build.stages.light import TwinConfig
-from lightsim.build.workspace import Workspace
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
+from lightsim.pipeline.source_light import SourceLight, static_returns
+from lightsim.pipeline.stages.light import TwinConfig
+from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import SilentProgress
 from lightsim.simulate.against_truth import base_colours_of
 

@@ -33,7 +33,8 @@ from lightsim.reconstruct.field.hash_grid.grid import (
     hash_encode,
     make_table,
 )
-from lightsim.reconstruct.field.hash_grid.sparse_adam import SparseAdam, zeros_on
+from lightsim.reconstruct.field.hash_grid.sparse_adam import SparseAdam
+from lightsim.reconstruct.field.hash_grid.sparse_gradient import zeros_on
 
 SPEC = HashGridSpec(levels=12, features=2, log2_entries=20, coarsest_m=4.0, finest_m=0.1)
 RATE = 1e-2

@@ -19,12 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
-from lightsim.build import pipeline
-from lightsim.build.measures import geometry as measure_geometry
-from lightsim.build.measures import held_out_frames
-from lightsim.build.workspace import FIELD_NAME, Workspace
 from lightsim.evaluate.frames import FramesConfig
 from lightsim.evaluate.geometry import GeometryConfig
+from lightsim.pipeline import build as pipeline
+from lightsim.pipeline.measures import geometry as measure_geometry
+from lightsim.pipeline.measures import held_out_frames
+from lightsim.pipeline.workspace import FIELD_NAME, Workspace
 from lightsim.progress import LineProgress, SilentProgress
 from lightsim.simulate.against_truth import normal_error_deg
 from lightsim.store.artefact import read_record, state_of

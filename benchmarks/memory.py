@@ -17,9 +17,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from lightsim.build.pipeline import STAGES, BuildOptions, read_options
-from lightsim.build.stages.context import Context
-from lightsim.build.workspace import Workspace
+from lightsim.pipeline.build import STAGES, BuildOptions, read_options
+from lightsim.pipeline.stages.context import Context
+from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import SilentProgress
 from lightsim.store.artefact import peak_memory_mb
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lightsim.build.workspace import Workspace
 from lightsim.evaluate.metrics import psnr
+from lightsim.pipeline.workspace import Workspace
 from lightsim.synthetic.generate import _poses
 from lightsim.synthetic.plan import config_of, plan_street
 from lightsim.synthetic.rig import SWEEP_S, mount_cameras

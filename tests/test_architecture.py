@@ -13,16 +13,17 @@ from lightsim import errors
 
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "lightsim"
 FLOORS = (
-    "cli", "api", "simulate", "build", "training", "evaluate", "view", "relighting", "baselines",
+    "cli", "api", "simulate", "pipeline", "training", "evaluate", "view", "relighting", "baselines",
     "render", "scenario", "lighting", "appearance", "geometry", "reconstruct", "align", "masks",
     "synthetic", "datasets", "networks", "store", "core", "progress", "optional", "errors",
+    "version",
 )  # fmt: skip
 """Packages and modules of the top level, from the top down: an import only ever leads down."""
 STAGES = {
     "datasets", "synthetic", "masks", "align", "reconstruct", "geometry", "appearance", "lighting",
     "scenario", "render", "relighting", "baselines", "evaluate", "view",
 }  # fmt: skip
-"""They meet in build/ and simulate/ alone, through the types of core."""
+"""They meet in pipeline/ and simulate/ alone, through the types of core."""
 ERRORS = {
     name for name, kind in vars(errors).items()
     if isinstance(kind, type) and issubclass(kind, errors.LightSimError)
@@ -88,7 +89,7 @@ def circles(imports: dict[str, set[str]]) -> list[list[str]]:
     """Modules that import each other, by way of others too (Tarjan's components)."""
     import networkx
 
-    graph = networkx.DiGraph([(a, b) for a, others in imports.items() for b in others if a])
+    graph = networkx.DiGraph([(a, b) for a, others in imports.items() for b in others])
     return [sorted(part) for part in networkx.strongly_connected_components(graph) if len(part) > 1]
 
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from lightsim.build.workspace import Workspace
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.dome import SkyDome
 from lightsim.core.frames import RigidTransform
+from lightsim.pipeline.workspace import Workspace
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.reference.cycles import Cycles
 from lightsim.render.reference.denoise import denoise

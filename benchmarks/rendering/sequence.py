@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lightsim.build.workspace import Workspace
+from lightsim.pipeline.workspace import Workspace
 from lightsim.render.renderers import RendererChoice, make_renderer
 from lightsim.scenario.replay import replay
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from lightsim.version import __version__
+
 if TYPE_CHECKING:
     from lightsim.api import build_twin, load_log, load_twin, relight
 
-__version__ = "0.2.0"
-__all__ = ["build_twin", "load_log", "load_twin", "relight"]
+__all__ = ["__version__", "build_twin", "load_log", "load_twin", "relight"]
 
 
 def __getattr__(name: str) -> object:

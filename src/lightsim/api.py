@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lightsim.build import pipeline
-from lightsim.build.workspace import Workspace
 from lightsim.core.log import DrivingLog
 from lightsim.core.twin import DigitalTwin
 from lightsim.datasets.reader import read_log
 from lightsim.datasets.scale import at_scale
 from lightsim.masks.ego_vehicle import ego_vehicle_masks
+from lightsim.pipeline import build as pipeline
+from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress, SilentProgress
 from lightsim.simulate import relight as scenarios
 from lightsim.simulate.skies import SkyChoice

@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from datasets.mini_log import write_json, write_mini_log
-from lightsim.build.pipeline import STAGES, BuildOptions, recipes
-from lightsim.build.workspace import FIELD_CONFIG_NAME, FIELD_NAME, OPTIONS_NAME
 from lightsim.core.alignment import Alignment, CameraCorrection, PathCorrection
 from lightsim.core.dome import Sun, add_sun
 from lightsim.core.fields import GroundMap, SceneFields, TsdfGrid
@@ -20,6 +18,8 @@ from lightsim.core.mesh import Material, Texture, TriMesh
 from lightsim.core.twin import ActorAsset, DigitalTwin, Panorama, SceneAssets, SkyEstimate
 from lightsim.datasets.fingerprint import hash_recording
 from lightsim.datasets.reader import read_log
+from lightsim.pipeline.build import STAGES, BuildOptions, recipes
+from lightsim.pipeline.workspace import FIELD_CONFIG_NAME, FIELD_NAME, OPTIONS_NAME
 from lightsim.reconstruct.field.config import draft
 from lightsim.store.alignment import write_alignment
 from lightsim.store.artefact import hash_names, make_artefact

@@ -9,8 +9,6 @@ from unittest import mock
 import numpy as np
 
 from lightsim.api import load_log
-from lightsim.build.pipeline import status
-from lightsim.build.workspace import FIELD_CONFIG_NAME, FIELD_NAME, Workspace
 from lightsim.core.dome import SkyDome
 from lightsim.core.fields import SceneFields
 from lightsim.core.log import DrivingLog
@@ -19,6 +17,8 @@ from lightsim.core.twin import ActorAsset, SceneAssets, SkyEstimate
 from lightsim.errors import LightSimError
 from lightsim.lighting.sky.image_sky import panorama_from_image
 from lightsim.lighting.target_sky import scale_to_source
+from lightsim.pipeline.build import status
+from lightsim.pipeline.workspace import FIELD_CONFIG_NAME, FIELD_NAME, Workspace
 from lightsim.progress import SilentProgress
 from lightsim.reconstruct.field.config import config_from_json
 from lightsim.simulate import relight as scenarios

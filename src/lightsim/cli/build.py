@@ -54,7 +54,7 @@ class Build:
 
     def run(self) -> None:
         """Make what is missing or stale in the work folder."""
-        from lightsim.build import pipeline
+        from lightsim.pipeline import build as pipeline
         from lightsim.store.log import LogReading
 
         reading = LogReading(

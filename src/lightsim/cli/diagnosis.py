@@ -12,9 +12,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
-from lightsim import __version__
 from lightsim.errors import InputError
 from lightsim.store.weights import WEIGHTS_FOLDER, list_weights
+from lightsim.version import __version__
 
 State = Literal["ok", "note", "missing"]
 

@@ -27,7 +27,7 @@ class EvaluateFrames:
 
     def run(self) -> None:
         """Measure held-out frames."""
-        from lightsim.build.measures import held_out_frames
+        from lightsim.pipeline.measures import held_out_frames
 
         report = held_out_frames(self.work, terminal_progress(), with_field=self.field)
         show(report, self.out)
@@ -69,7 +69,7 @@ class EvaluateGeometry:
 
     def run(self) -> None:
         """Measure the geometry."""
-        from lightsim.build.measures import geometry
+        from lightsim.pipeline.measures import geometry
 
         report, is_held_out = geometry(self.work, self.truth, terminal_progress())
         say("held-out sweeps" if is_held_out else "ALL sweeps, those of the build included")
@@ -91,7 +91,7 @@ class EvaluateSky:
 
     def run(self) -> None:
         """Measure the sky."""
-        from lightsim.build.measures import sky
+        from lightsim.pipeline.measures import sky
 
         show(sky(self.work, self.truth), self.out)
 

@@ -12,9 +12,6 @@ from jaxtyping import Bool, Float32
 
 from lightsim.appearance.intrinsic.decompose import delight
 from lightsim.baselines.colour_transfer import BASELINES
-from lightsim.build.source_light import SourceLight
-from lightsim.build.stages.light import TwinConfig
-from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import BACKGROUND
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import DrivingLog
@@ -36,6 +33,9 @@ from lightsim.evaluate.frames import (
     pair_folders,
     score_frames,
 )
+from lightsim.pipeline.source_light import SourceLight
+from lightsim.pipeline.stages.light import TwinConfig
+from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.gbuffers import render_gbuffers

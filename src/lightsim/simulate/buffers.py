@@ -16,7 +16,6 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float32
 
-from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import GBuffers
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.checks import check_number, check_seed
@@ -24,6 +23,7 @@ from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
 from lightsim.lighting.target_sky import FORMS
+from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.render.renderers import Renderer, RendererChoice, TracedFrame, make_renderer
 from lightsim.scenario.replay import replay

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lightsim.build.pipeline import BuildOptions, build
+from lightsim.pipeline.build import BuildOptions, build
 from lightsim.progress import Progress
 from lightsim.simulate.relight import relight
 from lightsim.simulate.relighter import RelightOptions
@@ -29,7 +29,7 @@ def run_demo(out: Path, seed: int, progress: Progress) -> Path:
             name, SkyChoice(sky), cameras=DEMO_CAMERAS, seed=seed, is_overwriting=True
         )
         relight(work, options, progress)
-    from lightsim.build.measures import QUICK
+    from lightsim.pipeline.measures import QUICK
     from lightsim.simulate.against_truth import relit_frames
     from lightsim.simulate.report import write_demo_report
 

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from lightsim.build.workspace import Workspace
 from lightsim.core.log import DrivingLog
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.datasets.selection import FrameSelection
 from lightsim.errors import InputError
+from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.scenario.replay import replay
 from lightsim.simulate.relighter import Relighter, RelightOptions

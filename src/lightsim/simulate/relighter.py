@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.checks import MAX_EXPOSURE_EV, check_number, check_seed
 from lightsim.core.colour import linear_from_srgb8
@@ -17,6 +16,7 @@ from lightsim.core.resample import resize_area
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
+from lightsim.pipeline.workspace import Workspace
 from lightsim.relighting.physical.compose import camera_image
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
 from lightsim.render.frame_renderer import FrameRenderer

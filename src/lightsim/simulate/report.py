@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from lightsim.build.workspace import Workspace
 from lightsim.core.scenario import Scenario
 from lightsim.evaluate.frames import FramesReport
+from lightsim.pipeline.workspace import Workspace
 from lightsim.simulate.relighter import Relighter
 from lightsim.simulate.skies import TargetSky
 from lightsim.store.images import read_srgb8

@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lightsim.build.workspace import Workspace
 from lightsim.core.checks import check_number
 from lightsim.core.dome import SkyDome, find_sun
 from lightsim.core.frames import RigidTransform
@@ -18,6 +17,7 @@ from lightsim.core.twin import SkyEstimate
 from lightsim.errors import InputError
 from lightsim.lighting.sun.direction import SunDirection, sun_from_geo
 from lightsim.lighting.target_sky import dome_from_array, parse_time, scale_to_source, target_sky
+from lightsim.pipeline.workspace import Workspace
 from lightsim.store.artefact import hash_file
 from lightsim.store.images import read_sky
 

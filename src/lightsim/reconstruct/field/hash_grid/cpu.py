@@ -10,7 +10,7 @@ from jaxtyping import Float32, Int64, UInt32
 from torch import Tensor
 
 from lightsim.reconstruct.field.hash_grid import kernels
-from lightsim.reconstruct.field.hash_grid.sparse_adam import SparseGradient
+from lightsim.reconstruct.field.hash_grid.sparse_gradient import SparseGradient
 from lightsim.reconstruct.field.hash_grid.threads import for_each, for_ranges
 
 if TYPE_CHECKING:

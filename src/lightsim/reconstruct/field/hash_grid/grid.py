@@ -19,7 +19,7 @@ from torch import Tensor
 
 from lightsim.errors import InputError
 from lightsim.reconstruct.field.hash_grid import cpu as hash_grid_cpu
-from lightsim.reconstruct.field.hash_grid.sparse_adam import (
+from lightsim.reconstruct.field.hash_grid.sparse_gradient import (
     SparseGradient,
     new_sparse_gradient,
     sparse_gradient_of,

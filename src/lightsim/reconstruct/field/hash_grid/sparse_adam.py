@@ -4,44 +4,20 @@ from __future__ import annotations
 
 import importlib
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float32, UInt8
 from torch import Tensor
 
 from lightsim.errors import InputError
 from lightsim.reconstruct.field.hash_grid import kernels
+from lightsim.reconstruct.field.hash_grid.sparse_gradient import (
+    SPARSE_GRADIENT,
+    new_sparse_gradient,
+    zeros_on,
+)
 from lightsim.reconstruct.field.hash_grid.threads import for_ranges
-
-_ATTRIBUTE = "lightsim_sparse_gradient"
-
-
-@dataclass(frozen=True)
-class SparseGradient:
-    """Sum of the gradients of a table since the last step, beside the table itself.
-
-    A dense `table.grad` would have to be written and read in full at every step. Here the backward
-    pass adds to `values` and marks the blocks it wrote; the step visits marked blocks only.
-    """
-
-    values: Float32[Tensor, "entries features"]
-    is_touched: UInt8[Tensor, "blocks"]
-    """One mark for every `hash_grid_kernels.BLOCK_ENTRIES` entries."""
-
-
-def new_sparse_gradient(table: Tensor) -> SparseGradient:
-    """No gradient yet, on the table's device."""
-    blocks = table.shape[0] // kernels.BLOCK_ENTRIES
-    marks = torch.zeros(blocks, dtype=torch.uint8, device=table.device)
-    return SparseGradient(zeros_on(table.device, tuple(table.shape)), marks)
-
-
-def sparse_gradient_of(table: Tensor) -> SparseGradient | None:
-    """The sparse gradient that an optimiser attached to `table`, if any."""
-    return getattr(table, _ATTRIBUTE, None)
 
 
 class SparseAdam:
@@ -78,7 +54,7 @@ class SparseAdam:
         self.first_moment = zeros_on(table.device, tuple(table.shape))
         self.second_moment = zeros_on(table.device, tuple(table.shape))
         self.gradient = new_sparse_gradient(table)
-        setattr(table, _ATTRIBUTE, self.gradient)
+        setattr(table, SPARSE_GRADIENT, self.gradient)
 
     @torch.no_grad()
     def step(self, learning_rate: float | None = None) -> None:
@@ -148,18 +124,6 @@ class SparseAdam:
             kernels.update_touched(*arrays, marks, features, first, last, single)
 
         for_ranges(update, marks.size, smallest=4096)
-
-
-def zeros_on(device: torch.device | str, shape: tuple[int, ...]) -> Tensor:
-    """Zeros, float32; on the CPU in memory that NumPy asks huge pages for.
-
-    Random access to a hundred megabytes otherwise waits for address translation.
-    """
-    if torch.device(device).type != "cpu":
-        return torch.zeros(shape, device=device)
-    zeros = np.empty(shape, np.float32)
-    zeros.fill(0.0)
-    return torch.from_numpy(zeros)
 
 
 def _check_table(table: Tensor) -> None:

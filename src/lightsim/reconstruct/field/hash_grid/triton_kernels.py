@@ -13,7 +13,7 @@ from jaxtyping import Float32, Int64
 from torch import Tensor
 
 from lightsim.optional import need
-from lightsim.reconstruct.field.hash_grid.sparse_adam import SparseGradient
+from lightsim.reconstruct.field.hash_grid.sparse_gradient import SparseGradient
 
 if TYPE_CHECKING:
     from lightsim.reconstruct.field.hash_grid.spec import HashGridSpec

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from lightsim.build.measures import Measures, read_measures
-from lightsim.build.workspace import Workspace
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.sensors import CameraFrame
+from lightsim.pipeline.measures import Measures, read_measures
+from lightsim.pipeline.workspace import Workspace
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.transport.table import TransportConfig
 from lightsim.scenario.replay import replay

@@ -2,7 +2,7 @@
 
 Each stage is a function call on what earlier stages made, and its result an artefact folder
 (store/artefact.py). Stages know nothing of each other: what one needs from another (a ray caster,
-a sky matte, light at vertices) is handed to it in build/stages/.
+a sky matte, light at vertices) is handed to it in pipeline/stages/.
 """
 
 from __future__ import annotations
@@ -16,10 +16,6 @@ from typing import Any
 from lightsim.align.config import AlignConfig
 from lightsim.appearance import config as asset_config
 from lightsim.appearance.config import Colour
-from lightsim.build.source_sun import GpsUse, SourceSunConfig
-from lightsim.build.stages import light, recording, results, surfaces
-from lightsim.build.stages.context import Context
-from lightsim.build.workspace import OPTIONS_NAME, Workspace
 from lightsim.core.checks import check_number, check_seed
 from lightsim.datasets.fingerprint import hash_recording
 from lightsim.datasets.reader import check_layout
@@ -28,6 +24,10 @@ from lightsim.evaluate.frames import FramesConfig
 from lightsim.geometry import config as mesh_config
 from lightsim.lighting.panorama.stitch import StitchConfig
 from lightsim.masks.sky import SkyMaskConfig
+from lightsim.pipeline.source_sun import GpsUse, SourceSunConfig
+from lightsim.pipeline.stages import light, recording, results, surfaces
+from lightsim.pipeline.stages.context import Context
+from lightsim.pipeline.workspace import OPTIONS_NAME, Workspace
 from lightsim.progress import Progress
 from lightsim.reconstruct.field import config as neural_config
 from lightsim.reconstruct.fusion import config as fuse_config

@@ -15,9 +15,9 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
-from lightsim.build.pipeline import BuildOptions, build, status
-from lightsim.build.workspace import Workspace
 from lightsim.errors import ArtefactError, InputError, MissingDependencyError
+from lightsim.pipeline.build import BuildOptions, build, status
+from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import SilentProgress
 from lightsim.render.renderers import RendererChoice
 from lightsim.simulate.buffers import RenderOptions, render

@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from lightsim.build.stages.recording import prior_surfaces
-from lightsim.build.workspace import Workspace
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
@@ -38,6 +36,8 @@ from lightsim.evaluate.geometry import (
 from lightsim.evaluate.metrics import ImageScores
 from lightsim.evaluate.sky import SkyReport, evaluate_sky
 from lightsim.lighting.sun.direction import find_sun_blob
+from lightsim.pipeline.stages.recording import prior_surfaces
+from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.frame_renderer import FrameRenderer

@@ -10,13 +10,13 @@ import numpy as np
 
 from lightsim.align.build import align_log
 from lightsim.align.config import AlignConfig
-from lightsim.build.stages.context import Context
-from lightsim.build.workspace import FIELD_CONFIG_NAME, FIELD_NAME, Workspace
 from lightsim.core.fields import SceneFields
 from lightsim.core.frames import RigidTransform
 from lightsim.core.sensors import CameraFrame
 from lightsim.geometry.surface import background_levels, extract_surface
 from lightsim.masks.sky import SkyMaskConfig, sky_mattes
+from lightsim.pipeline.stages.context import Context
+from lightsim.pipeline.workspace import FIELD_CONFIG_NAME, FIELD_NAME, Workspace
 from lightsim.reconstruct.field.config import NeuralConfig
 from lightsim.reconstruct.field.ray_pool import PriorSurfaces
 from lightsim.reconstruct.fusion.config import FuseConfig

@@ -6,11 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from lightsim.build.measures import measure, write_measures
-from lightsim.build.report import write_build_report
-from lightsim.build.stages.context import Context
-from lightsim.build.workspace import Workspace
 from lightsim.evaluate.frames import FramesConfig
+from lightsim.pipeline.measures import measure, write_measures
+from lightsim.pipeline.report import write_build_report
+from lightsim.pipeline.stages.context import Context
+from lightsim.pipeline.workspace import Workspace
 
 
 @dataclass(frozen=True)

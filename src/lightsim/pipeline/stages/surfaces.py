@@ -12,8 +12,6 @@ from jaxtyping import Float32
 
 from lightsim.appearance.build import AssetConfig, build_assets
 from lightsim.appearance.colour import colour_of_nearest
-from lightsim.build.stages.context import Context
-from lightsim.build.workspace import Workspace
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
@@ -25,6 +23,8 @@ from lightsim.geometry.completion.flatten import FlattenConfig, flatten_walls
 from lightsim.geometry.config import MeshConfig
 from lightsim.geometry.mesh_scene import mesh_scene
 from lightsim.geometry.simplify import simplify_planar
+from lightsim.pipeline.stages.context import Context
+from lightsim.pipeline.workspace import Workspace
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.store.assets import read_mesh, write_assets, write_mesh
 

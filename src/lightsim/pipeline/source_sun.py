@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 
-from lightsim.build.workspace import Workspace
 from lightsim.core.log import GeoReference
 from lightsim.core.solar import solar_position
 from lightsim.lighting.sample import SkyPrediction
@@ -21,6 +20,7 @@ from lightsim.lighting.sun.posterior import (
 )
 from lightsim.lighting.sun.shadow_votes import ShadowVoteConfig, ShadowVotes, vote
 from lightsim.lighting.sun.surface_samples import sample_surfaces
+from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.frame_renderer import parked_actor_meshes

@@ -10,11 +10,6 @@ import numpy as np
 from jaxtyping import Float32
 
 from lightsim.appearance.intrinsic.decompose import DelightConfig, delight
-from lightsim.build.assemble import build_twin
-from lightsim.build.source_light import SourceLight, static_returns
-from lightsim.build.source_sun import SourceSunConfig, find_source_sun
-from lightsim.build.stages.context import Context
-from lightsim.build.workspace import Workspace
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.core.sensors import CameraFrame
@@ -25,6 +20,11 @@ from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
 from lightsim.lighting.sky.shipped import predict_sky
 from lightsim.lighting.sun.direction import SunDirection
 from lightsim.lighting.sun.evidence import EvidenceConfig, Surroundings, collect_evidence
+from lightsim.pipeline.assemble import build_twin
+from lightsim.pipeline.source_light import SourceLight, static_returns
+from lightsim.pipeline.source_sun import SourceSunConfig, find_source_sun
+from lightsim.pipeline.stages.context import Context
+from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.frame_renderer import parked_actor_meshes
