@@ -49,7 +49,7 @@ def _our_error(folder: Path) -> None:
 
 
 def _two_lines(folder: Path) -> None:
-    raise InputError("broken\nin two lines", where=folder)
+    raise InputError("broken", where=folder, remedy="in\ntwo lines")
 
 
 def _foreign(folder: Path) -> None:

@@ -14,6 +14,7 @@ from lightsim.core.sensors import LidarSweep
 from lightsim.core.solar import solar_position
 from lightsim.datasets.reader import read_log
 from lightsim.errors import InputError
+from lightsim.masks.ego_vehicle import ego_vehicle_masks
 
 ROAD_CLASS = 7
 BOX_TIME_S = 0.05
@@ -147,7 +148,7 @@ def test_what_is_missing_is_survived_and_said(
 
 @pytest.fixture(scope="module")
 def real(shared_data: Path) -> DrivingLog:
-    return read_log(shared_data / "pandaset" / "002")
+    return read_log(shared_data / "pandaset" / "002", find_ego_vehicle=ego_vehicle_masks)
 
 
 def test_real_log_counts(real: DrivingLog) -> None:

@@ -71,5 +71,5 @@ def test_pictures_of_any_eight_bit_mode_are_read(tmp_path: Path, mode: str) -> N
 def test_sixteen_bit_grey_is_refused_by_name(tmp_path: Path) -> None:
     path = tmp_path / "deep.png"
     Image.fromarray(street()[..., 0].astype(np.uint16) * 257).save(path)
-    with pytest.raises(InputError, match=r"deep\.png.*8 bits"):
+    with pytest.raises(InputError, match=r"deep\.png.*I;16"):
         read_srgb8_alpha(path)

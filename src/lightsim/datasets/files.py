@@ -20,6 +20,8 @@ _MAX_MEMBERS = 10_000
 """Parallel compressors write one gzip member for every 64 KB or so."""
 _GZIP_WINDOW = 31
 """What zlib calls a gzip header with the largest window."""
+MAX_NUMBER = 1e15
+"""No quantity of a log in SI units comes near it, and its square still is a float."""
 _BROKEN = "Copy the file again from the original data set."
 
 
@@ -138,10 +140,10 @@ def require_number(value: Any, where: object) -> float:
     """`value` as a finite float.
 
     Raises:
-        InputError: it is no number, or not finite.
+        InputError: it is no number, not finite, or beyond MAX_NUMBER.
     """
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    is_finite = is_number and abs(value) <= 1e300
+    is_finite = is_number and abs(value) <= MAX_NUMBER
     if not is_finite:
         raise InputError("not a finite number", where=where, got=f"{value!r:.40}", remedy=_BROKEN)
     return float(value)

@@ -21,7 +21,7 @@ def hash_recording(source: Path) -> dict[str, str]:
     Raises:
         InputError: the folder is not there, or a file in it cannot be read.
     """
-    if not source.is_dir():
+    if not is_there(source):
         raise InputError(
             "the recording is not there",
             where=source,
@@ -40,6 +40,14 @@ def hash_recording(source: Path) -> dict[str, str]:
             remedy="Check the permissions and the disk.",
         ) from error
     return found
+
+
+def is_there(source: Path) -> bool:
+    """Whether the recording's folder can be found."""
+    try:
+        return source.is_dir()
+    except OSError:  # Words that are too long for a path.
+        return False
 
 
 def describe_change(before: Mapping[str, str], now: Mapping[str, str]) -> str | None:

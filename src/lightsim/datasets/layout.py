@@ -65,8 +65,14 @@ def _is_there(path: Path, is_kind: Callable[[int], bool], kind: str) -> bool:
         raise InputError(
             "something else stands in its place",
             where=path,
-            got="a folder" if stat.S_ISDIR(mode) else "a file",
+            got=_kind_of(mode),
             expected=kind,
             remedy="Copy it again from the original data set, or remove it.",
         )
     return True
+
+
+def _kind_of(mode: int) -> str:
+    if stat.S_ISDIR(mode):
+        return "a folder"
+    return "a file" if stat.S_ISREG(mode) else "a pipe, device or socket"

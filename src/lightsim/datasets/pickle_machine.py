@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import io
 import pickletools
+import warnings
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -91,6 +92,11 @@ class PickleMachine:
             RefusedError: it asks for what no table needs.
             ValueError, LookupError, TypeError, AttributeError: it is damaged.
         """
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Python's own, of escapes in texts of protocol 0.
+            return self._run(data)
+
+    def _run(self, data: bytes) -> Any:
         for step, (opcode, argument, _) in enumerate(pickletools.genops(io.BytesIO(data))):
             if step >= MAX_STEPS:
                 raise RefusedError("more objects than a table has")

@@ -17,7 +17,7 @@ from lightsim.align.config import AlignConfig
 from lightsim.appearance import config as asset_config
 from lightsim.appearance.config import Colour
 from lightsim.core.checks import check_number, check_seed
-from lightsim.datasets.fingerprint import hash_recording
+from lightsim.datasets.fingerprint import hash_recording, is_there
 from lightsim.datasets.reader import check_layout
 from lightsim.errors import ArtefactError, InputError
 from lightsim.evaluate.frames import FramesConfig
@@ -306,11 +306,11 @@ def status(work: Path, *, is_hashed: bool = False) -> list[StageStatus]:
 
 def _source_key(work: Path, source: Path) -> str:
     """Hash of the recording; where it is gone, of what the build found."""
-    if source.is_dir():
+    if is_there(source):
         return hash_names(hash_recording(source))
     logger.warning("%s: the recording is gone; changes in it cannot be told", source)
     record = read_record(work / "log")
-    return "" if record is None else record["inputs"]["source"]
+    return "" if record is None else record["inputs"].get("source", "")
 
 
 def _status_of(folder: Path, recipe: Recipe, is_hashed: bool) -> StageStatus:

@@ -34,6 +34,16 @@ _FORMAT = 2
 """Of the record; raising it makes all artefacts stale."""
 _HASH_BLOCK = 1 << 20
 _ANEW = "Run the command that made it again: the folder is set aside and made anew."
+_ENTRIES: dict[str, type | tuple[type, ...]] = {
+    "stage": str,
+    "key": str,
+    "config": dict,
+    "inputs": dict,
+    "seconds": (int, float),
+    "peak_memory_mb": int,
+    "notes": list,
+}
+"""What every record has, and of which types."""
 _SHOWN = 3
 """Damaged files that a message names."""
 
@@ -89,8 +99,11 @@ def read_record(folder: Path) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     record = _parsed_json(path, _ANEW)
-    if not isinstance(record, dict) or not {"key", "stage", "inputs", "config"} <= set(record):
-        raise _broken_record(path, "entries are missing")
+    if not isinstance(record, dict):
+        raise _broken_record(path, f"a {type(record).__name__}")
+    wrong = [name for name, kind in _ENTRIES.items() if not isinstance(record.get(name), kind)]
+    if wrong or not all(isinstance(key, str) for key in record["inputs"].values()):
+        raise _broken_record(path, f"wrong entries: {', '.join(wrong) or 'inputs'}")
     if "format" not in record:  # LightSim 0.2: stale by its key, without a list of files.
         return {**record, "files": {}}
     if not _is_file_list(record.get("files")):

@@ -67,7 +67,7 @@ def inside(folder: Path, name: Any) -> Path:
         for part in parts
     )
     # The second look follows links, which the text of a name does not show.
-    if not is_relative or not (folder / name).resolve().is_relative_to(folder.resolve()):
+    if not is_relative or not _lies_below(folder / name, folder):
         raise ArtefactError(
             "a file's name leads out of its folder",
             where=folder,
@@ -76,6 +76,13 @@ def inside(folder: Path, name: Any) -> Path:
             remedy="Do not use this folder if it came from elsewhere; else build again.",
         )
     return folder / name
+
+
+def _lies_below(path: Path, folder: Path) -> bool:
+    try:
+        return path.resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError):  # A loop of links.
+        return False
 
 
 def _with_hash(text: str) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from lightsim.core.frames import RigidTransform, Trajectory
+from lightsim.datasets.files import MAX_NUMBER
 from lightsim.datasets.layout import has_file
 from lightsim.datasets.plausible import check_mounting, check_readout
 from lightsim.errors import InputError
@@ -266,7 +267,7 @@ def _number(word: str) -> float:
 def _complete(key: str, numbers: _Numbers, where: str) -> Float64[np.ndarray, " n"]:
     letters = _LETTERS_BY_KEY[key]
     values = numbers.get(key, {})
-    if set(values) != set(letters) or not np.isfinite(list(values.values())).all():
+    if set(values) != set(letters) or not all(abs(v) <= MAX_NUMBER for v in values.values()):
         raise InputError(
             f"the {key} is incomplete",
             where=where,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from lightsim.errors import InputError
 
 _LOGGER = logging.getLogger(__name__)
 _COLUMNS = ("x", "y", "z", "i", "t", "d")
+_CLASS = re.compile(r"[0-9]{1,6}")
 _MAX_TIME_OFFSET_S = 0.5
 _ROOF, _FRONT = 0, 1
 _N_BINS = 72
@@ -139,7 +141,7 @@ def _read_points(source: SweepSource) -> tuple[Table, Bool[np.ndarray, " n"]]:
     for name in _COLUMNS:
         is_good &= np.isfinite(table[name])
     for name in ("x", "y", "z"):
-        is_good &= np.abs(table[name]) < MAX_COORDINATE_M
+        is_good &= np.abs(table[name].astype(np.float64)) < MAX_COORDINATE_M
     if not is_good.any():
         raise InputError(
             "the sweep has no valid point",
@@ -212,7 +214,7 @@ def read_class_names(path: Path) -> dict[int, str]:
     if not has_file(path):
         return {}
     names = require_object(read_json(path), path)
-    if not all(key.isdigit() and isinstance(name, str) for key, name in names.items()):
+    if not all(_CLASS.fullmatch(key) and isinstance(name, str) for key, name in names.items()):
         raise InputError(
             "the class names are not a table of number: name",
             where=path,
