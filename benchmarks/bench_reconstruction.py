@@ -101,12 +101,12 @@ def _build_and_measure(options: argparse.Namespace, name: str) -> None:
     _take_from_siblings(options.out, work, _options(options, name))
     pipeline.build(work, _options(options, name), LineProgress(), until="sky")
     frames = held_out_frames(
-        work,
+        Workspace(work),
         SilentProgress(),
         FramesConfig(with_lpips=options.lpips, with_exposure=False),
         with_field=options.field and (work / "neural" / FIELD_NAME).exists(),
     )
-    geometry, _ = measure_geometry(work, options.truth, SilentProgress())
+    geometry, _ = measure_geometry(Workspace(work), options.truth, SilentProgress())
     records = {stage: read_record(work / stage) for stage in STAGES}
     workspace = Workspace(work)
     assets = workspace.assets

@@ -28,8 +28,9 @@ class EvaluateFrames:
     def run(self) -> None:
         """Measure held-out frames."""
         from lightsim.pipeline.measures import held_out_frames
+        from lightsim.pipeline.workspace import Workspace
 
-        report = held_out_frames(self.work, terminal_progress(), with_field=self.field)
+        report = held_out_frames(Workspace(self.work), terminal_progress(), with_field=self.field)
         show(report, self.out)
 
 
@@ -70,8 +71,9 @@ class EvaluateGeometry:
     def run(self) -> None:
         """Measure the geometry."""
         from lightsim.pipeline.measures import geometry
+        from lightsim.pipeline.workspace import Workspace
 
-        report, is_held_out = geometry(self.work, self.truth, terminal_progress())
+        report, is_held_out = geometry(Workspace(self.work), self.truth, terminal_progress())
         say("held-out sweeps" if is_held_out else "ALL sweeps, those of the build included")
         show(report, self.out)
 
@@ -92,8 +94,9 @@ class EvaluateSky:
     def run(self) -> None:
         """Measure the sky."""
         from lightsim.pipeline.measures import sky
+        from lightsim.pipeline.workspace import Workspace
 
-        show(sky(self.work, self.truth), self.out)
+        show(sky(Workspace(self.work), self.truth), self.out)
 
 
 @dataclass(frozen=True)

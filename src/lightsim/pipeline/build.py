@@ -147,24 +147,48 @@ STAGES = (
         recording.make_alignment,
     ),
     Stage("fields", 1, ("log", "alignment"), lambda o: _FUSE[o.preset](), recording.make_fields),
-    Stage("neural", 1, ("log", "masks", "fields"), _neural_config, recording.make_neural),
+    Stage(
+        "neural",
+        1,
+        ("log", "masks", "alignment", "fields"),
+        _neural_config,
+        recording.make_neural,
+    ),
     Stage(
         "geometry",
         2,
-        ("log", "masks", "neural"),
+        ("log", "masks", "alignment", "neural"),
         lambda o: surfaces.GeometryConfig(_MESHES[o.preset]()),
         surfaces.make_geometry,
     ),
-    Stage("assets", 2, ("log", "masks", "geometry"), _asset_config, surfaces.make_assets),
-    Stage("panorama", 2, ("masks", "assets"), lambda o: StitchConfig(), light.make_panorama),
+    Stage(
+        "assets",
+        2,
+        ("log", "masks", "alignment", "fields", "neural", "geometry"),
+        _asset_config,
+        surfaces.make_assets,
+    ),
+    Stage(
+        "panorama",
+        2,
+        ("log", "masks", "alignment", "assets"),
+        lambda o: StitchConfig(),
+        light.make_panorama,
+    ),
     Stage(
         "sky",
         4,
-        ("assets", "panorama"),
+        ("log", "alignment", "assets", "panorama"),
         lambda o: light.SkyStageConfig(SourceSunConfig(gps=o.gps)),
         light.make_sky,
     ),
-    Stage("twin", 2, ("assets", "sky"), lambda o: light.TwinConfig(), light.make_twin),
+    Stage(
+        "twin",
+        2,
+        ("log", "alignment", "assets", "sky"),
+        lambda o: light.TwinConfig(),
+        light.make_twin,
+    ),
     Stage(
         "measures",
         1,
@@ -175,7 +199,7 @@ STAGES = (
     Stage(
         "report",
         2,
-        ("log", "masks", "panorama", "sky", "twin", "measures"),
+        ("log", "masks", "alignment", "panorama", "sky", "twin", "measures"),
         lambda o: results.ReportConfig(tuple(s.name for s in STAGES if s.name != "report")),
         results.make_report,
     ),
@@ -243,13 +267,14 @@ def _build(work: Path, options: BuildOptions, progress: Progress, until: str) ->
             logger.info("%-9s kept", stage.name)
             continue
         logger.info("%-9s %s", stage.name, "is damaged: anew ..." if state == "broken" else "...")
-        record = make_artefact(
-            folder,
-            recipe,
-            lambda partial, stage=stage: stage.make(
-                workspace, stage.config(options), partial, context
-            ),
-        )
+        with workspace.opened((*stage.needs, stage.name)):
+            record = make_artefact(
+                folder,
+                recipe,
+                lambda partial, stage=stage: stage.make(
+                    workspace, stage.config(options), partial, context
+                ),
+            )
         logger.info(
             "%-9s made in %.1f s (peak memory %d MB)",
             stage.name,

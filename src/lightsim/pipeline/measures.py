@@ -68,10 +68,10 @@ class Measures:
     frames: FramesReport | None
 
 
-def measure(work: Path, config: FramesConfig, progress: Progress) -> Measures:
+def measure(work: Workspace, config: FramesConfig, progress: Progress) -> Measures:
     """All that a build can measure without ground truth."""
     found, is_held_out = geometry(work, None, progress)
-    frames = held_out_frames(work, progress, config) if Workspace(work).held_out else None
+    frames = held_out_frames(work, progress, config) if work.held_out else None
     return Measures(found.lidar, is_held_out, frames)
 
 
@@ -115,7 +115,7 @@ def _row(row: dict[str, Any]) -> FrameRow:
 
 
 def held_out_frames(
-    work: Path,
+    workspace: Workspace,
     progress: Progress,
     config: FramesConfig | None = None,
     *,
@@ -132,11 +132,12 @@ def held_out_frames(
         InputError: the build held nothing out.
         ArtefactError: `with_field`, and the build trained none.
     """
-    workspace = Workspace(work)
     log, held_out = workspace.log, workspace.held_out
     if not held_out:
         raise InputError(
-            "nothing was held out", where=work, remedy="Build with --hold-out 8 or another number."
+            "nothing was held out",
+            where=workspace.root,
+            remedy="Build with --hold-out 8 or another number.",
         )
     assets, dome = workspace.assets, workspace.sky.dome
     renderer = FrameRenderer(
@@ -189,10 +190,11 @@ def _field_renderer(
     return lambda frame: render_frame(field, workspace.log, frame, surfaces)
 
 
-def geometry(work: Path, truth: Path | None, progress: Progress) -> tuple[GeometryReport, bool]:
+def geometry(
+    workspace: Workspace, truth: Path | None, progress: Progress
+) -> tuple[GeometryReport, bool]:
     """LiDAR errors, on held-out sweeps where there are any (then the flag is true), and
     F-scores against a synthetic log's true background near LiDAR returns."""
-    workspace = Workspace(work)
     log, assets = workspace.log, workspace.assets
     held = tuple(s for s in log.sweeps if s.stem in workspace.held_out)
     sweeps = held or log.sweeps
@@ -227,9 +229,8 @@ def geometry(work: Path, truth: Path | None, progress: Progress) -> tuple[Geomet
     return GeometryReport(lidar, surface), bool(held)
 
 
-def sky(work: Path, truth: Path | None) -> SkyReport:
+def sky(workspace: Workspace, truth: Path | None) -> SkyReport:
     """The source sky against ephemeris, the sun seen in the panorama, and a true source sky."""
-    workspace = Workspace(work)
     estimate, geo = workspace.sky, workspace.log.geo
     ephemeris = None
     if geo is not None and geo.enu_from_world is not None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Float32
@@ -35,9 +36,32 @@ from lightsim.store.twin import read_twin_assets
 if TYPE_CHECKING:
     from lightsim.reconstruct.field.sdf_field import SceneField
 
+T = TypeVar("T")
 FIELD_NAME = "field.safetensors"
 FIELD_CONFIG_NAME = "field.json"
 OPTIONS_NAME = "build.json"
+
+
+class _MadeOf(Generic[T]):
+    """Like cached_property; the artefacts that a value is made of are checked at every access."""
+
+    def __init__(self, function: Callable[[Workspace], T], stages: tuple[str, ...]) -> None:
+        self._function, self._stages = function, stages
+        self.__doc__ = function.__doc__
+
+    def __get__(self, work: Workspace, owner: type) -> T:
+        for stage in self._stages:
+            work.check_open(stage)
+        values = work.__dict__.setdefault("_values", {})
+        name = self._function.__name__
+        if name not in values:
+            values[name] = self._function(work)
+        return values[name]
+
+
+def made_of(*stages: str) -> Callable[[Callable[[Workspace], T]], _MadeOf[T]]:
+    """Decorates what is read once from the artefacts of these stages."""
+    return lambda function: _MadeOf(function, stages)
 
 
 class Workspace:
@@ -68,9 +92,23 @@ class Workspace:
         self._source_hashes = source_hashes
         self._is_stale_allowed = is_stale_allowed
         self._records: dict[str, dict[str, Any]] = {}
+        self._open: frozenset[str] | None = None
 
     def folder(self, stage: str) -> Path:
         return self.root / stage
+
+    @contextmanager
+    def opened(self, stages: Iterable[str]) -> Generator[None]:
+        """Only these artefacts can be read while the block runs: what a stage declares to need."""
+        before, self._open = self._open, frozenset(stages)
+        try:
+            yield
+        finally:
+            self._open = before
+
+    def check_open(self, stage: str) -> None:
+        """An AssertionError, which is a fault of ours, where a stage reads undeclared artefacts."""
+        assert self._open is None or stage in self._open, f"'{stage}' is not declared as needed"
 
     def need(self, stage: str) -> Path:
         """Folder of a finished artefact, whose files are as they were written.
@@ -83,6 +121,7 @@ class Workspace:
 
     def record(self, stage: str) -> dict[str, Any]:
         """artefact.json of a finished artefact; raises as `need`."""
+        self.check_open(stage)
         if stage not in self._records:
             record = require_whole(self.folder(stage), self._remedy)
             if record is None:
@@ -131,17 +170,17 @@ class Workspace:
                 remedy=f"{self._remedy} (or give --allow-stale to go on with the old twin).",
             )
 
-    @cached_property
+    @made_of("log", "alignment")
     def log(self) -> DrivingLog:
         """All frames at the scale of the build; sensors, path and boxes aligned."""
         return self.alignment.applied_to(self.recorded_log)
 
-    @cached_property
+    @made_of("log")
     def recorded_log(self) -> DrivingLog:
         """The same as recorded."""
         return self._recorded_at(self.reading.image_scale)
 
-    @cached_property
+    @made_of("alignment")
     def alignment(self) -> Alignment:
         return read_alignment(self.need("alignment"))
 
@@ -170,16 +209,16 @@ class Workspace:
 
         return at_scale(self._full_log, image_scale)
 
-    @cached_property
+    @made_of("log")
     def held_out(self) -> frozenset[str]:
         return held_out_stems(self._full_log, self.reading.hold_out)
 
-    @cached_property
+    @made_of("log", "alignment")
     def training_log(self) -> DrivingLog:
         """The log without held-out frames and sweeps: all that building may look at."""
         return self._without_held_out(self.log)
 
-    @cached_property
+    @made_of("log")
     def recorded_training_log(self) -> DrivingLog:
         """The same as recorded: what is aligned."""
         return self._without_held_out(self.recorded_log)
@@ -197,17 +236,17 @@ class Workspace:
         path = self.need("masks") / frame.camera_name / f"{frame.stem}.png"
         return read_grey8(path).astype(np.float32) / 255.0
 
-    @cached_property
+    @made_of("fields")
     def fused(self) -> SceneFields:
         """The fused LiDAR."""
         return read_fields(self.need("fields"))
 
-    @cached_property
+    @made_of("neural")
     def fields(self) -> SceneFields:
         """The geometry that is meshed: the fused LiDAR as the neural field has refined it."""
         return read_fields(self.need("neural"))
 
-    @cached_property
+    @made_of("log", "alignment", "fields", "neural")
     def scene_field(self) -> SceneField:
         """The trained neural field.
 
@@ -224,30 +263,30 @@ class Workspace:
         field.load_state_dict(read_weights(folder / FIELD_NAME))
         return field
 
-    @cached_property
+    @made_of("geometry")
     def meshes(self) -> SceneAssets:
         """The same without colour."""
         return read_assets(self.need("geometry"))
 
-    @cached_property
+    @made_of("assets")
     def assets(self) -> SceneAssets:
         """Meshes whose colour is the observed radiance under the source sky."""
         return read_assets(self.need("assets"))
 
-    @cached_property
+    @made_of("assets")
     def inferred(self) -> TriMesh:
         """Roofs and rear walls that no sensor measured but that cast shadows."""
         return read_mesh(self.need("assets") / "inferred.npz", "world")
 
-    @cached_property
+    @made_of("panorama")
     def panorama(self) -> Panorama:
         return read_panorama(self.need("panorama"))
 
-    @cached_property
+    @made_of("sky")
     def sky(self) -> SkyEstimate:
         return read_estimate(self.need("sky"))
 
-    @cached_property
+    @made_of("twin")
     def _twin_assets(self) -> tuple[SceneAssets, TriMesh]:
         return read_twin_assets(self.need("twin"))
 
@@ -256,7 +295,7 @@ class Workspace:
         """The inferred casters with their base colour."""
         return self._twin_assets[1]
 
-    @cached_property
+    @made_of("log", "alignment", "sky", "twin")
     def twin(self) -> DigitalTwin:
         return DigitalTwin(self.log, self._twin_assets[0], self.sky)
 

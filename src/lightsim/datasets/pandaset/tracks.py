@@ -11,6 +11,7 @@ from jaxtyping import Float64
 
 from lightsim.core.actors import ActorTrack
 from lightsim.core.frames import RigidTransform, Trajectory
+from lightsim.datasets.files import MAX_NUMBER
 from lightsim.datasets.pandaset.rig import EGO_BELOW_LIDAR_M
 from lightsim.datasets.pandaset.sweeps import ScanTiming
 from lightsim.datasets.plausible import MAX_BOX_DISTANCE_M, MAX_BOX_M, odd_track_notes
@@ -178,8 +179,9 @@ def _checked_numbers(
     centres = np.stack([table[name] for name in _POSITION], axis=1).astype(np.float64)
     sizes = np.stack([table[name] for name in _DIMENSIONS], axis=1).astype(np.float64)
     yaw = table["yaw"].astype(np.float64)
-    is_bad = ~np.isfinite(centres).all(axis=1) | ~np.isfinite(yaw)
-    is_bad |= ~np.isfinite(sizes).all(axis=1) | (sizes <= 0).any(axis=1)
+    numbers = np.column_stack([centres, yaw, sizes])
+    # Written so that NaN is bad.
+    is_bad = ~(np.abs(numbers) <= MAX_NUMBER).all(axis=1) | ~(sizes > 0).all(axis=1)
     if is_bad.any():
         i = int(np.flatnonzero(is_bad)[0])
         raise InputError(

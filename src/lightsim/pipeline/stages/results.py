@@ -24,7 +24,7 @@ class ReportConfig:
 def make_measures(
     work: Workspace, config: FramesConfig, folder: Path, context: Context
 ) -> Iterable[str]:
-    write_measures(folder, measure(work.root, config, context.progress))
+    write_measures(folder, measure(work, config, context.progress))
     return ()
 
 
