@@ -40,7 +40,7 @@ def _scene(make: MakeCaster) -> FrameScene:
     static = make_static_scene([plane(8.0, 9), box([2, 1, 1], [1, 2, 2])], make_caster=make)
     actors = (sphere([-2, 0, 1], 1.0, 2, albedo=0.8),)
     normals = tuple(mesh.vertex_normals() for mesh in actors)
-    return FrameScene(static, actors, make(actors), normals)
+    return FrameScene(static, actors, make(actors), normals, tuple(range(len(actors))))
 
 
 def _traced(make: MakeCaster, config: TransportConfig, target_z_m: float = 0.5):

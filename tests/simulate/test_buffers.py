@@ -20,7 +20,8 @@ from lightsim.render.frame_renderer import FrameRenderer, visible_sky
 from lightsim.render.renderers import Renderer, RendererChoice, make_renderer
 from lightsim.render.transport.faces import TransportConfig
 from lightsim.render.transport.sky import prepare_sky
-from lightsim.simulate.buffers import Layout, RenderOptions, Shard, write_frames
+from lightsim.simulate.buffers import Layout, RenderOptions, write_frames
+from lightsim.simulate.shard import Shard
 from lightsim.simulate.skies import SkyChoice
 from lightsim.store.images import read_exr
 from render.rendering_scenes import box, camera, look_at, plane, random_sky, sun_sky

@@ -46,7 +46,7 @@ class Render:
     pixel_samples: int = 4
     """Points of each pixel at which the ray table looks: 1, 4, 9, 16; more are smoother edges."""
     bounces: int | None = None
-    """Of light between surfaces: 1 (default) or 2 with the ray table; 4 with the others."""
+    """Of light between surfaces, 1 to 64; by default 1 with the ray table, 4 with the others."""
     denoise: bool = False
     """Remove noise from `image` with Open Image Denoise (extra `denoise`)."""
     blender_python: Path | None = None
@@ -65,6 +65,7 @@ class Render:
         from lightsim.progress import terminal_progress
         from lightsim.render.renderers import RendererChoice
         from lightsim.simulate import buffers as rendering
+        from lightsim.simulate.shard import Shard
         from lightsim.simulate.skies import SkyChoice
 
         skies = tuple(SkyChoice(s, self.sky_yaw_deg, self.sky_scale) for s in self.sky)
@@ -83,7 +84,7 @@ class Render:
                 self.bounces,
                 self.denoise,
             ),
-            shard=rendering.Shard.parse(self.shard),
+            shard=Shard.parse(self.shard),
             seed=self.seed,
             is_stale_allowed=self.allow_stale,
         )

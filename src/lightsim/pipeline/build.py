@@ -20,10 +20,11 @@ from lightsim.core.checks import check_number, check_seed
 from lightsim.datasets.fingerprint import hash_recording, is_there
 from lightsim.datasets.reader import check_layout
 from lightsim.errors import ArtefactError, InputError
-from lightsim.evaluate.frames import FramesConfig
 from lightsim.geometry import config as mesh_config
 from lightsim.lighting.panorama.stitch import StitchConfig
 from lightsim.masks.sky import SkyMaskConfig
+from lightsim.pipeline.measures import MeasureConfig
+from lightsim.pipeline.report import ReportConfig
 from lightsim.pipeline.source_sun import GpsUse, SourceSunConfig
 from lightsim.pipeline.stages import light, recording, results, surfaces
 from lightsim.pipeline.stages.context import Context
@@ -193,14 +194,14 @@ STAGES = (
         "measures",
         1,
         ("log", "masks", "alignment", "assets", "sky"),
-        lambda o: FramesConfig(with_lpips=False, with_exposure=False),
+        lambda o: MeasureConfig(),
         results.make_measures,
     ),
     Stage(
         "report",
         2,
         ("log", "masks", "alignment", "panorama", "sky", "twin", "measures"),
-        lambda o: results.ReportConfig(tuple(s.name for s in STAGES if s.name != "report")),
+        lambda o: ReportConfig(tuple(s.name for s in STAGES if s.name != "report")),
         results.make_report,
     ),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -54,6 +54,16 @@ QUICK = FramesConfig(with_lpips=False, with_exposure=False)
 
 
 @dataclass(frozen=True)
+class MeasureConfig:
+    """What a build measures of itself."""
+
+    frames: FramesConfig = QUICK
+    """Of held-out images."""
+    lidar: GeometryConfig = field(default_factory=GeometryConfig)
+    """Of beams cast again."""
+
+
+@dataclass(frozen=True)
 class Measures:
     """What a build says of itself.
 
@@ -68,10 +78,10 @@ class Measures:
     frames: FramesReport | None
 
 
-def measure(work: Workspace, config: FramesConfig, progress: Progress) -> Measures:
+def measure(work: Workspace, config: MeasureConfig, progress: Progress) -> Measures:
     """All that a build can measure without ground truth."""
-    found, is_held_out = geometry(work, None, progress)
-    frames = held_out_frames(work, progress, config) if work.held_out else None
+    found, is_held_out = geometry(work, None, progress, config.lidar)
+    frames = held_out_frames(work, progress, config.frames) if work.held_out else None
     return Measures(found.lidar, is_held_out, frames)
 
 
@@ -191,14 +201,17 @@ def _field_renderer(
 
 
 def geometry(
-    workspace: Workspace, truth: Path | None, progress: Progress
+    workspace: Workspace,
+    truth: Path | None,
+    progress: Progress,
+    config: GeometryConfig | None = None,
 ) -> tuple[GeometryReport, bool]:
     """LiDAR errors, on held-out sweeps where there are any (then the flag is true), and
     F-scores against a synthetic log's true background near LiDAR returns."""
     log, assets = workspace.log, workspace.assets
     held = tuple(s for s in log.sweeps if s.stem in workspace.held_out)
     sweeps = held or log.sweeps
-    config, rng = GeometryConfig(), np.random.default_rng(0)
+    config, rng = config or GeometryConfig(), np.random.default_rng(0)
 
     def actors_at(time_ns: int) -> list[TriMesh]:
         return [

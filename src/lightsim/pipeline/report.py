@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -26,12 +27,18 @@ from lightsim.view.figures import (
 from lightsim.view.report import Card, Figure, Section, Table, write_report
 
 
-def write_build_report(path: Path, work: Workspace, stage_names: Sequence[str]) -> None:
-    """report/index.html of a build: sky, meshes, held-out numbers, timings.
+@dataclass(frozen=True)
+class ReportConfig:
+    """What the page shows."""
 
-    Args:
-        stage_names: of the stages whose time and notes are shown, in order.
-    """
+    stages: tuple[str, ...]
+    """Stages with their times and notes."""
+    transport: TransportConfig = field(default_factory=TransportConfig)
+    """Light of the pictures."""
+
+
+def write_build_report(path: Path, work: Workspace, config: ReportConfig) -> None:
+    """report/index.html of a build: sky, meshes, held-out numbers, timings."""
     measured = read_measures(work.need("measures"))
     frames, log = measured.frames, work.log
     cards = [
@@ -50,9 +57,9 @@ def write_build_report(path: Path, work: Workspace, stage_names: Sequence[str]) 
         cards.append(Card("held-out PSNR", f"{score:.1f} dB", "without sky and own car"))
     sections = [
         _sky_section(work),
-        _scene_section(work),
+        _scene_section(work, config.transport),
         _number_section(measured),
-        _stage_section(work, stage_names),
+        _stage_section(work, config.stages),
     ]
     write_report(path, f"Twin of {log.name}", sections, subtitle="lightsim build", cards=cards)
 
@@ -82,9 +89,9 @@ def _sky_section(work: Workspace) -> Section:
     )
 
 
-def _scene_section(work: Workspace) -> Section:
+def _scene_section(work: Workspace, config: TransportConfig) -> Section:
     log, twin = work.log, work.twin
-    renderer = FrameRenderer(twin.assets.background, work.shadow_casters, TransportConfig(), seed=0)
+    renderer = FrameRenderer(twin.assets.background, work.shadow_casters, config, seed=0)
     scenario = replay(twin, "report", log.frames)
     skies = [renderer.prepare(work.sky.dome)]
     figures = []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -102,9 +102,18 @@ class RendererChoice:
     @property
     def settings(self) -> dict[str, Any]:
         """What decides the pictures but for noise; the backend does not."""
-        samples = {"pixel_samples": self.pixel_samples} if self.name == "transport" else {}
-        more = {"bounces": self.bounces, "is_denoised": self.is_denoised}
-        return {"renderer": self.name, "rays": self.rays, **samples, **more}
+        more: dict[str, Any] = {"bounces": self.bounces, "is_denoised": self.is_denoised}
+        if self.name == "transport":
+            more["transport"] = asdict(self.transport)
+        return {"renderer": self.name, "rays": self.rays, **more}
+
+    @property
+    def transport(self) -> TransportConfig:
+        """Rays of the ray table, on the CPU."""
+        config = TransportConfig(pixel_samples=self.pixel_samples)
+        if self.bounces is not None:
+            config = replace(config, bounces=self.bounces)
+        return config if self.rays is None else replace(config, sky_rays=self.rays)
 
 
 def make_renderer(
@@ -127,11 +136,7 @@ def make_renderer(
         return _Denoised(make_renderer(noisy, background, inferred, seed, has_images=True))
     if choice.name != "transport":
         return _reference(choice, background, inferred, seed)
-    config = TransportConfig(pixel_samples=choice.pixel_samples)
-    if choice.bounces is not None:
-        config = replace(config, bounces=choice.bounces)
-    if choice.rays is not None:
-        config = replace(config, sky_rays=choice.rays)
+    config = choice.transport
     if not has_images:
         config = replace(config, glossy_rays=0)
     backend = resolve_backend(choice.backend)

@@ -49,12 +49,14 @@ class FrameScene:
             `Scenario.placements_at`.
         actor_caster: over `actors`.
         actor_normals: vertex normals of `actors`.
+        actor_numbers: of `actors` in the scenario.
     """
 
     static: StaticScene
     actors: tuple[TriMesh, ...]
     actor_caster: RayCaster
     actor_normals: tuple[Float32[np.ndarray, "_ 3"], ...]
+    actor_numbers: tuple[int, ...]
 
     @property
     def meshes(self) -> tuple[TriMesh, ...]:
@@ -82,9 +84,9 @@ class FrameScene:
 
     @property
     def actor_index(self) -> Int32[np.ndarray, " m"]:
-        """For each of `camera_meshes`: BACKGROUND, or which placement it is."""
+        """For each of `camera_meshes`: BACKGROUND, or the actor's number in the scenario."""
         background = np.full(len(self.static.visible), BACKGROUND, dtype=np.int32)
-        return np.concatenate([background, np.arange(len(self.actors), dtype=np.int32)])
+        return np.concatenate([background, np.array(self.actor_numbers, dtype=np.int32)])
 
 
 def make_static_scene(
@@ -122,15 +124,17 @@ def place(
     make_caster: MakeCaster = make_embree_caster,
 ) -> FrameScene:
     """The static scene with the scenario's actors where they are at `time_ns`."""
-    actors = tuple(
-        placement.asset.mesh.moved(placement.world_from_actor(time_ns))
-        for placement in scenario.placements_at(time_ns)
-    )
+    placements = scenario.placements_at(time_ns)
+    actors = tuple(p.asset.mesh.moved(p.world_from_actor(time_ns)) for p in placements)
     return FrameScene(
-        static, actors, make_caster(actors), tuple(mesh.vertex_normals() for mesh in actors)
+        static,
+        actors,
+        make_caster(actors),
+        tuple(mesh.vertex_normals() for mesh in actors),
+        tuple(scenario.number_by_actor[p.track.actor_id] for p in placements),
     )
 
 
 def without_actors(static: StaticScene) -> FrameScene:
     """The static scene alone."""
-    return FrameScene(static, (), make_embree_caster(()), ())
+    return FrameScene(static, (), make_embree_caster(()), (), ())

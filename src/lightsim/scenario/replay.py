@@ -14,4 +14,4 @@ def replay(twin: DigitalTwin, name: str, frames: tuple[CameraFrame, ...]) -> Sce
         for track in twin.log.actors
         if track.actor_id in twin.assets.actors
     )
-    return Scenario(name, frames, placements)
+    return Scenario(name, frames, placements, tracks=twin.log.actors)

@@ -7,11 +7,10 @@ stopped goes on where it was, and shards may write into one folder.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
@@ -28,6 +27,7 @@ from lightsim.progress import Progress
 from lightsim.render.renderers import Renderer, RendererChoice, TracedFrame, make_renderer
 from lightsim.scenario.replay import replay
 from lightsim.simulate.relight import select_frames
+from lightsim.simulate.shard import Shard
 from lightsim.simulate.skies import SkyChoice, resolve_sky
 from lightsim.store.artefact import hash_names, json_ready, read_json, write_json
 from lightsim.store.atomic import sweep_partials
@@ -41,43 +41,8 @@ LIGHT = ("shaded", "unshadowed", "shadow", "image")
 """Written for each sky."""
 _RECORD = "render.json"
 _SKY_RECORD = "sky.json"
-_SCHEMA = 2
-T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class Shard:
-    """The `index`-th of `count` contiguous parts, counted from 1."""
-
-    index: int = 1
-    count: int = 1
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.index <= self.count:
-            raise InputError(
-                "there is no such shard",
-                where=f"--shard {self.index}/{self.count}",
-                expected="I/N with I from 1 to N",
-            )
-
-    @classmethod
-    def parse(cls, text: str) -> Shard:
-        """I/N; empty for the whole."""
-        if not text:
-            return cls()
-        found = re.fullmatch(r"\s*(\d{1,9})\s*/\s*(\d{1,9})\s*", text)
-        if found is None:
-            raise InputError(
-                "the shard cannot be read",
-                where=f"--shard {text}",
-                expected="I/N with I from 1 to N, such as 3/8",
-            )
-        return cls(int(found.group(1)), int(found.group(2)))
-
-    def of(self, items: Sequence[T]) -> tuple[T, ...]:
-        """This part. The parts of all shards are disjoint, in order, and of even length."""
-        first = (self.index - 1) * len(items) // self.count
-        return tuple(items[first : self.index * len(items) // self.count])
+_ACTORS = "actors.json"
+_SCHEMA = 3
 
 
 @dataclass(frozen=True)
@@ -221,11 +186,12 @@ def render(work: Path, out: Path, options: RenderOptions, progress: Progress) ->
     """Write OUT/<what>/<camera>/<frame>.exr, light under several skies to OUT/<sky>/<what>/...;
     files that are there already are kept.
 
-    Depth is inf, other buffers 0 where there is no surface; `actor` is the index among the
-    actors present in the frame, -1 background, -2 none. Light is irradiance over pi, `image` the
-    radiance that the camera sees. The ray table averages light and image over the pixel's samples
-    (light over those that meet a surface); all else belongs to the pixel's centre. The shards
-    of a run may share OUT; their union is the same as one run, byte for byte, on equal machines.
+    Depth is inf, other buffers 0 where there is no surface; `actor` is the number that
+    OUT/actors.json tells, the same in all frames, -1 background, -2 none. Light is irradiance over
+    pi, `image` the radiance that the camera sees. The ray table averages light and image over the
+    pixel's samples (light over those that meet a surface); all else belongs to the pixel's centre.
+    The shards of a run may share OUT; their union is the same as one run, byte for byte, on equal
+    machines.
 
     Raises:
         ArtefactError: the twin has not been built.
@@ -266,6 +232,8 @@ def _render(
         _claim(layout, settings, skies)
         prepared = _prepare_skies(layout, skies, renderer, workspace)
         scenario = replay(twin, "render", frames)
+        if "actor" in options.what:
+            write_json(out / _ACTORS, _actor_table(scenario))
         write_frames(layout, renderer, scenario, log.cameras, pending, prepared, progress)
     return RenderSummary(len(mine), len(pending))
 
@@ -318,6 +286,14 @@ def _check_claim(path: Path, made_from: Mapping[str, Any]) -> None:
             expected=", ".join(f"{key} = {made_from[key]}" for key in differing),
             remedy="Choose another --out, or delete this one.",
         )
+
+
+def _actor_table(scenario: Scenario) -> list[dict[str, Any]]:
+    """What the numbers of `actor` mean."""
+    return [
+        {"number": number, "actor_id": track.actor_id, "kind": track.kind}
+        for number, track in enumerate(scenario.tracks)
+    ]
 
 
 def _prepare_skies(

@@ -21,7 +21,7 @@ from lightsim.errors import InputError
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.scenario.replay import replay
-from lightsim.simulate.relighter import Relighter, RelightOptions
+from lightsim.simulate.relighter import RelightConfig, Relighter, RelightOptions
 from lightsim.simulate.report import write_relight_report
 from lightsim.simulate.skies import TargetSky, resolve_sky
 from lightsim.store.artefact import (
@@ -64,9 +64,11 @@ def _relight(
     scale = options.image_scale or workspace.reading.image_scale
     settings = options.settings(scale)
     inputs = {"twin": workspace.record("twin")["key"]}
-    recipe = Recipe(_STAGE, _SCHEMA, settings, inputs, options.seed)
+    config = RelightConfig()
+    made_from = {**settings, "config": json_ready(config)}
+    recipe = Recipe(_STAGE, _SCHEMA, made_from, inputs, options.seed)
     if not options.is_overwriting:
-        _refuse_other_settings(folder, recipe)
+        _refuse_other_settings(folder, {**settings, "seed": options.seed})
     log = workspace.log_at(scale)
     frames = select_frames(log, options.cameras, options.frames)
     target = resolve_sky(options.sky, workspace)
@@ -74,23 +76,24 @@ def _relight(
     def make(partial: Path) -> Iterable[str]:
         twin = replace(workspace.twin, log=log)
         scenario = replay(twin, options.name, frames)
-        relighter = Relighter(workspace, log, target, options)
+        relighter = Relighter(workspace, log, target, options, config)
         _write_frames(partial, scenario, relighter, options, progress)
         _write_videos(partial, scenario, progress)
-        write_json(partial / "scenario.json", scenario_summary(scenario, log, target, settings))
+        write_json(partial / "scenario.json", scenario_summary(scenario, target, settings))
         write_relight_report(partial / "report.html", partial, scenario, relighter, target)
         return ()
 
     make_artefact(folder, recipe, make)
 
 
-def _refuse_other_settings(folder: Path, recipe: Recipe) -> None:
-    """A finished scenario goes only when the user says so, or when its twin was built anew."""
+def _refuse_other_settings(folder: Path, settings: Mapping[str, Any]) -> None:
+    """A finished scenario goes only when the user says so, or when its twin or LightSim itself
+    makes it anew."""
     record = read_record(folder)
-    if record is None or record["stage"] != recipe.stage:
+    if record is None or record["stage"] != _STAGE:
         return
     was = {**record["config"], "seed": record.get("seed")}
-    now = {**json_ready(recipe.config), "seed": recipe.seed}
+    now = json_ready(settings)
     differing = [key for key in now if was.get(key) != now[key]]
     if differing:
         raise InputError(
@@ -163,7 +166,7 @@ def frame_rate(frames: list[CameraFrame]) -> float:
 
 
 def scenario_summary(
-    scenario: Scenario, log: DrivingLog, target: TargetSky, settings: Mapping[str, Any]
+    scenario: Scenario, target: TargetSky, settings: Mapping[str, Any]
 ) -> dict[str, Any]:
     """scenario.json: the sky, the settings, and the actors' boxes of every frame."""
     frames = [
@@ -175,11 +178,12 @@ def scenario_summary(
             "actors": [
                 {
                     "actor_id": track.actor_id,
+                    "number": scenario.number_by_actor[track.actor_id],
                     "kind": track.kind,
                     "size_lwh_m": track.size_lwh_m.tolist(),
                     "world_from_actor": track.world_from_actor(frame.time_ns).matrix.tolist(),
                 }
-                for track in log.actors_at(frame.time_ns)
+                for track in scenario.tracks_at(frame.time_ns)
             ],
         }
         for frame in scenario.frames

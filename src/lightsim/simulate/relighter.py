@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,9 @@ from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
 from lightsim.pipeline.workspace import Workspace
+from lightsim.relighting.methods import METHODS, Method
 from lightsim.relighting.physical.compose import camera_image
-from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
+from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.image import sky_image
 from lightsim.render.transport.table import TransportConfig
@@ -34,7 +35,7 @@ class RelightOptions:
     Args:
         name: of the result folder: letters, digits, and . _ - after the first.
         sky: target sky.
-        method: "physical".
+        method: of METHODS.
         exposure_ev: exposure of the output, stops.
         cameras: empty for all.
         frames: START:STOP[:STEP] over the log's own frame numbers, empty for all.
@@ -50,7 +51,7 @@ class RelightOptions:
 
     name: str
     sky: SkyChoice
-    method: str = "physical"
+    method: Method = "physical"
     exposure_ev: float = 0.0
     cameras: tuple[str, ...] = ()
     frames: str = ""
@@ -68,6 +69,13 @@ class RelightOptions:
                 got=repr(self.name[:40]),
                 expected="letters, digits and . _ -, a letter or digit first",
             )
+        if self.method not in METHODS:
+            raise InputError(
+                "there is no such method",
+                where="--method",
+                got=self.method,
+                expected=f"one of {', '.join(METHODS)}",
+            )
         check_number("--exposure-ev", self.exposure_ev, -MAX_EXPOSURE_EV, MAX_EXPOSURE_EV)
         if self.image_scale is not None:
             check_number("--image-scale", self.image_scale, MIN_IMAGE_SCALE, 1.0)
@@ -84,6 +92,16 @@ class RelightOptions:
             "image_scale": image_scale,
             "is_linear_written": self.is_linear_written,
         }
+
+
+@dataclass(frozen=True)
+class RelightConfig:
+    """How frames are relit: settings that no option of the command names."""
+
+    transport: TransportConfig = field(default_factory=TransportConfig)
+    """Light of source and target sky on the twin."""
+    ratio: RatioConfig = field(default_factory=RatioConfig)
+    """From the two lights to the relit pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +131,14 @@ class Relighter:
     """Renders and relights single frames of one workspace under one target sky."""
 
     def __init__(
-        self, workspace: Workspace, log: DrivingLog, target: TargetSky, options: RelightOptions
+        self,
+        workspace: Workspace,
+        log: DrivingLog,
+        target: TargetSky,
+        options: RelightOptions,
+        config: RelightConfig,
     ) -> None:
+        self._ratio = config.ratio
         self.log = log
         self.target = target
         self._workspace = workspace
@@ -122,7 +146,7 @@ class Relighter:
         self._renderer = FrameRenderer(
             workspace.twin.assets.background,
             workspace.shadow_casters,
-            TransportConfig(),
+            config.transport,
             options.seed,
         )
         level = [d.horizontal_irradiance() for d in (workspace.sky.dome, target.dome)]
@@ -149,7 +173,7 @@ class Relighter:
             source_sun=self._skies[0].sun,
             target_sun=self._skies[1].sun,
         )
-        radiance = relight_physical(inputs, RatioConfig())
+        radiance = METHODS[self._options.method](inputs, self._ratio)
         own_car = self.log.own_car_masks.get(frame.camera_name)
         if own_car is not None:
             # It moves with the camera and has no mesh: lit as a level surface in the open.

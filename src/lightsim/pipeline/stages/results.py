@@ -3,26 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
-from lightsim.evaluate.frames import FramesConfig
-from lightsim.pipeline.measures import measure, write_measures
-from lightsim.pipeline.report import write_build_report
+from lightsim.pipeline.measures import MeasureConfig, measure, write_measures
+from lightsim.pipeline.report import ReportConfig, write_build_report
 from lightsim.pipeline.stages.context import Context
 from lightsim.pipeline.workspace import Workspace
 
 
-@dataclass(frozen=True)
-class ReportConfig:
-    """What the page shows."""
-
-    stages: tuple[str, ...]
-    """Stages with their times and notes."""
-
-
 def make_measures(
-    work: Workspace, config: FramesConfig, folder: Path, context: Context
+    work: Workspace, config: MeasureConfig, folder: Path, context: Context
 ) -> Iterable[str]:
     write_measures(folder, measure(work, config, context.progress))
     return ()
@@ -31,5 +21,5 @@ def make_measures(
 def make_report(
     work: Workspace, config: ReportConfig, folder: Path, context: Context
 ) -> Iterable[str]:
-    write_build_report(folder / "index.html", work, config.stages)
+    write_build_report(folder / "index.html", work, config)
     return ()

@@ -20,7 +20,6 @@ from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.errors import InputError
 from lightsim.progress import Progress
 from lightsim.reconstruct.field.prior_kernels import enter_boxes
-from lightsim.reconstruct.fusion.config import FuseConfig
 from lightsim.reconstruct.fusion.sweep_views import label_points
 
 SLOTS = 2
@@ -164,7 +163,7 @@ def lidar_rays(
     for lazy in progress.track(log.sweeps, "draw LiDAR rays", len(log.sweeps)):
         sweep = lazy.load()
         chosen = np.sort(rng.permutation(len(sweep.points_world))[:each])
-        labels = label_points(log.actors, sweep, FuseConfig())
+        labels = label_points(log.actors, sweep)
         poses = _poses_at_returns(log, sweep, labels)
         origin = sweep.origins_world[chosen].astype(np.float64)
         offset = sweep.points_world[chosen].astype(np.float64) - origin

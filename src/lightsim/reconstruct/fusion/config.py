@@ -21,10 +21,6 @@ class FuseConfig:
     """Actors with fewer returns over the whole log get no grid."""
     actor_fine_points: int = 4000
     """Actors with fewer returns than this get samples of twice the distance."""
-    box_margin_m: float = 0.12
-    """Labelled boxes are grown by this before returns are assigned to actors."""
-    box_floor_m: float = 0.12
-    """Returns lower than this above a box's underside belong to the ground."""
     azimuth_step_deg: float = 0.15
     """Column width of the interpolated range images."""
     elevation_step_deg: float = 0.1

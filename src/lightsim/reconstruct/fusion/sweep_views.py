@@ -18,6 +18,10 @@ from lightsim.reconstruct.fusion.config import FuseConfig
 _SENSOR_TOLERANCE_M = 0.4
 _SLICE_OVERLAP = 0.02
 _MIN_VIEW_POINTS = 50
+_BOX_MARGIN_M = 0.12
+"""Labelled boxes are grown by this before returns are assigned to actors."""
+_BOX_FLOOR_M = 0.12
+"""Returns lower than this above a box's underside belong to the ground."""
 _HOLD_S = 0.15
 
 
@@ -40,7 +44,7 @@ class View:
 
 def views_of_sweep(log: DrivingLog, sweep: LidarSweep, config: FuseConfig) -> Iterator[View]:
     """Cut a sweep by sensor and by time, so that each view has nearly one centre."""
-    labels = label_points(log.actors, sweep, config)
+    labels = label_points(log.actors, sweep)
     sensor = sensor_index(log.ego, sweep)
     for index in range(int(sensor.max(initial=-1)) + 1):
         members = np.flatnonzero(sensor == index)
@@ -86,9 +90,7 @@ def _time_slices(
         yield members[(times >= low - overlap) & (times <= high + overlap)]
 
 
-def label_points(
-    actors: tuple[ActorTrack, ...], sweep: LidarSweep, config: FuseConfig
-) -> Int64[np.ndarray, " n"]:
+def label_points(actors: tuple[ActorTrack, ...], sweep: LidarSweep) -> Int64[np.ndarray, " n"]:
     """0 for the static scene, i + 1 for returns inside the box of actor i at their own time."""
     labels = np.zeros(len(sweep.points_world), dtype=np.int64)
     xy = sweep.points_world[:, :2]
@@ -105,19 +107,17 @@ def label_points(
             time_ns = sweep.time_ns
         actor_from_world = actor.world_from_actor(time_ns, _HOLD_S).inverse()
         inside = is_inside_box(
-            actor_from_world.apply(sweep.points_world[near].astype(np.float64)), actor, config
+            actor_from_world.apply(sweep.points_world[near].astype(np.float64)), actor
         )
         labels[near[inside]] = index + 1
     return labels
 
 
-def is_inside_box(
-    points_actor: Float64[np.ndarray, "n 3"], actor: ActorTrack, config: FuseConfig
-) -> np.ndarray:
+def is_inside_box(points_actor: Float64[np.ndarray, "n 3"], actor: ActorTrack) -> np.ndarray:
     """Inside the grown box and above its floor."""
     half = actor.size_lwh_m / 2
-    floor = min(config.box_floor_m, 0.2 * float(actor.size_lwh_m[2]))
-    is_within = (np.abs(points_actor) <= half + config.box_margin_m).all(axis=1)
+    floor = min(_BOX_FLOOR_M, 0.2 * float(actor.size_lwh_m[2]))
+    is_within = (np.abs(points_actor) <= half + _BOX_MARGIN_M).all(axis=1)
     return is_within & (points_actor[:, 2] > -half[2] + floor)
 
 

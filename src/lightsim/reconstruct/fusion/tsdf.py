@@ -77,7 +77,7 @@ def _scan(
     counts = np.zeros(len(log.actors) + 1)
     for lazy in progress.track(log.sweeps, "find the ground", len(log.sweeps)):
         sweep = lazy.load()
-        labels = label_points(log.actors, sweep, config)
+        labels = label_points(log.actors, sweep)
         counts += np.bincount(labels, minlength=len(counts))
         builder.add(sweep.points_world[labels == 0])
     return builder.build(), counts

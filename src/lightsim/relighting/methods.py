@@ -1,0 +1,17 @@
+"""The ways of relighting a frame, by the names that users give."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
+
+Method = Literal["physical"]
+METHODS: Mapping[str, Callable[[RelightInputs, RatioConfig], Float32[np.ndarray, "h w 3"]]] = {
+    "physical": relight_physical,
+}
+"""(inputs of a frame, settings) -> radiance under the target sky."""
