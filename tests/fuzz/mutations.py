@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import re
 from collections.abc import Callable
@@ -179,7 +180,7 @@ def mutate_json(data: bytes, rng: Rng) -> tuple[bytes, str]:
 def mutate_tree(value: Any, rng: Rng) -> tuple[Any, str]:
     """A JSON value with one entry changed, and words for it."""
     if not isinstance(value, dict | list) or not value or rng.random() < 0.02:
-        other = pick(rng, VALUES)
+        other = copy.deepcopy(pick(rng, VALUES))
         return other, f"the document becomes {other!r:.60}"
     path: list[Any] = []
     inner = value
@@ -203,15 +204,15 @@ def _change_entry(holder: Any, key: Any, rng: Rng) -> str:
     if way == "removed":
         del holder[key]
     elif way == "replaced":
-        holder[key] = pick(rng, VALUES)
+        holder[key] = copy.deepcopy(pick(rng, VALUES))
         return f"replaced by {holder[key]!r:.60}"
     elif way == "wrapped":
         holder[key] = pick(rng, ([old], {"x": old}, str(old)[:2000]))
     elif way == "copied":
         if isinstance(holder, list):
-            holder.insert(int(rng.integers(len(holder) + 1)), old)
+            holder.insert(int(rng.integers(len(holder) + 1)), copy.deepcopy(old))
         else:
-            holder[pick(rng, list(holder))] = old
+            holder[pick(rng, list(holder))] = copy.deepcopy(old)
     elif way == "shortened":
         del old[int(rng.integers(len(old))) if old else 0 :]
     elif way == "lengthened":

@@ -133,6 +133,14 @@ def test_an_artefact_with_a_damaged_record_is_set_aside(tmp_path: Path, text: st
     assert sorted(p.name for p in tmp_path.iterdir()) == ["toy", "toy.broken-1"]
 
 
+def test_a_record_that_names_what_cannot_be_a_file_is_damage(tmp_path: Path) -> None:
+    folder = tmp_path / "toy"
+    record = make_artefact(folder, recipe(), fill)
+    names = {"x" * 5000: [1, "a"], "sub": [1, "a"], "a\0b": [1, "a"]}
+    damage = find_damage(folder, {**record, "files": names}, is_hashed=True)
+    assert [words.split()[-1] for words in damage] == ["read", "file", "read"]
+
+
 def test_an_endless_record_is_not_read(tmp_path: Path) -> None:
     folder = tmp_path / "toy"
     make_artefact(folder, recipe(), fill)

@@ -16,6 +16,7 @@ import logging
 import os
 import resource
 import shutil
+import stat
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -150,13 +151,17 @@ def find_damage(
     """The files of an artefact that are no longer what was written, each with what is wrong."""
     found: list[str] = []
     for name, (size, digest) in record["files"].items():
-        path = folder / name
-        if not path.is_file():
-            found.append(f"{name} is missing")
-        elif path.stat().st_size != size:
-            found.append(f"{name} has {path.stat().st_size} bytes instead of {size}")
-        elif is_hashed and hash_file(path) != digest:
-            found.append(f"{name} has other bytes")
+        try:
+            status = (folder / name).stat()
+            if not stat.S_ISREG(status.st_mode):
+                found.append(f"{name} is no file")
+            elif status.st_size != size:
+                found.append(f"{name} has {status.st_size} bytes instead of {size}")
+            elif is_hashed and hash_file(folder / name) != digest:
+                found.append(f"{name} has other bytes")
+        except (OSError, ValueError) as error:
+            missing = isinstance(error, FileNotFoundError)
+            found.append(f"{name[:80]} {'is missing' if missing else 'cannot be read'}")
     return tuple(found)
 
 
