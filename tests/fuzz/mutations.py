@@ -119,6 +119,8 @@ _BYTE_CHANGES: tuple[Callable[[bytes, Rng], bytes], ...] = (
 
 def mutate_text(text: str, rng: Rng) -> tuple[str, str]:
     """Numbers replaced, lines moved, words changed, or bytes damaged."""
+    if not text.strip():
+        return "\0", "text: a zero byte in an empty file"
     way = int(rng.integers(5))
     if way <= 1:
         return _with_other_numbers(text, rng)

@@ -41,7 +41,7 @@ from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.table import TransportConfig
-from lightsim.simulate.relight import relight
+from lightsim.simulate.relight import relight_all
 from lightsim.simulate.relighter import RelightOptions
 from lightsim.simulate.skies import SkyChoice
 from lightsim.store.exr import read_exr
@@ -67,22 +67,13 @@ def relit_frames(
     if not conditions:
         raise InputError("no relit ground truth", where=truth / "relit", expected="NAME/<camera>/")
     masks = TrueSurfaces(truth / "scene.npz", workspace)
+    choices = [_truth_options(truth, name) for name in conditions]
     tasks: list[FrameTask] = []
-    for name in conditions:
+    for name, made in zip(conditions, relight_all(work, choices, progress), strict=True):
         folder = truth / "relit" / name
-        stems = sorted({int(p.stem) for p in folder.glob("*/*") if p.stem.isdigit()})
-        step = int(np.gcd.reduce(np.diff(stems))) if len(stems) > 1 else 1
-        options = RelightOptions(
-            f"truth-{name}",
-            SkyChoice(str(truth / "skies" / f"{name}.exr"), scale="none"),
-            frames=f"{stems[0]}:{stems[-1] + 1}:{step}",
-            image_scale=1.0,
-            is_overwriting=True,
-        )
-        relit = relight(work, options, progress) / "frames"
         source = Path(workspace.reading.source) / "camera"
         for camera, stem, files in pair_folders(
-            {"relit": relit, "truth": folder, "source": source}
+            {"relit": made / "frames", "truth": folder, "source": source}
         ):
             load = {key: partial(read_srgb8, path) for key, path in files.items()}
             valid = partial(masks.is_surface, camera, stem)
@@ -93,6 +84,20 @@ def relit_frames(
                 )
             tasks.append(FrameTask(name, camera, stem, load["truth"], methods, valid))
     return score_frames(tasks, config or FramesConfig(), progress=progress)
+
+
+def _truth_options(truth: Path, name: str) -> RelightOptions:
+    """The relight that a folder of true frames asks for."""
+    files = (truth / "relit" / name).glob("*/*")
+    stems = sorted({int(p.stem) for p in files if p.stem.isdigit()})
+    step = int(np.gcd.reduce(np.diff(stems))) if len(stems) > 1 else 1
+    return RelightOptions(
+        f"truth-{name}",
+        SkyChoice(str(truth / "skies" / f"{name}.exr"), scale="none"),
+        frames=f"{stems[0]}:{stems[-1] + 1}:{step}",
+        image_scale=1.0,
+        is_overwriting=True,
+    )
 
 
 class TrueSurfaces:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from lightsim.pipeline.build import BuildOptions, build
 from lightsim.progress import Progress
-from lightsim.simulate.relight import relight
+from lightsim.simulate.relight import relight_all
 from lightsim.simulate.relighter import RelightOptions
 from lightsim.simulate.skies import SkyChoice
 from lightsim.store.log import LogReading
@@ -24,11 +24,11 @@ def run_demo(out: Path, seed: int, progress: Progress) -> Path:
     reading = LogReading(str((street / "log").resolve()), "pandaset", (), "", None, 1.0, 5)
     work = out / "street"
     build(work, BuildOptions(reading, "standard", seed, DEMO_STEPS), progress)
-    for name, sky in DEMO_SKIES.items():
-        options = RelightOptions(
-            name, SkyChoice(sky), cameras=DEMO_CAMERAS, seed=seed, is_overwriting=True
-        )
-        relight(work, options, progress)
+    choices = [
+        RelightOptions(name, SkyChoice(sky), cameras=DEMO_CAMERAS, seed=seed, is_overwriting=True)
+        for name, sky in DEMO_SKIES.items()
+    ]
+    relight_all(work, choices, progress)
     from lightsim.pipeline.measures import QUICK
     from lightsim.simulate.against_truth import relit_frames
     from lightsim.simulate.report import write_demo_report

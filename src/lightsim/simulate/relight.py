@@ -6,8 +6,9 @@ on where it stopped.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,14 @@ from lightsim.errors import InputError
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.scenario.replay import replay
-from lightsim.simulate.relighter import RelightConfig, Relighter, RelightOptions
-from lightsim.simulate.report import write_relight_report
+from lightsim.simulate.relighter import RelightConfig, Relighter, RelightOptions, RelitFrame
+from lightsim.simulate.report import report_frames, write_relight_report, write_report_strip
 from lightsim.simulate.skies import TargetSky, resolve_sky
 from lightsim.store.artefact import (
     Recipe,
     json_ready,
     make_artefact,
+    open_attempt,
     read_record,
     write_json,
 )
@@ -39,51 +41,102 @@ _SCHEMA = 2
 _STAGE = "relight"
 
 
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """One scenario to make."""
+
+    folder: Path
+    options: RelightOptions
+    settings: dict[str, Any]
+    recipe: Recipe
+    scenario: Scenario
+    sky: TargetSky
+
+
 def relight(work: Path, options: RelightOptions, progress: Progress) -> Path:
-    """Relight the log of a work folder; returns WORK/scenarios/NAME.
+    """Relight the log of a work folder; returns WORK/scenarios/NAME. Raises as `relight_all`."""
+    return relight_all(work, [options], progress)[0]
+
+
+def relight_all(work: Path, choices: Sequence[RelightOptions], progress: Progress) -> list[Path]:
+    """Relight the log of a work folder under several skies; each frame is traced once for all of
+    them that are asked for at one size and seed. Returns WORK/scenarios/NAME of each.
 
     Raises:
         ArtefactError: the twin has not been built or is damaged, the recording has changed since,
             or another command is at work there.
-        InputError: the sky, a camera or a frame range is wrong, or the name holds a scenario of
-            other settings.
+        InputError: a sky, a camera or a frame range is wrong, a name comes twice, or it holds a
+            scenario of other settings.
     """
-    workspace = Workspace(work, is_stale_allowed=options.is_stale_allowed)
+    names = [options.name for options in choices]
+    if len({name.casefold() for name in names}) < len(names):
+        raise InputError(
+            "two scenarios have one name", where="--name", got=names, expected="each name once"
+        )
+    workspace = Workspace(work, is_stale_allowed=any(o.is_stale_allowed for o in choices))
     workspace.need("twin")
-    folder = work / "scenarios" / options.name
-    with locked(work / LOCK_NAME, is_shared=True):
-        folder.parent.mkdir(exist_ok=True)
-        with locked(folder.parent / f".{folder.name}{LOCK_NAME}"):
-            _relight(workspace, folder, options, progress)
-    return folder
+    folder = work / "scenarios"
+    with ExitStack() as locks:
+        locks.enter_context(locked(work / LOCK_NAME, is_shared=True))
+        folder.mkdir(exist_ok=True)
+        for name in names:
+            locks.enter_context(locked(folder / f".{name}{LOCK_NAME}"))
+        by_tracing: dict[tuple[float, int], list[RelightOptions]] = {}
+        for options in choices:
+            scale = options.image_scale or workspace.reading.image_scale
+            by_tracing.setdefault((scale, options.seed), []).append(options)
+        for (scale, seed), alike in by_tracing.items():
+            _relight(workspace, folder, alike, (scale, seed), progress)
+    return [folder / name for name in names]
 
 
 def _relight(
-    workspace: Workspace, folder: Path, options: RelightOptions, progress: Progress
+    workspace: Workspace,
+    folder: Path,
+    choices: Sequence[RelightOptions],
+    tracing: tuple[float, int],
+    progress: Progress,
 ) -> None:
-    scale = options.image_scale or workspace.reading.image_scale
-    settings = options.settings(scale)
-    inputs = {"twin": workspace.record("twin")["key"]}
+    """The scenarios of one image scale and seed."""
+    scale, seed = tracing
     config = RelightConfig()
-    made_from = {**settings, "config": json_ready(config)}
-    recipe = Recipe(_STAGE, _SCHEMA, made_from, inputs, options.seed)
+    log = workspace.log_at(scale)
+    jobs = [_job(workspace, folder / o.name, log, (o, scale), config) for o in choices]
+    attempts = [(job, open_attempt(job.folder, job.recipe)) for job in jobs]
+    pending = [(job, partial) for job, partial in attempts if partial is not None]
+    if pending:
+        relighter = Relighter(workspace, log, config, seed)
+        _write_frames(relighter, pending, progress)
+    for job in jobs:
+        make_artefact(job.folder, job.recipe, lambda p, job=job: _finish(p, job, progress))
+
+
+def _job(
+    workspace: Workspace,
+    folder: Path,
+    log: DrivingLog,
+    asked: tuple[RelightOptions, float],
+    config: RelightConfig,
+) -> _Job:
+    options, scale = asked
+    settings = options.settings(scale)
     if not options.is_overwriting:
         _refuse_other_settings(folder, {**settings, "seed": options.seed})
-    log = workspace.log_at(scale)
+    made_from = {**settings, "config": json_ready(config)}
+    inputs = {"twin": workspace.record("twin")["key"]}
+    recipe = Recipe(_STAGE, _SCHEMA, made_from, inputs, options.seed)
     frames = select_frames(log, options.cameras, options.frames)
-    target = resolve_sky(options.sky, workspace)
+    sky = resolve_sky(options.sky, workspace)
+    scenario = replay(replace(workspace.twin, log=log), options.name, frames)
+    return _Job(folder, options, settings, recipe, scenario, sky)
 
-    def make(partial: Path) -> Iterable[str]:
-        twin = replace(workspace.twin, log=log)
-        scenario = replay(twin, options.name, frames)
-        relighter = Relighter(workspace, log, target, options, config)
-        _write_frames(partial, scenario, relighter, options, progress)
-        _write_videos(partial, scenario, progress)
-        write_json(partial / "scenario.json", scenario_summary(scenario, target, settings))
-        write_relight_report(partial / "report.html", partial, scenario, relighter, target)
-        return ()
 
-    make_artefact(folder, recipe, make)
+def _finish(partial: Path, job: _Job, progress: Progress) -> Iterable[str]:
+    """All that stands beside the frames."""
+    _write_videos(partial, job.scenario, progress)
+    write_json(partial / "scenario.json", scenario_summary(job.scenario, job.sky, job.settings))
+    write_relight_report(partial / "report.html", partial, job.scenario, job.sky)
+    return ()
 
 
 def _refuse_other_settings(folder: Path, settings: Mapping[str, Any]) -> None:
@@ -122,24 +175,43 @@ def select_frames(
 
 
 def _write_frames(
-    folder: Path,
-    scenario: Scenario,
-    relighter: Relighter,
-    options: RelightOptions,
-    progress: Progress,
+    relighter: Relighter, jobs: Sequence[tuple[_Job, Path]], progress: Progress
 ) -> None:
-    for frame in progress.track(scenario.frames, "relight", len(scenario.frames)):
-        path = folder / "frames" / frame.camera_name / f"{frame.stem}.png"
-        linear = folder / "linear" / frame.camera_name / f"{frame.stem}.exr"
-        if path.exists():
+    """Every frame that a job lacks, traced once for all jobs."""
+    targets = [relighter.target(job.sky, job.options) for job, _ in jobs]
+    shown = [report_frames(job.scenario) for job, _ in jobs]
+    frames = {f: None for job, _ in jobs for f in job.scenario.frames}
+    for frame in progress.track(frames, "relight", len(frames)):
+        lacking = [
+            number
+            for number, (job, folder) in enumerate(jobs)
+            if frame in job.scenario.frames and not _picture(folder, frame).exists()
+        ]
+        if not lacking:
             continue
-        result = relighter.relit(frame, scenario)
-        if options.is_linear_written:
-            linear.parent.mkdir(parents=True, exist_ok=True)
-            write_exr(linear, result.radiance)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        # The PNG comes last: it marks the frame as finished.
-        write_png(path, result.image_srgb8)
+        scenario = jobs[lacking[0]][0].scenario
+        results = relighter.relit(frame, scenario, [targets[n] for n in lacking])
+        for number, result in zip(lacking, results, strict=True):
+            job, folder = jobs[number]
+            if frame in shown[number]:
+                write_report_strip(folder, result)
+            _write_frame(folder, result, is_linear_written=job.options.is_linear_written)
+
+
+def _picture(folder: Path, frame: CameraFrame) -> Path:
+    return folder / "frames" / frame.camera_name / f"{frame.stem}.png"
+
+
+def _write_frame(folder: Path, result: RelitFrame, *, is_linear_written: bool) -> None:
+    frame = result.frame
+    if is_linear_written:
+        linear = folder / "linear" / frame.camera_name / f"{frame.stem}.exr"
+        linear.parent.mkdir(parents=True, exist_ok=True)
+        write_exr(linear, result.radiance)
+    path = _picture(folder, frame)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # The PNG comes last: it marks the frame as finished.
+    write_png(path, result.image_srgb8)
 
 
 def _write_videos(folder: Path, scenario: Scenario, progress: Progress) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,6 +23,7 @@ from lightsim.relighting.physical.compose import camera_image
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.image import sky_image
+from lightsim.render.transport.sky import SkyCells
 from lightsim.render.transport.table import TransportConfig
 from lightsim.simulate.skies import SkyChoice, TargetSky
 from lightsim.store.log import MIN_IMAGE_SCALE
@@ -127,38 +129,65 @@ class RelitFrame:
     source_srgb8: UInt8[np.ndarray, "h w 3"]
 
 
+@dataclass(frozen=True, eq=False)
+class RelightTarget:
+    """A target sky made ready for many frames.
+
+    Args:
+        sky: as it was resolved.
+        cells: for sums of light.
+        level_ratio: light on level ground in the open, target over source.
+        options: of the scenario that it belongs to.
+    """
+
+    sky: TargetSky
+    cells: SkyCells
+    level_ratio: Float32[np.ndarray, "3"]
+    options: RelightOptions
+
+
 class Relighter:
-    """Renders and relights single frames of one workspace under one target sky."""
+    """Relights single frames of one workspace; a frame is traced once for all target skies."""
 
     def __init__(
-        self,
-        workspace: Workspace,
-        log: DrivingLog,
-        target: TargetSky,
-        options: RelightOptions,
-        config: RelightConfig,
+        self, workspace: Workspace, log: DrivingLog, config: RelightConfig, seed: int
     ) -> None:
-        self._ratio = config.ratio
         self.log = log
-        self.target = target
         self._workspace = workspace
-        self._options = options
+        self._config = config
         self._renderer = FrameRenderer(
-            workspace.twin.assets.background,
-            workspace.shadow_casters,
-            config.transport,
-            options.seed,
+            workspace.twin.assets.background, workspace.shadow_casters, config.transport, seed
         )
-        level = [d.horizontal_irradiance() for d in (workspace.sky.dome, target.dome)]
-        self._level_ratio = (level[1] / np.maximum(level[0], 1e-9)).astype(np.float32)
-        self._skies = [self._renderer.prepare(dome) for dome in (workspace.sky.dome, target.dome)]
+        self._source = self._renderer.prepare(workspace.sky.dome)
 
-    def relit(self, frame: CameraFrame, scenario: Scenario) -> RelitFrame:
-        """One frame under the target sky."""
+    def target(self, sky: TargetSky, options: RelightOptions) -> RelightTarget:
+        """A target sky made ready."""
+        level = [d.horizontal_irradiance() for d in (self._workspace.sky.dome, sky.dome)]
+        ratio = (level[1] / np.maximum(level[0], 1e-9)).astype(np.float32)
+        return RelightTarget(sky, self._renderer.prepare(sky.dome), ratio, options)
+
+    def relit(
+        self, frame: CameraFrame, scenario: Scenario, targets: Sequence[RelightTarget]
+    ) -> Iterator[RelitFrame]:
+        """One frame under each target sky, in their order."""
+        camera = self.log.cameras[frame.camera_name]
+        traced = self._renderer.trace(scenario, frame, camera)
+        source = traced.light(self._source)
+        source_srgb8 = frame.load_srgb8()
+        for target in targets:
+            light = (source, traced.light(target.cells))
+            yield self._relit(frame, traced.buffers, light, source_srgb8, target)
+
+    def _relit(
+        self,
+        frame: CameraFrame,
+        buffers: GBuffers,
+        light: tuple[ShadowBuffers, ShadowBuffers],
+        source_srgb8: UInt8[np.ndarray, "h w 3"],
+        target: RelightTarget,
+    ) -> RelitFrame:
         camera = self.log.cameras[frame.camera_name]
         gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
-        buffers, (source, target) = self._renderer.render(scenario, frame, camera, self._skies)
-        source_srgb8 = frame.load_srgb8()
         matte = resize_area(
             self._workspace.sky_matte(frame)[..., None], camera.height_px, camera.width_px
         )[..., 0]
@@ -167,16 +196,17 @@ class Relighter:
             is_clipped=np.any(source_srgb8 >= 254, axis=-1),
             sky_matte=matte,
             buffers=buffers,
-            source=source,
-            target=target,
-            target_sky=sky_image(self.target.dome, camera, frame),
-            source_sun=self._skies[0].sun,
-            target_sun=self._skies[1].sun,
+            source=light[0],
+            target=light[1],
+            target_sky=sky_image(target.sky.dome, camera, frame),
+            source_sun=self._source.sun,
+            target_sun=target.cells.sun,
         )
-        radiance = METHODS[self._options.method](inputs, self._ratio)
+        options = target.options
+        radiance = METHODS[options.method](inputs, self._config.ratio)
         own_car = self.log.own_car_masks.get(frame.camera_name)
         if own_car is not None:
             # It moves with the camera and has no mesh: lit as a level surface in the open.
-            radiance[own_car] = inputs.radiance[own_car] * self._level_ratio
-        image = camera_image(radiance, gain, self._options.exposure_ev)
-        return RelitFrame(frame, image, radiance, buffers, source, target, source_srgb8)
+            radiance[own_car] = inputs.radiance[own_car] * target.level_ratio
+        image = camera_image(radiance, gain, options.exposure_ev)
+        return RelitFrame(frame, image, radiance, buffers, *light, source_srgb8)

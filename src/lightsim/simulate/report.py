@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from lightsim.core.scenario import Scenario
+from lightsim.core.sensors import CameraFrame
 from lightsim.evaluate.frames import FramesReport
 from lightsim.pipeline.workspace import Workspace
-from lightsim.simulate.relighter import Relighter
+from lightsim.simulate.relighter import RelitFrame
 from lightsim.simulate.skies import TargetSky
-from lightsim.store.images import read_srgb8
+from lightsim.store.images import read_srgb8, write_png
 from lightsim.view.figures import (
     dome_preview,
     ratio_grey,
@@ -19,28 +20,42 @@ from lightsim.view.figures import (
 )
 from lightsim.view.report import Figure, Section, Table, Video, write_report
 
-_PICTURE_WIDTH = 640
+
+def report_frames(scenario: Scenario) -> tuple[CameraFrame, ...]:
+    """The frames that the page shows: the middle one of every camera."""
+    by_camera: dict[str, list[CameraFrame]] = {}
+    for frame in scenario.frames:
+        by_camera.setdefault(frame.camera_name, []).append(frame)
+    return tuple(frames[len(frames) // 2] for frames in by_camera.values())
 
 
-def write_relight_report(
-    path: Path, folder: Path, scenario: Scenario, relighter: Relighter, target: TargetSky
-) -> None:
+def write_report_strip(folder: Path, result: RelitFrame) -> None:
+    """The page's picture of one relit frame."""
+    parts = [
+        result.source_srgb8,
+        result.image_srgb8,
+        ratio_grey(result.source.ratio),
+        ratio_grey(result.target.ratio),
+    ]
+    path = _strip_of(folder, result.frame)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_png(path, strip([reduced(p, 480) for p in parts]))
+
+
+def _strip_of(folder: Path, frame: CameraFrame) -> Path:
+    return folder / "report" / f"{frame.camera_name}.png"
+
+
+def write_relight_report(path: Path, folder: Path, scenario: Scenario, target: TargetSky) -> None:
     """report.html of a relight: the sky, one strip a camera, the films."""
     cameras = list(dict.fromkeys(f.camera_name for f in scenario.frames))
     figures = []
-    for name in cameras:
-        frames = [f for f in scenario.frames if f.camera_name == name]
-        result = relighter.relit(frames[len(frames) // 2], scenario)
+    for frame in report_frames(scenario):
         caption = (
-            f"{name}, frame {result.frame.stem}: recorded | relit | shadow ratio source | target"
+            f"{frame.camera_name}, frame {frame.stem}: recorded | relit | "
+            "shadow ratio source | target"
         )
-        parts = [
-            result.source_srgb8,
-            result.image_srgb8,
-            ratio_grey(result.source.ratio),
-            ratio_grey(result.target.ratio),
-        ]
-        figures.append(Figure(caption, strip([reduced(p, 480) for p in parts]), is_wide=True))
+        figures.append(Figure(caption, read_srgb8(_strip_of(folder, frame)), is_wide=True))
     facts = [[key, _text(value)] for key, value in target.facts.items()]
     sky = Section(
         "Target sky",

@@ -31,6 +31,8 @@ from lightsim.store.reading import MAX_JSON_BYTES, read_bytes
 from lightsim.version import __version__
 
 RECORD_NAME = "artefact.json"
+_PLAN = ".plan"
+"""Key of the recipe that an unfinished attempt is at."""
 _FORMAT = 2
 """Of the record; raising it makes all artefacts stale."""
 _HASH_BLOCK = 1 << 20
@@ -208,7 +210,7 @@ def make_artefact(
         assert record is not None
         return record
     _make_way(folder, recipe)
-    partial = folder.parent / f".{folder.name}.partial"
+    partial = _partial_of(folder)
     record = _finished(partial, recipe)
     if record is None:
         record = _make(partial, recipe, build)
@@ -216,13 +218,39 @@ def make_artefact(
     return record
 
 
-def _make(partial: Path, recipe: Recipe, build: Callable[[Path], Iterable[str]]) -> dict[str, Any]:
-    plan = partial / ".plan"
+def open_attempt(folder: Path, recipe: Recipe) -> Path | None:
+    """The folder that `make_artefact` will hand to its `build`, to fill in files beforehand; None
+    where the artefact is up to date or complete but for its rename.
+
+    So several artefacts can grow side by side, where one computation serves them all.
+
+    Raises:
+        ArtefactError: `folder` holds something that must not be replaced.
+    """
+    if state_of(folder, recipe, is_hashed=True) == "made":
+        return None
+    _make_way(folder, recipe)
+    partial = _partial_of(folder)
+    return None if _finished(partial, recipe) else _open(partial, recipe)
+
+
+def _partial_of(folder: Path) -> Path:
+    return folder.parent / f".{folder.name}.partial"
+
+
+def _open(partial: Path, recipe: Recipe) -> Path:
+    """The attempt as it was left, or an empty one where that was at another recipe."""
+    plan = partial / _PLAN
     if partial.exists() and not (plan.is_file() and plan.read_text() == recipe.key):
         shutil.rmtree(partial)
     partial.mkdir(parents=True, exist_ok=True)
     sweep_partials(partial)
     plan.write_text(recipe.key)
+    return partial
+
+
+def _make(partial: Path, recipe: Recipe, build: Callable[[Path], Iterable[str]]) -> dict[str, Any]:
+    plan = _open(partial, recipe) / _PLAN
     start = time.monotonic()
     notes = tuple(build(partial))
     seconds = round(time.monotonic() - start, 2)
