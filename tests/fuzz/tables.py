@@ -81,7 +81,8 @@ def _mutate_columns(columns: dict[str, Any], rng: Rng) -> tuple[dict[str, Any], 
         cell = pick(rng, _CELLS)
         return columns | {name: np.array([cell] * len(values))}, f"all of {name} is {cell!r:.40}"
     cell = pick(rng, _CELLS)
-    kind = object if isinstance(cell, str | type(None) | bool) else values.dtype
+    is_odd = isinstance(cell, str | type(None) | bool) or values.dtype.kind not in "fiub"
+    kind = object if is_odd else values.dtype
     kind = float if values.dtype.kind in "iub" and kind is not object else kind
     changed = values.astype(kind)
     if len(changed):
