@@ -15,6 +15,8 @@ class Demo:
 
     out: Path = Path("out/demo")
     """Folder to write."""
+    full: bool = False
+    """Train as long as the preset says, and relight all cameras."""
     seed: int = 0
     """Of all random numbers."""
     verbose: Verbose = False
@@ -24,4 +26,4 @@ class Demo:
         """Build, relight and measure the shipped street."""
         from lightsim.simulate.demo import run_demo
 
-        say(f"open: {run_demo(self.out, self.seed, terminal_progress())}")
+        say(f"open: {run_demo(self.out, self.seed, terminal_progress(), is_full=self.full)}")
