@@ -94,12 +94,12 @@ def _special(folder: Path, canary: Path, rng: Rng) -> str:
 
 def _several(folder: Path, canary: Path, rng: Rng) -> str:
     """Two files damaged at once."""
-    changes = (_json, _table, _picture, _calibration, _special)
-    words: list[str] = []
-    for _ in range(2):
-        # What takes a file away comes last: the other one may look for it.
-        found = changes if words else changes[:-1]
-        words.append(pick(rng, found)(folder, canary, rng))
+    # Of two kinds, as one damage cannot read what another left; what takes a file away comes last.
+    first = pick(rng, (_json, _table, _picture, _calibration))
+    second = pick(
+        rng, [c for c in (_json, _table, _picture, _calibration, _special) if c is not first]
+    )
+    words = [change(folder, canary, rng) for change in (first, second)]
     return "; and ".join(words)
 
 

@@ -116,8 +116,15 @@ class TrueSurfaces:
         self.scenario = Scenario("truth", self._log.frames, placements)
         empty = replace(background, faces=background.faces[:0])
         self._renderer = FrameRenderer(background, empty, TransportConfig(), 0)
+        self._masks: dict[tuple[str, str], Bool[np.ndarray, "h w"]] = {}
 
     def is_surface(self, camera_name: str, stem: str) -> Bool[np.ndarray, "h w"]:
+        """The mask of one frame; the same for all skies and methods, so it is kept."""
+        if (camera_name, stem) not in self._masks:
+            self._masks[camera_name, stem] = self._render_mask(camera_name, stem)
+        return self._masks[camera_name, stem]
+
+    def _render_mask(self, camera_name: str, stem: str) -> Bool[np.ndarray, "h w"]:
         frame = next(f for f in self._log.frames_of(camera_name) if f.stem == stem)
         camera = self._log.cameras[camera_name]
         return self._renderer.geometry(self.scenario, frame, camera).has_surface
