@@ -149,7 +149,7 @@ def test_a_broken_line_of_metrics_is_named(tmp_path: Path) -> None:
 
 def test_skies_beyond_float_sums_are_refused() -> None:
     with pytest.raises(InputError, match="too bright"):
-        dome_from_array(np.full((4, 8, 3), 3e38, np.float32))
+        dome_from_array(np.full((4, 8, 3), 3e38, np.float32), "a.hdr")
     dome = SkyDome(np.ones((4, 8, 3), np.float32), None)
     for factor in (1e300, 2 * MAX_RADIANCE, float("nan"), float("inf")):
         with pytest.raises(InputError, match="too bright"):

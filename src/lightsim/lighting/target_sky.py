@@ -7,12 +7,11 @@ from datetime import UTC, datetime
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Float, Float32
 
 from lightsim.core.colour import luminance
 from lightsim.core.dome import SkyDome, find_sun
 from lightsim.core.log import GeoReference
-from lightsim.core.resample import resize_area
 from lightsim.core.solar import azimuth_elevation, direction_enu, direction_world, solar_position
 from lightsim.core.twin import SkyEstimate
 from lightsim.errors import InputError
@@ -22,8 +21,6 @@ FORMS = "sun:AZIMUTH,ELEVATION[,TURBIDITY], time:ISO (such as 2019-05-11T01:59:1
 _DEFAULT_TURBIDITY = 3.0
 _YEARS = (1900, 2200)
 """Where the ephemeris is exact and times fit into nanoseconds."""
-_NEGATIVE_TOLERANCE = 1e-3
-"""Negative radiance down to this share of the mean is filter ringing and is clipped."""
 
 
 def target_sky(
@@ -135,49 +132,21 @@ def parse_time(spec: str) -> int:
     return round(moment.timestamp() * 1e6) * 1000
 
 
-def dome_from_array(radiance: Shaped[np.ndarray, "h w 3"], name: str = "the sky image") -> SkyDome:
-    """A dome of a file's pixels, frame `world`, with its sun if it has one.
+def dome_from_array(radiance: Float32[np.ndarray, "h w 3"], name: str) -> SkyDome:
+    """A dome of a sky file's pixels (`store.images.read_sky` has mended them), frame `world`, with
+    its sun if it has one.
 
-    Slight negative values are clipped. An image that misses 2:1 by a pixel or two is resampled.
+    Args:
+        name: of the file, for errors.
 
     Raises:
-        InputError: not 2:1, not finite, clearly negative, or black.
+        InputError: not 2:1, not finite, negative, or too bright.
     """
-    height, width = radiance.shape[:2]
-    if height < 4 or abs(width - 2 * height) > 2:
-        raise InputError(
-            "a sky must be an equirectangular image, twice as wide as high",
-            where=name,
-            got=f"{width}x{height} px",
-            expected="4 rows or more, for example 1024x512 px",
-            remedy="Convert light probes, cube maps or cropped panoramas to equirectangular.",
-        )
-    if not np.isfinite(radiance).all():
-        raise InputError(
-            "the sky has infinite or NaN pixels",
-            where=name,
-            got=f"{int((~np.isfinite(radiance)).any(axis=-1).sum())} of them",
-            remedy="Save it as 32-bit float: suns exceed the half-float range of 65504.",
-        )
-    values = radiance.astype(np.float32)
-    mean = float(values.mean(dtype=np.float64))
-    if mean <= 0 or float(values.min()) < -_NEGATIVE_TOLERANCE * mean:
-        raise InputError(
-            "the sky is black or has negative radiance",
-            where=name,
-            got=f"minimum {float(values.min()):g}, mean {mean:g}",
-            expected="values of 0 or more that are not all 0",
-            remedy="Export it again with its light, and clip it at zero.",
-        )
-    values = np.maximum(values, 0.0)
-    rows = width // 2
-    if (rows, 2 * rows) != (height, width):
-        values = resize_area(values, rows, 2 * rows)
     try:
-        dome = SkyDome(values, None)
+        dome = SkyDome(radiance, None)
     except InputError as error:
         raise error.at(name) from error
-    return replace(dome, sun=find_sun(values))
+    return replace(dome, sun=find_sun(radiance))
 
 
 def scale_to_source(
