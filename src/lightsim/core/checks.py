@@ -10,6 +10,8 @@ MAX_SEED = 2**32 - 1
 """All generators in use (numpy, torch, Mitsuba) take seeds of 32 bits."""
 MAX_EXPOSURE_EV = 30.0
 """Thirty stops take the darkest value of an 8-bit camera beyond any sun."""
+MIN_IMAGE_SCALE = 0.01
+"""A camera of 1920 pixels would be 19 wide: nothing can be seen on less."""
 
 
 def check_number(
@@ -37,3 +39,8 @@ def check_number(
 def check_seed(seed: int, where: str = "--seed") -> None:
     """Refuse a seed that a generator would not take."""
     check_number(where, seed, 0, MAX_SEED)
+
+
+def check_image_scale(image_scale: float) -> None:
+    """Refuse a factor on the recorded size that leaves nothing, or would invent pixels."""
+    check_number("--image-scale", image_scale, MIN_IMAGE_SCALE, 1.0)

@@ -8,6 +8,7 @@ from pathlib import Path
 from lightsim.datasets.pandaset.rig import calibration_path
 from lightsim.errors import InputError
 from lightsim.store.artefact import hash_file, hash_files
+from lightsim.store.reading import is_folder
 
 _SHOWN = 3
 """Files that a message names."""
@@ -21,7 +22,7 @@ def hash_recording(source: Path) -> dict[str, str]:
     Raises:
         InputError: the folder is not there, or a file in it cannot be read.
     """
-    if not is_there(source):
+    if not is_folder(source):
         raise InputError(
             "the recording is not there",
             where=source,
@@ -40,14 +41,6 @@ def hash_recording(source: Path) -> dict[str, str]:
             remedy="Check the permissions and the disk.",
         ) from error
     return found
-
-
-def is_there(source: Path) -> bool:
-    """Whether the recording's folder can be found."""
-    try:
-        return source.is_dir()
-    except OSError:  # Words that are too long for a path.
-        return False
 
 
 def describe_change(before: Mapping[str, str], now: Mapping[str, str]) -> str | None:

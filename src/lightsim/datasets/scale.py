@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import UInt8
 
 from lightsim.core.camera import PinholeCamera
+from lightsim.core.checks import check_image_scale
 from lightsim.core.colour import linear_from_srgb8, srgb8_from_linear
 from lightsim.core.log import DrivingLog
 from lightsim.core.resample import resize_area
 from lightsim.core.sensors import CameraFrame
-from lightsim.errors import InputError
 
 Loader = Callable[[], UInt8[np.ndarray, "h w 3"]]
 
@@ -22,7 +22,7 @@ def at_scale(log: DrivingLog, image_scale: float) -> DrivingLog:
     """Cameras, images and own-car masks resized by `image_scale`; images in linear light.
 
     Raises:
-        InputError: the scale is not in (0, 1].
+        InputError: the scale is not in [0.01, 1].
     """
     check_image_scale(image_scale)
     if image_scale == 1.0:
@@ -40,21 +40,6 @@ def at_scale(log: DrivingLog, image_scale: float) -> DrivingLog:
         for name, mask in log.own_car_masks.items()
     }
     return replace(log, cameras=cameras, frames=frames, own_car_masks=masks)
-
-
-def check_image_scale(image_scale: float) -> None:
-    """Refuse a factor that is none, or that would invent pixels.
-
-    Raises:
-        InputError: not a number in (0, 1].
-    """
-    if not 0.0 < image_scale <= 1.0:
-        raise InputError(
-            "the image scale must lie in (0, 1]",
-            where="--image-scale",
-            got=image_scale,
-            expected="a factor on the recorded size, such as 0.5",
-        )
 
 
 def _resized_loader(frame: CameraFrame, camera: PinholeCamera) -> Loader:

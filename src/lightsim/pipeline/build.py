@@ -17,7 +17,7 @@ from lightsim.align.config import AlignConfig
 from lightsim.appearance import config as asset_config
 from lightsim.appearance.config import Colour
 from lightsim.core.checks import check_number, check_seed
-from lightsim.datasets.fingerprint import hash_recording, is_there
+from lightsim.datasets.fingerprint import hash_recording
 from lightsim.datasets.reader import check_layout
 from lightsim.errors import ArtefactError, InputError
 from lightsim.geometry import config as mesh_config
@@ -47,6 +47,7 @@ from lightsim.store.artefact import (
 from lightsim.store.atomic import sweep_partials
 from lightsim.store.lock import LOCK_NAME, locked
 from lightsim.store.log import LogReading, reading_from_json
+from lightsim.store.reading import is_folder
 
 logger = logging.getLogger(__name__)
 
@@ -332,7 +333,7 @@ def status(work: Path, *, is_hashed: bool = False) -> list[StageStatus]:
 
 def _source_key(work: Path, source: Path) -> str:
     """Hash of the recording; where it is gone, of what the build found."""
-    if is_there(source):
+    if is_folder(source):
         return hash_names(hash_recording(source))
     logger.warning("%s: the recording is gone; changes in it cannot be told", source)
     record = read_record(work / "log")

@@ -17,7 +17,7 @@ from jaxtyping import Float32
 
 from lightsim.core.buffers import GBuffers
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.checks import check_number, check_seed
+from lightsim.core.checks import check_image_scale, check_seed
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
@@ -33,7 +33,6 @@ from lightsim.store.artefact import hash_names, json_ready, read_json, write_jso
 from lightsim.store.atomic import sweep_partials
 from lightsim.store.exr import read_mark, write_exr
 from lightsim.store.lock import LOCK_NAME, locked
-from lightsim.store.log import MIN_IMAGE_SCALE
 
 GEOMETRY = ("depth", "position", "normal", "albedo", "actor", "ao")
 """The same under every sky: written once."""
@@ -74,7 +73,7 @@ class RenderOptions:
     def __post_init__(self) -> None:
         check_seed(self.seed)
         if self.image_scale is not None:
-            check_number("--image-scale", self.image_scale, MIN_IMAGE_SCALE, 1.0)
+            check_image_scale(self.image_scale)
         unknown = set(self.what) - {*GEOMETRY, *LIGHT}
         if unknown or not self.what:
             raise InputError(

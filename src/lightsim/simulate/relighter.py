@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from lightsim.core.buffers import GBuffers, ShadowBuffers
-from lightsim.core.checks import MAX_EXPOSURE_EV, check_number, check_seed
+from lightsim.core.checks import MAX_EXPOSURE_EV, check_image_scale, check_number, check_seed
 from lightsim.core.colour import linear_from_srgb8
 from lightsim.core.log import DrivingLog
 from lightsim.core.resample import resize_area
@@ -26,7 +26,6 @@ from lightsim.render.image import sky_image
 from lightsim.render.transport.sky import SkyCells
 from lightsim.render.transport.table import TransportConfig
 from lightsim.simulate.skies import SkyChoice, TargetSky
-from lightsim.store.log import MIN_IMAGE_SCALE
 from lightsim.store.names import is_harmless
 
 
@@ -80,7 +79,7 @@ class RelightOptions:
             )
         check_number("--exposure-ev", self.exposure_ev, -MAX_EXPOSURE_EV, MAX_EXPOSURE_EV)
         if self.image_scale is not None:
-            check_number("--image-scale", self.image_scale, MIN_IMAGE_SCALE, 1.0)
+            check_image_scale(self.image_scale)
         check_seed(self.seed)
 
     def settings(self, image_scale: float) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from lightsim.lighting.target_sky import dome_from_array, parse_time, scale_to_s
 from lightsim.pipeline.workspace import Workspace
 from lightsim.store.artefact import hash_file
 from lightsim.store.images import read_sky
+from lightsim.store.reading import is_file
 
 SKY_HEIGHT_PX = 256
 _MIN_SCALE = 1e-9
@@ -164,15 +165,8 @@ def _light_facts(dome: SkyDome) -> dict[str, Any]:
     }
 
 
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:  # Words that are too long for a path.
-        return False
-
-
 def _check_file(choice: SkyChoice) -> None:
-    if choice.path is not None and not _is_file(choice.path):
+    if choice.path is not None and not is_file(choice.path):
         raise InputError(
             "the sky is neither a file nor a known form",
             where=f"--sky {choice.sky}",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lightsim.core.checks import check_number
+from lightsim.core.checks import check_image_scale, check_number
 from lightsim.core.log import DrivingLog
 from lightsim.core.solar import azimuth_elevation, solar_position
 from lightsim.errors import InputError
@@ -16,8 +16,6 @@ from lightsim.store.entries import Entries
 
 LOG_NAME = "log.json"
 SOURCE_HASHES_NAME = "source.json"
-MIN_IMAGE_SCALE = 0.01
-"""A camera of 1920 pixels would be 19 wide: nothing can be seen on less."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +38,7 @@ class LogReading:
     """Every n-th frame and sweep is kept from the build, for evaluation; 0 holds out none."""
 
     def __post_init__(self) -> None:
-        check_number("--image-scale", self.image_scale, MIN_IMAGE_SCALE, 1.0)
+        check_image_scale(self.image_scale)
         if self.heading_deg is not None:
             check_number("--heading-deg", self.heading_deg, -360.0, 360.0)
         if self.hold_out < 0 or self.hold_out == 1:

@@ -68,7 +68,14 @@ def read_glb(path: Path, frame: str, texture_edge_m: float = 0.06) -> TriMesh:
             raise ValueError("it has no triangles")
         mesh = _joined(primitives, frame)
         return _foreign(primitives, frame, texture_edge_m) if mesh is None else mesh
-    except (ValueError, LookupError, TypeError, AttributeError, struct.error) as error:
+    except (
+        ValueError,
+        ArithmeticError,
+        LookupError,
+        TypeError,
+        AttributeError,
+        struct.error,
+    ) as error:
         raise InputError(
             "the model cannot be read",
             where=path,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
@@ -88,3 +88,20 @@ def _require_regular(path: Path, status: os.stat_result, kind: str, max_bytes: i
             got=f"{status.st_size} bytes",
             expected=f"at most {max_bytes} bytes",
         )
+
+
+def is_file(path: Path) -> bool:
+    """Whether a regular file is there; words that cannot be a path name none."""
+    return _is(path, stat.S_ISREG)
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a folder is there; words that cannot be a path name none."""
+    return _is(path, stat.S_ISDIR)
+
+
+def _is(path: Path, kind: Callable[[int], bool]) -> bool:
+    try:
+        return kind(path.stat().st_mode)
+    except (OSError, ValueError):
+        return False
