@@ -224,6 +224,7 @@ def test_broken_models(tmp_path: Path, mesh: TriMesh) -> None:
 _BREAKAGES = [
     (lambda d: d.update(extensionsRequired=["KHR_draco_mesh_compression"]), "draco"),
     (lambda d: d["accessors"][0].update(count=10**9), "runs past"),
+    (lambda d: d["accessors"][0].update(count=float("inf")), "infinity"),
     (lambda d: d["bufferViews"][1].update(byteOffset=10**6), "runs past"),
     (lambda d: d["nodes"][1].update(children=[0]), "loop"),
     (lambda d: d["nodes"][0].update(matrix=[1.0]), "reshape"),
