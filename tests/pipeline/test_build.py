@@ -225,6 +225,10 @@ def test_relight_writes_what_the_interface_promises(work: Path) -> None:
     brighter = replace(chosen, exposure_ev=1.0, frames="0:1", is_overwriting=True)
     relight(work, brighter, SilentProgress())
     assert len(list((folder / "frames").rglob("*.png"))) == 2
+    (folder / "artefact.json").write_text("{")
+    relight(work, replace(brighter, is_overwriting=False), SilentProgress())
+    assert (folder.parent / "noon.broken-1" / "frames").is_dir()
+    assert len(list((folder / "frames").rglob("*.png"))) == 2
 
 
 @pytest.mark.slow

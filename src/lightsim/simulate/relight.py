@@ -18,7 +18,7 @@ from lightsim.core.log import DrivingLog
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.datasets.selection import FrameSelection
-from lightsim.errors import InputError
+from lightsim.errors import ArtefactError, InputError
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.scenario.replay import replay
@@ -142,7 +142,10 @@ def _finish(partial: Path, job: _Job, progress: Progress) -> Iterable[str]:
 def _refuse_other_settings(folder: Path, settings: Mapping[str, Any]) -> None:
     """A finished scenario goes only when the user says so, or when its twin or LightSim itself
     makes it anew."""
-    record = read_record(folder)
+    try:
+        record = read_record(folder)
+    except ArtefactError:
+        return  # Nobody knows its settings; it will be set aside, not replaced.
     if record is None or record["stage"] != _STAGE:
         return
     was = {**record["config"], "seed": record.get("seed")}
