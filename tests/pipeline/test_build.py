@@ -15,13 +15,16 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
+from lightsim.core.scenario import Scenario
+from lightsim.core.sensors import CameraFrame
 from lightsim.errors import ArtefactError, InputError, MissingDependencyError
 from lightsim.pipeline.build import BuildOptions, build, status
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import SilentProgress
+from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.renderers import RendererChoice
 from lightsim.simulate.buffers import RenderOptions, render
-from lightsim.simulate.relight import relight
+from lightsim.simulate.relight import relight, relight_all
 from lightsim.simulate.relighter import RelightOptions
 from lightsim.simulate.skies import SkyChoice
 from lightsim.store.images import read_exr, read_srgb8, write_exr
@@ -245,6 +248,32 @@ def test_a_damaged_twin_is_not_read_and_is_made_anew(work: Path, name: str) -> N
     assert {line.name: line.state for line in status(work)}["twin"] == "broken"
     build(work, options(), SilentProgress())
     assert path.read_bytes() == whole
+
+
+@pytest.mark.slow
+def test_several_skies_are_traced_once_and_come_out_as_one_by_one(
+    work: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    traced: list[str] = []
+    trace = FrameRenderer.trace
+
+    def counting(self: FrameRenderer, scenario: Scenario, frame: CameraFrame, camera: object):
+        traced.append(frame.stem)
+        return trace(self, scenario, frame, camera)
+
+    monkeypatch.setattr(FrameRenderer, "trace", counting)
+    high, low = (
+        RelightOptions(name, SkyChoice(sky), cameras=("left_camera",), frames="0:1")
+        for name, sky in (("high", "sun:180,60"), ("low", "sun:90,20"))
+    )
+    folders = relight_all(work, [high, low], SilentProgress())
+    assert len(traced) == 1
+    alone = relight(work, replace(low, name="alone"), SilentProgress())
+    assert len(traced) == 2
+    pictures = [next((f / "frames").rglob("*.png")).read_bytes() for f in (*folders, alone)]
+    assert pictures[1] == pictures[2] != pictures[0]
+    with pytest.raises(InputError, match="two scenarios have one name"):
+        relight_all(work, [high, replace(low, name="HIGH")], SilentProgress())
 
 
 @pytest.mark.slow

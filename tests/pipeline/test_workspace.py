@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from lightsim.errors import ArtefactError
+from lightsim.masks import ego_vehicle
 from lightsim.pipeline.build import STAGES
 from lightsim.pipeline.workspace import Workspace
+from lightsim.store.log import LogReading
+from lightsim.synthetic import shipped_street
 
 
 @pytest.mark.parametrize(
@@ -47,3 +51,21 @@ def test_every_need_is_an_earlier_stage() -> None:
     names = [stage.name for stage in STAGES]
     for number, stage in enumerate(STAGES):
         assert set(stage.needs) <= set(names[:number]), stage.name
+
+
+def test_the_recording_car_is_not_looked_for_in_held_out_pictures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: set[str] = set()
+
+    def look(views: Any, ego: Any) -> tuple[dict, tuple[str, ...]]:
+        seen.update(frame.stem for _, frames in views for frame in frames)
+        return {}, ()
+
+    monkeypatch.setattr(ego_vehicle, "ego_vehicle_masks", look)
+    source = shipped_street() / "log"
+    reading = LogReading(str(source), "auto", ("front_camera",), "0:8", None, 0.5, 4)
+    work = Workspace(tmp_path, reading, {})
+    assert work.held_out == {"02", "06"}
+    assert seen & work.held_out == set()
+    assert len(seen) == len(list((source / "camera" / "front_camera").glob("*.jpg"))) - 2

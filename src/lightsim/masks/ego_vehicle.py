@@ -134,11 +134,7 @@ def ego_vehicle_masks(
     masks: dict[str, Bool[np.ndarray, "h w"]] = {}
     notes: list[str] = []
     for camera, frames in views:
-        path = (
-            ego.at(frames[-1].time_ns, _HOLD_S).translation_m
-            - ego.at(frames[0].time_ns, _HOLD_S).translation_m
-        )
-        if len(frames) < 3 or float(np.linalg.norm(path)) < config.min_path_m:
+        if len(frames) < 3 or _path_m(frames, ego) < config.min_path_m:
             notes.append(
                 f"{camera.name}: too little motion to find the recording car in its pictures"
             )
@@ -148,6 +144,11 @@ def ego_vehicle_masks(
         if small.any():
             masks[camera.name] = _enlarged(small, camera)
     return masks, tuple(notes)
+
+
+def _path_m(frames: Sequence[CameraFrame], ego: Trajectory) -> float:
+    first, last = (ego.at(f.time_ns, _HOLD_S).translation_m for f in (frames[0], frames[-1]))
+    return float(np.linalg.norm(last - first))
 
 
 def _small_grey(frame: CameraFrame) -> Float32[np.ndarray, "h w"]:

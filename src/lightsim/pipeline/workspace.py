@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32
 
 from lightsim.core.alignment import Alignment
+from lightsim.core.camera import PinholeCamera
 from lightsim.core.fields import SceneFields
+from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
@@ -26,6 +28,7 @@ from lightsim.store.fields import read_fields
 from lightsim.store.images import read_grey8
 from lightsim.store.log import (
     LogReading,
+    held_out_of,
     held_out_stems,
     read_reading,
     read_source_hashes,
@@ -187,7 +190,6 @@ class Workspace:
     @cached_property
     def _full_log(self) -> DrivingLog:
         from lightsim.datasets.reader import read_log
-        from lightsim.masks.ego_vehicle import ego_vehicle_masks
 
         reading = self.reading
         self._check_source()
@@ -197,8 +199,22 @@ class Workspace:
             cameras=reading.cameras,
             frames=reading.frames,
             heading_deg=reading.heading_deg,
-            find_ego_vehicle=ego_vehicle_masks,
+            find_ego_vehicle=self._find_ego_vehicle,
         )
+
+    def _find_ego_vehicle(
+        self, views: Sequence[tuple[PinholeCamera, Sequence[CameraFrame]]], ego: Trajectory
+    ) -> tuple[dict[str, Bool[np.ndarray, "h w"]], tuple[str, ...]]:
+        """The recording car, looked for in the pictures that building may look at."""
+        from lightsim.datasets.selection import FrameSelection
+        from lightsim.masks.ego_vehicle import ego_vehicle_masks
+
+        chosen = FrameSelection.parse(self.reading.frames)
+        frames = sorted((f for _, fs in views for f in fs), key=lambda f: f.time_ns)
+        stems = tuple(dict.fromkeys(f.stem for f in frames if chosen.holds(int(f.stem))))
+        held_out = held_out_of(stems, self.reading.hold_out)
+        allowed = [(c, tuple(f for f in fs if f.stem not in held_out)) for c, fs in views]
+        return ego_vehicle_masks(allowed, ego)
 
     def log_at(self, image_scale: float) -> DrivingLog:
         """The aligned log at another image scale."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,9 +52,12 @@ class LogReading:
 
 def held_out_stems(log: DrivingLog, hold_out: int) -> frozenset[str]:
     """Stems of the frames kept from the build: the middle one of every `hold_out`."""
-    if hold_out <= 0:
-        return frozenset()
-    return frozenset(log.stems[hold_out // 2 :: hold_out])
+    return held_out_of(log.stems, hold_out)
+
+
+def held_out_of(stems: Sequence[str], hold_out: int) -> frozenset[str]:
+    """The same of the stems of a log in order of time."""
+    return frozenset(stems[hold_out // 2 :: hold_out] if hold_out > 0 else ())
 
 
 def write_log(

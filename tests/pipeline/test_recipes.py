@@ -1,0 +1,71 @@
+"""Every effective setting is in an artefact's key: changing any default makes it stale."""
+
+from __future__ import annotations
+
+import ast
+import copy
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import lightsim.pipeline.stages as stages_package
+from lightsim.pipeline.build import PRESETS, STAGES, BuildOptions
+from lightsim.simulate.relighter import RelightConfig
+from lightsim.store.artefact import Recipe, json_ready
+from lightsim.store.log import LogReading
+
+
+def options(preset: str) -> BuildOptions:
+    return BuildOptions(LogReading("x", "auto", (), "", None, 0.5, 0), preset)
+
+
+def with_one_change(config: Any) -> Iterator[tuple[str, Any]]:
+    """The config with each of its leaves changed, nested ones too, and the leaf's name."""
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            changes = with_one_change(value)
+        else:
+            changes = iter([("", (value, "changed"))])
+        for name, other in changes:
+            changed = copy.copy(config)
+            object.__setattr__(changed, field.name, other)  # Past checks: any change will do.
+            yield f"{field.name}.{name}", changed
+
+
+def key(config: Any) -> str:
+    return Recipe("stage", 1, {"config": json_ready(config)}, {}, 0).key
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_setting_of_a_stage_decides_its_key(preset: str) -> None:
+    configs = {s.name: s.config(options(preset)) for s in STAGES} | {"relight": RelightConfig()}
+    seen = 0
+    for stage, config in configs.items():
+        for name, changed in with_one_change(config):
+            assert key(changed) != key(config), f"{stage}: {name}"
+            seen += 1
+    assert seen > 150
+
+
+def made_in_functions(source: str) -> list[str]:
+    """Configs that a function makes for itself, behind the back of the recipe."""
+    return [
+        f"{call.func.id} in line {call.lineno}"
+        for function in ast.walk(ast.parse(source))
+        if isinstance(function, ast.FunctionDef)
+        for call in ast.walk(function)
+        if isinstance(call, ast.Call)
+        and isinstance(call.func, ast.Name)
+        and call.func.id.endswith("Config")
+    ]
+
+
+def test_stages_make_no_settings_of_their_own() -> None:
+    assert made_in_functions("def f():\n    return g(SkyConfig())") == ["SkyConfig in line 2"]
+    assert not made_in_functions("x: A = field(default_factory=lambda: AConfig(1))")
+    for path in sorted(Path(stages_package.__path__[0]).glob("*.py")):
+        assert not made_in_functions(path.read_text()), path.name
