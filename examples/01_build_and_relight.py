@@ -24,7 +24,7 @@ def main(work: Path) -> None:
         hold_out=0,
     )
     # A field trained this briefly is for a first look; leave neural_steps out for the preset's own.
-    twin = lightsim.pipeline_twin(reading, work, preset="draft", neural_steps=60, progress=progress)
+    twin = lightsim.build_twin(reading, work, preset="draft", neural_steps=60, progress=progress)
     sys.stdout.write(f"{len(twin.assets.actors)} actors, sun from {twin.sky.origin}\n")
     folder = lightsim.relight(work, "sun:150,30", "afternoon", progress=progress)
     sys.stdout.write(f"relit frames: {folder / 'frames'}\n")

@@ -32,7 +32,8 @@ def open_regular(path: Path, kind: str, max_bytes: int) -> Generator[BinaryIO]:
         max_bytes: its largest size.
 
     Raises:
-        InputError: it does not exist, is no regular file, is too large, or cannot be opened.
+        InputError: it does not exist, is no regular file, is too large, or cannot be opened or
+            read.
     """
     try:
         # Looked at before it is opened, since opening a device can already do something; and
@@ -44,7 +45,14 @@ def open_regular(path: Path, kind: str, max_bytes: int) -> Generator[BinaryIO]:
         raise InputError(f"cannot open this {kind}", where=path, got=got, remedy=_REMEDY) from error
     with open(number, "rb") as handle:
         _require_regular(path, os.fstat(number), kind, max_bytes)
-        yield handle
+        try:
+            yield handle
+        except (
+            OSError
+        ) as error:  # A broken disk, or a file of the kernel's that only looks regular.
+            raise InputError(
+                f"cannot read this {kind}", where=path, got=error.strerror, remedy=_REMEDY
+            ) from error
 
 
 def read_bytes(path: Path, kind: str, max_bytes: int) -> bytes:
@@ -55,12 +63,7 @@ def read_bytes(path: Path, kind: str, max_bytes: int) -> bytes:
     """
     with open_regular(path, kind, max_bytes) as handle:
         size = os.fstat(handle.fileno()).st_size
-        try:
-            data = handle.read(size + 1)
-        except OSError as error:
-            raise InputError(
-                f"cannot read this {kind}", where=path, got=error.strerror, remedy=_REMEDY
-            ) from error
+        data = handle.read(size + 1)
     if len(data) != size:
         raise InputError(
             f"this {kind} changed while it was read",
