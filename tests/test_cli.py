@@ -114,6 +114,8 @@ def test_numbers_and_names_out_of_range_are_1_before_anything_is_done(
         *(("--hold-out", v) for v in ("-1", "1")),
         ("--seed", "-1"),
         ("--neural-steps", "-1"),
+        ("--neural-steps", "1" + "0" * 400),
+        ("--seed", "1" + "0" * 400),
     ],
 )
 def test_a_build_checks_its_numbers(

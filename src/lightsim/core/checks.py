@@ -25,7 +25,8 @@ def check_number(
     Raises:
         InputError: it is nan, infinite or out of range.
     """
-    if math.isfinite(value) and least <= value <= most:
+    # Whole numbers may be too large for a float, which isfinite would make of them.
+    if (isinstance(value, int) or math.isfinite(value)) and least <= value <= most:
         return
     if math.isfinite(least) and math.isfinite(most):
         expected = f"a number from {least:g} to {most:g}"
