@@ -66,8 +66,9 @@ class GroundMap:
         """Bilinear height; the border's height outside."""
         nx, ny = self.height_m.shape
         grid = (xy_world - self.origin_m) / self.cell_m
-        i = np.clip(np.floor(grid[:, 0]).astype(np.int64), 0, max(nx - 2, 0))
-        j = np.clip(np.floor(grid[:, 1]).astype(np.int64), 0, max(ny - 2, 0))
+        # Clipped first: far beyond the map a float is no integer.
+        i = np.clip(np.floor(grid[:, 0]), 0, max(nx - 2, 0)).astype(np.int64)
+        j = np.clip(np.floor(grid[:, 1]), 0, max(ny - 2, 0)).astype(np.int64)
         u, v = np.clip(grid[:, 0] - i, 0, 1), np.clip(grid[:, 1] - j, 0, 1)
         i1, j1 = np.minimum(i + 1, nx - 1), np.minimum(j + 1, ny - 1)
         height = self.height_m
