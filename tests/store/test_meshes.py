@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import struct
 from pathlib import Path
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 from lightsim.core.colour import linear_from_srgb8, srgb8_from_linear
 from lightsim.core.mesh import Material, Texture, TriMesh
 from lightsim.errors import InputError
+from lightsim.store import gltf
 from lightsim.store.meshes import read_glb, write_glb
 
 UP_TO_2_CM = {"rtol": 0.0, "atol": 0.02}
@@ -219,6 +221,61 @@ def test_broken_models(tmp_path: Path, mesh: TriMesh) -> None:
         path.write_bytes(_join(broken, binary))
         with pytest.raises(InputError, match=rf"a\.glb.*{message}"):
             read_glb(path, "actor")
+
+
+@pytest.mark.parametrize("textured", [False, True])
+def test_our_own_file_with_a_moved_corner_is_no_foreign_model(
+    tmp_path: Path, mesh: TriMesh, rng: np.random.Generator, textured: bool
+) -> None:
+    """One flipped bit once made another mesh of it: refined to a million faces, and no message."""
+    path = tmp_path / "a.glb"
+    write_glb(path, _rich(mesh, rng, textured=textured))
+    document, binary = _chunks(path.read_bytes())
+    position = document["bufferViews"][document["accessors"][0]["bufferView"]]["byteOffset"]
+    document["meshes"][0]["primitives"][1]["attributes"].pop("_VERTEX")
+    path.write_bytes(_join(document, binary))
+    with pytest.raises(InputError, match="lack their vertex numbers"):
+        read_glb(path, "world")
+    if not textured:
+        return
+    write_glb(path, _rich(mesh, rng, textured=True))
+    document, binary = _chunks(path.read_bytes())
+    flipped = bytearray(binary)
+    flipped[position + 2] ^= 0x40
+    path.write_bytes(_join(document, bytes(flipped)))
+    with pytest.raises(InputError, match="do not meet"):
+        read_glb(path, "world")
+
+
+def test_a_huge_textured_triangle_is_split_within_the_limit(
+    tmp_path: Path, mesh: TriMesh, rng: np.random.Generator
+) -> None:
+    path = tmp_path / "huge.glb"
+    rich = _rich(mesh, rng, textured=True)
+    write_glb(path, dataclasses.replace(rich, vertices=(rich.vertices * 1e6).astype(np.float32)))
+    document, binary = _chunks(path.read_bytes())
+    for primitive in document["meshes"][0]["primitives"]:
+        for name in ("_VERTEX", "_BASE_COLOUR", "_CONFIDENCE"):
+            del primitive["attributes"][name]
+    path.write_bytes(_join(document, binary))
+    model = read_glb(path, "actor")
+    assert 1e5 < len(model.faces) <= 1e6
+
+
+def test_many_instances_of_a_mesh_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mesh: TriMesh
+) -> None:
+    monkeypatch.setattr(gltf, "_MAX_VERTICES", 50 * len(mesh.vertices))
+    path = tmp_path / "a.glb"
+    write_glb(path, mesh)
+    document, binary = _chunks(path.read_bytes())
+    node = next(n for n in document["nodes"] if "mesh" in n)
+    document["nodes"].extend([dict(node)] * 50)
+    n = len(document["nodes"])
+    document["scenes"][0]["nodes"].extend(range(n - 50, n))
+    path.write_bytes(_join(document, binary))
+    with pytest.raises(InputError, match="its instances have more than"):
+        read_glb(path, "actor")
 
 
 _BREAKAGES = [

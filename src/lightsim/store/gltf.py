@@ -27,6 +27,8 @@ _UNDERSTOOD = {"KHR_mesh_quantization", "KHR_materials_unlit", "KHR_materials_sp
 _TRIANGLES = 4
 _MAX_DEPTH = 64
 _MAX_INSTANCES = 100_000
+_MAX_VERTICES = 20_000_000
+"""Of all instances together; our largest street has half of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +70,16 @@ def parse_glb(data: bytes) -> list[Primitive]:
         raise ValueError(f"it needs the extensions {sorted(required)}, which are not understood")
     file = _File(document, binary)
     primitives: list[Primitive] = []
+    n_vertices = 0
     for matrix, mesh_index in file.placed_meshes():
         for primitive in document["meshes"][mesh_index]["primitives"]:
             if primitive.get("mode", _TRIANGLES) > _TRIANGLES:
                 raise ValueError("triangle strips and fans are not understood")
             if primitive.get("mode", _TRIANGLES) == _TRIANGLES:
                 primitives.append(file.primitive(primitive, matrix))
+                n_vertices += len(primitives[-1].vertices)
+            if n_vertices > _MAX_VERTICES:
+                raise ValueError(f"its instances have more than {_MAX_VERTICES} vertices")
     return [p for p in primitives if len(p.faces)]
 
 

@@ -91,7 +91,8 @@ def read_glb(path: Path, frame: str, texture_edge_m: float = 0.06) -> TriMesh:
 
 def _foreign(primitives: list[Primitive], frame: str, texture_edge_m: float) -> TriMesh:
     """Textures become vertex colours."""
-    parts = [_textured(p, texture_edge_m) for p in primitives]
+    most = _MAX_FACES // len(primitives)
+    parts = [_textured(p, texture_edge_m, most) for p in primitives]
     offsets = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts[:-1]])
     faces = [f + np.int32(o) for (_, f, _), o in zip(parts, offsets, strict=True)]
     vertices = np.concatenate([v for v, _, _ in parts]) @ _GLTF_FROM_Z_UP[:3, :3]
@@ -125,19 +126,25 @@ def _materials(
 
 
 def _joined(primitives: list[Primitive], frame: str) -> TriMesh | None:
-    """A mesh that `write_glb` took apart; None where the corners do not fit together."""
+    """A mesh that `write_glb` took apart; None if it was another program that wrote the file.
+
+    Raises:
+        ValueError: it is of ours, but its parts do not fit together.
+    """
+    if all(VERTEX_NUMBER not in p.own for p in primitives):
+        return None
     if any(VERTEX_NUMBER not in p.own for p in primitives):
-        return None
+        raise ValueError("some of its parts lack their vertex numbers")
     if any(p.texture is not primitives[0].texture for p in primitives):
-        return None
+        raise ValueError("its parts have several textures")
     is_textured = primitives[0].texture is not None
     if is_textured and any(VERTEX_COLOUR not in p.own or p.uv is None for p in primitives):
-        return None
+        raise ValueError("some of its parts lack colours or texture coordinates")
     number = np.concatenate([p.own[VERTEX_NUMBER][:, 0] for p in primitives])
     _, first, vertex = np.unique(number, return_index=True, return_inverse=True)
     vertices = np.concatenate([p.vertices for p in primitives])
     if not np.array_equal(vertices[first][vertex], vertices):
-        return None
+        raise ValueError("the corners of its triangles do not meet")
     offsets = np.cumsum([0] + [len(p.vertices) for p in primitives[:-1]])
     corners = np.concatenate([p.faces + o for p, o in zip(primitives, offsets, strict=True)])
     own = {
@@ -169,32 +176,39 @@ def _texture(primitives: list[Primitive], corners: Int[np.ndarray, "m 3"]) -> Te
 
 
 def _textured(
-    primitive: Primitive, edge_m: float
+    primitive: Primitive, edge_m: float, most_faces: int
 ) -> tuple[Float64[np.ndarray, "n 3"], Int32[np.ndarray, "m 3"], Float32[np.ndarray, "n 3"]]:
     """Vertices, faces and linear colour with the texture multiplied in."""
     if primitive.uv is None or primitive.texture is None:
         return primitive.vertices, primitive.faces, primitive.colour
     values = np.concatenate([primitive.vertices, primitive.uv, primitive.colour], axis=1)
-    values, faces = _split_long_edges(values, primitive.faces, edge_m)
+    values, faces = _split_long_edges(values, primitive.faces, edge_m, most_faces)
     texels = _sample_texture(primitive.texture, values[:, 3:5])
     return values[:, :3], faces, texels * values[:, 5:].astype(np.float32)
 
 
 def _split_long_edges(
-    values: Float64[np.ndarray, "n c"], faces: Int32[np.ndarray, "m 3"], edge_m: float
+    values: Float64[np.ndarray, "n c"],
+    faces: Int32[np.ndarray, "m 3"],
+    edge_m: float,
+    most_faces: int,
 ) -> tuple[Float64[np.ndarray, "n2 c"], Int32[np.ndarray, "m2 3"]]:
-    """Halve edges longer than `edge_m` (by the first three columns) until there is none.
+    """Halve edges longer than `edge_m` (by the first three columns) until there is none, or the
+    next round would make more than `most_faces`.
 
     An edge is split in all its faces at once, so no cracks open.
     """
     while True:
         corners = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
-        edges, edge_of_corner = np.unique(np.sort(corners, axis=1), axis=0, return_inverse=True)
-        ends = values[edges]
+        low, high = np.sort(corners, axis=1).astype(np.int64).T
+        # One integer an edge: `unique` of rows takes ten times as long.
+        keys, edge_of_corner = np.unique(low * len(values) + high, return_inverse=True)
+        ends = values[np.stack(np.divmod(keys, len(values)), axis=1)]
         is_long = np.linalg.norm(ends[:, 0, :3] - ends[:, 1, :3], axis=1) > edge_m
-        if not is_long.any() or len(faces) > _MAX_FACES:
+        n_faces = len(faces) + int(is_long[edge_of_corner].sum())
+        if not is_long.any() or n_faces > most_faces:
             return values, faces
-        middle = np.full(len(edges), -1, dtype=np.int32)
+        middle = np.full(len(keys), -1, dtype=np.int32)
         middle[is_long] = len(values) + np.arange(is_long.sum(), dtype=np.int32)
         values = np.concatenate([values, ends[is_long].mean(axis=1)])
         faces = _split_faces(faces, middle[edge_of_corner.reshape(-1)].reshape(-1, 3))
