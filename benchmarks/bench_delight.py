@@ -18,7 +18,6 @@ import numpy as np
 
 from lightsim.appearance.intrinsic.config import DelightConfig
 from lightsim.appearance.intrinsic.decompose import delight
-from lightsim.appearance.intrinsic.light import LightScales
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
 from lightsim.pipeline.source_light import SourceLight, static_returns
@@ -26,13 +25,14 @@ from lightsim.pipeline.stages.light import TwinConfig
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import SilentProgress
 from lightsim.simulate.against_truth import base_colours_of
+from lightsim.simulate.skies import SkyChoice, resolve_sky
 
 DEFAULT = DelightConfig()
 VARIANTS: dict[str, DelightConfig] = {
     "labels": DEFAULT,
     "no LiDAR intensity": DEFAULT,
     "no inferred casters": DEFAULT,
-    "estimated sun as it is": DEFAULT,
+    "true sky": DEFAULT,
     "deep shade divided": replace(DEFAULT, deep_shade=(1e-9, 2e-9)),
     "no islands filtered": replace(DEFAULT, island_m2=0.0),
     "neighbours only": replace(DEFAULT, reach_m=0.5),
@@ -51,18 +51,21 @@ def main() -> None:
     meshes: dict[str, TriMesh] = {"radiance": workspace.assets.background}
     for name in options.variants.split(","):
         start = time.monotonic()
-        meshes[name] = _without_light(workspace, name)
+        meshes[name] = _without_light(workspace, name, options.truth)
         sys.stderr.write(f"{name}: {time.monotonic() - start:.0f} s\n")
     report = base_colours_of(meshes, workspace, options.truth, SilentProgress())
     sys.stdout.write(report.to_table() + "\n")
 
 
-def _without_light(workspace: Workspace, name: str) -> TriMesh:
+def _without_light(workspace: Workspace, name: str, truth: Path) -> TriMesh:
     log, assets, config = workspace.training_log, workspace.assets, TwinConfig()
     inferred = workspace.inferred
     if name == "no inferred casters":
         inferred = replace(inferred, faces=inferred.faces[:0])
     dome = workspace.sky.dome
+    if name == "true sky":
+        file = truth / "skies" / "source.exr"
+        dome = resolve_sky(SkyChoice(str(file), 0.0, "none"), workspace).dome
     source = SourceLight(log, assets, inferred, dome, config.irradiance, 0)
     rng = np.random.default_rng(0)
     uses_lidar = name != "no LiDAR intensity"
@@ -72,7 +75,6 @@ def _without_light(workspace: Workspace, name: str) -> TriMesh:
         VARIANTS[name],
         rng,
         returns=static_returns(log, config.lidar_returns, rng) if uses_lidar else None,
-        scales=LightScales.assumed(np.inf) if name == "estimated sun as it is" else None,
     )
     return done.mesh
 

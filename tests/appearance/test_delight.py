@@ -14,8 +14,11 @@ from lightsim.appearance.intrinsic.decompose import (
     LidarReturns,
     SurfaceLight,
     delight,
+    find_balance,
 )
+from lightsim.appearance.intrinsic.light import LightAt, LightBalance
 from lightsim.core.mesh import Texture, TriMesh
+from lightsim.core.twin import LightFreedom
 from lightsim.errors import InputError
 
 _SUN = np.array([1.0, 0.9, 0.7])
@@ -57,7 +60,7 @@ def _light(points: np.ndarray, visibility: np.ndarray, sun: float) -> SurfaceLig
 
     both = np.stack([visibility, visibility], axis=1).astype(np.float32)
     none = np.zeros((len(points), 3), np.float32)
-    return SurfaceLight(repeat(sun * _SUN), both, repeat(_SKY), none, none, 0.25)
+    return SurfaceLight(repeat(sun * _SUN), both, repeat(_SKY), none, none)
 
 
 def _recorded(sun: float) -> tuple[TriMesh, np.ndarray, np.ndarray]:
@@ -75,6 +78,20 @@ def _ratio(mesh: TriMesh, lit: np.ndarray, albedo: np.ndarray) -> float:
     return float(np.exp(error[lit > 0.5].mean() - error[lit < 0.5].mean()))
 
 
+def _freedom(
+    sun: float = 1.0, unseen: float = 0.0, follows: float = 0.0, cloud: float = 0.0
+) -> LightFreedom:
+    return LightFreedom(np.zeros((2, 4), np.float32), sun, unseen, follows, cloud)
+
+
+def _balance(mesh: TriMesh, light_at: LightAt, freedom: LightFreedom) -> LightBalance:
+    return find_balance(mesh, light_at, freedom, DelightConfig(), np.random.default_rng(0))
+
+
+def _balanced(light_at: LightAt, balance: LightBalance) -> LightAt:
+    return lambda points, normals: light_at(points, normals).balanced(balance)
+
+
 @pytest.mark.parametrize("method", ["labels", "divide"])
 def test_shadows_vanish_though_rendered_ones_lie_elsewhere_and_the_sun_is_too_strong(
     method: Literal["labels", "divide"],
@@ -84,18 +101,53 @@ def test_shadows_vanish_though_rendered_ones_lie_elsewhere_and_the_sun_is_too_st
     def light_at(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
         return _light(points, _is_lit(points, shift_m=0.4), sun=2.2)
 
+    balance = _balance(mesh, light_at, _freedom())
+    np.testing.assert_allclose(balance.sun, 1 / 2.2, rtol=0.1)
+    np.testing.assert_array_equal(balance.unseen_sky, 1.0)
     config = DelightConfig(method=method)
-    done = delight(mesh, light_at, config, np.random.default_rng(0))
+    done = delight(mesh, _balanced(light_at, balance), config, np.random.default_rng(0))
     ratio = _ratio(done.mesh, lit, albedo)
     if method == "divide":
-        assert abs(np.log(ratio)) > np.log(1.3)
+        assert abs(np.log(ratio)) > np.log(1.05)
         return
     assert abs(np.log(ratio)) < np.log(1.05)
-    np.testing.assert_allclose(done.scales.sun, 1 / 2.2, rtol=0.15)
     assert ((done.visibility > 0.5) == (lit > 0.5)).mean() > 0.97
     paint = albedo > 0.5
     assert np.median(done.mesh.base_colour[paint]) == pytest.approx(0.55, rel=0.1)
     assert np.median(done.mesh.base_colour[albedo < 0.2]) == pytest.approx(0.12, rel=0.1)
+
+
+def test_a_too_dark_unseen_sky_is_told_from_a_too_strong_sun():
+    """Half of the sky was seen, the rest is brighter than the estimate by 2: which of the two gives
+    way is decided by how sure they are."""
+    true_sky, dark = 1.5 * _SKY, _SKY
+    mesh = _ground()
+    lit = (_is_lit(mesh.vertices)).astype(float)
+    albedo = _albedo(mesh.vertices)
+    radiance = albedo[:, None] * (true_sky + lit[:, None] * _SUN)
+    mesh = replace(mesh, base_colour=radiance.astype(np.float32))
+
+    def light_at(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
+        light = _light(points, _is_lit(points), sun=1.0)
+        return replace(light, unseen_sky=np.full_like(light.sky, 0.5) * light.sky)
+
+    sure_sun = _balance(mesh, light_at, _freedom(sun=0.01, unseen=1.0))
+    np.testing.assert_allclose(sure_sun.unseen_sky, 2.0, rtol=0.08)
+    np.testing.assert_allclose(sure_sun.sun, 1.0, rtol=0.02)
+    sure_sky = _balance(mesh, light_at, _freedom(sun=1.0, unseen=0.01))
+    np.testing.assert_allclose(sure_sky.sun, dark / true_sky, rtol=0.08)
+    np.testing.assert_allclose(sure_sky.unseen_sky, 1.0, rtol=0.02)
+    both = _balance(mesh, light_at, _freedom(sun=0.2, unseen=0.2))
+    assert (both.sun > sure_sky.sun).all()
+    assert (both.unseen_sky < sure_sun.unseen_sky).all()
+
+
+def test_few_pairs_change_nothing():
+    mesh = _ground(cells=40, half_m=1.0)
+    balance = _balance(mesh, lambda p, n: _light(p, np.ones(len(p)), 1.0), _freedom())
+    assert balance.pair_count == 0
+    np.testing.assert_array_equal(balance.sun, 1.0)
+    np.testing.assert_array_equal(balance.unseen_sky, 1.0)
 
 
 def test_without_hard_shadows_none_are_invented():
@@ -107,7 +159,10 @@ def test_without_hard_shadows_none_are_invented():
     def light_at(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
         return _light(points, _is_lit(points), sun=0.5)
 
-    done = delight(mesh, light_at, DelightConfig(), np.random.default_rng(0))
+    # The sun was read with some certainty, but there may be cloud before it.
+    balance = _balance(mesh, light_at, _freedom(sun=0.16, cloud=0.3))
+    assert (balance.sun < 0.1).all()
+    done = delight(mesh, _balanced(light_at, balance), DelightConfig(), np.random.default_rng(0))
     lit = _is_lit(mesh.vertices).astype(float)
     assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.05)
 
@@ -125,7 +180,14 @@ def test_lidar_intensity_keeps_dark_patches_from_becoming_shadows():
     def light_at(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
         return _light(points, _is_lit(points, shift_m=0.4), sun=2.2)
 
-    done = delight(mesh, light_at, DelightConfig(), np.random.default_rng(0), returns=returns)
+    balance = LightBalance(np.full(3, 1 / 2.2), np.ones(3), 0.0, 1)
+    done = delight(
+        mesh,
+        _balanced(light_at, balance),
+        DelightConfig(),
+        np.random.default_rng(0),
+        returns=returns,
+    )
     exponent = float(done.notes[-1].split()[-1])
     assert 0.6 < exponent <= 1.0
     assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.05)
@@ -165,7 +227,7 @@ def test_a_texture_loses_its_shadows_texel_by_texel_on_coarse_faces():
     mesh, points, pixel = _textured(replace(mesh, base_colour=radiance.astype(np.float32)), 0.1)
 
     def light_at(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
-        return _light(points, _is_lit(points, shift_m=0.4), sun=2.2)
+        return _light(points, _is_lit(points, shift_m=0.4), sun=1.0)
 
     done = delight(mesh, light_at, DelightConfig(), np.random.default_rng(0)).mesh
     assert done.texture is not None

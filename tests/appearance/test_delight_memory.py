@@ -19,7 +19,7 @@ from lightsim.appearance.atlas import (
 )
 from lightsim.appearance.intrinsic import surfels as delight_surfels
 from lightsim.appearance.intrinsic.decompose import DelightConfig, Delit, SurfaceLight, delight
-from lightsim.appearance.intrinsic.light import light_blocks
+from lightsim.appearance.intrinsic.balance import light_blocks
 from lightsim.appearance.intrinsic.surfels import connect, make_surfels
 from lightsim.core.mesh import Texture, TriMesh, concatenate_meshes
 from lightsim.geometry.completion.far_field import BACKDROP
@@ -43,7 +43,7 @@ def _half_light(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
     """Sun where x is positive."""
     visibility = np.repeat((points[:, :1] > 0).astype(np.float32), 2, axis=1)
     white = np.ones((len(points), 3), np.float32)
-    return SurfaceLight(white, visibility, 0.3 * white, 0 * white, 0 * white, 0.25)
+    return SurfaceLight(white, visibility, 0.3 * white, 0 * white, 0 * white)
 
 
 def _street() -> TriMesh:

@@ -38,9 +38,20 @@ def test_a_wall_hides_half_of_the_sky_and_gives_it_back_by_its_albedo():
     lit = irradiance_at(point, up, scene, sky, IrradianceConfig(TransportConfig(sky_rays=1024)))
     assert lit.sky_visibility[0] == pytest.approx(0.5, abs=0.01)
     np.testing.assert_allclose(lit.irradiance_over_pi[0], lit.sky_visibility[0], rtol=1e-4)
-    with_bounce = IrradianceConfig(TransportConfig(sky_rays=1024), bounce_albedo=0.4)
-    lit = irradiance_at(point, up, scene, sky, with_bounce)
-    np.testing.assert_allclose(lit.bounce[0], 0.4 * 0.5, atol=0.005)
+    with_bounce = IrradianceConfig(TransportConfig(sky_rays=1024), unseen_albedo=0.4)
+    for confidence, bounce in ((0.0, 0.4 * 0.5), (1.0, 0.7 * 0.5)):
+        # Unseen it reflects the sky; seen it sends what was seen, whatever the sky.
+        seen = replace(
+            wall,
+            vertices=turned,
+            base_colour=np.full_like(turned, 0.7, dtype=np.float32),
+            confidence=np.full(len(turned), confidence, dtype=np.float32),
+        )
+        scene = without_actors(make_static_scene([seen]))
+        lit = irradiance_at(point, up, scene, sky, with_bounce)
+        np.testing.assert_allclose(lit.bounce[0], bounce, atol=0.005)
+        back = irradiance_at(-point, up, scene, sky, with_bounce)
+        np.testing.assert_allclose(back.bounce[0], 0.4 * 0.5, atol=0.005)
     sun = irradiance_at(point, up, scene, sun_sky(np.pi / 2, 30.0)).sun_visibility
     np.testing.assert_array_equal(sun, 0)
 

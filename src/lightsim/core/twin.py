@@ -83,6 +83,27 @@ class SkyEstimate:
 
 
 @dataclass(frozen=True, eq=False)
+class LightFreedom:
+    """How far an estimated light may still be off.
+
+    Args:
+        unseen: of each pixel of the dome, 1 where no camera saw the sky, 0 where the dome shows
+            what was seen.
+        sun_log_std: one standard deviation of the log of the sun's irradiance at a given sky.
+        unseen_log_std: the same of the radiance of the unseen sky.
+        sun_follows: d log sun / d log unseen sky of the estimate: 0 where the sun was found on
+            its own, 1 where it was set in proportion to the sky.
+        cloud_probability: that cloud dims the sun.
+    """
+
+    unseen: Float32[np.ndarray, "h w"]
+    sun_log_std: float
+    unseen_log_std: float
+    sun_follows: float
+    cloud_probability: float
+
+
+@dataclass(frozen=True, eq=False)
 class DigitalTwin:
     """Everything relighting needs: the log, its meshes and its sky."""
 

@@ -179,14 +179,14 @@ STAGES = (
     ),
     Stage(
         "sky",
-        4,
+        5,
         ("log", "alignment", "assets", "panorama"),
         lambda o: light.SkyStageConfig(SourceSunConfig(gps=o.gps)),
         light.make_sky,
     ),
     Stage(
         "twin",
-        2,
+        3,
         ("log", "alignment", "assets", "sky"),
         lambda o: light.TwinConfig(),
         light.make_twin,

@@ -1,4 +1,4 @@
-"""The estimated source light on the surfaces of a log, as delighting asks for it."""
+"""The estimated source light on the surfaces of a log, as intrinsic decomposition asks for it."""
 
 from __future__ import annotations
 
@@ -35,14 +35,16 @@ class SourceLight:
         dome: SkyDome,
         config: IrradianceConfig,
         seed: int,
+        unseen_sky: SkyDome | None = None,
     ) -> None:
         parked = parked_actor_meshes(log, assets)
         measured = [assets.background, *parked]
         self._measured = without_actors(make_static_scene(measured))
         self._all = _with_casters(self._measured, inferred)
-        self._dome, self._config, self._seed = dome, config, seed
+        self._dome, self._unseen_sky = dome, unseen_sky
+        self._config, self._seed = config, seed
         self._faces = None
-        if config.bounce_albedo is not None:
+        if config.unseen_albedo is not None:
             self._faces = static_face_table(self._all, config.transport, seed)
 
     def on(self, world_from_mesh: RigidTransform) -> LightAt:
@@ -63,7 +65,14 @@ class SourceLight:
     ) -> SurfaceLight:
         config, dome = self._config, self._dome
         found = irradiance_at(
-            points_world, normals_world, self._all, dome, config, self._seed, self._faces
+            points_world,
+            normals_world,
+            self._all,
+            dome,
+            config,
+            self._seed,
+            self._faces,
+            self._unseen_sky,
         )
         rays = config.transport
         columns = [found.sun_visibility, found.sun_visibility]
@@ -77,9 +86,8 @@ class SourceLight:
             direct,
             np.stack(columns, axis=1),
             found.sky,
-            np.maximum(found.bounce - found.bounce_of_sky, 0.0),
-            found.bounce_of_sky,
-            config.bounce_albedo or 1.0,
+            found.sky_part,
+            found.bounce,
         )
 
 

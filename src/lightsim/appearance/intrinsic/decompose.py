@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
+from lightsim.appearance.intrinsic.balance import balance_light
 from lightsim.appearance.intrinsic.config import DelightConfig
 from lightsim.appearance.intrinsic.divide import base_colour_from_radiance, inpaint_colour
 from lightsim.appearance.intrinsic.edges import LabelField, Seen, label_field, refine_visibility
@@ -21,7 +22,7 @@ from lightsim.appearance.intrinsic.labels import (
     predict_tone_steps,
     rendered_visibility,
 )
-from lightsim.appearance.intrinsic.light import LightAt, LightScales, SurfaceLight
+from lightsim.appearance.intrinsic.light import LightAt, LightBalance, SurfaceLight
 from lightsim.appearance.intrinsic.surfels import (
     LidarReturns,
     Surfels,
@@ -32,9 +33,10 @@ from lightsim.appearance.intrinsic.surfels import (
 from lightsim.appearance.intrinsic.texture import DeepShade, VertexLight, texture_without_light
 from lightsim.core.colour import LUMINANCE_WEIGHTS
 from lightsim.core.mesh import TriMesh
+from lightsim.core.twin import LightFreedom
 from lightsim.errors import InputError
 
-__all__ = ["DelightConfig", "Delit", "LidarReturns", "LightScales", "SurfaceLight", "delight"]
+__all__ = ["DelightConfig", "Delit", "LidarReturns", "SurfaceLight", "delight", "find_balance"]
 
 _LEAST_RADIANCE = 1e-3
 _TONE_REACH_M = 0.3
@@ -49,13 +51,11 @@ class Delit:
     Args:
         mesh: with base colour and confidence.
         visibility: of the sun, at each vertex, as found.
-        scales: of the light, as found or as given.
         notes: the evidence.
     """
 
     mesh: TriMesh
     visibility: Float32[np.ndarray, " n"]
-    scales: LightScales
     notes: tuple[str, ...]
 
 
@@ -66,7 +66,6 @@ def delight(
     rng: np.random.Generator,
     *,
     returns: LidarReturns | None = None,
-    scales: LightScales | None = None,
 ) -> Delit:
     """The mesh with base colour in place of the radiance that it must hold.
 
@@ -75,13 +74,12 @@ def delight(
             `confidence`, where there is one, says which vertices were seen.
         light_at: the source light at points of the mesh's frame.
         returns: LiDAR, whose intensity knows no shadows.
-        scales: strength of the light, known from a larger surface; None to find it here.
 
     Raises:
         InputError: the light is negative or not finite, or not one per point.
     """
     if len(mesh.vertices) == 0:
-        return Delit(mesh, np.zeros(0, np.float32), scales or _unknown(), ())
+        return Delit(mesh, np.zeros(0, np.float32), ())
     normals = mesh.vertex_normals()
     light = light_at(mesh.vertices, normals).floored()
     if len(light.sun) != len(mesh.vertices):
@@ -95,15 +93,39 @@ def delight(
     faces = _labelled_faces(mesh, config)
     surfels = make_surfels(mesh, faces, config.surfel_m, rng)
     if len(surfels) < _LEAST_SURFELS:
-        known = VertexLight(light, scales or _unknown(), light.visibility[:, 1])
-        return _finished(mesh, known, None, config)
+        return _finished(mesh, VertexLight(light, light.visibility[:, 1]), None, config)
     observed, tone_gain = _observe(surfels, light_at, config, rng, returns)
-    labels = label_shadows(observed, config, scales)
+    labels = label_shadows(observed, config)
     field = label_field(faces, observed, labels)
     del surfels, observed  # Larger than all that is left to do.
-    found = VertexLight(light, labels.scales, _visibility(mesh, normals, light, field, config))
-    done = _finished(mesh, found, field, config)
-    return replace(done, notes=_notes(labels.scales, tone_gain) if scales is None else ())
+    found = VertexLight(light, _visibility(mesh, normals, light, field, config))
+    note = f"LiDAR intensity predicts base colour with exponent {tone_gain:.2f}"
+    return replace(_finished(mesh, found, field, config), notes=() if returns is None else (note,))
+
+
+def find_balance(
+    mesh: TriMesh,
+    light_at: LightAt,
+    freedom: LightFreedom,
+    config: DelightConfig,
+    rng: np.random.Generator,
+    *,
+    returns: LidarReturns | None = None,
+) -> LightBalance:
+    """The sun and the unseen sky that lit and shadowed patches of a mesh ask for.
+
+    Args:
+        mesh, light_at, returns: as for `delight`.
+        freedom: how far the light may be off.
+    """
+    faces = _labelled_faces(mesh, config)
+    if len(faces) == 0:
+        return LightBalance.unchanged()
+    surfels = make_surfels(mesh, faces, config.surfel_m, rng)
+    if len(surfels) < _LEAST_SURFELS:
+        return LightBalance.unchanged()
+    observed, _ = _observe(surfels, light_at, config, rng, returns)
+    return balance_light(observed, freedom, config)
 
 
 def _labelled_faces(mesh: TriMesh, config: DelightConfig) -> Int64[np.ndarray, " k"]:
@@ -126,8 +148,8 @@ def _visibility(
         mesh.vertices,
         normals,
         mesh.base_colour,
-        light.diffuse(field.scales).astype(np.float32),
-        light.direct(field.scales).astype(np.float32),
+        light.diffuse.astype(np.float32),
+        light.sun,
     )
     visibility = rendered_visibility(light, config).astype(np.float32)
     is_labelled = np.zeros(len(visibility), dtype=bool)
@@ -135,10 +157,6 @@ def _visibility(
     rows = np.flatnonzero(is_labelled)
     visibility[rows] = refine_visibility(field, seen.at(rows))
     return visibility
-
-
-def _unknown() -> LightScales:
-    return LightScales.assumed(np.inf)
 
 
 def _observe(
@@ -164,12 +182,12 @@ def _finished(
 ) -> Delit:
     """Radiance over light; confidence falls where the sun's share hangs on an unsure label."""
     visibility = found.visibility.astype(np.float64)
-    total = np.maximum(found.light.total(found.scales, visibility), 1e-6)
+    total = np.maximum(found.light.total(visibility), 1e-6)
     colour = np.clip(mesh.base_colour / total, config.low, config.high)
-    share = found.light.direct(found.scales).sum(axis=1) / total.sum(axis=1)
+    share = found.light.sun.sum(axis=1) / total.sum(axis=1)
     unsure = 4 * visibility * (1 - visibility) * np.minimum(share, 1.0)
     seen = np.ones(len(unsure)) if mesh.confidence is None else mesh.confidence
-    open_sky = float(np.percentile(found.light.diffuse(found.scales) @ _WEIGHTS, 95))
+    open_sky = float(np.percentile(found.light.diffuse @ _WEIGHTS, 95))
     shade = _deep_shade(mesh, colour, total @ _WEIGHTS / max(open_sky, 1e-9), seen > 0, config)
     texture = mesh.texture
     if texture is not None:
@@ -181,7 +199,7 @@ def _finished(
         confidence=(seen * (1 - 0.8 * unsure) * (0.2 + 0.8 * shade.trust)).astype(np.float32),
         texture=texture,
     )
-    return Delit(done, found.visibility, found.scales, ())
+    return Delit(done, found.visibility, ())
 
 
 def _deep_shade(
@@ -200,22 +218,10 @@ def _deep_shade(
 
 def _divided(mesh: TriMesh, light: SurfaceLight, config: DelightConfig) -> Delit:
     """The baseline, with the light as the sky stage estimated it."""
-    found = VertexLight(light, _unknown(), light.visibility[:, 1])
-    total = light.total(found.scales, found.visibility.astype(np.float64))
+    found = VertexLight(light, light.visibility[:, 1])
+    total = light.total(found.visibility)
     done = base_colour_from_radiance(mesh, total.astype(np.float32), config.divide)
     if mesh.texture is not None:
         limits = (config.low, config.high)
         done = replace(done, texture=texture_without_light(mesh, mesh.texture, found, None, limits))
-    return Delit(done, found.visibility, found.scales, ("divided by the rendered light",))
-
-
-def _notes(scales: LightScales, tone_gain: float) -> tuple[str, ...]:
-    tone = f"LiDAR intensity predicts base colour with exponent {tone_gain:.2f}"
-    if scales.pair_count == 0:
-        return ("too few lit and shadowed neighbours to correct the sun's strength", tone)
-    factors = ", ".join(f"{value:.2f}" for value in scales.sun)
-    return (
-        f"the sun's irradiance times ({factors}) agrees with {scales.pair_count} lit/shadowed "
-        f"pairs (log std {scales.log_std:.2f}); the sky is the gauge",
-        tone,
-    )
+    return Delit(done, found.visibility, ("divided by the rendered light",))

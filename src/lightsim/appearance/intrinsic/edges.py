@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float, Float32, Float64, Int64
 from scipy.spatial import KDTree
 
 from lightsim.appearance.intrinsic.labels import Labels, Observed
-from lightsim.appearance.intrinsic.light import LightScales
 
 _NEAREST, _AROUND = 6, 32
 _REACH_M = 1.2
@@ -37,14 +36,13 @@ class LabelField:
     log_colour: Float64[np.ndarray, "n 3"]
     is_known: Bool[np.ndarray, " n"]
     is_mixed: Bool[np.ndarray, " n"]
-    scales: LightScales
     surfel_m: float
 
 
 def label_field(faces: Int64[np.ndarray, " k"], observed: Observed, labels: Labels) -> LabelField:
     """What `refine_visibility` needs of labelled surfels."""
     surfels, graph = observed.surfels, observed.graph
-    light = np.maximum(observed.light.total(labels.scales, labels.lit), 1e-6)
+    light = np.maximum(observed.light.total(labels.lit), 1e-6)
     log_colour = observed.log_radiance - np.log(light)
     near = graph.pairs[graph.distance_m < 2.5 * observed.surfel_m]
     differs = np.abs(labels.lit[near[:, 0]] - labels.lit[near[:, 1]]) > 0.5
@@ -61,7 +59,6 @@ def label_field(faces: Int64[np.ndarray, " k"], observed: Observed, labels: Labe
         colour,
         is_known,
         is_mixed,
-        labels.scales,
         observed.surfel_m,
     )
 

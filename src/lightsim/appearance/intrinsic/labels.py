@@ -1,4 +1,4 @@
-"""Which patches of a surface the sun reached: labels on surfels, and the sun's strength with them.
+"""Which patches of a surface the sun reached: labels on surfels.
 
 A shadow's edge is where the log of the radiance steps, in all channels, by what the light model
 predicts, and where LiDAR intensity does not step; a change of material is where it does. Both
@@ -9,36 +9,21 @@ about shadows than about light, because what no sensor saw can only add shadows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import exp
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float32, Float64
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from lightsim.appearance.intrinsic.config import DelightConfig
-from lightsim.appearance.intrinsic.light import (
-    LightScales,
-    ShadowPairs,
-    SurfaceLight,
-    fit_sun_scale,
-    is_lit_enough,
-    light_blocks,
-)
+from lightsim.appearance.intrinsic.light import LightBalance, SurfaceLight
 from lightsim.appearance.intrinsic.surfels import Graph, Surfels
 
-_FIRM = 0.8
-_ENCLOSED = 0.4
-"""Share of bounced light that meets a surface again, in a street."""
-_MOST_REFLECTED = 0.3
-"""Greatest mean base colour of a street's surfaces."""
 _SWEEPS, _DAMPING = 16, 0.2
-_MAX_PAIRS = 15_000
 _CHUNK_PAIRS = 1 << 16
 """Pairs whose energies are found together: some 10 MB of intermediate results, whatever the log."""
-_BLOCK_M = 4.0
-"""Pairs within a block of this size count as one observation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,83 +52,20 @@ class Labels:
     Args:
         lit: probability that the sun reaches each.
         prior: the same before the pictures were asked.
-        scales: of the light.
     """
 
     lit: Float64[np.ndarray, " n"]
     prior: Float64[np.ndarray, " n"]
-    scales: LightScales
 
 
-def label_shadows(
-    observed: Observed, config: DelightConfig, scales: LightScales | None = None
-) -> Labels:
-    """Alternate between the sun's strength and the labels.
-
-    Args:
-        scales: known from a larger surface; None to find them.
-    """
+def label_shadows(observed: Observed, config: DelightConfig) -> Labels:
+    """Labels under the light as it is."""
     prior = visibility_prior(observed, config)
-    block = light_blocks(observed.surfels.position, _BLOCK_M)
-    found = scales or _fit(observed, prior, block, LightScales.assumed(np.inf), config)
-    lit = prior
     messages = np.zeros((len(observed.graph.pairs), 2), np.float32)
+    lit = prior
     for _ in range(config.rounds):
-        lit = infer_labels(observed, prior, found, config, messages)
-        if scales is None:
-            found = _fit(observed, lit, block, found, config)
-    return Labels(lit, prior, found)
-
-
-def _fit(
-    observed: Observed,
-    lit: Float64[np.ndarray, " n"],
-    block: Int64[np.ndarray, " n"],
-    before: LightScales,
-    config: DelightConfig,
-) -> LightScales:
-    """Sun and bounce for given labels; the sun stays where too few pairs speak."""
-    bounce = bounce_factor(observed, lit, before)
-    pairs = shadow_pairs(observed, lit)
-    if len(pairs) < config.min_pairs:
-        return replace(before, bounce=bounce)
-    return fit_sun_scale(pairs, observed.log_radiance, observed.light, block, bounce)
-
-
-def bounce_factor(
-    observed: Observed, lit: Float64[np.ndarray, " n"], scales: LightScales
-) -> Float64[np.ndarray, "3"]:
-    """Bounced light of surroundings of the scene's own mean colour over that of the grey ones it
-    was rendered with, further bounces included as a geometric series.
-
-    The mean is geometric, because the brightest estimates are the least certain ones, and not
-    above what streets reflect: too dark a sky would feed on itself otherwise.
-    """
-    surfels, light = observed.surfels, observed.light
-    colour = np.exp(observed.log_radiance) / np.maximum(light.total(scales, lit), 1e-6)
-    weight = surfels.area_m2 * surfels.confidence + 1e-12
-    logs = np.log(np.clip(colour, 0.02, 0.9))
-    mean = np.exp((logs * weight[:, None]).sum(axis=0) / weight.sum())
-    mean *= min(1.0, _MOST_REFLECTED / float(mean.mean()))
-    return mean / (1 - _ENCLOSED * mean) / light.bounce_albedo
-
-
-def shadow_pairs(observed: Observed, lit: Float64[np.ndarray, " n"]) -> ShadowPairs:
-    """Pairs of the graph of which one is firmly lit and the other firmly in shadow."""
-    first, second = observed.graph.pairs.T
-    can_differ = is_lit_enough(observed.light, LightScales.assumed(0.0))
-    difference = np.where(can_differ[first] & can_differ[second], lit[first] - lit[second], 0.0)
-    chosen = np.flatnonzero(np.abs(difference) > _FIRM)
-    chosen = chosen[:: max(1, len(chosen) // _MAX_PAIRS)]
-    is_first = difference[chosen] > 0
-    a, b = first[chosen].astype(np.int64), second[chosen].astype(np.int64)
-    step = observed.tone_step[chosen].astype(np.float64)
-    return ShadowPairs(
-        np.where(is_first, a, b),
-        np.where(is_first, b, a),
-        np.where(is_first, -step, step),
-        observed.graph.weight[chosen].astype(np.float64),
-    )
+        lit = infer_labels(observed, LightBalance.unchanged(), prior, config, messages)
+    return Labels(lit, prior)
 
 
 def visibility_prior(observed: Observed, config: DelightConfig) -> Float64[np.ndarray, " n"]:
@@ -174,8 +96,8 @@ def _smoothed(
 
 def infer_labels(
     observed: Observed,
+    balance: LightBalance,
     prior: Float64[np.ndarray, " n"],
-    scales: LightScales,
     config: DelightConfig,
     messages: Float32[np.ndarray, "e 2"],
 ) -> Float64[np.ndarray, " n"]:
@@ -186,7 +108,7 @@ def infer_labels(
     """
     from lightsim.appearance.intrinsic.kernels import propagate
 
-    energy = pair_energies(observed, scales, config)
+    energy = pair_energies(observed, balance, config)
     unary = config.prior_weight * np.log(prior / (1 - prior))
     belief = np.empty(len(unary))
     propagate(unary, observed.graph.pairs, energy, messages, belief, _SWEEPS, _DAMPING)
@@ -216,16 +138,16 @@ def without_islands(
 
 
 def pair_energies(
-    observed: Observed, scales: LightScales, config: DelightConfig
+    observed: Observed, balance: LightBalance, config: DelightConfig
 ) -> Float32[np.ndarray, "e 2 2"]:
     """Energy of each pair by the labels of its two patches, in nats.
 
     The step of the log base colour that labels imply, minus the step that LiDAR predicts, is
     small within a material; beyond a cap, the pair is taken to cross materials.
     """
-    light, graph = observed.light, observed.graph
-    diffuse = np.maximum(light.diffuse(scales), 1e-6)
-    log_light = np.log(np.stack([diffuse, diffuse + light.direct(scales)], axis=1))
+    light, graph = observed.light.balanced(balance), observed.graph
+    diffuse = np.maximum(light.diffuse, 1e-6)
+    log_light = np.log(np.stack([diffuse, diffuse + light.sun], axis=1))
     log_colour = (observed.log_radiance[:, None] - log_light).astype(np.float32)
     energy = np.empty((len(graph.pairs), 2, 2), np.float32)
     for start in range(0, len(energy), _CHUNK_PAIRS):

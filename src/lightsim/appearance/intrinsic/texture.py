@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from lightsim.appearance.atlas import texel_parts
 from lightsim.appearance.intrinsic.edges import LabelField, Seen, refine_visibility
-from lightsim.appearance.intrinsic.light import LightScales, SurfaceLight
+from lightsim.appearance.intrinsic.light import SurfaceLight
 from lightsim.core.mesh import Texture, TriMesh
 
 _CHUNK = 1 << 17
@@ -26,7 +26,6 @@ class VertexLight:
     """
 
     light: SurfaceLight
-    scales: LightScales
     visibility: Float32[np.ndarray, " n"]
 
 
@@ -75,8 +74,8 @@ def texture_without_light(
     attributes = _VertexAttributes(
         mesh.vertices,
         mesh.vertex_normals(),
-        found.light.diffuse(found.scales).astype(np.float32),
-        found.light.direct(found.scales).astype(np.float32),
+        found.light.diffuse.astype(np.float32),
+        found.light.sun,
         found.visibility,
     )
     is_edge = np.zeros(len(mesh.faces), dtype=bool)

@@ -13,7 +13,7 @@ from lightsim.core.colour import luminance
 from lightsim.core.dome import Sun, add_sun, irradiance
 from lightsim.core.equirect import pixel_directions, solid_angles_sr
 from lightsim.core.solar import angle_between_deg
-from lightsim.core.twin import Panorama, SkyEstimate
+from lightsim.core.twin import LightFreedom, Panorama, SkyEstimate
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.clear_sky import clear_sky_parts, overcast_shape, with_ground
 from lightsim.lighting.sky.fit import SunFit, SunFitConfig, fit_sun
@@ -25,6 +25,10 @@ _USUAL_TURBIDITY, _USUAL_LOG_STD = 3.0, 0.8
 """Of clear skies; spread of the ratio of sun to sky among them."""
 _CLOUD_LOG_FACTOR = float(np.log(0.15))
 """What clouds before the sun leave of it."""
+_PAIRED_SUN_FOLLOWS = 0.5
+"""d log sun / d log sky of a sun that pairs told: about half of the light in shadows comes from the
+surfaces around, which is known. On the demo street the true sky in place of the estimate gives
+0.56."""
 _PEAK_ROWS = 64
 """Rows of the domes that networks predict peaks of (lighting/sample.py)."""
 
@@ -83,7 +87,20 @@ def estimate_sky(
     prediction: SkyPrediction | None = None,
     progress: Progress | None = None,
 ) -> SkyEstimate:
-    """The source sky in scene units.
+    """The source sky in scene units; see `solve_sky`."""
+    return solve_sky(panorama, sun, evidence, config, prediction=prediction, progress=progress)[0]
+
+
+def solve_sky(
+    panorama: Panorama,
+    sun: SunDirection,
+    evidence: LightEvidence | None,
+    config: SkyConfig,
+    *,
+    prediction: SkyPrediction | None = None,
+    progress: Progress | None = None,
+) -> tuple[SkyEstimate, LightFreedom]:
+    """The source sky in scene units, and how far it may be off.
 
     An analytic clear + overcast sky is fitted per channel to the observed, unsaturated sky; where
     sky was seen, the dome shows it. The lower half is the mean of what was seen below the horizon.
@@ -106,15 +123,23 @@ def estimate_sky(
     dome = add_sun(with_ground(sky, ground), Sun(sun.direction_world, strength.irradiance))
     for _ in steps:
         continue
-    return SkyEstimate(
+    level_log_std = _level_log_std(panorama)
+    estimate = SkyEstimate(
         dome,
         sun.azimuth_deg,
         sun.elevation_deg,
         sun.origin,
         sun.uncertainty_deg,
-        float(np.hypot(strength.log_std, _level_log_std(panorama))),
+        float(np.hypot(strength.log_std, level_log_std)),
         sky_irradiance.astype(np.float32),
         (*sun.notes, *_sky_notes(panorama, analytic, sun), *strength.notes),
+    )
+    return estimate, LightFreedom(
+        unseen_weight(panorama, config).astype(np.float32),
+        strength.log_std,
+        level_log_std,
+        1.0 if strength.kind == "analytic" else _PAIRED_SUN_FOLLOWS,
+        0.5 if sun.sunny_probability is None else 1.0 - sun.sunny_probability,
     )
 
 
@@ -317,13 +342,29 @@ def blend_observed(
     support = _blur((is_seen & ~is_bright).astype(np.float64), sigma_px)
     extended = np.stack([_blur(log_ratio[..., c], sigma_px) for c in range(3)], axis=-1)
     corrected = model * np.exp(extended / (support + 0.05)[..., None])
-    padded = np.concatenate([is_seen] * 3, axis=1)
-    padded[height // 2 :] = True
-    inside = np.asarray(ndimage.distance_transform_edt(padded))[:, 2 * height : 4 * height]
-    weight = np.clip(inside / config.feather_px, 0.0, 1.0) * is_seen
+    weight = _feathered(is_seen, config)
     blended = corrected + weight[..., None] * (observed - corrected)
     blended[height // 2 :] = 0.0
     return blended.astype(np.float32)
+
+
+def unseen_weight(panorama: Panorama, config: SkyConfig) -> Float[np.ndarray, "h w"]:
+    """1 where the dome shows a model, 0 where it shows what was seen or ground, soft between."""
+    _, coverage = shrink_masked(
+        panorama.radiance, panorama.is_sky & panorama.is_seen, config.height_px
+    )
+    weight = 1.0 - _feathered(coverage > 0.5, config)
+    weight[config.height_px // 2 :] = 0.0
+    return weight
+
+
+def _feathered(is_seen: Bool[np.ndarray, "h w"], config: SkyConfig) -> Float[np.ndarray, "h w"]:
+    """1 inside, falling to 0 at the border; the lower half of the dome is no border."""
+    height = config.height_px
+    padded = np.concatenate([is_seen] * 3, axis=1)
+    padded[height // 2 :] = True
+    inside = np.asarray(ndimage.distance_transform_edt(padded))[:, 2 * height : 4 * height]
+    return np.clip(inside / config.feather_px, 0.0, 1.0) * is_seen
 
 
 def _blur(image: Float[np.ndarray, "h w"], sigma_px: float) -> Float[np.ndarray, "h w"]:

@@ -9,14 +9,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from lightsim.appearance.intrinsic.decompose import DelightConfig, delight
+from lightsim.appearance.intrinsic.decompose import DelightConfig, delight, find_balance
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import SkyEstimate
 from lightsim.lighting.panorama.stitch import StitchConfig, stitch_panorama
 from lightsim.lighting.sample import SkyPrediction
-from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
+from lightsim.lighting.sky.balance import rebalanced, unseen_part
+from lightsim.lighting.sky.estimate import SkyConfig, solve_sky
 from lightsim.lighting.sky.shipped import predict_sky
 from lightsim.lighting.sun.direction import SunDirection
 from lightsim.lighting.sun.evidence import EvidenceConfig, Surroundings, collect_evidence
@@ -35,6 +36,9 @@ from lightsim.render.transport.table import TransportConfig
 from lightsim.store.sky import write_panorama, write_panorama_pictures, write_sky
 from lightsim.store.twin import write_twin
 
+IRRADIANCE = IrradianceConfig(TransportConfig(sky_rays=32, face_rays=8), 0.25)
+"""Sun, sky and the light of other surfaces as it was seen; what was not seen is grey."""
+
 
 @dataclass(frozen=True)
 class SkyStageConfig:
@@ -43,16 +47,20 @@ class SkyStageConfig:
     sun: SourceSunConfig = field(default_factory=SourceSunConfig)
     evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
     sky: SkyConfig = field(default_factory=SkyConfig)
+    irradiance: IrradianceConfig = field(default_factory=lambda: IRRADIANCE)
+    """Light on the patches that say how sun and unseen sky compare."""
+    labels: DelightConfig = field(default_factory=DelightConfig)
+    """How their shadows are found."""
+    lidar_returns: int = 1_500_000
+    """LiDAR returns whose intensity is asked."""
 
 
 @dataclass(frozen=True)
 class TwinConfig:
     """From observed radiance to base colour."""
 
-    irradiance: IrradianceConfig = field(
-        default_factory=lambda: IrradianceConfig(TransportConfig(sky_rays=32, face_rays=8), 0.25)
-    )
-    """Light at the vertices; one bounce off grey surfaces."""
+    irradiance: IrradianceConfig = field(default_factory=lambda: IRRADIANCE)
+    """Light at the vertices."""
     delight: DelightConfig = field(default_factory=DelightConfig)
     """How shadows are found."""
     lidar_returns: int = 1_500_000
@@ -102,7 +110,8 @@ def source_sky(
     seed: int,
     progress: Progress,
 ) -> SkyEstimate:
-    """The dome of a log whose sun was found: strengths by lit and shadowed surfaces."""
+    """The dome of a log whose sun was found: strengths by lit and shadowed pixels of its frames,
+    then balanced by lit and shadowed patches of its surfaces."""
     log = work.training_log
     evidence = collect_evidence(
         log,
@@ -114,8 +123,44 @@ def source_sky(
         around=Surroundings(parked_actor_meshes(log, work.assets), [work.inferred]),
         progress=progress,
     )
-    return estimate_sky(
+    estimate, freedom = solve_sky(
         work.panorama, sun, evidence, config.sky, progress=progress, prediction=prediction
+    )
+    source = SourceLight(
+        log,
+        work.assets,
+        work.inferred,
+        estimate.dome,
+        config.irradiance,
+        seed,
+        unseen_part(estimate.dome, freedom),
+    )
+    rng = np.random.default_rng(seed)
+    balance = find_balance(
+        work.assets.background,
+        source.on(RigidTransform.identity("world", "world")),
+        freedom,
+        config.labels,
+        rng,
+        returns=static_returns(log, config.lidar_returns, rng),
+    )
+    if not balance.pair_count:
+        return estimate
+    sun_factor, unseen_factor = (
+        ", ".join(f"{value:.2f}" for value in factor)
+        for factor in (balance.sun, balance.unseen_sky)
+    )
+    note = (
+        f"{balance.pair_count} lit/shadowed pairs of patches: sun times ({sun_factor}), unseen sky"
+        f" times ({unseen_factor}), log std {balance.log_std:.2f}"
+    )
+    return rebalanced(
+        estimate,
+        freedom,
+        balance.sun,
+        balance.unseen_sky,
+        log_std=min(estimate.sun_irradiance_log_std, balance.log_std),
+        note=note,
     )
 
 
@@ -137,10 +182,10 @@ def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Contex
     for actor in context.progress.track(assets.actors.values(), "base colour", len(assets.actors)):
         trajectory = tracks[actor.actor_id].trajectory
         pose = trajectory.at(int(trajectory.times_ns[len(trajectory) // 2]))
-        done = delight(actor.mesh, source.on(pose), config.delight, rng, scales=street.scales)
+        done = delight(actor.mesh, source.on(pose), config.delight, rng)
         actors[actor.actor_id] = replace(actor, mesh=done.mesh)
     if len(inferred.faces):
-        found = delight(inferred, source.on(identity), config.delight, rng, scales=street.scales)
+        found = delight(inferred, source.on(identity), config.delight, rng)
         inferred = found.mesh
     assets = replace(assets, background=street.mesh, actors=actors)
     write_twin(folder, build_twin(work.log, assets, work.sky), inferred)

@@ -72,6 +72,7 @@ class FaceSamples:
         base_colour: mean over the face.
         sky_cells: one for each face ray, `transport_kernels.BLOCKED` where geometry is met.
         next_rows: rows of these samples that the face rays meet, -1 for none, for further bounces.
+        confidence: of the colour on the side that was met; 0 where no camera saw it.
         bounces: of light, the one from these faces to what they were met from included.
     """
 
@@ -79,6 +80,7 @@ class FaceSamples:
     normals_world: Float32[np.ndarray, "f 3"]
     base_colour: Float32[np.ndarray, "f 3"]
     sky_cells: UInt16[np.ndarray, "f m"]
+    confidence: Float32[np.ndarray, " f"]
     next_rows: Int32[np.ndarray, "f m"] | None = None
     bounces: int = 1
 
@@ -117,7 +119,11 @@ class FaceTable:
             points, np.repeat(normals, count, axis=0), self._config.origin_offset_m
         )
         return FaceSamples(
-            starts.reshape(-1, count, 3), normals, self._colour[rows], self._cells[rows]
+            starts.reshape(-1, count, 3),
+            normals,
+            self._colour[rows],
+            self._cells[rows],
+            self._confidence(sides),
         )
 
     def next_sides(self, sides: Int64[np.ndarray, " f"]) -> Int32[np.ndarray, "f m"]:
@@ -176,6 +182,14 @@ class FaceTable:
             mean_texels(mesh.texture.image, corner_uv, shifts, _TEXELS, found)
             colour[rows] = found
         return colour
+
+    def _confidence(self, sides: Int64[np.ndarray, " f"]) -> Float32[np.ndarray, " f"]:
+        """Mean over the corners of fronts; colours of faces are those of their fronts."""
+        confidence = np.ones(len(sides), dtype=np.float32)
+        for mesh, rows, own in self._by_mesh(sides >> 1):
+            if mesh.confidence is not None:
+                confidence[rows] = mesh.confidence[mesh.faces[own]].mean(axis=1)
+        return np.where(sides & 1, np.float32(0.0), confidence)
 
     def _points(
         self, sides: Int64[np.ndarray, " f"], corners: Float32[np.ndarray, "f 3 3"], count: int

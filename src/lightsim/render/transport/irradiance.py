@@ -1,4 +1,4 @@
-"""Light on arbitrary surface points (mesh vertices, evidence samples), for delighting."""
+"""Light on arbitrary surface points (mesh vertices, surfels), for intrinsic decomposition."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float, Float32
 
+from lightsim.core.casting import RayCaster
 from lightsim.core.dome import SkyDome
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import FaceSamples, FaceTable, hashed_shifts
-from lightsim.render.transport.light import light_points, light_table
+from lightsim.render.transport.light import face_radiosity, light_points, table_sums
 from lightsim.render.transport.sky import SkyCells, prepare_sky
 from lightsim.render.transport.table import TransportConfig, static_face_table, trace_points
 
@@ -23,9 +24,11 @@ class IrradianceConfig:
 
     transport: TransportConfig = field(default_factory=lambda: TransportConfig(sky_rays=64))
     """Numbers of rays; pixel settings are not used."""
-    bounce_albedo: float | None = None
-    """One bounce off surfaces of this grey albedo; None leaves the bounce out. A constant, since
-    the true base colour is what delighting is looking for."""
+    unseen_albedo: float | None = None
+    """With a number, the colours of the meshes are the radiance that cameras saw, and that is what
+    other surfaces send: all bounces are in it, and no base colour is needed, which is what
+    decomposition is looking for. Sides that no camera saw reflect one bounce with this grey
+    albedo. None leaves the light of other surfaces out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,16 +40,16 @@ class PointIrradiance:
         sky_visibility: cosine-weighted fraction of the hemisphere that is open.
         sun: irradiance / pi, RGB, that the sun gives.
         sky: the part of the open sky.
+        sky_part: of `sky`, that of the part of the dome that was asked for; zero without one.
         bounce: the part of other surfaces.
-        bounce_of_sky: what of `bounce` is skylight; the rest is sunlight.
     """
 
     sun_visibility: Float32[np.ndarray, " n"]
     sky_visibility: Float32[np.ndarray, " n"]
     sun: Float32[np.ndarray, "n 3"]
     sky: Float32[np.ndarray, "n 3"]
+    sky_part: Float32[np.ndarray, "n 3"]
     bounce: Float32[np.ndarray, "n 3"]
-    bounce_of_sky: Float32[np.ndarray, "n 3"]
 
     @property
     def irradiance_over_pi(self) -> Float32[np.ndarray, "n 3"]:
@@ -70,6 +73,7 @@ def irradiance_at(
     config: IrradianceConfig | None = None,
     seed: int = 0,
     faces: FaceTable | None = None,
+    part_of_dome: SkyDome | None = None,
 ) -> PointIrradiance:
     """Light of a dome on surface points with unit normals, in frame `world`.
 
@@ -78,12 +82,14 @@ def irradiance_at(
     Args:
         faces: what an earlier call with the same scene, rays and seed has traced already
             (`static_face_table`); it grows, which makes many small calls cheap.
+        part_of_dome: a dome without sun whose light is wanted besides.
     """
     config = config or IrradianceConfig()
     rays = config.transport
-    if config.bounce_albedo is None:
+    if config.unseen_albedo is None:
         rays = replace(rays, face_rays=0)
     cells = prepare_sky(dome, rays)
+    part_cells = None if part_of_dome is None else prepare_sky(part_of_dome, rays)
     table = static_face_table(scene, rays, seed) if faces is None else faces
     found = PointIrradiance.zeros(len(points_world))
     for start in range(0, len(points_world), _TILE_POINTS):
@@ -93,7 +99,7 @@ def irradiance_at(
             (points_world[part].astype(np.float32), normals_world[part].astype(np.float32)),
             hashed_shifts(numbers, seed),
             scene,
-            (cells, table),
+            (cells, part_cells, table),
             replace(config, transport=rays),
         )
         for name, values in vars(tile).items():
@@ -105,23 +111,28 @@ def _tile(
     surface: tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]],
     shifts: Float32[np.ndarray, "n 2"],
     scene: FrameScene,
-    shared: tuple[SkyCells, FaceTable],
+    shared: tuple[SkyCells, SkyCells | None, FaceTable],
     config: IrradianceConfig,
 ) -> PointIrradiance:
     points, normals = surface
-    cells, face_table = shared
+    cells, part_cells, face_table = shared
     table = trace_points(scene, points, normals, shifts, config.transport, face_table)
-    if config.bounce_albedo is not None:
-        table = replace(table, faces=_grey(table.faces, config.bounce_albedo))
-    lit = light_points(table, scene, points, normals, cells, config.transport)
-    bounce_of_sky = lit.bounce
-    if cells.sun is not None and config.bounce_albedo is not None:
-        no_sun = SkyCells(cells.radiance, None)
-        bounce_of_sky = light_table(table, scene.caster, no_sun, config.transport)[:, 3:6]
+    radiosity = _radiosity(table.faces, scene.caster, cells, config.unseen_albedo)
+    lit = light_points(table, radiosity, scene, points, normals, cells, config.transport)
+    sky_part = np.zeros_like(lit.sky)
+    if part_cells is not None:
+        sky_part = table_sums(table, part_cells, np.zeros_like(radiosity))[:, :3]
     return PointIrradiance(
-        lit.sun_visibility, table.openness, lit.direct_sun, lit.sky, lit.bounce, bounce_of_sky
+        lit.sun_visibility, table.openness, lit.direct_sun, lit.sky, sky_part, lit.bounce
     )
 
 
-def _grey(faces: FaceSamples, albedo: float) -> FaceSamples:
-    return replace(faces, base_colour=np.full_like(faces.base_colour, albedo))
+def _radiosity(
+    faces: FaceSamples, caster: RayCaster, cells: SkyCells, unseen_albedo: float | None
+) -> Float32[np.ndarray, "f 3"]:
+    """What each face sends: as it was seen, or one grey bounce where it was not."""
+    if unseen_albedo is None:
+        return np.zeros_like(faces.base_colour)
+    grey = replace(faces, base_colour=np.full_like(faces.base_colour, unseen_albedo))
+    is_seen = faces.confidence[:, None] > 0
+    return np.where(is_seen, faces.base_colour, face_radiosity(grey, caster, cells))

@@ -90,14 +90,15 @@ def _at_centres(
 
 def light_points(
     table: PointTable,
+    radiosity: Float32[np.ndarray, "f 3"],
     scene: FrameScene,
     points_world: Float32[np.ndarray, "n 3"],
     normals_world: Float32[np.ndarray, "n 3"],
     cells: SkyCells,
     config: TransportConfig,
 ) -> PointLight:
-    """Light of one sky on traced points."""
-    sums = light_table(table, scene.caster, cells, config)
+    """Light of one sky on traced points, with what their surroundings send."""
+    sums = table_sums(table, cells, radiosity)
     visibility = np.zeros(len(points_world), dtype=np.float32)
     sun = np.zeros((len(points_world), 3), dtype=np.float32)
     if cells.sun is not None:
@@ -106,17 +107,10 @@ def light_points(
     return PointLight(visibility, sun, sums[:, :3], sums[:, 3:6], sums[:, 6:])
 
 
-def light_table(
-    table: PointTable, caster: RayCaster, cells: SkyCells, config: TransportConfig
-) -> Float32[np.ndarray, "n 9"]:
-    """Open sky, bounce and unshadowed sky of each point, irradiance / pi."""
-    return table_sums(table, cells, face_radiosity(table.faces, caster, cells))
-
-
 def table_sums(
     table: PointTable, cells: SkyCells, radiosity: Float32[np.ndarray, "f 3"]
 ) -> Float32[np.ndarray, "n 9"]:
-    """The same, with the light of the faces known."""
+    """Open sky, bounce and unshadowed sky of each point, irradiance / pi."""
     from lightsim.render.transport.kernels import point_light
 
     if table.bag is not None:

@@ -268,6 +268,7 @@ def _compact(
         np.concatenate([p.normals_world for p in parts]),
         np.concatenate([p.base_colour for p in parts]),
         np.concatenate([p.sky_cells for p in parts]),
+        np.concatenate([p.confidence for p in parts]),
         next_rows,
         config.bounces,
     )
