@@ -18,8 +18,8 @@ from lightsim.appearance.atlas import (
     texels_of,
 )
 from lightsim.appearance.intrinsic import surfels as delight_surfels
-from lightsim.appearance.intrinsic.decompose import DelightConfig, Delit, SurfaceLight, delight
 from lightsim.appearance.intrinsic.balance import light_blocks
+from lightsim.appearance.intrinsic.decompose import DelightConfig, Delit, SurfaceLight, delight
 from lightsim.appearance.intrinsic.surfels import connect, make_surfels
 from lightsim.core.mesh import Texture, TriMesh, concatenate_meshes
 from lightsim.geometry.completion.far_field import BACKDROP
