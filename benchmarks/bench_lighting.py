@@ -52,7 +52,7 @@ def main() -> None:
 def _networks(cache: Path, models: Path) -> None:
     """Angle and decoding errors of each network on the fixed test views."""
     from lightsim.lighting.sky.network import SkyNetwork, network_from_tensors
-    from lightsim.store.checkpoint import read_weights
+    from lightsim.store.weights import read_weights
     from lightsim.training.run import completion_of
     from lightsim.training.sky_models import sky_recipe
     from lightsim.training.sky_scores import evaluate_sky_networks, parts_of

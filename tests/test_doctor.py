@@ -19,6 +19,8 @@ def test_this_machine_is_described() -> None:
     table = report.to_table()
     assert "numpy" in table
     assert "is ready." in table
+    weights = {f.name: f.value for f in report.findings if f.topic == "weights"}
+    assert "9000 steps" in weights["sky-small"]
     for finding in report.findings:
         assert finding.state == "ok" or finding.advice
 

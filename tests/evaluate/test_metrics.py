@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,7 +9,6 @@ from lightsim.core.colour import linear_from_srgb, srgb_from_linear
 from lightsim.errors import InputError
 from lightsim.evaluate.lpips import lpips, lpips_features, lpips_of_features
 from lightsim.evaluate.metrics import fill_invalid, fit_exposure, psnr, ssim
-from lightsim.store.weights import list_weights, load_weights
 
 
 @pytest.fixture
@@ -114,20 +110,3 @@ def test_too_small_images_are_refused() -> None:
         lpips(tiny, tiny)
     with pytest.raises(InputError, match="too small"):
         ssim(tiny, tiny)
-
-
-def test_weights_are_listed_small_and_checked(tmp_path: Path) -> None:
-    for card in list_weights().values():
-        assert card.licence
-        assert card.source
-    with pytest.raises(InputError, match="no such weights"):
-        load_weights("nothing")
-    (tmp_path / "w.safetensors").write_bytes(b"changed")
-    entry = {"description": "", "source": "", "licence": "", "sha256_by_file": {}}
-    entry["sha256_by_file"] = {"w.safetensors": "0" * 64}
-    (tmp_path / "manifest.json").write_text(json.dumps({"w": entry}))
-    with pytest.raises(InputError, match="damaged"):
-        load_weights("w", tmp_path)
-    (tmp_path / "w.safetensors").unlink()
-    with pytest.raises(InputError, match="missing"):
-        load_weights("w", tmp_path)

@@ -25,12 +25,13 @@ from lightsim.store.alignment import write_alignment
 from lightsim.store.artefact import hash_names, make_artefact
 from lightsim.store.artefact import write_json as write_own_json
 from lightsim.store.assets import write_assets, write_mesh
-from lightsim.store.checkpoint import FolderJournal, write_weights
+from lightsim.store.checkpoint import FolderJournal
 from lightsim.store.fields import write_fields
 from lightsim.store.images import write_grey8
 from lightsim.store.log import LogReading, write_log
 from lightsim.store.sky import write_panorama, write_sky
 from lightsim.store.twin import write_twin
+from lightsim.store.weights import WeightsRecord, write_weights
 
 _MAX_FRAMES = 3
 _MAX_CAMERAS = 2
@@ -130,7 +131,8 @@ class _Writers:
         import torch
 
         write_fields(folder, _fields())
-        write_weights(folder / FIELD_NAME, {"a": torch.ones(4, 3), "b.c": torch.zeros(7)})
+        record = WeightsRecord("a field", "by hand", "nothing", "0", 0, 5, {"x": 1.0}, "none", "0")
+        write_weights(folder / FIELD_NAME, {"a": torch.ones(4, 3), "b.c": torch.zeros(7)}, record)
         write_own_json(folder / FIELD_CONFIG_NAME, draft())
         journal = FolderJournal(folder)
         journal.record({"step": 3.0, "loss": 0.5})

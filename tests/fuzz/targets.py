@@ -26,12 +26,13 @@ from lightsim.simulate.skies import SkyChoice, resolve_sky, sky_alone, sun_of_co
 from lightsim.store.alignment import read_alignment
 from lightsim.store.artefact import read_json
 from lightsim.store.assets import read_assets, read_mesh, write_assets
-from lightsim.store.checkpoint import FolderJournal, read_weights
+from lightsim.store.checkpoint import FolderJournal
 from lightsim.store.fields import read_fields
 from lightsim.store.images import read_grey8, read_srgb8_alpha
 from lightsim.store.log import LogReading, read_reading, write_log
 from lightsim.store.sky import read_estimate, read_panorama
 from lightsim.store.twin import read_twin_assets
+from lightsim.store.weights import read_record, read_weights
 
 _MAX_PICTURES, _MAX_SWEEPS = 6, 3
 
@@ -124,6 +125,7 @@ def _readers(work: Path) -> tuple[Callable[[], object], ...]:
         lambda: _use_fields(read_fields(work / "neural")),
         lambda: config_from_json(read_json(work / "neural" / FIELD_CONFIG_NAME)),
         lambda: read_weights(work / "neural" / FIELD_NAME),
+        lambda: read_record(work / "neural" / FIELD_NAME),
         lambda: FolderJournal(work / "neural").load(),
         lambda: _use_assets(read_assets(work / "geometry")),
         lambda: _use_assets(read_assets(work / "assets")),

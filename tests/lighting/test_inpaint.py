@@ -32,6 +32,7 @@ from lightsim.lighting.panorama.inpaint_network import (
     PatchDiscriminator,
 )
 from lightsim.lighting.sample import LightingBatch
+from lightsim.networks.loop import LoopConfig
 from lightsim.progress import SilentProgress
 from lightsim.training.inpaint import InpaintConfig, train_inpaint
 from lightsim.training.inpaint_losses import (
@@ -44,7 +45,7 @@ from lightsim.training.inpaint_scores import evaluate_inpaint
 
 HEIGHT = 16
 TINY = InpaintConfig(
-    steps=6,
+    LoopConfig(6),
     batch=2,
     width=2,
     dilations=(1, 2),
@@ -221,31 +222,14 @@ def test_gradients_reach_every_parameter() -> None:
             assert parameter.grad.abs().sum() > 0, name
 
 
-def test_training_resumes_to_the_bit() -> None:
-    whole, halves = Memory(), Memory()
-    expected = train_inpaint(Gradients(), whole, TINY, device="cpu", progress=SilentProgress())
-    cut = train_inpaint(
-        Gradients(), halves, TINY, device="cpu", minutes=0.0, progress=SilentProgress()
-    )
-    assert halves.state is not None
-    assert halves.state["step"] == 1
-    assert not torch.equal(cut["coarse.0.convolution.bias"], expected["coarse.0.convolution.bias"])
-    for _ in range(3):
-        train_inpaint(
-            Gradients(), halves, TINY, device="cpu", minutes=0.0, progress=SilentProgress()
-        )
-    threads = replace(TINY, workers=2)
-    done = train_inpaint(Gradients(), halves, threads, device="cpu", progress=SilentProgress())
-    for name, value in expected.items():
-        assert torch.equal(done[name], value), name
-    assert "discriminator" in whole.lines[-1]
-
-
 @pytest.mark.slow
 def test_training_learns_and_what_was_learnt_can_be_loaded() -> None:
-    config = replace(TINY, steps=120, width=4, rate=1e-2, adversarial_weight=0.001)
+    config = replace(TINY, loop=LoopConfig(120), width=4, rate=1e-2, adversarial_weight=0.001)
     journal = Memory()
-    weights = train_inpaint(Gradients(), journal, config, device="cpu", progress=SilentProgress())
+    weights, steps = train_inpaint(
+        Gradients(), journal, config, device="cpu", progress=SilentProgress()
+    )
+    assert steps == 120
     assert journal.lines[-1]["l1"] < 0.6 * journal.lines[0]["l1"]
     scores = evaluate_inpaint(Gradients(), weights, batches=1, size=2, seed=7)
     assert set(scores) == {"network", "row mean", "nearest", "laplace"}
@@ -329,12 +313,13 @@ def test_wrong_input_is_named() -> None:
 
 
 def test_the_published_size_takes_two_steps() -> None:
-    """Not at its width, but with its precision, dilations and threads."""
+    """Not at its width, nor on a CPU in its precision, but with its losses and threads."""
     full = InpaintConfig.full()
     config = replace(
-        full, steps=2, batch=1, width=2, discriminator_width=2, adversarial_from=0.0, workers=1,
-        dilations=(2, 4), discriminator_layers=3,
+        full, loop=replace(full.loop, steps=2), batch=1, width=2, discriminator_width=2,
+        adversarial_from=0.0, workers=1, dilations=(2, 4), discriminator_layers=3,
     )  # fmt: skip
     journal = Memory()
     train_inpaint(Gradients(), journal, config, device="cpu", progress=SilentProgress())
+    assert "discriminator" in journal.lines[-1]
     assert all(math.isfinite(value) for value in journal.lines[-1].values())

@@ -20,9 +20,10 @@ import numpy as np
 from lightsim.errors import ArtefactError
 from lightsim.store.arrays import save_arrays
 from lightsim.store.artefact import write_text
-from lightsim.store.checkpoint import FolderJournal, write_weights
+from lightsim.store.checkpoint import FolderJournal
 from lightsim.store.images import write_exr, write_png
 from lightsim.store.mp4 import Mp4Writer
+from lightsim.store.weights import WeightsRecord, write_weights
 import torch
 folder = Path(sys.argv[1])
 noise = np.random.default_rng(0).random((256, 512, 3)).astype(np.float32)
@@ -35,7 +36,9 @@ writers = {
     "a.exr": lambda p: write_exr(p, noise),
     "a.png": lambda p: write_png(p, (noise * 255).astype(np.uint8)),
     "a.npz": lambda p: save_arrays(p, {"noise": noise}),
-    "a.safetensors": lambda p: write_weights(p, {"noise": torch.from_numpy(noise)}),
+    "a.safetensors": lambda p: write_weights(
+        p, {"noise": torch.from_numpy(noise)}, WeightsRecord(*"noise by hand".split(), *[""] * 6)
+    ),
     "checkpoint.pt": lambda p: FolderJournal(p.parent).save(tensor),
     "a.txt": lambda p: write_text(p, "x" * 500_000),
     "a.mp4": film,

@@ -20,12 +20,13 @@ from lightsim.lighting.target_sky import dome_from_array, parse_time
 from lightsim.reconstruct.field.config import config_from_json
 from lightsim.store.arrays import load_arrays, save_arrays
 from lightsim.store.assets import read_assets, read_mesh, write_mesh
-from lightsim.store.checkpoint import FolderJournal, read_weights
+from lightsim.store.checkpoint import FolderJournal
 from lightsim.store.entries import Entries
 from lightsim.store.log import reading_from_json
 from lightsim.store.reading import read_bytes
 from lightsim.store.sky import read_panorama, write_panorama
 from lightsim.store.twin import read_twin_assets
+from lightsim.store.weights import read_weights
 
 
 def _mesh() -> TriMesh:

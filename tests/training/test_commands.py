@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 import json
+import shlex
 from pathlib import Path
 
 import pytest
 
 from lightsim import cli
 from lightsim.progress import Progress
+from lightsim.store.weights import read_record
 from lightsim.training import inpaint_scores as inpaint_evaluation
 from lightsim.training import run as commands
 from lightsim.training.inpaint_scores import evaluate_inpaint
@@ -53,10 +56,17 @@ def test_training_writes_weights_and_scores(
 ) -> None:
     quick = functools.partial(evaluate_inpaint, batches=1, size=1)
     monkeypatch.setattr(inpaint_evaluation, "evaluate_inpaint", quick)
-    assert run("train", *what, "--data", cache_path, "--out", tmp_path, "--steps", 1) == 0
-    assert (tmp_path / "weights.safetensors").stat().st_size > 1000
+    given = ("train", *what, "--data", cache_path, "--out", tmp_path, "--steps", 1)
+    assert run(*given) == 0
     scores = json.loads((tmp_path / "scores.json").read_text())
     assert len(scores) >= 3
+    record = read_record(tmp_path / "weights.safetensors")
+    assert record.scores in scores.values()
+    assert (record.steps, record.seed, record.licence) == (1, 0, "unknown")
+    assert record.training_data == "2 HDR skies, 2 clear skies and 1 positions in synthetic streets"
+    assert record.split_hash == hashlib.sha256(b"a,train\nb,test\nc,train\n").hexdigest()
+    # The command that is on record is the one that was given.
+    assert sorted(shlex.split(record.command)[1:]) == sorted(str(word) for word in given)
 
 
 def test_wrong_input_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

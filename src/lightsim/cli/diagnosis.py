@@ -12,8 +12,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
-from lightsim.errors import InputError
-from lightsim.store.weights import WEIGHTS_FOLDER, list_weights
+from lightsim.errors import ArtefactError, InputError
+from lightsim.store.weights import WEIGHTS_FOLDER, list_weights, read_record
 from lightsim.version import __version__
 
 State = Literal["ok", "note", "missing"]
@@ -191,19 +191,17 @@ def _llvm() -> Finding:
 
 def _weights(folder: Path) -> list[Finding]:
     try:
-        cards = list_weights(folder)
+        known = list_weights(folder)
     except InputError as error:
         return [Finding("weights", "manifest", "not readable", "missing", str(error))]
     findings: list[Finding] = []
-    for name, card in cards.items():
-        absent = [file for file in card.sha256_by_file if not (folder / file).is_file()]
-        if absent:
-            advice = "Reinstall lightsim; the package is incomplete."
-            findings.append(
-                Finding("weights", name, f"lacks {', '.join(absent)}", "missing", advice)
-            )
-        else:
-            findings.append(Finding("weights", name, f"{len(card.sha256_by_file)} files"))
+    advice = "Reinstall lightsim; the package is incomplete."
+    for name, files in known.items():
+        try:
+            lines = {read_record(folder / file).line() for file in files}
+            findings.append(Finding("weights", name, " / ".join(sorted(lines))))
+        except ArtefactError as error:
+            findings.append(Finding("weights", name, f"{error.where}: damaged", "missing", advice))
     return findings
 
 

@@ -271,7 +271,7 @@ class Workspace:
         """
         from lightsim.reconstruct.field.config import config_from_json
         from lightsim.reconstruct.field.neural import make_field
-        from lightsim.store.checkpoint import read_weights
+        from lightsim.store.weights import read_weights
 
         folder = self.need("neural")
         config = config_from_json(read_json(folder / FIELD_CONFIG_NAME))

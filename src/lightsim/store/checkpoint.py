@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lightsim.errors import ArtefactError, InputError
+from lightsim.errors import ArtefactError
 from lightsim.store.atomic import unwritable, whole_file
 from lightsim.store.reading import open_regular, read_bytes
 
@@ -17,44 +17,8 @@ CHECKPOINT_NAME = "checkpoint.pt"
 METRICS_NAME = "metrics.jsonl"
 
 
-def write_weights(path: Path, tensors: Mapping[str, Any]) -> None:
-    """Tensors in half precision as safetensors."""
-    import torch
-    from safetensors import SafetensorError
-    from safetensors.torch import save_file
-
-    halved = {k: v.detach().cpu().to(torch.float16).contiguous() for k, v in tensors.items()}
-    with whole_file(path) as temporary:
-        try:
-            save_file(halved, str(temporary))
-        except SafetensorError as error:  # Its own way to tell of a full disk.
-            raise OSError(f"{error}") from error
-
-
-def read_weights(path: Path) -> dict[str, Any]:
-    """Single-precision tensors of a file that `write_weights` wrote.
-
-    Raises:
-        ArtefactError: it is missing or damaged.
-    """
-    import torch
-    from safetensors import SafetensorError
-    from safetensors.torch import load
-
-    try:
-        tensors = load(read_bytes(path, "weights file", _MAX_BYTES))
-        return {name: tensor.to(torch.float32) for name, tensor in tensors.items()}
-    except (InputError, SafetensorError) as error:
-        raise ArtefactError(
-            "the weights cannot be read",
-            where=path,
-            got=error.got if isinstance(error, InputError) else error,
-            remedy="Build again.",
-        ) from error
-
-
 class FolderJournal:
-    """Checkpoint and metrics.jsonl in one folder; see `reconstruct.field.train.Journal`."""
+    """Checkpoint and metrics.jsonl in one folder; see `networks.loop.Journal`."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

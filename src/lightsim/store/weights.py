@@ -1,45 +1,123 @@
-"""Network weights that ship with the package: safetensors, checked before use."""
+"""Weights of networks: safetensors that carry their record; those of the package are checked."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from lightsim.errors import InputError
-from lightsim.store.reading import MAX_JSON_BYTES, read_bytes
+from lightsim.errors import ArtefactError, InputError
+from lightsim.store.atomic import whole_file
+from lightsim.store.reading import MAX_JSON_BYTES, open_regular, read_bytes
 
 if TYPE_CHECKING:
     import torch
 
 _MAX_BYTES = 1 << 30
-"""The shipped files have some megabytes each."""
+"""The shipped files have some megabytes each, the largest field a tenth of this."""
 WEIGHTS_FOLDER = Path(__file__).parents[1] / "data" / "weights"
+UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True)
-class WeightsCard:
-    """Where weights come from and what may be done with them (one entry of manifest.json).
+class WeightsRecord:
+    """How weights came to be and what may be done with them; what is not known is "unknown".
 
     Args:
-        name: what `load_weights` is asked for.
-        sha256_by_file: the shards, in the folder of the manifest.
-        description: network and training data.
-        source: package or paper the numbers were taken from.
+        description: the network, in words.
+        command: the command line that made them.
+        training_data: in words.
+        split_hash: of what trained and what was held out.
+        seed: of the first weights and all draws.
+        steps: of the optimiser.
+        scores: on held-out data, by name.
         licence: of the numbers.
+        version: of lightsim.
     """
 
-    name: str
-    sha256_by_file: dict[str, str]
     description: str
-    source: str
+    command: str
+    training_data: str
+    split_hash: str
+    seed: int | str
+    steps: int | str
+    scores: dict[str, Any] | str
     licence: str
+    version: str
+
+    def metadata(self) -> dict[str, str]:
+        """For the header of a safetensors file: one entry, whose order of fields is fixed."""
+        return {"record": json.dumps(asdict(self))}
+
+    def line(self) -> str:
+        """For people."""
+        return (
+            f"{self.description}; {self.steps} steps, seed {self.seed}, "
+            f"lightsim {self.version}; {self.licence}"
+        )
 
 
-def list_weights(folder: Path = WEIGHTS_FOLDER) -> dict[str, WeightsCard]:
-    """All weights of the package, by name.
+def write_weights(path: Path, tensors: Mapping[str, Any], record: WeightsRecord) -> None:
+    """Tensors in half precision, and their record."""
+    import torch
+    from safetensors import SafetensorError
+    from safetensors.torch import save_file
+
+    halved = {k: v.detach().cpu().to(torch.float16).contiguous() for k, v in tensors.items()}
+    with whole_file(path) as temporary:
+        try:
+            save_file(halved, str(temporary), record.metadata())
+        except SafetensorError as error:  # Its own way to tell of a full disk.
+            raise OSError(f"{error}") from error
+
+
+def read_weights(path: Path) -> dict[str, Any]:
+    """Single-precision tensors of a file that `write_weights` wrote.
+
+    Raises:
+        ArtefactError: it is missing or damaged.
+    """
+    import torch
+    from safetensors import SafetensorError
+    from safetensors.torch import load
+
+    try:
+        tensors = load(read_bytes(path, "weights file", _MAX_BYTES))
+        return {name: tensor.to(torch.float32) for name, tensor in tensors.items()}
+    except (InputError, SafetensorError) as error:
+        raise ArtefactError(
+            "the weights cannot be read",
+            where=path,
+            got=error.got if isinstance(error, InputError) else error,
+            remedy="Build again.",
+        ) from error
+
+
+def read_record(path: Path) -> WeightsRecord:
+    """The record that a weights file carries; tensors are not read.
+
+    Raises:
+        ArtefactError: the file is missing or damaged, or has no record.
+    """
+    try:
+        with open_regular(path, "weights file", _MAX_BYTES) as handle:
+            size = int.from_bytes(handle.read(8), "little")
+            header = json.loads(handle.read(min(size, MAX_JSON_BYTES)))
+        return WeightsRecord(**json.loads(header["__metadata__"]["record"]))
+    except (InputError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ArtefactError(
+            "the weights carry no record of how they were made",
+            where=path,
+            got=f"{type(error).__name__}: {error}"[:200],
+            remedy="Train again; weights of lightsim 0.2 and before have none.",
+        ) from error
+
+
+def list_weights(folder: Path = WEIGHTS_FOLDER) -> dict[str, dict[str, str]]:
+    """The files of all weights of the package, with their sha256, by name of the weights.
 
     Raises:
         InputError: the manifest is missing or broken.
@@ -47,8 +125,8 @@ def list_weights(folder: Path = WEIGHTS_FOLDER) -> dict[str, WeightsCard]:
     path = folder / "manifest.json"
     try:
         entries = json.loads(read_bytes(path, "list of weights", MAX_JSON_BYTES))
-        return {name: WeightsCard(name, **entry) for name, entry in entries.items()}
-    except (InputError, ValueError, TypeError, AttributeError) as error:
+        return {name: dict(files.items()) for name, files in entries.items()}
+    except (InputError, ValueError, AttributeError) as error:
         raise InputError(
             "the list of weights cannot be read",
             where=path,
@@ -65,11 +143,11 @@ def load_weights(name: str, folder: Path = WEIGHTS_FOLDER) -> dict[str, torch.Te
     """
     from safetensors.torch import load
 
-    cards = list_weights(folder)
-    if name not in cards:
-        raise InputError("no such weights", got=name, expected=f"one of {', '.join(cards)}")
+    known = list_weights(folder)
+    if name not in known:
+        raise InputError("no such weights", got=name, expected=f"one of {', '.join(known)}")
     tensors: dict[str, torch.Tensor] = {}
-    for file, sha256 in cards[name].sha256_by_file.items():
+    for file, sha256 in known[name].items():
         tensors.update(load(_read_checked(folder / file, sha256)))
     return tensors
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -127,6 +128,12 @@ def _entry(row: Mapping[str, str], path: Path) -> SplitEntry:
     tier: Tier = row["tier"]  # type: ignore[assignment]
     scene: Scene = row["scene"]  # type: ignore[assignment]
     return SplitEntry(row["name"], split, row["group"], tier, scene)
+
+
+def split_hash(entries: Iterable[SplitEntry]) -> str:
+    """SHA-256 of the sorted lines `name,side` of what is on a side: which skies trained."""
+    lines = sorted(f"{entry.name},{entry.split}\n" for entry in entries if entry.split != "out")
+    return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 
 def read_pool(

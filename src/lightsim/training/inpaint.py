@@ -1,18 +1,14 @@
-"""Training of the inpainting of panoramas: resumable, deterministic, with metrics."""
+"""Training of the inpainting of panoramas: generator and discriminator in the common loop."""
 
 from __future__ import annotations
 
-import math
-import time
-from collections.abc import Generator
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from lightsim.errors import InputError
 from lightsim.lighting.panorama.inpaint_network import (
@@ -21,20 +17,17 @@ from lightsim.lighting.panorama.inpaint_network import (
     PatchDiscriminator,
 )
 from lightsim.lighting.sample import LightingBatch, LightingData
+from lightsim.networks.devices import ALONE, Processes, choose_device
+from lightsim.networks.loop import Journal, Learner, LoopConfig, Loss, run_training
 from lightsim.progress import Progress
+from lightsim.training.ahead import Ahead
 from lightsim.training.inpaint_losses import (
     discriminator_loss,
     generator_loss,
     reconstruction_loss,
     row_weights,
 )
-from lightsim.training.loop import Journal, choose_device
 
-_WARM_UP = 50
-_LAST_RATE = 0.02
-_RECORD_EVERY = 25
-_SAVE_EVERY_S = 60.0
-_LARGEST_GRADIENT = 1.0
 _RAMP = 0.1
 
 
@@ -42,8 +35,8 @@ _RAMP = 0.1
 class InpaintConfig:
     """The networks and how they learn. The size of the panoramas is that of the data."""
 
-    steps: int = 2500
-    """Steps of both optimisers."""
+    loop: LoopConfig = field(default_factory=lambda: LoopConfig(2500))
+    """Steps of both optimisers; the running average of the generator's weights is kept."""
     batch: int = 8
     """Panoramas a step."""
     width: int = 10
@@ -69,10 +62,6 @@ class InpaintConfig:
     """Weight of the discriminator's judgement beside the L1 losses, after it has grown from 0."""
     adversarial_from: float = 0.4
     """Share of the steps before the discriminator takes part."""
-    average_decay: float = 0.995
-    """Of the running average of the generator's weights, which is what is kept."""
-    mixed_precision: bool = False
-    """Convolutions in bfloat16."""
     workers: int = 0
     """Threads that draw batches ahead; 0 draws each when it is needed."""
     seed: int = 0
@@ -87,7 +76,7 @@ class InpaintConfig:
     def full() -> InpaintConfig:
         """The published size, for a GPU and panoramas of 256 x 512."""
         return InpaintConfig(
-            steps=60_000,
+            LoopConfig(60_000, average_decay=0.999, mixed_precision=True),
             batch=32,
             width=48,
             dilations=(2, 4, 8, 16),
@@ -96,8 +85,6 @@ class InpaintConfig:
             rate=3e-4,
             discriminator_rate=3e-4,
             adversarial_from=0.1,
-            average_decay=0.999,
-            mixed_precision=True,
             workers=12,
         )
 
@@ -124,42 +111,48 @@ def train_inpaint(
     *,
     device: str = "auto",
     minutes: float | None = None,
+    processes: Processes = ALONE,
     progress: Progress,
-) -> dict[str, Tensor]:
-    """Train from the journal's last state on; the generator's averaged weights when it stops.
+) -> tuple[dict[str, Tensor], int]:
+    """Train from the journal's last state on; the generator's averaged weights and the steps done.
 
     After `minutes` it stops in between, and the next call goes on. Every step draws its batch from
     (seed, step) alone: an interrupted run that goes on gives the very same weights on the CPU.
+
+    Args:
+        data: panoramas and what was seen of them.
+        journal: keeps checkpoints and metrics.
+        config: networks and steps.
+        device: "auto", "cpu" or "cuda".
+        minutes: stop then, to go on later.
+        processes: that train together, each with `config.batch` panoramas a step.
 
     Raises:
         InputError: the data's size does not fit the network, or cuda is asked for and not there.
     """
     _check_size(data.height_px, config)
-    training = _Training(config, data.height_px, choose_device(device))
-    state = journal.load()
-    before_s = 0.0
-    if state is not None:
-        training.restore(state)
-        before_s = float(state["seconds"])
-    started = saved = time.monotonic()
-    batches = _batches(data, config, training.done)
-    first = training.done
-    for batch in progress.track(batches, "train the inpainting", config.steps - first):
-        metrics = training.step(inpaint_tensors(batch, training.device))
-        now = time.monotonic()
-        is_last = training.done == config.steps
-        is_over = minutes is not None and now - started > 60 * minutes
-        seconds = before_s + now - started
-        if (training.done - 1) % _RECORD_EVERY == 0 or is_last:
-            step = float(training.done - 1)
-            values = {name: float(value) for name, value in metrics.items()}
-            journal.record({"step": step, "seconds": seconds, **values})
-        if now - saved > _SAVE_EVERY_S or is_last or is_over:
-            journal.save(training.state(seconds))
-            saved = now
-        if is_over:
-            break
-    return {name: value.cpu() for name, value in training.average.items()}
+    target = choose_device(device)
+    pair = _Pair(config, data.height_px, target)
+
+    def make(number: int) -> LightingBatch:
+        return data.batch(config.batch, config.seed, number, only_sunny=False)
+
+    def losses(step: int, draw: int) -> Iterator[Loss]:
+        return pair.losses(inpaint_tensors(batches.get(draw), target), step)
+
+    count = processes.count
+    with Ahead(make, config.workers, count, count * config.loop.steps) as batches:
+        done = run_training(
+            pair.learners(),
+            losses,
+            journal,
+            config.loop,
+            label="train the inpainting",
+            minutes=minutes,
+            processes=processes,
+            progress=progress,
+        )
+    return {name: value.cpu() for name, value in pair.generator.state_dict().items()}, done
 
 
 def _check_size(height_px: int, config: InpaintConfig) -> None:
@@ -172,36 +165,10 @@ def _check_size(height_px: int, config: InpaintConfig) -> None:
         )
 
 
-def _batches(
-    data: LightingData, config: InpaintConfig, first: int
-) -> Generator[LightingBatch, None, None]:
-    """The batches of all steps from `first` on, some drawn ahead by threads."""
-
-    def draw(step: int) -> LightingBatch:
-        return data.batch(config.batch, config.seed, step, only_sunny=False)
-
-    if not config.workers:
-        yield from (draw(step) for step in range(first, config.steps))
-        return
-    pool = ThreadPoolExecutor(config.workers)
-    try:
-        ahead = 2 * config.workers
-        futures = {s: pool.submit(draw, s) for s in range(first, min(first + ahead, config.steps))}
-        for step in range(first, config.steps):
-            batch = futures.pop(step).result()
-            if step + ahead < config.steps:
-                futures[step + ahead] = pool.submit(draw, step + ahead)
-            yield batch
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
-
-
-class _Training:
-    """Both networks, their optimisers and the running average of the generator."""
+class _Pair:
+    """Generator and discriminator, and what each learns from a batch."""
 
     def __init__(self, config: InpaintConfig, height_px: int, device: torch.device) -> None:
-        self.device = device
-        self.done = 0
         self._config = config
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
@@ -217,100 +184,51 @@ class _Training:
             )
         self.generator = generator.to(device)
         self.discriminator = discriminator.to(device)
-        self.average = {k: v.detach().clone() for k, v in generator.state_dict().items()}
-        self._adam = torch.optim.Adam(generator.parameters(), config.rate, (0.5, 0.99))
-        self._adam_d = torch.optim.Adam(
-            discriminator.parameters(), config.discriminator_rate, (0.5, 0.99)
-        )
 
-    def step(self, batch: InpaintTensors) -> dict[str, Tensor]:
-        """One update of the generator, and of the discriminator once it takes part."""
-        config = self._config
-        rate = _rate(self.done, config.steps)
-        for adam, highest in ((self._adam, config.rate), (self._adam_d, config.discriminator_rate)):
-            for group in adam.param_groups:
-                group["lr"] = highest * rate
-        with self._precision():
-            coarse, refined = self.generator(batch.truth, batch.hole)
+    def learners(self) -> dict[str, Learner]:
+        betas, config = (0.5, 0.99), self._config
+        adam = torch.optim.Adam(self.generator.parameters(), config.rate, betas)
+        adam_d = torch.optim.Adam(self.discriminator.parameters(), config.discriminator_rate, betas)
+        return {
+            "generator": Learner(self.generator, (adam,), is_averaged=True),
+            "discriminator": Learner(self.discriminator, (adam_d,)),
+        }
+
+    def losses(self, batch: InpaintTensors, step: int) -> Iterator[Loss]:
+        """Of the discriminator once it takes part, then of the generator."""
+        known_weight = self._config.known_weight
+        coarse, refined = self.generator(batch.truth, batch.hole)
         terms = {
-            "l1_coarse": reconstruction_loss(coarse, batch.truth, batch.hole, config.known_weight),
-            "l1": reconstruction_loss(refined, batch.truth, batch.hole, config.known_weight),
+            "l1_coarse": reconstruction_loss(coarse, batch.truth, batch.hole, known_weight),
+            "l1": reconstruction_loss(refined, batch.truth, batch.hole, known_weight),
         }
         loss = terms["l1_coarse"] + terms["l1"]
         composite = batch.truth * (1 - batch.hole) + refined * batch.hole
-        weight = self._adversarial_weight()
+        weight = self._adversarial_weight(step)
         if weight is not None:
-            terms["discriminator"] = self._step_discriminator(batch, composite.detach())
-            terms["adversarial"] = self._judge(composite, batch.hole)
+            judged = self._discriminator_loss(batch, composite.detach())
+            yield "discriminator", judged, {"discriminator": judged}
+            self.discriminator.requires_grad_(False)
+            scores = self.discriminator(composite, batch.hole)
+            terms["adversarial"] = generator_loss(scores.float())
             loss = loss + weight * terms["adversarial"]
-        _update(loss, self.generator, self._adam)
-        self._update_average()
-        self.done += 1
-        return {**{k: v.detach() for k, v in terms.items()}, "psnr_db": _psnr_db(composite, batch)}
+        yield "generator", loss, {**terms, "psnr_db": _psnr_db(composite, batch)}
 
-    def _precision(self) -> torch.autocast:
-        enabled = self._config.mixed_precision
-        return torch.autocast(self.device.type, torch.bfloat16, enabled=enabled)
-
-    def _adversarial_weight(self) -> float | None:
+    def _adversarial_weight(self, step: int) -> float | None:
         """None before the discriminator takes part; then growing over a tenth of the steps."""
-        since = self.done / self._config.steps - self._config.adversarial_from
+        since = step / self._config.loop.steps - self._config.adversarial_from
         if since < 0 or self._config.adversarial_weight == 0:
             return None
         return self._config.adversarial_weight * min(1.0, since / _RAMP)
 
-    def _step_discriminator(
+    def _discriminator_loss(
         self, batch: InpaintTensors, composite: Float[Tensor, "n 3 h w"]
     ) -> Float[Tensor, ""]:
         self.discriminator.requires_grad_(True)
-        with self._precision():
-            both = torch.cat([batch.truth, composite])
-            scores = self.discriminator(both, torch.cat([batch.hole, batch.hole]))
+        both = torch.cat([batch.truth, composite])
+        scores = self.discriminator(both, torch.cat([batch.hole, batch.hole]))
         of_truth, of_result = scores.float().chunk(2)
-        loss = discriminator_loss(of_truth, of_result)
-        _update(loss, self.discriminator, self._adam_d)
-        return loss.detach()
-
-    def _judge(
-        self, composite: Float[Tensor, "n 3 h w"], hole: Float[Tensor, "n 1 h w"]
-    ) -> Float[Tensor, ""]:
-        self.discriminator.requires_grad_(False)
-        with self._precision():
-            scores = self.discriminator(composite, hole)
-        return generator_loss(scores.float())
-
-    @torch.no_grad()
-    def _update_average(self) -> None:
-        # A young average forgets faster, or the first weights would stay in it.
-        decay = min(self._config.average_decay, (self.done + 1) / (self.done + 10))
-        for name, value in self.generator.state_dict().items():
-            self.average[name].lerp_(value, 1 - decay)
-
-    def state(self, seconds: float) -> dict[str, Any]:
-        return {
-            "step": self.done,
-            "seconds": seconds,
-            "generator": self.generator.state_dict(),
-            "average": self.average,
-            "discriminator": self.discriminator.state_dict(),
-            "adam": self._adam.state_dict(),
-            "adam_discriminator": self._adam_d.state_dict(),
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        self.done = int(state["step"])
-        self.generator.load_state_dict(state["generator"])
-        self.average = {k: v.to(self.device) for k, v in state["average"].items()}
-        self.discriminator.load_state_dict(state["discriminator"])
-        self._adam.load_state_dict(state["adam"])
-        self._adam_d.load_state_dict(state["adam_discriminator"])
-
-
-def _update(loss: Float[Tensor, ""], network: nn.Module, adam: torch.optim.Adam) -> None:
-    adam.zero_grad()
-    loss.backward()
-    nn.utils.clip_grad_norm_(network.parameters(), _LARGEST_GRADIENT)
-    adam.step()
+        return discriminator_loss(of_truth, of_result)
 
 
 def _psnr_db(composite: Float[Tensor, "n 3 h w"], batch: InpaintTensors) -> Float[Tensor, ""]:
@@ -320,10 +238,3 @@ def _psnr_db(composite: Float[Tensor, "n 3 h w"], batch: InpaintTensors) -> Floa
         weight = batch.hole * row_weights(error.shape[-2]).to(error.device)
         mse = (error * weight).sum() / weight.sum().clamp_min(1e-6)
         return -10 * torch.log10(mse.clamp_min(1e-12))
-
-
-def _rate(step: int, steps: int) -> float:
-    """Warm-up, then half a cosine."""
-    warm = min(1.0, (step + 1) / _WARM_UP)
-    share = step / max(steps - 1, 1)
-    return warm * (_LAST_RATE + (1 - _LAST_RATE) * 0.5 * (1 + math.cos(math.pi * share)))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict, replace
+import shlex
+from collections.abc import Mapping
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,12 +14,21 @@ from jaxtyping import Bool, Float32
 
 from lightsim.errors import InputError
 from lightsim.progress import terminal_progress
-from lightsim.training.lighting_cache import PrepareConfig, prepare_cache, write_cache
+from lightsim.training.hdr_skies import split_hash
+from lightsim.training.lighting_cache import (
+    LightingCache,
+    PrepareConfig,
+    prepare_cache,
+    read_cache,
+    write_cache,
+)
 from lightsim.training.lighting_data import LightingSet
 from lightsim.training.options import PrepareOptions, TrainingOptions
 from lightsim.training.street_panoramas import StreetConfig
+from lightsim.version import __version__
 
 if TYPE_CHECKING:
+    from lightsim.networks.loop import LoopConfig
     from lightsim.training.sky import Completion
     from lightsim.training.sky_models import SkyKind
 
@@ -25,6 +36,10 @@ _LOGGER = logging.getLogger(__name__)
 WEIGHTS_NAME = "weights.safetensors"
 SCORES_NAME = "scores.json"
 _SCORED_AT_ONCE = 32
+_DESCRIPTIONS = {
+    "network": "completion of panoramas (docs/models/inpaint.md)",
+    "lightsim": "sky dome estimator (docs/models/sky.md)",
+}
 
 
 def prepare(command: PrepareOptions) -> None:
@@ -66,63 +81,128 @@ def prepare(command: PrepareOptions) -> None:
 
 def train_inpaint(command: TrainingOptions) -> None:
     """Train the completion; weights and, where the cache has a test split, scores."""
-    from lightsim.store.artefact import write_json
-    from lightsim.store.checkpoint import FolderJournal, read_weights, write_weights
+    from lightsim.networks.devices import choose_device, joined_processes
+    from lightsim.store.checkpoint import FolderJournal
     from lightsim.training import inpaint as inpaint_train
     from lightsim.training.inpaint_scores import evaluate_inpaint
 
-    data = LightingSet.load(command.data)
+    cache = read_cache(command.data)
     kind = inpaint_train.InpaintConfig
     config = kind.small() if command.preset == "small" else kind.full()
-    config = replace(config, seed=command.seed, steps=command.steps or config.steps)
+    config = replace(config, seed=command.seed, loop=_loop(config.loop, command))
     command.out.mkdir(parents=True, exist_ok=True)
-    weights = inpaint_train.train_inpaint(
-        data,
-        FolderJournal(command.out),
-        config,
-        device=command.device,
-        minutes=command.minutes,
-        progress=terminal_progress(),
-    )
-    write_weights(command.out / WEIGHTS_NAME, weights)
-    test = _test_split(command.data)
-    if test is not None:
-        scores = evaluate_inpaint(test, read_weights(command.out / WEIGHTS_NAME))
-        write_json(command.out / SCORES_NAME, scores)
+    with joined_processes(choose_device(command.device)) as processes:
+        weights, steps = inpaint_train.train_inpaint(
+            LightingSet(cache),
+            FolderJournal(command.out),
+            config,
+            device=command.device,
+            minutes=command.minutes,
+            processes=processes,
+            progress=terminal_progress(),
+        )
+    if not processes.is_first:
+        return
+    test = _test_split(cache)
+    stored = {name: value.half().float() for name, value in weights.items()}
+    scores = evaluate_inpaint(test, stored) if test else {}
+    _write(command, ("inpaint", "network"), weights, cache, steps, scores)
 
 
 def train_sky_network(command: TrainingOptions, kind: SkyKind, inpaint: Path | None) -> None:
     """Train, write the weights, and score them on the fixed views of the test split."""
-    from lightsim.store.artefact import write_json
-    from lightsim.store.checkpoint import FolderJournal, write_weights
+    from lightsim.networks.devices import choose_device, joined_processes
+    from lightsim.store.checkpoint import FolderJournal
     from lightsim.training import sky as sky_train
     from lightsim.training.sky_models import sky_recipe, weights_of
     from lightsim.training.sky_scores import evaluate_sky_networks, parts_of
 
-    data = LightingSet.load(command.data)
+    cache = read_cache(command.data)
+    data = LightingSet(cache)
     complete = None if inpaint is None else completion_of(inpaint)
     recipe = sky_recipe(kind, command.preset, command.seed, inpaints=inpaint is not None)
-    if command.steps is not None:
-        loop = replace(recipe.config.loop, steps=command.steps)
-        recipe = replace(recipe, config=replace(recipe.config, loop=loop))
+    loop = _loop(recipe.config.loop, command)
+    recipe = replace(recipe, config=replace(recipe.config, loop=loop))
     command.out.mkdir(parents=True, exist_ok=True)
-    sky_train.train_sky(
-        recipe,
-        data,
-        FolderJournal(command.out),
-        complete=complete,
-        device=command.device,
-        minutes=command.minutes,
-        progress=terminal_progress(),
-    )
+    with joined_processes(choose_device(command.device)) as processes:
+        steps = sky_train.train_sky(
+            recipe,
+            data,
+            FolderJournal(command.out),
+            complete=complete,
+            device=command.device,
+            minutes=command.minutes,
+            processes=processes,
+            progress=terminal_progress(),
+        )
+    if not processes.is_first:
+        return
     network = recipe.network.cpu().eval()
-    write_weights(command.out / WEIGHTS_NAME, weights_of(network))
-    test = _test_split(command.data)
+    test, scores = _test_split(cache), {}
     if test is not None:
         views = parts_of(test.fixed_views().batch, _SCORED_AT_ONCE)
         known = [data.batch(_SCORED_AT_ONCE, 0, k, only_sunny=False) for k in range(4)]
         rows = evaluate_sky_networks(views, {kind: network}, known, complete)  # type: ignore[dict-item]
-        write_json(command.out / SCORES_NAME, {row.name: _known(asdict(row)) for row in rows})
+        scores = {row.name: _known(asdict(row)) for row in rows}
+    what = "sky" if kind.startswith("lightsim") else "baseline"
+    _write(command, (what, kind), weights_of(network), cache, steps, scores)
+
+
+def _loop(config: LoopConfig, command: TrainingOptions) -> LoopConfig:
+    steps = config.steps if command.steps is None else command.steps
+    return replace(config, steps=steps, is_compiled=command.is_compiled)
+
+
+def _write(
+    command: TrainingOptions,
+    what: tuple[str, str],
+    weights: Mapping[str, Any],
+    cache: LightingCache,
+    steps: int,
+    scores: Mapping[str, Any],
+) -> None:
+    """The weights with their record, and the scores of all methods.
+
+    Args:
+        command: as the user gave it.
+        what: the command's name, and the network's in the scores.
+        weights: of the network.
+        cache: that it was trained on.
+        steps: done.
+        scores: by method; empty where nothing was held out.
+    """
+    from lightsim.store.artefact import write_json
+    from lightsim.store.weights import WeightsRecord, write_weights
+
+    path, network = command.out / WEIGHTS_NAME, what[1]
+    count = sum(sky.entry.split == "train" for sky in cache.skies)
+    record = WeightsRecord(
+        description=_DESCRIPTIONS.get(network, f"{network} (docs/models/sky.md)"),
+        command=_command_line(what[0], command),
+        training_data=f"{count} HDR skies, {len(cache.clear.elevation_deg)} clear skies and "
+        f"{cache.view_is_test.count(False)} positions in synthetic streets",
+        split_hash=split_hash(sky.entry for sky in cache.skies),
+        seed=command.seed,
+        steps=steps,
+        scores=scores.get(network, "no data were held out"),
+        licence=command.licence,
+        version=__version__,
+    )
+    write_weights(path, weights, record)
+    if scores:
+        write_json(command.out / SCORES_NAME, scores)
+    _LOGGER.info("%s: %s", path, record.line())
+
+
+def _command_line(what: str, command: TrainingOptions) -> str:
+    """The command that gives the same weights, without options that are at their default."""
+    words = ["lightsim", "train", what]
+    for option in fields(command):
+        value = getattr(command, option.name)
+        if value != option.default and option.name != "verbose":
+            words.append("--" + option.name.replace("_", "-"))
+            words += [] if value is True else [str(value)]
+    return shlex.join(words)
 
 
 def _known(row: dict[str, Any]) -> dict[str, Any]:
@@ -137,7 +217,7 @@ def completion_of(weights: Path) -> Completion:
         ArtefactError: the file is missing or damaged.
     """
     from lightsim.lighting.panorama.inpaint import fill_by_network
-    from lightsim.store.checkpoint import read_weights
+    from lightsim.store.weights import read_weights
 
     tensors = read_weights(weights)
 
@@ -149,10 +229,10 @@ def completion_of(weights: Path) -> Completion:
     return complete
 
 
-def _test_split(path: Path) -> LightingSet | None:
+def _test_split(cache: LightingCache) -> LightingSet | None:
     """The held-out side, or None where the cache was made without a split."""
     try:
-        return LightingSet.load(path, "test")
+        return LightingSet(cache, "test")
     except InputError as error:
         _LOGGER.warning("no scores: %s", error)
         return None

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,10 +12,12 @@ from jaxtyping import Bool, Float32
 from torch import Tensor, nn
 
 from lightsim.lighting.sample import LightingBatch, LightingData
+from lightsim.networks.devices import ALONE, Processes, choose_device
+from lightsim.networks.loop import Journal, Learner, LoopConfig, Loss, run_training
 from lightsim.networks.panorama import filled
 from lightsim.networks.sky_terms import Draw, SkyTensors
 from lightsim.progress import Progress
-from lightsim.training.loop import Journal, LoopConfig, choose_device, run_training
+from lightsim.training.ahead import Ahead
 
 _STEP_SEED = 1_000_003
 
@@ -35,7 +36,11 @@ class SkyTrainConfig:
     """How a sky network is trained."""
 
     loop: LoopConfig = field(default_factory=LoopConfig)
-    """Steps and learning rate."""
+    """Steps and averages."""
+    rate: float = 1e-3
+    """Highest learning rate (AdamW)."""
+    weight_decay: float = 1e-3
+    """Of AdamW."""
     batch: int = 8
     """Panoramas a step (and as many under clear suns, for the direction encoder)."""
     seed: int = 0
@@ -63,6 +68,7 @@ def train_sky(
     complete: Completion | None = None,
     device: str = "auto",
     minutes: float | None = None,
+    processes: Processes = ALONE,
     progress: Progress,
 ) -> int:
     """Train the recipe's network in place, going on from the journal's last state; the steps done.
@@ -74,6 +80,7 @@ def train_sky(
         complete: inpaints what the cameras did not see; without it, smooth fills stand there.
         device: "auto", "cpu" or "cuda".
         minutes: stop then, to go on later.
+        processes: that train together, each with `config.batch` panoramas a step.
 
     Raises:
         InputError: the device is not there.
@@ -81,53 +88,33 @@ def train_sky(
     target = choose_device(device)
     network, config = recipe.network.to(target), recipe.config
 
-    batches = _Batches(data, config)
+    def make(number: int) -> LightingBatch:
+        return data.batch(config.batch, config.seed, number, only_sunny=number % 2 == 1)
 
-    def loss_of_step(step: int) -> tuple[Tensor, dict[str, Tensor]]:
-        generator = torch.Generator().manual_seed(config.seed * _STEP_SEED + step)
+    def losses(_: int, draw: int) -> Iterator[Loss]:
+        generator = torch.Generator().manual_seed(config.seed * _STEP_SEED + draw)
 
-        def draw(only_sunny: bool) -> SkyTensors:
-            batch = batches.get(step, only_sunny)
+        def drawn(only_sunny: bool) -> SkyTensors:
+            # Even numbers are all skies, odd ones clear suns: data may draw both from one stream.
+            batch = batches.get(2 * draw + int(only_sunny))
             whole = torch.rand(config.batch, generator=generator).numpy() < config.complete_share
             return sky_tensors(batch, whole, complete, target)
 
-        return recipe.loss(network, draw, generator)
+        yield "sky", *recipe.loss(network, drawn, generator)
 
-    with batches:
+    adam = torch.optim.AdamW(network.parameters(), lr=config.rate, weight_decay=config.weight_decay)
+    stride = 2 * processes.count
+    with Ahead(make, config.workers, stride, stride * config.loop.steps) as batches:
         return run_training(
-            network, loss_of_step, journal, config.loop, minutes=minutes, progress=progress
+            {"sky": Learner(network, (adam,), is_averaged=True)},
+            losses,
+            journal,
+            config.loop,
+            label="train",
+            minutes=minutes,
+            processes=processes,
+            progress=progress,
         )
-
-
-class _Batches:
-    """Batches by step and kind, made ahead of their use by threads."""
-
-    def __init__(self, data: LightingData, config: SkyTrainConfig) -> None:
-        self._data = data
-        self._config = config
-        self._pool = ThreadPoolExecutor(config.workers) if config.workers else None
-        self._coming: dict[int, Future[LightingBatch]] = {}
-
-    def get(self, step: int, only_sunny: bool) -> LightingBatch:
-        # Even numbers are all skies, odd ones clear suns: data may draw both from one stream.
-        number = 2 * step + int(only_sunny)
-        if self._pool is None:
-            return self._make(number)
-        for later in range(number, number + 2 * (self._config.workers + 1), 2):
-            if later // 2 < self._config.loop.steps and later not in self._coming:
-                self._coming[later] = self._pool.submit(self._make, later)
-        return self._coming.pop(number).result()
-
-    def _make(self, number: int) -> LightingBatch:
-        config = self._config
-        return self._data.batch(config.batch, config.seed, number, only_sunny=number % 2 == 1)
-
-    def __enter__(self) -> _Batches:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
 
 
 def sky_tensors(

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from lightsim.baselines.nlfe import Nlfe, NlfeConfig, nlfe_loss
 from lightsim.baselines.sold_net import SoldNet, SoldNetConfig, sold_net_loss
 from lightsim.lighting.sky.network import SkyNetwork, SkyNetworkConfig, tensors_of
-from lightsim.training.loop import LoopConfig
+from lightsim.networks.loop import LoopConfig
 from lightsim.training.sky import SkyRecipe, SkyTrainConfig
 from lightsim.training.sky_losses import sky_loss
 
@@ -34,8 +34,8 @@ def sky_recipe(
     rate = 1.5e-3 if preset == "small" else 6e-4
     batch = 8 if preset == "small" else 32
     workers = 0 if preset == "small" else 8
-    short = SkyTrainConfig(LoopConfig(steps, rate), batch=batch, seed=seed, workers=workers)
-    long = replace(short, loop=LoopConfig(2 * steps, rate))
+    short = SkyTrainConfig(LoopConfig(steps), rate, batch=batch, seed=seed, workers=workers)
+    long = replace(short, loop=LoopConfig(2 * steps))
     widths, decoder = ours.widths, ours.decoder_widths
     if kind == "lightsim":
         return SkyRecipe(SkyNetwork(ours, seed), sky_loss, long)
@@ -49,5 +49,5 @@ def sky_recipe(
 
 
 def weights_of(network: nn.Module) -> dict[str, Tensor]:
-    """What `store.checkpoint.write_weights` is given of a trained network."""
+    """What `store.weights.write_weights` is given of a trained network."""
     return tensors_of(network) if isinstance(network, SkyNetwork) else network.state_dict()

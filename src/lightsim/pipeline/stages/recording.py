@@ -23,11 +23,13 @@ from lightsim.reconstruct.fusion.config import FuseConfig
 from lightsim.reconstruct.fusion.tsdf import fuse_log
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.store.alignment import write_alignment
-from lightsim.store.artefact import write_json
-from lightsim.store.checkpoint import FolderJournal, write_weights
+from lightsim.store.artefact import hash_names, write_json
+from lightsim.store.checkpoint import FolderJournal
 from lightsim.store.fields import write_fields
 from lightsim.store.images import write_grey8
 from lightsim.store.log import LogReading, write_log
+from lightsim.store.weights import WeightsRecord, write_weights
+from lightsim.version import __version__
 
 
 def make_log(work: Workspace, config: LogReading, folder: Path, context: Context) -> Iterable[str]:
@@ -90,11 +92,21 @@ def make_neural(
         context.seed,
         context.device,
     )
-    fields, field = refine_by_field(
-        work.training_log, fused, config, training, progress=context.progress
-    )
+    log = work.training_log
+    fields, field = refine_by_field(log, fused, config, training, progress=context.progress)
     write_fields(folder, fields)
-    write_weights(folder / FIELD_NAME, field.state_dict())
+    record = WeightsRecord(
+        description="neural field of a log (docs/reconstruction.md)",
+        command="lightsim build",
+        training_data="images and LiDAR of the log of this folder",
+        split_hash=hash_names({"frames": [f"{f.camera_name}/{f.stem}" for f in log.frames]}),
+        seed=context.seed,
+        steps=config.steps,
+        scores="in the report of the build",
+        licence="as the log allows",
+        version=__version__,
+    )
+    write_weights(folder / FIELD_NAME, field.state_dict(), record)
     write_json(folder / FIELD_CONFIG_NAME, asdict(config))
     journal.finish()
     return fields.notes

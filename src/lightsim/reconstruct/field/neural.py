@@ -9,13 +9,14 @@ import torch
 
 from lightsim.core.fields import SceneFields
 from lightsim.core.log import DrivingLog
-from lightsim.errors import InputError
+from lightsim.networks.devices import choose_device
+from lightsim.networks.loop import Journal
 from lightsim.progress import Progress
 from lightsim.reconstruct.field.config import NeuralConfig, draft, paper, standard
 from lightsim.reconstruct.field.ray_pool import PriorSurfaces, SkyMatte, camera_rays, lidar_rays
 from lightsim.reconstruct.field.refine import refined_fields
 from lightsim.reconstruct.field.sdf_field import SceneField
-from lightsim.reconstruct.field.train import Journal, TrainingRays, train_field
+from lightsim.reconstruct.field.train import TrainingRays, train_field
 from lightsim.reconstruct.field.tsdf_prior import TsdfPrior
 
 __all__ = ["NeuralConfig", "Training", "draft", "paper", "refine_by_field", "standard"]
@@ -72,20 +73,3 @@ def make_field(log: DrivingLog, fields: SceneFields, config: NeuralConfig, seed:
         TsdfPrior.of(fields) if config.has_prior else None,
         torch.Generator().manual_seed(seed),
     )
-
-
-def choose_device(name: str) -> torch.device:
-    """The device of a name; "auto" is CUDA where there is one.
-
-    Raises:
-        InputError: CUDA was asked for and is not there.
-    """
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    if name == "cuda" and not torch.cuda.is_available():
-        raise InputError(
-            "no CUDA device is available",
-            where="--device cuda",
-            remedy="Use --device cpu, or install a CUDA build of torch and a driver.",
-        )
-    return torch.device(name)

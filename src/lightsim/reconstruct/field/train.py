@@ -1,16 +1,15 @@
-"""The training loop of the neural field: resumable, deterministic, with metrics and progress."""
+"""Training of the neural field by the common loop: its batches, losses and optimisers."""
 
 from __future__ import annotations
 
-import math
-import time
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from lightsim.networks.loop import Journal, Learner, LoopConfig, Loss, run_training
 from lightsim.progress import Progress
 from lightsim.reconstruct.field.config import NeuralConfig
 from lightsim.reconstruct.field.hash_grid.sparse_adam import SparseAdam
@@ -19,22 +18,8 @@ from lightsim.reconstruct.field.ray_pool import RayPool
 from lightsim.reconstruct.field.sampling import RayBatch
 from lightsim.reconstruct.field.sdf_field import SceneField
 
-_WARM_UP = 50
-_LAST_RATE = 0.1
-_RECORD_EVERY = 25
-_SAVE_EVERY_S = 60.0
+_FINAL_FRACTION = 0.1
 _STEP_SEED = 1_000_003
-
-
-@runtime_checkable
-class Journal(Protocol):
-    """Where training keeps what must survive an interruption; store/checkpoint.py writes files."""
-
-    def load(self) -> dict[str, Any] | None: ...
-
-    def save(self, state: dict[str, Any]) -> None: ...
-
-    def record(self, metrics: dict[str, float]) -> None: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,68 +45,27 @@ def train_field(
     """
     config = field.config
     device = next(field.parameters()).device
-    optimisers = _Optimisers(field, config)
-    first = 0
-    state = journal.load()
-    if state is not None:
-        first = optimisers.restore(state)
-    saved = started = time.monotonic()
-    for step in progress.track(range(first, config.steps), "train the field", config.steps - first):
-        generator = torch.Generator().manual_seed(seed * _STEP_SEED + step)
+    # Sparse Adam for the tables, of which a batch reaches little; Adam for the rest.
+    tables = [SparseAdam(table, learning_rate=config.table_rate) for table in field.tables]
+    dense = torch.optim.Adam(field.dense_parameters, lr=config.head_rate, eps=1e-15)
+
+    def losses(_: int, draw: int) -> Iterator[Loss]:
+        generator = torch.Generator().manual_seed(seed * _STEP_SEED + draw)
         batch = _draw(rays, config, generator, device)
-        optimisers.clear()
         loss, terms = scene_loss(field, batch, generator)
-        loss.backward()
-        optimisers.step(_rate(step, config.steps))
-        if step % _RECORD_EVERY == 0 or step == config.steps - 1:
-            journal.record(_metrics(step, loss, terms, field, time.monotonic() - started))
-        if time.monotonic() - saved > _SAVE_EVERY_S or step == config.steps - 1:
-            journal.save(optimisers.state(step + 1))
-            saved = time.monotonic()
+        terms["beta"] = field.beta
+        if "mse_srgb" in terms:
+            terms["psnr_db"] = -10 * torch.log10(terms["mse_srgb"].detach().clamp_min(1e-12))
+        yield "field", loss, terms
 
-
-class _Optimisers:
-    """Sparse Adam for the tables, Adam for the rest, and their state in one dictionary."""
-
-    def __init__(self, field: SceneField, config: NeuralConfig) -> None:
-        self._field = field
-        self._config = config
-        self._sparse = [SparseAdam(t, learning_rate=config.table_rate) for t in field.tables]
-        self._dense = torch.optim.Adam(field.dense_parameters, lr=config.head_rate, eps=1e-15)
-
-    def clear(self) -> None:
-        self._dense.zero_grad()
-        for table in self._field.tables:
-            table.grad = None
-
-    def step(self, rate: float) -> None:
-        for optimiser in self._sparse:
-            optimiser.step(self._config.table_rate * rate)
-        for group in self._dense.param_groups:
-            group["lr"] = self._config.head_rate * rate
-        self._dense.step()
-
-    def state(self, step: int) -> dict[str, Any]:
-        return {
-            "step": step,
-            "field": self._field.state_dict(),
-            "sparse": [optimiser.state_dict() for optimiser in self._sparse],
-            "dense": self._dense.state_dict(),
-        }
-
-    def restore(self, state: dict[str, Any]) -> int:
-        self._field.load_state_dict(state["field"])
-        for optimiser, saved in zip(self._sparse, state["sparse"], strict=True):
-            optimiser.load_state_dict(saved)
-        self._dense.load_state_dict(state["dense"])
-        return int(state["step"])
-
-
-def _rate(step: int, steps: int) -> float:
-    """Warm-up, then a half cosine down to a tenth."""
-    warm = min(1.0, (step + 1) / _WARM_UP)
-    share = step / max(steps - 1, 1)
-    return warm * (_LAST_RATE + (1 - _LAST_RATE) * 0.5 * (1 + math.cos(math.pi * share)))
+    run_training(
+        {"field": Learner(field, (*tables, dense))},
+        losses,
+        journal,
+        LoopConfig(config.steps, final_fraction=_FINAL_FRACTION, largest_gradient=None),
+        label="train the field",
+        progress=progress,
+    )
 
 
 def _draw(
@@ -142,23 +86,3 @@ def batch_of(pool: RayPool, device: torch.device) -> RayBatch:
         return torch.from_numpy(array).to(device)
 
     return RayBatch(*[tensor(getattr(pool, name)) for name in RayBatch.__dataclass_fields__])
-
-
-def _metrics(
-    step: int,
-    loss: Tensor,
-    terms: dict[str, Tensor],
-    field: SceneField,
-    seconds: float,
-) -> dict[str, float]:
-    """One line of metrics.jsonl; `psnr_db` is that of the training batch."""
-    values = {name: float(value.detach()) for name, value in terms.items()}
-    if "mse_srgb" in values:
-        values["psnr_db"] = -10 * math.log10(max(values["mse_srgb"], 1e-12))
-    return {
-        "step": float(step),
-        "seconds": seconds,
-        "loss": float(loss.detach()),
-        "beta": float(field.beta.detach()),
-        **values,
-    }

@@ -29,7 +29,7 @@ class SparseAdam:
 
     Args:
         table: [entries, features] float32; entries a multiple of `BLOCK_ENTRIES`.
-        learning_rate: step size; `step` may override it.
+        learning_rate: step size; `param_groups[0]["lr"]` afterwards, as torch's optimisers have it.
         betas: decay of the first and second moment.
         eps: added to the root of the second moment.
 
@@ -47,7 +47,7 @@ class SparseAdam:
     ) -> None:
         _check_table(table)
         self.table = table
-        self.learning_rate = learning_rate
+        self.param_groups: list[dict[str, Any]] = [{"params": [table], "lr": learning_rate}]
         self.betas = betas
         self.eps = eps
         self.steps = 0
@@ -57,9 +57,9 @@ class SparseAdam:
         setattr(table, SPARSE_GRADIENT, self.gradient)
 
     @torch.no_grad()
-    def step(self, learning_rate: float | None = None) -> None:
+    def step(self) -> None:
         """Move the table along its gradient, then forget the gradient."""
-        rate = self.learning_rate if learning_rate is None else learning_rate
+        rate = self.param_groups[0]["lr"]
         self.steps += 1
         beta1, beta2 = self.betas
         step_size = rate / (1.0 - beta1**self.steps)
@@ -88,18 +88,18 @@ class SparseAdam:
         """What a resumed training needs besides the table; gradients are not kept."""
         return {
             "steps": self.steps,
-            "learning_rate": self.learning_rate,
+            "learning_rate": self.param_groups[0]["lr"],
             "first_moment": self.first_moment,
             "second_moment": self.second_moment,
         }
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Continue from `state_dict`.
 
         Raises:
             InputError: the state belongs to a table of another shape.
         """
-        shape = tuple(state["first_moment"].shape)
+        shape = tuple(state_dict["first_moment"].shape)
         if shape != tuple(self.table.shape):
             raise InputError(
                 "the optimiser state does not fit the table",
@@ -107,10 +107,10 @@ class SparseAdam:
                 expected=tuple(self.table.shape),
                 remedy="Resume with the hash grid settings of the checkpoint.",
             )
-        self.steps = int(state["steps"])
-        self.learning_rate = float(state["learning_rate"])
-        self.first_moment.copy_(state["first_moment"])
-        self.second_moment.copy_(state["second_moment"])
+        self.steps = int(state_dict["steps"])
+        self.param_groups[0]["lr"] = float(state_dict["learning_rate"])
+        self.first_moment.copy_(state_dict["first_moment"])
+        self.second_moment.copy_(state_dict["second_moment"])
         self.zero_grad()
 
     def _step_blocks(self, rates: tuple[float, float, float, float, float]) -> None:

@@ -1,0 +1,245 @@
+"""The one training loop: resumable to the bit, on one device or by several processes."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import torch
+from torch import Tensor, nn
+
+from lightsim.errors import ArtefactError
+from lightsim.networks.devices import ALONE, Processes
+from lightsim.progress import Progress, SilentProgress
+
+_RECORD_EVERY = 25
+_SAVE_EVERY_S = 60.0
+
+
+@runtime_checkable
+class Journal(Protocol):
+    """Where training keeps what must survive an interruption; store/checkpoint.py writes files."""
+
+    def load(self) -> dict[str, Any] | None: ...
+
+    def save(self, state: dict[str, Any]) -> None: ...
+
+    def record(self, metrics: dict[str, float]) -> None: ...
+
+
+@runtime_checkable
+class Optimiser(Protocol):
+    """What the loop asks of an optimiser, torch's or the sparse one of the hash grids."""
+
+    param_groups: list[dict[str, Any]]
+
+    def step(self) -> Any: ...
+
+    def state_dict(self) -> dict[str, Any]: ...
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None: ...
+
+
+@dataclass(frozen=True)
+class LoopConfig:
+    """How long networks learn, and what tames their steps."""
+
+    steps: int = 3000
+    """Optimiser steps."""
+    warm_up_steps: int = 50
+    """Steps in which the learning rate grows to its highest."""
+    final_fraction: float = 0.02
+    """Of the highest learning rate, reached at the last step by half a cosine; 1 keeps it."""
+    largest_gradient: float | None = 1.0
+    """Norm to which a learner's gradients are clipped, None leaves them."""
+    average_decay: float = 0.995
+    """Of the running average of the weights of averaged learners."""
+    mixed_precision: bool = False
+    """Losses in bfloat16 where that is safe (torch.autocast), on CUDA alone."""
+    is_compiled: bool = False
+    """Compile the layers of the networks (torch.compile; it needs a C compiler)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Learner:
+    """A network and what moves its weights; the optimisers' first learning rates are the highest.
+
+    Args:
+        network: trained in place.
+        optimisers: each for some of the parameters.
+        is_averaged: at the end it holds the running average of its weights.
+    """
+
+    network: nn.Module
+    optimisers: tuple[Optimiser, ...]
+    is_averaged: bool = False
+
+    @property
+    def groups(self) -> list[dict[str, Any]]:
+        """The parameter groups of all optimisers: `params` and learning rate `lr`."""
+        return [group for optimiser in self.optimisers for group in optimiser.param_groups]
+
+
+Loss = tuple[str, Tensor, Mapping[str, Tensor]]
+"""Name of the learner that the loss moves, the loss, and terms for the metrics."""
+
+Losses = Callable[[int, int], Iterator[Loss]]
+"""(number of the step, number of its draw) -> losses, each minimised before the next is asked for.
+
+Random draws must depend on the number of the draw alone. It is the step's number, or with several
+processes one that no other process has.
+"""
+
+
+def run_training(
+    learners: Mapping[str, Learner],
+    losses: Losses,
+    journal: Journal,
+    config: LoopConfig,
+    *,
+    label: str,
+    minutes: float | None = None,
+    processes: Processes = ALONE,
+    progress: Progress,
+) -> int:
+    """Train in place from the journal's last state; the number of steps done when it stops.
+
+    After `minutes` it stops in between, and the next call goes on. An interrupted run that goes on
+    gives the very same networks on the CPU. With several processes their gradients are averaged,
+    so that together they see a batch as many times as large; the first alone keeps the journal.
+
+    Raises:
+        ArtefactError: the journal's state belongs to other networks.
+    """
+    loop = _Loop(learners, config, processes)
+    first, before_s = loop.restore(processes.from_first(journal.load))
+    started = saved = time.monotonic()
+    done = first
+    steps = range(first, config.steps)
+    shown = progress if processes.is_first else SilentProgress()
+    for step in shown.track(steps, label, len(steps)):
+        metrics = loop.step(losses, step)
+        done = step + 1
+        now = time.monotonic()
+        is_last = done == config.steps
+        is_over = minutes is not None and processes.any(now - started > 60 * minutes)
+        seconds = before_s + now - started
+        if processes.is_first and (step % _RECORD_EVERY == 0 or is_last):
+            values = {name: float(value.detach()) for name, value in metrics.items()}
+            journal.record({"step": float(step), "seconds": seconds, **values})
+        if processes.is_first and (now - saved > _SAVE_EVERY_S or is_over or is_last):
+            journal.save(loop.state(done, seconds))
+            saved = now
+        if is_over:
+            break
+    loop.finish()
+    return done
+
+
+class _Loop:
+    """The learners' steps, learning rates, averages and state."""
+
+    def __init__(
+        self, learners: Mapping[str, Learner], config: LoopConfig, processes: Processes
+    ) -> None:
+        self._learners = learners
+        self._config = config
+        self._processes = processes
+        self._device = next(next(iter(learners.values())).network.parameters()).device
+        self._rates = {name: [g["lr"] for g in own.groups] for name, own in learners.items()}
+        self._averages = {
+            name: {k: v.detach().clone() for k, v in learner.network.state_dict().items()}
+            for name, learner in learners.items()
+            if learner.is_averaged
+        }
+        for learner in learners.values():
+            learner.network.train()
+            if config.is_compiled:
+                # In place, and layer by layer: losses call more of a network than its forward.
+                for layer in list(learner.network.children()) or [learner.network]:
+                    layer.compile()
+
+    def step(self, losses: Losses, step: int) -> dict[str, Tensor]:
+        """All updates of one step; the last loss and all terms."""
+        metrics: dict[str, Tensor] = {}
+        draw = step * self._processes.count + self._processes.rank
+        coming = losses(step, draw)
+        while (found := self._next(coming)) is not None:
+            name, loss, terms = found
+            self._update(name, loss, step)
+            metrics.update(terms, loss=loss)
+        # A young average forgets faster, or the first weights would stay in it.
+        decay = min(self._config.average_decay, (step + 1) / (step + 10))
+        with torch.no_grad():
+            for name, average in self._averages.items():
+                for key, value in self._learners[name].network.state_dict().items():
+                    average[key].lerp_(value, 1 - decay)
+        return metrics
+
+    def _next(self, coming: Iterator[Loss]) -> Loss | None:
+        is_mixed = self._config.mixed_precision and self._device.type == "cuda"
+        with torch.autocast(self._device.type, torch.bfloat16, enabled=is_mixed):
+            return next(coming, None)
+
+    def _update(self, name: str, loss: Tensor, step: int) -> None:
+        groups = self._learners[name].groups
+        parameters = [parameter for group in groups for parameter in group["params"]]
+        for parameter in parameters:
+            parameter.grad = None
+        loss.backward()
+        self._processes.average([p.grad for p in parameters if p.grad is not None])
+        if self._config.largest_gradient is not None:
+            nn.utils.clip_grad_norm_(parameters, self._config.largest_gradient)
+        for group, highest in zip(groups, self._rates[name], strict=True):
+            group["lr"] = highest * _rate_fraction(step, self._config)
+        for optimiser in self._learners[name].optimisers:
+            optimiser.step()
+
+    def finish(self) -> None:
+        for name, average in self._averages.items():
+            self._learners[name].network.load_state_dict(average)
+        for learner in self._learners.values():
+            learner.network.eval()
+
+    def state(self, step: int, seconds: float) -> dict[str, Any]:
+        learners = self._learners.items()
+        return {
+            "step": step,
+            "seconds": seconds,
+            "networks": {name: learner.network.state_dict() for name, learner in learners},
+            "optimisers": {
+                n: [o.state_dict() for o in learner.optimisers] for n, learner in learners
+            },
+            "averages": self._averages,
+        }
+
+    def restore(self, state: dict[str, Any] | None) -> tuple[int, float]:
+        """The steps done and the seconds they took."""
+        if state is None:
+            return 0, 0.0
+        try:
+            for name, learner in self._learners.items():
+                learner.network.load_state_dict(state["networks"][name])
+                saved = state["optimisers"][name]
+                for optimiser, value in zip(learner.optimisers, saved, strict=True):
+                    optimiser.load_state_dict(value)
+            for name, average in self._averages.items():
+                for key, value in average.items():
+                    value.copy_(state["averages"][name][key])
+            return int(state["step"]), float(state["seconds"])
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise ArtefactError(
+                "the checkpoint belongs to another training",
+                got=f"{type(error).__name__}: {error}"[:200],
+                remedy="Train with the settings that it was made with, or delete checkpoint.pt.",
+            ) from error
+
+
+def _rate_fraction(step: int, config: LoopConfig) -> float:
+    """Of the highest learning rate: warm-up, then half a cosine."""
+    warm = min(1.0, (step + 1) / config.warm_up_steps)
+    cosine = 0.5 * (1 + math.cos(math.pi * (step / max(config.steps - 1, 1))))
+    return warm * (config.final_fraction + (1 - config.final_fraction) * cosine)
