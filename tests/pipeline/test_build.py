@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,9 @@ import numpy as np
 import pytest
 
 from lightsim.core.scenario import Scenario
-from lightsim.core.sensors import CameraFrame
+from lightsim.core.sensors import CameraFrame, LidarSweep
+from lightsim.datasets.pandaset import log as pandaset
+from lightsim.datasets.pandaset.sweeps import SweepSource, load_sweep
 from lightsim.errors import ArtefactError, InputError, MissingDependencyError
 from lightsim.pipeline.build import BuildOptions, build, status
 from lightsim.pipeline.workspace import Workspace
@@ -42,10 +45,28 @@ def options() -> BuildOptions:
 
 
 @pytest.fixture(scope="module")
-def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def decoded() -> Counter[str]:
+    """How often the build of `work` decoded each sweep."""
+    return Counter()
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory: pytest.TempPathFactory, decoded: Counter[str]) -> Path:
     folder = tmp_path_factory.mktemp("street")
-    build(folder, options(), SilentProgress())
+
+    def counting(source: SweepSource) -> LidarSweep:
+        decoded[source.stem] += 1
+        return load_sweep(source)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pandaset, "load_sweep", counting)
+        build(folder, options(), SilentProgress())
     return folder
+
+
+@pytest.mark.slow
+def test_a_build_decodes_each_sweep_once(work: Path, decoded: Counter[str]) -> None:
+    assert decoded == {sweep.stem: 1 for sweep in Workspace(work).log.sweeps}
 
 
 class Interrupting(SilentProgress):

@@ -16,6 +16,7 @@ from lightsim.core.alignment import Alignment
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.fields import SceneFields
 from lightsim.core.frames import Trajectory
+from lightsim.core.kept_sweeps import KeptSweeps
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
@@ -96,6 +97,7 @@ class Workspace:
         self._is_stale_allowed = is_stale_allowed
         self._records: dict[str, dict[str, Any]] = {}
         self._open: frozenset[str] | None = None
+        self._sweeps = KeptSweeps()
 
     def folder(self, stage: str) -> Path:
         return self.root / stage
@@ -176,7 +178,7 @@ class Workspace:
     @made_of("log", "alignment")
     def log(self) -> DrivingLog:
         """All frames at the scale of the build; sensors, path and boxes aligned."""
-        return self.alignment.applied_to(self.recorded_log)
+        return self._with_kept_sweeps(self.alignment.applied_to(self.recorded_log))
 
     @made_of("log")
     def recorded_log(self) -> DrivingLog:
@@ -193,7 +195,7 @@ class Workspace:
 
         reading = self.reading
         self._check_source()
-        return read_log(
+        log = read_log(
             Path(reading.source),
             dataset=reading.dataset,
             cameras=reading.cameras,
@@ -201,6 +203,10 @@ class Workspace:
             heading_deg=reading.heading_deg,
             find_ego_vehicle=self._find_ego_vehicle,
         )
+        return self._with_kept_sweeps(log)
+
+    def _with_kept_sweeps(self, log: DrivingLog) -> DrivingLog:
+        return replace(log, sweeps=self._sweeps.of(log.sweeps))
 
     def _find_ego_vehicle(
         self, views: Sequence[tuple[PinholeCamera, Sequence[CameraFrame]]], ego: Trajectory
