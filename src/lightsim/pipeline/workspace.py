@@ -19,6 +19,7 @@ from lightsim.core.frames import Trajectory
 from lightsim.core.kept_sweeps import KeptSweeps
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
+from lightsim.core.reading import LogReading
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import DigitalTwin, Panorama, SceneAssets, SkyEstimate
 from lightsim.errors import ArtefactError
@@ -28,7 +29,6 @@ from lightsim.store.assets import read_assets, read_mesh
 from lightsim.store.fields import read_fields
 from lightsim.store.images import read_grey8
 from lightsim.store.log import (
-    LogReading,
     held_out_of,
     held_out_stems,
     read_reading,
@@ -193,17 +193,8 @@ class Workspace:
     def _full_log(self) -> DrivingLog:
         from lightsim.datasets.reader import read_log
 
-        reading = self.reading
         self._check_source()
-        log = read_log(
-            Path(reading.source),
-            dataset=reading.dataset,
-            cameras=reading.cameras,
-            frames=reading.frames,
-            heading_deg=reading.heading_deg,
-            find_ego_vehicle=self._find_ego_vehicle,
-        )
-        return self._with_kept_sweeps(log)
+        return self._with_kept_sweeps(read_log(self.reading, self._find_ego_vehicle))
 
     def _with_kept_sweeps(self, log: DrivingLog) -> DrivingLog:
         return replace(log, sweeps=self._sweeps.of(log.sweeps))
