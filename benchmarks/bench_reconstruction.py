@@ -14,21 +14,21 @@ import json
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from lightsim.core.reading import LogReading
 from lightsim.evaluate.frames import FramesConfig
 from lightsim.evaluate.geometry import GeometryConfig
 from lightsim.pipeline import build as pipeline
 from lightsim.pipeline.measures import geometry as measure_geometry
 from lightsim.pipeline.measures import held_out_frames
+from lightsim.pipeline.options import BuildOptions
 from lightsim.pipeline.workspace import FIELD_NAME, Workspace
 from lightsim.progress import LineProgress, SilentProgress
 from lightsim.simulate.against_truth import normal_error_deg
 from lightsim.store.artefact import read_record, state_of
-from lightsim.store.log import LogReading
 
 QUICK: dict = {"preset": "draft", "neural_steps": 0}
 """Ablations of the alignment: fused LiDAR and textures of every fourth image."""
@@ -82,11 +82,11 @@ def _arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _options(options: argparse.Namespace, name: str) -> pipeline.BuildOptions:
+def _options(options: argparse.Namespace, name: str) -> BuildOptions:
     reading = LogReading(
-        str(options.source.resolve()), "auto", (), "", None, options.scale, options.hold_out
+        source=str(options.source.resolve()), image_scale=options.scale, hold_out=options.hold_out
     )
-    return replace(pipeline.BuildOptions(reading), **VARIANTS[name])
+    return BuildOptions(reading=reading, **VARIANTS[name])
 
 
 def _make_masks(options: argparse.Namespace) -> None:
@@ -128,7 +128,7 @@ def _build_and_measure(options: argparse.Namespace, name: str) -> None:
     (work / "scores.json").write_text(json.dumps(scores, indent=1))
 
 
-def _take_from_siblings(out: Path, work: Path, options: pipeline.BuildOptions) -> None:
+def _take_from_siblings(out: Path, work: Path, options: BuildOptions) -> None:
     """Artefacts that another variant has made from the same recipe need not be made again."""
     for stage, recipe in pipeline.recipes(options).items():
         for other in sorted(out.glob("*/")):

@@ -17,7 +17,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from lightsim.pipeline.build import STAGES, BuildOptions, read_options
+from lightsim.pipeline.build import STAGES, read_options
+from lightsim.pipeline.options import BuildOptions
 from lightsim.pipeline.stages.context import Context
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import SilentProgress

@@ -15,7 +15,8 @@ PACKAGE = Path(__file__).resolve().parents[1] / "src" / "lightsim"
 FLOORS = (
     "cli", "api", "simulate", "pipeline", "training", "evaluate", "view", "relighting", "baselines",
     "render", "scenario", "lighting", "appearance", "geometry", "reconstruct", "align", "masks",
-    "synthetic", "datasets", "networks", "store", "core", "progress", "optional", "errors",
+    "synthetic", "datasets", "networks", "store", "core", "arguments", "progress", "optional",
+    "errors",
     "version",
 )  # fmt: skip
 """Packages and modules of the top level, from the top down: an import only ever leads down."""

@@ -11,9 +11,26 @@ from typing import TYPE_CHECKING
 from lightsim.version import __version__
 
 if TYPE_CHECKING:
-    from lightsim.api import build_twin, load_log, load_twin, relight
+    from lightsim.api import (
+        BuildOptions,
+        LogReading,
+        RelightOptions,
+        build_twin,
+        load_log,
+        load_twin,
+        relight,
+    )
 
-__all__ = ["__version__", "build_twin", "load_log", "load_twin", "relight"]
+__all__ = [
+    "BuildOptions",
+    "LogReading",
+    "RelightOptions",
+    "__version__",
+    "build_twin",
+    "load_log",
+    "load_twin",
+    "relight",
+]
 
 
 def __getattr__(name: str) -> object:

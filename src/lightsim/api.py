@@ -5,60 +5,32 @@ from __future__ import annotations
 from pathlib import Path
 
 from lightsim.core.log import DrivingLog
+from lightsim.core.reading import LogReading
 from lightsim.core.twin import DigitalTwin
 from lightsim.datasets.reader import read_log
 from lightsim.datasets.scale import at_scale
 from lightsim.masks.ego_vehicle import ego_vehicle_masks
 from lightsim.pipeline import build as pipeline
+from lightsim.pipeline.options import BuildOptions
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress, SilentProgress
 from lightsim.simulate import relight as scenarios
-from lightsim.simulate.skies import SkyChoice
-from lightsim.store.log import LogReading
+from lightsim.simulate.options import RelightOptions
 
 
-def load_log(
-    source: Path | str,
-    *,
-    dataset: str = "auto",
-    cameras: tuple[str, ...] = (),
-    frames: str = "",
-    heading_deg: float | None = None,
-    image_scale: float = 1.0,
-) -> DrivingLog:
+def load_log(reading: LogReading) -> DrivingLog:
     """A recorded log; images and sweeps are read when they are asked for.
 
     Raises:
         InputError: a file is missing or broken, or an option is wrong.
     """
-    log = read_log(
-        Path(source),
-        dataset=dataset,
-        cameras=cameras,
-        frames=frames,
-        heading_deg=heading_deg,
-        find_ego_vehicle=ego_vehicle_masks,
-    )
-    return at_scale(log, image_scale)
+    return at_scale(read_log(reading, ego_vehicle_masks), reading.image_scale)
 
 
 def build_twin(
-    reading: LogReading,
-    work: Path | str,
-    *,
-    preset: str = "standard",
-    seed: int = 0,
-    neural_steps: int | None = None,
-    device: str = "auto",
-    progress: Progress | None = None,
+    work: Path | str, options: BuildOptions, *, progress: Progress | None = None
 ) -> DigitalTwin:
-    """Make what is missing or stale in the work folder, and load the twin.
-
-    Args:
-        neural_steps: of training the neural field; None is the preset's, 0 goes without.
-        device: "auto", "cpu" or "cuda", for that training.
-    """
-    options = pipeline.BuildOptions(reading, preset, seed, neural_steps, device)
+    """Make what is missing or stale in the work folder, and load the twin."""
     return pipeline.build(Path(work), options, progress or SilentProgress()).twin
 
 
@@ -72,16 +44,7 @@ def load_twin(work: Path | str) -> DigitalTwin:
 
 
 def relight(
-    work: Path | str,
-    sky: str,
-    name: str,
-    *,
-    options: scenarios.RelightOptions | None = None,
-    progress: Progress | None = None,
-) -> Path:
-    """Relight the log of a work folder under a sky; returns the folder of the result.
-
-    `options`, where given, replaces `sky` and `name` too.
-    """
-    chosen = options or scenarios.RelightOptions(name, SkyChoice(sky))
-    return scenarios.relight(Path(work), chosen, progress or SilentProgress())
+    work: Path | str, options: RelightOptions, *, progress: Progress | None = None
+) -> list[Path]:
+    """Relight the log of a work folder; returns the folder of the result under each sky."""
+    return scenarios.relight(Path(work), options, progress or SilentProgress())

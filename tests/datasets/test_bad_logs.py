@@ -23,6 +23,7 @@ from datasets.mini_log import (
     write_json,
     write_mini_log,
 )
+from lightsim.core.reading import LogReading
 from lightsim.datasets.reader import read_log
 from lightsim.errors import InputError
 
@@ -324,7 +325,7 @@ def good_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def read_everything(folder: Path) -> None:
-    log = read_log(folder)
+    log = read_log(LogReading(source=str(folder)))
     for frame in log.frames:
         frame.load_srgb8()
     for sweep in log.sweeps:

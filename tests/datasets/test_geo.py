@@ -7,8 +7,7 @@ import pytest
 
 from lightsim.core.frames import Trajectory
 from lightsim.core.solar import azimuth_elevation
-from lightsim.datasets.geo import GpsTrack, check_heading, east_north_m, fit_heading, locate
-from lightsim.errors import InputError
+from lightsim.datasets.geo import GpsTrack, east_north_m, fit_heading, locate
 
 
 def drive(length_m: float, n: int = 20) -> Trajectory:
@@ -90,9 +89,3 @@ def test_a_given_heading_is_the_azimuth_of_world_x(
     assert geo.heading_origin == "given"
     x_enu = geo.enu_from_world.rotate(np.array([1.0, 0.0, 0.0]))
     assert azimuth_elevation(x_enu).azimuth_deg == pytest.approx(heading_deg, abs=1e-9)
-
-
-@pytest.mark.parametrize("heading_deg", [float("nan"), float("inf"), float("-inf"), 361.0])
-def test_a_heading_must_be_an_azimuth(heading_deg: float) -> None:
-    with pytest.raises(InputError, match="--heading-deg"):
-        check_heading(heading_deg)

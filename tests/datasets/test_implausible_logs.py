@@ -33,6 +33,7 @@ from datasets.test_bad_logs import (
     with_value,
     write_text,
 )
+from lightsim.core.reading import LogReading
 from lightsim.datasets.layout import has_file
 from lightsim.datasets.reader import READERS, check_layout, read_log
 from lightsim.errors import InputError
@@ -281,11 +282,13 @@ NOTED: list[tuple[str, Break, str]] = [
 @pytest.mark.parametrize(("change_log", "note"), [c[1:] for c in NOTED], ids=[c[0] for c in NOTED])
 def test_what_might_be_is_noted(log: Path, change_log: Break, note: str) -> None:
     change_log(log)
-    assert any(note in said for said in read_log(log).notes), read_log(log).notes
+    notes = read_log(LogReading(source=str(log))).notes
+    assert any(note in said for said in notes), notes
 
 
 def test_a_fast_drive_is_noted(tmp_path: Path) -> None:
-    notes = read_log(write_mini_log(tmp_path / "log", speed_m_s=100.0)).notes
+    log = write_mini_log(tmp_path / "log", speed_m_s=100.0)
+    notes = read_log(LogReading(source=str(log))).notes
     assert any("front_camera moves at 100 m/s" in note for note in notes)
 
 
@@ -296,7 +299,7 @@ def test_odd_ids_and_hidden_folders_are_only_data(log: Path) -> None:
         del table["cuboids.sibling_id"]
         write_frame(log / f"annotations/cuboids/{i:02d}.pkl.gz", {**table, "uuid": ids})
     (log / "camera/.partial").mkdir()
-    read = read_log(log)
+    read = read_log(LogReading(source=str(log)))
     assert {actor.actor_id for actor in read.actors} == {"../../../x", "a" * 300, "7"}
     assert set(read.cameras) == {"front_camera", "back_camera"}
 

@@ -10,6 +10,7 @@ import pytest
 
 from datasets.mini_log import START_S, WORLD_YAW_DEG, sweep_columns, write_frame, write_mini_log
 from lightsim.core.log import DrivingLog
+from lightsim.core.reading import LogReading
 from lightsim.core.sensors import LidarSweep
 from lightsim.core.solar import solar_position
 from lightsim.datasets.reader import read_log
@@ -28,7 +29,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def log(folder: Path) -> DrivingLog:
-    return read_log(folder)
+    return read_log(LogReading(source=str(folder)))
 
 
 def test_cameras_and_frames(log: DrivingLog) -> None:
@@ -92,26 +93,26 @@ def test_north_comes_from_gps(log: DrivingLog) -> None:
 
 
 def test_selections(folder: Path) -> None:
-    part = read_log(folder, cameras=("back_camera",), frames="1:3:2")
+    part = read_log(LogReading(source=str(folder), cameras=("back_camera",), frames="1:3:2"))
     assert list(part.cameras) == ["back_camera"]
     assert part.stems == ("01",)
     assert [s.stem for s in part.sweeps] == ["01"]
     assert len(part.actors) == 2
     with pytest.raises(InputError, match=r"'side_camera'.*back_camera, front_camera"):
-        read_log(folder, cameras=("side_camera",))
+        read_log(LogReading(source=str(folder), cameras=("side_camera",)))
     with pytest.raises(InputError, match="frames within 0:3"):
-        read_log(folder, frames="10:20")
+        read_log(LogReading(source=str(folder), frames="10:20"))
     with pytest.raises(InputError, match="--dataset"):
-        read_log(folder, dataset="kitti")
+        read_log(LogReading(source=str(folder), dataset="kitti"))
 
 
 def test_a_log_that_stands_still_can_be_given_its_heading(tmp_path: Path) -> None:
     folder = write_mini_log(tmp_path / "log", speed_m_s=0.5)
-    log = read_log(folder)
+    log = read_log(LogReading(source=str(folder)))
     assert log.geo is not None
     assert log.geo.enu_from_world is None
     assert any("--heading-deg" in note for note in log.notes)
-    given = read_log(folder, heading_deg=90.0)
+    given = read_log(LogReading(source=str(folder), heading_deg=90.0))
     assert given.geo is not None
     assert given.geo.enu_from_world is not None
     np.testing.assert_allclose(given.geo.enu_from_world.rotation, np.eye(3), atol=1e-12)
@@ -128,7 +129,7 @@ def test_what_is_missing_is_survived_and_said(
     columns = sweep_columns(START_S)
     columns["x"][:10] = np.nan
     write_frame(folder / "lidar/00.pkl.gz", columns)
-    log = read_log(folder)
+    log = read_log(LogReading(source=str(folder)))
     notes = " / ".join(log.notes)
     for part in ("missing 1 ", "front_camera: missing 2 ", "no GPS", "nominal mounting"):
         assert part in notes
@@ -142,13 +143,13 @@ def test_what_is_missing_is_survived_and_said(
         path.unlink()
     for path in (folder / "annotations/cuboids").glob("*.gz"):
         path.unlink()
-    bare = read_log(folder)
+    bare = read_log(LogReading(source=str(folder)))
     assert (bare.sweeps, bare.actors) == ((), ())
 
 
 @pytest.fixture(scope="module")
 def real(shared_data: Path) -> DrivingLog:
-    return read_log(shared_data / "pandaset" / "002", find_ego_vehicle=ego_vehicle_masks)
+    return read_log(LogReading(source=str(shared_data / "pandaset" / "002")), ego_vehicle_masks)
 
 
 def test_real_log_counts(real: DrivingLog) -> None:

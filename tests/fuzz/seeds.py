@@ -15,10 +15,12 @@ from lightsim.core.dome import Sun, add_sun
 from lightsim.core.fields import GroundMap, SceneFields, TsdfGrid
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import Material, Texture, TriMesh
+from lightsim.core.reading import LogReading
 from lightsim.core.twin import ActorAsset, DigitalTwin, Panorama, SceneAssets, SkyEstimate
 from lightsim.datasets.fingerprint import hash_recording
 from lightsim.datasets.reader import read_log
-from lightsim.pipeline.build import STAGES, BuildOptions, recipes
+from lightsim.pipeline.build import STAGES, recipes
+from lightsim.pipeline.options import BuildOptions
 from lightsim.pipeline.workspace import FIELD_CONFIG_NAME, FIELD_NAME, OPTIONS_NAME
 from lightsim.reconstruct.field.config import draft
 from lightsim.store.alignment import write_alignment
@@ -28,7 +30,7 @@ from lightsim.store.assets import write_assets, write_mesh
 from lightsim.store.checkpoint import FolderJournal
 from lightsim.store.fields import write_fields
 from lightsim.store.images import write_grey8
-from lightsim.store.log import LogReading, write_log
+from lightsim.store.log import write_log
 from lightsim.store.sky import write_panorama, write_sky
 from lightsim.store.twin import write_twin
 from lightsim.store.weights import WeightsRecord, write_weights
@@ -78,10 +80,10 @@ def _copy_a_little(source: Path, log: Path) -> None:
 def _write_work(work: Path, log_folder: Path) -> None:
     """All artefacts that a build makes, from tiny stand-ins for what its stages compute."""
     work.mkdir()
-    reading = LogReading(str(log_folder), "auto", (), "", None, 1.0, 0)
-    options = BuildOptions(reading, "draft", 0, 0)
+    reading = LogReading(source=str(log_folder), image_scale=1.0)
+    options = BuildOptions(reading=reading, preset="draft", neural_steps=0)
     write_own_json(work / OPTIONS_NAME, options)
-    log = read_log(log_folder)
+    log = read_log(reading)
     writers = _Writers(log, reading, hash_recording(log_folder))
     recipe_of = recipes(options, hash_names(writers.hashes))
     for stage in STAGES:

@@ -13,6 +13,8 @@ from lightsim.core.dome import SkyDome
 from lightsim.core.fields import SceneFields
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
+from lightsim.core.reading import LogReading
+from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.twin import ActorAsset, SceneAssets, SkyEstimate
 from lightsim.errors import LightSimError
 from lightsim.lighting.sky.image_sky import panorama_from_image
@@ -22,14 +24,15 @@ from lightsim.pipeline.workspace import FIELD_CONFIG_NAME, FIELD_NAME, Workspace
 from lightsim.progress import SilentProgress
 from lightsim.reconstruct.field.config import config_from_json
 from lightsim.simulate import relight as scenarios
-from lightsim.simulate.skies import SkyChoice, resolve_sky, sky_alone, sun_of_command
+from lightsim.simulate.options import RelightOptions
+from lightsim.simulate.skies import resolve_sky, sky_alone, sun_of_command
 from lightsim.store.alignment import read_alignment
 from lightsim.store.artefact import read_json
 from lightsim.store.assets import read_assets, read_mesh, write_assets
 from lightsim.store.checkpoint import FolderJournal
 from lightsim.store.fields import read_fields
 from lightsim.store.images import read_grey8, read_srgb8_alpha
-from lightsim.store.log import LogReading, read_reading, write_log
+from lightsim.store.log import read_reading, write_log
 from lightsim.store.sky import read_estimate, read_panorama
 from lightsim.store.twin import read_twin_assets
 from lightsim.store.weights import read_record, read_weights
@@ -39,11 +42,11 @@ _MAX_PICTURES, _MAX_SWEEPS = 6, 3
 
 def read_whole_log(folder: Path) -> None:
     """A log with its first pictures and sweeps, and what a build writes of it first."""
-    log = load_log(folder / "log")
+    log = load_log(LogReading(source=str(folder / "log"), image_scale=1.0))
     use_log(log)
     out = folder / "out"
     out.mkdir()
-    write_log(out, log, LogReading(str(folder / "log"), "auto", (), "", None, 1.0, 4), {})
+    write_log(out, log, LogReading(source=str(folder / "log"), image_scale=1.0, hold_out=4), {})
     cube = TriMesh(
         "actor", np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32),
         np.zeros((3, 3), np.float32),
@@ -210,9 +213,11 @@ def relight_with_options(
     """`lightsim relight` up to the first frame: every option read, the folder made."""
     yaw_deg, image_scale = numbers
     frames, cameras = words
-    options = scenarios.RelightOptions(
-        name,
-        SkyChoice(sky, yaw_deg, scale),
+    options = RelightOptions(
+        name=name,
+        sky=(sky,),
+        sky_yaw_deg=yaw_deg,
+        sky_scale=scale,
         cameras=tuple(cameras.split(",")) if cameras else (),
         frames=frames,
         image_scale=image_scale,
@@ -235,10 +240,16 @@ def read_with_options(
     chosen = tuple(cameras.split(",")) if cameras else ()
     use_log(
         load_log(
-            log, dataset=dataset, cameras=chosen, frames=frames, heading_deg=heading_deg,
-            image_scale=scale,
+            LogReading(
+                source=str(log),
+                dataset=dataset,  # type: ignore[arg-type]
+                cameras=chosen,
+                frames=frames,
+                heading_deg=heading_deg,
+                image_scale=scale,
+            )
         )
-    )  # fmt: skip
+    )
 
 
 def sky_words(sky: str, numbers: tuple[float, float, float], time: str) -> None:

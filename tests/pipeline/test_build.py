@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,21 +16,26 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
+from lightsim.core.reading import LogReading
 from lightsim.core.scenario import Scenario
-from lightsim.core.sensors import CameraFrame
+from lightsim.core.sensors import CameraFrame, LidarSweep
+from lightsim.core.sky_choice import SkyChoice
+from lightsim.datasets.pandaset import log as pandaset
+from lightsim.datasets.pandaset.sweeps import SweepSource, load_sweep
 from lightsim.errors import ArtefactError, InputError, MissingDependencyError
-from lightsim.pipeline.build import BuildOptions, build, status
+from lightsim.pipeline.build import build, status
+from lightsim.pipeline.options import BuildOptions
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import SilentProgress
 from lightsim.render.frame_renderer import FrameRenderer
-from lightsim.render.renderers import RendererChoice
-from lightsim.simulate.buffers import RenderOptions, render
-from lightsim.simulate.relight import relight, relight_all
-from lightsim.simulate.relighter import RelightOptions
-from lightsim.simulate.skies import SkyChoice
+from lightsim.render.options import RendererChoice
+from lightsim.simulate.buffers import render
+from lightsim.simulate.options import RelightOptions, RenderOptions
+from lightsim.simulate.relight import relight
+from lightsim.simulate.skies import made_from_sky
 from lightsim.store.images import read_exr, read_srgb8, write_exr
-from lightsim.store.log import LogReading
 from lightsim.store.mp4 import read_video
+from lightsim.store.scenario import read_scenario
 from lightsim.synthetic import shipped_street
 
 T = TypeVar("T")
@@ -38,14 +44,33 @@ CAMERAS = ("front_camera", "left_camera")
 
 def options() -> BuildOptions:
     source = str(shipped_street() / "log")
-    return BuildOptions(LogReading(source, "auto", CAMERAS, "0:4", None, 0.5, 3), "draft", 0, 20)
+    reading = LogReading(source=source, cameras=CAMERAS, frames="0:4", hold_out=3)
+    return BuildOptions(reading=reading, preset="draft", neural_steps=20)
 
 
 @pytest.fixture(scope="module")
-def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def decoded() -> Counter[str]:
+    """How often the build of `work` decoded each sweep."""
+    return Counter()
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory: pytest.TempPathFactory, decoded: Counter[str]) -> Path:
     folder = tmp_path_factory.mktemp("street")
-    build(folder, options(), SilentProgress())
+
+    def counting(source: SweepSource) -> LidarSweep:
+        decoded[source.stem] += 1
+        return load_sweep(source)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pandaset, "load_sweep", counting)
+        build(folder, options(), SilentProgress())
     return folder
+
+
+@pytest.mark.slow
+def test_a_build_decodes_each_sweep_once(work: Path, decoded: Counter[str]) -> None:
+    assert decoded == {sweep.stem: 1 for sweep in Workspace(work).log.sweeps}
 
 
 class Interrupting(SilentProgress):
@@ -203,8 +228,8 @@ def test_sun_comes_from_gps_and_time(work: Path) -> None:
 
 @pytest.mark.slow
 def test_relight_writes_what_the_interface_promises(work: Path) -> None:
-    chosen = RelightOptions("noon", SkyChoice("sun:180,60"), frames="0:2", is_linear_written=True)
-    folder = relight(work, chosen, SilentProgress())
+    chosen = RelightOptions(name="noon", sky=("sun:180,60",), frames="0:2", linear=True)
+    (folder,) = relight(work, chosen, SilentProgress())
     assert folder == work / "scenarios" / "noon"
     log = Workspace(work).log
     for camera in CAMERAS:
@@ -215,21 +240,22 @@ def test_relight_writes_what_the_interface_promises(work: Path) -> None:
         assert image.shape == linear.shape == (135, 240, 3)
         assert np.isfinite(linear).all()
         assert len(list(read_video(folder / "video" / f"{camera}.mp4"))) == 2
-    scenario = json.loads((folder / "scenario.json").read_text())
-    assert len(scenario["frames"]) == 4
-    assert scenario["frames"][0]["actors"]
+    scenario = read_scenario(folder, replace(Workspace(work).twin, log=log))
+    assert [frame.source for frame in scenario.frames] == ["recorded"] * 4
+    assert scenario.sky == SkyChoice("sun:180,60")
+    assert json.loads((folder / "scenario.json").read_text())["frames"][0]["actors"]
     assert (folder / "report.html").stat().st_size > 10_000
     before = contents(folder)
-    assert relight(work, chosen, SilentProgress()) == folder
-    for other in (replace(chosen, sky=SkyChoice("sun:90,30")), replace(chosen, exposure_ev=1.0)):
+    assert relight(work, chosen, SilentProgress()) == [folder]
+    for other in (replace(chosen, sky=("sun:90,30",)), replace(chosen, exposure_ev=1.0)):
         with pytest.raises(InputError, match=r"noon.*other settings.*--overwrite"):
             relight(work, other, SilentProgress())
     assert contents(folder) == before
-    brighter = replace(chosen, exposure_ev=1.0, frames="0:1", is_overwriting=True)
+    brighter = replace(chosen, exposure_ev=1.0, frames="0:1", overwrite=True)
     relight(work, brighter, SilentProgress())
     assert len(list((folder / "frames").rglob("*.png"))) == 2
     (folder / "artefact.json").write_text("{")
-    relight(work, replace(brighter, is_overwriting=False), SilentProgress())
+    relight(work, replace(brighter, overwrite=False), SilentProgress())
     assert (folder.parent / "noon.broken-1" / "frames").is_dir()
     assert len(list((folder / "frames").rglob("*.png"))) == 2
 
@@ -241,7 +267,7 @@ def test_a_damaged_twin_is_not_read_and_is_made_anew(work: Path, name: str) -> N
     whole = path.read_bytes()
     path.write_bytes(whole[:1000] + bytes([whole[1000] ^ 1]) + whole[1001:])
     with pytest.raises(ArtefactError, match=rf"{name} has other bytes.*lightsim build"):
-        relight(work, RelightOptions("x", SkyChoice("source")), SilentProgress())
+        relight(work, RelightOptions(name="x"), SilentProgress())
     states = {line.name: line.state for line in status(work, is_hashed=True)}
     assert [stage for stage, state in states.items() if state != "made"] == ["twin"]
     path.unlink()
@@ -262,24 +288,33 @@ def test_several_skies_are_traced_once_and_come_out_as_one_by_one(
         return trace(self, scenario, frame, camera)
 
     monkeypatch.setattr(FrameRenderer, "trace", counting)
-    high, low = (
-        RelightOptions(name, SkyChoice(sky), cameras=("left_camera",), frames="0:1")
-        for name, sky in (("high", "sun:180,60"), ("low", "sun:90,20"))
+    both = RelightOptions(
+        name="day", sky=("sun:180,60", "sun:90,20"), cameras=("left_camera",), frames="0:1"
     )
-    folders = relight_all(work, [high, low], SilentProgress())
+    folders = relight(work, both, SilentProgress())
+    assert folders == [work / "scenarios" / "day" / sky for sky in ("sun_180_60", "sun_90_20")]
     assert len(traced) == 1
-    alone = relight(work, replace(low, name="alone"), SilentProgress())
-    assert len(traced) == 2
-    pictures = [next((f / "frames").rglob("*.png")).read_bytes() for f in (*folders, alone)]
-    assert pictures[1] == pictures[2] != pictures[0]
-    with pytest.raises(InputError, match="two scenarios have one name"):
-        relight_all(work, [high, replace(low, name="HIGH")], SilentProgress())
+    singly = [replace(both, name=f"alone-{n}", sky=(sky,)) for n, sky in enumerate(both.sky)]
+    alone = [relight(work, one, SilentProgress())[0] for one in singly]
+    assert len(traced) == 3
+    pictures = [next((f / "frames").rglob("*.png")).read_bytes() for f in (*folders, *alone)]
+    assert pictures[:2] == pictures[2:]
+    assert pictures[0] != pictures[1]
+    for other in (replace(both, sky=("source",)), replace(both, name="alone-0")):
+        with pytest.raises(InputError, match="--overwrite"):
+            relight(work, other, SilentProgress())
+        made = relight(work, replace(other, overwrite=True), SilentProgress())
+        assert all((folder / "artefact.json").is_file() for folder in made)
+    assert not (work / "scenarios" / "alone-0" / "frames").exists()
+    assert not (work / "scenarios" / "day" / "sun_90_20").exists()
+    with pytest.raises(InputError, match="one folder"):
+        replace(both, sky=("sun:180,60", "sun:180:60"))
 
 
 @pytest.mark.slow
 def test_relighting_with_the_source_sky_returns_the_image(work: Path) -> None:
-    chosen = RelightOptions("same", SkyChoice("source"), cameras=("left_camera",), frames="0:1")
-    folder = relight(work, chosen, SilentProgress())
+    chosen = RelightOptions(name="same", cameras=("left_camera",), frames="0:1")
+    (folder,) = relight(work, chosen, SilentProgress())
     workspace = Workspace(work)
     frame = workspace.log.frames_of("left_camera")[0]
     source = frame.load_srgb8()
@@ -292,7 +327,7 @@ def test_relighting_with_the_source_sky_returns_the_image(work: Path) -> None:
 @pytest.mark.slow
 def test_buffers_are_written_as_exr(work: Path, tmp_path: Path) -> None:
     what = ("depth", "normal", "albedo", "shadow", "ao")
-    chosen = RenderOptions(what, (SkyChoice("source"),), cameras=("front_camera",), frames="0:1")
+    chosen = RenderOptions(what=what, cameras=("front_camera",), frames="0:1")
     render(work, tmp_path, chosen, SilentProgress())
     stem = Workspace(work).log.stems[0]
     depth = read_exr(tmp_path / "depth" / "front_camera" / f"{stem}.exr")
@@ -303,9 +338,11 @@ def test_buffers_are_written_as_exr(work: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(length[np.isfinite(depth)], 1.0, atol=1e-4)
     assert shadow.min() >= 0
     assert shadow.max() <= 1
+    scenario = read_scenario(tmp_path, Workspace(work).twin)
+    assert [(f.stem, f.source) for f in scenario.frames] == [(stem, "rendered")]
     assert json.loads((tmp_path / "sky.json").read_text())["facts"]["scale_factor"] == 1.0
     assert render(work, tmp_path, chosen, SilentProgress()).rendered == 0
-    for other in (replace(chosen, seed=1), replace(chosen, skies=(SkyChoice("sun:10,20"),))):
+    for other in (replace(chosen, seed=1), replace(chosen, sky=("sun:10,20",))):
         with pytest.raises(InputError, match="other settings"):
             render(work, tmp_path, other, SilentProgress())
     foreign = tmp_path / "depth" / "front_camera" / f"{stem}.exr"
@@ -314,7 +351,7 @@ def test_buffers_are_written_as_exr(work: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=f"{stem}.exr: a file that this run did not make"):
         render(work, tmp_path, chosen, SilentProgress())
     foreign.write_bytes(ours)
-    no_blender = RendererChoice("cycles", blender_python=tmp_path / "nowhere")
+    no_blender = RendererChoice(renderer="cycles", blender_python=tmp_path / "nowhere")
     empty = tmp_path / "empty"
     with pytest.raises(MissingDependencyError, match="nowhere"):
         render(work, empty, replace(chosen, renderer=no_blender), SilentProgress())
@@ -325,9 +362,9 @@ def test_wrong_words_are_named(tmp_path: Path) -> None:
     with pytest.raises(ArtefactError, match="lightsim build"):
         status(tmp_path)
     with pytest.raises(InputError, match="shiny"):
-        RenderOptions(("depth", "shiny"), (SkyChoice("source"),))
+        RenderOptions(what=("depth", "shiny"))
     with pytest.raises(InputError, match="sun:AZ,EL"):
-        _ = SkyChoice("no_such_file.hdr").input_key
+        made_from_sky(SkyChoice("no_such_file.hdr"))
     broken = replace(options().reading, source=str(tmp_path / "nowhere"))
     with pytest.raises((InputError, OSError)):
-        build(tmp_path / "work", BuildOptions(broken, "draft", 0), SilentProgress())
+        build(tmp_path / "work", BuildOptions(reading=broken), SilentProgress())

@@ -12,14 +12,15 @@ from typing import Any
 import pytest
 
 import lightsim.pipeline.stages as stages_package
-from lightsim.pipeline.build import PRESETS, STAGES, BuildOptions
+from lightsim.core.reading import LogReading
+from lightsim.pipeline.build import STAGES
+from lightsim.pipeline.options import PRESETS, BuildOptions, Preset
 from lightsim.simulate.relighter import RelightConfig
 from lightsim.store.artefact import Recipe, json_ready
-from lightsim.store.log import LogReading
 
 
-def options(preset: str) -> BuildOptions:
-    return BuildOptions(LogReading("x", "auto", (), "", None, 0.5, 0), preset)
+def options(preset: Preset) -> BuildOptions:
+    return BuildOptions(reading=LogReading(source="x"), preset=preset)
 
 
 def with_one_change(config: Any) -> Iterator[tuple[str, Any]]:
@@ -41,7 +42,7 @@ def key(config: Any) -> str:
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_every_setting_of_a_stage_decides_its_key(preset: str) -> None:
+def test_every_setting_of_a_stage_decides_its_key(preset: Preset) -> None:
     configs = {s.name: s.config(options(preset)) for s in STAGES} | {"relight": RelightConfig()}
     seen = 0
     for stage, config in configs.items():

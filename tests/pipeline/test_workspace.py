@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
+from lightsim.core.reading import LogReading
 from lightsim.errors import ArtefactError
 from lightsim.masks import ego_vehicle
 from lightsim.pipeline.build import STAGES
 from lightsim.pipeline.workspace import Workspace
-from lightsim.store.log import LogReading
 from lightsim.synthetic import shipped_street
 
 
@@ -64,7 +64,7 @@ def test_the_recording_car_is_not_looked_for_in_held_out_pictures(
 
     monkeypatch.setattr(ego_vehicle, "ego_vehicle_masks", look)
     source = shipped_street() / "log"
-    reading = LogReading(str(source), "auto", ("front_camera",), "0:8", None, 0.5, 4)
+    reading = LogReading(source=str(source), cameras=("front_camera",), frames="0:8", hold_out=4)
     work = Workspace(tmp_path, reading, {})
     assert work.held_out == {"02", "06"}
     assert seen & work.held_out == set()

@@ -146,7 +146,7 @@ def test_frames_of_light(tracer):
     frame = CameraFrame("test", "00", 0, _VIEW, lambda: np.zeros((36, 48, 3), np.uint8))
     background, roof = plane(12.0, 60, 0.5), box((0, -2, 3), (2, 2, 0.2), 0.7)
     renderer = ReferenceRenderer(background, roof, tracer, samples=16, bounces=1)
-    scenario = Scenario("test", (frame,), ())
+    scenario = Scenario("test", (), ())
     skies = [renderer.prepare(sky)]
     traced = renderer.trace(scenario, frame, _LENS)
     buffers, lit = traced.buffers, traced.light(skies[0])

@@ -14,15 +14,17 @@ import pytest
 from lightsim.core.mesh import TriMesh
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
+from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError, MissingDependencyError
 from lightsim.progress import SilentProgress
 from lightsim.render.frame_renderer import FrameRenderer, visible_sky
-from lightsim.render.renderers import Renderer, RendererChoice, make_renderer
+from lightsim.render.options import RendererChoice
+from lightsim.render.renderers import Renderer, make_renderer, renderer_settings
 from lightsim.render.transport.faces import TransportConfig
 from lightsim.render.transport.sky import prepare_sky
-from lightsim.simulate.buffers import Layout, RenderOptions, write_frames
+from lightsim.simulate.buffers import Layout, write_frames
+from lightsim.simulate.options import RenderOptions
 from lightsim.simulate.shard import Shard
-from lightsim.simulate.skies import SkyChoice
 from lightsim.store.images import read_exr
 from render.rendering_scenes import box, camera, look_at, plane, random_sky, sun_sky
 
@@ -74,7 +76,7 @@ def run(out: Path, part: tuple[CameraFrame, ...], progress: SilentProgress | Non
     )
     skies = {name: made.prepare(dome) for name, dome in domes.items()}
     pending = [frame for frame in part if not layout.is_done(frame)]
-    scenario = Scenario("test", frames(), ())
+    scenario = Scenario("test", (), ())
     cameras = {"test": camera(24, 18, 20.0)}
     write_frames(layout, made, scenario, cameras, pending, skies, progress or SilentProgress())
 
@@ -176,15 +178,13 @@ def test_names_of_skies_are_fit_for_files(sky: str, name: str) -> None:
     "skies", [("a/x.hdr", "b/x.exr"), ("sun:1,2", "sun:1,2"), ("Depth.hdr",), ("X.hdr", "x.exr")]
 )
 def test_two_skies_of_one_name_are_refused(skies: tuple[str, ...]) -> None:
-    options = RenderOptions(("shaded",), tuple(SkyChoice(s) for s in skies))
     with pytest.raises(InputError, match="one folder"):
-        _ = options.sky_by_name
-    assert replace(options, what=("depth",)).sky_by_name == {}
+        RenderOptions(what=("shaded",), sky=skies)
 
 
 def test_light_needs_a_sky() -> None:
     with pytest.raises(InputError, match="--sky"):
-        RenderOptions(("shaded",), ())
+        RenderOptions(what=("shaded",), sky=())
 
 
 def test_a_chosen_number_of_rays_is_used() -> None:
@@ -192,7 +192,7 @@ def test_a_chosen_number_of_rays_is_used() -> None:
     choice = RendererChoice(backend="embree", rays=5)
     made = make_renderer(choice, ground, none, 0, has_images=False)
     assert isinstance(made, Renderer)
-    scenario = Scenario("test", frames(), ())
+    scenario = Scenario("test", (), ())
     traced = made.trace(scenario, frames()[0], camera(8, 6, 6.0))
     np.testing.assert_allclose(traced.buffers.ambient_occlusion, 1.0, atol=1e-6)
     with pytest.raises(InputError, match="--rays"):
@@ -202,10 +202,10 @@ def test_a_chosen_number_of_rays_is_used() -> None:
 def test_the_ray_table_and_the_path_tracer_take_the_same_picture() -> None:
     """Of light and sky; a path tracer's rough surfaces reflect a little more."""
     ground, none = plane(half_m=8.0, cells=8), plane(cells=0)
-    scenario = Scenario("test", frames(), ())
+    scenario = Scenario("test", (), ())
     sky = sun_sky(1.0, 40.0, 0.4, rows=64)
     shaded, images = [], []
-    for choice in (RendererChoice("transport", rays=64), RendererChoice("path", rays=16)):
+    for choice in (RendererChoice(rays=64), RendererChoice(renderer="path", rays=16)):
         made = make_renderer(choice, ground, none, 0, has_images=True)
         traced = made.trace(scenario, frames()[0], camera(16, 12, 12.0))
         prepared = made.prepare(sky)
@@ -238,11 +238,11 @@ def test_pictures_are_right(tmp_path: Path) -> None:
 
 
 def test_impossible_numbers_of_bounces_are_refused() -> None:
-    assert RendererChoice("path", bounces=8).settings["bounces"] == 8
-    with pytest.raises(InputError, match="1 to 64"):
+    assert renderer_settings(RendererChoice(renderer="path", bounces=8))["bounces"] == 8
+    with pytest.raises(InputError, match="from 1 to 64"):
         RendererChoice(bounces=65)
     with pytest.raises(InputError, match="bounces"):
-        RendererChoice("path", bounces=0)
+        RendererChoice(bounces=0)
 
 
 def test_denoising_needs_its_package_before_anything_is_rendered(
@@ -251,7 +251,7 @@ def test_denoising_needs_its_package_before_anything_is_rendered(
     monkeypatch.setitem(sys.modules, "pyoidn", None)
     mesh = TriMesh("world", np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32),
                    np.zeros((0, 3), np.float32))  # fmt: skip
-    choice = RendererChoice(is_denoised=True)
+    choice = RendererChoice(denoise=True)
     with pytest.raises(MissingDependencyError, match="denoise"):
         make_renderer(choice, mesh, mesh, 0, has_images=True)
     make_renderer(choice, mesh, mesh, 0, has_images=False)

@@ -14,6 +14,7 @@ import pytest
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.dome import Sun, find_sun, irradiance
 from lightsim.core.frames import RigidTransform
+from lightsim.core.reading import LogReading
 from lightsim.core.solar import angle_between_deg, direction_world, solar_position
 from lightsim.datasets.reader import read_log
 from lightsim.errors import InputError
@@ -186,7 +187,7 @@ def test_shipped_street_is_small_and_says_how_it_was_made() -> None:
 
 def test_shipped_log_reads_and_agrees_with_its_truth() -> None:
     folder = shipped_street()
-    log = read_log(folder / "log")
+    log = read_log(LogReading(source=str(folder / "log")))
     truth = json.loads((folder / "truth" / "truth.json").read_text())
     assert len(log.cameras) == 6
     assert len(log.frames) == 6 * len(log.sweeps)
@@ -201,7 +202,7 @@ def test_shipped_log_reads_and_agrees_with_its_truth() -> None:
 
 def test_shipped_sweeps_agree_with_the_true_depth() -> None:
     folder = shipped_street()
-    log = read_log(folder / "log")
+    log = read_log(LogReading(source=str(folder / "log")))
     stem = json.loads((folder / "truth" / "truth.json").read_text())["buffer_stems"][0]
     sweep = next(s for s in log.sweeps if s.stem == stem).load()
     for path in sorted((folder / "truth" / "depth_z_m").glob(f"*/{stem}.exr")):
@@ -236,7 +237,7 @@ def test_a_finished_street_is_kept_and_a_lost_sweep_is_made_again(tmp_path: Path
     assert all(path.read_bytes() == data for path, data in kept.items())
     assert json.loads((folder / "truth" / "truth.json").read_text()) == truth
     again, shipped = (
-        next(s for s in read_log(f / "log").sweeps if s.stem == "04").load()
+        next(s for s in read_log(LogReading(source=str(f / "log"))).sweeps if s.stem == "04").load()
         for f in (folder, shipped_street())
     )
     np.testing.assert_allclose(again.points_world, shipped.points_world, atol=0.01)

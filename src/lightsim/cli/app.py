@@ -48,28 +48,30 @@ Command = (
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point. Exit codes: 0 done, 1 our error, 2 wrong usage, 130 interrupted."""
-    command = tyro.cli(
-        Command,
-        prog="lightsim",
-        description="An open lighting simulator for driving logs.",
-        args=argv,
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
-    if isinstance(command, EvaluateGroup):
-        command = command.measure
-    elif isinstance(command, SkyGroup):
-        command = command.do
-    elif isinstance(command, TrainGroup):
-        command = command.what
+    words = sys.argv[1:] if argv is None else argv
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:
+        # Options check their ranges where they are made: while the command line is read.
+        command = tyro.cli(
+            Command,
+            prog="lightsim",
+            description="An open lighting simulator for driving logs.",
+            args=words,
+            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+        )
+        if isinstance(command, EvaluateGroup):
+            command = command.measure
+        elif isinstance(command, SkyGroup):
+            command = command.do
+        elif isinstance(command, TrainGroup):
+            command = command.what
         with _stopped_like_ctrl_c():
             command.run()
     except KeyboardInterrupt:
         sys.stderr.write("lightsim: interrupted; run the same command again to go on\n")
         sys.exit(130)
     except Exception as error:
-        if command.verbose:
+        if {"-v", "--verbose"} & set(words):
             raise
         sys.exit(_complain(error))
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal, Protocol, runtime_checkable
+from typing import Annotated, Protocol, runtime_checkable
 
 import tyro
 
 Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"])]
-Device = Literal["auto", "cpu", "cuda"]
 
 
 @runtime_checkable

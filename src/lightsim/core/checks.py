@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from lightsim.errors import InputError
 
@@ -45,3 +46,14 @@ def check_seed(seed: int, where: str = "--seed") -> None:
 def check_image_scale(image_scale: float) -> None:
     """Refuse a factor on the recorded size that leaves nothing, or would invent pixels."""
     check_number("--image-scale", image_scale, MIN_IMAGE_SCALE, 1.0)
+
+
+def check_choice(where: str, value: str | None, choices: Sequence[str | None]) -> None:
+    """Refuse a word that is not one of an option's."""
+    if value not in choices:
+        raise InputError(
+            "there is no such choice",
+            where=where,
+            got=repr(value)[:80],
+            expected=f"one of {', '.join(str(choice) for choice in choices)}",
+        )

@@ -1,14 +1,23 @@
-"""What is rendered: which frames, with which actors where."""
+"""What is rendered: which frames, under which sky, with which actors where."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from functools import cached_property
+from typing import Any, Literal, get_args
 
 from lightsim.core.actors import ActorTrack
-from lightsim.core.frames import RigidTransform
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.checks import check_choice
+from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.sensors import CameraFrame
+from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.twin import ActorAsset
+
+FrameSource = Literal["recorded", "rendered", "composite"]
+"""Where the pixels come from before they are relit: the camera, the twin, or the camera with parts
+of the twin in it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,29 +28,57 @@ class ActorPlacement:
     track: ActorTrack
 
     def world_from_actor(self, time_ns: int) -> RigidTransform:
+        """Pose at a time."""
         return self.track.world_from_actor(time_ns)
 
 
 @dataclass(frozen=True, eq=False)
+class ScenarioFrame(CameraFrame):
+    """A frame to make; `load_srgb8` is the recorded image of its name, whatever the source.
+
+    Raises:
+        InputError: there is no such source.
+    """
+
+    source: FrameSource = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        check_choice(f"frame {self.camera_name}/{self.stem}", self.source, get_args(FrameSource))
+
+    @staticmethod
+    def of(frame: CameraFrame, source: FrameSource) -> ScenarioFrame:
+        """A frame of the log, to be made from `source`."""
+        values = {f.name: getattr(frame, f.name) for f in fields(CameraFrame)}
+        return ScenarioFrame(**values, source=source)
+
+
+@dataclass(frozen=True, eq=False)
 class Scenario:
-    """Frames to render and the actors in them.
+    """Frames to make, the sky over them and the actors in them.
 
     Args:
         name: of the scenario.
-        frames: to render.
+        frames: to make.
         placements: actors that have a shape.
-        edits: what differs from the log.
-        seed: of all random numbers.
         tracks: all actors, those that nobody reconstructed too; their order is the one numbering
             of actors in buffers and files. By default those of the placements.
+        cameras: by name, those of the frames.
+        ego: path of the ego vehicle, `world_from_ego`; None where no vehicle is asked about.
+        sky: target sky; None where only geometry is rendered.
+        edits: what differs from the log, as SCENARIO.json spells it; placements and ego have it
+            already.
+        seed: of all random numbers.
     """
 
     name: str
-    frames: tuple[CameraFrame, ...]
+    frames: tuple[ScenarioFrame, ...]
     placements: tuple[ActorPlacement, ...]
-    edits: tuple[str, ...] = ()
-    seed: int = 0
     tracks: tuple[ActorTrack, ...] = ()
+    cameras: Mapping[str, PinholeCamera] = field(default_factory=dict[str, PinholeCamera])
+    ego: Trajectory | None = None
+    sky: SkyChoice | None = None
+    edits: tuple[Mapping[str, Any], ...] = ()
+    seed: int = 0
 
     def __post_init__(self) -> None:
         if not self.tracks:

@@ -9,7 +9,6 @@ from jaxtyping import Float64
 
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.log import GeoReference
-from lightsim.errors import InputError
 
 MIN_PATH_M = 3.0
 """A shorter ego path says too little about its own direction."""
@@ -115,21 +114,6 @@ def locate(
         return GeoReference(*place, None, "unknown", None), (note,)
     enu_from_world = _enu_from_yaw(fit.yaw_rad)
     return GeoReference(*place, enu_from_world, "gps track", fit.std_deg, fit.residual_m), ()
-
-
-def check_heading(heading_deg: float | None) -> None:
-    """Refuse a heading that is no azimuth.
-
-    Raises:
-        InputError: not finite or outside [-360, 360].
-    """
-    if heading_deg is not None and not abs(heading_deg) <= 360.0:
-        raise InputError(
-            "the heading is no azimuth",
-            where="--heading-deg",
-            got=heading_deg,
-            expected="degrees clockwise from true north",
-        )
 
 
 def _fit_log(track: GpsTrack, ego: Trajectory) -> HeadingFit | None:

@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
 
 from lightsim.core.log import DrivingLog, FindEgoVehicle, without_ego_vehicle
+from lightsim.core.reading import Dataset, LogReading
 from lightsim.datasets.layout import has_folder
 from lightsim.datasets.pandaset.log import is_pandaset, read_pandaset
 from lightsim.errors import InputError
 from lightsim.store.names import is_harmless
 
-Dataset = Literal["pandaset"]
-
-
-ReadDataset = Callable[[Path, tuple[str, ...], str, float | None, FindEgoVehicle], DrivingLog]
-"""(source, cameras, frames as "START:STOP[:STEP]", heading_deg, find_ego_vehicle) -> recording."""
+ReadDataset = Callable[[LogReading, FindEgoVehicle], DrivingLog]
+"""(options, find_ego_vehicle) -> recording."""
 
 
 @dataclass(frozen=True)
@@ -34,65 +31,46 @@ READERS: dict[Dataset, LogReader] = {
 
 
 def read_log(
-    source: Path,
-    *,
-    dataset: str = "auto",
-    cameras: tuple[str, ...] = (),
-    frames: str = "",
-    heading_deg: float | None = None,
-    find_ego_vehicle: FindEgoVehicle = without_ego_vehicle,
+    reading: LogReading, find_ego_vehicle: FindEgoVehicle = without_ego_vehicle
 ) -> DrivingLog:
-    """The recording in a folder.
+    """The recording in a folder, at its full image size and with all frames.
 
     Args:
-        source: the folder of one recording.
-        dataset: a name of `Dataset`, or "auto" to recognise it by its layout.
-        cameras: names of the cameras wanted; () for all.
-        frames: "START:STOP[:STEP]" over frame numbers, STOP not included, for pictures and sweeps
-            alike; "" for all.
-        heading_deg: azimuth (clockwise from true north) of world +x; replaces the GPS fit.
+        reading: its image scale and held-out frames are the caller's business.
         find_ego_vehicle: finds the recording car in the pictures; by default nobody looks.
 
     Raises:
         InputError: the folder is of no known data set, or a file in it is missing or broken.
     """
-    log = READERS[check_layout(source, dataset)].read(
-        source, cameras, frames, heading_deg, find_ego_vehicle
-    )
-    _check_camera_names(log, source)
+    log = READERS[check_layout(reading)].read(reading, find_ego_vehicle)
+    _check_camera_names(log, reading.source)
     return log
 
 
-def check_layout(source: Path, dataset: str = "auto") -> Dataset:
+def check_layout(reading: LogReading) -> Dataset:
     """The data set whose layout a folder has. Only a few names are looked up, so this may be asked
     of any folder, before it is walked or hashed.
 
     Raises:
         InputError: no such folder, or not of this data set, or of none.
     """
+    source, dataset = Path(reading.source), reading.dataset
     if not has_folder(source):
         raise InputError(
             "no such folder", where=source, remedy="SOURCE is the folder of one recording."
         )
-    names: tuple[Dataset, ...] = get_args(Dataset)
-    if dataset not in ("auto", *names):
-        raise InputError(
-            f"unknown data set '{dataset}'",
-            where="--dataset",
-            expected=f"auto or one of {', '.join(names)}",
-        )
-    for name in names:
-        if dataset in ("auto", name) and READERS[name].detect(source):
+    for name, reader in READERS.items():
+        if dataset in ("auto", name) and reader.detect(source):
             return name
     raise InputError(
         "the folder has the layout of no known data set",
         where=source,
-        expected=dataset if dataset != "auto" else f"one of {', '.join(names)}",
+        expected=dataset if dataset != "auto" else f"one of {', '.join(READERS)}",
         remedy="PandaSet: give the folder of one sequence, such as pandaset/002.",
     )
 
 
-def _check_camera_names(log: DrivingLog, source: Path) -> None:
+def _check_camera_names(log: DrivingLog, source: str) -> None:
     """Every stage writes files under the cameras' names, of whatever data set."""
     names: dict[str, str] = {}
     for name in log.cameras:

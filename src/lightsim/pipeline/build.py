@@ -9,14 +9,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 from lightsim.align.config import AlignConfig
 from lightsim.appearance import config as asset_config
-from lightsim.appearance.config import Colour
-from lightsim.core.checks import check_number, check_seed
 from lightsim.datasets.fingerprint import hash_recording
 from lightsim.datasets.reader import check_layout
 from lightsim.errors import ArtefactError, InputError
@@ -24,8 +22,9 @@ from lightsim.geometry import config as mesh_config
 from lightsim.lighting.panorama.stitch import StitchConfig
 from lightsim.masks.sky import SkyMaskConfig
 from lightsim.pipeline.measures import MeasureConfig
+from lightsim.pipeline.options import BuildOptions
 from lightsim.pipeline.report import ReportConfig
-from lightsim.pipeline.source_sun import GpsUse, SourceSunConfig
+from lightsim.pipeline.source_sun import SourceSunConfig
 from lightsim.pipeline.stages import light, recording, results, surfaces
 from lightsim.pipeline.stages.context import Context
 from lightsim.pipeline.workspace import OPTIONS_NAME, Workspace
@@ -46,14 +45,10 @@ from lightsim.store.artefact import (
 )
 from lightsim.store.atomic import sweep_partials
 from lightsim.store.lock import LOCK_NAME, locked
-from lightsim.store.log import LogReading, reading_from_json
+from lightsim.store.log import reading_from_json
 from lightsim.store.reading import is_folder
 
 logger = logging.getLogger(__name__)
-
-PRESETS = ("draft", "standard", "paper")
-_MAX_STEPS = 10_000_000
-"""Weeks of training; beyond it somebody has slipped a digit."""
 
 _FUSE = {"draft": fuse_config.draft, "standard": fuse_config.standard, "paper": fuse_config.paper}
 _NEURAL = {
@@ -67,43 +62,6 @@ _ASSETS = {
     "standard": asset_config.standard,
     "paper": asset_config.paper,
 }
-
-
-@dataclass(frozen=True)
-class BuildOptions:
-    """What a build is made from.
-
-    Args:
-        reading: how to read the log.
-        preset: "draft", "standard" or "paper".
-        seed: of all random numbers.
-        neural_steps: of training the neural field; None is the preset's, 0 goes without.
-        device: "auto", "cpu" or "cuda", for training; results on the CPU do not depend on it.
-        no_refine: physics of the log to leave out (align/config.py: PARTS, OTHER_PARTS).
-        colour: "texture", "vertex" or "field" (appearance/config.py); None is the preset's.
-        gps: how much of the log's place, time and heading the sun is found with.
-    """
-
-    reading: LogReading
-    preset: str = "standard"
-    seed: int = 0
-    neural_steps: int | None = None
-    device: str = "auto"
-    no_refine: tuple[str, ...] = ()
-    colour: Colour | None = None
-    gps: GpsUse = "all"
-
-    def __post_init__(self) -> None:
-        if self.preset not in PRESETS:
-            raise InputError(
-                "there is no such preset",
-                where="--preset",
-                got=self.preset,
-                expected=f"one of {', '.join(PRESETS)}",
-            )
-        check_seed(self.seed)
-        if self.neural_steps is not None:
-            check_number("--neural-steps", self.neural_steps, 0, _MAX_STEPS)
 
 
 @dataclass(frozen=True)
@@ -239,8 +197,10 @@ def build(
         ArtefactError: another command is at work in `work`, or what must be replaced there is not
             ours.
     """
-    _check_places(Path(options.reading.source), work)
-    check_layout(Path(options.reading.source), options.reading.dataset)
+    source = Path(options.reading.source).resolve()
+    options = replace(options, reading=replace(options.reading, source=str(source)))
+    _check_places(source, work)
+    check_layout(options.reading)
     try:
         work.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -291,7 +251,7 @@ def _build(work: Path, options: BuildOptions, progress: Progress, until: str) ->
 def _check_places(source: Path, work: Path) -> None:
     """The work folder must not become part of the recording."""
     inside = work.resolve()
-    if source.resolve() in (inside, *inside.parents):
+    if source in (inside, *inside.parents):
         raise InputError(
             "the work folder lies in the recording, which is never written to",
             where=f"--work {work}",
@@ -369,17 +329,9 @@ def read_options(work: Path) -> BuildOptions:
         )
     value = read_json(path)
     try:
-        reading = reading_from_json(value["reading"])
-        return BuildOptions(
-            reading,
-            value["preset"],
-            value["seed"],
-            value["neural_steps"],
-            value["device"],
-            tuple(value["no_refine"]),
-            value["colour"],
-            value["gps"],
-        )
+        value = {field.name: value[field.name] for field in fields(BuildOptions)}
+        value["reading"] = reading_from_json(value["reading"])
+        return BuildOptions(**{**value, "no_refine": tuple(value["no_refine"])})
     except (KeyError, TypeError) as error:
         raise ArtefactError(
             "the options of the build are broken", where=path, got=error, remedy="Build again."

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 
@@ -20,13 +19,11 @@ from lightsim.lighting.sun.posterior import (
 )
 from lightsim.lighting.sun.shadow_votes import ShadowVoteConfig, ShadowVotes, vote
 from lightsim.lighting.sun.surface_samples import sample_surfaces
+from lightsim.pipeline.options import GpsUse
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.frame_renderer import parked_actor_meshes
-
-GpsUse = Literal["all", "place", "none"]
-"""Place, time and heading; place and time alone; or the images alone."""
 
 
 @dataclass(frozen=True)

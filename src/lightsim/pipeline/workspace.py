@@ -16,8 +16,10 @@ from lightsim.core.alignment import Alignment
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.fields import SceneFields
 from lightsim.core.frames import Trajectory
+from lightsim.core.kept_sweeps import KeptSweeps
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
+from lightsim.core.reading import LogReading
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import DigitalTwin, Panorama, SceneAssets, SkyEstimate
 from lightsim.errors import ArtefactError
@@ -27,7 +29,6 @@ from lightsim.store.assets import read_assets, read_mesh
 from lightsim.store.fields import read_fields
 from lightsim.store.images import read_grey8
 from lightsim.store.log import (
-    LogReading,
     held_out_of,
     held_out_stems,
     read_reading,
@@ -96,6 +97,7 @@ class Workspace:
         self._is_stale_allowed = is_stale_allowed
         self._records: dict[str, dict[str, Any]] = {}
         self._open: frozenset[str] | None = None
+        self._sweeps = KeptSweeps()
 
     def folder(self, stage: str) -> Path:
         return self.root / stage
@@ -176,7 +178,7 @@ class Workspace:
     @made_of("log", "alignment")
     def log(self) -> DrivingLog:
         """All frames at the scale of the build; sensors, path and boxes aligned."""
-        return self.alignment.applied_to(self.recorded_log)
+        return self._with_kept_sweeps(self.alignment.applied_to(self.recorded_log))
 
     @made_of("log")
     def recorded_log(self) -> DrivingLog:
@@ -191,16 +193,11 @@ class Workspace:
     def _full_log(self) -> DrivingLog:
         from lightsim.datasets.reader import read_log
 
-        reading = self.reading
         self._check_source()
-        return read_log(
-            Path(reading.source),
-            dataset=reading.dataset,
-            cameras=reading.cameras,
-            frames=reading.frames,
-            heading_deg=reading.heading_deg,
-            find_ego_vehicle=self._find_ego_vehicle,
-        )
+        return self._with_kept_sweeps(read_log(self.reading, self._find_ego_vehicle))
+
+    def _with_kept_sweeps(self, log: DrivingLog) -> DrivingLog:
+        return replace(log, sweeps=self._sweeps.of(log.sweeps))
 
     def _find_ego_vehicle(
         self, views: Sequence[tuple[PinholeCamera, Sequence[CameraFrame]]], ego: Trajectory

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float32
 
+from lightsim.relighting.options import Method
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
 
-Method = Literal["physical"]
-METHODS: Mapping[str, Callable[[RelightInputs, RatioConfig], Float32[np.ndarray, "h w 3"]]] = {
+METHODS: Mapping[Method, Callable[[RelightInputs, RatioConfig], Float32[np.ndarray, "h w 3"]]] = {
     "physical": relight_physical,
 }
 """(inputs of a frame, settings) -> radiance under the target sky."""

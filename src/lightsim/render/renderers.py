@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float32
@@ -15,16 +14,14 @@ from lightsim.core.dome import SkyDome
 from lightsim.core.mesh import TriMesh
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
-from lightsim.errors import InputError
-from lightsim.render.casters.choice import Backend, choose_caster, resolve_backend
+from lightsim.render.casters.choice import choose_caster, resolve_backend
 from lightsim.render.frame_renderer import FrameRenderer
+from lightsim.render.options import RendererChoice
 from lightsim.render.transport.bag_torch import has_torch_cuda
 from lightsim.render.transport.table import TransportConfig
 
 _PATHS = 64
 _PATH_BOUNCES = 4
-RendererName = Literal["transport", "path", "cycles"]
-_MOST_BOUNCES = 64
 
 
 @runtime_checkable
@@ -62,58 +59,20 @@ class Renderer(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class RendererChoice:
-    """How light is computed.
+def renderer_settings(choice: RendererChoice) -> dict[str, Any]:
+    """What decides the pictures but for noise; the backend does not."""
+    more: dict[str, Any] = {"bounces": choice.bounces, "is_denoised": choice.denoise}
+    if choice.renderer == "transport":
+        more["transport"] = asdict(_transport(choice))
+    return {"renderer": choice.renderer, "rays": choice.rays, **more}
 
-    Args:
-        name: "transport" is the ray table; "path" and "cycles" trace paths anew for every sky.
-        backend: what casts the rays of the ray table.
-        rays: per traced pixel over the hemisphere, or paths per pixel; None for the renderer's
-            own number.
-        pixel_samples: points of every pixel at which the ray table looks, a square number.
-        blender_python: Python that has bpy, for "cycles"; None looks for it.
-        bounces: of light between surfaces; None for the renderer's own number (1 of the ray
-            table, 4 of the others).
-        is_denoised: images pass Open Image Denoise.
-    """
 
-    name: RendererName = "transport"
-    backend: Backend = "auto"
-    rays: int | None = None
-    pixel_samples: int = 4
-    blender_python: Path | None = None
-    bounces: int | None = None
-    is_denoised: bool = False
-
-    def __post_init__(self) -> None:
-        if self.rays is not None and self.rays < 1:
-            raise InputError(
-                "there must be rays", where="--rays", got=self.rays, expected="1 or more"
-            )
-        if self.bounces is not None and not 1 <= self.bounces <= _MOST_BOUNCES:
-            raise InputError(
-                "there is no such number of bounces",
-                where="--bounces",
-                got=self.bounces,
-                expected=f"1 to {_MOST_BOUNCES}",
-            )
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """What decides the pictures but for noise; the backend does not."""
-        more: dict[str, Any] = {"bounces": self.bounces, "is_denoised": self.is_denoised}
-        if self.name == "transport":
-            more["transport"] = asdict(self.transport)
-        return {"renderer": self.name, "rays": self.rays, **more}
-
-    @property
-    def transport(self) -> TransportConfig:
-        """Rays of the ray table, on the CPU."""
-        config = TransportConfig(pixel_samples=self.pixel_samples)
-        if self.bounces is not None:
-            config = replace(config, bounces=self.bounces)
-        return config if self.rays is None else replace(config, sky_rays=self.rays)
+def _transport(choice: RendererChoice) -> TransportConfig:
+    """Rays of the ray table, on the CPU."""
+    config = TransportConfig(pixel_samples=choice.pixel_samples)
+    if choice.bounces is not None:
+        config = replace(config, bounces=choice.bounces)
+    return config if choice.rays is None else replace(config, sky_rays=choice.rays)
 
 
 def make_renderer(
@@ -128,15 +87,15 @@ def make_renderer(
         InputError: its backend is not available here.
         MissingDependencyError: its package is not installed.
     """
-    if choice.is_denoised and has_images:
+    if choice.denoise and has_images:
         from lightsim.render.reference.denoise import check_installed
 
         check_installed()
-        noisy = replace(choice, is_denoised=False)
+        noisy = replace(choice, denoise=False)
         return _Denoised(make_renderer(noisy, background, inferred, seed, has_images=True))
-    if choice.name != "transport":
+    if choice.renderer != "transport":
         return _reference(choice, background, inferred, seed)
-    config = choice.transport
+    config = _transport(choice)
     if not has_images:
         config = replace(config, glossy_rays=0)
     backend = resolve_backend(choice.backend)
@@ -153,7 +112,7 @@ def _reference(
 ) -> Renderer:
     from lightsim.render.reference.renderer import ReferenceRenderer
 
-    if choice.name == "path":
+    if choice.renderer == "path":
         from lightsim.render.reference.path_tracer import PathTracer
 
         tracer = PathTracer()

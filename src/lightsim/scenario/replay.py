@@ -2,16 +2,32 @@
 
 from __future__ import annotations
 
-from lightsim.core.scenario import ActorPlacement, Scenario
+from collections.abc import Sequence
+
+from lightsim.core.scenario import ActorPlacement, FrameSource, Scenario, ScenarioFrame
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import DigitalTwin
 
 
-def replay(twin: DigitalTwin, name: str, frames: tuple[CameraFrame, ...]) -> Scenario:
-    """The log as it was: every reconstructed actor on its own track."""
-    placements = tuple(
-        ActorPlacement(twin.assets.actors[track.actor_id], track)
-        for track in twin.log.actors
-        if track.actor_id in twin.assets.actors
+def replay(
+    twin: DigitalTwin,
+    name: str,
+    frames: Sequence[CameraFrame],
+    source: FrameSource = "rendered",
+    seed: int = 0,
+) -> Scenario:
+    """The log as it was: every reconstructed actor on its own track; no target sky is set yet."""
+    log, assets = twin.log, twin.assets.actors
+    return Scenario(
+        name,
+        tuple(ScenarioFrame.of(frame, source) for frame in frames),
+        tuple(
+            ActorPlacement(assets[track.actor_id], track)
+            for track in log.actors
+            if track.actor_id in assets
+        ),
+        log.actors,
+        {camera: log.cameras[camera] for camera in dict.fromkeys(f.camera_name for f in frames)},
+        log.ego,
+        seed=seed,
     )
-    return Scenario(name, frames, placements, tracks=twin.log.actors)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -41,9 +41,8 @@ from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.table import TransportConfig
-from lightsim.simulate.relight import relight_all
-from lightsim.simulate.relighter import RelightOptions
-from lightsim.simulate.skies import SkyChoice
+from lightsim.simulate.options import RelightOptions
+from lightsim.simulate.relight import relight
 from lightsim.store.exr import read_exr
 from lightsim.store.images import read_srgb8
 from lightsim.synthetic.reader import read_true_meshes
@@ -67,9 +66,9 @@ def relit_frames(
     if not conditions:
         raise InputError("no relit ground truth", where=truth / "relit", expected="NAME/<camera>/")
     masks = TrueSurfaces(truth / "scene.npz", workspace)
-    choices = [_truth_options(truth, name) for name in conditions]
     tasks: list[FrameTask] = []
-    for name, made in zip(conditions, relight_all(work, choices, progress), strict=True):
+    relit = relight(work, _truth_options(truth, conditions), progress)
+    for name, made in zip(conditions, relit, strict=True):
         folder = truth / "relit" / name
         source = Path(workspace.reading.source) / "camera"
         for camera, stem, files in pair_folders(
@@ -86,17 +85,17 @@ def relit_frames(
     return score_frames(tasks, config or FramesConfig(), progress=progress)
 
 
-def _truth_options(truth: Path, name: str) -> RelightOptions:
-    """The relight that a folder of true frames asks for."""
-    files = (truth / "relit" / name).glob("*/*")
-    stems = sorted({int(p.stem) for p in files if p.stem.isdigit()})
+def _truth_options(truth: Path, conditions: Sequence[str]) -> RelightOptions:
+    """The relight that the folders of true frames ask for."""
+    stems = sorted({int(p.stem) for p in (truth / "relit").glob("*/*/*") if p.stem.isdigit()})
     step = int(np.gcd.reduce(np.diff(stems))) if len(stems) > 1 else 1
     return RelightOptions(
-        f"truth-{name}",
-        SkyChoice(str(truth / "skies" / f"{name}.exr"), scale="none"),
+        name="truth",
+        sky=tuple(str(truth / "skies" / f"{name}.exr") for name in conditions),
+        sky_scale="none",
         frames=f"{stems[0]}:{stems[-1] + 1}:{step}",
         image_scale=1.0,
-        is_overwriting=True,
+        overwrite=True,
     )
 
 
@@ -113,7 +112,7 @@ class TrueSurfaces:
             for name, mesh in self.meshes.items()
             if name in tracks
         )
-        self.scenario = Scenario("truth", self._log.frames, placements)
+        self.scenario = Scenario("truth", (), placements)
         empty = replace(background, faces=background.faces[:0])
         self._renderer = FrameRenderer(background, empty, TransportConfig(), 0)
         self._masks: dict[tuple[str, str], Bool[np.ndarray, "h w"]] = {}

@@ -8,7 +8,7 @@ stopped goes on where it was, and shards may write into one folder.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,101 +17,27 @@ from jaxtyping import Float32
 
 from lightsim.core.buffers import GBuffers
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.checks import check_image_scale, check_seed
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
+from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
-from lightsim.lighting.target_sky import FORMS
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
-from lightsim.render.renderers import Renderer, RendererChoice, TracedFrame, make_renderer
+from lightsim.render.renderers import Renderer, TracedFrame, make_renderer, renderer_settings
 from lightsim.scenario.replay import replay
+from lightsim.simulate.options import GEOMETRY, LIGHT, RenderOptions
 from lightsim.simulate.relight import select_frames
 from lightsim.simulate.shard import Shard
-from lightsim.simulate.skies import SkyChoice, resolve_sky
+from lightsim.simulate.skies import made_from_sky, resolve_sky
 from lightsim.store.artefact import hash_names, json_ready, read_json, write_json
 from lightsim.store.atomic import sweep_partials
 from lightsim.store.exr import read_mark, write_exr
 from lightsim.store.lock import LOCK_NAME, locked
+from lightsim.store.scenario import write_scenario
 
-GEOMETRY = ("depth", "position", "normal", "albedo", "actor", "ao")
-"""The same under every sky: written once."""
-LIGHT = ("shaded", "unshadowed", "shadow", "image")
-"""Written for each sky."""
 _RECORD = "render.json"
 _SKY_RECORD = "sky.json"
-_ACTORS = "actors.json"
-_SCHEMA = 3
-
-
-@dataclass(frozen=True)
-class RenderOptions:
-    """What `lightsim render` is asked for.
-
-    Args:
-        what: names among GEOMETRY and LIGHT.
-        skies: of the light buffers.
-        cameras: empty for all.
-        frames: START:STOP[:STEP], empty for all.
-        image_scale: factor on the log's image size; None for that of the build.
-        renderer: how light is computed, and by what rays.
-        shard: which part of the frames this process renders.
-        seed: of the sampling of rays.
-        is_stale_allowed: go on where the recording has changed since the build.
-    """
-
-    what: tuple[str, ...]
-    skies: tuple[SkyChoice, ...]
-    cameras: tuple[str, ...] = ()
-    frames: str = ""
-    image_scale: float | None = None
-    renderer: RendererChoice = field(default_factory=RendererChoice)
-    shard: Shard = field(default_factory=Shard)
-    seed: int = 0
-    is_stale_allowed: bool = False
-
-    def __post_init__(self) -> None:
-        check_seed(self.seed)
-        if self.image_scale is not None:
-            check_image_scale(self.image_scale)
-        unknown = set(self.what) - {*GEOMETRY, *LIGHT}
-        if unknown or not self.what:
-            raise InputError(
-                "unknown buffers" if unknown else "no buffers are named",
-                where="--what",
-                got=", ".join(sorted(unknown)) or None,
-                expected=f"some of {', '.join((*GEOMETRY, *LIGHT))}",
-            )
-        if self.needs_light and not self.skies:
-            raise InputError(
-                "light buffers need a sky", where="--sky", expected=f"an HDR file, {FORMS}"
-            )
-
-    @property
-    def needs_light(self) -> bool:
-        return bool(set(self.what) & set(LIGHT))
-
-    @property
-    def sky_by_name(self) -> dict[str, SkyChoice]:
-        """The skies by the names of their folders; none where no light is asked for.
-
-        Raises:
-            InputError: two skies have one name, or a name is that of a buffer.
-        """
-        named: dict[str, SkyChoice] = {}
-        taken: dict[str, str] = {what: f"the buffer {what}" for what in (*GEOMETRY, *LIGHT)}
-        for sky in self.skies if self.needs_light else ():
-            name = sky.name
-            if name.casefold() in taken:
-                raise InputError(
-                    "two skies would be written to one folder",
-                    where=f"--sky {sky.sky}",
-                    got=f"the name {name}, which {taken[name.casefold()]} has",
-                    remedy="Give each sky once; rename or link one of two files of one name.",
-                )
-            taken[name.casefold()] = sky.sky
-            named[name] = sky
-        return named
+_SCHEMA = 4
 
 
 @dataclass(frozen=True)
@@ -183,10 +109,11 @@ class RenderSummary:
 
 def render(work: Path, out: Path, options: RenderOptions, progress: Progress) -> RenderSummary:
     """Write OUT/<what>/<camera>/<frame>.exr, light under several skies to OUT/<sky>/<what>/...;
-    files that are there already are kept.
+    files that are there already are kept. scenario.json beside <what> tells cameras, poses and
+    boxes of the frames that were asked for last.
 
     Depth is inf, other buffers 0 where there is no surface; `actor` is the number that
-    OUT/actors.json tells, the same in all frames, -1 background, -2 none. Light is irradiance over
+    scenario.json tells, the same in all frames, -1 background, -2 none. Light is irradiance over
     pi, `image` the radiance that the camera sees. The ray table averages light and image over the
     pixel's samples (light over those that meet a surface); all else belongs to the pixel's centre.
     The shards of a run may share OUT; their union is the same as one run, byte for byte, on equal
@@ -196,7 +123,7 @@ def render(work: Path, out: Path, options: RenderOptions, progress: Progress) ->
         ArtefactError: the twin has not been built.
         InputError: a sky, camera or frame range is wrong, or OUT holds files of other settings.
     """
-    workspace = Workspace(work, is_stale_allowed=options.is_stale_allowed)
+    workspace = Workspace(work, is_stale_allowed=options.allow_stale)
     workspace.need("twin")
     with locked(work / LOCK_NAME, is_shared=True):
         return _render(workspace, out, options, progress)
@@ -208,8 +135,8 @@ def _render(
     scale = options.image_scale or workspace.reading.image_scale
     log = workspace.log_at(scale)
     frames = select_frames(log, options.cameras, options.frames)
-    mine = options.shard.of(frames)
-    skies = options.sky_by_name
+    mine = Shard.parse(options.shard).of(frames)
+    skies = options.sky_by_name if options.needs_light else {}
     settings = _settings(workspace, options, scale)
     layout = Layout(out, options.what, tuple(skies), hash_names(settings))
     # First of all: other settings are told better than by the first file that they made.
@@ -229,10 +156,10 @@ def _render(
         )
         # Not before: a renderer that is not installed must leave no claim behind.
         _claim(layout, settings, skies)
-        prepared = _prepare_skies(layout, skies, renderer, workspace)
-        scenario = replay(twin, "render", frames)
-        if "actor" in options.what:
-            write_json(out / _ACTORS, _actor_table(scenario))
+        scenario = replay(replace(twin, log=log), "render", frames, seed=options.seed)
+        if not skies:
+            write_scenario(out, scenario)
+        prepared = _prepare_skies(layout, skies, renderer, workspace, scenario)
         write_frames(layout, renderer, scenario, log.cameras, pending, prepared, progress)
     return RenderSummary(len(mine), len(pending))
 
@@ -244,7 +171,7 @@ def _settings(workspace: Workspace, options: RenderOptions, image_scale: float) 
         "twin": workspace.record("twin")["key"],
         "image_scale": image_scale,
         "seed": options.seed,
-        **options.renderer.settings,
+        **renderer_settings(options.renderer),
     }
 
 
@@ -266,7 +193,7 @@ def _claim(layout: Layout, settings: Mapping[str, Any], skies: Mapping[str, SkyC
 def _claims(
     layout: Layout, settings: Mapping[str, Any], skies: Mapping[str, SkyChoice]
 ) -> dict[Path, dict[str, Any]]:
-    of_skies = {layout.sky_folder(n) / _SKY_RECORD: sky.made_from for n, sky in skies.items()}
+    of_skies = {layout.sky_folder(n) / _SKY_RECORD: made_from_sky(sky) for n, sky in skies.items()}
     return {layout.out / _RECORD: json_ready(settings), **of_skies}
 
 
@@ -287,21 +214,19 @@ def _check_claim(path: Path, made_from: Mapping[str, Any]) -> None:
         )
 
 
-def _actor_table(scenario: Scenario) -> list[dict[str, Any]]:
-    """What the numbers of `actor` mean."""
-    return [
-        {"number": number, "actor_id": track.actor_id, "kind": track.kind}
-        for number, track in enumerate(scenario.tracks)
-    ]
-
-
 def _prepare_skies(
-    layout: Layout, skies: Mapping[str, SkyChoice], renderer: Renderer, workspace: Workspace
+    layout: Layout,
+    skies: Mapping[str, SkyChoice],
+    renderer: Renderer,
+    workspace: Workspace,
+    scenario: Scenario,
 ) -> dict[str, Any]:
     prepared: dict[str, Any] = {}
     for name, sky in skies.items():
         target = resolve_sky(sky, workspace)
-        write_json(layout.sky_folder(name) / _SKY_RECORD, {**sky.made_from, "facts": target.facts})
+        folder = layout.sky_folder(name)
+        write_json(folder / _SKY_RECORD, {**made_from_sky(sky), "facts": target.facts})
+        write_scenario(folder, replace(scenario, sky=sky), target_sky=target.facts)
         prepared[name] = renderer.prepare(target.dome)
     return prepared
 

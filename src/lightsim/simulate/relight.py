@@ -6,8 +6,8 @@ on where it stopped.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,27 +17,30 @@ import numpy as np
 from lightsim.core.log import DrivingLog
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
+from lightsim.core.sky_choice import SkyChoice
 from lightsim.datasets.selection import FrameSelection
 from lightsim.errors import ArtefactError, InputError
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.scenario.replay import replay
-from lightsim.simulate.relighter import RelightConfig, Relighter, RelightOptions, RelitFrame
+from lightsim.simulate.options import RelightOptions
+from lightsim.simulate.relighter import RelightConfig, Relighter, RelitFrame
 from lightsim.simulate.report import report_frames, write_relight_report, write_report_strip
-from lightsim.simulate.skies import TargetSky, resolve_sky
+from lightsim.simulate.skies import TargetSky, made_from_sky, resolve_sky
 from lightsim.store.artefact import (
+    RECORD_NAME,
     Recipe,
     json_ready,
     make_artefact,
     open_attempt,
     read_record,
-    write_json,
 )
 from lightsim.store.images import read_srgb8, write_exr, write_png
 from lightsim.store.lock import LOCK_NAME, locked
 from lightsim.store.mp4 import Mp4Writer
+from lightsim.store.scenario import write_scenario
 
-_SCHEMA = 2
+_SCHEMA = 3
 _STAGE = "relight"
 
 
@@ -46,95 +49,102 @@ class _Job:
     """One scenario to make."""
 
     folder: Path
-    options: RelightOptions
     settings: dict[str, Any]
     recipe: Recipe
     scenario: Scenario
     sky: TargetSky
 
 
-def relight(work: Path, options: RelightOptions, progress: Progress) -> Path:
-    """Relight the log of a work folder; returns WORK/scenarios/NAME. Raises as `relight_all`."""
-    return relight_all(work, [options], progress)[0]
+def relight(work: Path, options: RelightOptions, progress: Progress) -> list[Path]:
+    """Relight the log of a work folder under some skies; each frame is traced once for all.
 
-
-def relight_all(work: Path, choices: Sequence[RelightOptions], progress: Progress) -> list[Path]:
-    """Relight the log of a work folder under several skies; each frame is traced once for all of
-    them that are asked for at one size and seed. Returns WORK/scenarios/NAME of each.
+    Returns:
+        WORK/scenarios/NAME for one sky; for several WORK/scenarios/NAME/<sky> of each, in order.
 
     Raises:
         ArtefactError: the twin has not been built or is damaged, the recording has changed since,
             or another command is at work there.
-        InputError: a sky, a camera or a frame range is wrong, a name comes twice, or it holds a
-            scenario of other settings.
+        InputError: a sky, a camera or a frame range is wrong, or the name holds a scenario of
+            other settings.
     """
-    names = [options.name for options in choices]
-    if len({name.casefold() for name in names}) < len(names):
-        raise InputError(
-            "two scenarios have one name", where="--name", got=names, expected="each name once"
-        )
-    workspace = Workspace(work, is_stale_allowed=any(o.is_stale_allowed for o in choices))
+    workspace = Workspace(work, is_stale_allowed=options.allow_stale)
     workspace.need("twin")
-    folder = work / "scenarios"
-    with ExitStack() as locks:
-        locks.enter_context(locked(work / LOCK_NAME, is_shared=True))
-        folder.mkdir(exist_ok=True)
-        for name in names:
-            locks.enter_context(locked(folder / f".{name}{LOCK_NAME}"))
-        by_tracing: dict[tuple[float, int], list[RelightOptions]] = {}
-        for options in choices:
-            scale = options.image_scale or workspace.reading.image_scale
-            by_tracing.setdefault((scale, options.seed), []).append(options)
-        for (scale, seed), alike in by_tracing.items():
-            _relight(workspace, folder, alike, (scale, seed), progress)
-    return [folder / name for name in names]
+    base = work / "scenarios" / options.name
+    with locked(work / LOCK_NAME, is_shared=True):
+        base.parent.mkdir(exist_ok=True)
+        with locked(base.parent / f".{options.name}{LOCK_NAME}"):
+            return _relight(workspace, base, options, progress)
 
 
 def _relight(
-    workspace: Workspace,
-    folder: Path,
-    choices: Sequence[RelightOptions],
-    tracing: tuple[float, int],
-    progress: Progress,
-) -> None:
-    """The scenarios of one image scale and seed."""
-    scale, seed = tracing
+    workspace: Workspace, base: Path, options: RelightOptions, progress: Progress
+) -> list[Path]:
     config = RelightConfig()
+    scale = options.image_scale or workspace.reading.image_scale
     log = workspace.log_at(scale)
-    jobs = [_job(workspace, folder / o.name, log, (o, scale), config) for o in choices]
+    frames = select_frames(log, options.cameras, options.frames)
+    twin = replace(workspace.twin, log=log)
+    scenario = replay(twin, options.name, frames, "recorded", options.seed)
+    skies = options.sky_by_name
+    folders = [base] if len(skies) == 1 else [base / name for name in skies]
+    jobs = []
+    for folder, choice in zip(folders, skies.values(), strict=True):
+        settings = _settings(options, choice, scale)
+        if not options.overwrite:
+            _refuse_other_settings(folder, {**settings, "seed": options.seed})
+        made_from = {**settings, "config": json_ready(config)}
+        inputs = {"twin": workspace.record("twin")["key"]}
+        recipe = Recipe(_STAGE, _SCHEMA, made_from, inputs, options.seed)
+        target = resolve_sky(choice, workspace)
+        jobs.append(_Job(folder, settings, recipe, replace(scenario, sky=choice), target))
+    _make_room(base, folders, is_overwriting=options.overwrite)
     attempts = [(job, open_attempt(job.folder, job.recipe)) for job in jobs]
     pending = [(job, partial) for job, partial in attempts if partial is not None]
     if pending:
-        relighter = Relighter(workspace, log, config, seed)
-        _write_frames(relighter, pending, progress)
+        relighter = Relighter(workspace, log, config, options)
+        _write_frames(relighter, pending, progress, is_linear_written=options.linear)
     for job in jobs:
         make_artefact(job.folder, job.recipe, lambda p, job=job: _finish(p, job, progress))
+    return folders
 
 
-def _job(
-    workspace: Workspace,
-    folder: Path,
-    log: DrivingLog,
-    asked: tuple[RelightOptions, float],
-    config: RelightConfig,
-) -> _Job:
-    options, scale = asked
-    settings = options.settings(scale)
-    if not options.is_overwriting:
-        _refuse_other_settings(folder, {**settings, "seed": options.seed})
-    made_from = {**settings, "config": json_ready(config)}
-    inputs = {"twin": workspace.record("twin")["key"]}
-    recipe = Recipe(_STAGE, _SCHEMA, made_from, inputs, options.seed)
-    frames = select_frames(log, options.cameras, options.frames)
-    sky = resolve_sky(options.sky, workspace)
-    scenario = replay(replace(workspace.twin, log=log), options.name, frames)
-    return _Job(folder, options, settings, recipe, scenario, sky)
+def _settings(options: RelightOptions, sky: SkyChoice, image_scale: float) -> dict[str, Any]:
+    """All that decides the frames besides twin and sky file."""
+    return {
+        "sky": made_from_sky(sky),
+        "method": options.method,
+        "exposure_ev": options.exposure_ev,
+        "cameras": list(options.cameras),
+        "frames": options.frames,
+        "image_scale": image_scale,
+        "linear": options.linear,
+    }
+
+
+def _make_room(base: Path, folders: Sequence[Path], *, is_overwriting: bool) -> None:
+    """The scenario of one sky is NAME itself, those of several are folders in it: one kind makes
+    way for the other only when the user says so."""
+    if folders == [base]:
+        standing = [] if read_record(base) else [p.parent for p in base.glob(f"*/{RECORD_NAME}")]
+    else:
+        standing = [base] if read_record(base) else []
+    if standing and not is_overwriting:
+        raise InputError(
+            "a name holds the scenario of one sky, or those of several",
+            where=base,
+            got=f"{len(folders)} skies now, others before",
+            remedy="Choose another --name, or give --overwrite.",
+        )
+    for folder in standing:
+        record = read_record(folder)
+        if record is not None and record["stage"] == _STAGE:
+            shutil.rmtree(folder)
 
 
 def _finish(partial: Path, job: _Job, progress: Progress) -> Iterable[str]:
     """All that stands beside the frames."""
     _write_videos(partial, job.scenario, progress)
-    write_json(partial / "scenario.json", scenario_summary(job.scenario, job.sky, job.settings))
+    write_scenario(partial, job.scenario, target_sky=job.sky.facts, options=job.settings)
     write_relight_report(partial / "report.html", partial, job.scenario, job.sky)
     return ()
 
@@ -178,27 +188,26 @@ def select_frames(
 
 
 def _write_frames(
-    relighter: Relighter, jobs: Sequence[tuple[_Job, Path]], progress: Progress
+    relighter: Relighter,
+    jobs: Sequence[tuple[_Job, Path]],
+    progress: Progress,
+    *,
+    is_linear_written: bool,
 ) -> None:
     """Every frame that a job lacks, traced once for all jobs."""
-    targets = [relighter.target(job.sky, job.options) for job, _ in jobs]
-    shown = [report_frames(job.scenario) for job, _ in jobs]
-    frames = {f: None for job, _ in jobs for f in job.scenario.frames}
-    for frame in progress.track(frames, "relight", len(frames)):
-        lacking = [
-            number
-            for number, (job, folder) in enumerate(jobs)
-            if frame in job.scenario.frames and not _picture(folder, frame).exists()
-        ]
+    targets = [relighter.target(job.sky) for job, _ in jobs]
+    scenario = jobs[0][0].scenario
+    shown = report_frames(scenario)
+    for frame in progress.track(scenario.frames, "relight", len(scenario.frames)):
+        lacking = [n for n, (_, folder) in enumerate(jobs) if not _picture(folder, frame).exists()]
         if not lacking:
             continue
-        scenario = jobs[lacking[0]][0].scenario
         results = relighter.relit(frame, scenario, [targets[n] for n in lacking])
         for number, result in zip(lacking, results, strict=True):
-            job, folder = jobs[number]
-            if frame in shown[number]:
+            folder = jobs[number][1]
+            if frame in shown:
                 write_report_strip(folder, result)
-            _write_frame(folder, result, is_linear_written=job.options.is_linear_written)
+            _write_frame(folder, result, is_linear_written=is_linear_written)
 
 
 def _picture(folder: Path, frame: CameraFrame) -> Path:
@@ -232,42 +241,9 @@ def _write_videos(folder: Path, scenario: Scenario, progress: Progress) -> None:
                 video.write(image)
 
 
-def frame_rate(frames: list[CameraFrame]) -> float:
+def frame_rate(frames: Sequence[CameraFrame]) -> float:
     """Frames per second of one camera by the median interval; 10 for a single frame."""
     if len(frames) < 2:
         return 10.0
     intervals_s = np.diff([f.time_ns for f in frames]) / 1e9
     return float(round(1.0 / float(np.median(intervals_s)), 3))
-
-
-def scenario_summary(
-    scenario: Scenario, target: TargetSky, settings: Mapping[str, Any]
-) -> dict[str, Any]:
-    """scenario.json: the sky, the settings, and the actors' boxes of every frame."""
-    frames = [
-        {
-            "camera": frame.camera_name,
-            "frame": frame.stem,
-            "time_ns": frame.time_ns,
-            "world_from_camera": frame.world_from_camera.matrix.tolist(),
-            "actors": [
-                {
-                    "actor_id": track.actor_id,
-                    "number": scenario.number_by_actor[track.actor_id],
-                    "kind": track.kind,
-                    "size_lwh_m": track.size_lwh_m.tolist(),
-                    "world_from_actor": track.world_from_actor(frame.time_ns).matrix.tolist(),
-                }
-                for track in scenario.tracks_at(frame.time_ns)
-            ],
-        }
-        for frame in scenario.frames
-    ]
-    return {
-        "version": 1,
-        "name": scenario.name,
-        "options": dict(settings),
-        "sky": target.facts,
-        "edits": list(scenario.edits),
-        "frames": frames,
-    }

@@ -4,95 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, UInt8
 
 from lightsim.core.buffers import GBuffers, ShadowBuffers
-from lightsim.core.checks import MAX_EXPOSURE_EV, check_image_scale, check_number, check_seed
 from lightsim.core.colour import linear_from_srgb8
 from lightsim.core.log import DrivingLog
 from lightsim.core.resample import resize_area
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
-from lightsim.errors import InputError
 from lightsim.pipeline.workspace import Workspace
-from lightsim.relighting.methods import METHODS, Method
+from lightsim.relighting.methods import METHODS
 from lightsim.relighting.physical.compose import camera_image
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.image import sky_image
 from lightsim.render.transport.sky import SkyCells
 from lightsim.render.transport.table import TransportConfig
-from lightsim.simulate.skies import SkyChoice, TargetSky
-from lightsim.store.names import is_harmless
-
-
-@dataclass(frozen=True)
-class RelightOptions:
-    """What `lightsim relight` is asked for.
-
-    Args:
-        name: of the result folder: letters, digits, and . _ - after the first.
-        sky: target sky.
-        method: of METHODS.
-        exposure_ev: exposure of the output, stops.
-        cameras: empty for all.
-        frames: START:STOP[:STEP] over the log's own frame numbers, empty for all.
-        image_scale: factor on the log's image size; None for that of the build.
-        is_linear_written: also write linear EXR frames.
-        seed: of the sampling of rays.
-        is_overwriting: replace a scenario of this name that was made with other settings.
-        is_stale_allowed: go on where the recording has changed since the build.
-
-    Raises:
-        InputError: the name is not one for a folder, or a number is out of range.
-    """
-
-    name: str
-    sky: SkyChoice
-    method: Method = "physical"
-    exposure_ev: float = 0.0
-    cameras: tuple[str, ...] = ()
-    frames: str = ""
-    image_scale: float | None = None
-    is_linear_written: bool = False
-    seed: int = 0
-    is_overwriting: bool = False
-    is_stale_allowed: bool = False
-
-    def __post_init__(self) -> None:
-        if not is_harmless(self.name):
-            raise InputError(
-                "the name is not fit for a folder",
-                where="--name",
-                got=repr(self.name[:40]),
-                expected="letters, digits and . _ -, a letter or digit first",
-            )
-        if self.method not in METHODS:
-            raise InputError(
-                "there is no such method",
-                where="--method",
-                got=self.method,
-                expected=f"one of {', '.join(METHODS)}",
-            )
-        check_number("--exposure-ev", self.exposure_ev, -MAX_EXPOSURE_EV, MAX_EXPOSURE_EV)
-        if self.image_scale is not None:
-            check_image_scale(self.image_scale)
-        check_seed(self.seed)
-
-    def settings(self, image_scale: float) -> dict[str, Any]:
-        """All that decides the frames besides twin and sky file."""
-        return {
-            "sky": self.sky.made_from,
-            "method": self.method,
-            "exposure_ev": self.exposure_ev,
-            "cameras": list(self.cameras),
-            "frames": self.frames,
-            "image_scale": image_scale,
-            "is_linear_written": self.is_linear_written,
-        }
+from lightsim.simulate.options import RelightOptions
+from lightsim.simulate.skies import TargetSky
 
 
 @dataclass(frozen=True)
@@ -136,34 +67,36 @@ class RelightTarget:
         sky: as it was resolved.
         cells: for sums of light.
         level_ratio: light on level ground in the open, target over source.
-        options: of the scenario that it belongs to.
     """
 
     sky: TargetSky
     cells: SkyCells
     level_ratio: Float32[np.ndarray, "3"]
-    options: RelightOptions
 
 
 class Relighter:
     """Relights single frames of one workspace; a frame is traced once for all target skies."""
 
     def __init__(
-        self, workspace: Workspace, log: DrivingLog, config: RelightConfig, seed: int
+        self, workspace: Workspace, log: DrivingLog, config: RelightConfig, options: RelightOptions
     ) -> None:
         self.log = log
+        self._options = options
         self._workspace = workspace
         self._config = config
         self._renderer = FrameRenderer(
-            workspace.twin.assets.background, workspace.shadow_casters, config.transport, seed
+            workspace.twin.assets.background,
+            workspace.shadow_casters,
+            config.transport,
+            options.seed,
         )
         self._source = self._renderer.prepare(workspace.sky.dome)
 
-    def target(self, sky: TargetSky, options: RelightOptions) -> RelightTarget:
+    def target(self, sky: TargetSky) -> RelightTarget:
         """A target sky made ready."""
         level = [d.horizontal_irradiance() for d in (self._workspace.sky.dome, sky.dome)]
         ratio = (level[1] / np.maximum(level[0], 1e-9)).astype(np.float32)
-        return RelightTarget(sky, self._renderer.prepare(sky.dome), ratio, options)
+        return RelightTarget(sky, self._renderer.prepare(sky.dome), ratio)
 
     def relit(
         self, frame: CameraFrame, scenario: Scenario, targets: Sequence[RelightTarget]
@@ -201,11 +134,10 @@ class Relighter:
             source_sun=self._source.sun,
             target_sun=target.cells.sun,
         )
-        options = target.options
-        radiance = METHODS[options.method](inputs, self._config.ratio)
+        radiance = METHODS[self._options.method](inputs, self._config.ratio)
         own_car = self.log.own_car_masks.get(frame.camera_name)
         if own_car is not None:
             # It moves with the camera and has no mesh: lit as a level surface in the open.
             radiance[own_car] = inputs.radiance[own_car] * target.level_ratio
-        image = camera_image(radiance, gain, options.exposure_ev)
+        image = camera_image(radiance, gain, self._options.exposure_ev)
         return RelitFrame(frame, image, radiance, buffers, *light, source_srgb8)

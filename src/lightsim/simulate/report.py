@@ -69,21 +69,21 @@ def write_relight_report(path: Path, folder: Path, scenario: Scenario, target: T
     write_report(path, scenario.name, sections, subtitle=f"lightsim relight, {target.facts['sky']}")
 
 
-def write_demo_report(path: Path, work: Path, names: Sequence[str], relit: FramesReport) -> Path:
+def write_demo_report(
+    path: Path, work: Path, scenarios: Sequence[Path], relit: FramesReport
+) -> Path:
     """index.html of the demo: links, films, and relit frames against ground truth."""
-    films = []
-    for name in names:
-        base = f"{work.name}/scenarios/{name}/video"
-        films += [Video(f"{name}: {c}", f"{base}/{c}.mp4") for c in ("front_camera", "left_camera")]
-    pictures = []
+    films, pictures, reports = [], [], []
     log = Workspace(work).log
-    for name in names:
-        folder = work / "scenarios" / name / "frames"
+    for folder in scenarios:
+        link = folder.relative_to(path.parent).as_posix()
+        reports.append(f"{link}/report.html")
         for camera in ("front_camera", "left_camera"):
-            stem = sorted((folder / camera).glob("*.png"))[0].stem
-            frame = next(f for f in log.frames_of(camera) if f.stem == stem)
-            pair = [frame.load_srgb8(), read_srgb8(folder / camera / f"{stem}.png")]
-            caption = f"{camera}: recorded | {name}"
+            films.append(Video(f"{folder.name}: {camera}", f"{link}/video/{camera}.mp4"))
+            relit_png = sorted((folder / "frames" / camera).glob("*.png"))[0]
+            frame = next(f for f in log.frames_of(camera) if f.stem == relit_png.stem)
+            pair = [frame.load_srgb8(), read_srgb8(relit_png)]
+            caption = f"{camera}: recorded | {folder.name}"
             pictures.append(Figure(caption, strip([reduced(p) for p in pair]), is_wide=True))
     text = (
         "The street is synthetic, path-traced with glossy paint and glass, sensor noise and JPEG; "
@@ -96,8 +96,7 @@ def write_demo_report(path: Path, work: Path, names: Sequence[str], relit: Frame
         Section("Films", videos=films),
         Section(
             "More",
-            f"Build report: {work.name}/report/index.html. Relight reports: "
-            + ", ".join(f"{work.name}/scenarios/{n}/report.html" for n in names),
+            f"Build report: {work.name}/report/index.html. Relight reports: {', '.join(reports)}",
         ),
     ]
     write_report(path, "LightSim demo", sections, subtitle="the shipped synthetic street")

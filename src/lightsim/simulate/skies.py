@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +11,7 @@ from lightsim.core.checks import check_number
 from lightsim.core.dome import SkyDome, find_sun
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import GeoReference
+from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.twin import SkyEstimate
 from lightsim.errors import InputError
 from lightsim.lighting.sun.direction import SunDirection, sun_from_geo
@@ -23,52 +22,6 @@ from lightsim.store.images import read_sky
 from lightsim.store.reading import is_file
 
 SKY_HEIGHT_PX = 256
-_MIN_SCALE = 1e-9
-"""Skies are stored in anything from cd/m2 to arbitrary units: nine orders hold them all."""
-
-
-@dataclass(frozen=True)
-class SkyChoice:
-    """A target sky as the user names it.
-
-    Args:
-        sky: a .hdr or .exr file, sun:AZIMUTH,ELEVATION[,TURBIDITY], time:ISO or source.
-        yaw_deg: turns the sky clockwise seen from above.
-        scale: "auto", "none" or a number.
-    """
-
-    sky: str
-    yaw_deg: float = 0.0
-    scale: str = "auto"
-
-    def __post_init__(self) -> None:
-        check_number("--sky-yaw-deg", self.yaw_deg, -360.0, 360.0)
-        _scale_mode(self.scale)
-
-    @property
-    def path(self) -> Path | None:
-        """The file, if the sky is one."""
-        named = self.sky == "source" or self.sky.startswith(("sun:", "time:"))
-        return None if named else Path(self.sky)
-
-    @property
-    def name(self) -> str:
-        """A name for files: a file's stem, or the words with signs that file systems know."""
-        words = self.sky if self.path is None else self.path.stem
-        return re.sub(r"[^\w.+-]+", "_", words).strip("._-") or "sky"
-
-    @property
-    def input_key(self) -> str:
-        """Hash of the file's bytes, or the words themselves."""
-        if self.path is None:
-            return self.sky
-        _check_file(self)
-        return hash_file(self.path)
-
-    @property
-    def made_from(self) -> dict[str, Any]:
-        """What decides the sky's light; moving or renaming its file does not."""
-        return {"input": self.input_key, "yaw_deg": self.yaw_deg, "scale": self.scale}
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +30,17 @@ class TargetSky:
 
     dome: SkyDome
     facts: dict[str, Any]
+
+
+def made_from_sky(choice: SkyChoice) -> dict[str, Any]:
+    """What decides the sky's light; moving or renaming its file does not.
+
+    Raises:
+        InputError: the words are neither a file nor a known form.
+    """
+    _check_file(choice)
+    key = choice.sky if choice.path is None else hash_file(choice.path)
+    return {"input": key, "yaw_deg": choice.yaw_deg, "scale": choice.scale}
 
 
 def resolve_sky(choice: SkyChoice, workspace: Workspace) -> TargetSky:
@@ -88,7 +52,7 @@ def resolve_sky(choice: SkyChoice, workspace: Workspace) -> TargetSky:
     dome, facts = _dome_of(choice, workspace.log.geo, workspace.sky)
     if choice.yaw_deg:
         dome = dome.turned(-choice.yaw_deg)
-    dome, factor = scale_to_source(dome, workspace.sky.dome, _scale_mode(choice.scale))
+    dome, factor = scale_to_source(dome, workspace.sky.dome, choice.scale_mode)
     facts |= {"yaw_deg": choice.yaw_deg, "scale": choice.scale, "scale_factor": factor}
     return TargetSky(dome, facts | _light_facts(dome))
 
@@ -172,19 +136,3 @@ def _check_file(choice: SkyChoice) -> None:
             where=f"--sky {choice.sky}",
             expected="a .hdr or .exr file, sun:AZ,EL[,TURBIDITY], time:ISO or source",
         )
-
-
-def _scale_mode(scale: str) -> Literal["auto", "none"] | float:
-    if scale == "auto" or scale == "none":
-        return scale
-    try:
-        factor = float(scale)
-    except ValueError as error:
-        raise InputError(
-            "the sky scale is not understood",
-            where="--sky-scale",
-            got=scale,
-            expected="auto, none or a number",
-        ) from error
-    check_number("--sky-scale", factor, _MIN_SCALE, 1.0 / _MIN_SCALE)
-    return factor

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from lightsim.errors import ArtefactError
 from lightsim.store.artefact import read_json
@@ -47,6 +47,13 @@ class Entries:
     def text(self, key: str) -> str:
         return self._checked(key, str, "a text")
 
+    def word(self, key: str, words: Sequence[str]) -> Any:
+        """A text that is one of some words."""
+        text = self.text(key)
+        if text not in words:
+            raise self._error(f"'{key}' is none of {', '.join(words)}", text)
+        return text
+
     def texts(self, key: str) -> tuple[str, ...]:
         values = self._checked(key, list, "a list of texts")
         if not all(isinstance(value, str) for value in values):
@@ -62,6 +69,21 @@ class Entries:
         if not _is_nested(value, shape):
             raise self._error(f"'{key}' is no {_words(shape)}", value)
         return np.array(value, dtype=np.float64)
+
+    def whole_numbers(self, key: str, shape: tuple[int | None, ...]) -> Int64[np.ndarray, "..."]:
+        """The same of integers, which floats would round: times in nanoseconds."""
+        value = self._entry(key)
+        try:
+            found = np.array(value, dtype=np.int64) if _is_nested(value, shape) else None
+        except OverflowError:
+            found = None
+        if found is None or found.tolist() != value:
+            raise self._error(f"'{key}' is no {_words(shape)}, whole", value)
+        return found
+
+    def mapping(self) -> dict[str, Any]:
+        """The object as it is."""
+        return self._value
 
     def object(self, key: str) -> Entries:
         return Entries(self._entry(key), f"{self._where}, '{key}'")

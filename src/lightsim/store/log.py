@@ -3,51 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
-from lightsim.core.checks import check_image_scale, check_number
 from lightsim.core.log import DrivingLog
+from lightsim.core.reading import DatasetChoice, LogReading
 from lightsim.core.solar import azimuth_elevation, solar_position
-from lightsim.errors import InputError
 from lightsim.store.artefact import json_ready, write_json
 from lightsim.store.entries import Entries
 
 LOG_NAME = "log.json"
 SOURCE_HASHES_NAME = "source.json"
-
-
-@dataclass(frozen=True)
-class LogReading:
-    """The options that a log was read with; reading again with them gives the same log."""
-
-    source: str
-    """Absolute path of the recording; it decides nothing, so the artefact does not hold it."""
-    dataset: str
-    """"auto" or the name of a dataset."""
-    cameras: tuple[str, ...]
-    """Cameras to use; empty means all."""
-    frames: str
-    """START:STOP[:STEP] over the log's own frame numbers; empty means all."""
-    heading_deg: float | None
-    """Azimuth of the world x axis where the log cannot tell it, degrees clockwise from north."""
-    image_scale: float
-    """Factor on the image size of every camera."""
-    hold_out: int
-    """Every n-th frame and sweep is kept from the build, for evaluation; 0 holds out none."""
-
-    def __post_init__(self) -> None:
-        check_image_scale(self.image_scale)
-        if self.heading_deg is not None:
-            check_number("--heading-deg", self.heading_deg, -360.0, 360.0)
-        if self.hold_out < 0 or self.hold_out == 1:
-            raise InputError(
-                "nothing would be left to build from" if self.hold_out == 1 else "out of range",
-                where="--hold-out",
-                got=self.hold_out,
-                expected="0 for none, or 2 and more: every n-th frame",
-            )
 
 
 def held_out_stems(log: DrivingLog, hold_out: int) -> frozenset[str]:
@@ -118,13 +84,13 @@ def reading_from_json(value: Any) -> LogReading:
 
 def _reading(value: Entries) -> LogReading:
     return LogReading(
-        value.text("source"),
-        value.text("dataset"),
-        value.texts("cameras"),
-        value.text("frames"),
-        None if value.is_null("heading_deg") else value.number("heading_deg"),
-        value.number("image_scale"),
-        int(value.number("hold_out")),
+        source=value.text("source"),
+        dataset=value.word("dataset", get_args(DatasetChoice)),
+        frames=value.text("frames"),
+        cameras=value.texts("cameras"),
+        hold_out=int(value.number("hold_out")),
+        image_scale=value.number("image_scale"),
+        heading_deg=None if value.is_null("heading_deg") else value.number("heading_deg"),
     )
 
 

@@ -17,9 +17,10 @@ from jaxtyping import Int64
 
 from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog, FindEgoVehicle
+from lightsim.core.reading import LogReading
 from lightsim.core.sensors import CameraFrame, LazySweep
 from lightsim.datasets.files import read_json, read_times_ns, require_list, require_numbers
-from lightsim.datasets.geo import GpsTrack, check_heading, locate
+from lightsim.datasets.geo import GpsTrack, locate
 from lightsim.datasets.layout import has_file, has_folder, subfolders
 from lightsim.datasets.pandaset.cameras import CameraFolder, numbered_files, read_camera
 from lightsim.datasets.pandaset.rig import READOUT_S, Rig, ego_trajectory, read_rig
@@ -53,29 +54,19 @@ def is_pandaset(source: Path) -> bool:
     return (source / "camera").is_dir() and any(source.glob("camera/*/intrinsics.json"))
 
 
-def read_pandaset(
-    source: Path,
-    cameras: tuple[str, ...],
-    frames: str,
-    heading_deg: float | None,
-    find_ego_vehicle: FindEgoVehicle,
-) -> DrivingLog:
+def read_pandaset(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> DrivingLog:
     """The log of one PandaSet sequence; pictures and sweeps are read when asked for.
 
     Args:
-        source: the sequence's folder, such as pandaset/002.
-        cameras: names of the cameras wanted; () for all.
-        frames: START:STOP[:STEP] of pictures and sweeps; "" for all.
-        heading_deg: azimuth (clockwise from true north) of world +x, if known.
+        reading: its source is the sequence's folder, such as pandaset/002.
         find_ego_vehicle: looks for the recording car in all pictures of the cameras.
 
     Raises:
         InputError: something is missing or broken; the message names the file.
     """
-    selection = FrameSelection.parse(frames)
-    check_heading(heading_deg)
+    source, selection = Path(reading.source), FrameSelection.parse(reading.frames)
     rig = read_rig(source)
-    folders, helpers = _read_cameras(source, cameras, rig)
+    folders, helpers = _read_cameras(source, reading.cameras, rig)
     clock_notes = _check_clocks(source, (*folders, *helpers))
     paths = {f.camera.name: f.world_from_camera for f in (*folders, *helpers)}
     ego = ego_trajectory(rig, paths, source)
@@ -84,7 +75,7 @@ def read_pandaset(
     selected = _select_frames(folders, selection, source)
     actors, actor_notes = _read_actors(source, ego, sweeps)
     track = _read_gps(source, selected[0].time_ns)
-    geo, geo_notes = locate(track, ego, selected[0].time_ns, heading_deg)
+    geo, geo_notes = locate(track, ego, selected[0].time_ns, reading.heading_deg)
     masks, mask_notes = find_ego_vehicle([(f.camera, f.frames) for f in folders], ego)
     odd = (*_picture_notes(folders), *rig.notes, *clock_notes, *rigid_notes)
     return DrivingLog(

@@ -12,6 +12,7 @@ from lightsim.align.build import align_log
 from lightsim.align.config import AlignConfig
 from lightsim.core.fields import SceneFields
 from lightsim.core.frames import RigidTransform
+from lightsim.core.reading import LogReading
 from lightsim.core.sensors import CameraFrame
 from lightsim.geometry.surface import background_levels, extract_surface
 from lightsim.masks.sky import SkyMaskConfig, sky_mattes
@@ -27,7 +28,7 @@ from lightsim.store.artefact import hash_names, write_json
 from lightsim.store.checkpoint import FolderJournal
 from lightsim.store.fields import write_fields
 from lightsim.store.images import write_grey8
-from lightsim.store.log import LogReading, write_log
+from lightsim.store.log import write_log
 from lightsim.store.weights import WeightsRecord, write_weights
 from lightsim.version import __version__
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from lightsim.core.casting import MakeCaster
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.casters.mitsuba import is_usable, mitsuba_caster_maker
-
-Backend = Literal["auto", "embree", "mitsuba-cuda", "mitsuba-llvm"]
+from lightsim.render.options import Backend
 
 
 def resolve_backend(backend: Backend) -> Backend:

@@ -1,0 +1,53 @@
+"""Decoded sweeps are kept: a build asks for each of them about ten times."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from functools import partial
+
+import numpy as np
+
+from lightsim.core.sensors import LazySweep, LidarSweep
+
+MAX_BYTES = 512 << 20
+"""A whole sequence of PandaSet (80 sweeps of 170,000 returns) takes 480 MB."""
+
+
+class KeptSweeps:
+    """One form of each sweep, by its stem: the one that was asked for last, as recorded or aligned.
+
+    Nothing makes way for others when `max_bytes` are in use. Stages read all sweeps in their order,
+    so whatever came last would push out what is wanted next, and no sweep would ever be found.
+    """
+
+    def __init__(self, max_bytes: int = MAX_BYTES) -> None:
+        self._bytes_left = max_bytes
+        self._kept: dict[str, tuple[LazySweep, LidarSweep]] = {}
+
+    def of(self, sweeps: tuple[LazySweep, ...]) -> tuple[LazySweep, ...]:
+        """The same sweeps, loaded once each as long as there is room; their arrays are read-only,
+        since all who ask get the same."""
+        return tuple(replace(lazy, load=partial(self._load, lazy)) for lazy in sweeps)
+
+    def _load(self, lazy: LazySweep) -> LidarSweep:
+        asked, sweep = self._kept.get(lazy.stem, (None, None))
+        if sweep is not None and asked is lazy:
+            return sweep
+        loaded = lazy.load()
+        _, former = self._kept.pop(lazy.stem, (None, None))
+        self._bytes_left += 0 if former is None else _size(former)
+        if _size(loaded) <= self._bytes_left:
+            self._bytes_left -= _size(loaded)
+            for array in _arrays(loaded):
+                array.flags.writeable = False
+            self._kept[lazy.stem] = lazy, loaded
+        return loaded
+
+
+def _arrays(sweep: LidarSweep) -> list[np.ndarray]:
+    values = [getattr(sweep, field.name) for field in fields(sweep)]
+    return [value for value in values if isinstance(value, np.ndarray)]
+
+
+def _size(sweep: LidarSweep) -> int:
+    return sum(array.nbytes for array in _arrays(sweep))

@@ -1,0 +1,50 @@
+"""How a log is read: the options that reading, building and the log artefact share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal, get_args
+
+from tyro.conf import Positional, arg
+
+from lightsim.arguments import Names
+from lightsim.core.checks import check_choice, check_image_scale, check_number
+from lightsim.errors import InputError
+
+Dataset = Literal["pandaset"]
+"""Formats that datasets/ has a reader for."""
+DatasetChoice = Literal["auto", Dataset]
+"""A format, or to recognise it by the folder's layout."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogReading:
+    """How the recording is read; reading again with the same options gives the same log."""
+
+    source: Positional[Annotated[str, arg(metavar="SOURCE")]]
+    """Folder of the recording."""
+    dataset: DatasetChoice = "auto"
+    """Format of the recording."""
+    frames: str = ""
+    """START:STOP[:STEP] over the log's own frame numbers; empty for all."""
+    cameras: Names = ()
+    """Comma-separated camera names; empty for all."""
+    hold_out: int = 0
+    """Keep every n-th frame and sweep from the build, for evaluation; 0 keeps none."""
+    image_scale: float = 0.5
+    """Factor on the image size."""
+    heading_deg: float | None = None
+    """Azimuth of the world x axis, where the log cannot tell it (clockwise from north)."""
+
+    def __post_init__(self) -> None:
+        check_choice("--dataset", self.dataset, get_args(DatasetChoice))
+        check_image_scale(self.image_scale)
+        if self.heading_deg is not None:
+            check_number("--heading-deg", self.heading_deg, -360.0, 360.0)
+        if self.hold_out < 0 or self.hold_out == 1:
+            raise InputError(
+                "nothing would be left to build from" if self.hold_out == 1 else "out of range",
+                where="--hold-out",
+                got=self.hold_out,
+                expected="0 for none, or 2 and more: every n-th frame",
+            )

@@ -1,0 +1,7 @@
+"""Names of the relighting methods."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+Method = Literal["physical"]

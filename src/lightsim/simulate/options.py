@@ -1,0 +1,140 @@
+"""What relighting and rendering are asked for, as a user gives it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar, get_args
+
+from lightsim.arguments import Names
+from lightsim.core.checks import (
+    MAX_EXPOSURE_EV,
+    check_choice,
+    check_image_scale,
+    check_number,
+    check_seed,
+)
+from lightsim.core.sky_choice import SkyChoice
+from lightsim.errors import InputError
+from lightsim.relighting.options import Method
+from lightsim.render.options import RendererChoice
+from lightsim.simulate.shard import Shard
+from lightsim.store.names import is_harmless
+
+GEOMETRY = ("depth", "position", "normal", "albedo", "actor", "ao")
+"""Buffers that are the same under every sky: written once."""
+LIGHT = ("shaded", "unshadowed", "shadow", "image")
+"""Buffers of each sky."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameOptions:
+    """Which frames of a twin, and under which skies."""
+
+    sky: tuple[str, ...] = ("source",)
+    """One or more of: a .hdr or .exr file, sun:AZIMUTH,ELEVATION[,TURBIDITY], time:ISO, source.
+    Each frame is traced once for all of them."""
+    sky_yaw_deg: float = 0.0
+    """Turn the skies, clockwise seen from above."""
+    sky_scale: str = "auto"
+    """auto: the mean illuminance of the source; none: radiance as stored; or a number."""
+    cameras: Names = ()
+    """Comma-separated camera names; empty for all."""
+    frames: str = ""
+    """START:STOP[:STEP] over the log's own frame numbers; empty for all."""
+    image_scale: float | None = None
+    """Factor on the log's image size; by default that of the build."""
+    allow_stale: bool = False
+    """Go on where the recording has changed since the build."""
+    seed: int = 0
+    """Of the sampling of rays."""
+    reserved_names: ClassVar[tuple[str, ...]] = ()
+    """Folders that no sky can have."""
+
+    def __post_init__(self) -> None:
+        if self.image_scale is not None:
+            check_image_scale(self.image_scale)
+        check_seed(self.seed)
+        if not self.sky:
+            raise InputError("no sky is named", where="--sky", expected="one or more")
+        _ = self.sky_by_name
+
+    @property
+    def sky_by_name(self) -> dict[str, SkyChoice]:
+        """The skies by the names of their folders.
+
+        Raises:
+            InputError: two skies have one name, or a name is that of a buffer.
+        """
+        named: dict[str, SkyChoice] = {}
+        taken = {what: f"the buffer {what}" for what in self.reserved_names}
+        for words in self.sky:
+            choice = SkyChoice(words, self.sky_yaw_deg, self.sky_scale)
+            name = choice.name
+            if name.casefold() in taken:
+                raise InputError(
+                    "two skies would be written to one folder",
+                    where=f"--sky {words}",
+                    got=f"the name {name}, which {taken[name.casefold()]} has",
+                    remedy="Give each sky once; rename or link one of two files of one name.",
+                )
+            taken[name.casefold()] = words
+            named[name] = choice
+        return named
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelightOptions(FrameOptions):
+    """What `lightsim relight` is asked for."""
+
+    name: str
+    """Name of the result: WORK/scenarios/NAME, or WORK/scenarios/NAME/<sky> with several skies."""
+    method: Method = "physical"
+    """How pixels are relit: shading ratios of the reconstructed scene."""
+    exposure_ev: float = 0.0
+    """Exposure of the output, in stops."""
+    linear: bool = False
+    """Write linear EXR frames as well."""
+    overwrite: bool = False
+    """Replace a result of this name that was made with another sky or other settings."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not is_harmless(self.name):
+            raise InputError(
+                "the name is not fit for a folder",
+                where="--name",
+                got=repr(self.name[:40]),
+                expected="letters, digits and . _ -, a letter or digit first",
+            )
+        check_choice("--method", self.method, get_args(Method))
+        check_number("--exposure-ev", self.exposure_ev, -MAX_EXPOSURE_EV, MAX_EXPOSURE_EV)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderOptions(FrameOptions):
+    """What `lightsim render` is asked for."""
+
+    what: Names
+    """Comma-separated: depth position normal albedo ao actor shaded unshadowed shadow image."""
+    shard: str = ""
+    """I/N, I from 1 to N: render the I-th of N parts of the frames; parts may share DIR."""
+    renderer: RendererChoice = field(default_factory=RendererChoice)
+    """How light is computed."""
+    reserved_names: ClassVar[tuple[str, ...]] = (*GEOMETRY, *LIGHT)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        Shard.parse(self.shard)
+        unknown = set(self.what) - {*GEOMETRY, *LIGHT}
+        if unknown or not self.what:
+            raise InputError(
+                "unknown buffers" if unknown else "no buffers are named",
+                where="--what",
+                got=", ".join(sorted(unknown)) or None,
+                expected=f"some of {', '.join((*GEOMETRY, *LIGHT))}",
+            )
+
+    @property
+    def needs_light(self) -> bool:
+        """Whether a buffer depends on the sky."""
+        return bool(set(self.what) & set(LIGHT))
