@@ -139,7 +139,7 @@ def _neural_config(options: BuildOptions) -> neural_config.NeuralConfig:
 
 
 STAGES = (
-    Stage("log", 2, (), lambda o: replace(o.reading, source=""), recording.make_log),
+    Stage("log", 3, (), lambda o: replace(o.reading, source=""), recording.make_log),
     Stage("masks", 1, ("log",), lambda o: SkyMaskConfig(), recording.make_masks),
     Stage(
         "alignment",
@@ -158,14 +158,14 @@ STAGES = (
     ),
     Stage(
         "geometry",
-        2,
+        3,
         ("log", "masks", "alignment", "neural"),
         lambda o: surfaces.GeometryConfig(_MESHES[o.preset]()),
         surfaces.make_geometry,
     ),
     Stage(
         "assets",
-        2,
+        3,
         ("log", "masks", "alignment", "fields", "neural", "geometry"),
         _asset_config,
         surfaces.make_assets,
@@ -186,7 +186,7 @@ STAGES = (
     ),
     Stage(
         "twin",
-        2,
+        3,
         ("log", "alignment", "assets", "sky"),
         lambda o: light.TwinConfig(),
         light.make_twin,

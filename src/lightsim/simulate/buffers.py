@@ -41,7 +41,7 @@ LIGHT = ("shaded", "unshadowed", "shadow", "image")
 _RECORD = "render.json"
 _SKY_RECORD = "sky.json"
 _ACTORS = "actors.json"
-_SCHEMA = 3
+_SCHEMA = 4
 
 
 @dataclass(frozen=True)
@@ -290,8 +290,13 @@ def _check_claim(path: Path, made_from: Mapping[str, Any]) -> None:
 def _actor_table(scenario: Scenario) -> list[dict[str, Any]]:
     """What the numbers of `actor` mean."""
     return [
-        {"number": number, "actor_id": track.actor_id, "kind": track.kind}
-        for number, track in enumerate(scenario.tracks)
+        {
+            "number": scenario.number_by_actor[track.actor_id],
+            "actor_id": track.actor_id,
+            "kind": track.kind,
+            "label": track.label,
+        }
+        for track in scenario.tracks
     ]
 
 

@@ -37,7 +37,7 @@ from lightsim.store.images import read_srgb8, write_exr, write_png
 from lightsim.store.lock import LOCK_NAME, locked
 from lightsim.store.mp4 import Mp4Writer
 
-_SCHEMA = 2
+_SCHEMA = 3
 _STAGE = "relight"
 
 
@@ -255,6 +255,7 @@ def scenario_summary(
                     "actor_id": track.actor_id,
                     "number": scenario.number_by_actor[track.actor_id],
                     "kind": track.kind,
+                    "label": track.label,
                     "size_lwh_m": track.size_lwh_m.tolist(),
                     "world_from_actor": track.world_from_actor(frame.time_ns).matrix.tolist(),
                 }

@@ -31,7 +31,7 @@ from lightsim.appearance.intrinsic.surfels import (
 )
 from lightsim.appearance.intrinsic.texture import DeepShade, VertexLight, texture_without_light
 from lightsim.core.colour import LUMINANCE_WEIGHTS
-from lightsim.core.mesh import TriMesh
+from lightsim.core.mesh import Provenance, TriMesh
 from lightsim.errors import InputError
 
 __all__ = ["DelightConfig", "Delit", "LidarReturns", "LightScales", "SurfaceLight", "delight"]
@@ -92,7 +92,7 @@ def delight(
         )
     if config.method == "divide":
         return _divided(mesh, light, config)
-    faces = _labelled_faces(mesh, config)
+    faces = _labelled_faces(mesh)
     surfels = make_surfels(mesh, faces, config.surfel_m, rng)
     if len(surfels) < _LEAST_SURFELS:
         known = VertexLight(light, scales or _unknown(), light.visibility[:, 1])
@@ -106,12 +106,10 @@ def delight(
     return replace(done, notes=_notes(labels.scales, tone_gain) if scales is None else ())
 
 
-def _labelled_faces(mesh: TriMesh, config: DelightConfig) -> Int64[np.ndarray, " k"]:
-    """Faces on which the pictures say where shadows lie."""
-    unlabelled = [i for i, m in enumerate(mesh.materials) if m.name in config.unlabelled]
-    if mesh.face_material is None:
-        return np.arange(0 if 0 in unlabelled else len(mesh.faces))
-    return np.flatnonzero(~np.isin(mesh.face_material, unlabelled))
+def _labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:
+    """Faces on which the pictures say where shadows lie: not those of the background proxy, on
+    which shadows fall where they happen to, and which is larger than all that was measured."""
+    return np.flatnonzero(~mesh.comes_from(Provenance.BACKGROUND_PROXY))
 
 
 def _visibility(
