@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
-from lightsim.core.actors import ActorTrack
+from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.log import DrivingLog
@@ -98,7 +98,7 @@ def make_log(
         frames.append(
             CameraFrame("side", f"{i:02d}", time_ns, claimed, lambda picture=picture: picture)
         )
-    parked = ActorTrack("none", "car", np.ones(3), _far_away(knots), False)
+    parked = ActorTrack("none", ActorKind.CAR, np.ones(3), _far_away(knots), False)
     return DrivingLog(
         "corner", {"side": CAMERA}, tuple(frames), tuple(sweeps), ego, (parked,), None, {}
     )

@@ -12,6 +12,7 @@ from tests.align.scene import CAMERA, make_log, mounting
 from lightsim.align.build import align_log
 from lightsim.align.config import AlignConfig
 from lightsim.align.edges import depth_edges
+from lightsim.core.actors import ActorKind
 from lightsim.core.alignment import Alignment
 from lightsim.core.frames import RigidTransform, rotation_from_vector
 from lightsim.core.log import DrivingLog
@@ -100,7 +101,7 @@ def test_parked_boxes_stop_jittering() -> None:
     poses[:, :3, 3] += jitter
     shaken = replace(log.actors[0], trajectory=replace(log.actors[0].trajectory, matrices=poses))
     moving = replace(shaken, actor_id="moving", is_moving=True)
-    walker = replace(shaken, actor_id="walker", kind="pedestrian")
+    walker = replace(shaken, actor_id="walker", kind=ActorKind.PEDESTRIAN)
     found = aligned(replace(log, actors=(shaken, moving, walker)), "actor_tracks")
     assert list(found.actors) == ["none"]
     assert np.ptp(found.actors["none"], axis=0).max() == 0.0

@@ -11,7 +11,7 @@ from tests.align.scene import STEP_NS
 from lightsim.align.config import AlignConfig
 from lightsim.align.movers import settle_moving
 from lightsim.align.planes import Cloud
-from lightsim.core.actors import ActorTrack
+from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.frames import Trajectory
 
 COUNT = 14
@@ -56,7 +56,7 @@ def drive(shake_m: float, shake_rad: float) -> tuple[ActorTrack, Cloud, np.ndarr
         np.repeat(np.arange(COUNT, dtype=np.int64), 750),
     )
     track = Trajectory("world", "actor", times, labelled)
-    return ActorTrack("van", "Car", SIZE_LWH_M, track, True), cloud, true
+    return ActorTrack("van", ActorKind.CAR, SIZE_LWH_M, track, True), cloud, true
 
 
 def jitter(matrices: np.ndarray, true: np.ndarray) -> tuple[float, float]:
@@ -82,6 +82,6 @@ def test_right_labels_and_walkers_stay() -> None:
     for fit in settle_moving((actor,), {"van": cloud}, None, AlignConfig(), rng):
         assert jitter(fit.matrices, true)[0] < 0.005
     actor, cloud, _ = drive(0.04, np.radians(0.8))
-    walker = replace(actor, kind="Pedestrian")
+    walker = replace(actor, kind=ActorKind.PEDESTRIAN)
     assert settle_moving((walker,), {"van": cloud}, None, AlignConfig(), rng) == []
     assert settle_moving((actor,), {}, None, AlignConfig(), rng) == []

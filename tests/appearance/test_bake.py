@@ -13,7 +13,7 @@ from lightsim.appearance.bake import TexelSamples, bake, mean_radiance
 from lightsim.appearance.bake_kernels import code_weight, weight_code
 from lightsim.appearance.config import AssetConfig
 from lightsim.appearance.observe import outlines
-from lightsim.core.actors import ActorTrack
+from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.frames import RigidTransform, Trajectory
@@ -60,7 +60,7 @@ def _box_track() -> tuple[ActorTrack, TriMesh]:
     matrix = np.eye(4)
     matrix[2, 3] = 0.5
     pose = Trajectory("world", "actor", np.array([0], dtype=np.int64), matrix[None])
-    track = ActorTrack("box", "car", np.array([1.0, 1.0, 1.0]), pose, True)
+    track = ActorTrack("box", ActorKind.CAR, np.array([1.0, 1.0, 1.0]), pose, True)
     lid = plane_mesh(1.0, 0.25, 0.5)
     return track, make_mesh("actor", lid.vertices, lid.faces.astype(np.int64))
 

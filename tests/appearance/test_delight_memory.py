@@ -21,9 +21,7 @@ from lightsim.appearance.intrinsic import surfels as delight_surfels
 from lightsim.appearance.intrinsic.balance import light_blocks
 from lightsim.appearance.intrinsic.decompose import DelightConfig, Delit, SurfaceLight, delight
 from lightsim.appearance.intrinsic.surfels import connect, make_surfels
-from lightsim.core.mesh import Texture, TriMesh, concatenate_meshes
-from lightsim.geometry.completion.far_field import BACKDROP
-from lightsim.lighting.sun.surface_samples import SampleConfig
+from lightsim.core.mesh import Provenance, Texture, TriMesh, concatenate_meshes
 
 _MOST_BYTES_A_SURFEL = 700
 """Grows with the measured surface: surfels, their pairs, and parts that wait to be joined."""
@@ -55,7 +53,8 @@ def _street() -> TriMesh:
 
 def _far_field() -> TriMesh:
     mesh = plane_mesh(60.0, 4.0, z=-1.0)
-    return replace(mesh, base_colour=np.full_like(mesh.vertices, 0.13), materials=(BACKDROP,))
+    mesh = replace(mesh, base_colour=np.full_like(mesh.vertices, 0.13))
+    return mesh.with_provenance(Provenance.BACKGROUND_PROXY)
 
 
 def test_a_far_field_costs_no_more_than_its_vertices_and_keeps_the_rendered_light():
@@ -71,11 +70,6 @@ def test_a_far_field_costs_no_more_than_its_vertices_and_keeps_the_rendered_ligh
     middle = np.abs(near.vertices[:, 0]) < 1.0
     is_lit = near.vertices[:, 0] > 0
     np.testing.assert_allclose(done[0].visibility[:count][~middle], is_lit[~middle], atol=0.05)
-
-
-def test_the_far_field_is_called_so_by_all_that_leave_it_out():
-    assert BACKDROP.name in DelightConfig().unlabelled
-    assert BACKDROP.name in SampleConfig().mute_materials
 
 
 def test_surfels_and_their_pairs_take_a_bounded_number_of_bytes(monkeypatch: pytest.MonkeyPatch):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightsim.core.actors import ActorTrack
+from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.alignment import Alignment, CameraCorrection, PathCorrection
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import (
@@ -40,7 +40,7 @@ def small_log() -> DrivingLog:
         return LidarSweep("05", half, points, origins, flat, flat, classes, classes)
 
     still = Trajectory("world", "actor", times, np.tile(np.eye(4), (11, 1, 1)))
-    actor = ActorTrack("car", "car", np.array([4.0, 2.0, 1.5]), still, False)
+    actor = ActorTrack("car", ActorKind.CAR, np.array([4.0, 2.0, 1.5]), still, False)
     return DrivingLog(
         "log",
         {"front": PinholeCamera("front", 6, 4, 5.0, 5.0, 3.0, 2.0)},

@@ -264,7 +264,7 @@ NOTED: list[tuple[str, Break, str]] = [
     (
         "a long tram",
         long_tram,
-        "actor parked (car) is 45 m long",
+        "actor parked (Car) is 45 m long",
     ),
     (
         "an id twice in one sweep",
@@ -274,7 +274,7 @@ NOTED: list[tuple[str, Break, str]] = [
     (
         "an actor that jumps",
         change_boxes(position__y=[66.0, 0.0, 0.0]),
-        "actor parked (car) moves at",
+        "actor parked (Car) moves at",
     ),
 ]
 

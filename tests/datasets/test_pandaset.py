@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import logging
+import shutil
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from datasets.mini_log import START_S, WORLD_YAW_DEG, sweep_columns, write_frame, write_mini_log
+from lightsim.core.actors import ActorKind
 from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading
 from lightsim.core.sensors import LidarSweep
 from lightsim.core.solar import solar_position
+from lightsim.datasets.pandaset.tracks import KIND_BY_LABEL
 from lightsim.datasets.reader import read_log
 from lightsim.errors import InputError
 from lightsim.masks.ego_vehicle import ego_vehicle_masks
@@ -73,7 +77,7 @@ def test_siblings_are_one_actor_timed_when_it_was_scanned(log: DrivingLog) -> No
     assert [a.actor_id for a in log.actors] == ["moving-a", "parked"]
     moving, parked = log.actors
     assert (moving.is_moving, parked.is_moving) == (True, False)
-    assert (moving.kind, parked.kind) == ("car", "car")
+    assert (moving.kind, moving.label) == (ActorKind.CAR, "Car")
     np.testing.assert_allclose(parked.size_lwh_m, [4.5, 1.9, 1.6])
     times_s = (moving.trajectory.times_ns - int(START_S) * 10**9) * 1e-9
     np.testing.assert_allclose(
@@ -83,6 +87,34 @@ def test_siblings_are_one_actor_timed_when_it_was_scanned(log: DrivingLog) -> No
     pose = moving.world_from_actor(moving.trajectory.start_ns)
     assert pose.yaw_rad == pytest.approx(0.0, abs=1e-9), "the actor looks along its length"
     assert parked.world_from_actor(parked.trajectory.start_ns).yaw_rad == pytest.approx(np.pi / 2)
+
+
+def test_every_label_of_pandaset_has_a_kind() -> None:
+    assert len(KIND_BY_LABEL) == 28
+    assert ActorKind.OTHER not in KIND_BY_LABEL.values()
+    is_vehicle = {label for label, kind in KIND_BY_LABEL.items() if kind.is_vehicle}
+    assert is_vehicle == {
+        "Car", "Pickup Truck", "Medium-sized Truck", "Semi-truck", "Towed Object", "Bus",
+        "Emergency Vehicle", "Other Vehicle - Construction Vehicle", "Other Vehicle - Uncommon",
+        "Other Vehicle - Pedicab", "Train", "Trolley", "Tram / Subway",
+    }  # fmt: skip
+    is_person = {label for label, kind in KIND_BY_LABEL.items() if kind.is_person}
+    assert is_person == {"Pedestrian", "Pedestrian with Object", "Personal Mobility Device"}
+
+
+def test_an_unknown_label_is_said_once_and_stays(folder: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(folder, tmp_path / "log"))
+    for path in (copy / "annotations" / "cuboids").iterdir():
+        table = pd.read_pickle(path)
+        write_frame(path, {**table, "label": ["Car", "Hovercraft", "Hovercraft"]})
+    log = read_log(copy)
+    assert {(a.label, a.kind) for a in log.actors} == {
+        ("Car", ActorKind.CAR),
+        ("Hovercraft", ActorKind.OTHER),
+    }
+    notes = [note for note in log.notes if "labels" in note]
+    assert len(notes) == 1
+    assert notes[0].endswith("neither vehicles nor persons: 1 x 'Hovercraft'")
 
 
 def test_north_comes_from_gps(log: DrivingLog) -> None:

@@ -196,6 +196,7 @@ def _mesh(frame: str) -> TriMesh:
         np.array([0, 1, 1, 0], np.uint8),
         Texture(image, corner_uv),
         np.ones(4, np.float32),
+        np.arange(4, dtype=np.uint8),
     )
 
 

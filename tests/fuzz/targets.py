@@ -9,10 +9,11 @@ from unittest import mock
 import numpy as np
 
 from lightsim.api import load_log
+from lightsim.core.actors import ActorKind
 from lightsim.core.dome import SkyDome
 from lightsim.core.fields import SceneFields
 from lightsim.core.log import DrivingLog
-from lightsim.core.mesh import TriMesh
+from lightsim.core.mesh import Provenance, TriMesh
 from lightsim.core.reading import LogReading
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.twin import ActorAsset, SceneAssets, SkyEstimate
@@ -160,7 +161,10 @@ def _use_assets(assets: SceneAssets) -> None:
     _use_mesh(assets.background)
     for actor in assets.actors.values():
         _use_mesh(actor.mesh)
-        _require(isinstance(actor.actor_id, str) and isinstance(actor.kind, str), "an actor's name")
+        _require(
+            isinstance(actor.actor_id, str) and isinstance(actor.label, str), "an actor's name"
+        )
+        _require(isinstance(actor.kind, ActorKind), "an actor's kind")
     for gain in assets.camera_gains.values():
         _require(gain.shape == (3,) and bool((gain > 0).all()), "a camera's gain")
         _require_finite(gain)
@@ -175,6 +179,9 @@ def _use_mesh(mesh: TriMesh) -> None:
     if mesh.face_material is not None:
         _require(mesh.face_material.shape == (m,), "a material for each face")
         _require(not m or int(mesh.face_material.max()) < len(mesh.materials), "a material")
+    if mesh.face_provenance is not None:
+        _require(mesh.face_provenance.shape == (m,), "a provenance for each face")
+        _require(not m or int(mesh.face_provenance.max()) < len(Provenance), "a provenance")
     for material in mesh.materials:
         _require_finite(material.roughness, material.metallic)
     if mesh.confidence is not None:

@@ -5,18 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lightsim.core.actors import ActorTrack
+from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.fields import TsdfGrid
 from lightsim.core.frames import Trajectory
-from lightsim.core.mesh import TriMesh
-from lightsim.geometry.actors.cabin import ClosedCabin, close_cabin
+from lightsim.core.mesh import Provenance, TriMesh
+from lightsim.geometry.actors.cabin import close_cabin
 from lightsim.geometry.actors.complete import actor_surface, mirrored
+from lightsim.geometry.actors.evidence import ActorEvidence
 from lightsim.geometry.config import MeshConfig
 
 SIZE = np.array([4.4, 1.8, 1.5])
 
 
-def _track(kind: str, size: np.ndarray = SIZE) -> ActorTrack:
+def _track(kind: ActorKind, size: np.ndarray = SIZE) -> ActorTrack:
     pose = Trajectory("world", "actor", np.array([0], dtype=np.int64), np.eye(4)[None])
     return ActorTrack("a", kind, size, pose, False)
 
@@ -29,15 +30,16 @@ def _volume_m3(mesh: TriMesh) -> float:
 @pytest.mark.parametrize(
     ("kind", "size", "fill"),
     [
-        ("car", SIZE, (0.5, 0.9)),
-        ("pickup truck", np.array([5.5, 2.0, 1.9]), (0.5, 0.9)),
-        ("medium-sized truck", np.array([8.0, 2.5, 3.2]), (0.8, 1.0)),
-        ("pedestrian", np.array([0.7, 0.6, 1.7]), (0.4, 0.9)),
-        ("motorcycle", np.array([2.1, 0.8, 1.2]), (0.8, 1.05)),
+        (ActorKind.CAR, SIZE, (0.5, 0.9)),
+        (ActorKind.PICKUP, np.array([5.5, 2.0, 1.9]), (0.5, 0.9)),
+        (ActorKind.TRUCK, np.array([8.0, 2.5, 3.2]), (0.8, 1.0)),
+        (ActorKind.PEDESTRIAN, np.array([0.7, 0.6, 1.7]), (0.4, 0.9)),
+        (ActorKind.MOTORCYCLE, np.array([2.1, 0.8, 1.2]), (0.8, 1.05)),
     ],
 )
 def test_every_kind_has_a_closed_shape_in_its_box(kind, size, fill) -> None:
-    mesh, _ = actor_surface(_track(kind, size), None, MeshConfig())
+    mesh, evidence = actor_surface(_track(kind, size), None, MeshConfig())
+    assert (evidence.provenance(mesh.vertices) == Provenance.INFERRED).all()
     assert (np.abs(mesh.vertices) <= size / 2 + 0.03).all()
     assert mesh.vertices[:, 2].max() > 0.9 * size[2] / 2
     assert fill[0] < _volume_m3(mesh) / float(np.prod(size)) < fill[1]
@@ -63,13 +65,19 @@ def _half_seen_box() -> TsdfGrid:
 
 
 def test_the_unseen_half_mirrors_the_seen_one() -> None:
-    mesh, _ = actor_surface(_track("car"), _half_seen_box(), MeshConfig())
+    mesh, evidence = actor_surface(_track(ActorKind.CAR), _half_seen_box(), MeshConfig())
     side = np.abs(mesh.vertices[:, 0]) < 1.5
     side &= np.abs(mesh.vertices[:, 2]) < 0.4
     seen = mesh.vertices[side & (mesh.vertices[:, 1] > 0), 1]
     unseen = mesh.vertices[side & (mesh.vertices[:, 1] < 0), 1]
     assert abs(float(np.median(seen)) - 0.7) < 0.01
     assert abs(float(np.median(unseen)) + 0.7) < 0.03
+    found = evidence.provenance(mesh.vertices)
+    assert (found[side & (mesh.vertices[:, 1] > 0.4)] == Provenance.MEASURED).all()
+    assert (found[side & (mesh.vertices[:, 1] < -0.4)] == Provenance.MIRRORED).all()
+    assert (found[np.abs(mesh.vertices[:, 1]) < 0.05] == Provenance.INFERRED).all()
+    _, evidence = actor_surface(_track(ActorKind.BARRIER), _half_seen_box(), MeshConfig())
+    assert Provenance.MIRRORED not in evidence.provenance(mesh.vertices)
 
 
 def test_observation_outweighs_its_mirror_image() -> None:
@@ -91,12 +99,14 @@ def test_hollow_cabin_is_closed_and_its_panes_are_named() -> None:
     pillar = (np.abs(x) > 1.8) & (np.abs(y) > 0.65)
     is_window_band = (z > 0.1) & (z < 0.6)
     sdf = np.where(is_window_band & ~pillar, 0.18, np.clip(box, -0.18, 0.18)).astype(np.float32)
-    closed = close_cabin("car", sdf, low, voxel, size)
+    closed = close_cabin(ActorKind.CAR, sdf, low, voxel, size)
     inside = is_window_band & (box < -2 * voxel)
     assert (sdf[inside & ~pillar] > 0).all()
     assert (closed[inside] < 0).all()
     assert (closed[box > 2 * voxel] > 0).all()
-    assert np.array_equal(close_cabin("pickup truck", sdf, low, voxel, size), sdf)
-    cabin = ClosedCabin(low, voxel, sdf - closed)
+    assert np.array_equal(close_cabin(ActorKind.PICKUP, sdf, low, voxel, size), sdf)
+    ones = np.ones_like(sdf)
+    evidence = ActorEvidence(low, voxel, ones, 0 * ones, 0.1, sdf - closed)
     panes = np.array([[0.0, 0.72, 0.35], [0.0, 0.78, -0.4]])
-    assert cabin.is_glass(panes).tolist() == [True, False]
+    assert evidence.is_glass(panes).tolist() == [True, False]
+    assert evidence.provenance(panes).tolist() == [Provenance.INTERPOLATED, Provenance.MEASURED]

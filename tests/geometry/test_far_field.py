@@ -8,7 +8,7 @@ import pytest
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.fields import GroundMap
 from lightsim.core.frames import RigidTransform
-from lightsim.core.mesh import TriMesh
+from lightsim.core.mesh import Provenance, TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import FrameMismatchError
 from lightsim.geometry.completion.far_field import FarFieldConfig, build_far_field
@@ -99,7 +99,7 @@ def test_the_backdrop_faces_the_path_and_only_the_world(far: TriMesh) -> None:
     upright = np.abs(normals[:, 2]) < 0.1
     centre = far.vertices[far.faces[upright]].mean(axis=1) - np.array([5.0, 0.0, 0.0])
     assert ((normals[upright] * centre).sum(axis=1) < 0).all()
-    assert far.material.name == "far field"
+    assert far.comes_from(Provenance.BACKGROUND_PROXY).all()
     lost = TriMesh("actor", far.vertices, far.faces, far.base_colour)
     with pytest.raises(FrameMismatchError):
         build_far_field(lost, [], _ground(), PATH, FarFieldConfig(), make_caster=EmbreeCaster)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lightsim.core.actors import ActorKind
 from lightsim.core.fields import GroundMap
 from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.sensors import LazySweep, LidarSweep
-from lightsim.geometry.materials import classify_background, material_of
+from lightsim.geometry.materials import classify_background, material_of, material_of_actor
 from lightsim.geometry.surface import make_mesh
 
 
@@ -30,6 +31,21 @@ from lightsim.geometry.surface import make_mesh
 )
 def test_labels_name_materials(name: str, material: str) -> None:
     assert material_of(name).name == material
+
+
+@pytest.mark.parametrize(
+    ("kind", "material"),
+    [
+        (ActorKind.OTHER_VEHICLE, "car paint"),
+        (ActorKind.MOTORCYCLE, "car paint"),
+        (ActorKind.PEDESTRIAN, "cloth"),
+        (ActorKind.SIGN, "metal"),
+        (ActorKind.CONE, "matte"),
+        (ActorKind.OTHER, "matte"),
+    ],
+)
+def test_kinds_have_materials(kind: ActorKind, material: str) -> None:
+    assert material_of_actor(kind).name == material
 
 
 def _sheet(u: np.ndarray, v: np.ndarray) -> TriMesh:

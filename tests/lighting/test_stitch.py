@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lightsim.core.actors import ActorTrack
+from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.equirect import pixel_directions
@@ -180,7 +180,7 @@ def test_moving_actors_are_left_out():
     matrix[:3, 3] = [5.0, 0.0, -1.0]
     track = ActorTrack(
         "a",
-        "car",
+        ActorKind.CAR,
         np.array([2.0, 2.0, 2.0]),
         Trajectory("world", "actor", np.array([0, 10**8]), np.stack([matrix, matrix])),
         True,

@@ -11,7 +11,7 @@ import pytest
 from lightsim.core.equirect import pixel_directions
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import GeoReference
-from lightsim.core.mesh import Material, TriMesh, concatenate_meshes
+from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
 from lightsim.core.solar import angle_between_deg, direction_enu, solar_position
 from lightsim.core.twin import Panorama
 from lightsim.lighting.directions import fibonacci_hemisphere, log_vmf
@@ -120,6 +120,26 @@ def test_without_surfaces_nothing_is_said():
     votes = vote(samples, caster, CONFIG, rng)
     assert votes.sunny_probability == 0.5
     assert (votes.log_likelihood == 0).all()
+
+
+def test_guessed_surfaces_are_not_asked_whatever_their_material_is_called():
+    sun, path = direction_enu(230.0, 35.0), np.array([[0.0, 0.0, 1.8]])
+    mesh = _street(sun, 4.0, 1)
+    is_left = mesh.vertices[mesh.faces[:, 0], 0] < 0
+    number = np.where(is_left, Provenance.INFERRED, Provenance.INTERPOLATED).astype(np.uint8)
+    mesh = replace(mesh, face_provenance=number)
+
+    def asked(name: str) -> np.ndarray:
+        renamed = replace(mesh, materials=(Material(name=name),))
+        rng = np.random.default_rng(0)
+        return sample_surfaces(
+            renamed, [], path, make_embree_caster, CONFIG.samples, rng
+        )[0].position_world  # fmt: skip
+
+    found = asked("inferred facade")
+    assert len(found) > 500
+    assert found[:, 0].min() > -2.01
+    np.testing.assert_array_equal(found, asked("far field"))
 
 
 def _geo(yaw_rad: float | None, heading_std_deg: float) -> GeoReference:

@@ -15,7 +15,9 @@ from typing import TypeVar
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
+from lightsim.core.mesh import Provenance
 from lightsim.core.reading import LogReading
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame, LidarSweep
@@ -23,12 +25,14 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.datasets.pandaset import log as pandaset
 from lightsim.datasets.pandaset.sweeps import SweepSource, load_sweep
 from lightsim.errors import ArtefactError, InputError, MissingDependencyError
+from lightsim.geometry.surface import face_areas_m2
 from lightsim.pipeline.build import build, status
 from lightsim.pipeline.options import BuildOptions
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import SilentProgress
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.options import RendererChoice
+from lightsim.simulate.against_truth import TrueSurfaces
 from lightsim.simulate.buffers import render
 from lightsim.simulate.options import RelightOptions, RenderOptions
 from lightsim.simulate.relight import relight
@@ -215,6 +219,62 @@ def test_a_second_build_makes_nothing_and_status_knows(work: Path) -> None:
     (work / "build.json").write_text(write_options.replace('"seed": 0', '"seed": 1'))
     assert {line.state for line in status(work)} == {"stale"}
     (work / "build.json").write_text(write_options)
+
+
+@pytest.mark.slow
+def test_faces_know_where_they_come_from(work: Path) -> None:
+    """Measured faces lie where returns are, guessed ones mostly do not; every stage keeps them."""
+    workspace = Workspace(work)
+    meshes, log = workspace.meshes, workspace.training_log
+    background = meshes.background
+    returns = np.concatenate([lazy.load().points_world for lazy in log.sweeps])
+    centres = background.vertices[background.faces].mean(axis=1)
+    distance_m = KDTree(returns).query(centres)[0]
+    measured = background.comes_from(Provenance.MEASURED)
+    proxy = background.comes_from(Provenance.BACKGROUND_PROXY)
+    assert np.percentile(distance_m[measured], 95) < 0.5
+    assert np.median(distance_m[measured]) < 0.15
+    assert np.median(distance_m[background.comes_from(Provenance.INFERRED)]) > 0.3
+    assert np.median(distance_m[proxy]) > 20.0
+    assert background.comes_from(Provenance.INTERPOLATED).any()
+    assert workspace.inferred.comes_from(Provenance.INFERRED).all()
+    vehicles = [a.mesh for a in meshes.actors.values() if a.kind.is_vehicle]
+    assert any(
+        mesh.comes_from(Provenance.MIRRORED).any() and mesh.comes_from(Provenance.MEASURED).any()
+        for mesh in vehicles
+    )
+    persons = [a.mesh for a in meshes.actors.values() if a.kind.is_person]
+    assert persons
+    assert not any(mesh.comes_from(Provenance.MIRRORED).any() for mesh in persons)
+    for assets in (workspace.assets, workspace.twin.assets):
+        pairs = [(assets.background, background)]
+        pairs += [(assets.actors[a].mesh, actor.mesh) for a, actor in meshes.actors.items()]
+        for later, first in pairs:
+            assert later.face_provenance is not None
+            assert first.face_provenance is not None
+            areas = [
+                np.bincount(m.face_provenance, face_areas_m2(m), len(Provenance))
+                for m in (later, first)
+            ]
+            np.testing.assert_allclose(*areas, rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_an_actor_has_one_number_everywhere(work: Path, tmp_path: Path) -> None:
+    workspace = Workspace(work)
+    number_by_actor = workspace.log.number_by_actor
+    assert workspace.training_log.number_by_actor == number_by_actor
+    assert workspace.twin.log.number_by_actor == number_by_actor
+    assert workspace.scene_field.actor_ids == tuple(number_by_actor)
+    chosen = RenderOptions(("actor",), (), frames="0:1")
+    render(work, tmp_path, chosen, SilentProgress())
+    table = json.loads((tmp_path / "actors.json").read_text())
+    assert {row["actor_id"]: row["number"] for row in table} == number_by_actor
+    truth = shipped_street() / "truth"
+    true_ids = json.loads((truth / "truth.json").read_text())["actors"]
+    surfaces = TrueSurfaces(truth / "scene.npz", workspace)
+    assert surfaces.scenario.number_by_actor == number_by_actor
+    assert set(true_ids) == set(number_by_actor)
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lightsim.core.actors import ActorTrack
+from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.fields import SceneFields
 from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog
@@ -64,7 +64,9 @@ def _track(actor_id: str, path: np.ndarray, times: np.ndarray, size: np.ndarray)
     matrices = np.stack([np.eye(4)] * len(times))
     matrices[:, :3, 3] = path
     trajectory = Trajectory("world", "actor", times, matrices)
-    return ActorTrack(actor_id, "car", size, trajectory, bool(np.ptp(path, axis=0).max() > 1))
+    return ActorTrack(
+        actor_id, ActorKind.CAR, size, trajectory, bool(np.ptp(path, axis=0).max() > 1)
+    )
 
 
 @pytest.fixture(scope="module")

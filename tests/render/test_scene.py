@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rendering_scenes import box, camera, look_at, mesh, plane, sphere, sun_sky
 
-from lightsim.core.actors import ActorTrack
+from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.buffers import BACKGROUND, NO_SURFACE
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.mesh import TriMesh
@@ -66,12 +66,12 @@ def _placement(name: str, speed_m_s: float, start_ns: int) -> ActorPlacement:
     ]
     track = ActorTrack(
         name,
-        "Car",
+        ActorKind.CAR,
         np.array([4.0, 2, 1]),
         Trajectory("world", "actor", times, np.array(poses)),
         True,
     )
-    return ActorPlacement(ActorAsset(name, "Car", body), track)
+    return ActorPlacement(ActorAsset(name, ActorKind.CAR, body), track)
 
 
 def test_actors_stand_where_their_track_says_and_carry_their_index():

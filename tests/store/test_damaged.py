@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from lightsim.core.dome import MAX_RADIANCE, SkyDome
-from lightsim.core.mesh import TriMesh
+from lightsim.core.mesh import Provenance, TriMesh
 from lightsim.core.solar import solar_position
 from lightsim.core.twin import Panorama
 from lightsim.errors import ArtefactError, InputError, LightSimError
@@ -44,6 +44,7 @@ def _mesh() -> TriMesh:
         ("base_colour", np.ones((2, 3), np.float32)),
         ("confidence", np.ones(2, np.float32)),
         ("face_material", np.ones(1, np.uint8)),
+        ("face_provenance", np.full(1, len(Provenance), np.uint8)),
         ("material", np.ones((2, 2))),
         ("texture", np.zeros((0, 4, 3), np.float16)),
     ],

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lightsim.core.colour import linear_from_srgb8, srgb8_from_linear
-from lightsim.core.mesh import Material, Texture, TriMesh
+from lightsim.core.mesh import Material, Provenance, Texture, TriMesh
 from lightsim.errors import InputError
 from lightsim.store import gltf
 from lightsim.store.meshes import read_glb, write_glb
@@ -71,13 +71,25 @@ def _rich(mesh: TriMesh, rng: np.random.Generator, *, textured: bool) -> TriMesh
     uv = (np.floor(rng.uniform(0, 50, (len(faces), 3, 2))) + 0.5).astype(np.float32)
     texture = Texture(linear_from_srgb8(codes), uv) if textured else None
     confidence = rng.random(40).astype(np.float32)
+    provenance = (np.arange(len(faces)) % len(Provenance)).astype(np.uint8)
     return TriMesh(
-        "world", mesh.vertices, faces, mesh.base_colour, materials, number, texture, confidence
+        "world",
+        mesh.vertices,
+        faces,
+        mesh.base_colour,
+        materials,
+        number,
+        texture,
+        confidence,
+        provenance,
     )
 
 
 def _assert_equal(back: TriMesh, mesh: TriMesh) -> None:
-    for name in ("vertices", "faces", "base_colour", "face_material", "confidence"):
+    names = (
+        "vertices", "faces", "base_colour", "face_material", "confidence", "face_provenance",
+    )  # fmt: skip
+    for name in names:
         np.testing.assert_array_equal(getattr(back, name), getattr(mesh, name))
     assert back.materials == mesh.materials
     assert back.frame == mesh.frame
@@ -89,7 +101,7 @@ def _assert_equal(back: TriMesh, mesh: TriMesh) -> None:
 
 
 @pytest.mark.parametrize("textured", [False, True])
-def test_materials_texture_and_confidence_come_back(
+def test_materials_texture_confidence_and_provenance_come_back(
     tmp_path: Path, mesh: TriMesh, rng: np.random.Generator, textured: bool
 ) -> None:
     rich = _rich(mesh, rng, textured=textured)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightsim.core.actors import ActorTrack
+from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.alignment import Alignment
 from lightsim.core.dome import SkyDome
 from lightsim.core.frames import Trajectory
@@ -30,7 +30,7 @@ def _triangle(frame: str) -> TriMesh:
 
 
 def _hostile_assets() -> SceneAssets:
-    actors = {a: ActorAsset(a, "car", _triangle("actor")) for a in HOSTILE}
+    actors = {a: ActorAsset(a, ActorKind.CAR, _triangle("actor")) for a in HOSTILE}
     gains = {"front_camera": np.ones(3, np.float32)}
     return SceneAssets(_triangle("world"), actors, gains)
 
@@ -39,7 +39,7 @@ def _twin(assets: SceneAssets) -> DigitalTwin:
     times_ns, matrices = np.array([0, 10], dtype=np.int64), np.tile(np.eye(4), (2, 1, 1))
     path = Trajectory("world", "actor", times_ns, matrices)
     size = np.array([4.0, 2.0, 1.5])
-    tracks = tuple(ActorTrack(a, "car", size, path, False) for a in assets.actors)
+    tracks = tuple(ActorTrack(a, ActorKind.CAR, size, path, False) for a in assets.actors)
     ego = Trajectory("world", "ego", times_ns, matrices)
     log = DrivingLog("log", {}, (), (), ego, tracks, None, {})
     dome = SkyDome(np.ones((2, 4, 3), np.float32), None)

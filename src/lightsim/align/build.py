@@ -12,7 +12,7 @@ from lightsim.align.config import AlignConfig
 from lightsim.align.gather import Gathered, gather
 from lightsim.align.movers import settle_moving
 from lightsim.align.path import PathFit, align_path
-from lightsim.align.tracks import TrackFit, is_vehicle, settle_parked
+from lightsim.align.tracks import TrackFit, settle_parked
 from lightsim.core.alignment import Alignment, PathCorrection
 from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import CameraFrame
@@ -135,7 +135,7 @@ def _moved_tracks(
     if not config.actor_tracks:
         return []
     fits = settle_moving(log.actors, found.moving, path, config, rng)
-    moving = sum(actor.is_moving and is_vehicle(actor) for actor in log.actors)
+    moving = sum(actor.is_moving and actor.kind.is_rigid_body for actor in log.actors)
     if moving:
         shift = np.array([fit.shift_rms_m for fit in fits] or [0.0])
         yaw = np.array([fit.yaw_rms_deg for fit in fits] or [0.0])

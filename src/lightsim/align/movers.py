@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from lightsim.align.config import AlignConfig
 from lightsim.align.path import PathFit, Wander, align_returns, still_correction
 from lightsim.align.planes import Cloud
-from lightsim.align.tracks import TrackFit, is_vehicle
+from lightsim.align.tracks import TrackFit
 from lightsim.core.actors import ActorTrack
 from lightsim.core.alignment import PathCorrection
 
@@ -45,7 +45,7 @@ def settle_moving(
     fits: list[TrackFit] = []
     for actor in actors:
         cloud = returns.get(actor.actor_id)
-        if not actor.is_moving or not is_vehicle(actor) or cloud is None:
+        if not actor.is_moving or not actor.kind.is_rigid_body or cloud is None:
             continue
         if path is not None:
             actor = _moved(actor, path)

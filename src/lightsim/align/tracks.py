@@ -12,7 +12,6 @@ from lightsim.core.alignment import PathCorrection
 
 _LARGEST_MOVE_M = 0.3
 _LEAST_POSES = 3
-_ALIVE = ("pedestrian", "bicycle", "motorcycle", "animal", "scooter", "mobility")
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,13 +24,8 @@ class TrackFit:
     yaw_rms_deg: float
 
 
-def is_vehicle(actor: ActorTrack) -> bool:
-    """Rigid: neither walks nor is ridden."""
-    return not any(word in actor.kind.lower() for word in _ALIVE)
-
-
 def settle_parked(actors: tuple[ActorTrack, ...], path: PathCorrection | None) -> list[TrackFit]:
-    """One constant pose, after the path's correction, for every vehicle that stands still.
+    """One constant pose, after the path's correction, for every rigid body that stands still.
 
     What lives or moves, and a box that wanders by more than labels jitter, stays as labelled.
     """
@@ -40,8 +34,8 @@ def settle_parked(actors: tuple[ActorTrack, ...], path: PathCorrection | None) -
         poses = actor.trajectory.matrices
         positions = actor.trajectory.positions_m
         spread = float(np.linalg.norm(positions - np.median(positions, axis=0), axis=1).max())
-        is_rigid = is_vehicle(actor) and not actor.is_moving
-        if not is_rigid or len(poses) < _LEAST_POSES or spread > _LARGEST_MOVE_M:
+        is_parked = actor.kind.is_rigid_body and not actor.is_moving
+        if not is_parked or len(poses) < _LEAST_POSES or spread > _LARGEST_MOVE_M:
             continue
         if path is not None:
             moves = [path.at(int(t)).matrix for t in actor.trajectory.times_ns]

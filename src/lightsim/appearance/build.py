@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from lightsim.appearance.bake import bake
 from lightsim.appearance.config import AssetConfig, draft, paper, standard
 from lightsim.appearance.observe import SkyMatte
 from lightsim.core.casting import MakeCaster
 from lightsim.core.log import DrivingLog
-from lightsim.core.twin import ActorAsset, SceneAssets
+from lightsim.core.twin import SceneAssets
 from lightsim.progress import Progress
 
 __all__ = ["AssetConfig", "build_assets", "draft", "paper", "standard"]
@@ -40,7 +42,7 @@ def build_assets(
         sky_matte=sky_matte,
     )
     assets = {
-        track.actor_id: ActorAsset(track.actor_id, track.kind, mesh)
+        track.actor_id: replace(meshes.actors[track.actor_id], mesh=mesh)
         for track, mesh in zip(log.actors, painted[1:], strict=True)
     }
     gain_by_name = {name: gains[i] for i, name in enumerate(log.cameras)}

@@ -1,8 +1,9 @@
-"""Traffic participants as labelled boxes over time."""
+"""Traffic participants and other things with a label: their kinds, and their boxes over time."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -11,17 +12,82 @@ from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.errors import InputError
 
 
+class ActorKind(StrEnum):
+    """What an actor is, as far as shape, motion and material depend on it.
+
+    Readers map a data set's own labels to it. Nothing is assumed about OTHER: none of the
+    predicates holds.
+    """
+
+    CAR = "car"
+    PICKUP = "pickup"
+    TRUCK = "truck"
+    BUS = "bus"
+    RAIL_VEHICLE = "rail vehicle"
+    TRAILER = "trailer"
+    CONSTRUCTION_VEHICLE = "construction vehicle"
+    OTHER_VEHICLE = "other vehicle"
+    MOTORCYCLE = "motorcycle"
+    SCOOTER = "scooter"
+    BICYCLE = "bicycle"
+    PEDESTRIAN = "pedestrian"
+    PERSONAL_MOBILITY = "personal mobility"
+    ANIMAL = "animal"
+    CONE = "cone"
+    SIGN = "sign"
+    BARRIER = "barrier"
+    ROLLING_CONTAINER = "rolling container"
+    OTHER = "other"
+
+    @property
+    def is_vehicle(self) -> bool:
+        """Has a body on three wheels or more, whose two halves mirror each other."""
+        return self in _VEHICLES
+
+    @property
+    def is_two_wheeler(self) -> bool:
+        """Is ridden, and leans and steers."""
+        return self in _TWO_WHEELERS
+
+    @property
+    def is_person(self) -> bool:
+        """Is a person, with or without what carries them."""
+        return self in _PERSONS
+
+    @property
+    def is_rigid_body(self) -> bool:
+        """Keeps its shape while it moves: one pose says where all of it is."""
+        return self.is_vehicle or self in _STREET_FURNITURE
+
+
+_VEHICLES = frozenset({
+    ActorKind.CAR, ActorKind.PICKUP, ActorKind.TRUCK, ActorKind.BUS, ActorKind.RAIL_VEHICLE,
+    ActorKind.TRAILER, ActorKind.CONSTRUCTION_VEHICLE, ActorKind.OTHER_VEHICLE,
+})  # fmt: skip
+_TWO_WHEELERS = frozenset({ActorKind.MOTORCYCLE, ActorKind.SCOOTER, ActorKind.BICYCLE})
+_PERSONS = frozenset({ActorKind.PEDESTRIAN, ActorKind.PERSONAL_MOBILITY})
+_STREET_FURNITURE = frozenset(
+    {ActorKind.CONE, ActorKind.SIGN, ActorKind.BARRIER, ActorKind.ROLLING_CONTAINER}
+)
+
+
 @dataclass(frozen=True, eq=False)
 class ActorTrack:
-    """One actor: `trajectory` is world_from_actor; the actor frame sits at the box centre."""
+    """One actor: `trajectory` is world_from_actor; the actor frame sits at the box centre.
+
+    `label` is the recording's own word for it, for people and outputs; by default the kind's.
+    """
 
     actor_id: str
-    kind: str
+    kind: ActorKind
     size_lwh_m: Float[np.ndarray, "3"]
     trajectory: Trajectory
     is_moving: bool
+    label: str = ""
 
     def __post_init__(self) -> None:
+        if not self.label:
+            object.__setattr__(self, "label", str(self.kind))
         if not np.isfinite(self.size_lwh_m).all() or (self.size_lwh_m <= 0).any():
             raise InputError(
                 "the box size must be positive and finite",

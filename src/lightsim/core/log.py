@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool
@@ -69,6 +70,11 @@ class DrivingLog:
 
     def with_frames(self, frames: tuple[CameraFrame, ...]) -> DrivingLog:
         return replace(self, frames=frames)
+
+    @cached_property
+    def number_by_actor(self) -> dict[str, int]:
+        """The number of every actor, the same in fields, buffers and files."""
+        return {actor.actor_id: number for number, actor in enumerate(self.actors)}
 
     @property
     def stems(self) -> tuple[str, ...]:

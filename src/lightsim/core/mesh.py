@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from enum import IntEnum
 
 import numpy as np
-from jaxtyping import Float, Float32, Int, Int32, UInt8
+from jaxtyping import Bool, Float, Float32, Int, Int32, UInt8
 
 from lightsim.core.frames import RigidTransform
 from lightsim.errors import FrameMismatchError, InputError
@@ -15,13 +16,28 @@ MATTE_ROUGHNESS = 0.6
 the light that they reflect, so a specular lobe on top would count some of it twice."""
 
 
+class Provenance(IntEnum):
+    """Where the shape of a face comes from."""
+
+    MEASURED = 0
+    """Sensors saw the surface."""
+    MIRRORED = 1
+    """The other half of a vehicle was seen."""
+    INTERPOLATED = 2
+    """A hole within measured surface was closed: ground under a vehicle, a window pane."""
+    INFERRED = 3
+    """Guessed beyond what was measured: default shapes, roofs, upper facades."""
+    BACKGROUND_PROXY = 4
+    """Stands for everything beyond the sensors' reach."""
+
+
 @dataclass(frozen=True)
 class Material:
     """Principled parameters (Burley 2012) of one class of surfaces; base colour lies on the mesh.
 
     Args:
         roughness: from MATTE_ROUGHNESS on, only metals have a specular lobe.
-        name: the class, such as "car paint"; unique within a mesh.
+        name: the class, such as "car paint", for people: nothing is decided by it.
     """
 
     roughness: float = 0.9
@@ -74,6 +90,7 @@ class TriMesh:
         texture: the base colour at image resolution; renderers for cameras prefer it to the
             vertices' colour, which is its local mean and serves bounced light.
         confidence: of each vertex's base colour, 0 (guessed) to 1 (observed, light known).
+        face_provenance: a `Provenance` for each face; None: all are measured.
     """
 
     frame: str
@@ -84,6 +101,7 @@ class TriMesh:
     face_material: UInt8[np.ndarray, " m"] | None = None
     texture: Texture | None = None
     confidence: Float32[np.ndarray, " n"] | None = None
+    face_provenance: UInt8[np.ndarray, " m"] | None = None
 
     def __post_init__(self) -> None:
         where = f"mesh in '{self.frame}'"
@@ -117,6 +135,16 @@ class TriMesh:
     def material(self) -> Material:
         """Of the first class."""
         return self.materials[0]
+
+    def comes_from(self, *sources: Provenance) -> Bool[np.ndarray, " m"]:
+        """Which faces have one of these provenances."""
+        if self.face_provenance is None:
+            return np.full(len(self.faces), Provenance.MEASURED in sources)
+        return np.isin(self.face_provenance, sources)
+
+    def with_provenance(self, provenance: Provenance) -> TriMesh:
+        """The same mesh, all of whose faces come from one source."""
+        return replace(self, face_provenance=np.full(len(self.faces), provenance, dtype=np.uint8))
 
     def colour_at(
         self, face: Int[np.ndarray, " n"], barycentric: Float[np.ndarray, "n 3"]
@@ -160,7 +188,7 @@ class TriMesh:
 
 
 def concatenate_meshes(meshes: list[TriMesh]) -> TriMesh:
-    """One mesh of several in the same frame. Materials of equal name must be equal.
+    """One mesh of several in the same frame.
 
     Textures are dropped (they belong to single meshes); confidence stays where all have it.
     """
@@ -186,6 +214,20 @@ def concatenate_meshes(meshes: list[TriMesh]) -> TriMesh:
         np.concatenate(face_material) if len(materials) > 1 else None,
         None,
         np.concatenate(confidence) if len(confidence) == len(meshes) else None,
+        _joined_provenance(meshes),
+    )
+
+
+def _joined_provenance(meshes: list[TriMesh]) -> UInt8[np.ndarray, " m"] | None:
+    if all(mesh.face_provenance is None for mesh in meshes):
+        return None
+    return np.concatenate(
+        [
+            np.full(len(mesh.faces), Provenance.MEASURED, dtype=np.uint8)
+            if mesh.face_provenance is None
+            else mesh.face_provenance
+            for mesh in meshes
+        ]
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32
 
+from lightsim.core.actors import ActorKind
 from lightsim.core.dome import SkyDome
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
@@ -15,11 +16,19 @@ from lightsim.core.mesh import TriMesh
 
 @dataclass(frozen=True, eq=False)
 class ActorAsset:
-    """A reconstructed actor; `mesh` lies in frame `actor` (origin at the box centre)."""
+    """A reconstructed actor; `mesh` lies in frame `actor` (origin at the box centre).
+
+    `label` is the recording's own word for it; by default the kind's.
+    """
 
     actor_id: str
-    kind: str
+    kind: ActorKind
     mesh: TriMesh
+    label: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.label:
+            object.__setattr__(self, "label", str(self.kind))
 
 
 @dataclass(frozen=True, eq=False)

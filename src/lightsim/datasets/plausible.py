@@ -268,7 +268,7 @@ def check_rigid(path: Path, ego: Trajectory, camera: Trajectory) -> tuple[str, .
 def odd_track_notes(track: ActorTrack) -> tuple[str, ...]:
     """Notes on an actor that is very long or moves very fast."""
     notes: list[str] = []
-    name = f"actor {track.actor_id[:40]} ({track.kind[:40]})"
+    name = f"actor {track.actor_id[:40]} ({track.label[:40]})"
     size_m = float(track.size_lwh_m.max())
     if size_m > LONG_BOX_M:
         notes.append(f"{name} is {size_m:.0f} m long")

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Float64, Int64, UInt8
 
+from lightsim.core.actors import ActorKind
 from lightsim.core.fields import GroundMap
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import Material, TriMesh
@@ -55,7 +56,7 @@ _COHERENT = 0.85
 
 
 def material_of(name: str) -> Material:
-    """The material class that a label or an actor's kind speaks of; matte if none."""
+    """The material class that a label of LiDAR returns speaks of; matte if none."""
     low = name.lower()
     if any(word in low for word in _NOT):
         return UNKNOWN
@@ -63,6 +64,15 @@ def material_of(name: str) -> Material:
         if any(word in low for word in words):
             return material
     return UNKNOWN
+
+
+def material_of_actor(kind: ActorKind) -> Material:
+    """The material class of most of an actor's surface; matte where kinds have none."""
+    if kind.is_vehicle or kind is ActorKind.MOTORCYCLE:
+        return CAR_PAINT
+    if kind.is_person:
+        return CLOTH
+    return METAL if kind is ActorKind.SIGN else UNKNOWN
 
 
 def classify_background(mesh: TriMesh, log: DrivingLog, ground: GroundMap) -> TriMesh:

@@ -14,15 +14,15 @@ from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.twin import ActorAsset, SceneAssets
 from lightsim.errors import InputError
-from lightsim.geometry.actors.cabin import ClosedCabin
 from lightsim.geometry.actors.complete import (
     PROXY_VOXEL_M,
     actor_surface,
     ground_patches,
     trim_ground,
 )
+from lightsim.geometry.actors.evidence import ActorEvidence
 from lightsim.geometry.config import MeshConfig
-from lightsim.geometry.materials import GLASS, classify_background, material_of
+from lightsim.geometry.materials import GLASS, classify_background, material_of_actor
 from lightsim.geometry.simplify import denoise, simplify
 from lightsim.geometry.surface import background_levels, drop_floaters
 from lightsim.progress import Progress
@@ -48,19 +48,20 @@ def mesh_scene(
     for track in progress.track(log.actors, "mesh the actors", len(log.actors)):
         grid = fields.actors.get(track.actor_id)
         voxel_m = PROXY_VOXEL_M if grid is None else grid.voxel_m
-        surface, cabin = actor_surface(track, grid, config)
-        mesh = _with_materials(_refined(surface, voxel_m, config), track, cabin)
-        actors[track.actor_id] = ActorAsset(track.actor_id, track.kind, mesh)
+        surface, evidence = actor_surface(track, grid, config)
+        mesh = _with_face_classes(_refined(surface, voxel_m, config), track, evidence)
+        actors[track.actor_id] = ActorAsset(track.actor_id, track.kind, mesh, track.label)
         if grid is None:
-            notes.append(f"actor {track.actor_id} ({track.kind}): default shape, too few returns")
+            notes.append(f"actor {track.actor_id} ({track.label}): default shape, too few returns")
     return SceneAssets(background, actors, {}, tuple(notes))
 
 
-def _with_materials(mesh: TriMesh, track: ActorTrack, cabin: ClosedCabin) -> TriMesh:
-    """Body and, on closed cabins, window panes."""
-    body = material_of(track.kind)
+def _with_face_classes(mesh: TriMesh, track: ActorTrack, evidence: ActorEvidence) -> TriMesh:
+    """Provenance of each face, and its material: body and, on closed cabins, window panes."""
+    body = material_of_actor(track.kind)
     centres = mesh.vertices[mesh.faces].mean(axis=1).astype(np.float64)
-    is_glass = cabin.is_glass(centres)
+    mesh = replace(mesh, face_provenance=evidence.provenance(centres))
+    is_glass = evidence.is_glass(centres)
     if not is_glass.any():
         return replace(mesh, materials=(body,))
     return replace(mesh, materials=(body, GLASS), face_material=is_glass.astype(np.uint8))

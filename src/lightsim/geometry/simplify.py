@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int32
 
-from lightsim.core.mesh import TriMesh
+from lightsim.core.mesh import Provenance, TriMesh
 from lightsim.geometry.denoise_kernels import filter_normals, fit_vertices, neighbour_faces
 from lightsim.geometry.simplify_kernels import (
     collapse_round,
@@ -32,7 +32,8 @@ def simplify(
 
     The error is the area-weighted RMS distance of a vertex from the planes it stands for. Holes
     do not open: every collapse meets the link condition, none turns a face by more than 60
-    degrees. Borders, and lines where materials meet, keep their course within the error.
+    degrees. Borders, and lines where materials or provenances meet, keep their course within the
+    error.
     Colours, texture and confidence are not carried over: simplify before colouring.
 
     Args:
@@ -41,7 +42,7 @@ def simplify(
         max_edge_m: no edge is made longer than this.
 
     Returns:
-        A black mesh with the same materials.
+        A black mesh with the same materials and provenances.
     """
     points = mesh.vertices.astype(np.float64)
     faces = mesh.faces.astype(np.int64)
@@ -72,7 +73,10 @@ def simplify(
         index.reshape(-1, 3).astype(np.int32),
         np.zeros((len(used), 3), dtype=np.float32),
         mesh.materials,
-        None if mesh.face_material is None else groups.astype(np.uint8),
+        None if mesh.face_material is None else (groups // len(Provenance)).astype(np.uint8),
+        face_provenance=None
+        if mesh.face_provenance is None
+        else (groups % len(Provenance)).astype(np.uint8),
     )
 
 
@@ -86,10 +90,14 @@ def simplify_planar(
     return simplify(mesh, np.full(count, error_m), np.full(count, edge_m, dtype=np.float64))
 
 
-def _groups(mesh: TriMesh) -> UInt8[np.ndarray, " m"]:
-    if mesh.face_material is None:
-        return np.zeros(len(mesh.faces), dtype=np.uint8)
-    return mesh.face_material.copy()
+def _groups(mesh: TriMesh) -> Int32[np.ndarray, " m"]:
+    """One number for each pair of material and provenance."""
+    groups = np.zeros(len(mesh.faces), dtype=np.int32)
+    if mesh.face_material is not None:
+        groups += len(Provenance) * mesh.face_material.astype(np.int32)
+    if mesh.face_provenance is not None:
+        groups += mesh.face_provenance
+    return groups
 
 
 def denoise(

@@ -120,6 +120,7 @@ def keep_faces(mesh: TriMesh, is_kept: Bool[np.ndarray, " m"]) -> TriMesh:
         if mesh.texture is None
         else Texture(mesh.texture.image, mesh.texture.corner_uv[is_kept]),
         confidence=None if mesh.confidence is None else mesh.confidence[used],
+        face_provenance=None if mesh.face_provenance is None else mesh.face_provenance[is_kept],
     )
 
 

@@ -97,7 +97,7 @@ def _neural_config(options: BuildOptions) -> neural_config.NeuralConfig:
 
 
 STAGES = (
-    Stage("log", 2, (), lambda o: replace(o.reading, source=""), recording.make_log),
+    Stage("log", 3, (), lambda o: replace(o.reading, source=""), recording.make_log),
     Stage("masks", 1, ("log",), lambda o: SkyMaskConfig(), recording.make_masks),
     Stage(
         "alignment",
@@ -116,14 +116,14 @@ STAGES = (
     ),
     Stage(
         "geometry",
-        2,
+        3,
         ("log", "masks", "alignment", "neural"),
         lambda o: surfaces.GeometryConfig(_MESHES[o.preset]()),
         surfaces.make_geometry,
     ),
     Stage(
         "assets",
-        2,
+        3,
         ("log", "masks", "alignment", "fields", "neural", "geometry"),
         _asset_config,
         surfaces.make_assets,

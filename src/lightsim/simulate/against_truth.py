@@ -112,7 +112,7 @@ class TrueSurfaces:
             for name, mesh in self.meshes.items()
             if name in tracks
         )
-        self.scenario = Scenario("truth", (), placements)
+        self.scenario = Scenario("truth", (), placements, tracks=self._log.actors)
         empty = replace(background, faces=background.faces[:0])
         self._renderer = FrameRenderer(background, empty, TransportConfig(), 0)
         self._masks: dict[tuple[str, str], Bool[np.ndarray, "h w"]] = {}

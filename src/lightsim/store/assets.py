@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from lightsim.core.mesh import Material, Texture, TriMesh
+from lightsim.core.actors import ActorKind
+from lightsim.core.mesh import Material, Provenance, Texture, TriMesh
 from lightsim.core.twin import ActorAsset, SceneAssets
 from lightsim.errors import ArtefactError
 from lightsim.store.arrays import ArrayFile, save_arrays
@@ -30,6 +31,8 @@ def write_mesh(path: Path, mesh: TriMesh) -> None:
     }
     if mesh.face_material is not None:
         arrays["face_material"] = mesh.face_material
+    if mesh.face_provenance is not None:
+        arrays["face_provenance"] = mesh.face_provenance
     if mesh.confidence is not None:
         arrays["confidence"] = mesh.confidence
     if mesh.texture is not None:
@@ -60,8 +63,15 @@ def read_mesh(path: Path, frame: str) -> TriMesh:
         if len(faces) and int(face_material.max()) >= len(materials):
             raise ArtefactError("a face names no material", where=path, remedy="Build again.")
     confidence = arrays.take("confidence", "f4", "n") if "confidence" in arrays else None
+    provenance = None
+    if "face_provenance" in arrays:
+        provenance = arrays.take("face_provenance", "u1", "m")
+        if len(faces) and int(provenance.max()) >= len(Provenance):
+            raise ArtefactError("a face has no provenance", where=path, remedy="Build again.")
     colour = arrays.take("base_colour", "f4", "n 3")
-    return TriMesh(frame, vertices, faces, colour, materials, face_material, texture, confidence)
+    return TriMesh(
+        frame, vertices, faces, colour, materials, face_material, texture, confidence, provenance
+    )
 
 
 def _materials(arrays: ArrayFile) -> tuple[Material, ...]:
@@ -94,6 +104,7 @@ def write_assets(folder: Path, assets: SceneAssets) -> None:
                 {
                     "actor_id": actor_id,
                     "kind": actor.kind,
+                    "label": actor.label,
                     "mesh": files[actor_id],
                     "faces": len(actor.mesh.faces),
                 }
@@ -114,7 +125,8 @@ def read_assets(folder: Path) -> SceneAssets:
     for entry in value.objects("actors"):
         actor_id = entry.text("actor_id")
         mesh = read_mesh(inside(folder, entry.text("mesh")), "actor")
-        actors[actor_id] = ActorAsset(actor_id, entry.text("kind"), mesh)
+        kind = entry.member("kind", ActorKind)
+        actors[actor_id] = ActorAsset(actor_id, kind, mesh, entry.text("label"))
     notes = value.texts("notes") if "notes" in value else ()
     return SceneAssets(
         read_mesh(folder / "background.npz", "world"), actors, read_gains(value), notes

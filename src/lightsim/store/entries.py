@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -16,6 +17,7 @@ _REMEDY = "Build again."
 _MAX_NUMBER = 1e30
 """Nothing we store is larger; float32 holds it."""
 _SHOWN = 60
+_Member = TypeVar("_Member", bound=StrEnum)
 
 
 class Entries:
@@ -53,6 +55,13 @@ class Entries:
         if text not in words:
             raise self._error(f"'{key}' is none of {', '.join(words)}", text)
         return text
+
+    def member(self, key: str, enumeration: type[_Member]) -> _Member:
+        """The member of an enumeration of texts that an entry names."""
+        text = self.text(key)
+        if text not in [str(member) for member in enumeration]:
+            raise self._error(f"'{key}' is none of {', '.join(enumeration)}", text)
+        return enumeration(text)
 
     def texts(self, key: str) -> tuple[str, ...]:
         values = self._checked(key, list, "a list of texts")

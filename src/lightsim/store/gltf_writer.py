@@ -1,8 +1,9 @@
 """A writer of binary glTF 2.0: one mesh, one primitive for each material.
 
 A textured mesh has a vertex for each corner of each face, as glTF asks where texture coordinates
-jump. Attributes of our own (names start with "_", as glTF asks) say which vertex a corner was,
-and carry its colour and confidence, so that `meshes.read_glb` joins the mesh again.
+jump, one without texture a vertex for each provenance of the faces around it. Attributes of our
+own (names start with "_", as glTF asks) say which vertex a corner was, and carry its colour,
+confidence and provenance, so that `meshes.read_glb` joins the mesh again.
 
 Matte materials have no specular lobe (KHR_materials_specular, which viewers may ignore).
 
@@ -18,13 +19,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Shaped, UInt8
+from jaxtyping import Float32, Float64, Int, Int32, Int64, Shaped, UInt8
 
 from lightsim.core.colour import srgb8_from_linear
-from lightsim.core.mesh import MATTE_ROUGHNESS, Material, TriMesh
+from lightsim.core.mesh import MATTE_ROUGHNESS, Material, Provenance, TriMesh
 from lightsim.store.gltf import BINARY_CHUNK, GLB_MAGIC, JSON_CHUNK
 
 VERTEX_NUMBER, VERTEX_COLOUR, CONFIDENCE = "_VERTEX", "_BASE_COLOUR", "_CONFIDENCE"
+PROVENANCE = "_PROVENANCE"
 _SPECULAR = "KHR_materials_specular"
 _FLOAT, _UNSIGNED_INT = 5126, 5125
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
@@ -160,23 +162,39 @@ def _groups(mesh: TriMesh) -> list[tuple[int, Int32[np.ndarray, " k"]]]:
 
 
 def _with_vertex_colours(file: _File, mesh: TriMesh) -> list[dict[str, Any]]:
+    number, corners, provenance = _split_by_provenance(mesh)
     attributes = {
-        "POSITION": file.add_positions(mesh.vertices),
-        "COLOR_0": file.add_accessor(np.clip(mesh.base_colour, 0.0, 1.0)),
+        "POSITION": file.add_positions(mesh.vertices[number]),
+        "COLOR_0": file.add_accessor(np.clip(mesh.base_colour[number], 0.0, 1.0)),
     }
     groups = _groups(mesh)
     if mesh.confidence is not None:
-        attributes[CONFIDENCE] = file.add_accessor(mesh.confidence)
-    if len(groups) > 1 or mesh.confidence is not None:
-        attributes[VERTEX_NUMBER] = file.add_accessor(np.arange(len(mesh.vertices)))
+        attributes[CONFIDENCE] = file.add_accessor(mesh.confidence[number])
+    if provenance is not None:
+        attributes[PROVENANCE] = file.add_accessor(provenance)
+    if len(groups) > 1 or mesh.confidence is not None or provenance is not None:
+        attributes[VERTEX_NUMBER] = file.add_accessor(number)
     return [
         {
             "attributes": attributes,
-            "indices": file.add_accessor(mesh.faces[faces].reshape(-1), _ELEMENT_ARRAY_BUFFER),
+            "indices": file.add_accessor(corners[faces].reshape(-1), _ELEMENT_ARRAY_BUFFER),
             "material": material,
         }
         for material, faces in groups
     ]
+
+
+def _split_by_provenance(
+    mesh: TriMesh,
+) -> tuple[Int64[np.ndarray, " v"], Int[np.ndarray, "m 3"], Int64[np.ndarray, " v"] | None]:
+    """Vertices to write, by number: one for each provenance of its faces; the faces' corners
+    among them; each one's provenance."""
+    if mesh.face_provenance is None:
+        return np.arange(len(mesh.vertices)), mesh.faces, None
+    pairs = mesh.faces * np.int64(len(Provenance)) + mesh.face_provenance[:, None]
+    pairs, corners = np.unique(pairs, return_inverse=True)
+    number, provenance = np.divmod(pairs, len(Provenance))
+    return number, corners.reshape(-1, 3), provenance
 
 
 def _with_texture(file: _File, mesh: TriMesh) -> list[dict[str, Any]]:
@@ -194,5 +212,7 @@ def _with_texture(file: _File, mesh: TriMesh) -> list[dict[str, Any]]:
         }
         if mesh.confidence is not None:
             attributes[CONFIDENCE] = file.add_accessor(mesh.confidence[corners])
+        if mesh.face_provenance is not None:
+            attributes[PROVENANCE] = file.add_accessor(np.repeat(mesh.face_provenance[faces], 3))
         primitives.append({"attributes": attributes, "material": material})
     return primitives

@@ -45,6 +45,7 @@ def write_log(
                 {
                     "actor_id": a.actor_id,
                     "kind": a.kind,
+                    "label": a.label,
                     "size_lwh_m": a.size_lwh_m.tolist(),
                     "is_moving": a.is_moving,
                     "poses": len(a.trajectory),

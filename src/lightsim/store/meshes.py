@@ -14,11 +14,17 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64, Int, Int32, UInt8
 
 from lightsim.core.colour import linear_from_srgb8
-from lightsim.core.mesh import Material, Texture, TriMesh
+from lightsim.core.mesh import Material, Provenance, Texture, TriMesh
 from lightsim.errors import InputError
 from lightsim.store.atomic import whole_file
 from lightsim.store.gltf import Primitive, parse_glb
-from lightsim.store.gltf_writer import CONFIDENCE, VERTEX_COLOUR, VERTEX_NUMBER, glb_pieces
+from lightsim.store.gltf_writer import (
+    CONFIDENCE,
+    PROVENANCE,
+    VERTEX_COLOUR,
+    VERTEX_NUMBER,
+    glb_pieces,
+)
 from lightsim.store.reading import read_bytes
 
 _REMEDY = "Export the model again as glTF 2.0 binary (.glb) with triangles."
@@ -163,7 +169,22 @@ def _joined(primitives: list[Primitive], frame: str) -> TriMesh | None:
         face_material,
         _texture(primitives, corners) if is_textured else None,
         own[CONFIDENCE][:, 0].astype(np.float32) if CONFIDENCE in own else None,
+        _provenance(primitives, corners),
     )
+
+
+def _provenance(
+    primitives: list[Primitive], corners: Int[np.ndarray, "m 3"]
+) -> UInt8[np.ndarray, " m"] | None:
+    if all(PROVENANCE not in p.own for p in primitives):
+        return None
+    if any(PROVENANCE not in p.own for p in primitives):
+        raise ValueError("some of its parts lack their provenance")
+    of_corner = np.concatenate([p.own[PROVENANCE][:, 0] for p in primitives])[corners]
+    is_known = np.isin(of_corner, list(Provenance)).all()
+    if not is_known or (of_corner != of_corner[:, :1]).any():
+        raise ValueError("a triangle has no provenance")
+    return of_corner[:, 0].astype(np.uint8)
 
 
 def _texture(primitives: list[Primitive], corners: Int[np.ndarray, "m 3"]) -> Texture:

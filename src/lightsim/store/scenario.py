@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 
-from lightsim.core.actors import ActorTrack
+from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.scenario import ActorPlacement, FrameSource, Scenario, ScenarioFrame
@@ -54,6 +54,7 @@ def _box(scenario: Scenario, track: ActorTrack) -> dict[str, Any]:
         "actor_id": track.actor_id,
         "number": scenario.number_by_actor[track.actor_id],
         "kind": track.kind,
+        "label": track.label,
         "size_lwh_m": track.size_lwh_m,
     }
 
@@ -141,10 +142,11 @@ def _read_poses(value: Entries, src: str) -> Trajectory:
 def _read_track(value: Entries) -> ActorTrack:
     return ActorTrack(
         value.text("actor_id"),
-        value.text("kind"),
+        value.member("kind", ActorKind),
         value.numbers("size_lwh_m", (3,)),
         _read_poses(value, "actor"),
         value.flag("is_moving"),
+        value.text("label"),
     )
 
 

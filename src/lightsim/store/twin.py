@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lightsim.core.actors import ActorKind
 from lightsim.core.mesh import TriMesh
 from lightsim.core.twin import ActorAsset, DigitalTwin, SceneAssets
 from lightsim.store.artefact import json_ready, write_json
@@ -40,6 +41,7 @@ def write_twin(folder: Path, twin: DigitalTwin, inferred: TriMesh) -> None:
                 {
                     "actor_id": a.actor_id,
                     "kind": a.kind,
+                    "label": a.label,
                     "mesh": files[a.actor_id],
                     "size_lwh_m": tracks[a.actor_id].size_lwh_m.tolist(),
                     "is_moving": tracks[a.actor_id].is_moving,
@@ -63,7 +65,8 @@ def read_twin_assets(folder: Path) -> tuple[SceneAssets, TriMesh]:
     for entry in value.objects("actors"):
         actor_id = entry.text("actor_id")
         mesh = read_glb(inside(folder, entry.text("mesh")), "actor")
-        actors[actor_id] = ActorAsset(actor_id, entry.text("kind"), mesh)
+        kind = entry.member("kind", ActorKind)
+        actors[actor_id] = ActorAsset(actor_id, kind, mesh, entry.text("label"))
     background = read_glb(inside(folder, value.text("background")), "world")
     inferred = empty_mesh()
     if not value.is_null("inferred"):

@@ -20,9 +20,6 @@ class DelightConfig:
     """Greatest base colour."""
     surfel_m: float = 0.25
     """Size of the patches that carry labels."""
-    unlabelled: tuple[str, ...] = ("far field",)
-    """Materials that carry none: shadows fall on guessed ground where they happen to, so pictures
-    cannot place them, and a backdrop is larger than all that was measured."""
     reach_m: float = 3.0
     """Distance of the farthest patches of the same surface that each is compared with; such a
     pair counts half as much as a near one."""

@@ -32,7 +32,7 @@ from lightsim.appearance.intrinsic.surfels import (
 )
 from lightsim.appearance.intrinsic.texture import DeepShade, VertexLight, texture_without_light
 from lightsim.core.colour import LUMINANCE_WEIGHTS
-from lightsim.core.mesh import TriMesh
+from lightsim.core.mesh import Provenance, TriMesh
 from lightsim.core.twin import LightFreedom
 from lightsim.errors import InputError
 
@@ -90,7 +90,7 @@ def delight(
         )
     if config.method == "divide":
         return _divided(mesh, light, config)
-    faces = _labelled_faces(mesh, config)
+    faces = _labelled_faces(mesh)
     surfels = make_surfels(mesh, faces, config.surfel_m, rng)
     if len(surfels) < _LEAST_SURFELS:
         return _finished(mesh, VertexLight(light, light.visibility[:, 1]), None, config)
@@ -118,7 +118,7 @@ def find_balance(
         mesh, light_at, returns: as for `delight`.
         freedom: how far the light may be off.
     """
-    faces = _labelled_faces(mesh, config)
+    faces = _labelled_faces(mesh)
     if len(faces) == 0:
         return LightBalance.unchanged()
     surfels = make_surfels(mesh, faces, config.surfel_m, rng)
@@ -128,12 +128,10 @@ def find_balance(
     return balance_light(observed, freedom, config)
 
 
-def _labelled_faces(mesh: TriMesh, config: DelightConfig) -> Int64[np.ndarray, " k"]:
-    """Faces on which the pictures say where shadows lie."""
-    unlabelled = [i for i, m in enumerate(mesh.materials) if m.name in config.unlabelled]
-    if mesh.face_material is None:
-        return np.arange(0 if 0 in unlabelled else len(mesh.faces))
-    return np.flatnonzero(~np.isin(mesh.face_material, unlabelled))
+def _labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:
+    """Faces on which the pictures say where shadows lie: not those of the background proxy, on
+    which shadows fall where they happen to, and which is larger than all that was measured."""
+    return np.flatnonzero(~mesh.comes_from(Provenance.BACKGROUND_PROXY))
 
 
 def _visibility(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from lightsim.core.actors import ActorTrack
+from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.datasets.files import MAX_NUMBER
 from lightsim.datasets.pandaset.rig import EGO_BELOW_LIDAR_M
@@ -22,8 +23,40 @@ _POSITION = ("position.x", "position.y", "position.z")
 _DIMENSIONS = ("dimensions.x", "dimensions.y", "dimensions.z")
 _COLUMNS = ("uuid", "label", "yaw", *_POSITION, *_DIMENSIONS)
 _BOTH, _ROOF, _FRONT = -1, 0, 1
+KIND_BY_LABEL = {
+    "Car": ActorKind.CAR,
+    "Pickup Truck": ActorKind.PICKUP,
+    "Medium-sized Truck": ActorKind.TRUCK,
+    "Semi-truck": ActorKind.TRUCK,
+    "Towed Object": ActorKind.TRAILER,
+    "Motorcycle": ActorKind.MOTORCYCLE,
+    "Other Vehicle - Construction Vehicle": ActorKind.CONSTRUCTION_VEHICLE,
+    "Other Vehicle - Uncommon": ActorKind.OTHER_VEHICLE,
+    "Other Vehicle - Pedicab": ActorKind.OTHER_VEHICLE,
+    "Emergency Vehicle": ActorKind.OTHER_VEHICLE,
+    "Bus": ActorKind.BUS,
+    "Personal Mobility Device": ActorKind.PERSONAL_MOBILITY,
+    "Motorized Scooter": ActorKind.SCOOTER,
+    "Bicycle": ActorKind.BICYCLE,
+    "Train": ActorKind.RAIL_VEHICLE,
+    "Trolley": ActorKind.RAIL_VEHICLE,
+    "Tram / Subway": ActorKind.RAIL_VEHICLE,
+    "Pedestrian": ActorKind.PEDESTRIAN,
+    "Pedestrian with Object": ActorKind.PEDESTRIAN,
+    "Animals - Bird": ActorKind.ANIMAL,
+    "Animals - Other": ActorKind.ANIMAL,
+    "Pylons": ActorKind.CONE,
+    "Road Barriers": ActorKind.BARRIER,
+    "Signs": ActorKind.SIGN,
+    "Cones": ActorKind.CONE,
+    "Construction Signs": ActorKind.SIGN,
+    "Temporary Construction Barriers": ActorKind.BARRIER,
+    "Rolling Containers": ActorKind.ROLLING_CONTAINER,
+}
+"""All cuboid labels of PandaSet; the classes of its LiDAR returns have the same names."""
 MAX_ID_CHARACTERS = 512
 """Ids are uuids of 36 characters; a longer text than this is another column's."""
+_LABELS_SHOWN = 6
 _MIN_GAP_S = 0.02
 """Two labels of one actor nearer in time than this say the same thing twice."""
 _MOVED_M = 0.5
@@ -57,7 +90,8 @@ class _Box:
 def read_tracks(
     files: Sequence[CuboidFile], timing: ScanTiming
 ) -> tuple[tuple[ActorTrack, ...], tuple[str, ...]]:
-    """One track for each actor, longest first, and notes on odd ones.
+    """One track for each actor, longest first, and notes on odd ones and on unknown labels, whose
+    actors are of the kind OTHER.
 
     PandaSet labels an actor in the overlap of its two LiDARs twice, as siblings. Here they are
     one: in each sweep the Pandar64's box is taken, else the PandarGT's. A box is right when its
@@ -82,7 +116,19 @@ def read_tracks(
     tracks.sort(key=lambda t: (-len(t.trajectory), t.actor_id))
     repeated = f"{n_repeated} boxes repeat an actor of the same sweep: the first of each is taken"
     notes = (repeated,) if n_repeated else ()
-    return tuple(tracks), (*notes, *(note for t in tracks for note in odd_track_notes(t)))
+    odd = (note for t in tracks for note in odd_track_notes(t))
+    return tuple(tracks), (*notes, *_unknown_labels(tracks), *odd)
+
+
+def _unknown_labels(tracks: Sequence[ActorTrack]) -> tuple[str, ...]:
+    counts = Counter(t.label for t in tracks if t.label not in KIND_BY_LABEL)
+    if not counts:
+        return ()
+    shown = ", ".join(f"{n} x '{label[:40]}'" for label, n in counts.most_common(_LABELS_SHOWN))
+    return (
+        f"actors with labels that are not PandaSet's count as neither vehicles nor persons: {shown}"
+        + (", ..." if len(counts) > _LABELS_SHOWN else ""),
+    )
 
 
 def _read_boxes(file: CuboidFile, timing: ScanTiming) -> list[_Box]:
@@ -256,10 +302,11 @@ def _track(sweeps: Sequence[Sequence[_Box]]) -> ActorTrack:
     is_labelled_moving = any(box.is_labelled_moving for box in chosen)
     return ActorTrack(
         speaker.uuid,
-        _kind(speaker.label),
+        KIND_BY_LABEL.get(speaker.label, ActorKind.OTHER),
         np.array([length, width, height]),
         trajectory,
         moved_m > _MOVED_M or (is_labelled_moving and moved_m > _LABELLED_MOVED_M),
+        speaker.label,
     )
 
 
@@ -270,7 +317,3 @@ def _world_from_actor(box: _Box) -> RigidTransform:
 
 def _extent_m(positions: Float64[np.ndarray, "n 3"]) -> float:
     return float(np.linalg.norm(positions - positions[0], axis=1).max())
-
-
-def _kind(label: str) -> str:
-    return label.lower().removeprefix("other vehicle - ")

@@ -1,49 +1,24 @@
-"""Car windows: beams pass through them, so fused cabins are hollow; they are closed and named."""
+"""Car windows: beams pass through them, so fused cabins are hollow; they are closed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Bool, Float, Float32
-from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 
-from lightsim.geometry.actors.proxy import is_vehicle
+from lightsim.core.actors import ActorKind
 
-_OPEN_WORDS = ("pickup", "trailer", "construction", "towed", "motorcycle")
+_OPEN = (ActorKind.PICKUP, ActorKind.TRAILER, ActorKind.CONSTRUCTION_VEHICLE)
 """Their cross sections are hollow in truth."""
 _CABIN_FROM = 0.55
 """Windows begin above this share of the height."""
 _BODY_BAND_M = 0.35
 """Height of the part of the body below the belt line that tells its width."""
 _MIN_CELLS = 8
-_GLASS_VOXELS = 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class ClosedCabin:
-    """What closing a vehicle's windows changed.
-
-    Args:
-        low_m: position of sample (0, 0, 0), frame `actor`.
-        voxel_m: distance between samples.
-        filled_m: by how much the signed distance fell.
-    """
-
-    low_m: Float[np.ndarray, "3"]
-    voxel_m: float
-    filled_m: Float32[np.ndarray, "x y z"]
-
-    def is_glass(self, points_actor: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Points of the closed surface where the measured one had a hole."""
-        index = ((points_actor - self.low_m) / self.voxel_m).T
-        filled = ndimage.map_coordinates(self.filled_m, index, order=1, mode="nearest")
-        return np.asarray(filled) > _GLASS_VOXELS * self.voxel_m
 
 
 def close_cabin(
-    kind: str,
+    kind: ActorKind,
     sdf_m: Float32[np.ndarray, "x y z"],
     low_m: Float[np.ndarray, "3"],
     voxel_m: float,
@@ -54,7 +29,7 @@ def close_cabin(
     Every level slice above the belt line is united with the convex hull of what is solid in it,
     side mirrors left out. Pickups, trailers and machines stay as they are.
     """
-    if not is_vehicle(kind) or any(word in kind.lower() for word in _OPEN_WORDS):
+    if not kind.is_vehicle or kind in _OPEN:
         return sdf_m
     closed = sdf_m.copy()
     heights = low_m[2] + voxel_m * np.arange(sdf_m.shape[2])

@@ -10,9 +10,10 @@ from lightsim.core.actors import ActorTrack
 from lightsim.core.casting import MakeCaster
 from lightsim.core.fields import BLOCK, GroundMap, TsdfGrid
 from lightsim.core.laplace import fill_smoothly
-from lightsim.core.mesh import TriMesh
-from lightsim.geometry.actors.cabin import ClosedCabin, close_cabin
-from lightsim.geometry.actors.proxy import is_vehicle, proxy_distance_m
+from lightsim.core.mesh import Provenance, TriMesh
+from lightsim.geometry.actors.cabin import close_cabin
+from lightsim.geometry.actors.evidence import ActorEvidence
+from lightsim.geometry.actors.proxy import proxy_distance_m
 from lightsim.geometry.config import MeshConfig
 from lightsim.geometry.simplify import simplify_planar
 from lightsim.geometry.surface import (
@@ -33,17 +34,18 @@ _COARSE_EDGE_M = 0.75
 
 def actor_surface(
     track: ActorTrack, grid: TsdfGrid | None, config: MeshConfig
-) -> tuple[TriMesh, ClosedCabin]:
-    """A closed mesh in frame `actor`, and what tells its window panes.
+) -> tuple[TriMesh, ActorEvidence]:
+    """A closed mesh in frame `actor`, and what each part of it rests on.
 
     Vehicles seen from one side borrow the mirrored half; the default shape of the kind decides
     where nothing was seen; cabins are closed. Without a grid the mesh is the default shape.
     """
     if grid is None:
         grid = _empty_grid(track)
-    sdf, weight = _dense(grid)
-    if is_vehicle(track.kind):
-        sdf, weight = mirrored(sdf, weight, config.mirror_weight)
+    sdf, seen = _dense(grid)
+    weight = seen
+    if track.kind.is_vehicle:
+        sdf, weight = mirrored(sdf, seen, config.mirror_weight)
     steps = np.stack(np.meshgrid(*[np.arange(n) for n in sdf.shape], indexing="ij"), axis=-1)
     low = grid.origin_m + grid.voxel_m * BLOCK * grid.block_coords.min(axis=0)
     prior = proxy_distance_m(track.kind, track.size_lwh_m, low + grid.voxel_m * steps)
@@ -52,7 +54,8 @@ def actor_surface(
     measured = ((sdf * weight + prior * config.prior_weight) / total).astype(np.float32)
     closed = close_cabin(track.kind, measured, low, grid.voxel_m, track.size_lwh_m)
     mesh = extract_surface(_from_dense(grid, closed, total.astype(np.float32)))
-    return mesh, ClosedCabin(low, grid.voxel_m, measured - closed)
+    filled = measured - closed
+    return mesh, ActorEvidence(low, grid.voxel_m, seen, weight - seen, config.prior_weight, filled)
 
 
 def mirrored(
@@ -154,7 +157,7 @@ def ground_patches(
     patches, node = _quads(background.frame, xy, z - _SINK_M * is_known, corners)
     # Beside measured ground light changes quickly (edges of vehicles); far inside it is dark.
     edge_m = np.where(gap_m.reshape(-1)[node] < _FINE_M, config.ground_cell_m, _COARSE_EDGE_M)
-    return simplify_planar(patches, edge_m=edge_m)
+    return simplify_planar(patches, edge_m=edge_m).with_provenance(Provenance.INTERPOLATED)
 
 
 def _nodes(

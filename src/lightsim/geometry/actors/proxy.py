@@ -5,50 +5,32 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Float64
 
+from lightsim.core.actors import ActorKind
+
 _CLEARANCE_M = 0.18
-_VEHICLE_WORDS = (
-    "car",
-    "truck",
-    "bus",
-    "van",
-    "vehicle",
-    "pickup",
-    "trailer",
-    "towed",
-    "tram",
-    "suv",
-    "taxi",
-)
-_BOXY_WORDS = ("truck", "bus", "trailer", "tram", "towed", "construction", "van")
-_WALKER_WORDS = ("pedestrian", "person", "walker", "cone", "pylon", "animal", "sign", "bollard")
-
-
-def is_vehicle(kind: str) -> bool:
-    """Whether an actor of this kind has two mirrored halves and a car's or lorry's body."""
-    return any(word in kind.lower() for word in _VEHICLE_WORDS)
+_CAR_SHAPED = (ActorKind.CAR, ActorKind.PICKUP, ActorKind.OTHER_VEHICLE)
+_UPRIGHT = (ActorKind.CONE, ActorKind.SIGN, ActorKind.ANIMAL)
 
 
 def proxy_distance_m(
-    kind: str, size_lwh_m: Float[np.ndarray, "3"], points_actor: Float64[np.ndarray, "*n 3"]
+    kind: ActorKind, size_lwh_m: Float[np.ndarray, "3"], points_actor: Float64[np.ndarray, "*n 3"]
 ) -> Float64[np.ndarray, "*n"]:
     """Signed distance (approximate away from the surface) from the default shape of a kind.
 
-    Cars and pickups are a rounded body with a cabin, larger vehicles a rounded box, walkers and
+    Cars and pickups are a rounded body with a cabin, larger vehicles a rounded box, persons and
     cones an upright capsule, everything else a rounded box.
     """
     half = np.asarray(size_lwh_m, dtype=np.float64) / 2
-    low = kind.lower()
-    if any(word in low for word in _WALKER_WORDS):
+    if kind.is_person or kind in _UPRIGHT:
         return _capsule(points_actor, half)
-    if not is_vehicle(low):
+    if not kind.is_vehicle:
         return _rounded_box(points_actor, half, 0.1 * float(half.min()))
     clearance = min(_CLEARANCE_M, 0.2 * float(half[2]))
     raised = points_actor - np.array([0.0, 0.0, clearance / 2])
     trimmed = half - np.array([0.0, 0.0, clearance / 2])
-    is_pickup = "pickup" in low
-    if any(word in low for word in _BOXY_WORDS) and not is_pickup:
-        return _rounded_box(raised, trimmed, 0.15 * float(half[1]))
-    return _car(raised, trimmed)
+    if kind in _CAR_SHAPED:
+        return _car(raised, trimmed)
+    return _rounded_box(raised, trimmed, 0.15 * float(half[1]))
 
 
 def _rounded_box(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from lightsim.core.mesh import TriMesh
+from lightsim.core.mesh import Provenance, TriMesh
 from lightsim.geometry.completion.extrude_columns import Column
 from lightsim.geometry.completion.extrude_grid import VoxelGrid
 
@@ -72,4 +72,5 @@ def _triangles(
     start = 4 * np.arange(len(corners_world) // 4)[:, None]
     faces = np.concatenate([start + np.array([[0, 1, 2]]), start + np.array([[0, 2, 3]])])
     colour = np.repeat(np.array(colours, dtype=np.float32).reshape(-1, 3), 4, axis=0)
-    return TriMesh("world", corners_world.astype(np.float32), faces.astype(np.int32), colour)
+    mesh = TriMesh("world", corners_world.astype(np.float32), faces.astype(np.int32), colour)
+    return mesh.with_provenance(Provenance.INFERRED)

@@ -17,14 +17,14 @@ from jaxtyping import Bool, Float32, Float64, Int8, Int32
 
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import MakeCaster, RayCaster
-from lightsim.core.mesh import Material, TriMesh, concatenate_meshes
+from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.errors import FrameMismatchError
 from lightsim.geometry.completion.silhouettes import classify_matte, spaced_views
 from lightsim.geometry.completion.walls import Wall, WallConfig, find_walls
+from lightsim.geometry.materials import FACADE
 
 WINDOW = Material(0.1, 0.0, "window")
-UPPER = Material(0.85, 0.0, "inferred facade")
 _FRONT_M = 0.5
 _BEHIND_M = 0.6
 _OFFSET_LIMIT_M = 0.3
@@ -105,7 +105,7 @@ def complete_facades(
     *,
     make_caster: MakeCaster,
 ) -> TriMesh:
-    """Closed holes (material "window") and raised walls ("inferred facade"), frame world; black.
+    """Closed holes (windows, interpolated) and raised walls (facade, inferred), frame world; black.
 
     Args:
         background: measured static surfaces, frame world, outward faces counter-clockwise.
@@ -135,7 +135,7 @@ def complete_facades(
     parts = [part for c in cells for part in _fill(c, config)]
     if not parts:
         nothing = np.zeros((0, 3), dtype=np.float32)
-        return TriMesh("world", nothing, np.zeros((0, 3), dtype=np.int32), nothing, (UPPER,))
+        return TriMesh("world", nothing, np.zeros((0, 3), dtype=np.int32), nothing, (FACADE,))
     return concatenate_meshes(parts)
 
 
@@ -217,8 +217,15 @@ def _fill(cells: WallCells, config: FacadeConfig) -> list[TriMesh]:
     is_hole = _closed_holes(cells, is_inner, config)
     is_upper = is_above & (levels <= top[:, None]) & (measured >= 0)[:, None]
     offset = _spread_offset(cells)
-    parts = [(is_hole, WINDOW), (is_upper, UPPER)]
-    return [_mesh_cells(cells, mask, offset, m) for mask, m in parts if mask.any()]
+    parts = (
+        (is_hole, WINDOW, Provenance.INTERPOLATED),
+        (is_upper, FACADE, Provenance.INFERRED),
+    )
+    return [
+        _mesh_cells(cells, mask, offset, material).with_provenance(provenance)
+        for mask, material, provenance in parts
+        if mask.any()
+    ]
 
 
 def _raised(

@@ -18,12 +18,11 @@ from jaxtyping import Float, Float32, Float64, Int64
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import MakeCaster, RayCaster
 from lightsim.core.fields import GroundMap
-from lightsim.core.mesh import Material, TriMesh, concatenate_meshes
+from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import FrameMismatchError
 from lightsim.geometry.completion.silhouettes import classify_matte, spaced_views
 
-BACKDROP = Material(0.9, 0.0, "far field")
 _SINK_M = 0.15
 _STEPS_DOWN = 3
 _PANEL_M = 2.0
@@ -83,7 +82,7 @@ def build_far_field(
     *,
     make_caster: MakeCaster,
 ) -> TriMesh:
-    """Backdrop and extended ground, frame world, material "far field"; black.
+    """Backdrop and extended ground, frame world, a background proxy; black.
 
     Args:
         background: measured and inferred surfaces, frame world.
@@ -274,4 +273,5 @@ def _mesh(points: Float64[np.ndarray, "n 3"], faces: Int64[np.ndarray, "m 3"]) -
     used, index = np.unique(faces, return_inverse=True)
     black = np.zeros((len(used), 3), dtype=np.float32)
     corners = points[used].astype(np.float32).reshape(-1, 3)
-    return TriMesh("world", corners, index.reshape(-1, 3).astype(np.int32), black, (BACKDROP,))
+    mesh = TriMesh("world", corners, index.reshape(-1, 3).astype(np.int32), black)
+    return mesh.with_provenance(Provenance.BACKGROUND_PROXY)

@@ -11,7 +11,10 @@ from scipy.spatial import KDTree
 
 from lightsim.core.casting import MakeCaster, RayCaster
 from lightsim.core.colour import luminance
-from lightsim.core.mesh import TriMesh
+from lightsim.core.mesh import Provenance, TriMesh
+
+_MUTE = (Provenance.INFERRED, Provenance.BACKGROUND_PROXY)
+"""Surfaces whose shape was guessed: they cast shadows but have no say."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +27,6 @@ class SampleConfig:
     """Points lie this close to the path of the cameras."""
     min_confidence: float = 0.5
     """Surfaces whose colour was guessed do not count."""
-    mute_materials: tuple[str, ...] = ("inferred facade", "far field")
-    """Surfaces whose shape was guessed: they cast shadows but have no say."""
     lift_m: float = 0.08
     """Rays start this far above the surface."""
     sky_rays: int = 32
@@ -84,8 +85,7 @@ def sample_surfaces(
     material = np.zeros(len(face), np.int64)
     if mesh.face_material is not None:
         material = mesh.face_material[face].astype(np.int64)
-    mute = [k for k, m in enumerate(mesh.materials) if m.name in config.mute_materials]
-    keep &= ~np.isin(material, mute)
+    keep &= ~mesh.comes_from(*_MUTE)[face]
     position, normal, radiance, material = (a[keep] for a in (position, normal, radiance, material))
     sky_share = _sky_share(caster, position + config.lift_m * normal, normal, config, rng)
     return SurfaceSamples(position, normal, np.log(radiance), material, sky_share), caster

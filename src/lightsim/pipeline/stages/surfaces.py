@@ -131,9 +131,9 @@ def _vertex_coloured(work: Workspace, assets: SceneAssets, config: AssetConfig) 
 
         field = work.scene_field
         gains = field.radiance_gains()
-    numbers = {actor.actor_id: number for number, actor in enumerate(work.training_log.actors)}
+    number_by_actor = work.training_log.number_by_actor
     actors = {
-        actor_id: replace(actor, mesh=plain(actor.mesh, numbers[actor_id]))
+        actor_id: replace(actor, mesh=plain(actor.mesh, number_by_actor[actor_id]))
         for actor_id, actor in assets.actors.items()
     }
     return replace(

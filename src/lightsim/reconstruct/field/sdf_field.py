@@ -56,8 +56,7 @@ class SceneField(nn.Module):
         self.sky_head = _mlp(15, 32, 3, generator)
         self.log_gains = nn.Parameter(torch.zeros(max(len(camera_names), 1), 3))
         self.log_beta = nn.Parameter(torch.log(torch.tensor(_FIRST_BETA)))
-        numbers = {name: n for n, name in enumerate(prior.actor_ids if prior else ())}
-        grids = [prior.actor(numbers[a]) if prior and a in numbers else (0, 0) for a in actor_ids]
+        grids = [prior.actor(actor_id) if prior else (0, 0) for actor_id in actor_ids]
         own = prior.background if prior else (0, 0)
         # The last row is the background's, reached by actor number -1.
         self._moved_prior: TorchPrior | None = None

@@ -39,9 +39,12 @@ class TsdfPrior:
         """The range of the background's grids."""
         return 0, self.background_levels
 
-    def actor(self, number: int) -> GridRange:
-        """The range of one actor's grid."""
-        return self.background_levels + number, self.background_levels + number + 1
+    def actor(self, actor_id: str) -> GridRange:
+        """The range of one actor's grid; empty where the actor has none."""
+        if actor_id not in self.actor_ids:
+            return 0, 0
+        first = self.background_levels + self.actor_ids.index(actor_id)
+        return first, first + 1
 
     @cached_property
     def stack(self) -> tuple[np.ndarray, ...]:
