@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from lightsim.core.actors import ActorKind
 from lightsim.core.frames import RigidTransform
 from lightsim.synthetic.shapes import (
     Part,
@@ -24,7 +25,7 @@ class Participant:
     """One actor that stands or moves at constant velocity along its heading.
 
     Args:
-        label: PandaSet's word for the kind.
+        kind: a car or a pedestrian.
         parts: in frame `actor`.
         size_lwh_m: extent of the parts, hence of the labelled box.
         start_m: position of the box's ground centre at time 0, street frame (x, y, z).
@@ -32,7 +33,7 @@ class Participant:
     """
 
     actor_id: str
-    label: str
+    kind: ActorKind
     parts: tuple[Part, ...]
     size_lwh_m: tuple[float, float, float]
     start_m: tuple[float, float, float]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lightsim.core.actors import ActorKind
 from lightsim.synthetic.buildings import Building, build_house
 from lightsim.synthetic.finishes import (
     CLOTH_COUNT,
@@ -203,7 +204,7 @@ def _car(
     shape = CAR_SHAPES[int(rng.integers(len(CAR_SHAPES)))]
     parts, size = build_car(shape, f"paint{int(rng.integers(PAINT_COUNT))}")
     x, y, heading = x_y_heading
-    return Participant(_name(rng), "Car", parts, size, (x, y, 0.0), heading, speed_m_s)
+    return Participant(_name(rng), ActorKind.CAR, parts, size, (x, y, 0.0), heading, speed_m_s)
 
 
 def _walker(
@@ -213,7 +214,8 @@ def _walker(
     parts, size = build_walker(f"cloth{i}", f"cloth{j}")
     x, y, heading = x_y_heading
     place = (x, y, KERB_HEIGHT_M - 0.005)
-    return Participant(_name(rng), "Pedestrian", parts, size, place, heading, speed_m_s)
+    kind = ActorKind.PEDESTRIAN
+    return Participant(_name(rng), kind, parts, size, place, heading, speed_m_s)
 
 
 def _name(rng: np.random.Generator) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from lightsim.core.actors import ActorKind
 from lightsim.core.frames import RigidTransform, quaternion_from_matrix
 from lightsim.store.atomic import whole_file
 from lightsim.synthetic.lidar import Returns, actor_poses
@@ -25,6 +26,8 @@ from lightsim.synthetic.rig import (
 )
 from lightsim.synthetic.street import Street
 
+_LABEL_BY_KIND = {ActorKind.CAR: "Car", ActorKind.PEDESTRIAN: "Pedestrian"}
+"""PandaSet's words."""
 _EQUATOR_M, _FLATTENING = 6378137.0, 1 / 298.257223563
 
 
@@ -106,11 +109,11 @@ def write_cuboids(path: Path, street: Street, config: StreetConfig, time_s: floa
         x, y, z = pose.translation_m.tolist()
         length, width, height = actor.size_lwh_m
         is_still = actor.speed_m_s == 0
-        still, moving = ("Parked", "Moving") if actor.label == "Car" else (None, None)
+        still, moving = ("Parked", "Moving") if actor.kind.is_vehicle else (None, None)
         rows.append(
             {
                 "uuid": actor.actor_id,
-                "label": actor.label,
+                "label": _LABEL_BY_KIND[actor.kind],
                 "yaw": float(np.angle(np.exp(1j * (pose.yaw_rad - np.pi / 2)))),
                 "stationary": is_still,
                 "camera_used": -1,
@@ -124,8 +127,8 @@ def write_cuboids(path: Path, street: Street, config: StreetConfig, time_s: floa
                 "cuboids.sibling_id": "-",
                 "cuboids.sensor_id": -1,
                 "attributes.rider_status": None,
-                "attributes.pedestrian_behavior": "Walking" if actor.label != "Car" else None,
-                "attributes.pedestrian_age": "Adult" if actor.label != "Car" else None,
+                "attributes.pedestrian_behavior": "Walking" if actor.kind.is_person else None,
+                "attributes.pedestrian_age": "Adult" if actor.kind.is_person else None,
             }
         )
     _write_pickle(path, pd.DataFrame(rows))
