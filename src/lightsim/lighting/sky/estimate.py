@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
-from scipy import ndimage
 from scipy.optimize import nnls
 
 from lightsim.core.colour import luminance
@@ -15,6 +14,7 @@ from lightsim.core.equirect import pixel_directions, solid_angles_sr
 from lightsim.core.solar import angle_between_deg
 from lightsim.core.twin import LightFreedom, Panorama, SkyEstimate
 from lightsim.lighting.sample import SkyPrediction
+from lightsim.lighting.sky.blend import blend_observed, shrink_masked, unseen_weight
 from lightsim.lighting.sky.clear_sky import clear_sky_parts, overcast_shape, with_ground
 from lightsim.lighting.sky.fit import SunFit, SunFitConfig, fit_sun
 from lightsim.lighting.sun.direction import SunDirection, find_sun_blob
@@ -45,10 +45,6 @@ class SkyConfig:
     """Candidates for the clear part."""
     sun_gap_deg: float = 6.0
     """Sky nearer to the sun is not fitted: its glow is that of cloud and lens."""
-    feather_px: float = 6.0
-    """Width of the transition from observed to analytic sky, in dome pixels."""
-    correction_deg: float = 12.0
-    """Reach of the observed sky's colour into the unobserved part."""
     ground_albedo: float = 0.2
     """Assumed where the ground was not seen."""
     sun_fit: SunFitConfig = field(default_factory=SunFitConfig)
@@ -112,7 +108,7 @@ def solve_sky(
     next(steps)
     analytic = fit_analytic_sky(panorama, sun.direction_world, config)
     next(steps)
-    sky = blend_observed(panorama, analytic, sun.direction_world, config)
+    sky = blend_observed(panorama, analytic.radiance)
     ground = _ground_radiance(panorama, sky, config.ground_albedo)
     up = np.array([0.0, 0.0, 1.0])
     sky_irradiance = irradiance(sky, up)
@@ -135,7 +131,7 @@ def solve_sky(
         (*sun.notes, *_sky_notes(panorama, analytic, sun), *strength.notes),
     )
     return estimate, LightFreedom(
-        unseen_weight(panorama, config).astype(np.float32),
+        unseen_weight(panorama, config.height_px).astype(np.float32),
         strength.log_std,
         level_log_std,
         1.0 if strength.kind == "analytic" else _PAIRED_SUN_FOLLOWS,
@@ -286,22 +282,6 @@ def _shrunk_sky(
     return mean[is_used].astype(np.float64), is_used
 
 
-def shrink_masked(
-    image: Float[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"], height_px: int
-) -> tuple[Float[np.ndarray, "a b 3"], Float[np.ndarray, "a b"]]:
-    """Mean over the masked pixels of each cell, and the share of the cell that is masked."""
-    row = (np.arange(image.shape[0]) * height_px) // image.shape[0]
-    column = (np.arange(image.shape[1]) * 2 * height_px) // image.shape[1]
-    index = (row[:, None] * 2 * height_px + column[None, :]).ravel()
-    count = 2 * height_px * height_px
-    number = np.bincount(index, mask.ravel(), minlength=count)
-    size = np.bincount(index, minlength=count)
-    sums = [np.bincount(index, (image[..., c] * mask).ravel(), minlength=count) for c in range(3)]
-    mean = np.stack(sums, axis=-1) / np.maximum(number, 1)[:, None]
-    shape = (height_px, 2 * height_px)
-    return mean.reshape(*shape, 3), (number / np.maximum(size, 1)).reshape(shape)
-
-
 def _unseen_scale(panorama: Panorama, sun_direction_world: Float[np.ndarray, "3"]) -> float:
     """Without any sky seen: the scale that lets surfaces of albedo 0.2, half of them in shadow,
     shine as they do in the images."""
@@ -314,63 +294,6 @@ def _unseen_scale(panorama: Panorama, sun_direction_world: Float[np.ndarray, "3"
         return 1.0
     seen = float(luminance(surfaces).mean())
     return seen * np.pi / 0.2 / float(luminance(level.astype(np.float32)))
-
-
-def blend_observed(
-    panorama: Panorama,
-    analytic: AnalyticFit,
-    sun_direction_world: Float[np.ndarray, "3"],
-    config: SkyConfig,
-) -> Float32[np.ndarray, "h w 3"]:
-    """Observed sky where it was seen, feathered into the analytic one, which takes on the
-    observed sky's colour near it. Saturated sky is at least as bright as the model."""
-    height = config.height_px
-    seen = panorama.is_sky & panorama.is_seen
-    observed, coverage = shrink_masked(panorama.radiance, seen, height)
-    _, clipped = shrink_masked(panorama.radiance, seen & panorama.is_clipped, height)
-    model = analytic.radiance.astype(np.float64)
-    upper = np.zeros(coverage.shape, dtype=bool)
-    upper[: height // 2] = True
-    is_seen = (coverage > 0.5) & upper
-    is_bright = is_seen & (clipped > 0)
-    observed[is_bright] = np.maximum(observed[is_bright], model[is_bright])
-    if not is_seen.any():
-        return analytic.radiance
-    near = np.clip(observed / np.maximum(model, 1e-6), 0.2, 5.0)
-    log_ratio = np.log(near) * (is_seen & ~is_bright)[..., None]
-    sigma_px = config.correction_deg / 180.0 * height
-    support = _blur((is_seen & ~is_bright).astype(np.float64), sigma_px)
-    extended = np.stack([_blur(log_ratio[..., c], sigma_px) for c in range(3)], axis=-1)
-    corrected = model * np.exp(extended / (support + 0.05)[..., None])
-    weight = _feathered(is_seen, config)
-    blended = corrected + weight[..., None] * (observed - corrected)
-    blended[height // 2 :] = 0.0
-    return blended.astype(np.float32)
-
-
-def unseen_weight(panorama: Panorama, config: SkyConfig) -> Float[np.ndarray, "h w"]:
-    """1 where the dome shows a model, 0 where it shows what was seen or ground, soft between."""
-    _, coverage = shrink_masked(
-        panorama.radiance, panorama.is_sky & panorama.is_seen, config.height_px
-    )
-    weight = 1.0 - _feathered(coverage > 0.5, config)
-    weight[config.height_px // 2 :] = 0.0
-    return weight
-
-
-def _feathered(is_seen: Bool[np.ndarray, "h w"], config: SkyConfig) -> Float[np.ndarray, "h w"]:
-    """1 inside, falling to 0 at the border; the lower half of the dome is no border."""
-    height = config.height_px
-    padded = np.concatenate([is_seen] * 3, axis=1)
-    padded[height // 2 :] = True
-    inside = np.asarray(ndimage.distance_transform_edt(padded))[:, 2 * height : 4 * height]
-    return np.clip(inside / config.feather_px, 0.0, 1.0) * is_seen
-
-
-def _blur(image: Float[np.ndarray, "h w"], sigma_px: float) -> Float[np.ndarray, "h w"]:
-    """Gaussian, wrapping around in azimuth."""
-    rows = ndimage.gaussian_filter1d(image, sigma_px, axis=0, mode="nearest")
-    return np.asarray(ndimage.gaussian_filter1d(rows, sigma_px, axis=1, mode="wrap"))
 
 
 def _level_log_std(panorama: Panorama) -> float:
