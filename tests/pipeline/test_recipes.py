@@ -23,7 +23,10 @@ def options(preset: str) -> BuildOptions:
 
 
 def with_one_change(config: Any) -> Iterator[tuple[str, Any]]:
-    """The config with each of its leaves changed, nested ones too, and the leaf's name."""
+    """The config with each of its leaves changed, nested ones too, and the leaf's name; a stage
+    without settings has none: its schema stands for its constants."""
+    if config is None:
+        return
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
         if dataclasses.is_dataclass(value):
@@ -48,7 +51,7 @@ def test_every_setting_of_a_stage_decides_its_key(preset: str) -> None:
         for name, changed in with_one_change(config):
             assert key(changed) != key(config), f"{stage}: {name}"
             seen += 1
-    assert seen > 150
+    assert seen > 60
 
 
 def made_in_functions(source: str) -> list[str]:

@@ -20,9 +20,7 @@ from lightsim.core.checks import check_number, check_seed
 from lightsim.datasets.fingerprint import hash_recording
 from lightsim.datasets.reader import check_layout
 from lightsim.errors import ArtefactError, InputError
-from lightsim.geometry import config as mesh_config
 from lightsim.lighting.panorama.stitch import StitchConfig
-from lightsim.masks.sky import SkyMaskConfig
 from lightsim.pipeline.measures import MeasureConfig
 from lightsim.pipeline.report import ReportConfig
 from lightsim.pipeline.source_sun import GpsUse, SourceSunConfig
@@ -61,7 +59,6 @@ _NEURAL = {
     "standard": neural_config.standard,
     "paper": neural_config.paper,
 }
-_MESHES = {"draft": mesh_config.draft, "standard": mesh_config.standard, "paper": mesh_config.paper}
 _ASSETS = {
     "draft": asset_config.draft,
     "standard": asset_config.standard,
@@ -112,9 +109,9 @@ class Stage:
 
     Args:
         name: of the artefact folder.
-        schema: raise it when the stage's algorithm or files change.
+        schema: raise it when the stage's algorithm, constants or files change.
         needs: artefacts it reads.
-        config: its configuration, from the options.
+        config: what presets and options decide of it.
         make: fills the folder, returns notes.
     """
 
@@ -138,9 +135,13 @@ def _neural_config(options: BuildOptions) -> neural_config.NeuralConfig:
     return config if options.neural_steps is None else replace(config, steps=options.neural_steps)
 
 
+def _no_settings(_: BuildOptions) -> None:
+    """Of a stage whose numbers are constants: its schema stands for them."""
+
+
 STAGES = (
     Stage("log", 2, (), lambda o: replace(o.reading, source=""), recording.make_log),
-    Stage("masks", 1, ("log",), lambda o: SkyMaskConfig(), recording.make_masks),
+    Stage("masks", 1, ("log",), _no_settings, recording.make_masks),
     Stage(
         "alignment",
         2,
@@ -160,7 +161,7 @@ STAGES = (
         "geometry",
         2,
         ("log", "masks", "alignment", "neural"),
-        lambda o: surfaces.GeometryConfig(_MESHES[o.preset]()),
+        _no_settings,
         surfaces.make_geometry,
     ),
     Stage(
