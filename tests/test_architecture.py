@@ -15,11 +15,13 @@ PACKAGE = Path(__file__).resolve().parents[1] / "src" / "lightsim"
 FLOORS = (
     "cli", "api", "simulate", "pipeline", "training", "evaluate", "view", "relighting", "baselines",
     "render", "scenario", "lighting", "appearance", "geometry", "reconstruct", "align", "masks",
-    "synthetic", "datasets", "networks", "store", "core", "arguments", "progress", "optional",
-    "errors",
-    "version",
+    "synthetic", "datasets", "networks", "store", "mitsuba_scene", "core", "arguments", "progress",
+    "optional", "errors", "version",
 )  # fmt: skip
-"""Packages and modules of the top level, from the top down: an import only ever leads down."""
+"""Packages and modules of the top level, from the top down: an import only ever leads down.
+
+`mitsuba_scene` stands alone below the stages: render, synthetic and lighting, which may not know
+each other, all build Mitsuba scenes."""
 STAGES = {
     "datasets", "synthetic", "masks", "align", "reconstruct", "geometry", "appearance", "lighting",
     "scenario", "render", "relighting", "baselines", "evaluate", "view",
@@ -122,6 +124,16 @@ def test_importing_is_light(code: str) -> None:
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
     assert done.stdout.strip().endswith("LOADED []"), done.stdout
+
+
+def test_mitsuba_is_imported_in_one_file() -> None:
+    importing = [
+        module_name(path)
+        for path in sorted(PACKAGE.rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Import) and "mitsuba" in {alias.name for alias in node.names}
+    ]
+    assert importing == ["mitsuba_scene"]
 
 
 def test_files_stay_short() -> None:

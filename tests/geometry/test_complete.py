@@ -12,7 +12,6 @@ from lightsim.core.mesh import Provenance, TriMesh
 from lightsim.geometry.actors.cabin import close_cabin
 from lightsim.geometry.actors.complete import actor_surface, mirrored
 from lightsim.geometry.actors.evidence import ActorEvidence
-from lightsim.geometry.config import MeshConfig
 
 SIZE = np.array([4.4, 1.8, 1.5])
 
@@ -38,7 +37,7 @@ def _volume_m3(mesh: TriMesh) -> float:
     ],
 )
 def test_every_kind_has_a_closed_shape_in_its_box(kind, size, fill) -> None:
-    mesh, evidence = actor_surface(_track(kind, size), None, MeshConfig())
+    mesh, evidence = actor_surface(_track(kind, size), None)
     assert (evidence.provenance(mesh.vertices) == Provenance.INFERRED).all()
     assert (np.abs(mesh.vertices) <= size / 2 + 0.03).all()
     assert mesh.vertices[:, 2].max() > 0.9 * size[2] / 2
@@ -65,7 +64,7 @@ def _half_seen_box() -> TsdfGrid:
 
 
 def test_the_unseen_half_mirrors_the_seen_one() -> None:
-    mesh, evidence = actor_surface(_track(ActorKind.CAR), _half_seen_box(), MeshConfig())
+    mesh, evidence = actor_surface(_track(ActorKind.CAR), _half_seen_box())
     side = np.abs(mesh.vertices[:, 0]) < 1.5
     side &= np.abs(mesh.vertices[:, 2]) < 0.4
     seen = mesh.vertices[side & (mesh.vertices[:, 1] > 0), 1]

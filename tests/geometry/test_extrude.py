@@ -10,7 +10,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import FrameMismatchError, InputError
-from lightsim.geometry.completion.extrude import ExtrudeConfig, infer_tall_structures
+from lightsim.geometry.completion.extrude import infer_tall_structures
 from lightsim.progress import SilentProgress
 from lightsim.render.casters.embree import EmbreeCaster
 
@@ -84,11 +84,10 @@ def make_views(truth: TriMesh) -> list[View]:
     return views
 
 
-def infer(seen: TriMesh, views: list[View], config: ExtrudeConfig | None = None) -> TriMesh:
+def infer(seen: TriMesh, views: list[View]) -> TriMesh:
     return infer_tall_structures(
         seen,
         views,
-        config or ExtrudeConfig(),
         make_caster=EmbreeCaster,
         progress=SilentProgress(),
     )

@@ -10,8 +10,8 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import Provenance, TriMesh
 from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.errors import FrameMismatchError
-from lightsim.geometry.completion.facades import FacadeConfig, complete_facades
-from lightsim.geometry.completion.walls import WallConfig, find_walls
+from lightsim.geometry.completion.facades import complete_facades
+from lightsim.geometry.completion.walls import find_walls
 from lightsim.render.casters.embree import EmbreeCaster
 
 CAMERA = PinholeCamera("side", 320, 240, 160.0, 160.0, 160.0, 120.0)
@@ -69,9 +69,7 @@ def _over_the_low_end() -> LidarSweep:
 def completed() -> TriMesh:
     truth = _wall(-6.0, 18.0, TOP_M, [GATE])
     seen = _wall(-6.0, 18.0, SEEN_M, [GATE, WINDOW])
-    return complete_facades(
-        seen, _views(truth), [_over_the_low_end()], FacadeConfig(), make_caster=EmbreeCaster
-    )
+    return complete_facades(seen, _views(truth), [_over_the_low_end()], make_caster=EmbreeCaster)
 
 
 def _is_hit(mesh: TriMesh, x_m: float, z_m: float) -> bool:
@@ -105,7 +103,7 @@ def test_gates_open_to_the_sky_stay_open_and_faces_look_out(completed: TriMesh) 
 
 
 def test_walls_are_upright_planes() -> None:
-    wall = find_walls(_wall(-6.0, 18.0, SEEN_M, []), WallConfig())[0]
+    wall = find_walls(_wall(-6.0, 18.0, SEEN_M, []))[0]
     np.testing.assert_allclose(wall.normal, [0, -1, 0], atol=1e-6)
     assert wall.span_m[1] - wall.span_m[0] == pytest.approx(24.0, abs=1e-4)
     np.testing.assert_allclose(wall.at(np.zeros(1), np.ones(1))[0, 1:], [WALL_Y, 1.0], atol=1e-6)
@@ -118,7 +116,7 @@ def test_no_walls_no_facades_and_only_in_world() -> None:
         np.zeros((0, 3), np.int32),
         np.zeros((0, 3), np.float32),
     )
-    assert len(complete_facades(empty, [], [], FacadeConfig(), make_caster=EmbreeCaster).faces) == 0
+    assert len(complete_facades(empty, [], [], make_caster=EmbreeCaster).faces) == 0
     lost = TriMesh("actor", empty.vertices, empty.faces, empty.base_colour)
     with pytest.raises(FrameMismatchError):
-        complete_facades(lost, [], [], FacadeConfig(), make_caster=EmbreeCaster)
+        complete_facades(lost, [], [], make_caster=EmbreeCaster)

@@ -11,7 +11,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import Provenance, TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import FrameMismatchError
-from lightsim.geometry.completion.far_field import FarFieldConfig, build_far_field
+from lightsim.geometry.completion.far_field import build_far_field
 from lightsim.render.casters.embree import EmbreeCaster
 
 CAMERA = PinholeCamera("front", 320, 200, 150.0, 150.0, 160.0, 100.0)
@@ -54,9 +54,7 @@ def _views() -> list:
 
 @pytest.fixture(scope="module")
 def far() -> TriMesh:
-    return build_far_field(
-        _near_ground(), _views(), _ground(), PATH, FarFieldConfig(), make_caster=EmbreeCaster
-    )
+    return build_far_field(_near_ground(), _views(), _ground(), PATH, make_caster=EmbreeCaster)
 
 
 def _elevation_deg(far: TriMesh, azimuth_deg: float) -> float:
@@ -102,4 +100,4 @@ def test_the_backdrop_faces_the_path_and_only_the_world(far: TriMesh) -> None:
     assert far.comes_from(Provenance.BACKGROUND_PROXY).all()
     lost = TriMesh("actor", far.vertices, far.faces, far.base_colour)
     with pytest.raises(FrameMismatchError):
-        build_far_field(lost, [], _ground(), PATH, FarFieldConfig(), make_caster=EmbreeCaster)
+        build_far_field(lost, [], _ground(), PATH, make_caster=EmbreeCaster)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lightsim.core.mesh import TriMesh
-from lightsim.geometry.completion.flatten import FlattenConfig, flatten_walls
+from lightsim.geometry.completion.flatten import flatten_walls
 
 VOXEL_M = 0.1
 
@@ -22,7 +22,7 @@ def _height_field(out_m: np.ndarray) -> TriMesh:
 
 
 def _flattened(out_m: np.ndarray) -> np.ndarray:
-    mesh = flatten_walls(_height_field(out_m), VOXEL_M, FlattenConfig())
+    mesh = flatten_walls(_height_field(out_m), VOXEL_M)
     return 10.0 - mesh.vertices[:, 1].reshape(out_m.shape)
 
 
@@ -50,8 +50,8 @@ def test_ground_and_lone_posts_are_no_walls() -> None:
     rng = np.random.default_rng(1)
     ground = _height_field(0.03 * rng.standard_normal((60, 60)))
     level = TriMesh("world", ground.vertices[:, [0, 2, 1]], ground.faces, ground.base_colour)
-    same = flatten_walls(level, VOXEL_M, FlattenConfig())
+    same = flatten_walls(level, VOXEL_M)
     np.testing.assert_array_equal(same.vertices, level.vertices)
     post = _height_field(0.03 * rng.standard_normal((6, 60)))
-    same = flatten_walls(post, VOXEL_M, FlattenConfig())
+    same = flatten_walls(post, VOXEL_M)
     np.testing.assert_array_equal(same.vertices, post.vertices)

@@ -11,7 +11,7 @@ import pytest
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.errors import InputError
-from lightsim.masks.sky import SkyMaskConfig, estimate_sky_matte
+from lightsim.masks.sky import estimate_sky_matte
 
 CAMERA = PinholeCamera("front", 480, 270, 240.0, 240.0, 240.0, 135.0)
 # Looks along world +y from 1.6 m: camera x is world x, camera y is world -z.
@@ -57,7 +57,7 @@ def draw_street(rng: np.random.Generator, sky: str) -> tuple[np.ndarray, np.ndar
 def test_sky_above_a_street(rng: np.random.Generator, sky: str) -> None:
     image, is_sky = draw_street(rng, sky)
     points = wall_returns(np.linspace(-20, -3.4, 200), 20.0)
-    matte = estimate_sky_matte(image, CAMERA, POSE, points, None, SkyMaskConfig())
+    matte = estimate_sky_matte(image, CAMERA, POSE, points, None)
     assert matte.dtype == np.float32
     assert matte.min() >= 0.0
     assert matte.max() <= 1.0
@@ -70,7 +70,7 @@ def test_a_plain_white_wall_is_not_sky(rng: np.random.Generator) -> None:
     image[175:] = 60.0
     points = wall_returns(np.linspace(-10, 10, 400), 8.0)
     image = np.clip(image, 0, 255).astype(np.uint8)
-    matte = estimate_sky_matte(image, CAMERA, POSE, points, None, SkyMaskConfig())
+    matte = estimate_sky_matte(image, CAMERA, POSE, points, None)
     assert not matte.any()
 
 
@@ -78,12 +78,12 @@ def test_nothing_below_the_horizon_or_on_the_own_car(rng: np.random.Generator) -
     image, _ = draw_street(rng, "blue")
     own = np.zeros((270, 480), bool)
     own[:60, 300:] = True
-    matte = estimate_sky_matte(image, CAMERA, POSE, NO_POINTS, own, SkyMaskConfig())
+    matte = estimate_sky_matte(image, CAMERA, POSE, NO_POINTS, own)
     assert not matte[136:].any()
     assert not matte[:58, 302:].any()
     assert matte[60:120, 250:280].min() > 0.8
     down = RigidTransform.from_rotation("world", "camera", np.diag([1.0, -1.0, -1.0]), np.zeros(3))
-    matte = estimate_sky_matte(image, CAMERA, down, NO_POINTS, None, SkyMaskConfig())
+    matte = estimate_sky_matte(image, CAMERA, down, NO_POINTS, None)
     assert not matte.any()
 
 
@@ -91,7 +91,7 @@ def test_a_wire_takes_its_share_of_the_sky(rng: np.random.Generator) -> None:
     image, is_sky = draw_street(rng, "grey")
     image[60, 250:] = 40
     points = wall_returns(np.linspace(-20, -3.4, 200), 20.0)
-    matte = estimate_sky_matte(image, CAMERA, POSE, points, None, SkyMaskConfig())
+    matte = estimate_sky_matte(image, CAMERA, POSE, points, None)
     assert matte[60, 260:470].max() < 0.3
     assert matte[55, 260:470].min() > 0.8
     assert is_sky[60, 300]
@@ -99,9 +99,7 @@ def test_a_wire_takes_its_share_of_the_sky(rng: np.random.Generator) -> None:
 
 def test_an_image_of_another_size_is_refused() -> None:
     with pytest.raises(InputError, match="differ in size"):
-        estimate_sky_matte(
-            np.zeros((10, 10, 3), np.uint8), CAMERA, POSE, NO_POINTS, None, SkyMaskConfig()
-        )
+        estimate_sky_matte(np.zeros((10, 10, 3), np.uint8), CAMERA, POSE, NO_POINTS, None)
 
 
 def pandaset_view(
@@ -141,7 +139,7 @@ def test_known_places_of_a_real_log(shared_data: Path) -> None:
     wall = {"right_camera": (60, 540, 0, 880), "front_right_camera": (110, 540, 300, 960)}
     for name, (top, bottom, left, right) in (sky | wall).items():
         image, camera, pose = pandaset_view(shared_data, name, 60)
-        matte = estimate_sky_matte(image, camera, pose, points, None, SkyMaskConfig())
+        matte = estimate_sky_matte(image, camera, pose, points, None)
         box = matte[top:bottom, left:right]
         if name in sky:
             assert np.mean(box > 0.9) > 0.97, name

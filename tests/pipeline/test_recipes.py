@@ -24,7 +24,10 @@ def options(preset: Preset) -> BuildOptions:
 
 
 def with_one_change(config: Any) -> Iterator[tuple[str, Any]]:
-    """The config with each of its leaves changed, nested ones too, and the leaf's name."""
+    """The config with each of its leaves changed, nested ones too, and the leaf's name; a stage
+    without settings has none: its schema stands for its constants."""
+    if config is None:
+        return
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
         if dataclasses.is_dataclass(value):
@@ -49,7 +52,7 @@ def test_every_setting_of_a_stage_decides_its_key(preset: Preset) -> None:
         for name, changed in with_one_change(config):
             assert key(changed) != key(config), f"{stage}: {name}"
             seen += 1
-    assert seen > 150
+    assert seen > 60
 
 
 def made_in_functions(source: str) -> list[str]:

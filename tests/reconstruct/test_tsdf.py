@@ -13,7 +13,6 @@ from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import LazySweep, LidarSweep
 from lightsim.errors import ArtefactError, InputError
-from lightsim.geometry.config import MeshConfig
 from lightsim.geometry.mesh_scene import mesh_background
 from lightsim.geometry.surface import extract_surface
 from lightsim.progress import SilentProgress
@@ -165,7 +164,7 @@ def test_no_triangle_where_no_ray_has_been(fields: SceneFields) -> None:
 
 def test_ground_is_closed_in_blind_spots(fields: SceneFields) -> None:
     """Under the parked car, and in its shadow, straight down hits ground at z = 0."""
-    mesh = mesh_background(fields, MeshConfig(ground_radius_m=12.0), make_embree_caster)
+    mesh = mesh_background(fields, make_embree_caster)
     x, y = np.meshgrid(np.arange(-6, 12, 0.31), np.arange(-9, 3, 0.31))
     top = np.stack([x, y, np.full_like(x, 0.3)], -1).reshape(-1, 3)
     hits = make_embree_caster([mesh]).intersect(top, np.tile([0.0, 0.0, -1.0], (len(top), 1)))

@@ -21,7 +21,6 @@ from lightsim.geometry.actors.complete import (
     trim_ground,
 )
 from lightsim.geometry.actors.evidence import ActorEvidence
-from lightsim.geometry.config import MeshConfig
 from lightsim.geometry.materials import GLASS, classify_background, material_of_actor
 from lightsim.geometry.simplify import denoise, simplify
 from lightsim.geometry.surface import background_levels, drop_floaters
@@ -32,24 +31,40 @@ Calm = Callable[[TriMesh, float], TriMesh]
 number is the distance between the level's samples, in metres."""
 
 
+# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
+# (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
+
+# Grid samples with less evidence than this count as unknown.
+_MIN_WEIGHT = 0.03
+# Connected pieces of the background smaller than this are dropped.
+_MIN_PIECE_M2 = 0.25
+# Rounds of normal filtering; 0 leaves the surface as extracted.
+_NORMAL_ROUNDS = 4
+# Filtering moves no vertex further than this many samples of its level.
+_MAX_MOVE_VOXELS = 0.2
+# Simplification may deviate by this many samples of a level (RMS); 0 keeps every face.
+_ERROR_VOXELS = 0.1
+# Simplification makes no edge longer than this many samples of a level.
+_EDGE_VOXELS = 6.0
+
+
 def mesh_scene(
     log: DrivingLog,
     fields: SceneFields,
-    config: MeshConfig,
     *,
     make_caster: MakeCaster,
     progress: Progress,
     calm: Calm | None = None,
 ) -> SceneAssets:
     """Background and actors as black meshes; no gains yet (assets.build.build_assets)."""
-    background = mesh_background(fields, config, make_caster, calm)
+    background = mesh_background(fields, make_caster, calm)
     background = classify_background(background, log, fields.ground)
     actors, notes = {}, list(fields.notes)
     for track in progress.track(log.actors, "mesh the actors", len(log.actors)):
         grid = fields.actors.get(track.actor_id)
         voxel_m = PROXY_VOXEL_M if grid is None else grid.voxel_m
-        surface, evidence = actor_surface(track, grid, config)
-        mesh = _with_face_classes(_refined(surface, voxel_m, config), track, evidence)
+        surface, evidence = actor_surface(track, grid)
+        mesh = _with_face_classes(_refined(surface, voxel_m), track, evidence)
         actors[track.actor_id] = ActorAsset(track.actor_id, track.kind, mesh, track.label)
         if grid is None:
             notes.append(f"actor {track.actor_id} ({track.label}): default shape, too few returns")
@@ -68,37 +83,35 @@ def _with_face_classes(mesh: TriMesh, track: ActorTrack, evidence: ActorEvidence
 
 
 def mesh_background(
-    fields: SceneFields, config: MeshConfig, make_caster: MakeCaster, calm: Calm | None = None
+    fields: SceneFields, make_caster: MakeCaster, calm: Calm | None = None
 ) -> TriMesh:
     """All levels of the static scene in one mesh, ground closed; black."""
     levels = []
-    for level, grid in zip(
-        background_levels(fields, config.min_weight), fields.background, strict=True
-    ):
-        mesh = drop_floaters(level, config.min_piece_m2)
-        mesh = trim_ground(mesh, fields.ground, fields.path_m, config)
+    for level, grid in zip(background_levels(fields, _MIN_WEIGHT), fields.background, strict=True):
+        mesh = drop_floaters(level, _MIN_PIECE_M2)
+        mesh = trim_ground(mesh, fields.ground, fields.path_m)
         if calm is not None:
             mesh = calm(mesh, grid.voxel_m)
-        levels.append(_refined(mesh, grid.voxel_m, config))
+        levels.append(_refined(mesh, grid.voxel_m))
     surface = concatenate_meshes(levels)
     if len(surface.faces) == 0:
         raise InputError(
             "the reconstructed field has no surface",
             remedy="Train longer (--neural-steps), or start from fused LiDAR (--preset standard).",
         )
-    patches = ground_patches(surface, fields.ground, fields.path_m, config, make_caster)
+    patches = ground_patches(surface, fields.ground, fields.path_m, make_caster)
     return concatenate_meshes([surface, patches])
 
 
-def _refined(mesh: TriMesh, voxel_m: float, config: MeshConfig) -> TriMesh:
+def _refined(mesh: TriMesh, voxel_m: float) -> TriMesh:
     """Without noise of marching cubes, and with no more faces than the shape needs."""
-    if config.normal_rounds > 0:
-        mesh = denoise(mesh, config.max_move_voxels * voxel_m, normal_rounds=config.normal_rounds)
-    if config.error_voxels == 0:
+    if _NORMAL_ROUNDS > 0:
+        mesh = denoise(mesh, _MAX_MOVE_VOXELS * voxel_m, normal_rounds=_NORMAL_ROUNDS)
+    if _ERROR_VOXELS == 0:
         return mesh
     count = len(mesh.vertices)
     return simplify(
         mesh,
-        np.full(count, config.error_voxels * voxel_m),
-        np.full(count, config.edge_voxels * voxel_m),
+        np.full(count, _ERROR_VOXELS * voxel_m),
+        np.full(count, _EDGE_VOXELS * voxel_m),
     )

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
@@ -37,32 +36,30 @@ _WORKERS = 2
 """Frames worked on at once."""
 
 
-@dataclass(frozen=True)
-class SkyMaskConfig:
-    """Settings of the sky matte."""
+# None was measured alone; tests/masks hold what the matte must get right on drawn streets.
 
-    working_width_px: int = 480
-    """Width at which regions are found; borders are refined at full width."""
-    region_scale: float = 30.0
-    """Felzenszwalb's scale: larger regions for larger values."""
-    min_region_px: int = 24
-    """Smallest region at working width."""
-    horizon_deg: float = 0.0
-    """No sky is expected below this elevation."""
-    lidar_band_deg: tuple[float, float] = (2.0, 9.0)
-    """Elevations in which a solid surface within range surely gives LiDAR returns."""
-    lidar_beam_gap_deg: float = 3.2
-    """Largest angle between neighbouring beams in that band."""
-    edge_contrast: float = 4.0
-    """CIE Lab step over two pixels at which two regions stop agreeing."""
-    smoothing: float = 1.5
-    """Weight of agreement between neighbours against a region's own evidence."""
-    border_px: int = 3
-    """Half width of the soft border, working pixels."""
-    min_sky_fraction: float = 0.0015
-    """Image fraction of the smallest sky that does not touch the top of the image."""
-    sweep_step: int = 6
-    """`sky_mattes` gathers the high returns of every n-th sweep: older viewpoints see higher."""
+# Width at which regions are found; borders are refined at full width.
+_WORKING_WIDTH_PX = 480
+# Felzenszwalb's scale: larger regions for larger values.
+_REGION_SCALE = 30.0
+# Smallest region at working width.
+_MIN_REGION_PX = 24
+# No sky is expected below this elevation.
+_HORIZON_DEG = 0.0
+# Elevations in which a solid surface within range surely gives LiDAR returns.
+_LIDAR_BAND_DEG = (2.0, 9.0)
+# Largest angle between neighbouring beams in that band.
+_LIDAR_BEAM_GAP_DEG = 3.2
+# CIE Lab step over two pixels at which two regions stop agreeing.
+_EDGE_CONTRAST = 4.0
+# Weight of agreement between neighbours against a region's own evidence.
+_SMOOTHING = 1.5
+# Half width of the soft border, working pixels.
+_BORDER_PX = 3
+# Image fraction of the smallest sky that does not touch the top of the image.
+_MIN_SKY_FRACTION = 0.0015
+# `sky_mattes` gathers the high returns of every n-th sweep: older viewpoints see higher.
+_SWEEP_STEP = 6
 
 
 def estimate_sky_matte(
@@ -71,7 +68,6 @@ def estimate_sky_matte(
     world_from_camera: RigidTransform,
     lidar_points_world: Float[np.ndarray, "n 3"],
     own_car_mask: Bool[np.ndarray, "h w"] | None,
-    config: SkyMaskConfig,
 ) -> Float32[np.ndarray, "h w"]:
     """Fraction of each pixel that is sky: 1 sky, 0 anything else.
 
@@ -84,7 +80,6 @@ def estimate_sky_matte(
         world_from_camera: the camera's pose; world z is up.
         lidar_points_world: returns around the time of the image; may be empty.
         own_car_mask: True where the camera sees the recording car.
-        config: settings.
 
     Raises:
         InputError: image and camera differ in size.
@@ -97,25 +92,25 @@ def estimate_sky_matte(
             got=f"image {width}x{height} px",
             expected=f"{camera.width_px}x{camera.height_px} px",
         )
-    evidence = _gather(srgb8, camera, world_from_camera, lidar_points_world, own_car_mask, config)
-    if not (evidence.elevation_deg > config.horizon_deg).any():
+    evidence = _gather(srgb8, camera, world_from_camera, lidar_points_world, own_car_mask)
+    if not (evidence.elevation_deg > _HORIZON_DEG).any():
         return np.zeros((height, width), np.float32)
-    labels = _segment(evidence.lab, config)
-    graph = region_graph(labels, evidence.lab, config.edge_contrast)
+    labels = _segment(evidence.lab)
+    graph = region_graph(labels, evidence.lab, _EDGE_CONTRAST)
     own = region_log_odds(labels, evidence)
-    first = spread_log_odds(graph, own, config.smoothing)
+    first = spread_log_odds(graph, own, _SMOOTHING)
     own = with_image_colours(labels, evidence, own, first)
-    sky = spread_log_odds(graph, own, config.smoothing)
-    min_px = int(config.min_sky_fraction * labels.size)
+    sky = spread_log_odds(graph, own, _SMOOTHING)
+    min_px = int(_MIN_SKY_FRACTION * labels.size)
     probability = keep_open_sky(labels, sky, evidence, max(min_px, 1))
-    return refine_matte(srgb8, probability, evidence, config.border_px)
+    return refine_matte(srgb8, probability, evidence, _BORDER_PX)
 
 
 def sky_mattes(
-    log: DrivingLog, config: SkyMaskConfig, progress: Progress
+    log: DrivingLog, progress: Progress
 ) -> Iterator[tuple[CameraFrame, Float32[np.ndarray, "h w"]]]:
     """Each frame of the log with its matte; few in memory at a time."""
-    points_world = gather_high_points(log, config)
+    points_world = gather_high_points(log)
 
     def matte_of(frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
         return estimate_sky_matte(
@@ -124,7 +119,6 @@ def sky_mattes(
             frame.world_from_camera,
             points_world,
             log.own_car_masks.get(frame.camera_name),
-            config,
         )
 
     # Array operations leave Python's lock, so threads do share the work.
@@ -138,12 +132,12 @@ def sky_mattes(
             yield frame, ahead.popleft().result()
 
 
-def gather_high_points(log: DrivingLog, config: SkyMaskConfig) -> Float32[np.ndarray, "n 3"]:
+def gather_high_points(log: DrivingLog) -> Float32[np.ndarray, "n 3"]:
     """Static returns of every n-th sweep above the ego's ground, thinned to 0.15 m, in `world`.
 
     A wall that towers over the LiDAR's field of view nearby was often measured from afar.
     """
-    chosen = list(log.sweeps[:: max(1, config.sweep_step)])
+    chosen = list(log.sweeps[:: max(1, _SWEEP_STEP)])
     if log.sweeps and chosen[-1] is not log.sweeps[-1]:
         chosen.append(log.sweeps[-1])
     kept = [np.zeros((0, 3), np.float32)]
@@ -167,12 +161,11 @@ def _gather(
     world_from_camera: RigidTransform,
     lidar_points_world: Float[np.ndarray, "n 3"],
     own_car_mask: Bool[np.ndarray, "h w"] | None,
-    config: SkyMaskConfig,
 ) -> ImageEvidence:
     """Per-pixel evidence at working width."""
     from skimage.color import rgb2lab
 
-    small = camera.scaled(min(1.0, config.working_width_px / camera.width_px))
+    small = camera.scaled(min(1.0, _WORKING_WIDTH_PX / camera.width_px))
     rows, columns = small.height_px, small.width_px
     rgb = resize_area(srgb8.astype(np.float32) / np.float32(255.0), rows, columns)
     directions = world_from_camera.rotate(small.directions(small.pixel_centres()))
@@ -182,29 +175,29 @@ def _gather(
         share = resize_area(own_car_mask[..., None].astype(np.float32), rows, columns)
         is_own_car = share[..., 0] > 0.01
     hits = _project_hits(lidar_points_world, small, world_from_camera)
-    low, high = config.lidar_band_deg
+    low, high = _LIDAR_BAND_DEG
     in_band = (elevation_deg > low) & (elevation_deg < high)
     is_silent = np.zeros((rows, columns), bool)
     if hits.any():
-        is_silent = in_band & ~_near_hits(hits, small, config.lidar_beam_gap_deg)
+        is_silent = in_band & ~_near_hits(hits, small, _LIDAR_BEAM_GAP_DEG)
     return ImageEvidence(
         lab=rgb2lab(rgb).astype(np.float32),
         elevation_deg=elevation_deg.astype(np.float32),
         has_hit=hits,
         is_scanned=elevation_deg < high,
         is_silent=is_silent,
-        is_excluded=is_own_car | (elevation_deg < config.horizon_deg),
+        is_excluded=is_own_car | (elevation_deg < _HORIZON_DEG),
     )
 
 
-def _segment(lab: Float32[np.ndarray, "h w 3"], config: SkyMaskConfig) -> np.ndarray:
+def _segment(lab: Float32[np.ndarray, "h w 3"]) -> np.ndarray:
     from skimage.segmentation import felzenszwalb
 
     return felzenszwalb(
         lab.astype(np.float64) / 100.0,
-        scale=config.region_scale,
+        scale=_REGION_SCALE,
         sigma=0.7,
-        min_size=config.min_region_px,
+        min_size=_MIN_REGION_PX,
         channel_axis=-1,
     )
 

@@ -18,9 +18,7 @@ from lightsim.appearance import config as asset_config
 from lightsim.datasets.fingerprint import hash_recording
 from lightsim.datasets.reader import check_layout
 from lightsim.errors import ArtefactError, InputError
-from lightsim.geometry import config as mesh_config
 from lightsim.lighting.panorama.stitch import StitchConfig
-from lightsim.masks.sky import SkyMaskConfig
 from lightsim.pipeline.measures import MeasureConfig
 from lightsim.pipeline.options import BuildOptions
 from lightsim.pipeline.report import ReportConfig
@@ -56,7 +54,6 @@ _NEURAL = {
     "standard": neural_config.standard,
     "paper": neural_config.paper,
 }
-_MESHES = {"draft": mesh_config.draft, "standard": mesh_config.standard, "paper": mesh_config.paper}
 _ASSETS = {
     "draft": asset_config.draft,
     "standard": asset_config.standard,
@@ -70,9 +67,9 @@ class Stage:
 
     Args:
         name: of the artefact folder.
-        schema: raise it when the stage's algorithm or files change.
+        schema: raise it when the stage's algorithm, constants or files change.
         needs: artefacts it reads.
-        config: its configuration, from the options.
+        config: what presets and options decide of it.
         make: fills the folder, returns notes.
     """
 
@@ -96,9 +93,13 @@ def _neural_config(options: BuildOptions) -> neural_config.NeuralConfig:
     return config if options.neural_steps is None else replace(config, steps=options.neural_steps)
 
 
+def _no_settings(_: BuildOptions) -> None:
+    """Of a stage whose numbers are constants: its schema stands for them."""
+
+
 STAGES = (
     Stage("log", 3, (), lambda o: replace(o.reading, source=""), recording.make_log),
-    Stage("masks", 1, ("log",), lambda o: SkyMaskConfig(), recording.make_masks),
+    Stage("masks", 1, ("log",), _no_settings, recording.make_masks),
     Stage(
         "alignment",
         2,
@@ -118,7 +119,7 @@ STAGES = (
         "geometry",
         3,
         ("log", "masks", "alignment", "neural"),
-        lambda o: surfaces.GeometryConfig(_MESHES[o.preset]()),
+        _no_settings,
         surfaces.make_geometry,
     ),
     Stage(

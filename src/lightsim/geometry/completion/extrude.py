@@ -10,7 +10,6 @@ apart from measured geometry.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float32
@@ -19,10 +18,8 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import MakeCaster, RayCaster
 from lightsim.core.mesh import TriMesh
 from lightsim.core.resample import resize_area
-from lightsim.core.sensors import CameraFrame
-from lightsim.errors import FrameMismatchError, InputError
+from lightsim.errors import FrameMismatchError
 from lightsim.geometry.completion.extrude_columns import (
-    ColumnConfig,
     columns_from_facades,
     find_facades,
     free_in_front_of_walls,
@@ -30,6 +27,13 @@ from lightsim.geometry.completion.extrude_columns import (
 from lightsim.geometry.completion.extrude_grid import VoxelEvidence, VoxelGrid
 from lightsim.geometry.completion.extrude_kernels import walk_rays
 from lightsim.geometry.completion.extrude_mesh import mesh_columns
+from lightsim.geometry.completion.silhouettes import (
+    SKY_ALPHA,
+    SOLID_ALPHA,
+    View,
+    check_matte,
+    spaced_views,
+)
 from lightsim.progress import Progress
 
 _LOWEST_RAY = -0.2
@@ -37,38 +41,30 @@ _LOWEST_RAY = -0.2
 _CARVED, _VOTING, _UNUSED = 0, 1, 2
 
 
-@dataclass(frozen=True)
-class ExtrudeConfig:
-    """Settings of the inferred structures."""
+# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
+# (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
 
-    voxel_m: float = 0.5
-    """Edge of a voxel; heights are found to about one voxel."""
-    max_height_m: float = 40.0
-    """Nothing is inferred higher than this above the lowest ground."""
-    max_range_m: float = 80.0
-    """Images vote for matter up to this distance from the camera; sky carves without limit."""
-    ray_width_px: int = 320
-    """Rays across an image."""
-    sky_alpha: float = 0.8
-    """A pixel of at least this alpha is sky."""
-    solid_alpha: float = 0.2
-    """A pixel of at most this alpha shows matter."""
-    erode_px: int = 1
-    """Rays this close to a pixel that is not sky do not carve."""
-    surface_margin_m: float = 0.75
-    """Free space ends this far in front of a reconstructed surface."""
-    min_baseline_m: float = 0.7
-    """Views of a camera that moved less than this since its last used view are skipped."""
-    min_votes: int = 2
-    """Views that must show matter in a voxel."""
-    columns: ColumnConfig = field(default_factory=ColumnConfig)
-    """What counts as a facade and how it is extended."""
+# Edge of a voxel; heights are found to about one voxel.
+_VOXEL_M = 0.5
+# Nothing is inferred higher than this above the lowest ground.
+_MAX_HEIGHT_M = 40.0
+# Images vote for matter up to this distance from the camera; sky carves without limit.
+_MAX_RANGE_M = 80.0
+# Rays across an image.
+_RAY_WIDTH_PX = 320
+# Rays this close to a pixel that is not sky do not carve.
+_ERODE_PX = 1
+# Free space ends this far in front of a reconstructed surface.
+_SURFACE_MARGIN_M = 0.75
+# Views of a camera that moved less than this since its last used view are skipped.
+_MIN_BASELINE_M = 0.7
+# Views that must show matter in a voxel.
+_MIN_VOTES = 2
 
 
 def infer_tall_structures(
     background: TriMesh,
-    silhouettes: Iterable[tuple[CameraFrame, PinholeCamera, Float32[np.ndarray, "h w"]]],
-    config: ExtrudeConfig,
+    silhouettes: Iterable[View],
     *,
     make_caster: MakeCaster,
     progress: Progress,
@@ -83,7 +79,6 @@ def infer_tall_structures(
     Args:
         background: measured static surfaces, frame world, outward faces counter-clockwise.
         silhouettes: frames with their camera (of the matte's size) and sky matte.
-        config: settings.
         make_caster: builds the ray caster.
         progress: reporter.
 
@@ -96,33 +91,22 @@ def infer_tall_structures(
             "the background lies in the wrong frame", got=background.frame, expected="world"
         )
     if len(background.faces) == 0:
-        return mesh_columns([], VoxelGrid(np.zeros(3), config.voxel_m, (1, 1, 1)))
-    grid = VoxelGrid.around(background, config.voxel_m, config.max_height_m)
+        return mesh_columns([], VoxelGrid(np.zeros(3), _VOXEL_M, (1, 1, 1)))
+    grid = VoxelGrid.around(background, _VOXEL_M, _MAX_HEIGHT_M)
     evidence = VoxelEvidence.empty(grid)
     caster = make_caster([background])
-    last_position: dict[str, np.ndarray] = {}
-    for frame, camera, matte in progress.track(silhouettes, "silhouettes"):
-        position = frame.world_from_camera.translation_m
-        last = last_position.get(frame.camera_name)
-        if last is not None and np.linalg.norm(position - last) < config.min_baseline_m:
-            continue
-        last_position[frame.camera_name] = position
-        _add_view(evidence, (frame, camera, matte), caster, config)
-    free_in_front_of_walls(background, evidence, config.columns)
-    facades = find_facades(background, grid, config.columns)
-    columns = columns_from_facades(facades, evidence, config.min_votes, config.columns)
+    for view in spaced_views(progress.track(silhouettes, "silhouettes"), _MIN_BASELINE_M):
+        _add_view(evidence, view, caster)
+    free_in_front_of_walls(background, evidence)
+    facades = find_facades(background, grid)
+    columns = columns_from_facades(facades, evidence, _MIN_VOTES)
     return mesh_columns(columns, grid)
 
 
-def _add_view(
-    evidence: VoxelEvidence,
-    view: tuple[CameraFrame, PinholeCamera, Float32[np.ndarray, "h w"]],
-    caster: RayCaster,
-    config: ExtrudeConfig,
-) -> None:
+def _add_view(evidence: VoxelEvidence, view: View, caster: RayCaster) -> None:
     """Carve with the sky and with the seen surfaces of one view, vote with the unexplained."""
     frame, camera, matte = view
-    small, kind = _classify_pixels(camera, matte, config)
+    small, kind = _classify_pixels(camera, matte)
     pose = frame.world_from_camera
     directions = pose.rotate(small.directions(small.pixel_centres())).reshape(-1, 3)
     origins = np.broadcast_to(pose.translation_m, directions.shape)
@@ -131,8 +115,8 @@ def _add_view(
     # Nothing below the horizon can be sky or an upper storey, so it cannot vote.
     kind[(kind == _VOTING) & (directions[:, 2] < 0)] = _UNUSED
     is_seen = hits.is_hit & (kind != _CARVED)
-    ends_m = np.where(kind == _CARVED, np.inf, config.max_range_m)
-    ends_m[is_seen] = hits.distance_m[is_seen] - config.surface_margin_m
+    ends_m = np.where(kind == _CARVED, np.inf, _MAX_RANGE_M)
+    ends_m[is_seen] = hits.distance_m[is_seen] - _SURFACE_MARGIN_M
     kind[is_seen] = _CARVED
     used = (kind != _UNUSED) & (ends_m > 0) & (directions[:, 2] > _LOWEST_RAY)
     grid = evidence.grid
@@ -150,22 +134,16 @@ def _add_view(
 
 
 def _classify_pixels(
-    camera: PinholeCamera, matte: Float32[np.ndarray, "h w"], config: ExtrudeConfig
+    camera: PinholeCamera, matte: Float32[np.ndarray, "h w"]
 ) -> tuple[PinholeCamera, np.ndarray]:
     """The camera at ray resolution and what each ray does: carve, vote or nothing."""
     from scipy.ndimage import minimum_filter
 
-    if matte.shape != (camera.height_px, camera.width_px):
-        raise InputError(
-            "the sky matte and the camera differ in size",
-            where=f"camera '{camera.name}'",
-            got=f"{matte.shape[1]}x{matte.shape[0]} px",
-            expected=f"{camera.width_px}x{camera.height_px} px",
-        )
-    small = camera.scaled(min(1.0, config.ray_width_px / camera.width_px))
-    masks = np.stack([matte >= config.sky_alpha, matte <= config.solid_alpha], axis=-1)
+    check_matte(camera, matte)
+    small = camera.scaled(min(1.0, _RAY_WIDTH_PX / camera.width_px))
+    masks = np.stack([matte >= SKY_ALPHA, matte <= SOLID_ALPHA], axis=-1)
     shares = resize_area(masks.astype(np.float32), small.height_px, small.width_px) > 0.999
-    size = 2 * config.erode_px + 1
+    size = 2 * _ERODE_PX + 1
     is_sky = np.asarray(minimum_filter(shares[..., 0], size), bool)
     kind = np.full(is_sky.shape, _UNUSED)
     kind[shares[..., 1]] = _VOTING

@@ -17,28 +17,27 @@ _MAX_GAP = 3
 """Cells in a row that are filled between columns."""
 
 
-@dataclass(frozen=True)
-class ColumnConfig:
-    """What counts as a facade and how it is extended."""
+# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
+# (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
 
-    max_normal_z: float = 0.4
-    """Faces with a larger vertical part of the normal belong to no facade."""
-    min_facade_height_m: float = 2.5
-    """A facade reaches at least this far above the ground; parked cars do not."""
-    min_width_m: float = 2.0
-    """Poles, trunks and lamps are narrower."""
-    min_coherence: float = 0.75
-    """Mean resultant length of the normals nearby: walls agree, foliage does not."""
-    min_support: float = 0.5
-    """Fraction of the voxels between the observed and the inferred top that views support."""
-    smoothing_radius_m: float = 1.6
-    """Tops are medians over facade cells within this radius."""
-    level_reach_m: float = 15.0
-    """A facade cell whose top no view saw takes the top of a cell this near on its facade."""
-    min_building_height_m: float = 4.0
-    """Lower structures are walls and fences: they get no footprint behind them."""
-    depth_m: float = 8.0
-    """Depth of the footprint behind a facade, where nothing observed contradicts."""
+# Faces with a larger vertical part of the normal belong to no facade.
+_MAX_NORMAL_Z = 0.4
+# A facade reaches at least this far above the ground; parked cars do not.
+_MIN_FACADE_HEIGHT_M = 2.5
+# Poles, trunks and lamps are narrower.
+_MIN_WIDTH_M = 2.0
+# Mean resultant length of the normals nearby: walls agree, foliage does not.
+_MIN_COHERENCE = 0.75
+# Fraction of the voxels between the observed and the inferred top that views support.
+_MIN_SUPPORT = 0.5
+# Tops are medians over facade cells within this radius.
+_SMOOTHING_RADIUS_M = 1.6
+# A facade cell whose top no view saw takes the top of a cell this near on its facade.
+_LEVEL_REACH_M = 15.0
+# Lower structures are walls and fences: they get no footprint behind them.
+_MIN_BUILDING_HEIGHT_M = 4.0
+# Depth of the footprint behind a facade, where nothing observed contradicts.
+_DEPTH_M = 8.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +72,11 @@ class Column:
     colour: tuple[float, float, float]
 
 
-def find_facades(mesh: TriMesh, grid: VoxelGrid, config: ColumnConfig) -> Facades:
+def find_facades(mesh: TriMesh, grid: VoxelGrid) -> Facades:
     """Cells with near-vertical surface, tall, wide and flat enough to be a wall."""
     from skimage.measure import label
 
-    points, normals, colours = _sample_walls(mesh, config.max_normal_z)
+    points, normals, colours = _sample_walls(mesh, _MAX_NORMAL_Z)
     ground = _ground_level(mesh, grid, points)
     # A voxel inwards: cells then lie behind the surface. A guess that stuck out in front of a
     # measured wall would wrongly shade it.
@@ -95,11 +94,11 @@ def find_facades(mesh: TriMesh, grid: VoxelGrid, config: ColumnConfig) -> Facade
     levels = np.arange(grid.shape[2])
     top = np.where(is_wall, levels, -1).max(axis=2)
     filled = is_wall.sum(axis=2)
-    needed = config.min_facade_height_m / grid.voxel_m
+    needed = _MIN_FACADE_HEIGHT_M / grid.voxel_m
     is_facade = (top + 1 - ground >= needed) & (filled >= 0.5 * needed)
-    is_facade &= length >= config.min_coherence * np.maximum(count, 1)
+    is_facade &= length >= _MIN_COHERENCE * np.maximum(count, 1)
     components = np.asarray(label(is_facade, connectivity=2))
-    is_facade &= _is_wide(components, config.min_width_m / grid.voxel_m)[components]
+    is_facade &= _is_wide(components, _MIN_WIDTH_M / grid.voxel_m)[components]
     x, y = np.nonzero(is_facade)
     return Facades(
         np.stack([x, y], axis=1),
@@ -112,28 +111,26 @@ def find_facades(mesh: TriMesh, grid: VoxelGrid, config: ColumnConfig) -> Facade
     )
 
 
-def columns_from_facades(
-    facades: Facades, evidence: VoxelEvidence, min_votes: int, config: ColumnConfig
-) -> list[Column]:
+def columns_from_facades(facades: Facades, evidence: VoxelEvidence, min_votes: int) -> list[Column]:
     """Facades raised to the height the images support, with a footprint behind them."""
     if len(facades.cells) == 0:
         return []
     limit = _highest_uncarved(facades, evidence)
-    top = _supported_top(facades, evidence, limit, min_votes, config.min_support)
-    top = _level_roofs(facades, top, limit, config, evidence.grid.voxel_m)
+    top = _supported_top(facades, evidence, limit, min_votes, _MIN_SUPPORT)
+    top = _level_roofs(facades, top, limit, evidence.grid.voxel_m)
     columns: dict[tuple[int, int], Column] = {}
     for n in np.nonzero(top > facades.top)[0]:
         key = (int(facades.cells[n, 0]), int(facades.cells[n, 1]))
         low, high = int(facades.top[n]) + 1, int(top[n])
         columns[key] = Column(*key, low, high, _rgb(facades.colour[n]))
-    _add_footprints(columns, facades, top, evidence, config)
+    _add_footprints(columns, facades, top, evidence)
     _close_gaps(columns, evidence)
     return [columns[key] for key in sorted(columns)]
 
 
-def free_in_front_of_walls(mesh: TriMesh, evidence: VoxelEvidence, config: ColumnConfig) -> None:
+def free_in_front_of_walls(mesh: TriMesh, evidence: VoxelEvidence) -> None:
     """Mark the voxels that measured walls face as free: a guess there would shade the wall."""
-    points, normals, _ = _sample_walls(mesh, config.max_normal_z)
+    points, normals, _ = _sample_walls(mesh, _MAX_NORMAL_Z)
     cells = evidence.grid.cells(points + _FRONT_M * normals)
     cells = cells[evidence.grid.contains(cells)]
     evidence.is_free[tuple(cells.T)] = 1
@@ -248,7 +245,6 @@ def _level_roofs(
     facades: Facades,
     top: Int[np.ndarray, " n"],
     limit: Int[np.ndarray, " n"],
-    config: ColumnConfig,
     voxel_m: float,
 ) -> Int[np.ndarray, " n"]:
     """Tops after a local median; where no view saw the top, that of the nearest cell of the
@@ -259,14 +255,14 @@ def _level_roofs(
     apart = 1e4 * facades.component[:, None]
     places = np.concatenate([facades.cells, apart], axis=1).astype(np.float64)
     tree = KDTree(places)
-    near = tree.query_ball_point(places, config.smoothing_radius_m / voxel_m)
+    near = tree.query_ball_point(places, _SMOOTHING_RADIUS_M / voxel_m)
     smooth = np.array([round(float(np.median(top[i]))) for i in near], dtype=np.int64)
     has_seen_top = limit - top <= 2
     if not has_seen_top.any():
         return np.clip(smooth, facades.top, limit)
     known = KDTree(places[has_seen_top])
     distance, index = known.query(places)
-    can_lend = ~has_seen_top & (distance * voxel_m <= config.level_reach_m)
+    can_lend = ~has_seen_top & (distance * voxel_m <= _LEVEL_REACH_M)
     lent = np.maximum(smooth, smooth[has_seen_top][index])
     return np.clip(np.where(can_lend, lent, smooth), facades.top, limit)
 
@@ -299,16 +295,15 @@ def _add_footprints(
     facades: Facades,
     top: Int[np.ndarray, " n"],
     evidence: VoxelEvidence,
-    config: ColumnConfig,
 ) -> None:
     """Fill columns from the ground to the facade's top, walking inward from each facade cell
     until the depth is reached, ground was observed, or views saw through."""
     grid = evidence.grid
     is_facade = np.zeros(grid.shape[:2], bool)
     is_facade[facades.cells[:, 0], facades.cells[:, 1]] = True
-    tall = (top + 1 - facades.ground) * grid.voxel_m >= config.min_building_height_m
+    tall = (top + 1 - facades.ground) * grid.voxel_m >= _MIN_BUILDING_HEIGHT_M
     for n in np.nonzero(tall)[0]:
-        for k in range(2, 2 * int(config.depth_m / grid.voxel_m) + 1):
+        for k in range(2, 2 * int(_DEPTH_M / grid.voxel_m) + 1):
             x, y = np.floor(facades.cells[n] + 0.5 + 0.5 * k * facades.inward[n]).astype(int)
             if not (0 <= x < grid.shape[0] and 0 <= y < grid.shape[1]):
                 break

@@ -10,18 +10,18 @@ on a measured plane: images can be projected onto it.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int8, Int32
+from jaxtyping import Bool, Float64, Int8, Int32
 
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import MakeCaster, RayCaster
 from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.errors import FrameMismatchError
-from lightsim.geometry.completion.silhouettes import classify_matte, spaced_views
-from lightsim.geometry.completion.walls import Wall, WallConfig, find_walls
+from lightsim.geometry.completion.silhouettes import View, classify_matte, spaced_views
+from lightsim.geometry.completion.walls import Wall, find_walls
 from lightsim.geometry.materials import FACADE
 
 WINDOW = Material(0.1, 0.0, "window")
@@ -34,37 +34,33 @@ _OVERLAP_M = 0.03
 """Fillings reach one cell behind the measured wall around them, this deep."""
 
 
-@dataclass(frozen=True)
-class FacadeConfig:
-    """How walls are completed."""
+# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
+# (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
 
-    walls: WallConfig = field(default_factory=WallConfig)
-    """What counts as a wall."""
-    cell_m: float = 0.25
-    """Cells of a wall that are filled or not."""
-    max_rise_m: float = 20.0
-    """No wall is raised by more than this above its measured part."""
-    max_hole_m2: float = 40.0
-    """Larger holes stay open."""
-    min_border: float = 0.6
-    """Share of a hole's border, and of its lintel, that must be measured wall."""
-    max_view_m: float = 90.0
-    """Views from further away do not count."""
-    min_baseline_m: float = 2.0
-    """Views of a camera that moved less than this since its last used view are skipped."""
-    max_sky_share: float = 0.3
-    """Cells above the measured wall that more than this share of the views shows as sky are
-    open."""
-    max_hole_sky_share: float = 0.7
-    """The same within the measured wall, where glass reflects the sky."""
-    min_votes: int = 2
-    """Views that must show matter in a cell above the measured wall."""
-    min_passes: int = 2
-    """Beams through a cell that returned from behind the wall: there is no wall."""
-    every_nth_return: int = 4
-    """LiDAR returns used for that."""
-    min_support: float = 0.5
-    """Share of the cells between measured and inferred top that have those votes."""
+# Cells of a wall that are filled or not.
+_CELL_M = 0.25
+# No wall is raised by more than this above its measured part.
+_MAX_RISE_M = 20.0
+# Larger holes stay open.
+_MAX_HOLE_M2 = 40.0
+# Share of a hole's border, and of its lintel, that must be measured wall.
+_MIN_BORDER = 0.6
+# Views from further away do not count.
+_MAX_VIEW_M = 90.0
+# Views of a camera that moved less than this since its last used view are skipped.
+_MIN_BASELINE_M = 2.0
+# Cells above the measured wall that more than this share of the views shows as sky are open.
+_MAX_SKY_SHARE = 0.3
+# The same within the measured wall, where glass reflects the sky.
+_MAX_HOLE_SKY_SHARE = 0.7
+# Views that must show matter in a cell above the measured wall.
+_MIN_VOTES = 2
+# Beams through a cell that returned from behind the wall: there is no wall.
+_MIN_PASSES = 2
+# LiDAR returns used for that.
+_EVERY_NTH_RETURN = 4
+# Share of the cells between measured and inferred top that have those votes.
+_MIN_SUPPORT = 0.5
 
 
 @dataclass(eq=False)
@@ -99,9 +95,8 @@ class WallCells:
 
 def complete_facades(
     background: TriMesh,
-    silhouettes: Iterable[tuple[CameraFrame, PinholeCamera, Float32[np.ndarray, "h w"]]],
+    silhouettes: Iterable[View],
     sweeps: Iterable[LidarSweep],
-    config: FacadeConfig,
     *,
     make_caster: MakeCaster,
 ) -> TriMesh:
@@ -111,7 +106,6 @@ def complete_facades(
         background: measured static surfaces, frame world, outward faces counter-clockwise.
         silhouettes: frames with their camera (of the matte's size) and sky matte.
         sweeps: beams that went over a wall tell that it ends there.
-        config: settings.
         make_caster: builds the ray caster.
 
     Raises:
@@ -122,28 +116,28 @@ def complete_facades(
         raise FrameMismatchError(
             "the background lies in the wrong frame", got=background.frame, expected="world"
         )
-    walls = find_walls(background, config.walls)
+    walls = find_walls(background)
     caster = make_caster([background])
-    cells = [_measure(wall, caster, config) for wall in walls]
-    for frame, camera, matte in spaced_views(silhouettes, config.min_baseline_m):
+    cells = [_measure(wall, caster) for wall in walls]
+    for frame, camera, matte in spaced_views(silhouettes, _MIN_BASELINE_M):
         kind = classify_matte(camera, matte)
         for wall_cells in cells:
-            _look(wall_cells, (frame, camera, kind), caster, config)
+            _look(wall_cells, (frame, camera, kind), caster)
     for sweep in sweeps:
         for wall_cells in cells:
-            _pass(wall_cells, sweep, config)
-    parts = [part for c in cells for part in _fill(c, config)]
+            _pass(wall_cells, sweep)
+    parts = [part for c in cells for part in _fill(c)]
     if not parts:
         nothing = np.zeros((0, 3), dtype=np.float32)
         return TriMesh("world", nothing, np.zeros((0, 3), dtype=np.int32), nothing, (FACADE,))
     return concatenate_meshes(parts)
 
 
-def _measure(wall: Wall, caster: RayCaster, config: FacadeConfig) -> WallCells:
+def _measure(wall: Wall, caster: RayCaster) -> WallCells:
     """Which cells have a measured surface, by rays square to the plane from just before it."""
-    cell = config.cell_m
+    cell = _CELL_M
     ns = max(int(np.ceil((wall.span_m[1] - wall.span_m[0]) / cell)), 1)
-    nz = int(np.ceil((wall.height_m[1] + config.max_rise_m - wall.height_m[0]) / cell))
+    nz = int(np.ceil((wall.height_m[1] + _MAX_RISE_M - wall.height_m[0]) / cell))
     shape = (ns, nz)
     cells = WallCells(
         wall,
@@ -165,7 +159,6 @@ def _look(
     cells: WallCells,
     view: tuple[CameraFrame, PinholeCamera, Int8[np.ndarray, "h w"]],
     caster: RayCaster,
-    config: FacadeConfig,
 ) -> None:
     """What one view shows at the cells without measured surface."""
     frame, camera, kinds = view
@@ -176,7 +169,7 @@ def _look(
     points = cells.centres().reshape(-1, 3)[rows]
     distance = np.linalg.norm(points - eye, axis=1)
     uv, is_inside = frame.project(camera, points)
-    is_inside &= distance < config.max_view_m
+    is_inside &= distance < _MAX_VIEW_M
     rows, points, uv = rows[is_inside], points[is_inside], uv[is_inside]
     distance = distance[is_inside]
     kind = kinds[uv[:, 1].astype(np.int64), uv[:, 0].astype(np.int64)]
@@ -188,9 +181,9 @@ def _look(
     cells.matter.reshape(-1)[rows[matter[is_open]]] += 1
 
 
-def _pass(cells: WallCells, sweep: LidarSweep, config: FacadeConfig) -> None:
+def _pass(cells: WallCells, sweep: LidarSweep) -> None:
     """Count the beams of a sweep that crossed the plane and returned from well behind it."""
-    wall, step = cells.wall, config.every_nth_return
+    wall, step = cells.wall, _EVERY_NTH_RETURN
     start = sweep.origins_world[::step].astype(np.float64) - wall.origin_m
     end = sweep.points_world[::step].astype(np.float64) - wall.origin_m
     before, after = start @ wall.normal, end @ wall.normal
@@ -205,16 +198,16 @@ def _pass(cells: WallCells, sweep: LidarSweep, config: FacadeConfig) -> None:
     np.add.at(cells.passes, (i[is_inside], j[is_inside]), 1)
 
 
-def _fill(cells: WallCells, config: FacadeConfig) -> list[TriMesh]:
+def _fill(cells: WallCells) -> list[TriMesh]:
     seen = np.maximum(cells.sky + cells.matter, 1)
     levels = np.arange(cells.is_covered.shape[1])
     measured = np.where(cells.is_covered, levels, -1).max(axis=1)
     is_above = levels > measured[:, None]
-    is_open = cells.sky > config.max_sky_share * seen
-    is_open |= cells.passes >= config.min_passes
-    top = _raised(cells, is_open & is_above, measured, config)
-    is_inner = ~is_above & ~cells.is_covered & (cells.sky <= config.max_hole_sky_share * seen)
-    is_hole = _closed_holes(cells, is_inner, config)
+    is_open = cells.sky > _MAX_SKY_SHARE * seen
+    is_open |= cells.passes >= _MIN_PASSES
+    top = _raised(cells, is_open & is_above, measured)
+    is_inner = ~is_above & ~cells.is_covered & (cells.sky <= _MAX_HOLE_SKY_SHARE * seen)
+    is_hole = _closed_holes(cells, is_inner)
     is_upper = is_above & (levels <= top[:, None]) & (measured >= 0)[:, None]
     offset = _spread_offset(cells)
     parts = (
@@ -232,20 +225,19 @@ def _raised(
     cells: WallCells,
     is_open: Bool[np.ndarray, "s z"],
     measured: np.ndarray,
-    config: FacadeConfig,
 ) -> np.ndarray:
     """Highest cell of each column up to which images show matter, levelled along the wall."""
 
     levels = np.arange(is_open.shape[1])
     is_above = levels > measured[:, None]
     first = np.where(is_open.any(axis=1), is_open.argmax(axis=1), len(levels))
-    has_votes = (cells.matter >= config.min_votes) & is_above
+    has_votes = (cells.matter >= _MIN_VOTES) & is_above
     is_judged = (cells.sky + cells.matter > 0) & is_above
     supported = np.cumsum(has_votes, axis=1)
     judged = np.maximum(np.cumsum(is_judged, axis=1), 1)
     # Medians along the wall: panes that mirror the sky are narrower than a roof's steps.
     first = _levelled(first, cells.cell_m)
-    is_good = has_votes & (supported >= config.min_support * judged)
+    is_good = has_votes & (supported >= _MIN_SUPPORT * judged)
     is_good &= levels < first[:, None]
     top = np.where(is_good.any(axis=1), np.where(is_good, levels, -1).max(axis=1), measured)
     return np.minimum(np.maximum(_levelled(top, cells.cell_m), top), first - 1)
@@ -257,9 +249,7 @@ def _levelled(row: np.ndarray, cell_m: float) -> np.ndarray:
     return np.asarray(median_filter(row, 2 * round(_LEVEL_M / cell_m) + 1, mode="nearest"))
 
 
-def _closed_holes(
-    cells: WallCells, is_missing: Bool[np.ndarray, "s z"], config: FacadeConfig
-) -> Bool[np.ndarray, "s z"]:
+def _closed_holes(cells: WallCells, is_missing: Bool[np.ndarray, "s z"]) -> Bool[np.ndarray, "s z"]:
     """Missing parts that measured wall surrounds, with a measured lintel."""
     from scipy.ndimage import find_objects
     from skimage.measure import label
@@ -269,10 +259,10 @@ def _closed_holes(
     kept = np.zeros_like(is_missing)
     for number, box in enumerate(find_objects(pieces), start=1):
         piece = pieces[box] == number
-        if piece.sum() * config.cell_m**2 > config.max_hole_m2:
+        if piece.sum() * _CELL_M**2 > _MAX_HOLE_M2:
             continue
         grown = tuple(slice(b.start, b.stop + 2) for b in box)
-        if _border_share(np.pad(piece, 1), covered[grown], config.min_border):
+        if _border_share(np.pad(piece, 1), covered[grown], _MIN_BORDER):
             kept[box] |= piece
     return kept
 

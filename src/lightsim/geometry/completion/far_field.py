@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int64
+from jaxtyping import Float, Float64, Int64
 
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import MakeCaster, RayCaster
@@ -21,7 +21,7 @@ from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import FrameMismatchError
-from lightsim.geometry.completion.silhouettes import classify_matte, spaced_views
+from lightsim.geometry.completion.silhouettes import View, classify_matte, spaced_views
 
 _SINK_M = 0.15
 _STEPS_DOWN = 3
@@ -33,33 +33,32 @@ _OFF_PLANE_M = 1.5
 _BLEND_M = 8.0
 
 
-@dataclass(frozen=True)
-class FarFieldConfig:
-    """The backdrop."""
+# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
+# (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
 
-    distance_m: float = 160.0
-    """Radius of the backdrop around the middle of the path; more where the path or the measured
-    surfaces reach further."""
-    margin_m: float = 20.0
-    """The backdrop stands at least this far beyond all measured surfaces."""
-    azimuth_step_deg: float = 0.5
-    """Width of a panel of the backdrop."""
-    level_m: float = 1.0
-    """Heights are found in steps of this."""
-    max_height_m: float = 90.0
-    """The backdrop ends at this height above the cameras."""
-    min_views: int = 2
-    """Views that must show matter in a cell."""
-    min_matter: float = 0.5
-    """Share of the views of a cell that must show matter."""
-    min_baseline_m: float = 2.0
-    """Views of a camera that moved less than this since its last used view are skipped."""
-    every_nth_pixel: int = 2
-    """Pixels used, along both axes."""
-    inner_m: float = 30.0
-    """The ground goes on from this distance from the path."""
-    ground_step_m: float = 4.0
-    """Edge of the ground's quads."""
+# Radius of the backdrop around the middle of the path; more where the path or the measured
+# surfaces reach further.
+_DISTANCE_M = 160.0
+# The backdrop stands at least this far beyond all measured surfaces.
+_MARGIN_M = 20.0
+# Width of a panel of the backdrop.
+_AZIMUTH_STEP_DEG = 0.5
+# Heights are found in steps of this.
+_LEVEL_M = 1.0
+# The backdrop ends at this height above the cameras.
+_MAX_HEIGHT_M = 90.0
+# Views that must show matter in a cell.
+_MIN_VIEWS = 2
+# Share of the views of a cell that must show matter.
+_MIN_MATTER = 0.5
+# Views of a camera that moved less than this since its last used view are skipped.
+_MIN_BASELINE_M = 2.0
+# Pixels used, along both axes.
+_EVERY_NTH_PIXEL = 2
+# The ground goes on from this distance from the path.
+_INNER_M = 30.0
+# Edge of the ground's quads.
+_GROUND_STEP_M = 4.0
 
 
 @dataclass(eq=False)
@@ -75,10 +74,9 @@ class _Backdrop:
 
 def build_far_field(
     background: TriMesh,
-    silhouettes: Iterable[tuple[CameraFrame, PinholeCamera, Float32[np.ndarray, "h w"]]],
+    silhouettes: Iterable[View],
     ground: GroundMap,
     path_m: Float[np.ndarray, "k 3"],
-    config: FarFieldConfig,
     *,
     make_caster: MakeCaster,
 ) -> TriMesh:
@@ -89,7 +87,6 @@ def build_far_field(
         silhouettes: frames with their camera (of the matte's size) and sky matte.
         ground: its heights are continued outwards.
         path_m: positions of the sensors' carrier.
-        config: settings.
         make_caster: builds the ray caster.
 
     Raises:
@@ -100,26 +97,24 @@ def build_far_field(
         raise FrameMismatchError(
             "the background lies in the wrong frame", got=background.frame, expected="world"
         )
-    backdrop = _empty_backdrop(background, path_m, config)
-    extended = _extend_ground(background, ground, path_m, backdrop, config, make_caster)
+    backdrop = _empty_backdrop(background, path_m)
+    extended = _extend_ground(background, ground, path_m, backdrop, make_caster)
     caster = make_caster([background, extended])
-    for frame, camera, matte in spaced_views(silhouettes, config.min_baseline_m):
+    for frame, camera, matte in spaced_views(silhouettes, _MIN_BASELINE_M):
         kind = classify_matte(camera, matte)
-        _look(backdrop, (frame, camera, kind), caster, config)
-    panels = _mesh_panels(backdrop, _skyline(backdrop, config), ground, config)
+        _look(backdrop, (frame, camera, kind), caster)
+    panels = _mesh_panels(backdrop, _skyline(backdrop), ground)
     return concatenate_meshes([extended, panels])
 
 
-def _empty_backdrop(
-    background: TriMesh, path_m: Float[np.ndarray, "k 3"], config: FarFieldConfig
-) -> _Backdrop:
+def _empty_backdrop(background: TriMesh, path_m: Float[np.ndarray, "k 3"]) -> _Backdrop:
     centre = 0.5 * (path_m.min(axis=0) + path_m.max(axis=0)).astype(np.float64)
     places = np.concatenate([background.vertices[:, :2].astype(np.float64), path_m[:, :2]])
     reach = float(np.linalg.norm(places - centre[:2], axis=1).max())
-    radius = max(config.distance_m, reach + config.margin_m)
+    radius = max(_DISTANCE_M, reach + _MARGIN_M)
     shape = (
-        round(360.0 / config.azimuth_step_deg),
-        int(np.ceil(config.max_height_m / config.level_m)),
+        round(360.0 / _AZIMUTH_STEP_DEG),
+        int(np.ceil(_MAX_HEIGHT_M / _LEVEL_M)),
     )
     none = np.zeros(shape, dtype=np.int64)
     low = float(path_m[:, 2].min()) - 2.0
@@ -130,11 +125,10 @@ def _look(
     backdrop: _Backdrop,
     view: tuple[CameraFrame, PinholeCamera, Float[np.ndarray, "h w"] | np.ndarray],
     caster: RayCaster,
-    config: FarFieldConfig,
 ) -> None:
     """Which cells of the backdrop one view shows as matter or as sky, each cell once."""
     frame, camera, kind = view
-    step = config.every_nth_pixel
+    step = _EVERY_NTH_PIXEL
     uv = camera.pixel_centres()[::step, ::step].reshape(-1, 2)
     kind = kind[::step, ::step].ravel()
     uv, kind = uv[kind != 0], kind[kind != 0]
@@ -151,9 +145,9 @@ def _look(
     place = offset + distance[:, None] * rays[:, :2]
     azimuth = np.degrees(np.arctan2(place[:, 1], place[:, 0])) % 360.0
     count = backdrop.matter.shape
-    i = (azimuth / config.azimuth_step_deg).astype(np.int64) % count[0]
+    i = (azimuth / _AZIMUTH_STEP_DEG).astype(np.int64) % count[0]
     height = origins[:, 2] + distance * rays[:, 2] - backdrop.low_m
-    j = np.floor(height / config.level_m).astype(np.int64)
+    j = np.floor(height / _LEVEL_M).astype(np.int64)
     # Not yet hit below the horizon: the road ahead sinks away; its far end is the lowest level.
     j = np.where(kind < 0, np.maximum(j, 0), j)
     is_inside = (j >= 0) & (j < count[1])
@@ -163,36 +157,35 @@ def _look(
         table.reshape(-1)[seen] += 1
 
 
-def _skyline(backdrop: _Backdrop, config: FarFieldConfig) -> Float64[np.ndarray, " a"]:
+def _skyline(backdrop: _Backdrop) -> Float64[np.ndarray, " a"]:
     """Height of each panel above the lowest level; 0 where nothing stands."""
     from scipy.ndimage import median_filter
 
     seen = backdrop.matter + backdrop.sky
-    is_matter = (backdrop.matter >= config.min_views) & (
-        backdrop.matter >= config.min_matter * np.maximum(seen, 1)
+    is_matter = (backdrop.matter >= _MIN_VIEWS) & (
+        backdrop.matter >= _MIN_MATTER * np.maximum(seen, 1)
     )
     levels = np.arange(is_matter.shape[1])
-    is_sky = (backdrop.sky >= config.min_views) & ~is_matter
+    is_sky = (backdrop.sky >= _MIN_VIEWS) & ~is_matter
     first_sky = np.where(is_sky.any(axis=1), is_sky.argmax(axis=1), len(levels))
     is_below = is_matter & (levels < first_sky[:, None])
     top = np.where(is_below.any(axis=1), np.where(is_below, levels + 1, 0).max(axis=1), 0)
     top = np.asarray(median_filter(top, 3, mode="wrap"))
-    return top.astype(np.float64) * config.level_m
+    return top.astype(np.float64) * _LEVEL_M
 
 
 def _mesh_panels(
     backdrop: _Backdrop,
     height_m: Float64[np.ndarray, " a"],
     ground: GroundMap,
-    config: FarFieldConfig,
 ) -> TriMesh:
     """Upright quads from below the ground to the skyline, facing the path."""
     panel = np.flatnonzero(height_m > 0)
-    angle = np.radians(config.azimuth_step_deg * np.stack([panel, panel + 1], axis=1))
+    angle = np.radians(_AZIMUTH_STEP_DEG * np.stack([panel, panel + 1], axis=1))
     xy = backdrop.centre[:2] + backdrop.radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     top = backdrop.low_m + height_m[panel]
     foot = _continued_height(ground, xy.reshape(-1, 2)).min() if len(panel) else 0.0
-    low = np.minimum(foot, top) - _STEPS_DOWN * config.level_m
+    low = np.minimum(foot, top) - _STEPS_DOWN * _LEVEL_M
     count = np.maximum(np.ceil((top - low) / _PANEL_M), 1).astype(np.int64)
     row = np.repeat(np.arange(len(panel)), count)
     part = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
@@ -210,14 +203,13 @@ def _extend_ground(
     ground: GroundMap,
     path_m: Float[np.ndarray, "k 3"],
     backdrop: _Backdrop,
-    config: FarFieldConfig,
     make_caster: MakeCaster,
 ) -> TriMesh:
     """Ground from the closed surface near the path out to the backdrop, where none was measured;
     a little lower than the map, so that measured surfaces stay in front."""
     from scipy.spatial import KDTree
 
-    step = config.ground_step_m
+    step = _GROUND_STEP_M
     count = int(np.ceil(2 * backdrop.radius_m / step)) + 1
     axis = step * (np.arange(count) - (count - 1) / 2)
     xy = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1) + backdrop.centre[:2]
@@ -231,7 +223,7 @@ def _extend_ground(
     middle = points[quads].mean(axis=1)
     is_used = np.linalg.norm(middle[:, :2] - backdrop.centre[:2], axis=1) < backdrop.radius_m
     distance, _ = KDTree(path_m[:, :2]).query(middle[:, :2])
-    is_used &= np.asarray(distance) > config.inner_m
+    is_used &= np.asarray(distance) > _INNER_M
     quads, middle = quads[is_used], middle[is_used]
     # Quads that lie wholly under measured ground are not needed.
     start = points[quads].reshape(-1, 3) + np.array([0.0, 0.0, 1.5])

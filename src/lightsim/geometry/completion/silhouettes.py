@@ -11,8 +11,10 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
 
-_SKY_ALPHA = 0.8
-_SOLID_ALPHA = 0.2
+# A pixel of at least the first shows sky, of at most the second matter; between them wires, twigs
+# and borders, which prove neither. Not measured alone.
+SKY_ALPHA = 0.8
+SOLID_ALPHA = 0.2
 
 View = tuple[CameraFrame, PinholeCamera, Float32[np.ndarray, "h w"]]
 
@@ -29,6 +31,21 @@ def spaced_views(views: Iterable[View], min_baseline_m: float) -> Iterator[View]
         yield frame, camera, matte
 
 
+def check_matte(camera: PinholeCamera, matte: Float32[np.ndarray, "h w"]) -> None:
+    """Refuse a matte of another size than the camera's.
+
+    Raises:
+        InputError: they differ.
+    """
+    if matte.shape != (camera.height_px, camera.width_px):
+        raise InputError(
+            "the sky matte and the camera differ in size",
+            where=f"camera '{camera.name}'",
+            got=f"{matte.shape[1]}x{matte.shape[0]} px",
+            expected=f"{camera.width_px}x{camera.height_px} px",
+        )
+
+
 def classify_matte(
     camera: PinholeCamera, matte: Float32[np.ndarray, "h w"], erode_px: int = 1
 ) -> Int8[np.ndarray, "h w"]:
@@ -39,15 +56,9 @@ def classify_matte(
     """
     from scipy.ndimage import minimum_filter
 
-    if matte.shape != (camera.height_px, camera.width_px):
-        raise InputError(
-            "the sky matte and the camera differ in size",
-            where=f"camera '{camera.name}'",
-            got=f"{matte.shape[1]}x{matte.shape[0]} px",
-            expected=f"{camera.width_px}x{camera.height_px} px",
-        )
+    check_matte(camera, matte)
     kind = np.zeros(matte.shape, dtype=np.int8)
-    kind[matte <= _SOLID_ALPHA] = -1
-    is_sky = np.asarray(minimum_filter(matte, 2 * erode_px + 1)) >= _SKY_ALPHA
+    kind[matte <= SOLID_ALPHA] = -1
+    is_sky = np.asarray(minimum_filter(matte, 2 * erode_px + 1)) >= SKY_ALPHA
     kind[is_sky] = 1
     return kind

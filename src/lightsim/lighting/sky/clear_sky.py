@@ -9,8 +9,6 @@ and ground albedo 0.2 shows a luminance of 1.
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -19,6 +17,7 @@ from jaxtyping import Float, Float32
 from lightsim.core.dome import SOLAR_RADIUS_DEG, SkyDome, Sun, add_sun, irradiance
 from lightsim.core.equirect import pixel_directions
 from lightsim.errors import InputError
+from lightsim.mitsuba_scene import mitsuba_with
 
 SCENE_UNITS_PER_MODEL_UNIT = 2.840
 """pi / (level luminance irradiance of the model at 45 degrees, turbidity 3, albedo 0.2)."""
@@ -75,7 +74,7 @@ def clear_sky_parts(
         "sun_aperture": _DISC_APERTURE_DEG,
     }
     upper = pixel_directions(height_px)[: height_px // 2]
-    with _scalar_mitsuba() as mitsuba:
+    with mitsuba_with("scalar_rgb") as mitsuba:
         sky = _evaluate(mitsuba, common | {"sun_scale": 0.0}, upper.reshape(-1, 3))
         disc = _evaluate(mitsuba, common | {"sky_scale": 0.0}, direction[None])
     radiance = np.zeros((height_px, 2 * height_px, 3), np.float32)
@@ -123,20 +122,6 @@ def _checked_direction(direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "
             remedy="Choose an earlier or later time, or give an HDR file as the sky.",
         )
     return unit
-
-
-@contextmanager
-def _scalar_mitsuba() -> Generator[Any]:
-    """Mitsuba with the variant that needs no LLVM; the caller's variant comes back afterwards."""
-    import mitsuba
-
-    previous = mitsuba.variant()
-    mitsuba.set_variant("scalar_rgb")
-    try:
-        yield mitsuba
-    finally:
-        if previous is not None:
-            mitsuba.set_variant(previous)
 
 
 def _evaluate(

@@ -15,7 +15,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.reading import LogReading
 from lightsim.core.sensors import CameraFrame
 from lightsim.geometry.surface import background_levels, extract_surface
-from lightsim.masks.sky import SkyMaskConfig, sky_mattes
+from lightsim.masks.sky import sky_mattes
 from lightsim.pipeline.stages.context import Context
 from lightsim.pipeline.workspace import FIELD_CONFIG_NAME, FIELD_NAME, Workspace
 from lightsim.reconstruct.field.config import NeuralConfig
@@ -51,9 +51,7 @@ def make_alignment(
     return alignment.notes
 
 
-def make_masks(
-    work: Workspace, config: SkyMaskConfig, folder: Path, context: Context
-) -> Iterable[str]:
+def make_masks(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
     """One matte a frame; those that an interrupted run left are kept."""
 
     def path_of(frame: CameraFrame) -> Path:
@@ -63,7 +61,7 @@ def make_masks(
     for camera in work.recorded_log.cameras:
         (folder / camera).mkdir(exist_ok=True)
     wanted = work.recorded_log.with_frames(missing)
-    for frame, matte in sky_mattes(wanted, config, context.progress):
+    for frame, matte in sky_mattes(wanted, context.progress):
         write_grey8(path_of(frame), np.round(matte * 255).astype(np.uint8))
     return ()
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +15,10 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import SceneAssets
-from lightsim.geometry.completion.extrude import ExtrudeConfig, infer_tall_structures
-from lightsim.geometry.completion.facades import FacadeConfig, complete_facades
-from lightsim.geometry.completion.far_field import FarFieldConfig, build_far_field
-from lightsim.geometry.completion.flatten import FlattenConfig, flatten_walls
-from lightsim.geometry.config import MeshConfig
+from lightsim.geometry.completion.extrude import infer_tall_structures
+from lightsim.geometry.completion.facades import complete_facades
+from lightsim.geometry.completion.far_field import build_far_field
+from lightsim.geometry.completion.flatten import flatten_walls
 from lightsim.geometry.mesh_scene import mesh_scene
 from lightsim.geometry.simplify import simplify_planar
 from lightsim.pipeline.stages.context import Context
@@ -29,34 +27,15 @@ from lightsim.render.casters.embree import make_embree_caster
 from lightsim.store.assets import read_mesh, write_assets, write_mesh
 
 
-@dataclass(frozen=True)
-class GeometryConfig:
-    """From fields to meshes, measured and inferred."""
-
-    mesh: MeshConfig = field(default_factory=MeshConfig)
-    """Measured surfaces."""
-    walls: FlattenConfig = field(default_factory=FlattenConfig)
-    """Their bumps on walls."""
-    facades: FacadeConfig = field(default_factory=FacadeConfig)
-    """Windows and upper facades: visible."""
-    far: FarFieldConfig = field(default_factory=FarFieldConfig)
-    """What stands beyond the LiDAR's reach: visible."""
-    tall: ExtrudeConfig = field(default_factory=ExtrudeConfig)
-    """Roofs and rear walls: they only cast shadows."""
-
-
-def make_geometry(
-    work: Workspace, config: GeometryConfig, folder: Path, context: Context
-) -> Iterable[str]:
+def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
     """Everything that has a shape, before it has a colour; casters of shadows apart."""
     log, fields = work.training_log, work.fields
     meshes = mesh_scene(
         log,
         fields,
-        config.mesh,
         make_caster=make_embree_caster,
         progress=context.progress,
-        calm=partial(flatten_walls, config=config.walls),
+        calm=flatten_walls,
     )
 
     def views() -> Iterable[tuple[CameraFrame, PinholeCamera, Float32[np.ndarray, "h w"]]]:
@@ -67,7 +46,6 @@ def make_geometry(
         background,
         views(),
         (sweep.load() for sweep in log.sweeps),
-        config.facades,
         make_caster=make_embree_caster,
     )
     background = concatenate_meshes([background, simplify_planar(facades)])
@@ -76,13 +54,11 @@ def make_geometry(
         views(),
         fields.ground,
         fields.path_m,
-        config.far,
         make_caster=make_embree_caster,
     )
     casters = infer_tall_structures(
         background,
         views(),
-        config.tall,
         make_caster=make_embree_caster,
         progress=context.progress,
     )

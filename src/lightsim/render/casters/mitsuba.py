@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import ctypes
-import os
-import re
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from functools import cache
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float
 
 from lightsim.core.casting import MakeCaster, RayHits, check_world
 from lightsim.core.mesh import TriMesh
 from lightsim.errors import InputError
+from lightsim.mitsuba_scene import Variant, columns, has_cuda, has_llvm, make_mesh, mitsuba_with
 
 MitsubaBackend = Literal["cuda", "llvm"]
-_VARIANTS: dict[MitsubaBackend, str] = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb"}
+VARIANTS: dict[MitsubaBackend, Variant] = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb"}
 _CHUNK_RAYS = 1 << 23
-_MIN_LLVM = 17
 _REMEDY: dict[MitsubaBackend, str] = {
     "cuda": "Use --backend embree, or a machine with an NVIDIA GPU and driver 535 or newer.",
     "llvm": "Use --backend embree, or set DRJIT_LIBLLVM_PATH to a libLLVM.so of version 17 or "
@@ -43,7 +38,7 @@ class MitsubaCaster:
         self._first_face = np.cumsum([0] + [len(mesh.faces) for mesh in meshes])
         self._scene: Any = None
         if self._first_face[-1]:
-            with variant_of(backend) as mitsuba:
+            with mitsuba_with(VARIANTS[backend]) as mitsuba:
                 self._scene = make_mitsuba_scene(mitsuba, self._meshes)
 
     @property
@@ -60,15 +55,15 @@ class MitsubaCaster:
             return hits
         import drjit
 
-        with variant_of(self._backend) as mitsuba:
+        with mitsuba_with(VARIANTS[self._backend]) as mitsuba:
             for start in range(0, count, _CHUNK_RAYS):
                 part = slice(start, start + _CHUNK_RAYS)
                 rays = _rays(mitsuba, origins_world[part], directions_world[part])
                 found = self._scene.ray_intersect_preliminary(rays, coherent=False)
-                columns = (found.t, found.prim_index, *found.prim_uv)
+                arrays = (found.t, found.prim_index, *found.prim_uv)
                 # All at once: each array read alone would trace the rays again.
-                drjit.eval(*columns)
-                t, face, u, v = (np.asarray(column) for column in columns)
+                drjit.eval(*arrays)
+                t, face, u, v = (np.asarray(array) for array in arrays)
                 self._fill(hits, start + np.flatnonzero(np.isfinite(t)), start, (t, face, u, v))
         return hits
 
@@ -94,7 +89,7 @@ class MitsubaCaster:
         occluded = np.zeros(len(origins_world), dtype=bool)
         if self._scene is None:
             return occluded
-        with variant_of(self._backend) as mitsuba:
+        with mitsuba_with(VARIANTS[self._backend]) as mitsuba:
             for start in range(0, len(origins_world), _CHUNK_RAYS):
                 part = slice(start, start + _CHUNK_RAYS)
                 rays = _rays(mitsuba, origins_world[part], directions_world[part])
@@ -127,7 +122,7 @@ def mitsuba_caster_maker(backend: MitsubaBackend) -> MakeCaster:
 def is_usable(backend: MitsubaBackend) -> bool:
     """Whether Mitsuba can trace a ray with it; LLVM only where DRJIT_LIBLLVM_PATH names one of
     at least version 17, since older ones may end the process."""
-    if not (_has_cuda() if backend == "cuda" else _has_llvm()):
+    if not (has_cuda() if backend == "cuda" else has_llvm()):
         return False
     triangle = TriMesh(
         "world",
@@ -143,37 +138,6 @@ def is_usable(backend: MitsubaBackend) -> bool:
     return bool(found.is_hit[0])
 
 
-def _has_cuda() -> bool:
-    # Asked of the driver itself: Dr.Jit ends the process where a variant needs one and finds none.
-    try:
-        driver = ctypes.CDLL("libcuda.so.1")
-    except OSError:
-        return False
-    count = ctypes.c_int(0)
-    return driver.cuInit(0) == 0 and driver.cuDeviceGetCount(ctypes.byref(count)) == 0 < count.value
-
-
-def _has_llvm() -> bool:
-    path = Path(os.environ.get("DRJIT_LIBLLVM_PATH", ""))
-    version = re.search(r"LLVM(?:-|\.so\.)(\d+)", path.name)
-    return path.is_file() and version is not None and int(version.group(1)) >= _MIN_LLVM
-
-
-@contextmanager
-def variant_of(backend: MitsubaBackend) -> Generator[Any]:
-    """Mitsuba with the backend's variant; the caller's variant comes back afterwards."""
-    import mitsuba
-
-    previous = mitsuba.variant()
-    if previous != _VARIANTS[backend]:
-        mitsuba.set_variant(_VARIANTS[backend])
-    try:
-        yield mitsuba
-    finally:
-        if previous is not None and previous != _VARIANTS[backend]:
-            mitsuba.set_variant(previous)
-
-
 def make_mitsuba_scene(mitsuba: Any, meshes: Sequence[TriMesh]) -> Any:
     """One shape of all meshes, in Mitsuba's present variant; there must be faces."""
     first_vertex = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
@@ -181,20 +145,12 @@ def make_mitsuba_scene(mitsuba: Any, meshes: Sequence[TriMesh]) -> Any:
     faces = np.concatenate(
         [mesh.faces + first for mesh, first in zip(meshes, first_vertex[:-1], strict=True)]
     )
-    shape = mitsuba.Mesh("scene", len(vertices), len(faces))
-    parameters = mitsuba.traverse(shape)
-    parameters["vertex_positions"] = mitsuba.Float(vertices.ravel())
-    parameters["faces"] = mitsuba.UInt32(faces.astype(np.uint32).ravel())
-    parameters.update()
+    parameters = {"vertex_positions": vertices, "faces": faces.astype(np.uint32)}
+    shape = make_mesh(mitsuba, "scene", parameters)
     return mitsuba.load_dict({"type": "scene", "shape": shape})
 
 
 def _rays(
     mitsuba: Any, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
 ) -> Any:
-    return mitsuba.Ray3f(_columns(mitsuba, origins), _columns(mitsuba, directions))
-
-
-def _columns(mitsuba: Any, rows: Float[np.ndarray, "n 3"]) -> Any:
-    values: Float32[np.ndarray, "3 n"] = np.ascontiguousarray(rows.T, dtype=np.float32)
-    return mitsuba.Point3f(*(mitsuba.Float(column) for column in values))
+    return mitsuba.Ray3f(columns(mitsuba, origins), columns(mitsuba, directions))

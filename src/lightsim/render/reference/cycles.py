@@ -24,7 +24,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import LightSimError, MissingDependencyError
-from lightsim.render.reference.mitsuba_scene import CornerMesh, corner_mesh
+from lightsim.render.reference.corner_mesh import CornerMesh, corner_mesh
 from lightsim.render.reference.path_tracer import camera_pose
 from lightsim.render.reference.renderer import Picture, Shot
 from lightsim.render.scene import FrameScene, StaticScene

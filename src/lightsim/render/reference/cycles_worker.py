@@ -54,7 +54,7 @@ class Worker:
         """Being asked this proves that bpy works."""
 
     def do_mesh(self, request: dict[str, Any]) -> None:
-        """Add a mesh from a .npz file of a `mitsuba_scene.CornerMesh`."""
+        """Add a mesh from a .npz file of a `corner_mesh.CornerMesh`."""
         name = request["name"]
         with np.load(request["path"]) as arrays:
             mesh = _mesh(self.bpy, name, arrays)

@@ -16,14 +16,16 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import FrameMismatchError
-from lightsim.render.reference.mitsuba_scene import (
-    as_albedo,
+from lightsim.mitsuba_scene import (
+    Variant,
     choose_variant,
-    corner_mesh,
-    mitsuba_mesh,
-    mitsuba_sky,
-    mitsuba_sun,
+    environment_map,
+    mitsuba_with,
+    path_traced,
+    rows_at_poles,
+    sun_disc,
 )
+from lightsim.render.reference.corner_mesh import as_albedo, corner_mesh, mitsuba_mesh
 from lightsim.render.reference.renderer import Picture, Shot
 from lightsim.render.scene import FrameScene, StaticScene
 
@@ -32,14 +34,12 @@ _MAX_PATHS = 1 << 22
 _NEAR_CENTRE_PX = (0.503, 0.498)
 """Mitsuba's rays can slip through where two faces meet: pixel centres of level cameras over
 gridded meshes lie on such edges in whole rows."""
-_NO_ROULETTE = 10_000
 _STEP_BACK = 1e-4
 _STEP_BACK_M = 1e-3
 
 
 class PathTracer:
-    """Takes shots with Mitsuba's `path` integrator (next-event estimation with multiple
-    importance sampling; Veach & Guibas 1995).
+    """Takes shots with Mitsuba's `path` integrator (`mitsuba_scene.path_traced`).
 
     Camera rays are cast by the scene's own caster and handed to Mitsuba just before the surface
     that they see: so inferred meshes stay invisible to cameras, and rolling shutters and principal
@@ -49,11 +49,8 @@ class PathTracer:
         variant: of Mitsuba; None for the fastest that runs (`mitsuba_scene.choose_variant`).
     """
 
-    def __init__(self, variant: str | None = None) -> None:
-        import mitsuba
-
-        self.variant = variant or choose_variant()
-        self._mi: Any = mitsuba
+    def __init__(self, variant: Variant | None = None) -> None:
+        self.variant: Variant = variant or choose_variant()
         self._static: StaticScene | None = None
         self._static_bodies: dict[bool, dict[str, Any]] = {}
         self._scene: FrameScene | None = None
@@ -74,16 +71,16 @@ class PathTracer:
         Raises:
             FrameMismatchError: the pose does not map `camera` to `world`.
         """
-        self._mi.set_variant(self.variant)
         images = []
-        for number, shot in enumerate(shots):
-            bodies = self._bodies(scene, shot.surfaces == "principled")
-            world = self._world(bodies, shot, camera_pose(view).translation_m)
-            job = _Job(world, scene, camera, view, shot, seed + 7919 * number)
-            images.append(self._image(job))
+        with mitsuba_with(self.variant) as mi:
+            for number, shot in enumerate(shots):
+                bodies = self._bodies(mi, scene, shot.surfaces == "principled")
+                world = _world(mi, bodies, shot, camera_pose(view).translation_m)
+                job = _Job(mi, world, scene, camera, view, shot, seed + 7919 * number)
+                images.append(self._image(job))
         return images
 
-    def _bodies(self, scene: FrameScene, is_principled: bool) -> dict[str, Any]:
+    def _bodies(self, mi: Any, scene: FrameScene, is_principled: bool) -> dict[str, Any]:
         """Mitsuba meshes of the scene; those of the static part are kept for later frames."""
         static = scene.static
         if static is not self._static:
@@ -91,45 +88,14 @@ class PathTracer:
         if scene is not self._scene:
             self._scene, self._actor_bodies = scene, {}
         if is_principled not in self._static_bodies:
-            self._static_bodies[is_principled] = self._converted(
-                "static", static.meshes, static.normals, is_principled
+            self._static_bodies[is_principled] = _converted(
+                mi, "static", static.meshes, static.normals, is_principled
             )
         if is_principled not in self._actor_bodies:
-            self._actor_bodies[is_principled] = self._converted(
-                "actor", scene.actors, scene.actor_normals, is_principled
+            self._actor_bodies[is_principled] = _converted(
+                mi, "actor", scene.actors, scene.actor_normals, is_principled
             )
         return self._static_bodies[is_principled] | self._actor_bodies[is_principled]
-
-    def _converted(
-        self,
-        name: str,
-        meshes: Sequence[TriMesh],
-        normals: Sequence[Float32[np.ndarray, "_ 3"]],
-        is_principled: bool,
-    ) -> dict[str, Any]:
-        """Mitsuba meshes by name; empty ones are left out."""
-        return {
-            f"{name}{k}": mitsuba_mesh(self._mi, f"{name}{k}", corner_mesh(mesh, n), is_principled)
-            for k, (mesh, n) in enumerate(zip(meshes, normals, strict=True))
-            if len(mesh.faces)
-        }
-
-    def _world(self, bodies: dict[str, Any], shot: Shot, around: Float[np.ndarray, "3"]) -> Any:
-        rest, sun = split_sun(shot.dome)
-        description: dict[str, Any] = {
-            "type": "scene",
-            "integrator": {
-                "type": "path",
-                "max_depth": shot.bounces + 2,
-                "rr_depth": _NO_ROULETTE,
-            },
-            **bodies,
-        }
-        if shot.has_sky:
-            description["sky"] = mitsuba_sky(self._mi, rest)
-        if shot.has_sun and sun is not None:
-            description["sun"] = mitsuba_sun(self._mi, sun, around)
-        return self._mi.load_dict(description)
 
     def _image(self, job: _Job) -> Float32[np.ndarray, "h w 3"]:
         """Bands of rows, and passes, of at most _MAX_PATHS paths."""
@@ -161,7 +127,7 @@ class PathTracer:
         start = np.maximum(distance * (1 - _STEP_BACK) - _STEP_BACK_M, 0.0)
         points = origins[seen] + start * directions[seen]
         found = self._radiance(
-            job.world,
+            job,
             np.repeat(points, repeat, axis=0),
             np.repeat(directions[seen], repeat, axis=0),
             int(rng.integers(1 << 31)),
@@ -174,13 +140,13 @@ class PathTracer:
 
     def _radiance(
         self,
-        world: Any,
+        job: _Job,
         origins: Float[np.ndarray, "n 3"],
         directions: Float[np.ndarray, "n 3"],
         seed: int,
     ) -> Float[np.ndarray, "n 3"]:
         """Radiance along rays, one path each."""
-        mi = self._mi
+        mi, world = job.mi, job.world
         if len(origins) == 0:
             return np.zeros((0, 3))
         integrator = world.integrator()
@@ -202,14 +168,40 @@ class PathTracer:
 
 @dataclass(frozen=True, eq=False)
 class _Job:
-    """A shot with the Mitsuba scene it is taken of."""
+    """A shot with Mitsuba and the scene it is taken of."""
 
+    mi: Any
     world: Any
     scene: FrameScene
     camera: PinholeCamera
     view: CameraFrame | RigidTransform
     shot: Shot
     seed: int
+
+
+def _converted(
+    mi: Any,
+    name: str,
+    meshes: Sequence[TriMesh],
+    normals: Sequence[Float32[np.ndarray, "_ 3"]],
+    is_principled: bool,
+) -> dict[str, Any]:
+    """Mitsuba meshes by name; empty ones are left out."""
+    return {
+        f"{name}{k}": mitsuba_mesh(mi, f"{name}{k}", corner_mesh(mesh, n), is_principled)
+        for k, (mesh, n) in enumerate(zip(meshes, normals, strict=True))
+        if len(mesh.faces)
+    }
+
+
+def _world(mi: Any, bodies: dict[str, Any], shot: Shot, around: Float[np.ndarray, "3"]) -> Any:
+    rest, sun = split_sun(shot.dome)
+    lights: dict[str, Any] = {}
+    if shot.has_sky:
+        lights["sky"] = environment_map(mi, rows_at_poles(rest))
+    if shot.has_sun and sun is not None:
+        lights["sun"] = sun_disc(mi, sun, around)
+    return path_traced(mi, bodies | lights, shot.bounces)
 
 
 def pixel_rays(
@@ -262,7 +254,7 @@ def _pixel_points(
 def _base_colour(
     scene: FrameScene, hits: RayHits, rows: Int64[np.ndarray, " k"]
 ) -> Float[np.ndarray, "k 3"]:
-    """Base colour of the surfaces that rays meet, as `mitsuba_scene` gives it to Mitsuba."""
+    """Base colour of the surfaces that rays meet, as `corner_mesh` gives it to Mitsuba."""
     colour = np.ones((len(rows), 3))
     mesh_index = hits.mesh_index[rows]
     for k, mesh in enumerate(scene.camera_meshes):

@@ -7,17 +7,18 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32
+from jaxtyping import Float32
 
 from lightsim.core.dome import Sun
 from lightsim.core.mesh import TriMesh
 from lightsim.errors import InputError
+from lightsim.mitsuba_scene import columns, mitsuba_with
 from lightsim.render.casters.embree import offset_origins
 from lightsim.render.casters.mitsuba import (
+    VARIANTS,
     MitsubaBackend,
     is_usable,
     make_mitsuba_scene,
-    variant_of,
 )
 from lightsim.render.transport.faces import FaceSamples, TransportConfig, hashed_shifts
 from lightsim.render.transport.sun import PATTERNS, disc_patterns
@@ -56,16 +57,16 @@ class DeviceSunRays:
         self._rays_each = (config.sun_rays, faces.sun_points_world.shape[1])
         chosen = hashed_shifts(np.arange(self.pixel_count), 7)[:, 0] * PATTERNS
         starts = offset_origins(points_world, normals_world, config.origin_offset_m)
-        with variant_of(backend) as mitsuba:
+        with mitsuba_with(VARIANTS[backend]) as mitsuba:
             has_faces = any(len(mesh.faces) for mesh in meshes)
             self._scene: Any = make_mitsuba_scene(mitsuba, meshes) if has_faces else None
-            self._starts: Any = _columns(mitsuba, starts)
-            self._normals: Any = _columns(mitsuba, normals_world)
+            self._starts: Any = columns(mitsuba, starts)
+            self._normals: Any = columns(mitsuba, normals_world)
             self._first_direction: Any = mitsuba.UInt32(
                 chosen.astype(np.uint32) * np.uint32(config.sun_rays)
             )
-            self._face_points: Any = _columns(mitsuba, faces.sun_points_world.reshape(-1, 3))
-            self._face_normals: Any = _columns(mitsuba, faces.normals_world)
+            self._face_points: Any = columns(mitsuba, faces.sun_points_world.reshape(-1, 3))
+            self._face_normals: Any = columns(mitsuba, faces.normals_world)
 
     @property
     def held_bytes(self) -> int:
@@ -83,8 +84,8 @@ class DeviceSunRays:
         count = self._rays_each[0]
         if self.pixel_count == 0 or self._scene is None:
             return self._without_rays(self.pixel_count)
-        with variant_of(self._backend) as mitsuba:
-            disc = _columns(mitsuba, disc_patterns(sun, count).reshape(-1, 3))
+        with mitsuba_with(VARIANTS[self._backend]) as mitsuba:
+            disc = columns(mitsuba, disc_patterns(sun, count).reshape(-1, 3))
 
             def ray(number: Any) -> Any:
                 towards = drjit.gather(type(disc), disc, self._first_direction + number)
@@ -100,8 +101,8 @@ class DeviceSunRays:
         count = self._rays_each[1]
         if self.face_count == 0 or self._scene is None:
             return torch.zeros(self.face_count, device=self.device)
-        with variant_of(self._backend) as mitsuba:
-            towards = _columns(mitsuba, sun.direction_world[None])
+        with mitsuba_with(VARIANTS[self._backend]) as mitsuba:
+            towards = columns(mitsuba, sun.direction_world[None])
             first = drjit.arange(mitsuba.UInt32, self.face_count) * count
 
             def ray(number: Any) -> Any:
@@ -170,7 +171,7 @@ def _torch_device(backend: MitsubaBackend) -> torch.device:
         )
     import drjit
 
-    with variant_of(backend) as mitsuba:
+    with mitsuba_with(VARIANTS[backend]) as mitsuba:
         sample = mitsuba.Float(np.zeros(1, dtype=np.float32))
         drjit.sync_thread()
         device = sample.torch().device
@@ -178,15 +179,8 @@ def _torch_device(backend: MitsubaBackend) -> torch.device:
     return device
 
 
-def _columns(mitsuba: Any, rows: Float[np.ndarray, "n 3"]) -> Any:
-    """As Mitsuba keeps vectors: three arrays. Read from memory, so never part of a kernel's text,
-    which would be compiled anew for every sun."""
-    values = np.ascontiguousarray(np.asarray(rows, dtype=np.float32).T)
-    return mitsuba.Vector3f(*(mitsuba.Float(column) for column in values))
-
-
 def _cosine(mitsuba: Any, normals: Any, sun: Sun) -> Any:
     import drjit
 
     unit = sun.direction_world / np.linalg.norm(sun.direction_world)
-    return drjit.maximum(drjit.dot(normals, _columns(mitsuba, unit[None])), 0.0)
+    return drjit.maximum(drjit.dot(normals, columns(mitsuba, unit[None])), 0.0)
