@@ -233,11 +233,12 @@ def _node_matrix(node: dict[str, Any]) -> Float64[np.ndarray, "4 4"]:
     if "matrix" in node:
         matrix = np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
     else:
-        quaternion = np.array(node.get("rotation", [0.0, 0.0, 0.0, 1.0]), dtype=np.float64)
-        if not (np.abs(quaternion) < 2.0).all():
-            raise ValueError("a node's rotation is no unit quaternion")
         matrix = np.eye(4)
-        matrix[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
+        if "rotation" in node:
+            quaternion = np.array(node["rotation"], dtype=np.float64)
+            if not (np.abs(quaternion) < 2.0).all():
+                raise ValueError("a node's rotation is no unit quaternion")
+            matrix[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
         matrix[:3, :3] *= np.array(node.get("scale", [1.0] * 3), dtype=np.float64)
         matrix[:3, 3] = np.array(node.get("translation", [0.0] * 3), dtype=np.float64)
     if not np.isfinite(matrix).all():
