@@ -39,6 +39,14 @@ def test_quaternion_round_trip(transform: RigidTransform) -> None:
     np.testing.assert_allclose(matrices_from_quaternions(q[None])[0], transform.rotation, atol=1e-9)
 
 
+def test_quaternions_have_their_scalar_first() -> None:
+    """By the definition: q v q* with q = (cos 30 deg, sin 30 deg about z) turns x by 60 degrees."""
+    q = np.array([np.cos(np.pi / 6), 0.0, 0.0, np.sin(np.pi / 6)])
+    rotation = matrices_from_quaternions(q[None])[0]
+    np.testing.assert_allclose(rotation[:, 0], [0.5, np.sqrt(0.75), 0.0], atol=1e-12)
+    np.testing.assert_allclose(quaternion_from_matrix(rotation), q, atol=1e-12)
+
+
 def test_unequal_inner_frames_are_refused() -> None:
     a = RigidTransform.identity("world", "ego")
     with pytest.raises(FrameMismatchError, match="'ego' and 'world'"):

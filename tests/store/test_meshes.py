@@ -297,6 +297,8 @@ _BREAKAGES = [
     (lambda d: d["bufferViews"][1].update(byteOffset=10**6), "runs past"),
     (lambda d: d["nodes"][1].update(children=[0]), "loop"),
     (lambda d: d["nodes"][0].update(matrix=[1.0]), "reshape"),
+    (lambda d: d["nodes"][1].update(rotation=[1e200] * 4), "no unit quaternion"),
+    (lambda d: d["nodes"][1].update(rotation=[0.0] * 4), "zero norm"),
     (lambda d: d["meshes"][0]["primitives"][0].update(mode=5), "strips"),
     (lambda d: d["meshes"][0]["primitives"][0].update(mode=0), "no triangles"),
     (lambda d: d.pop("meshes"), "meshes"),

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int64
+from scipy.spatial.transform import Rotation
 
 from lightsim.errors import FrameMismatchError, InputError, OutOfRangeError
 
@@ -136,26 +137,18 @@ def points_rotated(
 def turned_by(
     vectors: Float[np.ndarray, "n 3"], rotation_vectors_rad: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Each vector turned about its own axis by its own angle (Rodrigues' formula)."""
-    angle = np.linalg.norm(rotation_vectors_rad, axis=1, keepdims=True)
-    axis = rotation_vectors_rad / np.where(angle > 1e-15, angle, 1.0)
-    along = (vectors * axis).sum(axis=1, keepdims=True) * axis
-    across = np.cross(axis, vectors)
-    return vectors * np.cos(angle) + across * np.sin(angle) + along * (1.0 - np.cos(angle))
+    """Each vector turned about its own axis by its own angle."""
+    return Rotation.from_rotvec(rotation_vectors_rad).apply(vectors)
 
 
 def rotation_from_vector(rotation_vector_rad: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """The matrix that turns about `rotation_vector_rad` by its length."""
-    return turned_by(np.eye(3), np.tile(rotation_vector_rad, (3, 1))).T
+    return Rotation.from_rotvec(rotation_vector_rad).as_matrix()
 
 
 def vector_from_rotation(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
     """Axis times angle of a rotation, angle in [0, pi]."""
-    w, *axis = quaternion_from_matrix(rotation)
-    sine = float(np.linalg.norm(axis))
-    if sine < 1e-15:
-        return np.zeros(3)
-    return np.array(axis) / sine * 2.0 * np.arctan2(sine, w)
+    return Rotation.from_matrix(rotation).as_rotvec()
 
 
 def matrices_from_quaternions(
@@ -166,48 +159,20 @@ def matrices_from_quaternions(
     Raises:
         InputError: a quaternion is not finite or has zero length.
     """
-    norm = np.linalg.norm(quaternions_wxyz, axis=1, keepdims=True)
-    is_bad = ~np.isfinite(norm[:, 0]) | (norm[:, 0] < 1e-9)
+    norm = np.linalg.norm(quaternions_wxyz, axis=1)
+    is_bad = ~np.isfinite(norm) | (norm < 1e-9)
     if is_bad.any():
         raise InputError(
             "a quaternion is not finite or has zero length",
             got=quaternions_wxyz[is_bad][0].tolist(),
             expected="finite (w, x, y, z) that are not all 0",
         )
-    w, x, y, z = (quaternions_wxyz / norm).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows, dtype=np.float64), -1, 0)
+    return Rotation.from_quat(np.roll(quaternions_wxyz, -1, axis=1)).as_matrix()
 
 
 def quaternion_from_matrix(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
-    """(w, x, y, z) quaternion of a rotation, w >= 0.
-
-    The eigenvector form is stable for every angle (Bar-Itzhack 2000, doi:10.2514/2.4654).
-    """
-    m = rotation
-    k = (
-        np.array(
-            [
-                [m[0, 0] + m[1, 1] + m[2, 2], 0, 0, 0],
-                [m[2, 1] - m[1, 2], m[0, 0] - m[1, 1] - m[2, 2], 0, 0],
-                [m[0, 2] - m[2, 0], m[1, 0] + m[0, 1], m[1, 1] - m[0, 0] - m[2, 2], 0],
-                [
-                    m[1, 0] - m[0, 1],
-                    m[0, 2] + m[2, 0],
-                    m[2, 1] + m[1, 2],
-                    m[2, 2] - m[0, 0] - m[1, 1],
-                ],
-            ]
-        )
-        / 3.0
-    )
-    _, vectors = np.linalg.eigh(k, UPLO="L")
-    quaternion = vectors[:, -1]
-    return quaternion if quaternion[0] >= 0 else -quaternion
+    """(w, x, y, z) quaternion of a rotation, w >= 0."""
+    return np.roll(Rotation.from_matrix(rotation).as_quat(canonical=True), 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,21 +244,7 @@ class Trajectory:
         before, after = self.matrices[j - 1], self.matrices[j]
         span = int(self.times_ns[j] - self.times_ns[j - 1])
         fraction = int(time_ns - self.times_ns[j - 1]) / span
-        rotation = _slerp(before[:3, :3], after[:3, :3], fraction)
+        turn = vector_from_rotation(before[:3, :3].T @ after[:3, :3])
+        rotation = before[:3, :3] @ rotation_from_vector(fraction * turn)
         translation = (1 - fraction) * before[:3, 3] + fraction * after[:3, 3]
         return RigidTransform.from_rotation(self.dst, self.src, rotation, translation)
-
-
-def _slerp(
-    start: Float[np.ndarray, "3 3"], end: Float[np.ndarray, "3 3"], fraction: float
-) -> Float[np.ndarray, "3 3"]:
-    q0, q1 = quaternion_from_matrix(start), quaternion_from_matrix(end)
-    cosine = float(q0 @ q1)
-    if cosine < 0:
-        q1, cosine = -q1, -cosine
-    angle = np.arccos(min(cosine, 1.0))
-    if angle < 1e-7:
-        q = (1 - fraction) * q0 + fraction * q1
-    else:
-        q = (np.sin((1 - fraction) * angle) * q0 + np.sin(fraction * angle) * q1) / np.sin(angle)
-    return matrices_from_quaternions(q[None])[0]

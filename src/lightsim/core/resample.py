@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float, Float32
+from scipy.sparse import csr_matrix
 
 
 def resize_area(
@@ -11,15 +12,21 @@ def resize_area(
 ) -> Float32[np.ndarray, "h w c"]:
     """Mean over the area that each new pixel covers (box filter); the mean is kept.
 
-    Whole factors are plain block means; others go through the summed rows and columns.
+    Whole factors are plain block means.
     """
     height, width, channels = image.shape
     if height % height_px == 0 and width % width_px == 0:
         fy, fx = height // height_px, width // width_px
         blocks = image.reshape(height_px, fy, width_px, fx, channels)
         return blocks.mean(axis=(1, 3), dtype=np.float32)
-    rows = _average_axis(image.astype(np.float32), height_px, 0)
-    return _average_axis(rows, width_px, 1)
+    rows, columns = (
+        csr_matrix(_overlaps(np.linspace(0, 1, old + 1), np.linspace(0, 1, new + 1)))
+        for old, new in ((height, height_px), (width, width_px))
+    )
+    flat = rows @ image.reshape(height, -1)
+    across = flat.reshape(height_px, width, channels).swapaxes(0, 1).reshape(width, -1)
+    result = (columns @ across).reshape(width_px, height_px, channels).swapaxes(0, 1)
+    return np.ascontiguousarray(result, dtype=np.float32)
 
 
 def resize_sphere(
@@ -66,22 +73,3 @@ def _look_ups(old: int, new: int, is_around: bool) -> Float[np.ndarray, "n o"]:
     np.add.at(weights, (row, left % old), (1 - part) / 4)
     np.add.at(weights, (row, (left + 1) % old), part / 4)
     return weights
-
-
-def _average_axis(
-    image: Float32[np.ndarray, "a b c"], size: int, axis: int
-) -> Float32[np.ndarray, "h w c"]:
-    """Box average along one axis by differences of the interpolated running sum."""
-    old = image.shape[axis]
-    running = np.concatenate(
-        [
-            np.zeros_like(image.take([0], axis), dtype=np.float64),
-            np.cumsum(image, axis, np.float64),
-        ],
-        axis,
-    )
-    edges = np.linspace(0.0, old, size + 1)
-    low = np.minimum(edges.astype(np.int64), old - 1)
-    part = (edges - low).reshape([-1 if k == axis else 1 for k in range(3)])
-    at_edges = running.take(low, axis) * (1 - part) + running.take(low + 1, axis) * part
-    return (np.diff(at_edges, axis=axis) * (size / old)).astype(np.float32)

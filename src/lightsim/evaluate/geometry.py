@@ -269,6 +269,8 @@ def _distances_m(
     rng: np.random.Generator,
 ) -> Float[np.ndarray, " n"]:
     """Distance from points on `mesh` to the surface of `other`."""
+    from trimesh.triangles import closest_point
+
     radius = config.seen_within_m
     points = _sample_near(mesh, config.samples, seen, radius, rng)[0]
     if seen is not None and is_truth and len(points):
@@ -286,7 +288,8 @@ def _distances_m(
     nearest = KDTree(support).query(points, k=8, workers=1)[1]
     best = np.full(len(points), np.inf)
     for column in np.asarray(nearest).T:
-        best = np.minimum(best, _point_triangle_distance(points, corners[faces[column]]))
+        on_face = closest_point(corners[faces[column]], points)
+        best = np.minimum(best, np.linalg.norm(on_face - points, axis=1))
     return best
 
 
@@ -343,25 +346,3 @@ def sample_surface(
     u, v = np.where(is_outside, 1 - u, u), np.where(is_outside, 1 - v, v)
     points = corners[faces, 0] + u[:, None] * edges[faces, 0] + v[:, None] * edges[faces, 1]
     return points, faces
-
-
-def _point_triangle_distance(
-    points: Float[np.ndarray, "n 3"], corners: Float[np.ndarray, "n 3 3"]
-) -> Float[np.ndarray, " n"]:
-    """Distance of each point to its own triangle: to the plane if it projects inside, else to
-    the nearest edge."""
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    normal = normal / np.where(length > 0, length, 1.0)
-    is_inside = length[:, 0] > 0
-    to_edges = np.full(len(points), np.inf)
-    for i in range(3):
-        start, edge = corners[:, i], corners[:, (i + 1) % 3] - corners[:, i]
-        offset = points - start
-        is_inside &= np.einsum("nc,nc->n", np.cross(edge, offset), normal) >= 0
-        squared = np.maximum(np.einsum("nc,nc->n", edge, edge), 1e-30)
-        along = np.clip(np.einsum("nc,nc->n", offset, edge) / squared, 0.0, 1.0)
-        distance = np.linalg.norm(offset - along[:, None] * edge, axis=1)
-        to_edges = np.minimum(to_edges, distance)
-    to_plane = np.abs(np.einsum("nc,nc->n", points - corners[:, 0], normal))
-    return np.where(is_inside, to_plane, to_edges)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
+from numpy.lib.stride_tricks import sliding_window_view
 from PIL import Image
 
 from lightsim.core.camera import PinholeCamera
@@ -87,11 +88,10 @@ def _outline(reward: Float64[np.ndarray, "h w"], max_step_px: int) -> Int64[np.n
     best[:, 0] = reward[:, 0]
     rows = np.arange(height)
     for column in range(1, width):
-        candidates = np.stack(
-            [_shifted(best[:, column - 1], step) for step in range(-max_step_px, max_step_px + 1)]
-        )
-        choice = np.argmax(candidates, axis=0)
-        best[:, column] = candidates[choice, rows] + reward[:, column]
+        padded = np.pad(best[:, column - 1], max_step_px, constant_values=-np.inf)
+        candidates = sliding_window_view(padded, 2 * max_step_px + 1)
+        choice = np.argmax(candidates, axis=1)
+        best[:, column] = candidates[rows, choice] + reward[:, column]
         origin[:, column] = rows + choice - max_step_px
     path = np.empty(width, dtype=np.int64)
     path[-1] = int(np.argmax(best[:, -1]))
@@ -100,20 +100,11 @@ def _outline(reward: Float64[np.ndarray, "h w"], max_step_px: int) -> Int64[np.n
     return path
 
 
-def _shifted(values: Float64[np.ndarray, " h"], step: int) -> Float64[np.ndarray, " h"]:
-    """`values[i + step]`, minus infinity beyond the ends."""
-    shifted = np.full_like(values, -np.inf)
-    rows = np.arange(len(values))
-    is_inside = (rows + step >= 0) & (rows + step < len(values))
-    shifted[is_inside] = values[rows[is_inside] + step]
-    return shifted
-
-
 def _grown_upwards(mask: Bool[np.ndarray, "h w"], n_px: int) -> Bool[np.ndarray, "h w"]:
-    grown = mask.copy()
-    for shift in range(1, n_px + 1):
-        grown[:-shift] |= mask[shift:]
-    return grown
+    from scipy.ndimage import maximum_filter1d
+
+    size = n_px + 1
+    return maximum_filter1d(mask, size, axis=0, mode="constant", origin=-(size // 2))
 
 
 def ego_vehicle_masks(

@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int32, Shaped, UInt8
+from jaxtyping import Float32, Float64, Int32, Shaped, UInt8
+from scipy.spatial.transform import Rotation
 
 from lightsim.core.mesh import Material
 from lightsim.store.images import decode_srgb8
@@ -232,21 +233,14 @@ def _node_matrix(node: dict[str, Any]) -> Float64[np.ndarray, "4 4"]:
     if "matrix" in node:
         matrix = np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
     else:
-        x, y, z, w = np.array(node.get("rotation", [0.0, 0.0, 0.0, 1.0]), dtype=np.float64)
         matrix = np.eye(4)
-        matrix[:3, :3] = _rotation(float(x), float(y), float(z), float(w))
+        if "rotation" in node:
+            quaternion = np.array(node["rotation"], dtype=np.float64)
+            if not (np.abs(quaternion) < 2.0).all():
+                raise ValueError("a node's rotation is no unit quaternion")
+            matrix[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
         matrix[:3, :3] *= np.array(node.get("scale", [1.0] * 3), dtype=np.float64)
         matrix[:3, 3] = np.array(node.get("translation", [0.0] * 3), dtype=np.float64)
     if not np.isfinite(matrix).all():
         raise ValueError("a node's transform is not finite")
     return matrix
-
-
-def _rotation(x: float, y: float, z: float, w: float) -> Float[np.ndarray, "3 3"]:
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
+from scipy.spatial.transform import Rotation
 
 from lightsim.core.equirect import sample_bilinear
 from lightsim.training import grids
@@ -160,11 +161,7 @@ def _sees(
 
 def _rotation(yaw: float, pitch: float, roll: float) -> Float[np.ndarray, "3 3"]:
     """Columns: forward, left and up of a body turned by yaw, then pitched up, then rolled."""
-    cy, sy, cp, sp, cr, sr = (f(x) for x in (yaw, pitch, roll) for f in (np.cos, np.sin))
-    turn = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
-    tilt = np.array([[cp, 0.0, -sp], [0.0, 1.0, 0.0], [sp, 0.0, cp]])
-    lean = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    return turn @ tilt @ lean
+    return Rotation.from_euler("ZYX", [yaw, -pitch, roll]).as_matrix()
 
 
 def _border_noise(height_px: int, rng: np.random.Generator) -> Float32[np.ndarray, " p"]:

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
+from lightsim.core.laplace import nearest_known
 from lightsim.core.mesh import TriMesh
 from lightsim.geometry.completion.walls import Wall, find_walls
 
@@ -106,7 +107,7 @@ def _smooth_height_m(
     wanted: Float64[np.ndarray, "2 m"],
 ) -> Float64[np.ndarray, " m"]:
     """Running median of heights over a plane, at the wanted places; cells are of size 1."""
-    from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
+    from scipy.ndimage import gaussian_filter, map_coordinates
 
     index = cell.astype(np.int64)
     shape = (int(index[0].max()) + 1, int(index[1].max()) + 1)
@@ -120,7 +121,5 @@ def _smooth_height_m(
     is_known = np.isfinite(medians)
     level = np.zeros(shape)
     level[is_known] = np.nanmedian(windows[is_known].reshape(len(found), -1), axis=1)
-    nearest = distance_transform_edt(~is_known, return_distances=False, return_indices=True)
-    row, column = np.asarray(nearest)
-    level = gaussian_filter(level[row, column], 1.0, mode="nearest")
+    level = gaussian_filter(nearest_known(level, is_known), 1.0, mode="nearest")
     return np.asarray(map_coordinates(level, wanted - 0.5, order=1, mode="nearest"))

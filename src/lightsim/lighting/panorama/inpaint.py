@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from lightsim.core.colour import linear_from_srgb, srgb_from_linear
 from lightsim.core.equirect import pixel_directions, sample_bilinear
-from lightsim.core.laplace import fill_smoothly
+from lightsim.core.laplace import fill_smoothly, nearest_known
 from lightsim.core.resample import resize_area
 from lightsim.errors import InputError
 
@@ -96,11 +96,8 @@ def fill_by_nearest(
     """Every hole pixel the colour of the nearest seen one, in pixels, wrapped sideways."""
     margin = ldr.shape[1] // 2
     known = np.pad(is_seen, ((0, 0), (margin, margin)), mode="wrap")
-    nearest = np.asarray(
-        ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    )
     around = np.pad(ldr, ((0, 0), (margin, margin), (0, 0)), mode="wrap")
-    return around[nearest[0], nearest[1]][:, margin:-margin]
+    return nearest_known(around, known)[:, margin:-margin]
 
 
 def fill_by_rows(
