@@ -51,12 +51,15 @@ class Delit:
         visibility: of the sun, at each vertex, as found.
         scales: of the light, as found or as given.
         notes: the evidence.
+        lidar_exponent: of the LiDAR intensity that predicts base colour best, 0 where it says
+            nothing; None where nobody looked.
     """
 
     mesh: TriMesh
     visibility: Float32[np.ndarray, " n"]
     scales: LightScales
     notes: tuple[str, ...]
+    lidar_exponent: float | None = None
 
 
 def delight(
@@ -103,7 +106,8 @@ def delight(
     del surfels, observed  # Larger than all that is left to do.
     found = VertexLight(light, labels.scales, _visibility(mesh, normals, light, field, config))
     done = _finished(mesh, found, field, config)
-    return replace(done, notes=_notes(labels.scales, tone_gain) if scales is None else ())
+    notes = _notes(labels.scales, tone_gain) if scales is None else ()
+    return replace(done, notes=notes, lidar_exponent=float(tone_gain))
 
 
 def _labelled_faces(mesh: TriMesh, config: DelightConfig) -> Int64[np.ndarray, " k"]:
