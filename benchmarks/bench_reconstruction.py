@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from lightsim.core.reading import LogReading
+from lightsim.datasets.fingerprint import hash_recording
 from lightsim.evaluate.frames import FramesConfig
 from lightsim.evaluate.geometry import GeometryConfig
 from lightsim.pipeline import build as pipeline
@@ -28,7 +29,7 @@ from lightsim.pipeline.options import BuildOptions
 from lightsim.pipeline.workspace import FIELD_NAME, Workspace
 from lightsim.progress import LineProgress, SilentProgress
 from lightsim.simulate.against_truth import normal_error_deg
-from lightsim.store.artefact import read_record, state_of
+from lightsim.store.artefact import hash_names, read_record, state_of
 
 QUICK: dict = {"preset": "draft", "neural_steps": 0}
 """Ablations of the alignment: fused LiDAR and textures of every fourth image."""
@@ -69,7 +70,7 @@ def main() -> None:
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("source", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--truth", type=Path)
@@ -91,7 +92,7 @@ def _options(options: argparse.Namespace, name: str) -> BuildOptions:
 
 def _make_masks(options: argparse.Namespace) -> None:
     pipeline.build(
-        options.out / "masks", _options(options, "standard"), LineProgress(), until="masks"
+        options.out / "masks", _options(options, "standard"), LineProgress(), until="held_out_masks"
     )
 
 
@@ -130,7 +131,8 @@ def _build_and_measure(options: argparse.Namespace, name: str) -> None:
 
 def _take_from_siblings(out: Path, work: Path, options: BuildOptions) -> None:
     """Artefacts that another variant has made from the same recipe need not be made again."""
-    for stage, recipe in pipeline.recipes(options).items():
+    source_key = hash_names(hash_recording(Path(options.reading.source)))
+    for stage, recipe in pipeline.recipes(options, source_key).items():
         for other in sorted(out.glob("*/")):
             if state_of(work / stage, recipe) == "made":
                 break

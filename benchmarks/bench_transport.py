@@ -92,11 +92,14 @@ def main() -> None:
 
 
 def path_trace(mesh: TriMesh, sky: Any, camera: Any, view: Any) -> None:
-    from test_irradiance import _mitsuba_image
+    from lightsim.render.reference.path_tracer import PathTracer
+    from lightsim.render.reference.renderer import Shot
 
+    scene, tracer = without_actors(make_static_scene([mesh])), PathTracer("scalar_rgb")
+    shots = [Shot(sky, 16, 1, "diffuse")]
     timed(
         "Mitsuba scalar path, 16 samples, each sky",
-        lambda: _mitsuba_image([mesh], sky, camera, view, samples=16),
+        lambda: tracer.shoot(scene, camera, view, shots, 0),
     )
 
 

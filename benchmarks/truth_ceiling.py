@@ -15,7 +15,7 @@ import numpy as np
 
 from lightsim.evaluate.metrics import psnr
 from lightsim.pipeline.workspace import Workspace
-from lightsim.synthetic.generate import _poses
+from lightsim.synthetic.generate import actor_poses_at
 from lightsim.synthetic.plan import config_of, plan_street
 from lightsim.synthetic.rig import SWEEP_S, mount_cameras
 from lightsim.synthetic.sensor import develop
@@ -26,7 +26,7 @@ from lightsim.synthetic.writer import camera_pose
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("work", type=Path)
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--size", default="medium")
@@ -47,7 +47,7 @@ def main() -> None:
     scores = []
     for mounted in cameras:
         time_s = SWEEP_S * options.stem + mounted.time_offset_s
-        tracer.place(_poses(street, time_s))
+        tracer.place(actor_poses_at(street, time_s))
         pose = camera_pose(plan, config, mounted, time_s)
         radiance = tracer.render(mounted.camera, mounted.margin_px, pose, options.samples, 987654)
         clean = develop(radiance, mounted.gain, np.random.default_rng(0))

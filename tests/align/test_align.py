@@ -72,11 +72,19 @@ def misplaced_px(log: DrivingLog, recorded: DrivingLog, wrong: RigidTransform) -
 
 @pytest.mark.slow
 def test_a_right_log_stays_nearly_as_it_is() -> None:
-    found = aligned(make_log(COUNT), "lidar_poses", "camera_poses")
-    if found.path is not None:
-        assert np.abs(found.path.shifts_m).max() < 0.01
-    for correction in found.cameras.values():
-        assert np.degrees(np.linalg.norm(correction.rotation_rad)) < 0.1
+    log = make_log(COUNT)
+    same = aligned(log, "lidar_poses", "camera_poses").applied_to(log)
+    pairs = [
+        *zip(log.ego.matrices, same.ego.matrices, strict=True),
+        *(
+            (before.world_from_camera.matrix, after.world_from_camera.matrix)
+            for before, after in zip(log.frames, same.frames, strict=True)
+        ),
+    ]
+    for before, after in pairs:
+        moved = np.linalg.inv(before) @ after
+        assert np.abs(moved[:3, 3]).max() < 0.01
+        assert np.degrees(np.linalg.norm(moved[:3, :3] - np.eye(3)) / np.sqrt(2)) < 0.1
 
 
 @pytest.mark.slow

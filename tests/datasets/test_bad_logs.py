@@ -324,16 +324,18 @@ def good_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_mini_log(tmp_path_factory.mktemp("mini") / "log")
 
 
-def read_everything(folder: Path) -> None:
+def read_everything(folder: Path) -> tuple[int, int]:
+    """Pictures and sweeps that could be read."""
     log = read_log(LogReading(source=str(folder)))
-    for frame in log.frames:
-        frame.load_srgb8()
-    for sweep in log.sweeps:
-        sweep.load()
+    pictures = [frame.load_srgb8() for frame in log.frames]
+    sweeps = [sweep.load() for sweep in log.sweeps]
+    return len(pictures), len(sweeps)
 
 
 def test_the_unbroken_log_reads(good_log: Path) -> None:
-    read_everything(good_log)
+    pictures, sweeps = (len(list(good_log.glob(p))) for p in ("camera/*/*.jpg", "lidar/*.pkl.gz"))
+    assert read_everything(good_log) == (pictures, sweeps)
+    assert min(pictures, sweeps) > 0
 
 
 @pytest.mark.parametrize(

@@ -245,15 +245,18 @@ def test_real_actors(real: DrivingLog) -> None:
     """98 actors of 127 labelled uuids; those that drive look where they go."""
     assert len(real.actors) == 98
     assert sum(actor.is_moving for actor in real.actors) == 35
+    drivers = 0
     for actor in real.actors:
         positions = actor.trajectory.positions_m
         steps = np.diff(positions, axis=0)[:, :2]
         forward = actor.trajectory.matrices[:-1, :2, 0]
         is_long = np.linalg.norm(steps, axis=1) > 0.3
         if is_long.sum() > 5:
+            drivers += 1
             cosine = (steps * forward).sum(axis=1) / np.linalg.norm(steps, axis=1).clip(1e-9)
             assert np.degrees(np.arccos(np.median(cosine[is_long]))) < 10, actor.actor_id
         assert np.linalg.norm(steps, axis=1).max(initial=0.0) < 4.0
+    assert drivers > 10
 
 
 def test_real_lidar_falls_onto_the_pictures(real: DrivingLog) -> None:

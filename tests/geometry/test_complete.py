@@ -75,7 +75,7 @@ def test_the_unseen_half_mirrors_the_seen_one() -> None:
     assert (found[side & (mesh.vertices[:, 1] > 0.4)] == Provenance.MEASURED).all()
     assert (found[side & (mesh.vertices[:, 1] < -0.4)] == Provenance.MIRRORED).all()
     assert (found[np.abs(mesh.vertices[:, 1]) < 0.05] == Provenance.INFERRED).all()
-    _, evidence = actor_surface(_track(ActorKind.BARRIER), _half_seen_box(), MeshConfig())
+    _, evidence = actor_surface(_track(ActorKind.BARRIER), _half_seen_box())
     assert Provenance.MIRRORED not in evidence.provenance(mesh.vertices)
 
 

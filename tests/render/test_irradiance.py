@@ -6,12 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rendering_scenes import box, camera, constant_sky, look_at, plane, sphere, sun_sky
+from rendering_scenes import box, camera, constant_sky, look_at, plane, sun_sky
 
-from lightsim.core.camera import PinholeCamera
-from lightsim.core.dome import SkyDome
-from lightsim.core.frames import RigidTransform
-from lightsim.core.mesh import TriMesh
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.irradiance import IrradianceConfig, irradiance_at
@@ -67,81 +63,3 @@ def test_points_and_pixels_agree():
     direct = (image.direct_sun + image.sky)[seen]
     assert np.abs(lit.irradiance_over_pi - direct).mean() < 0.02
     np.testing.assert_allclose(lit.irradiance_over_pi.mean(0), direct.mean(0), rtol=3e-3)
-
-
-def _mitsuba_image(
-    meshes: list[TriMesh], sky: SkyDome, lens: PinholeCamera, view: RigidTransform, samples: int
-):
-    """Three-vertex path tracing (sun and sky, one bounce) with Mitsuba's scalar variant."""
-    import mitsuba as mi
-
-    mi.set_variant("scalar_rgb")
-    to_world = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
-    fov_deg = float(np.degrees(2 * np.arctan(lens.width_px / (2 * lens.fx))))
-    description = {
-        "type": "scene",
-        "integrator": {"type": "path", "max_depth": 3, "rr_depth": 100},
-        "light": {
-            "type": "envmap",
-            "bitmap": mi.Bitmap(sky.radiance),
-            "to_world": mi.ScalarTransform4f(to_world.tolist()),
-        },
-        "sensor": {
-            "type": "perspective",
-            "fov": fov_deg,
-            "fov_axis": "x",
-            "to_world": mi.ScalarTransform4f((view.matrix @ np.diag([-1, -1, 1, 1.0])).tolist()),
-            "film": {
-                "type": "hdrfilm",
-                "width": lens.width_px,
-                "height": lens.height_px,
-                "rfilter": {"type": "box"},
-            },
-            "sampler": {"type": "independent", "sample_count": samples},
-        },
-    }
-    for k, mesh in enumerate(meshes):
-        body = mi.Mesh(f"m{k}", len(mesh.vertices), len(mesh.faces), props=_diffuse(mi, mesh))
-        parameters = mi.traverse(body)
-        parameters["vertex_positions"] = mesh.vertices.ravel()
-        parameters["faces"] = mesh.faces.ravel().astype(np.uint32)
-        parameters.update()
-        description[f"m{k}"] = body
-    return np.array(mi.render(mi.load_dict(description)))[..., :3]
-
-
-def _diffuse(mi, mesh: TriMesh):
-    properties = mi.Properties()
-    colour = {"type": "rgb", "value": mesh.base_colour[0].tolist()}
-    two_sided = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": colour}}
-    properties["bsdf"] = mi.load_dict(two_sided)
-    return properties
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["cloudy", "sunny"])
-def test_parity_with_mitsuba(kind):
-    pytest.importorskip("mitsuba")
-    meshes = [
-        plane(12.0, 60, 0.5),
-        box((-2.0, 1.0, 1.0), (2, 2, 2), (0.8, 0.3, 0.2)),
-        sphere((2.0, 0.5, 1.0), 1.0, 5, (0.3, 0.6, 0.8)),
-    ]
-    sky = sun_sky(-1.0, 40.0, sky=0.4, rows=256) if kind == "sunny" else constant_sky()
-    rise = np.linspace(1.5, 0.5, sky.height_px, dtype=np.float32)[:, None, None]
-    sky = replace(sky, radiance=sky.radiance * (rise if kind == "cloudy" else 1))
-    lens = camera(64, 48, 55.0)
-    view = look_at((0.0, -7.0, 4.0), (0.0, 0.0, 0.5))
-    scene = without_actors(make_static_scene(meshes))
-    buffers = render_gbuffers(scene, lens, view)
-    config = replace(exact(), sky_rays=256, sun_rays=16, face_sun_rays=4)
-    out = light(trace_transport(scene, buffers, config), scene, buffers, sky, config)
-    ours = out.shaded * buffers.base_colour
-    theirs = _mitsuba_image(meshes, sky, lens, view, samples=256)
-    # Pixel edges: Mitsuba integrates over the pixel, this renderer looks at its centre.
-    inside = buffers.has_surface & np.isfinite(theirs).all(axis=-1)
-    ratio = ours[inside].mean(axis=0) / theirs[inside].mean(axis=0)
-    np.testing.assert_allclose(ratio, 1.0, atol=0.02)
-    # The path tracer's own noise at 256 samples is about 3 % a pixel.
-    median = np.median(np.abs(ours - theirs)[inside] / theirs[inside])
-    assert median < 0.05

@@ -64,6 +64,8 @@ def test_parity_with_the_ray_table(tracer, sky):
         (table.direct_sun + table.sky, direct),
     ):
         np.testing.assert_allclose(ours[seen].mean(0) / theirs[seen].mean(0), 1.0, atol=0.02)
+        # The path tracer's own noise at 64 samples is some 6 % a pixel.
+        assert np.median(np.abs(ours / theirs - 1)[seen]) < 0.08
     np.testing.assert_allclose(radiance[~seen], sky.look_up(_directions())[~seen], rtol=1e-3)
 
 

@@ -97,6 +97,7 @@ def test_skies_keep_their_energy(street: Street) -> None:
     for spec in sky_specs(street.plan):
         sky = build_sky(spec, street.plan)
         expected = sky.sky_irradiance()
+        assert (sky.sun is None) == (spec.sun is None), spec.name
         if sky.sun is not None:
             expected = expected + sky.sun.irradiance * sky.sun.direction_world[2]
             found = find_sun(sky.dome(128).radiance)
@@ -220,7 +221,13 @@ def test_shipped_relit_frames_are_complete() -> None:
     folder = shipped_street()
     truth = json.loads((folder / "truth" / "truth.json").read_text())
     for name in ("low_sun", "high_sun", "overcast"):
-        assert (folder / "truth" / "skies" / f"{name}.exr").is_file()
+        facts = json.loads((folder / "truth" / "skies" / f"{name}.json").read_text())
+        level = np.array(facts["sky_irradiance"])
+        if name != "overcast":
+            level = level + facts["direction_world"][2] * np.array(facts["irradiance"])
+        dome = read_exr(folder / "truth" / "skies" / f"{name}.exr")
+        found_level = irradiance(dome, np.array([0.0, 0.0, 1.0]))
+        np.testing.assert_allclose(found_level, level, rtol=0.02, err_msg=name)
         found = {(p.parent.name, p.stem) for p in (folder / f"truth/relit/{name}").glob("*/*.jpg")}
         assert found == {(c, s) for c in truth["camera_gains"] for s in truth["relit_stems"]}
 

@@ -8,11 +8,12 @@ import json
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from lightsim import cli
 from lightsim.progress import Progress
-from lightsim.store.weights import read_record
+from lightsim.store.weights import read_record, read_weights
 from lightsim.training import inpaint_scores as inpaint_evaluation
 from lightsim.training import run as commands
 from lightsim.training.inpaint_scores import evaluate_inpaint
@@ -50,16 +51,36 @@ def test_prepare_writes_what_the_options_ask_for(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("what", [("inpaint",), ("sky",), ("baseline", "--which", "nlfe_panorama")])
+@pytest.mark.parametrize(
+    ("what", "methods"),
+    [
+        (("inpaint",), {"network", "row mean", "nearest", "laplace"}),
+        (("sky",), {"constant", "brightest pixel", "lightsim"}),
+        (
+            ("baseline", "--which", "nlfe_panorama"),
+            {"constant", "brightest pixel", "nlfe_panorama"},
+        ),
+    ],
+)
 def test_training_writes_weights_and_scores(
-    what: tuple[str, ...], cache_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    what: tuple[str, ...],
+    methods: set[str],
+    cache_path: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     quick = functools.partial(evaluate_inpaint, batches=1, size=1)
     monkeypatch.setattr(inpaint_evaluation, "evaluate_inpaint", quick)
     given = ("train", *what, "--data", cache_path, "--out", tmp_path, "--steps", 1)
     assert run(*given) == 0
+    tensors = read_weights(tmp_path / "weights.safetensors").values()
+    assert sum(t.numel() for t in tensors) > 10_000
+    assert all(t.isfinite().all() for t in tensors)
     scores = json.loads((tmp_path / "scores.json").read_text())
-    assert len(scores) >= 3
+    assert set(scores) == methods
+    values = [v for row in scores.values() for v in row.values() if isinstance(v, float)]
+    assert len(values) >= 2 * len(methods)
+    assert np.isfinite(values).all()
     record = read_record(tmp_path / "weights.safetensors")
     assert record.scores in scores.values()
     assert (record.steps, record.seed, record.licence) == (1, 0, "unknown")

@@ -115,7 +115,7 @@ def _write_buffers(
         if (truth / "actor_index" / file).exists():
             continue
         time_s = SWEEP_S * k + mounted.time_offset_s
-        snapshot = Snapshot(street, list(_poses(street, time_s).values()))
+        snapshot = Snapshot(street, list(actor_poses_at(street, time_s).values()))
         pose = camera_pose(street.plan, config, mounted, time_s)
         for name, buffer in compute_buffers(snapshot, mounted.camera, pose, sky).items():
             path = truth / name / file
@@ -160,7 +160,7 @@ def _render(
     for shot in progress.track(shots, f"rendering '{sky.spec.name}' ({tracer.variant})"):
         mounted = shot.mounted
         time_s = SWEEP_S * shot.index + mounted.time_offset_s
-        tracer.place(_poses(street, time_s))
+        tracer.place(actor_poses_at(street, time_s))
         pose = camera_pose(street.plan, config, mounted, time_s)
         radiance = tracer.render(mounted.camera, mounted.margin_px, pose, shot.samples, shot.seed)
         rng = np.random.default_rng([street.plan.seed, 9, shot.seed])
@@ -178,7 +178,8 @@ def _key(index: int) -> str:
     return f"actor{index}"
 
 
-def _poses(street: Street, time_s: float) -> dict[str, RigidTransform]:
+def actor_poses_at(street: Street, time_s: float) -> dict[str, RigidTransform]:
+    """`world_from_actor` of every participant at a time, by its key in the path tracer."""
     return {
         _key(i): street.plan.world_from_street @ actor.street_from_actor(time_s)
         for i, actor in enumerate(street.participants)

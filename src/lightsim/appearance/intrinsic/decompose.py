@@ -52,11 +52,14 @@ class Delit:
         mesh: with base colour and confidence.
         visibility: of the sun, at each vertex, as found.
         notes: the evidence.
+        lidar_exponent: of the LiDAR intensity that predicts base colour best, 0 where it says
+            nothing; None where nobody looked.
     """
 
     mesh: TriMesh
     visibility: Float32[np.ndarray, " n"]
     notes: tuple[str, ...]
+    lidar_exponent: float | None = None
 
 
 def delight(
@@ -100,7 +103,9 @@ def delight(
     del surfels, observed  # Larger than all that is left to do.
     found = VertexLight(light, _visibility(mesh, normals, light, field, config))
     note = f"LiDAR intensity predicts base colour with exponent {tone_gain:.2f}"
-    return replace(_finished(mesh, found, field, config), notes=() if returns is None else (note,))
+    notes = () if returns is None else (note,)
+    done = _finished(mesh, found, field, config)
+    return replace(done, notes=notes, lidar_exponent=None if returns is None else float(tone_gain))
 
 
 def find_balance(
