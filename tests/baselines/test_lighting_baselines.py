@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
+from journals import MemoryJournal
 from lightsim.baselines.sold_net import cell_of
 from lightsim.networks.loop import LoopConfig
 from lightsim.networks.panorama import direction_map
-from lightsim.progress import SilentProgress
 from lightsim.training.sky import SkyRecipe, SkyTrainConfig, train_sky
 from lightsim.training.sky_models import SkyKind, sky_recipe, weights_of
 from lightsim.training.sky_scores import SkyModel, evaluate_sky_networks
@@ -24,35 +23,13 @@ from fake_skies import FakeSkies
 KINDS: tuple[SkyKind, ...] = ("nlfe", "nlfe_panorama", "sold_net")
 
 
-class NoJournal:
-    """Keeps the last metrics alone."""
-
-    def __init__(self) -> None:
-        self.last: dict[str, float] = {}
-
-    def load(self) -> dict[str, Any] | None:
-        return None
-
-    def save(self, state: dict[str, Any]) -> None:
-        """Nothing survives."""
-
-    def record(self, metrics: dict[str, float]) -> None:
-        self.last = metrics
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_step_moves_every_parameter_and_the_network_is_scored(kind: SkyKind) -> None:
     recipe, again = sky_recipe(kind, "small"), sky_recipe(kind, "small")
     before = {k: v.clone() for k, v in recipe.network.state_dict().items()}
     data, config = FakeSkies(), SkyTrainConfig(LoopConfig(steps=2), batch=2)
     for network in (recipe.network, again.network):
-        train_sky(
-            SkyRecipe(network, recipe.loss, config),
-            data,
-            NoJournal(),
-            device="cpu",
-            progress=SilentProgress(),
-        )
+        train_sky(SkyRecipe(network, recipe.loss, config), data, MemoryJournal().session())
     still = [k for k, v in recipe.network.state_dict().items() if torch.equal(v, before[k])]
     assert still == []
     for name, value in weights_of(recipe.network).items():

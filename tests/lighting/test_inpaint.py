@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +11,7 @@ import pytest
 import torch
 from torch.nn import functional
 
+from journals import MemoryJournal
 from lightsim.core.twin import Panorama
 from lightsim.errors import InputError
 from lightsim.lighting.panorama.attention_network import (
@@ -33,7 +33,6 @@ from lightsim.lighting.panorama.inpaint_network import (
 )
 from lightsim.lighting.sample import LightingBatch
 from lightsim.networks.loop import LoopConfig
-from lightsim.progress import SilentProgress
 from lightsim.training.inpaint import InpaintConfig, train_inpaint
 from lightsim.training.inpaint_losses import (
     discriminator_loss,
@@ -81,25 +80,6 @@ class Gradients:
             log_peak=np.zeros(size, np.float32),
             is_sunny=np.zeros(size, bool),
         )
-
-
-class Memory:
-    """A journal that keeps deep copies, as files do."""
-
-    def __init__(self) -> None:
-        self.state: dict[str, Any] | None = None
-        self.lines: list[dict[str, float]] = []
-
-    def load(self) -> dict[str, Any] | None:
-        return self.state
-
-    def save(self, state: Mapping[str, Any]) -> None:
-        import copy
-
-        self.state = copy.deepcopy(dict(state))
-
-    def record(self, metrics: Mapping[str, float]) -> None:
-        self.lines.append(dict(metrics))
 
 
 def generator_of(**options: Any) -> InpaintGenerator:
@@ -225,10 +205,8 @@ def test_gradients_reach_every_parameter() -> None:
 @pytest.mark.slow
 def test_training_learns_and_what_was_learnt_can_be_loaded() -> None:
     config = replace(TINY, loop=LoopConfig(120), width=4, rate=1e-2, adversarial_weight=0.001)
-    journal = Memory()
-    weights, steps = train_inpaint(
-        Gradients(), journal, config, device="cpu", progress=SilentProgress()
-    )
+    journal = MemoryJournal()
+    weights, steps = train_inpaint(Gradients(), config, journal.session())
     assert steps == 120
     assert journal.lines[-1]["l1"] < 0.6 * journal.lines[0]["l1"]
     scores = evaluate_inpaint(Gradients(), weights, batches=1, size=2, seed=7)
@@ -309,7 +287,7 @@ def test_wrong_input_is_named() -> None:
         completed_ldr(Panorama(np.zeros((8, 16, 3), np.float32), nothing, nothing, nothing), None)
     wide = replace(TINY, dilations=(1, 8))
     with pytest.raises(InputError, match="dilations"):
-        train_inpaint(Gradients(), Memory(), wide, device="cpu", progress=SilentProgress())
+        train_inpaint(Gradients(), wide, MemoryJournal().session())
 
 
 def test_the_published_size_takes_two_steps() -> None:
@@ -319,7 +297,7 @@ def test_the_published_size_takes_two_steps() -> None:
         full, loop=replace(full.loop, steps=2), batch=1, width=2, discriminator_width=2,
         adversarial_from=0.0, workers=1, dilations=(2, 4), discriminator_layers=3,
     )  # fmt: skip
-    journal = Memory()
-    train_inpaint(Gradients(), journal, config, device="cpu", progress=SilentProgress())
+    journal = MemoryJournal()
+    train_inpaint(Gradients(), config, journal.session())
     assert "discriminator" in journal.lines[-1]
     assert all(math.isfinite(value) for value in journal.lines[-1].values())

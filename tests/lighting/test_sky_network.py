@@ -10,6 +10,7 @@ import pytest
 import torch
 from fake_skies import FakeSkies
 
+from journals import MemoryJournal
 from lightsim.errors import InputError
 from lightsim.lighting.sample import LightingData, SkyPrediction
 from lightsim.lighting.sky.estimator import SkyEstimator
@@ -22,7 +23,6 @@ from lightsim.lighting.sky.network import (
 from lightsim.networks.loop import LoopConfig
 from lightsim.networks.panorama import UNet, filled
 from lightsim.networks.sky_terms import fisher_loss, laplace_loss, sun_lobe
-from lightsim.progress import SilentProgress
 from lightsim.store.weights import WeightsRecord, read_record, read_weights, write_weights
 from lightsim.training.sky import SkyRecipe, SkyTrainConfig, sky_tensors, train_sky
 from lightsim.training.sky_losses import sky_loss
@@ -38,25 +38,6 @@ TINY: dict[str, Any] = {"widths": (8, 8, 16), "decoder_widths": (8, 8, 16), "hei
 DATA = FakeSkies()
 
 
-class MemoryJournal:
-    """A journal without files; as on disk, what is saved no longer changes."""
-
-    def __init__(self) -> None:
-        self.state: dict[str, Any] | None = None
-        self.lines: list[dict[str, float]] = []
-
-    def load(self) -> dict[str, Any] | None:
-        return self.state
-
-    def save(self, state: dict[str, Any]) -> None:
-        import copy
-
-        self.state = copy.deepcopy(state)
-
-    def record(self, metrics: dict[str, float]) -> None:
-        self.lines.append(metrics)
-
-
 def batch_of(size: int = 4, seed: int = 0) -> Any:
     whole = np.zeros(size, bool)
     drawn = DATA.batch(size, seed, 0, only_sunny=False)
@@ -65,8 +46,7 @@ def batch_of(size: int = 4, seed: int = 0) -> Any:
 
 def train(network: SkyNetwork, steps: int, journal: MemoryJournal, rate: float = 1e-3) -> None:
     config = SkyTrainConfig(LoopConfig(steps), rate, batch=4)
-    recipe = SkyRecipe(network, sky_loss, config)
-    train_sky(recipe, DATA, journal, device="cpu", progress=SilentProgress())
+    train_sky(SkyRecipe(network, sky_loss, config), DATA, journal.session())
 
 
 def test_fake_skies_are_lighting_data() -> None:

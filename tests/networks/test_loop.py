@@ -21,10 +21,11 @@ import two_processes
 from fake_skies import FakeSkies
 from wall import small_config, small_field, wall_fields, wall_pool
 
+from journals import MemoryJournal
 from lightsim.errors import ArtefactError
 from lightsim.lighting.sky.network import SkyNetwork, SkyNetworkConfig
 from lightsim.networks import loop
-from lightsim.networks.loop import Journal, Learner, LoopConfig, Loss, run_training
+from lightsim.networks.loop import Journal, Learner, LoopConfig, Loss, Session, run_training
 from lightsim.progress import Progress, SilentProgress
 from lightsim.reconstruct.field.train import TrainingRays, train_field
 from lightsim.store.checkpoint import FolderJournal
@@ -41,7 +42,7 @@ STEPS = 6
 def field(journal: Journal, progress: Progress, workers: int) -> Weights:
     rays = TrainingRays(wall_pool(500, False), wall_pool(500, True))
     trained = small_field(small_config(steps=STEPS), wall_fields(0.0))
-    train_field(trained, rays, journal, 7, progress=progress)
+    train_field(trained, rays, 7, Session(journal, progress))
     return trained.state_dict()
 
 
@@ -50,14 +51,14 @@ def inpaint(journal: Journal, progress: Progress, workers: int) -> Weights:
         LoopConfig(STEPS), batch=2, width=2, dilations=(1, 2), discriminator_width=2,
         discriminator_layers=2, adversarial_from=0.3, adversarial_weight=0.1, workers=workers,
     )  # fmt: skip
-    return train_inpaint(FakeSkies(), journal, config, device="cpu", progress=progress)[0]
+    return train_inpaint(FakeSkies(), config, Session(journal, progress, device="cpu"))[0]
 
 
 def sky(journal: Journal, progress: Progress, workers: int) -> Weights:
     config = SkyNetworkConfig(widths=(8, 8, 16), decoder_widths=(8, 8, 16), height_px=32)
     how = SkyTrainConfig(LoopConfig(STEPS), batch=2, workers=workers)
     recipe = SkyRecipe(SkyNetwork(config), sky_loss, how)
-    train_sky(recipe, FakeSkies(), journal, device="cpu", progress=progress)
+    train_sky(recipe, FakeSkies(), Session(journal, progress, device="cpu"))
     return recipe.network.state_dict()
 
 
@@ -125,30 +126,14 @@ class Recording(torch.optim.SGD):
         self.seen.append(([group["lr"] for group in self.param_groups], float(norm)))
 
 
-class Memory:
-    """A journal without files, which goes on from a given state."""
-
-    def __init__(self, state: dict[str, Any] | None = None) -> None:
-        self.state = state
-
-    def load(self) -> dict[str, Any] | None:
-        return self.state
-
-    def save(self, state: dict[str, Any]) -> None:
-        self.state = state
-
-    def record(self, metrics: dict[str, float]) -> None: ...
-
-
-def run(layer: nn.Module, optimiser: Any, config: LoopConfig, memory: Memory | None = None) -> None:
+def run(
+    layer: nn.Module, optimiser: Any, config: LoopConfig, journal: MemoryJournal | None = None
+) -> None:
     def losses(step: int, draw: int) -> Iterator[Loss]:
         yield "layer", 100 * layer(torch.ones(1, 2)).sum(), {}
 
     learner = Learner(layer, (optimiser,), is_averaged=True)
-    journal = memory or Memory()
-    run_training(
-        {"layer": learner}, losses, journal, config, label="train", progress=SilentProgress()
-    )
+    run_training({"layer": learner}, losses, config, (journal or MemoryJournal()).session())
 
 
 def test_rates_warm_up_and_fall_by_a_cosine_and_gradients_are_clipped() -> None:
@@ -170,20 +155,20 @@ def test_rates_warm_up_and_fall_by_a_cosine_and_gradients_are_clipped() -> None:
     assert free.seen[0][1] == pytest.approx(100 * math.sqrt(3))
 
 
-def test_every_layer_is_compiled_where_the_config_asks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_networks_are_compiled_where_the_config_asks(monkeypatch: pytest.MonkeyPatch) -> None:
     compiled: list[nn.Module] = []
     monkeypatch.setattr(nn.Module, "compile", lambda self: compiled.append(self))
     network = nn.Sequential(nn.Linear(2, 2), nn.Linear(2, 1))
     for is_compiled in (False, True):
         run(network, torch.optim.SGD(network.parameters()), LoopConfig(1, is_compiled=is_compiled))
-    assert compiled == list(network)
+    assert compiled == [network, *network]
 
 
 def test_the_checkpoint_of_another_network_is_refused() -> None:
-    memory = Memory()
+    journal = MemoryJournal()
     small, large = nn.Linear(2, 1), nn.Linear(2, 3)
-    run(small, torch.optim.SGD(small.parameters()), LoopConfig(1), memory)
+    run(small, torch.optim.SGD(small.parameters()), LoopConfig(1), journal)
     with pytest.raises(ArtefactError, match="another training"):
-        run(large, torch.optim.SGD(large.parameters()), LoopConfig(2), memory)
+        run(large, torch.optim.SGD(large.parameters()), LoopConfig(2), journal)
     with pytest.raises(ArtefactError, match="another training"):
-        run(small, torch.optim.SGD(small.parameters()), LoopConfig(2), Memory({"step": 1}))
+        run(small, torch.optim.SGD(small.parameters()), LoopConfig(2), MemoryJournal({"step": 1}))

@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 
 from lightsim.networks.devices import ALONE, Processes, joined_processes
-from lightsim.networks.loop import Learner, LoopConfig, Loss, run_training
+from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
 from lightsim.progress import SilentProgress
 from lightsim.store.checkpoint import FolderJournal
 
@@ -39,16 +39,8 @@ def train(folder: Path, processes: Processes = ALONE, minutes: float | None = No
         "a": Learner(a, (torch.optim.AdamW(a.parameters(), lr=1e-2),), is_averaged=True),
         "b": Learner(b, (torch.optim.SGD(b.parameters(), lr=1e-2),)),
     }
-    done = run_training(
-        learners,
-        losses,
-        FolderJournal(folder),
-        LoopConfig(steps=30, warm_up_steps=5),
-        label="train",
-        minutes=minutes,
-        processes=processes,
-        progress=SilentProgress(),
-    )
+    session = Session(FolderJournal(folder), SilentProgress(), minutes, processes=processes)
+    done = run_training(learners, losses, LoopConfig(steps=30, warm_up_steps=5), session)
     if processes.is_first:
         torch.save({"a": a.state_dict(), "b": b.state_dict(), "done": done}, folder / "final.pt")
     return done

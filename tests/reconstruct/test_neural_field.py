@@ -10,6 +10,7 @@ import pytest
 import torch
 from wall import WALL_M, small_config, small_field, wall_fields, wall_pool
 
+from journals import MemoryJournal
 from lightsim.core.frames import RigidTransform
 from lightsim.errors import ArtefactError, InputError
 from lightsim.networks.devices import choose_device
@@ -77,7 +78,7 @@ def test_training_corrects_a_displaced_prior() -> None:
     config = small_config(steps=80)
     field = small_field(config, fields)
     rays = TrainingRays(wall_pool(4000, False), wall_pool(4000, True))
-    train_field(field, rays, _Memory(), 0, progress=SilentProgress())
+    train_field(field, rays, 0, MemoryJournal().session())
     refined = refined_fields(fields, field, progress=SilentProgress()).background[0]
     points = _wall_points()
     before = np.abs(TsdfPrior.of(fields).look_up(points, _ranges(points))[:, 0])
@@ -151,14 +152,3 @@ def _wall_points() -> np.ndarray:
 
 def _ranges(points: np.ndarray) -> np.ndarray:
     return np.tile(np.array([0, 1], dtype=np.int32), (len(points), 1))
-
-
-class _Memory:
-    def load(self) -> None:
-        return None
-
-    def save(self, state: dict) -> None:
-        self.state = state
-
-    def record(self, metrics: dict) -> None:
-        self.metrics = metrics

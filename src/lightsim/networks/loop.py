@@ -60,7 +60,7 @@ class LoopConfig:
     mixed_precision: bool = False
     """Losses in bfloat16 where that is safe (torch.autocast), on CUDA alone."""
     is_compiled: bool = False
-    """Compile the layers of the networks (torch.compile; it needs a C compiler)."""
+    """Compile the networks (torch.compile; it needs a C compiler)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,38 +94,53 @@ processes one that no other process has.
 """
 
 
+@dataclass(frozen=True, eq=False)
+class Session:
+    """Where and how long a training runs; what is learned depends on `processes` alone.
+
+    Args:
+        journal: keeps checkpoints and metrics.
+        progress: shows the steps.
+        minutes: stop then, to go on later.
+        device: "auto", "cpu" or "cuda".
+        processes: that train together. Their gradients are averaged: each draws its own batch, and
+            together they learn from one as many times as large. All start with equal weights.
+    """
+
+    journal: Journal
+    progress: Progress
+    minutes: float | None = None
+    device: str = "auto"
+    processes: Processes = ALONE
+
+
 def run_training(
     learners: Mapping[str, Learner],
     losses: Losses,
-    journal: Journal,
     config: LoopConfig,
-    *,
-    label: str,
-    minutes: float | None = None,
-    processes: Processes = ALONE,
-    progress: Progress,
+    session: Session,
+    label: str = "train",
 ) -> int:
     """Train in place from the journal's last state; the number of steps done when it stops.
 
-    After `minutes` it stops in between, and the next call goes on. An interrupted run that goes on
-    gives the very same networks on the CPU. With several processes their gradients are averaged,
-    so that together they see a batch as many times as large; the first alone keeps the journal.
+    An interrupted run that goes on gives the very same networks on the CPU.
 
     Raises:
         ArtefactError: the journal's state belongs to other networks.
     """
+    journal, processes = session.journal, session.processes
     loop = _Loop(learners, config, processes)
     first, before_s = loop.restore(processes.from_first(journal.load))
     started = saved = time.monotonic()
     done = first
     steps = range(first, config.steps)
-    shown = progress if processes.is_first else SilentProgress()
-    for step in shown.track(steps, label, len(steps)):
+    progress = session.progress if processes.is_first else SilentProgress()
+    for step in progress.track(steps, label, len(steps)):
         metrics = loop.step(losses, step)
-        done = step + 1
-        now = time.monotonic()
+        done, now = step + 1, time.monotonic()
         is_last = done == config.steps
-        is_over = minutes is not None and processes.any(now - started > 60 * minutes)
+        limit_s = None if session.minutes is None else 60 * session.minutes
+        is_over = limit_s is not None and processes.any(now - started > limit_s)
         seconds = before_s + now - started
         if processes.is_first and (step % _RECORD_EVERY == 0 or is_last):
             values = {name: float(value.detach()) for name, value in metrics.items()}
@@ -158,9 +173,9 @@ class _Loop:
         for learner in learners.values():
             learner.network.train()
             if config.is_compiled:
-                # In place, and layer by layer: losses call more of a network than its forward.
-                for layer in list(learner.network.children()) or [learner.network]:
-                    layer.compile()
+                # In place, parts too: losses call more of a network than its forward.
+                for module in (learner.network, *learner.network.children()):
+                    module.compile()
 
     def step(self, losses: Losses, step: int) -> dict[str, Tensor]:
         """All updates of one step; the last loss and all terms."""

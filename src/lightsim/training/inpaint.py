@@ -17,9 +17,8 @@ from lightsim.lighting.panorama.inpaint_network import (
     PatchDiscriminator,
 )
 from lightsim.lighting.sample import LightingBatch, LightingData
-from lightsim.networks.devices import ALONE, Processes, choose_device
-from lightsim.networks.loop import Journal, Learner, LoopConfig, Loss, run_training
-from lightsim.progress import Progress
+from lightsim.networks.devices import choose_device
+from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
 from lightsim.training.ahead import Ahead
 from lightsim.training.inpaint_losses import (
     discriminator_loss,
@@ -105,33 +104,18 @@ def inpaint_tensors(batch: LightingBatch, device: torch.device) -> InpaintTensor
 
 
 def train_inpaint(
-    data: LightingData,
-    journal: Journal,
-    config: InpaintConfig,
-    *,
-    device: str = "auto",
-    minutes: float | None = None,
-    processes: Processes = ALONE,
-    progress: Progress,
+    data: LightingData, config: InpaintConfig, session: Session
 ) -> tuple[dict[str, Tensor], int]:
     """Train from the journal's last state on; the generator's averaged weights and the steps done.
 
-    After `minutes` it stops in between, and the next call goes on. Every step draws its batch from
-    (seed, step) alone: an interrupted run that goes on gives the very same weights on the CPU.
-
-    Args:
-        data: panoramas and what was seen of them.
-        journal: keeps checkpoints and metrics.
-        config: networks and steps.
-        device: "auto", "cpu" or "cuda".
-        minutes: stop then, to go on later.
-        processes: that train together, each with `config.batch` panoramas a step.
+    Every step draws its batch from (seed, step) alone: an interrupted run that goes on gives the
+    very same weights on the CPU.
 
     Raises:
         InputError: the data's size does not fit the network, or cuda is asked for and not there.
     """
     _check_size(data.height_px, config)
-    target = choose_device(device)
+    target, count = choose_device(session.device), session.processes.count
     pair = _Pair(config, data.height_px, target)
 
     def make(number: int) -> LightingBatch:
@@ -140,18 +124,8 @@ def train_inpaint(
     def losses(step: int, draw: int) -> Iterator[Loss]:
         return pair.losses(inpaint_tensors(batches.get(draw), target), step)
 
-    count = processes.count
     with Ahead(make, config.workers, count, count * config.loop.steps) as batches:
-        done = run_training(
-            pair.learners(),
-            losses,
-            journal,
-            config.loop,
-            label="train the inpainting",
-            minutes=minutes,
-            processes=processes,
-            progress=progress,
-        )
+        done = run_training(pair.learners(), losses, config.loop, session, "train the inpainting")
     return {name: value.cpu() for name, value in pair.generator.state_dict().items()}, done
 
 

@@ -46,7 +46,7 @@ class TrainingOptions:
     """Where to train; auto takes CUDA where there is one."""
     seed: int = 0
     """Of first weights and batches."""
-    is_compiled: bool = False
-    """Compile the networks' layers (torch.compile): faster on a GPU; it needs a C compiler."""
+    compile: bool = False
+    """Compile the networks (torch.compile), for a GPU; it needs a C compiler."""
     licence: str = "unknown"
     """Of the weights, for the record that they carry; it depends on the skies they have seen."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import shlex
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,8 @@ from jaxtyping import Bool, Float32
 
 from lightsim.errors import InputError
 from lightsim.progress import terminal_progress
+from lightsim.store.artefact import write_json
+from lightsim.store.weights import WeightsRecord, read_weights, write_weights
 from lightsim.training.hdr_skies import split_hash
 from lightsim.training.lighting_cache import (
     LightingCache,
@@ -28,7 +31,9 @@ from lightsim.training.street_panoramas import StreetConfig
 from lightsim.version import __version__
 
 if TYPE_CHECKING:
-    from lightsim.networks.loop import LoopConfig
+    from torch import Tensor, nn
+
+    from lightsim.networks.loop import LoopConfig, Session
     from lightsim.training.sky import Completion
     from lightsim.training.sky_models import SkyKind
 
@@ -36,10 +41,14 @@ _LOGGER = logging.getLogger(__name__)
 WEIGHTS_NAME = "weights.safetensors"
 SCORES_NAME = "scores.json"
 _SCORED_AT_ONCE = 32
-_DESCRIPTIONS = {
-    "network": "completion of panoramas (docs/models/inpaint.md)",
-    "lightsim": "sky dome estimator (docs/models/sky.md)",
+_INPAINT = "completion of panoramas (docs/models/inpaint.md)"
+_SKY = "sky dome estimator (docs/models/sky.md)"
+_COMMANDS = {
+    "inpaint": ("inpaint", "network", _INPAINT),
+    "lightsim": ("sky", "lightsim", _SKY),
+    "lightsim_paper": ("sky", "lightsim_paper", f"{_SKY}, in the paper's form"),
 }
+"""Command, row of the scores and description by network; the others are baselines."""
 
 
 def prepare(command: PrepareOptions) -> None:
@@ -81,8 +90,6 @@ def prepare(command: PrepareOptions) -> None:
 
 def train_inpaint(command: TrainingOptions) -> None:
     """Train the completion; weights and, where the cache has a test split, scores."""
-    from lightsim.networks.devices import choose_device, joined_processes
-    from lightsim.store.checkpoint import FolderJournal
     from lightsim.training import inpaint as inpaint_train
     from lightsim.training.inpaint_scores import evaluate_inpaint
 
@@ -90,32 +97,19 @@ def train_inpaint(command: TrainingOptions) -> None:
     kind = inpaint_train.InpaintConfig
     config = kind.small() if command.preset == "small" else kind.full()
     config = replace(config, seed=command.seed, loop=_loop(config.loop, command))
-    command.out.mkdir(parents=True, exist_ok=True)
-    with joined_processes(choose_device(command.device)) as processes:
-        weights, steps = inpaint_train.train_inpaint(
-            LightingSet(cache),
-            FolderJournal(command.out),
-            config,
-            device=command.device,
-            minutes=command.minutes,
-            processes=processes,
-            progress=terminal_progress(),
-        )
-    if not processes.is_first:
-        return
-    test = _test_split(cache)
-    stored = {name: value.half().float() for name, value in weights.items()}
-    scores = evaluate_inpaint(test, stored) if test else {}
-    _write(command, ("inpaint", "network"), weights, cache, steps, scores)
+    with _session(command) as session:
+        weights, steps = inpaint_train.train_inpaint(LightingSet(cache), config, session)
+    if session.processes.is_first:
+        test = _test_split(cache)
+        stored = {name: value.half().float() for name, value in weights.items()}
+        scores = evaluate_inpaint(test, stored) if test else {}
+        _write(command, weights, scores, _record(command, "inpaint", cache, session, steps, scores))
 
 
 def train_sky_network(command: TrainingOptions, kind: SkyKind, inpaint: Path | None) -> None:
     """Train, write the weights, and score them on the fixed views of the test split."""
-    from lightsim.networks.devices import choose_device, joined_processes
-    from lightsim.store.checkpoint import FolderJournal
     from lightsim.training import sky as sky_train
     from lightsim.training.sky_models import sky_recipe, weights_of
-    from lightsim.training.sky_scores import evaluate_sky_networks, parts_of
 
     cache = read_cache(command.data)
     data = LightingSet(cache)
@@ -123,80 +117,89 @@ def train_sky_network(command: TrainingOptions, kind: SkyKind, inpaint: Path | N
     recipe = sky_recipe(kind, command.preset, command.seed, inpaints=inpaint is not None)
     loop = _loop(recipe.config.loop, command)
     recipe = replace(recipe, config=replace(recipe.config, loop=loop))
-    command.out.mkdir(parents=True, exist_ok=True)
-    with joined_processes(choose_device(command.device)) as processes:
-        steps = sky_train.train_sky(
-            recipe,
-            data,
-            FolderJournal(command.out),
-            complete=complete,
-            device=command.device,
-            minutes=command.minutes,
-            processes=processes,
-            progress=terminal_progress(),
-        )
-    if not processes.is_first:
-        return
-    network = recipe.network.cpu().eval()
-    test, scores = _test_split(cache), {}
-    if test is not None:
-        views = parts_of(test.fixed_views().batch, _SCORED_AT_ONCE)
-        known = [data.batch(_SCORED_AT_ONCE, 0, k, only_sunny=False) for k in range(4)]
-        rows = evaluate_sky_networks(views, {kind: network}, known, complete)  # type: ignore[dict-item]
-        scores = {row.name: _known(asdict(row)) for row in rows}
-    what = "sky" if kind.startswith("lightsim") else "baseline"
-    _write(command, (what, kind), weights_of(network), cache, steps, scores)
+    with _session(command) as session:
+        steps = sky_train.train_sky(recipe, data, session, complete)
+    if session.processes.is_first:
+        network, test = recipe.network.cpu().eval(), _test_split(cache)
+        scores = _sky_scores(kind, network, (data, test), complete) if test else {}
+        record = _record(command, kind, cache, session, steps, scores)
+        _write(command, weights_of(network), scores, record)
+
+
+def _sky_scores(
+    kind: SkyKind,
+    network: nn.Module,
+    sides: tuple[LightingSet, LightingSet],
+    complete: Completion | None,
+) -> dict[str, Any]:
+    from lightsim.training.sky_scores import evaluate_sky_networks, parts_of
+
+    train, test = sides
+    views = parts_of(test.fixed_views().batch, _SCORED_AT_ONCE)
+    known = [train.batch(_SCORED_AT_ONCE, 0, k, only_sunny=False) for k in range(4)]
+    rows = evaluate_sky_networks(views, {kind: network}, known, complete)  # type: ignore[dict-item]
+    return {row.name: _known(asdict(row)) for row in rows}
 
 
 def _loop(config: LoopConfig, command: TrainingOptions) -> LoopConfig:
     steps = config.steps if command.steps is None else command.steps
-    return replace(config, steps=steps, is_compiled=command.is_compiled)
+    return replace(config, steps=steps, is_compiled=command.compile)
 
 
-def _write(
+@contextmanager
+def _session(command: TrainingOptions) -> Generator[Session]:
+    from lightsim.networks.devices import choose_device, joined_processes
+    from lightsim.networks.loop import Session
+    from lightsim.store.checkpoint import FolderJournal
+
+    command.out.mkdir(parents=True, exist_ok=True)
+    journal, progress = FolderJournal(command.out), terminal_progress()
+    with joined_processes(choose_device(command.device)) as processes:
+        yield Session(journal, progress, command.minutes, command.device, processes)
+
+
+def _record(
     command: TrainingOptions,
-    what: tuple[str, str],
-    weights: Mapping[str, Any],
+    network: str,
     cache: LightingCache,
+    session: Session,
     steps: int,
     scores: Mapping[str, Any],
-) -> None:
-    """The weights with their record, and the scores of all methods.
-
-    Args:
-        command: as the user gave it.
-        what: the command's name, and the network's in the scores.
-        weights: of the network.
-        cache: that it was trained on.
-        steps: done.
-        scores: by method; empty where nothing was held out.
-    """
-    from lightsim.store.artefact import write_json
-    from lightsim.store.weights import WeightsRecord, write_weights
-
-    path, network = command.out / WEIGHTS_NAME, what[1]
+) -> WeightsRecord:
+    baseline = ("baseline", network, f"{network} (docs/models/sky.md)")
+    what, row, description = _COMMANDS.get(network, baseline)
     count = sum(sky.entry.split == "train" for sky in cache.skies)
-    record = WeightsRecord(
-        description=_DESCRIPTIONS.get(network, f"{network} (docs/models/sky.md)"),
-        command=_command_line(what[0], command),
+    return WeightsRecord(
+        description=description,
+        command=_command_line(what, command, session.processes.count),
         training_data=f"{count} HDR skies, {len(cache.clear.elevation_deg)} clear skies and "
         f"{cache.view_is_test.count(False)} positions in synthetic streets",
         split_hash=split_hash(sky.entry for sky in cache.skies),
         seed=command.seed,
         steps=steps,
-        scores=scores.get(network, "no data were held out"),
+        scores=scores.get(row, "no data were held out"),
         licence=command.licence,
         version=__version__,
     )
-    write_weights(path, weights, record)
+
+
+def _write(
+    command: TrainingOptions,
+    weights: Mapping[str, Tensor],
+    scores: Mapping[str, Any],
+    record: WeightsRecord,
+) -> None:
+    """The weights with their record, and the scores of all methods."""
+    write_weights(command.out / WEIGHTS_NAME, weights, record)
     if scores:
         write_json(command.out / SCORES_NAME, scores)
-    _LOGGER.info("%s: %s", path, record.line())
+    _LOGGER.info("%s: %s", command.out / WEIGHTS_NAME, record.line())
 
 
-def _command_line(what: str, command: TrainingOptions) -> str:
+def _command_line(what: str, command: TrainingOptions, processes: int) -> str:
     """The command that gives the same weights, without options that are at their default."""
-    words = ["lightsim", "train", what]
+    torchrun = ["torchrun", "--nproc-per-node", str(processes), "--no-python"]
+    words = [*(torchrun if processes > 1 else []), "lightsim", "train", what]
     for option in fields(command):
         value = getattr(command, option.name)
         if value != option.default and option.name != "verbose":
@@ -217,7 +220,6 @@ def completion_of(weights: Path) -> Completion:
         ArtefactError: the file is missing or damaged.
     """
     from lightsim.lighting.panorama.inpaint import fill_by_network
-    from lightsim.store.weights import read_weights
 
     tensors = read_weights(weights)
 

@@ -12,11 +12,10 @@ from jaxtyping import Bool, Float32
 from torch import Tensor, nn
 
 from lightsim.lighting.sample import LightingBatch, LightingData
-from lightsim.networks.devices import ALONE, Processes, choose_device
-from lightsim.networks.loop import Journal, Learner, LoopConfig, Loss, run_training
+from lightsim.networks.devices import choose_device
+from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
 from lightsim.networks.panorama import filled
 from lightsim.networks.sky_terms import Draw, SkyTensors
-from lightsim.progress import Progress
 from lightsim.training.ahead import Ahead
 
 _STEP_SEED = 1_000_003
@@ -63,29 +62,21 @@ class SkyRecipe:
 def train_sky(
     recipe: SkyRecipe,
     data: LightingData,
-    journal: Journal,
-    *,
+    session: Session,
     complete: Completion | None = None,
-    device: str = "auto",
-    minutes: float | None = None,
-    processes: Processes = ALONE,
-    progress: Progress,
 ) -> int:
     """Train the recipe's network in place, going on from the journal's last state; the steps done.
 
     Args:
         recipe: what to train.
         data: panoramas under known skies.
-        journal: keeps checkpoints and metrics.
+        session: where and how long; each of its processes takes `batch` panoramas a step.
         complete: inpaints what the cameras did not see; without it, smooth fills stand there.
-        device: "auto", "cpu" or "cuda".
-        minutes: stop then, to go on later.
-        processes: that train together, each with `config.batch` panoramas a step.
 
     Raises:
         InputError: the device is not there.
     """
-    target = choose_device(device)
+    target = choose_device(session.device)
     network, config = recipe.network.to(target), recipe.config
 
     def make(number: int) -> LightingBatch:
@@ -103,18 +94,10 @@ def train_sky(
         yield "sky", *recipe.loss(network, drawn, generator)
 
     adam = torch.optim.AdamW(network.parameters(), lr=config.rate, weight_decay=config.weight_decay)
-    stride = 2 * processes.count
+    stride = 2 * session.processes.count
+    learners = {"sky": Learner(network, (adam,), is_averaged=True)}
     with Ahead(make, config.workers, stride, stride * config.loop.steps) as batches:
-        return run_training(
-            {"sky": Learner(network, (adam,), is_averaged=True)},
-            losses,
-            journal,
-            config.loop,
-            label="train",
-            minutes=minutes,
-            processes=processes,
-            progress=progress,
-        )
+        return run_training(learners, losses, config.loop, session)
 
 
 def sky_tensors(

@@ -10,7 +10,7 @@ import torch
 from lightsim.core.fields import SceneFields
 from lightsim.core.log import DrivingLog
 from lightsim.networks.devices import choose_device
-from lightsim.networks.loop import Journal
+from lightsim.networks.loop import Journal, Session
 from lightsim.progress import Progress
 from lightsim.reconstruct.field.config import NeuralConfig, draft, paper, standard
 from lightsim.reconstruct.field.ray_pool import PriorSurfaces, SkyMatte, camera_rays, lidar_rays
@@ -60,7 +60,7 @@ def refine_by_field(
         lidar_rays(log, config.lidar_pool, training.surfaces, rng, progress),
     )
     field = make_field(log, fields, config, training.seed).to(choose_device(training.device))
-    train_field(field, rays, training.journal, training.seed, progress=progress)
+    train_field(field, rays, training.seed, Session(training.journal, progress))
     return refined_fields(fields, field, progress=progress), field
 
 

@@ -9,8 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightsim.networks.loop import Journal, Learner, LoopConfig, Loss, run_training
-from lightsim.progress import Progress
+from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
 from lightsim.reconstruct.field.config import NeuralConfig
 from lightsim.reconstruct.field.hash_grid.sparse_adam import SparseAdam
 from lightsim.reconstruct.field.losses import scene_loss
@@ -30,15 +29,8 @@ class TrainingRays:
     lidar: RayPool
 
 
-def train_field(
-    field: SceneField,
-    rays: TrainingRays,
-    journal: Journal,
-    seed: int,
-    *,
-    progress: Progress,
-) -> None:
-    """Train `field` in place for its config's steps, going on from the journal's last state.
+def train_field(field: SceneField, rays: TrainingRays, seed: int, session: Session) -> None:
+    """Train `field` in place, on its device, going on from the journal's last state.
 
     Every step draws its batch from (seed, step) alone: an interrupted run that goes on gives the
     very same field on the CPU.
@@ -58,14 +50,9 @@ def train_field(
             terms["psnr_db"] = -10 * torch.log10(terms["mse_srgb"].detach().clamp_min(1e-12))
         yield "field", loss, terms
 
-    run_training(
-        {"field": Learner(field, (*tables, dense))},
-        losses,
-        journal,
-        LoopConfig(config.steps, final_fraction=_FINAL_FRACTION, largest_gradient=None),
-        label="train the field",
-        progress=progress,
-    )
+    loop = LoopConfig(config.steps, final_fraction=_FINAL_FRACTION, largest_gradient=None)
+    learners = {"field": Learner(field, (*tables, dense))}
+    run_training(learners, losses, loop, session, "train the field")
 
 
 def _draw(
