@@ -307,7 +307,8 @@ def test_odd_ids_and_hidden_folders_are_only_data(log: Path) -> None:
 def test_the_layout_is_told_without_a_walk(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert check_layout(log) == check_layout(log, "pandaset") == "pandaset"
+    for dataset in ("auto", "pandaset"):
+        assert check_layout(LogReading(source=str(log), dataset=dataset)) == "pandaset"
 
     def walk(*_: Any) -> None:
         raise AssertionError("the folder was walked")
@@ -316,12 +317,10 @@ def test_the_layout_is_told_without_a_walk(
     for source in (Path("/"), tmp_path):
         for dataset in ("auto", *READERS):
             with pytest.raises(InputError, match="layout of no known data set"):
-                check_layout(source, dataset)
+                check_layout(LogReading(source=str(source), dataset=dataset))
     for source in (tmp_path / "none", log / SWEEP, log / SWEEP / "x"):
         with pytest.raises(InputError):
-            check_layout(source)
-    with pytest.raises(InputError, match="unknown data set"):
-        check_layout(log, "kitti")
+            check_layout(LogReading(source=str(source)))
 
 
 def test_what_one_may_not_look_at_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -134,8 +134,6 @@ def test_selections(folder: Path) -> None:
         read_log(LogReading(source=str(folder), cameras=("side_camera",)))
     with pytest.raises(InputError, match="frames within 0:3"):
         read_log(LogReading(source=str(folder), frames="10:20"))
-    with pytest.raises(InputError, match="--dataset"):
-        read_log(LogReading(source=str(folder), dataset="kitti"))
 
 
 def test_a_log_that_stands_still_can_be_given_its_heading(tmp_path: Path) -> None:

@@ -124,10 +124,8 @@ def _settings(options: RelightOptions, sky: SkyChoice, image_scale: float) -> di
 def _make_room(base: Path, folders: Sequence[Path], *, is_overwriting: bool) -> None:
     """The scenario of one sky is NAME itself, those of several are folders in it: one kind makes
     way for the other only when the user says so."""
-    if folders == [base]:
-        standing = [] if read_record(base) else [p.parent for p in base.glob(f"*/{RECORD_NAME}")]
-    else:
-        standing = [base] if read_record(base) else []
+    pattern = f"*/{RECORD_NAME}" if folders == [base] else RECORD_NAME
+    standing = [path.parent for path in base.glob(pattern)]
     if standing and not is_overwriting:
         raise InputError(
             "a name holds the scenario of one sky, or those of several",
