@@ -38,6 +38,10 @@ _LARGEST_GRADIENT = 1.0
 _RAMP = 0.1
 
 
+# Weight of known pixels in the L1 loss; a pixel of a hole has 1.
+_KNOWN_WEIGHT = 0.1
+
+
 @dataclass(frozen=True)
 class InpaintConfig:
     """The networks and how they learn. The size of the panoramas is that of the data."""
@@ -63,8 +67,6 @@ class InpaintConfig:
     """Highest learning rate of the generator."""
     discriminator_rate: float = 4e-4
     """Highest learning rate of the discriminator."""
-    known_weight: float = 0.1
-    """Weight of known pixels in the L1 loss; a pixel of a hole has 1."""
     adversarial_weight: float = 0.005
     """Weight of the discriminator's judgement beside the L1 losses, after it has grown from 0."""
     adversarial_from: float = 0.4
@@ -233,8 +235,8 @@ class _Training:
         with self._precision():
             coarse, refined = self.generator(batch.truth, batch.hole)
         terms = {
-            "l1_coarse": reconstruction_loss(coarse, batch.truth, batch.hole, config.known_weight),
-            "l1": reconstruction_loss(refined, batch.truth, batch.hole, config.known_weight),
+            "l1_coarse": reconstruction_loss(coarse, batch.truth, batch.hole, _KNOWN_WEIGHT),
+            "l1": reconstruction_loss(refined, batch.truth, batch.hole, _KNOWN_WEIGHT),
         }
         loss = terms["l1_coarse"] + terms["l1"]
         composite = batch.truth * (1 - batch.hole) + refined * batch.hole

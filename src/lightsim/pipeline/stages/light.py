@@ -35,6 +35,9 @@ from lightsim.render.transport.table import TransportConfig
 from lightsim.store.sky import write_panorama, write_panorama_pictures, write_sky
 from lightsim.store.twin import write_twin
 
+# LiDAR returns whose intensity is asked.
+_LIDAR_RETURNS = 1_500_000
+
 
 @dataclass(frozen=True)
 class SkyStageConfig:
@@ -55,8 +58,6 @@ class TwinConfig:
     """Light at the vertices; one bounce off grey surfaces."""
     delight: DelightConfig = field(default_factory=DelightConfig)
     """How shadows are found."""
-    lidar_returns: int = 1_500_000
-    """LiDAR returns whose intensity is asked."""
 
 
 def make_panorama(
@@ -130,7 +131,7 @@ def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Contex
         source.on(identity),
         config.delight,
         rng,
-        returns=static_returns(log, config.lidar_returns, rng),
+        returns=static_returns(log, _LIDAR_RETURNS, rng),
     )
     tracks = {track.actor_id: track for track in log.actors}
     actors = {}

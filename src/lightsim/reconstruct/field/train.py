@@ -26,6 +26,14 @@ _SAVE_EVERY_S = 60.0
 _STEP_SEED = 1_000_003
 
 
+# Not measured alone; training as a whole is (docs/benchmarks/reconstruction.md).
+
+# Learning rate of the grids.
+_TABLE_RATE = 1e-2
+# Learning rate of everything else.
+_HEAD_RATE = 2e-3
+
+
 @runtime_checkable
 class Journal(Protocol):
     """Where training keeps what must survive an interruption; store/checkpoint.py writes files."""
@@ -86,8 +94,8 @@ class _Optimisers:
     def __init__(self, field: SceneField, config: NeuralConfig) -> None:
         self._field = field
         self._config = config
-        self._sparse = [SparseAdam(t, learning_rate=config.table_rate) for t in field.tables]
-        self._dense = torch.optim.Adam(field.dense_parameters, lr=config.head_rate, eps=1e-15)
+        self._sparse = [SparseAdam(t, learning_rate=_TABLE_RATE) for t in field.tables]
+        self._dense = torch.optim.Adam(field.dense_parameters, lr=_HEAD_RATE, eps=1e-15)
 
     def clear(self) -> None:
         self._dense.zero_grad()
@@ -96,9 +104,9 @@ class _Optimisers:
 
     def step(self, rate: float) -> None:
         for optimiser in self._sparse:
-            optimiser.step(self._config.table_rate * rate)
+            optimiser.step(_TABLE_RATE * rate)
         for group in self._dense.param_groups:
-            group["lr"] = self._config.head_rate * rate
+            group["lr"] = _HEAD_RATE * rate
         self._dense.step()
 
     def state(self, step: int) -> dict[str, Any]:

@@ -83,7 +83,7 @@ def irradiance_at(
     rays = config.transport
     if config.bounce_albedo is None:
         rays = replace(rays, face_rays=0)
-    cells = prepare_sky(dome, rays)
+    cells = prepare_sky(dome)
     table = static_face_table(scene, rays, seed) if faces is None else faces
     found = PointIrradiance.zeros(len(points_world))
     for start in range(0, len(points_world), _TILE_POINTS):
@@ -117,7 +117,7 @@ def _tile(
     bounce_of_sky = lit.bounce
     if cells.sun is not None and config.bounce_albedo is not None:
         no_sun = SkyCells(cells.radiance, None)
-        bounce_of_sky = light_table(table, scene.caster, no_sun, config.transport)[:, 3:6]
+        bounce_of_sky = light_table(table, scene.caster, no_sun)[:, 3:6]
     return PointIrradiance(
         lit.sun_visibility, table.openness, lit.direct_sun, lit.sky, lit.bounce, bounce_of_sky
     )

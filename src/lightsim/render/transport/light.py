@@ -48,7 +48,7 @@ def light(
             light is the mean over each pixel's surfaces, and reflections are added.
         sky: a dome, or the result of `prepare_sky`, which saves time for many frames.
     """
-    cells = prepare_sky(sky, config) if isinstance(sky, SkyDome) else sky
+    cells = prepare_sky(sky) if isinstance(sky, SkyDome) else sky
     radiosity = face_radiosity(table.points.faces, scene.caster, cells)
     sums = table_sums(table.points, cells, radiosity)
     images = np.zeros((gbuffers.depth_z_m.size, 9), dtype=np.float32)
@@ -97,7 +97,7 @@ def light_points(
     config: TransportConfig,
 ) -> PointLight:
     """Light of one sky on traced points."""
-    sums = light_table(table, scene.caster, cells, config)
+    sums = light_table(table, scene.caster, cells)
     visibility = np.zeros(len(points_world), dtype=np.float32)
     sun = np.zeros((len(points_world), 3), dtype=np.float32)
     if cells.sun is not None:
@@ -107,7 +107,7 @@ def light_points(
 
 
 def light_table(
-    table: PointTable, caster: RayCaster, cells: SkyCells, config: TransportConfig
+    table: PointTable, caster: RayCaster, cells: SkyCells
 ) -> Float32[np.ndarray, "n 9"]:
     """Open sky, bounce and unshadowed sky of each point, irradiance / pi."""
     return table_sums(table, cells, face_radiosity(table.faces, caster, cells))
