@@ -21,7 +21,7 @@ from lightsim.appearance.intrinsic.decompose import delight
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
 from lightsim.pipeline.source_light import SourceLight, static_returns
-from lightsim.pipeline.stages.light import TwinConfig
+from lightsim.pipeline.stages.light import LIDAR_RETURNS, TwinConfig
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import SilentProgress
 from lightsim.simulate.against_truth import base_colours_of
@@ -74,7 +74,7 @@ def _without_light(workspace: Workspace, name: str, truth: Path) -> TriMesh:
         source.on(RigidTransform.identity("world", "world")),
         VARIANTS[name],
         rng,
-        returns=static_returns(log, config.lidar_returns, rng) if uses_lidar else None,
+        returns=static_returns(log, LIDAR_RETURNS, rng) if uses_lidar else None,
     )
     return done.mesh
 

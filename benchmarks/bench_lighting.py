@@ -16,11 +16,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from shadow_caster import caster_rmse
 
 from lightsim.core.colour import luminance
 from lightsim.core.dome import SkyDome, Sun, add_sun, resized, split_sun
 from lightsim.core.solar import angle_between_deg, azimuth_elevation
-from lightsim.evaluate.shadow_caster import caster_rmse
 from lightsim.evaluate.sky import evaluate_sky, relative_rmse, sphere_radiance
 from lightsim.lighting.sample import LightingBatch
 from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky

@@ -18,18 +18,21 @@ from pathlib import Path
 
 import numpy as np
 
+from lightsim.core.buffers import BACKGROUND
 from lightsim.core.reading import LogReading
 from lightsim.datasets.fingerprint import hash_recording
 from lightsim.evaluate.frames import FramesConfig
-from lightsim.evaluate.geometry import GeometryConfig
+from lightsim.evaluate.geometry import THRESHOLDS_M
 from lightsim.pipeline import build as pipeline
 from lightsim.pipeline.measures import geometry as measure_geometry
 from lightsim.pipeline.measures import held_out_frames
 from lightsim.pipeline.options import BuildOptions
 from lightsim.pipeline.workspace import FIELD_NAME, Workspace
 from lightsim.progress import LineProgress, SilentProgress
-from lightsim.simulate.against_truth import normal_error_deg
+from lightsim.render.gbuffers import render_gbuffers
+from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.store.artefact import hash_names, read_record, state_of
+from lightsim.store.exr import read_exr
 
 QUICK: dict = {"preset": "draft", "neural_steps": 0}
 """Ablations of the alignment: fused LiDAR and textures of every fourth image."""
@@ -67,6 +70,30 @@ def main() -> None:
         command = [sys.executable, *sys.argv, "--one", name]
         subprocess.run(command, check=True)
     _print_tables(options, names)
+
+
+def normal_error_deg(work: Path, truth: Path) -> float:
+    """Median angle between the twin's shading normals and the true ones of a synthetic log, on
+    static surface of the frames with true buffers."""
+    workspace = Workspace(work)
+    log, background = workspace.log_at(1.0), workspace.assets.background
+    frames = {(f.camera_name, f.stem): f for f in log.frames}
+    scene = without_actors(make_static_scene([background]))
+    angles: list[np.ndarray] = []
+    for path in sorted((truth / "normal_world").glob("*/*.exr")):
+        frame = frames.get((path.parent.name, path.stem))
+        if frame is None:
+            continue
+        buffers = render_gbuffers(scene, log.cameras[frame.camera_name], frame)
+        true_normal = read_exr(path)
+        actor = read_exr(truth / "actor_index" / path.parent.name / path.name)
+        is_static = np.rint(actor.reshape(buffers.depth_z_m.shape)) == BACKGROUND
+        valid = is_static & buffers.has_surface
+        cosine = (buffers.normal_world[valid] * true_normal[valid]).sum(axis=1)
+        angles.append(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    if not angles:
+        raise SystemExit(f"{truth} holds no true normals of a frame of the build")
+    return float(np.median(np.concatenate(angles)))
 
 
 def _arguments() -> argparse.Namespace:
@@ -202,5 +229,5 @@ def _say(line: str) -> None:
 
 
 if __name__ == "__main__":
-    assert GeometryConfig().thresholds_m == (0.05, 0.10)
+    assert THRESHOLDS_M == (0.05, 0.10)
     main()

@@ -74,7 +74,7 @@ def main() -> None:
         small = render_gbuffers(scene, scenes.camera(), view)
         warm = trace_transport(scene, small, config)
         light(warm, scene, small, sky, config)
-        cells = timed(f"{name}: sky (once a sky)", lambda c=config: prepare_sky(sky, c))
+        cells = timed(f"{name}: sky (once a sky)", lambda c=config: prepare_sky(sky))
         faces = static_face_table(scene, config)
         for order in ("first frame", "next frame"):
             table = timed(

@@ -238,7 +238,7 @@ def split(frames: Frames, options: argparse.Namespace) -> None:
     """Where the ray table's time goes, and further frames with all skies."""
     config = TransportConfig(glossy_rays=0)
     most = max(options.skies)
-    cells = [prepare_sky(sky, config) for sky in frames.skies(most)]
+    cells = [prepare_sky(sky) for sky in frames.skies(most)]
     dark = [replace(cell, sun=None) for cell in cells]
     faces = static_face_table(frames.scene(), config)
     say(f"| ray table, N={config.sky_rays} | place + BVH | primary | trace | sums | sun rays |")

@@ -112,7 +112,7 @@ def measure(options: argparse.Namespace, width: int, backend: MitsubaBackend) ->
     scene = frames.scene()
     buffers = render_gbuffers(scene, frames.camera, frames.view())
     table = trace_transport(scene, buffers, config, 0, static_face_table(scene, config))
-    sky = prepare_sky(frames.dome, config)
+    sky = prepare_sky(frames.dome)
     sun = sky.sun or Sun(np.array([0.0, 0.0, 1.0]), np.full(3, np.pi, np.float32))
     skies = [replace(sky, sun=moved) for moved in arc(sun, options.suns)]
     used_mb = device_mb(backend)

@@ -128,7 +128,7 @@ class TableMethod:
     def run(self, frames: Frames, skies: Sequence[SkyDome], number: int = 0) -> Result:
         config = self.config
         scene = frames.scene(number)
-        cells = [prepare_sky(sky, config) for sky in skies]
+        cells = [prepare_sky(sky) for sky in skies]
         with Cost() as once:
             buffers = render_gbuffers(scene, frames.camera, frames.view(number))
             if self._faces is None or self._faces[0] is not frames.static:

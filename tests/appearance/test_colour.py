@@ -8,7 +8,7 @@ from plane_mesh import plane_mesh
 
 from lightsim.appearance.colour import fill_unseen
 from lightsim.appearance.gains import solve_gains
-from lightsim.appearance.intrinsic.divide import DivideConfig, base_colour_from_radiance
+from lightsim.appearance.intrinsic.divide import base_colour_from_radiance
 from lightsim.core.mesh import TriMesh
 from lightsim.errors import InputError
 
@@ -45,7 +45,7 @@ def test_baked_shadows_disappear() -> None:
     light = np.where(is_shadow, 0.25, 1.0)[:, None] * np.array([1.0, 1.0, 1.1])
     source = np.where(believed, 0.25, 1.0)[:, None] * np.array([1.0, 1.0, 1.1])
     baked = TriMesh("world", plane.vertices, plane.faces, (albedo * light).astype(np.float32))
-    result = base_colour_from_radiance(baked, source.astype(np.float32), DivideConfig())
+    result = base_colour_from_radiance(baked, source.astype(np.float32))
     inside, outside = (np.abs(x) < 1.0) & (y > -1.8), (np.abs(x) > 1.5) & (y > -1.8)
     truth = albedo[outside].mean() / albedo[inside].mean()
     before = baked.base_colour[outside].mean() / baked.base_colour[inside].mean()
@@ -59,8 +59,8 @@ def test_baked_shadows_disappear() -> None:
 def test_light_must_fit_the_mesh() -> None:
     plane = plane_mesh(1.0, 0.5)
     with pytest.raises(InputError, match="every vertex"):
-        base_colour_from_radiance(plane, np.ones((2, 3), np.float32), DivideConfig())
+        base_colour_from_radiance(plane, np.ones((2, 3), np.float32))
     dark = np.zeros((len(plane.vertices), 3), np.float32)
-    result = base_colour_from_radiance(plane, dark, DivideConfig())
+    result = base_colour_from_radiance(plane, dark)
     assert np.isfinite(result.base_colour).all()
     assert result.base_colour.min() >= np.float32(0.02)

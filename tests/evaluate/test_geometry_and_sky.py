@@ -87,7 +87,6 @@ def test_a_displaced_wall_has_its_displacement_as_error(
         [sweep],
         [wall(10.2)],
         lambda time_ns: [],
-        GeometryConfig(),
         make_caster=make_caster,
         rng=rng,
     )
@@ -104,7 +103,6 @@ def test_the_nearer_of_actor_and_background_counts(
         [sweep],
         [wall(12.0)],
         lambda time_ns: [wall(10.0, half_m=20.0)],
-        GeometryConfig(),
         make_caster=make_caster,
         rng=rng,
     )
@@ -114,14 +112,11 @@ def test_the_nearer_of_actor_and_background_counts(
 
 def test_misses_lower_the_hit_rate(sweep: LazySweep, rng: np.random.Generator) -> None:
     scores = evaluate_lidar(
-        [sweep], [wall(10.0, 2.0)], lambda time_ns: [], GeometryConfig(),
-        make_caster=make_caster, rng=rng,
+        [sweep], [wall(10.0, 2.0)], lambda time_ns: [], make_caster=make_caster, rng=rng,
     )  # fmt: skip
     assert scores.hit_rate == pytest.approx(0.25, abs=0.06)
     with pytest.raises(InputError, match="no LiDAR return"):
-        evaluate_lidar(
-            [], [wall(10.0)], lambda time_ns: [], GeometryConfig(), make_caster=make_caster, rng=rng
-        )
+        evaluate_lidar([], [wall(10.0)], lambda time_ns: [], make_caster=make_caster, rng=rng)
 
 
 def test_f_score_of_a_parallel_and_of_a_half_wall(rng: np.random.Generator) -> None:
@@ -151,7 +146,7 @@ def test_hidden_side_of_the_truth_is_not_asked_for(rng: np.random.Generator) -> 
 def test_geometry_report_prints(sweep: LazySweep, rng: np.random.Generator) -> None:
     config = GeometryConfig(samples=100, support_samples=100)
     lidar = evaluate_lidar(
-        [sweep], [wall(10.0)], lambda time_ns: [], config, make_caster=make_caster, rng=rng
+        [sweep], [wall(10.0)], lambda time_ns: [], make_caster=make_caster, rng=rng
     )
     report = GeometryReport(lidar, evaluate_surface(wall(10.0), wall(10.0), config, rng=rng))
     assert "| 0.05 | 1.000 | 1.000 | 1.000 |" in report.to_table()

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from benchmarks.shadow_caster import caster_radiance, caster_rmse, ground_points
 
 from lightsim.core.dome import SkyDome, Sun, add_sun
-from lightsim.evaluate.shadow_caster import caster_radiance, caster_rmse, ground_points
 
 
 def sun_towards(azimuth_rad: float, elevation_rad: float) -> Sun:

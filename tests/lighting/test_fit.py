@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lightsim.core.colour import luminance
-from lightsim.lighting.sky.fit import SunFit, SunFitConfig, fit_sun
+from lightsim.lighting.sky.fit import SunFit, fit_sun
 from lightsim.lighting.sun.evidence import LightEvidence
 
 SKY = np.array([0.5, 0.6, 0.8])
@@ -44,7 +44,7 @@ def _evidence(
 
 def _fit(evidence: LightEvidence, rng: np.random.Generator, **hints: float) -> SunFit:
     even_sky = np.broadcast_to(SKY / np.pi, (48, 96, 3))
-    return fit_sun(evidence, evidence.diffuse_light(even_sky), SKY, SunFitConfig(), rng, **hints)
+    return fit_sun(evidence, evidence.diffuse_light(even_sky), SKY, rng, **hints)
 
 
 @pytest.mark.parametrize("wrong_share", [0.0, 0.15])

@@ -15,14 +15,13 @@ from lightsim.core.log import GeoReference
 from lightsim.core.solar import angle_between_deg, direction_enu
 from lightsim.core.twin import Panorama
 from lightsim.errors import InputError
-from lightsim.lighting.sky.clear_sky import clear_sky, clear_sky_parts, overcast_sky
+from lightsim.lighting.sky.clear_sky import clear_sky, clear_sky_parts
 from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
 from lightsim.lighting.sky.image_sky import estimate_from_panorama
 from lightsim.lighting.sun.direction import (
     SunDirection,
     find_sun_blob,
     sun_from_geo,
-    sun_from_panorama,
 )
 from lightsim.lighting.target_sky import dome_from_array, scale_to_source, target_sky
 
@@ -75,13 +74,6 @@ def test_twilight_is_refused():
         clear_sky(direction_enu(0.0, -1.0))
 
 
-def test_an_overcast_sky_has_its_irradiance_and_is_three_times_brighter_at_the_zenith():
-    level = np.array([1.0, 2.0, 3.0])
-    dome = overcast_sky(level, height_px=64)
-    np.testing.assert_allclose(dome.horizontal_irradiance(), level, rtol=1e-4)
-    assert dome.radiance[0, 0, 0] / dome.radiance[31, 0, 0] == pytest.approx(3.0, rel=0.06)
-
-
 def test_the_sun_of_log_002_and_its_turn_into_the_world():
     time_ns = _geo(0.0).utc_start_ns
     sun = sun_from_geo(_geo(0.0), time_ns)
@@ -112,24 +104,6 @@ def test_a_clipped_spot_is_found_across_the_seam_and_wide_clouds_are_not():
     assert blob.radius_deg == pytest.approx(4.0, abs=0.5)
     radiance[cosine > np.cos(np.radians(40.0))] = 1.5
     assert find_sun_blob(_picture(SkyDome(radiance, None))) is None
-
-
-def test_without_a_spot_the_gradient_gives_the_sun_with_an_honest_uncertainty():
-    direction = direction_enu(130.0, 35.0)
-    radiance, _ = clear_sky_parts(direction, 4.0, 0.2, 128)
-    panorama = _picture(SkyDome(0.3 * radiance, None))
-    hidden = pixel_directions(128) @ direction > np.cos(np.radians(25.0))
-    hidden |= pixel_directions(128)[..., 2] > 0.6
-    panorama = Panorama(
-        panorama.radiance,
-        ~hidden,
-        panorama.is_sky & ~hidden,
-        np.zeros_like(hidden),
-    )
-    sun = sun_from_panorama(panorama)
-    assert sun.origin == "image"
-    assert angle_between_deg(sun.direction_world, direction) < 15.0
-    assert sun.uncertainty_deg >= 15.0
 
 
 def test_the_dome_of_a_partly_seen_clear_sky_matches_the_truth():

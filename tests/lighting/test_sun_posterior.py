@@ -25,7 +25,7 @@ from lightsim.lighting.sun.cues import (
     ephemeris_cue,
 )
 from lightsim.lighting.sun.direction import SunBlob
-from lightsim.lighting.sun.posterior import SunPosteriorConfig, sun_direction, sun_posterior
+from lightsim.lighting.sun.posterior import sun_direction, sun_posterior
 from lightsim.lighting.sun.shadow_votes import ShadowVoteConfig, ShadowVotes, vote
 from lightsim.lighting.sun.surface_samples import SampleConfig, sample_surfaces
 from lightsim.render.casters.embree import make_embree_caster
@@ -96,7 +96,7 @@ def test_cast_shadows_find_the_sun_within_three_degrees():
     sun = direction_enu(230.0, 35.0)
     votes = _votes(sun, 4.0, 1)
     assert votes.sunny_probability > 0.99
-    posterior = sun_posterior([ShadowCue(votes)], None, SunPosteriorConfig())
+    posterior = sun_posterior([ShadowCue(votes)], None)
     assert angle_between_deg(posterior.direction_world, sun) < 3.0
     assert posterior.sunny_probability > 0.95
     assert posterior.probability_within(sun) < 0.95
@@ -107,7 +107,7 @@ def test_cast_shadows_find_the_sun_within_three_degrees():
 def test_without_a_sun_paint_alone_does_not_vote():
     votes = _votes(direction_enu(230.0, 35.0), 0.0, 2)
     assert votes.sunny_probability < 0.2
-    posterior = sun_posterior([ShadowCue(votes)], None, SunPosteriorConfig())
+    posterior = sun_posterior([ShadowCue(votes)], None)
     assert posterior.sunny_probability < 0.2
     assert posterior.region_90_deg > 45.0
 
@@ -156,7 +156,7 @@ def _blob(direction: np.ndarray) -> BlobCue:
 
 def test_place_time_and_heading_give_the_ephemeris_with_the_headings_uncertainty():
     geo = _geo(0.4, 0.5)
-    posterior = sun_posterior([ephemeris_cue(geo, TIME_NS)], None, SunPosteriorConfig())
+    posterior = sun_posterior([ephemeris_cue(geo, TIME_NS)], None)
     position = solar_position(geo.latitude_deg, geo.longitude_deg, TIME_NS)
     assert geo.enu_from_world is not None
     truth = geo.enu_from_world.inverse().rotate(
@@ -174,7 +174,7 @@ def test_a_wrong_heading_is_corrected_by_what_is_seen():
     true_turn = RigidTransform.from_yaw("enu", "world", 0.4 + np.radians(6.0), np.zeros(3))
     sun = true_turn.inverse().rotate(direction_enu(position.azimuth_deg, position.elevation_deg))
     cues = [ephemeris_cue(geo, TIME_NS), _blob(sun)]
-    posterior = sun_posterior(cues, None, SunPosteriorConfig())
+    posterior = sun_posterior(cues, None)
     assert angle_between_deg(posterior.direction_world, sun) < 0.5
     assert posterior.heading_correction_deg == pytest.approx(-6.0, abs=0.6)
 
@@ -183,7 +183,7 @@ def test_an_unknown_heading_is_estimated_from_place_time_and_the_spot():
     geo = _geo(None, 0.0)
     position = solar_position(geo.latitude_deg, geo.longitude_deg, TIME_NS)
     sun = direction_enu(40.0, position.elevation_deg)
-    posterior = sun_posterior([ephemeris_cue(geo, TIME_NS), _blob(sun)], None, SunPosteriorConfig())
+    posterior = sun_posterior([ephemeris_cue(geo, TIME_NS), _blob(sun)], None)
     assert angle_between_deg(posterior.direction_world, sun) < 0.3
     # World +x is turned so that the sun of azimuth 283 stands where 40 was seen.
     assert posterior.heading_deg == pytest.approx((90 + position.azimuth_deg - 40) % 360, abs=0.5)
@@ -191,7 +191,7 @@ def test_an_unknown_heading_is_estimated_from_place_time_and_the_spot():
 
 
 def test_without_cues_the_hemisphere_stays_uniform():
-    posterior = sun_posterior([], None, SunPosteriorConfig())
+    posterior = sun_posterior([], None)
     assert posterior.sunny_probability == pytest.approx(0.5)
     assert posterior.region_90_deg > 60.0
     assert posterior.mass.sum() == pytest.approx(1.0)
@@ -201,7 +201,7 @@ def test_seen_sky_without_a_spot_rules_a_clear_sun_out():
     is_sky = pixel_directions(64)[..., 0] > 0
     nothing = np.zeros((64, 128), bool)
     panorama = Panorama(np.full((64, 128, 3), 0.3, np.float32), is_sky, is_sky, nothing)
-    posterior = sun_posterior([OpenSkyCue(panorama)], panorama, SunPosteriorConfig())
+    posterior = sun_posterior([OpenSkyCue(panorama)], panorama)
     assert posterior.visible_probability < 0.05
     assert posterior.sunny_probability < 0.4
     clear = posterior.mass[:, 0] / posterior.mass[:, 0].sum()
@@ -213,10 +213,10 @@ def test_the_network_counts_with_its_concentration():
     prediction = SkyPrediction(
         sun.astype(np.float32), 400.0, 4.0, 0.5, 0.9, np.zeros(64, np.float32)
     )
-    posterior = sun_posterior([NetworkCue(prediction)], None, SunPosteriorConfig())
+    posterior = sun_posterior([NetworkCue(prediction)], None)
     assert angle_between_deg(posterior.direction_world, sun) < 1.0
     assert 0.7 < posterior.sunny_probability < 0.9
-    both = sun_posterior([NetworkCue(prediction), _blob(sun)], None, SunPosteriorConfig())
+    both = sun_posterior([NetworkCue(prediction), _blob(sun)], None)
     assert both.region_90_deg < posterior.region_90_deg
 
 
@@ -234,5 +234,5 @@ def test_the_gradient_cue_knows_a_clear_sky():
     radiance = 0.3 * clear_sky_parts(sun, 4.0, 0.2, 64)[0]
     seen = (pixel_directions(64)[..., 2] > 0) & (pixel_directions(64) @ sun < 0.9)
     panorama = Panorama(radiance, seen, seen, np.zeros_like(seen))
-    posterior = sun_posterior([GradientCue(panorama)], panorama, SunPosteriorConfig())
+    posterior = sun_posterior([GradientCue(panorama)], panorama)
     assert angle_between_deg(posterior.direction_world, sun) < 15.0

@@ -65,7 +65,7 @@ def test_prior_look_up_equals_its_torch_twin_and_the_plane() -> None:
 
 def test_samples_are_sorted_and_surround_the_surface() -> None:
     batch = batch_of(wall_pool(300, is_lidar=False), torch.device("cpu"))
-    t = place_samples(batch, small_config(), torch.Generator().manual_seed(0))
+    t = place_samples(batch, torch.Generator().manual_seed(0))
     assert (t[:, 1:] >= t[:, :-1]).all()
     assert (
         (t < batch.surface_m[:, None]).any(dim=1) & (t > batch.surface_m[:, None]).any(dim=1)

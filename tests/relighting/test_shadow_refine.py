@@ -11,7 +11,6 @@ from tests.relighting.test_ratio import SUN, make_inputs
 
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
 from lightsim.relighting.physical.shadow_refine import (
-    ShadowRefineConfig,
     refine_sun_visibility,
     unoccluded_sun,
     with_sun_visibility,
@@ -32,7 +31,6 @@ def refined(inputs: RelightInputs) -> np.ndarray:
         inputs.source,
         SUN,
         inputs.sky_matte < 0.5,
-        ShadowRefineConfig(),
     )
 
 

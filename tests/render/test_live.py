@@ -74,8 +74,8 @@ def test_light_equals_that_of_the_host(
     table, scene, buffers = _traced(mitsuba_caster_maker(backend), config)
     live = LiveFrame(table, scene, buffers, config, backend)
     assert live.held_bytes > 0
-    low, high = (prepare_sky(sun_sky(a, e, 0.3), config) for a, e in ((1.0, 20.0), (-2.0, 65.0)))
-    other = prepare_sky(random_sky(rng), config)
+    low, high = (prepare_sky(sun_sky(a, e, 0.3)) for a, e in ((1.0, 20.0), (-2.0, 65.0)))
+    other = prepare_sky(random_sky(rng))
     skies = [low, replace(low, sun=high.sun), other, replace(other, sun=low.sun)]
     skies += [replace(low, sun=None), low]
     for sky in skies:
@@ -91,7 +91,7 @@ def test_a_moved_sun_takes_no_sums_of_the_sky_and_no_kernels_of_its_own(
 
     table, scene, buffers = _traced(make_embree_caster, CONFIG)
     live = LiveFrame(table, scene, buffers, CONFIG, backend)
-    sky = prepare_sky(sun_sky(1.0, 40.0, 0.3), CONFIG)
+    sky = prepare_sky(sun_sky(1.0, 40.0, 0.3))
     first = live(sky)
     assert sky.sun is not None
     suns = [sky.sun.turned(10.0 * k) for k in range(1, 13)]
@@ -108,7 +108,7 @@ def test_a_moved_sun_takes_no_sums_of_the_sky_and_no_kernels_of_its_own(
 
 def test_a_table_of_another_caster_is_lit_alike(backend: MitsubaBackend) -> None:
     table, scene, buffers = _traced(make_embree_caster, CONFIG)
-    sky = prepare_sky(sun_sky(1.0, 40.0, 0.3), CONFIG)
+    sky = prepare_sky(sun_sky(1.0, 40.0, 0.3))
     shaded = LiveFrame(table, scene, buffers, CONFIG, backend)(sky).shaded.cpu().numpy()
     expected = light(table, scene, buffers, sky, CONFIG).shaded
     assert np.mean(np.abs(shaded - expected) > 1e-3) < 0.005
@@ -119,7 +119,7 @@ def test_a_frame_of_nothing_but_sky_is_black(backend: MitsubaBackend) -> None:
     table, scene, buffers = _traced(make_embree_caster, CONFIG, target_z_m=90.0)
     assert not buffers.has_surface.any()
     live = LiveFrame(table, scene, buffers, CONFIG, backend)
-    lit = live(prepare_sky(sun_sky(1.0, 40.0, 0.3), CONFIG))
+    lit = live(prepare_sky(sun_sky(1.0, 40.0, 0.3)))
     assert not lit.shaded.any()
     assert bool((lit.ratio == 1).all())
 

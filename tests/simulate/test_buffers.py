@@ -220,7 +220,7 @@ def test_the_ray_table_and_the_path_tracer_take_the_same_picture() -> None:
 def test_the_visible_sun_has_its_light() -> None:
     frame = replace(frames()[0], world_from_camera=look_at([0, 0, 1], [10, 0, 1]))
     view = camera(200, 200, 8000.0)
-    sky = prepare_sky(sun_sky(0.0, 0.0, 0.25), TransportConfig())
+    sky = prepare_sky(sun_sky(0.0, 0.0, 0.25))
     assert sky.sun is not None
     seen = visible_sky(sky, frame, view) - 0.25
     np.testing.assert_allclose(seen.sum((0, 1)) / 8000.0**2, sky.sun.irradiance, rtol=0.02)

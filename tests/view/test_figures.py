@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.buffers import GBuffers
 from lightsim.core.dome import Sun, add_sun
 from lightsim.errors import InputError
 from lightsim.view import figures
@@ -42,15 +42,13 @@ def test_colour_maps_tell_near_from_far_and_sky() -> None:
     np.testing.assert_array_equal(
         figures.normal_colours(buffers)[0], [[128, 128, 255], [24, 24, 24]]
     )
-    assert (figures.error_colours(np.array([[0.0, np.nan]]), 1.0)[0, 1] == 24).all()
 
 
 def test_strips() -> None:
     one = np.ones((4, 5, 3), np.uint8)
-    light = np.full((4, 5, 3), 0.5, np.float32)
-    shadows = ShadowBuffers(light[..., 0], light * 0, light, light * 0, light, light * 2)
-    wide = figures.relight_strip(one, one * 2, shadows)
-    assert wide.shape == (4, 4 * 5 + 3 * 6, 3)
+    half = figures.ratio_grey(np.full((4, 5, 3), 0.5, np.float32))
+    wide = figures.strip([one, half])
+    assert wide.shape == (4, 2 * 5 + 6, 3)
     assert (wide[:, -5:] == 128).all()
     assert (wide[:, :5] == 1).all()
     with pytest.raises(InputError, match="one height"):

@@ -22,6 +22,12 @@ _LEAST_SWEEPS = 6
 _LEAST_FRAMES = 4
 
 
+# Each part as a whole is measured (docs/decisions/0004-alignment-stage.md), none of these alone.
+
+# Frames of each camera that are compared with depth edges.
+_CAMERA_FRAMES = 12
+
+
 def align_log(
     log: DrivingLog, config: AlignConfig, *, rng: np.random.Generator, progress: Progress
 ) -> Alignment:
@@ -78,8 +84,7 @@ def _frames_to_compare(log: DrivingLog, config: AlignConfig) -> Mapping[str, Seq
         return {}
     stems = {sweep.stem for sweep in log.sweeps}
     chosen = {
-        name: chosen_frames(log.frames_of(name), stems, config.camera_frames)
-        for name in log.cameras
+        name: chosen_frames(log.frames_of(name), stems, _CAMERA_FRAMES) for name in log.cameras
     }
     return {name: frames for name, frames in chosen.items() if len(frames) >= _LEAST_FRAMES}
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 from scipy.optimize import minimize
 
-from lightsim.align.config import AlignConfig
+from lightsim.align.config import HELD_BACK, AlignConfig
 from lightsim.align.edges import edge_strength, reduced_grey, sample
 from lightsim.core.alignment import CameraCorrection, corrected_frame
 from lightsim.core.camera import PinholeCamera
@@ -27,6 +27,20 @@ _LIMIT = 3.0
 _STEPS = np.array([1e-4] * 3 + [1e-3] * 3 + [1e-3])
 
 Edges = Mapping[str, Float64[np.ndarray, "_ 3"]]
+
+
+# Each part as a whole is measured (docs/decisions/0004-alignment-stage.md), none of these alone.
+
+# Depth edges used in each of them.
+_EDGES_PER_FRAME = 1200
+# Expected size of a correction of a mounting (one standard deviation).
+_CAMERA_SHIFT_M = 0.015
+# The same for its rotation.
+_CAMERA_ROTATION_DEG = 0.15
+# The same for a camera's time offset.
+_CAMERA_TIME_S = 0.01
+# Pictures wider than this are reduced before they are compared.
+_PICTURE_WIDTH_PX = 960
 
 
 @dataclass(frozen=True)
@@ -65,17 +79,15 @@ def align_camera(
     Gaussian priors on the seven parameters. In each round pixel positions are linear in them. The
     coarsest level can lead to a wrong maximum, so a search without it competes.
     """
-    scale = min(1.0, config.picture_width_px / camera.width_px)
+    scale = min(1.0, _PICTURE_WIDTH_PX / camera.width_px)
     small = camera.scaled(scale)
-    views = [_view(frame, small, edges_by_stem[frame.stem], config, rng) for frame in frames]
+    views = [_view(frame, small, edges_by_stem[frame.stem], rng) for frame in frames]
     if sum(len(view.points_world) for view in views) < _LEAST_EDGES:
         return None
-    fitted = [v for i, v in enumerate(views) if i % config.held_back != 0]
-    judging = [v for i, v in enumerate(views) if i % config.held_back == 0]
+    fitted = [v for i, v in enumerate(views) if i % HELD_BACK != 0]
+    judging = [v for i, v in enumerate(views) if i % HELD_BACK == 0]
     spread = np.array(
-        [np.radians(config.camera_rotation_deg)] * 3
-        + [config.camera_shift_m] * 3
-        + [config.camera_time_s]
+        [np.radians(_CAMERA_ROTATION_DEG)] * 3 + [_CAMERA_SHIFT_M] * 3 + [_CAMERA_TIME_S]
     )
     x, best = np.zeros(7), _score(np.zeros(7), fitted, small, ego)
     for first_level in (0, 1):
@@ -128,7 +140,6 @@ def _view(
     frame: CameraFrame,
     camera: PinholeCamera,
     points_world: Float64[np.ndarray, "n 3"],
-    config: AlignConfig,
     rng: np.random.Generator,
 ) -> _View:
     """The depth edges in or near the picture, and its edge strength at every level."""
@@ -136,7 +147,7 @@ def _view(
     size = np.array([camera.width_px, camera.height_px])
     known = np.where(np.isfinite(uv), uv, -np.inf)
     is_near = np.all((known > -_BORDER_PX) & (known < size + _BORDER_PX), axis=1)
-    chosen = rng.permutation(np.flatnonzero(is_near))[: config.edges_per_frame]
+    chosen = rng.permutation(np.flatnonzero(is_near))[:_EDGES_PER_FRAME]
     grey = reduced_grey(frame.load_srgb8(), camera.height_px, camera.width_px)
     strength = tuple(edge_strength(grey, sigma) for sigma in _LEVELS_PX)
     return _View(frame, points_world[chosen], strength)

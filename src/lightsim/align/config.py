@@ -18,6 +18,12 @@ OTHER_PARTS = ("camera_gains",)
 """Physics of the log that other stages take care of and the same option switches."""
 
 
+# Each part as a whole is measured (docs/decisions/0004-alignment-stage.md), none of these alone.
+
+# Every n-th sweep or frame judges a correction instead of shaping it.
+HELD_BACK = 4
+
+
 @dataclass(frozen=True)
 class AlignConfig:
     """Which parts of a log are refined. A correction is kept only where returns or pictures that
@@ -35,32 +41,12 @@ class AlignConfig:
     """Give parked vehicles one constant box, and place moving ones by their returns."""
     camera_poses: bool = True
     """Refine the mounting and the time offset of each camera by depth edges."""
-    held_back: int = 4
-    """Every n-th sweep or frame judges a correction instead of shaping it."""
     least_gain: float = 0.005
     """By which share the held-back score must improve for a correction to be kept."""
     plane_voxel_m: float = 0.2
     """Edge of the voxels to which all sweeps together are thinned for the map."""
     points_per_sweep: int = 4000
     """Returns of each sweep that are compared with the map."""
-    path_rounds: int = 3
-    """Rounds of matching and solving for the path."""
-    path_shift_m: float = 0.05
-    """Expected size of a correction of the path (one standard deviation)."""
-    path_rotation_deg: float = 0.1
-    """The same for its rotation."""
-    camera_frames: int = 12
-    """Frames of each camera that are compared with depth edges."""
-    edges_per_frame: int = 1200
-    """Depth edges used in each of them."""
-    camera_shift_m: float = 0.015
-    """Expected size of a correction of a mounting (one standard deviation)."""
-    camera_rotation_deg: float = 0.15
-    """The same for its rotation."""
-    camera_time_s: float = 0.01
-    """The same for a camera's time offset."""
-    picture_width_px: int = 960
-    """Pictures wider than this are reduced before they are compared."""
 
     def without(self, parts: tuple[str, ...]) -> AlignConfig:
         """The same with some parts switched off.

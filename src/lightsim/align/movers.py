@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from lightsim.align.config import AlignConfig
+from lightsim.align.config import HELD_BACK, AlignConfig
 from lightsim.align.path import PathFit, Wander, align_returns, still_correction
 from lightsim.align.planes import Cloud
 from lightsim.align.tracks import TrackFit
@@ -60,7 +60,7 @@ def settle_moving(
 
 
 def _fitted(cloud: Cloud, config: AlignConfig, rng: np.random.Generator) -> PathFit:
-    is_judge = rng.random(len(cloud.sweep)) < 1.0 / config.held_back
+    is_judge = rng.random(len(cloud.sweep)) < 1.0 / HELD_BACK
     fine = replace(
         config,
         plane_voxel_m=_VOXEL_M,

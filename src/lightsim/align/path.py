@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from scipy.spatial import KDTree
 
-from lightsim.align.config import AlignConfig
+from lightsim.align.config import HELD_BACK, AlignConfig
 from lightsim.align.planes import (
     Cloud,
     Matches,
@@ -30,6 +30,16 @@ _NOISE_M = 0.02
 _CORRELATED = 50.0
 """So many neighbouring returns are worth one independent measurement."""
 _BATCH = 20_000
+
+
+# Each part as a whole is measured (docs/decisions/0004-alignment-stage.md), none of these alone.
+
+# Rounds of matching and solving for the path.
+_PATH_ROUNDS = 3
+# Expected size of a correction of the path (one standard deviation).
+_PATH_SHIFT_M = 0.05
+# The same for its rotation.
+_PATH_ROTATION_DEG = 0.1
 
 
 @dataclass(frozen=True)
@@ -73,11 +83,11 @@ def align_path(
     cloud: Cloud, ego: Trajectory, config: AlignConfig, rng: np.random.Generator
 ) -> PathFit:
     """Correct the path by the sweeps; every `config.held_back`-th sweep only judges."""
-    is_judge = cloud.sweep % config.held_back == config.held_back // 2
+    is_judge = cloud.sweep % HELD_BACK == HELD_BACK // 2
     still = still_correction(cloud, ego.positions_m.mean(axis=0))
     # The size is expected of the path as a whole, not of each knot.
     whole = float(np.sqrt(len(still.times_ns)))
-    turn_deg, shift_m = config.path_rotation_deg * whole, config.path_shift_m * whole
+    turn_deg, shift_m = _PATH_ROTATION_DEG * whole, _PATH_SHIFT_M * whole
     wander = Wander((turn_deg, turn_deg, turn_deg), (shift_m, shift_m, shift_m), 0.01, 0.01, 0.05)
     return align_returns(cloud, is_judge, still, wander, config, rng)
 
@@ -107,7 +117,7 @@ def align_returns(
     judging = judging.rows(is_sampled(judging.sweep, config.points_per_sweep, rng))
     correction = still
     before = held_back_residual_m(judging, reference, correction, wander.flat_m)
-    for _ in range(config.path_rounds):
+    for _ in range(_PATH_ROUNDS):
         correction = _solved(correction, asked, reference, wander)
     after = held_back_residual_m(judging, reference, correction, wander.flat_m)
     return PathFit(correction, before, after, after < before * (1.0 - config.least_gain))

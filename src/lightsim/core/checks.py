@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from lightsim.errors import InputError
 
@@ -57,3 +58,46 @@ def check_choice(where: str, value: str | None, choices: Sequence[str | None]) -
             got=repr(value)[:80],
             expected=f"one of {', '.join(str(choice) for choice in choices)}",
         )
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Between which values a measured quantity is taken, and what is said of others.
+
+    Args:
+        what: the message where it is refused.
+        most: largest value that is taken.
+        unit: of all four numbers, for the message.
+        least: smallest value that is taken.
+        odd: outside these two it is taken, but worth a note.
+        remedy: what to do where it is refused.
+    """
+
+    what: str
+    most: float
+    unit: str
+    least: float = -math.inf
+    odd: tuple[float, float] = (-math.inf, math.inf)
+    remedy: str | None = None
+
+    def check(self, where: object, value: float, got: str) -> bool:
+        """Refuse what lies outside; whether the value is odd.
+
+        Args:
+            where: the file or entry.
+            value: to compare; nan is refused.
+            got: the value in words.
+
+        Raises:
+            InputError: it lies outside.
+        """
+        if not self.least <= value <= self.most:
+            least = "at most" if math.isinf(self.least) else f"{self.least:g} to"
+            raise InputError(
+                self.what,
+                where=where,
+                got=got,
+                expected=f"{least} {self.most:g} {self.unit}",
+                remedy=self.remedy,
+            )
+        return not self.odd[0] <= value <= self.odd[1]

@@ -8,6 +8,8 @@ from jaxtyping import Float, Shaped, UInt8
 _CHUNK = 1 << 20
 """Values coded together: the curve's intermediate results are six times as large as they are."""
 LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
+# 8-bit code from which a channel counts as saturated: JPEG blurs 255 by a few codes. Not measured.
+CLIPPED_CODE = 250
 
 
 def srgb_from_linear(linear: Shaped[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:

@@ -16,45 +16,74 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from lightsim.core.actors import ActorTrack
+from lightsim.core.checks import Limit
 from lightsim.core.frames import Trajectory, vector_from_rotation
 from lightsim.errors import InputError
 
-MAX_SPEED_M_S = 150.0
-"""540 km/h: no road vehicle; one pose 15 m off at 10 Hz gives it."""
-FAST_M_S = 80.0
-"""288 km/h: a race track, or poses with errors."""
-MAX_TURN_RAD_S = 2.0 * np.pi
-"""One turn a second: no vehicle spins faster, not even in a crash."""
-MAX_COORDINATE_M = 1e5
-"""Points are single precision: beyond 100 km from the origin they lie 8 mm apart or more."""
-MIN_VIEW_DEG, MAX_VIEW_DEG = 2.0, 170.0
-"""Narrower is a telescope (front tele cameras have 10 to 50 degrees); wider no pinhole shows."""
-NARROW_VIEW_DEG, WIDE_VIEW_DEG = 10.0, 140.0
-"""Outside these a rectified driving camera is odd, though it may exist."""
+LIMITS = {
+    # Points are single precision: beyond 100 km from the origin they lie 8 mm apart or more.
+    "coordinate": Limit(
+        "the pose lies too far from the world's origin", 1e5, "m",
+        remedy="Move the log's world frame near to the drive.",
+    ),
+    # 540 km/h is no road vehicle; one pose 15 m off at 10 Hz gives it. 288 km/h is a race track, or
+    # poses with errors.
+    "speed": Limit(
+        "the pose is too far from the one before", 150.0, "m/s", odd=(0.0, 80.0),
+        remedy="Check the positions (metres) and the times (seconds).",
+    ),
+    # One turn a second: no vehicle spins faster, not even in a crash.
+    "turn": Limit(
+        "the pose is turned too far from the one before", 360.0, "degrees a second",
+        remedy="Check the quaternions (w, x, y, z) and the times (seconds).",
+    ),
+    # Narrower is a telescope (front tele cameras have 10 to 50 degrees); wider no pinhole shows.
+    # Below 10 and above 140 a rectified driving camera is odd, though it may exist.
+    "view": Limit(
+        "the focal length does not fit the picture", 170.0, "degrees", 2.0, odd=(10.0, 140.0),
+        remedy="Focal lengths are in pixels of the stored pictures.",
+    ),
+    # Rows are read before the next picture starts, at 10 Hz or more; 5 to 35 ms are usual.
+    "readout": Limit(
+        "no camera reads its rows for so long", 0.1, "s", 0.0,
+        remedy="Give seconds from the first row to the last one; 0 is a global shutter.",
+    ),
+    # Sensors sit on one vehicle, and no road vehicle in one piece is longer.
+    "mounting": Limit(
+        "the sensor is not on the vehicle", 30.0, "m", remedy="Translations are in metres.",
+    ),
+    "fellow camera": Limit(
+        "the camera is not on the vehicle that the other cameras are on", 30.0, "m",
+        remedy="Poses of all cameras must be of one drive and one world frame.",
+    ),
+    # Entries of one number belong to one sweep, a tenth of a second long in PandaSet. Twice a sweep
+    # is a sensor that lost a picture and kept counting.
+    "clock": Limit(
+        "the times are not those of the other sensors", 0.5, "s", odd=(0.0, 0.2),
+        remedy="All files must be of one sequence and one clock.",
+    ),
+    # Cameras are fixed to the vehicle: relative to the path they stay within centimetres.
+    "drift": Limit(
+        "the camera moves relative to the vehicle", math.inf, "m", odd=(0.0, 0.5)
+    ),
+    # At city speeds the place is then a kilometre away; and its clock is another.
+    "gps gap": Limit(
+        "no GPS fix is near the log's first picture in time", 60.0, "s",
+        remedy="All files must be of one sequence and one clock.",
+    ),
+    # Trams and road trains stay below; a box of this size swallows the street's own returns. Only
+    # they and trains are longer than 30 m.
+    "box": Limit("a box is too large", 60.0, "m", odd=(0.0, 30.0)),
+    # Boxes are drawn around LiDAR returns, and no LiDAR reaches further.
+    "box distance": Limit("a box is beyond the LiDAR's reach", 1000.0, "m"),
+    # Automotive LiDARs reach 300 m; half of a sweep's returns beyond this lie in another frame.
+    "range": Limit(
+        "the sweep's points are not where the vehicle was", 500.0, "m",
+        remedy="Points must be in metres, in the world frame of the camera poses.",
+    ),
+}  # fmt: skip
 MAX_PIXEL_ASPECT = 2.0
 """Pixels are square within a percent; anamorphic lenses squeeze by two at most."""
-MAX_READOUT_S = 0.1
-"""Rows are read before the next picture starts, at 10 Hz or more."""
-SLOW_READOUT_S = 0.05
-"""Rolling shutters of driving cameras take 5 to 35 ms."""
-MAX_MOUNT_M = 30.0
-"""Sensors sit on one vehicle, and no road vehicle in one piece is longer."""
-MAX_CLOCK_S = 0.5
-"""Entries of one number belong to one sweep, a tenth of a second long in PandaSet."""
-ODD_CLOCK_S = 0.2
-"""Twice a sweep: a sensor that lost a picture and kept counting."""
-MAX_RELATIVE_DRIFT_M = 0.5
-"""Cameras are fixed to the vehicle: relative to the path they stay within centimetres."""
-MAX_GPS_GAP_S = 60.0
-"""At city speeds the place is then a kilometre away; and its clock is another."""
-MAX_BOX_M = 60.0
-"""Trams and road trains stay below; a box of this size swallows the street's own LiDAR returns."""
-LONG_BOX_M = 30.0
-"""Only trams, trains and road trains are longer."""
-MAX_BOX_DISTANCE_M = 1000.0
-"""Boxes are drawn around LiDAR returns, and no LiDAR reaches further."""
-MAX_RANGE_M = 500.0
-"""Automotive LiDARs reach 300 m; half of a sweep's returns beyond this lie in another frame."""
 
 
 def check_poses(path: Path, trajectory: Trajectory) -> tuple[str, ...]:
@@ -65,49 +94,34 @@ def check_poses(path: Path, trajectory: Trajectory) -> tuple[str, ...]:
     """
     positions = trajectory.positions_m
     far = int(np.argmax(np.abs(positions).max(axis=1)))
-    if np.abs(positions[far]).max() > MAX_COORDINATE_M:
-        raise InputError(
-            "the pose lies too far from the world's origin",
-            where=f"{path}[{far}]",
-            got=f"position {positions[far].tolist()} m",
-            expected=f"coordinates within {MAX_COORDINATE_M:g} m",
-            remedy="Move the log's world frame near to the drive.",
-        )
+    farthest_m = float(np.abs(positions[far]).max())
+    got = f"position {positions[far].tolist()} m"
+    LIMITS["coordinate"].check(f"{path}[{far}]", farthest_m, got)
     if len(trajectory) < 2:
         return ()
     seconds = np.diff(trajectory.times_ns) * 1e-9
     speeds = np.linalg.norm(np.diff(positions, axis=0), axis=1) / seconds
     i = int(np.argmax(speeds))
-    if speeds[i] > MAX_SPEED_M_S:
-        raise InputError(
-            "the pose is too far from the one before",
-            where=f"{path}[{i + 1}]",
-            got=f"{speeds[i]:.4g} m/s",
-            expected=f"at most {MAX_SPEED_M_S:g} m/s",
-            remedy="Check the positions (metres) and the times (seconds).",
-        )
+    speed = float(speeds[i])
+    is_odd = LIMITS["speed"].check(f"{path}[{i + 1}]", speed, f"{speed:.4g} m/s")
     _check_turns(path, trajectory, seconds)
-    if speeds[i] > FAST_M_S:
-        return (f"{path.parent.name} moves at {speeds[i]:.0f} m/s: poses or times may be wrong",)
+    if is_odd:
+        return (f"{path.parent.name} moves at {speed:.0f} m/s: poses or times may be wrong",)
     return ()
 
 
 def _check_turns(path: Path, trajectory: Trajectory, seconds: Float64[np.ndarray, " n"]) -> None:
     rotations = trajectory.matrices[:, :3, :3]
-    turns = [
-        float(np.linalg.norm(vector_from_rotation(after @ before.T)))
-        for before, after in pairwise(rotations)
-    ]
-    rates = np.array(turns) / seconds
+    turns_deg = np.degrees(
+        [
+            np.linalg.norm(vector_from_rotation(after @ before.T))
+            for before, after in pairwise(rotations)
+        ]
+    )
+    rates = turns_deg / seconds
     i = int(np.argmax(rates))
-    if rates[i] > MAX_TURN_RAD_S:
-        raise InputError(
-            "the pose is turned too far from the one before",
-            where=f"{path}[{i + 1}]",
-            got=f"{np.degrees(turns[i]):.0f} degrees in {seconds[i]:.3g} s",
-            expected=f"at most {np.degrees(MAX_TURN_RAD_S):.0f} degrees a second",
-            remedy="Check the quaternions (w, x, y, z) and the times (seconds).",
-        )
+    got = f"{turns_deg[i]:.0f} degrees in {seconds[i]:.3g} s"
+    LIMITS["turn"].check(f"{path}[{i + 1}]", float(rates[i]), got)
 
 
 def check_intrinsics(
@@ -139,15 +153,7 @@ def check_intrinsics(
             f"{MAX_PIXEL_ASPECT:g} times the other, and a centre near the picture",
         )
     view_deg = float(np.degrees(2 * np.arctan(max(width / fx, height / fy) / 2)))
-    if not MIN_VIEW_DEG <= view_deg <= MAX_VIEW_DEG:
-        raise InputError(
-            "the focal length does not fit the picture",
-            where=path,
-            got=f"{got}: a view of {view_deg:.3g} degrees",
-            expected=f"{MIN_VIEW_DEG:g} to {MAX_VIEW_DEG:g} degrees",
-            remedy="Focal lengths are in pixels of the stored pictures.",
-        )
-    if not NARROW_VIEW_DEG <= view_deg <= WIDE_VIEW_DEG:
+    if LIMITS["view"].check(path, view_deg, f"{got}: a view of {view_deg:.3g} degrees"):
         return (f"{path.parent.name} sees {view_deg:.0f} degrees: its focal length may be wrong",)
     return ()
 
@@ -158,14 +164,7 @@ def check_readout(where: object, readout_s: float) -> None:
     Raises:
         InputError: negative, not finite or too long.
     """
-    if not 0.0 <= readout_s <= MAX_READOUT_S:
-        raise InputError(
-            "no camera reads its rows for so long",
-            where=where,
-            got=f"readout_s: {readout_s:g}",
-            expected=f"0 to {MAX_READOUT_S:g}",
-            remedy="Give seconds from the first row to the last one; 0 is a global shutter.",
-        )
+    LIMITS["readout"].check(where, readout_s, f"readout_s: {readout_s:g}")
 
 
 def check_mounting(where: object, translation_m: Float64[np.ndarray, "3"]) -> None:
@@ -175,14 +174,7 @@ def check_mounting(where: object, translation_m: Float64[np.ndarray, "3"]) -> No
         InputError: the translation is too long or not finite.
     """
     distance_m = math.hypot(*translation_m)
-    if not distance_m <= MAX_MOUNT_M:
-        raise InputError(
-            "the sensor is not on the vehicle",
-            where=where,
-            got=f"a translation of {distance_m:.4g} m",
-            expected=f"at most {MAX_MOUNT_M:g} m",
-            remedy="Translations are in metres.",
-        )
+    LIMITS["mounting"].check(where, distance_m, f"a translation of {distance_m:.4g} m")
 
 
 def check_clocks(times_ns_by_file: Mapping[Path, Int64[np.ndarray, " n"]]) -> tuple[str, ...]:
@@ -207,18 +199,12 @@ def check_clocks(times_ns_by_file: Mapping[Path, Int64[np.ndarray, " n"]]) -> tu
     if len(files) == 2:
         worst_s *= 2.0  # The median lies midway: neither of two is nearer to it.
     worst = int(np.argmax(worst_s))
-    if worst_s[worst] > MAX_CLOCK_S:
-        raise InputError(
-            "the times are not those of the other sensors",
-            where=files[worst],
-            got=f"{worst_s[worst]:.4g} s from {_others(files, worst)}",
-            expected=f"entries of one number within {MAX_CLOCK_S:g} s",
-            remedy="All files must be of one sequence and one clock.",
-        )
+    got = f"{worst_s[worst]:.4g} s from {_others(files, worst)}"
+    LIMITS["clock"].check(files[worst], float(worst_s[worst]), got)
     return tuple(
         f"{path.parent.name}: times are up to {seconds:.2f} s from {_others(files, i)}"
         for i, (path, seconds) in enumerate(zip(files, worst_s, strict=True))
-        if seconds > ODD_CLOCK_S
+        if LIMITS["clock"].check(path, float(seconds), "")
     )
 
 
@@ -248,16 +234,10 @@ def check_rigid(path: Path, ego: Trajectory, camera: Trajectory) -> tuple[str, .
     )
     distances_m = np.linalg.norm(places_ego, axis=1)
     far = int(np.argmax(distances_m))
-    if distances_m[far] > MAX_MOUNT_M:
-        raise InputError(
-            "the camera is not on the vehicle that the other cameras are on",
-            where=f"{path}[{shared[far]}]",
-            got=f"{distances_m[far]:.4g} m from it",
-            expected=f"at most {MAX_MOUNT_M:g} m",
-            remedy="Poses of all cameras must be of one drive and one world frame.",
-        )
+    got = f"{distances_m[far]:.4g} m from it"
+    LIMITS["fellow camera"].check(f"{path}[{shared[far]}]", float(distances_m[far]), got)
     drift_m = float(np.linalg.norm(places_ego - np.median(places_ego, axis=0), axis=1).max())
-    if drift_m > MAX_RELATIVE_DRIFT_M:
+    if LIMITS["drift"].check(path, drift_m, f"{drift_m:.4g} m"):
         return (
             f"{path.parent.name} moves {drift_m:.1f} m relative to the vehicle: its poses or "
             "times may be wrong",
@@ -270,10 +250,10 @@ def odd_track_notes(track: ActorTrack) -> tuple[str, ...]:
     notes: list[str] = []
     name = f"actor {track.actor_id[:40]} ({track.label[:40]})"
     size_m = float(track.size_lwh_m.max())
-    if size_m > LONG_BOX_M:
+    if size_m > LIMITS["box"].odd[1]:
         notes.append(f"{name} is {size_m:.0f} m long")
     steps_m = np.linalg.norm(np.diff(track.trajectory.positions_m, axis=0), axis=1)
     speeds = steps_m / (np.diff(track.trajectory.times_ns) * 1e-9)
-    if len(speeds) and speeds.max() > FAST_M_S:
+    if len(speeds) and speeds.max() > LIMITS["speed"].odd[1]:
         notes.append(f"{name} moves at {speeds.max():.0f} m/s: its id may name two actors")
     return tuple(notes)

@@ -17,20 +17,18 @@ LoadColour = Callable[[], Float32[np.ndarray, "h w 3"]]
 _LEAST, _GREATEST = 0.02, 0.95
 
 
-@dataclass(frozen=True)
-class BaseColourConfig:
-    """Which pixels are compared."""
+# What the measure is defined by.
 
-    lit_above: float = 0.95
-    """A pixel that sees more of the sun than this is lit."""
-    shadow_below: float = 0.05
-    """A pixel that sees less of it is in shadow."""
-    ground_above: float = 0.9
-    """Upward part of the normals of ground."""
-    facade_below: float = 0.3
-    """Upward part of the normals of facades, up or down."""
-    min_pixels: int = 200
-    """Regions with fewer lit or fewer shadowed pixels have no ratio."""
+# A pixel that sees more of the sun than this is lit.
+LIT_ABOVE = 0.95
+# A pixel that sees less of it is in shadow.
+SHADOW_BELOW = 0.05
+# Upward part of the normals of ground.
+GROUND_ABOVE = 0.9
+# Upward part of the normals of facades, up or down.
+FACADE_BELOW = 0.3
+# Regions with fewer lit or fewer shadowed pixels have no ratio.
+_MIN_PIXELS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +125,6 @@ class _Pixels:
 
 def score_base_colour(
     tasks: Iterable[BaseColourTask],
-    config: BaseColourConfig | None = None,
     *,
     progress: Progress | None = None,
 ) -> BaseColourReport:
@@ -139,11 +136,10 @@ def score_base_colour(
     Raises:
         InputError: nothing can be compared.
     """
-    config = config or BaseColourConfig()
     parts: dict[str, list[_Pixels]] = {}
     for task in (progress or SilentProgress()).track(tasks, "compare base colour"):
         for method, load in task.load_by_method.items():
-            parts.setdefault(method, []).append(_compare(task, load(), config))
+            parts.setdefault(method, []).append(_compare(task, load()))
     if not parts or all(len(part.upward) == 0 for part in next(iter(parts.values()))):
         raise InputError(
             "no pixel of the truth can be compared with the twin",
@@ -157,32 +153,30 @@ def score_base_colour(
             np.concatenate([p.is_shadowed for p in found]),
             np.concatenate([p.upward for p in found]),
         )
-        for region, chosen in _regions(pixels, config).items():
+        for region, chosen in _regions(pixels).items():
             if chosen.any():
-                rows.append(_row(method, region, pixels, chosen, config))
+                rows.append(_row(method, region, pixels, chosen))
     return BaseColourReport(tuple(rows))
 
 
-def _compare(
-    task: BaseColourTask, colour: Float32[np.ndarray, "h w 3"], config: BaseColourConfig
-) -> _Pixels:
+def _compare(task: BaseColourTask, colour: Float32[np.ndarray, "h w 3"]) -> _Pixels:
     valid = task.is_valid
     estimate = np.maximum(colour[valid].astype(np.float64), _LEAST / 10)
     truth = np.clip(task.truth[valid].astype(np.float64), _LEAST, _GREATEST)
     visibility = task.sun_visibility[valid]
     return _Pixels(
         np.log(estimate / truth),
-        visibility > config.lit_above,
-        visibility < config.shadow_below,
+        visibility > LIT_ABOVE,
+        visibility < SHADOW_BELOW,
         task.normal_world[valid][:, 2].astype(np.float64),
     )
 
 
-def _regions(pixels: _Pixels, config: BaseColourConfig) -> dict[str, Bool[np.ndarray, " n"]]:
+def _regions(pixels: _Pixels) -> dict[str, Bool[np.ndarray, " n"]]:
     return {
         "all": np.ones(len(pixels.upward), dtype=bool),
-        "ground": pixels.upward > config.ground_above,
-        "facades": np.abs(pixels.upward) < config.facade_below,
+        "ground": pixels.upward > GROUND_ABOVE,
+        "facades": np.abs(pixels.upward) < FACADE_BELOW,
     }
 
 
@@ -191,12 +185,11 @@ def _row(
     region: str,
     pixels: _Pixels,
     chosen: Bool[np.ndarray, " n"],
-    config: BaseColourConfig,
 ) -> BaseColourRow:
     error = pixels.log_error[chosen]
     lit, shadowed = pixels.is_lit[chosen], pixels.is_shadowed[chosen]
     ratio = None
-    if min(lit.sum(), shadowed.sum()) >= config.min_pixels:
+    if min(lit.sum(), shadowed.sum()) >= _MIN_PIXELS:
         ratio = float(np.exp(error[lit].mean() - error[shadowed].mean()))
     return BaseColourRow(
         method,

@@ -11,7 +11,12 @@ from jaxtyping import Bool, Float
 
 from lightsim.core.colour import LUMINANCE_WEIGHTS
 from lightsim.errors import InputError
-from lightsim.evaluate.base_colour import BaseColourConfig
+from lightsim.evaluate.base_colour import (
+    FACADE_BELOW,
+    GROUND_ABOVE,
+    LIT_ABOVE,
+    SHADOW_BELOW,
+)
 
 _DARKEST = 0.004
 """Radiance, scene units: one step of an 8-bit picture. Below it a quotient is noise."""
@@ -120,24 +125,21 @@ def measure_closure(
 def surface_classes(
     normal_world: Float[np.ndarray, "n 3"],
     sun_visibility: Float[np.ndarray, " n"],
-    config: BaseColourConfig | None = None,
 ) -> dict[str, Bool[np.ndarray, " n"]]:
     """Members of "all", and of lit and shadowed ground and facades.
 
     Args:
         normal_world: unit normals.
         sun_visibility: fraction of the solar disc seen, 0 behind a surface's own horizon.
-        config: from which visibility on a sample is lit, up to which it is in shadow.
     """
-    config = config or BaseColourConfig()
     upward = normal_world[:, 2]
     shapes = {
-        "ground": upward > config.ground_above,
-        "facades": np.abs(upward) < config.facade_below,
+        "ground": upward > GROUND_ABOVE,
+        "facades": np.abs(upward) < FACADE_BELOW,
     }
     lights = {
-        "lit": sun_visibility > config.lit_above,
-        "shadowed": sun_visibility < config.shadow_below,
+        "lit": sun_visibility > LIT_ABOVE,
+        "shadowed": sun_visibility < SHADOW_BELOW,
     }
     classes = {"all": np.ones(len(upward), dtype=bool)}
     for shape, has_shape in shapes.items():

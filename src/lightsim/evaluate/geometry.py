@@ -22,24 +22,28 @@ ActorsAt = Callable[[int], Sequence[TriMesh]]
 """Actor meshes in frame `world` at a time, ns."""
 
 
+# What the measure is defined by.
+
+# LiDAR returns drawn from each sweep.
+_RETURNS_PER_SWEEP = 20_000
+# Nearer returns are the recording car itself.
+_LEAST_DISTANCE_M = 3.0
+# Farther returns do not count.
+_LARGEST_DISTANCE_M = 80.0
+# True surface farther than this from every LiDAR return was not seen and is not asked for.
+_SEEN_WITHIN_M = 0.3
+# Distances below which a point counts as right.
+THRESHOLDS_M = (0.05, 0.10)
+
+
 @dataclass(frozen=True)
 class GeometryConfig:
     """How much is measured."""
 
-    returns_per_sweep: int = 20_000
-    """LiDAR returns drawn from each sweep."""
-    least_distance_m: float = 3.0
-    """Nearer returns are the recording car itself."""
-    largest_distance_m: float = 80.0
-    """Farther returns do not count."""
     samples: int = 100_000
     """Points drawn from each surface for the F-score."""
     support_samples: int = 1_000_000
     """Points by which the nearest triangle of the other surface is found."""
-    thresholds_m: tuple[float, ...] = (0.05, 0.10)
-    """Distances below which a point counts as right."""
-    seen_within_m: float = 0.3
-    """True surface farther than this from every LiDAR return was not seen and is not asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +152,6 @@ def evaluate_lidar(
     sweeps: Sequence[LazySweep],
     background: Sequence[TriMesh],
     actors_at: ActorsAt,
-    config: GeometryConfig,
     *,
     make_caster: MakeCaster,
     rng: np.random.Generator,
@@ -163,7 +166,7 @@ def evaluate_lidar(
     caster = make_caster(background)
     beams: list[np.ndarray] = []
     for lazy in progress.track(sweeps, "cast LiDAR beams"):
-        origins, directions, distances = _draw_beams(lazy.load(), config, rng)
+        origins, directions, distances = _draw_beams(lazy.load(), rng)
         if not len(distances):
             continue
         found, cosine = _cast(caster, origins, directions)
@@ -177,7 +180,7 @@ def evaluate_lidar(
         raise InputError(
             "no LiDAR return to compare with",
             got=f"{len(sweeps)} sweeps",
-            expected=f"returns {config.least_distance_m:g} to {config.largest_distance_m:g} m away",
+            expected=f"returns {_LEAST_DISTANCE_M:g} to {_LARGEST_DISTANCE_M:g} m away",
         )
     return _lidar_scores(np.concatenate(beams))
 
@@ -198,15 +201,15 @@ def _cast(
 
 
 def _draw_beams(
-    sweep: LidarSweep, config: GeometryConfig, rng: np.random.Generator
+    sweep: LidarSweep, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
     """Origins, unit directions and distances of some returns in range."""
     along = sweep.points_world.astype(np.float64) - sweep.origins_world
     distances = np.linalg.norm(along, axis=1)
-    in_range = (distances > config.least_distance_m) & (distances < config.largest_distance_m)
+    in_range = (distances > _LEAST_DISTANCE_M) & (distances < _LARGEST_DISTANCE_M)
     chosen = np.flatnonzero(in_range)
-    if len(chosen) > config.returns_per_sweep:
-        chosen = rng.choice(chosen, config.returns_per_sweep, replace=False)
+    if len(chosen) > _RETURNS_PER_SWEEP:
+        chosen = rng.choice(chosen, _RETURNS_PER_SWEEP, replace=False)
     distances = distances[chosen]
     return (
         sweep.origins_world[chosen].astype(np.float64),
@@ -256,7 +259,7 @@ def evaluate_surface(
     recall = _distances_m(truth, predicted, config, seen, True, rng)
     return tuple(
         SurfaceScores(t, float((precision < t).mean()), float((recall < t).mean()))
-        for t in config.thresholds_m
+        for t in THRESHOLDS_M
     )
 
 
@@ -271,7 +274,7 @@ def _distances_m(
     """Distance from points on `mesh` to the surface of `other`."""
     from trimesh.triangles import closest_point
 
-    radius = config.seen_within_m
+    radius = _SEEN_WITHIN_M
     points = _sample_near(mesh, config.samples, seen, radius, rng)[0]
     if seen is not None and is_truth and len(points):
         points = points[seen.is_visible(points, mesh)]

@@ -224,7 +224,6 @@ def geometry(
         sweeps,
         [assets.background],
         actors_at,
-        config,
         make_caster=make_embree_caster,
         rng=rng,
         progress=progress,

@@ -13,7 +13,6 @@ from lightsim.lighting.sun.cues import Cue, NetworkCue, ShadowCue, ephemeris_cue
 from lightsim.lighting.sun.direction import SunDirection
 from lightsim.lighting.sun.posterior import (
     SunPosterior,
-    SunPosteriorConfig,
     sun_direction,
     sun_posterior,
 )
@@ -32,8 +31,6 @@ class SourceSunConfig:
 
     votes: ShadowVoteConfig = field(default_factory=ShadowVoteConfig)
     """Light and shade on the surfaces."""
-    posterior: SunPosteriorConfig = field(default_factory=SunPosteriorConfig)
-    """How the cues are joined."""
     gps: GpsUse = "all"
     """How much of the log's place, time and heading is used."""
 
@@ -66,7 +63,7 @@ def find_source_sun(
     cues.append(ShadowCue(source_votes(work, config.votes, seed=seed, progress=progress)))
     if prediction is not None:
         cues.append(NetworkCue(prediction))
-    posterior = sun_posterior(cues, work.panorama, config.posterior)
+    posterior = sun_posterior(cues, work.panorama)
     return sun_direction(posterior, position), posterior
 
 

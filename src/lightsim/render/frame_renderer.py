@@ -127,7 +127,7 @@ class FrameRenderer:
 
     def prepare(self, sky: SkyDome) -> SkyCells:
         """A sky made ready once for many frames."""
-        return prepare_sky(sky, self._transport)
+        return prepare_sky(sky)
 
     def scene(self, scenario: Scenario, time_ns: int) -> FrameScene:
         return place(self._static, scenario, time_ns, self._make_caster)

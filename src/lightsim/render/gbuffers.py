@@ -21,19 +21,10 @@ BAND_RAYS = 1 << 18
 """Primary rays in memory at once."""
 
 
-@dataclass(frozen=True)
-class GBufferConfig:
-    """Geometry buffers."""
-
-    max_distance_m: float = float("inf")
-    """Surfaces farther along the ray than this are left out."""
-
-
 def render_gbuffers(
     scene: FrameScene,
     camera: PinholeCamera,
     view: CameraFrame | RigidTransform,
-    config: GBufferConfig | None = None,
 ) -> GBuffers:
     """Depth, position, normal, base colour and actor of every pixel (paper, Sec. 3.3).
 
@@ -44,7 +35,6 @@ def render_gbuffers(
     Raises:
         FrameMismatchError: the pose does not map `camera` to `world`.
     """
-    config = config or GBufferConfig()
     height, width = camera.height_px, camera.width_px
     lifted = np.zeros((height, width, 3), dtype=np.float32)
     out = replace(_empty(height, width), lifted_world=lifted)
@@ -52,7 +42,7 @@ def render_gbuffers(
     band = max(1, BAND_RAYS // width)
     for start in range(0, height, band):
         rows = slice(start, start + band)
-        seen = see(scene, camera, view, centres[rows].reshape(-1, 2), config)
+        seen = see(scene, camera, view, centres[rows].reshape(-1, 2))
         index = start * width + seen.rows
         out.depth_z_m.reshape(-1)[index] = seen.depth_z_m
         out.position_world.reshape(-1, 3)[index] = seen.position_world
@@ -101,12 +91,11 @@ def see(
     camera: PinholeCamera,
     view: CameraFrame | RigidTransform,
     uv: Float[np.ndarray, "m 2"],
-    config: GBufferConfig,
 ) -> SeenSurfaces:
     """Surfaces behind points (u, v) of the image."""
     origins, directions = _rays(view, camera, uv)
     hits = scene.camera_caster.intersect(origins, directions)
-    rows = np.flatnonzero(hits.is_hit & (hits.distance_m <= config.max_distance_m))
+    rows = np.flatnonzero(hits.is_hit)
     hits = _select(hits, rows)
     distance = hits.distance_m.astype(np.float64)
     depth = distance * camera.directions(uv[rows])[:, 2]

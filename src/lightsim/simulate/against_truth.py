@@ -175,38 +175,6 @@ def base_colours_of(
     return score_base_colour(tasks, progress=progress)
 
 
-def normal_error_deg(work: Path, truth: Path) -> float:
-    """Median angle between the twin's shading normals and the true ones of a synthetic log, on
-    static surface of the frames with true buffers.
-
-    Raises:
-        InputError: `truth` holds no frame of the build.
-    """
-    workspace = Workspace(work)
-    log, background = workspace.log_at(1.0), workspace.assets.background
-    frames = {(f.camera_name, f.stem): f for f in log.frames}
-    scene = without_actors(make_static_scene([background]))
-    angles: list[np.ndarray] = []
-    for path in sorted((truth / "normal_world").glob("*/*.exr")):
-        frame = frames.get((path.parent.name, path.stem))
-        if frame is None:
-            continue
-        buffers = render_gbuffers(scene, log.cameras[frame.camera_name], frame)
-        true_normal = read_exr(path)
-        actor = read_exr(truth / "actor_index" / path.parent.name / path.name)
-        is_static = np.rint(actor.reshape(buffers.depth_z_m.shape)) == BACKGROUND
-        valid = is_static & buffers.has_surface
-        cosine = (buffers.normal_world[valid] * true_normal[valid]).sum(axis=1)
-        angles.append(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
-    if not angles:
-        raise InputError(
-            "no true normals of a frame of the build",
-            where=truth / "normal_world",
-            remedy=_TRUTH_REMEDY,
-        )
-    return float(np.median(np.concatenate(angles)))
-
-
 def _base_colour_task(
     truth: Path, frame: CameraFrame, log: DrivingLog, meshes: Mapping[str, TriMesh]
 ) -> BaseColourTask:

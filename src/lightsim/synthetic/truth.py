@@ -22,7 +22,6 @@ from lightsim.synthetic.skies import Sky
 from lightsim.synthetic.street import Street
 from lightsim.synthetic.writer import write_json
 
-BUFFERS = ("depth_z_m", "normal_world", "base_colour", "sun_visibility", "actor_index")
 _SUN_RAYS = 16
 _STEP_M = 1.0 / 512.0
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
@@ -13,33 +11,30 @@ from lightsim.training import grids
 _GLARE_REACH_DEG = 40.0
 
 
-@dataclass(frozen=True)
-class LookConfig:
-    """Ranges of the camera's settings."""
+# How a camera's pictures vary; none was measured.
 
-    level: tuple[float, float] = (0.08, 0.3)
-    """Mean of the visible pixels that auto-exposure aims at."""
-    jitter_ev: float = 0.5
-    """Standard deviation of the exposure around it, in stops."""
-    balance: float = 0.06
-    """Standard deviation of the log of red and blue against green."""
-    noise: float = 0.01
-    """Largest standard deviation of noise in sRGB."""
-    contrast: float = 0.08
-    """Standard deviation of the log of the exponent on sRGB: cameras bend the curve."""
+# Mean of the visible pixels that auto-exposure aims at.
+_LEVEL = (0.08, 0.3)
+# Standard deviation of the exposure around it, in stops.
+_JITTER_EV = 0.5
+# Standard deviation of the log of red and blue against green.
+_BALANCE = 0.06
+# Largest standard deviation of noise in sRGB.
+_NOISE = 0.01
+# Standard deviation of the log of the exponent on sRGB: cameras bend the curve.
+_CONTRAST = 0.08
 
 
 def exposure(
     linear: Float32[np.ndarray, "h w 3"],
     visible: Bool[np.ndarray, "h w"],
     rng: np.random.Generator,
-    config: LookConfig,
 ) -> Float[np.ndarray, "3"]:
     """RGB factor to units of the clipping value, from what the cameras saw.
 
     Half of the time auto-exposure goes by the median, else by the mean of clipped luminance.
     """
-    aim = float(rng.uniform(*config.level)) * 2.0 ** float(rng.normal(0, config.jitter_ev))
+    aim = float(rng.uniform(*_LEVEL)) * 2.0 ** float(rng.normal(0, _JITTER_EV))
     seen = luminance(linear[visible]) if visible.any() else luminance(linear).ravel()
     middle = max(float(np.median(seen)), 1e-6)
     factor = aim / middle
@@ -47,7 +42,7 @@ def exposure(
         for _ in range(4):
             factor *= aim / max(float(np.minimum(seen * factor, 1.0).mean()), 1e-6)
             aim = min(aim, 0.7)
-    gains = np.exp(rng.normal(0.0, config.balance, 3))
+    gains = np.exp(rng.normal(0.0, _BALANCE, 3))
     gains[1] = 1.0
     return factor * gains
 
@@ -56,11 +51,10 @@ def pictures(
     linear: Float32[np.ndarray, "h w 3"],
     front: Float32[np.ndarray, "a b 3"],
     rng: np.random.Generator,
-    config: LookConfig,
 ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "a b 3"]]:
     """sRGB of a panorama and of one camera's picture, in units of the clipping value."""
-    bend = float(np.exp(rng.normal(0.0, config.contrast)))
-    strength = config.noise * float(rng.random())
+    bend = float(np.exp(rng.normal(0.0, _CONTRAST)))
+    strength = _NOISE * float(rng.random())
     if rng.random() < 0.3:
         linear = _blurred(linear)
     return _shown(linear, bend, strength, rng), _shown(front, bend, strength, rng)

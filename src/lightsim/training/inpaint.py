@@ -30,6 +30,10 @@ from lightsim.training.inpaint_losses import (
 _RAMP = 0.1
 
 
+# Weight of known pixels in the L1 loss; a pixel of a hole has 1.
+_KNOWN_WEIGHT = 0.1
+
+
 @dataclass(frozen=True)
 class InpaintConfig:
     """The networks and how they learn. The size of the panoramas is that of the data."""
@@ -55,8 +59,6 @@ class InpaintConfig:
     """Highest learning rate of the generator."""
     discriminator_rate: float = 4e-4
     """Highest learning rate of the discriminator."""
-    known_weight: float = 0.1
-    """Weight of known pixels in the L1 loss; a pixel of a hole has 1."""
     adversarial_weight: float = 0.005
     """Weight of the discriminator's judgement beside the L1 losses, after it has grown from 0."""
     adversarial_from: float = 0.4
@@ -170,11 +172,10 @@ class _Pair:
 
     def losses(self, batch: InpaintTensors, step: int) -> Iterator[Loss]:
         """Of the discriminator once it takes part, then of the generator."""
-        known_weight = self._config.known_weight
         coarse, refined = self.generator(batch.truth, batch.hole)
         terms = {
-            "l1_coarse": reconstruction_loss(coarse, batch.truth, batch.hole, known_weight),
-            "l1": reconstruction_loss(refined, batch.truth, batch.hole, known_weight),
+            "l1_coarse": reconstruction_loss(coarse, batch.truth, batch.hole, _KNOWN_WEIGHT),
+            "l1": reconstruction_loss(refined, batch.truth, batch.hole, _KNOWN_WEIGHT),
         }
         loss = terms["l1_coarse"] + terms["l1"]
         composite = batch.truth * (1 - batch.hole) + refined * batch.hole

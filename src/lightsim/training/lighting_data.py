@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -14,7 +14,7 @@ from lightsim.core.colour import luminance
 from lightsim.core.equirect import solid_angles_sr, uv_from_directions
 from lightsim.lighting.sample import LightingBatch
 from lightsim.training import grids
-from lightsim.training.camera_look import LookConfig, add_glare, exposure, pictures
+from lightsim.training.camera_look import add_glare, exposure, pictures
 from lightsim.training.hdr_skies import HdrSky
 from lightsim.training.lighting_cache import LightingCache, read_cache
 from lightsim.training.procedural_skies import (
@@ -35,28 +35,22 @@ _TRIES = 60
 _MAX_PEAK = 1e9
 
 
-@dataclass(frozen=True)
-class MixConfig:
-    """What a batch is mixed of."""
+# What a batch is mixed of; none was measured alone.
 
-    own_scene: float = 0.4
-    """Share of samples that show an HDR panorama with its own lower half."""
-    measured: float = 0.5
-    """Share of measured skies among those over streets; the rest is procedural."""
-    overcast: float = 0.25
-    """Share of closed covers among procedural skies."""
-    clouds: float = 0.6
-    """Share of clear procedural skies that get clouds."""
-    measured_clouds: float = 0.2
-    """Share of measured skies over streets that get clouds."""
-    along_street: float = 0.85
-    """Share of cars that drive along the street; the others stand at any angle."""
-    front_px: tuple[int, int] = (40, 64)
-    """Rows and columns of the front picture."""
-    look: LookConfig = field(default_factory=LookConfig)
-    """Camera settings."""
-    mask: MaskConfig = field(default_factory=MaskConfig)
-    """Visibility masks."""
+# Share of samples that show an HDR panorama with its own lower half.
+_OWN_SCENE = 0.4
+# Share of measured skies among those over streets; the rest is procedural.
+_MEASURED = 0.5
+# Share of closed covers among procedural skies.
+_OVERCAST = 0.25
+# Share of clear procedural skies that get clouds.
+_CLOUDS = 0.6
+# Share of measured skies over streets that get clouds.
+_MEASURED_CLOUDS = 0.2
+# Share of cars that drive along the street; the others stand at any angle.
+_ALONG_STREET = 0.85
+# Rows and columns of the front picture.
+_FRONT_PX = (40, 64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,10 +94,8 @@ class LightingSet:
         self,
         cache: LightingCache,
         split: Literal["train", "test"] = "train",
-        config: MixConfig | None = None,
     ) -> None:
         self._cache = cache
-        self._config = config or MixConfig()
         self.height_px: int = cache.height_px
         self.split: Literal["train", "test"] = split
         self._skies = [sky for sky in cache.skies if sky.entry.split == split]
@@ -119,14 +111,13 @@ class LightingSet:
         cls,
         path: Path,
         split: Literal["train", "test"] = "train",
-        config: MixConfig | None = None,
     ) -> LightingSet:
         """Read and check a cache.
 
         Raises:
             InputError: the file is missing, damaged, of another version, or lacks this split.
         """
-        return cls(read_cache(path), split, config)
+        return cls(read_cache(path), split)
 
     def batch(self, size: int, seed: int, index: int, *, only_sunny: bool) -> LightingBatch:
         """The batch of a seed and a number; see `LightingData`."""
@@ -155,7 +146,7 @@ class LightingSet:
             has_own = sky.entry.scene != "none" and rng.random() < 0.5
             is_own = has_own or sky.entry.scene == "canopy"
             return self._own(sky, rng) if is_own else self._over_street(sky, rng)
-        if rng.random() < self._config.own_scene:
+        if rng.random() < _OWN_SCENE:
             pool = self._own_places(only_sunny)
             return self._own(pool[int(rng.integers(len(pool)))], rng)
         heaven = self._training_heaven(rng)
@@ -180,18 +171,18 @@ class LightingSet:
 
     def _training_heaven(self, rng: np.random.Generator) -> Heaven:
         """A sky to put over a street, the sun anywhere around it."""
-        config, cache = self._config, self._cache
-        if rng.random() < config.measured:
+        cache = self._cache
+        if rng.random() < _MEASURED:
             open_skies = self._open_skies
             heaven = heaven_of(open_skies[int(rng.integers(len(open_skies)))])
             heaven = _varied(heaven, rng)
-            if rng.random() < config.measured_clouds:
+            if rng.random() < _MEASURED_CLOUDS:
                 heaven = with_clouds(heaven, cache.noise, rng)
-        elif rng.random() < config.overcast:
+        elif rng.random() < _OVERCAST:
             heaven = overcast_heaven(cache.noise, cache.height_px, rng)
         else:
             heaven = _varied(clear_heaven(cache.clear, rng), rng)
-            if rng.random() < config.clouds:
+            if rng.random() < _CLOUDS:
                 heaven = with_clouds(heaven, cache.noise, rng)
         return _turned_randomly(heaven, rng, flip=True)
 
@@ -202,7 +193,7 @@ class LightingSet:
         view = self._views[int(rng.integers(len(self._views)))]
         linear, sky_seen = light_view(view, heaven)
         columns = int(rng.integers(linear.shape[1]))
-        if rng.random() < self._config.along_street:
+        if rng.random() < _ALONG_STREET:
             back = float(rng.choice([0.0, 0.5]))
             columns = round(linear.shape[1] * (back + float(rng.normal(0.0, 0.015))))
         turned = turned_heaven(heaven, columns, flip=False)
@@ -238,16 +229,15 @@ class LightingSet:
     ) -> _Sample:
         """Glare, mask, exposure and pictures of a linear panorama whose centre column is
         forward."""
-        config = self._config
         row, column = _pixel_of(heaven.sun_direction, self.height_px)
         has_sun = bool(heaven.sun_irradiance.any()) and heaven.sun_direction[2] > 0
         if has_sun and sky_seen[min(row, len(sky_seen) - 1), column]:
             linear = add_glare(linear, heaven.sun_direction, heaven.sun_irradiance, rng)
-        visibility = rig_mask(self.height_px, rng, config.mask)
-        gains = exposure(linear, visibility, rng, config.look)
+        visibility = rig_mask(self.height_px, rng, MaskConfig())
+        gains = exposure(linear, visibility, rng)
         exposed = (linear * gains).astype(np.float32)
-        front = front_view(exposed, config.front_px, rng)
-        panorama, front = pictures(exposed, front, rng, config.look)
+        front = front_view(exposed, _FRONT_PX, rng)
+        panorama, front = pictures(exposed, front, rng)
         sky, direction = dome_of(heaven)
         sky = np.minimum(sky * gains, _MAX_PEAK).astype(np.float32)
         return _Sample(

@@ -30,6 +30,10 @@ LossFunction = Callable[[Any, Draw, torch.Generator], tuple[Tensor, dict[str, Te
 """(network, batches, generator) -> loss and its terms."""
 
 
+# Share of the panoramas that is shown whole, as pictures without a log are.
+_COMPLETE_SHARE = 0.25
+
+
 @dataclass(frozen=True)
 class SkyTrainConfig:
     """How a sky network is trained."""
@@ -46,8 +50,6 @@ class SkyTrainConfig:
     """Of batches and of random teacher forcing."""
     workers: int = 0
     """Threads that make batches ahead of their use; 0 makes them when they are needed."""
-    complete_share: float = 0.25
-    """Share of the panoramas that is shown whole, as pictures without a log are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +90,7 @@ def train_sky(
         def drawn(only_sunny: bool) -> SkyTensors:
             # Even numbers are all skies, odd ones clear suns: data may draw both from one stream.
             batch = batches.get(2 * draw + int(only_sunny))
-            whole = torch.rand(config.batch, generator=generator).numpy() < config.complete_share
+            whole = torch.rand(config.batch, generator=generator).numpy() < _COMPLETE_SHARE
             return sky_tensors(batch, whole, complete, target)
 
         yield "sky", *recipe.loss(network, drawn, generator)

@@ -51,12 +51,14 @@ _ROAD_M = (STREET_END_M - STREET_START_M, 2 * ROAD_HALF_M)
 _SUB_PIXELS = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))
 
 
+# Seeds below 100 are left to evaluation.
+_FIRST_SEED = 100
+
+
 @dataclass(frozen=True)
 class StreetConfig:
     """Which streets are traced, and how finely."""
 
-    first_seed: int = 100
-    """Seeds below 100 are left to evaluation."""
     street_count: int = 15
     """Streets; the last `test_count` of them are the test split's."""
     test_count: int = 3
@@ -97,8 +99,8 @@ def trace_streets(
     finishes: dict[str, Finish] = {}
     jobs = range(config.street_count)
     for k in (progress or SilentProgress()).track(jobs, "streets"):
-        rng = np.random.default_rng([seed, config.first_seed + k])
-        plan = plan_street(config.first_seed + k)
+        rng = np.random.default_rng([seed, _FIRST_SEED + k])
+        plan = plan_street(_FIRST_SEED + k)
         if k % _STREETS_PER_FINISH == 0:
             finishes = make_finishes(rng, *_ROAD_M, LANE_M)
         street = Street(

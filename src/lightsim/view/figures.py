@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
-from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.buffers import GBuffers
 from lightsim.core.colour import linear_from_srgb8, luminance, srgb8_from_linear
 from lightsim.core.dome import SkyDome
 from lightsim.core.equirect import uv_from_directions
@@ -86,16 +86,6 @@ def strip(
     return np.concatenate(parts[:-1], axis=1)
 
 
-def relight_strip(
-    source_srgb8: UInt8[np.ndarray, "h w 3"],
-    relit_srgb8: UInt8[np.ndarray, "h w 3"],
-    light: ShadowBuffers,
-) -> UInt8[np.ndarray, "h w2 3"]:
-    """source | relit | shading of the target sky | its shadow ratio."""
-    shading = tone_mapped(light.shaded)
-    return strip([source_srgb8, relit_srgb8, shading, ratio_grey(light.ratio)])
-
-
 def ratio_grey(ratio: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
     """Shadow ratio: black in full shadow, white in full light."""
     return np.round(np.clip(ratio, 0.0, 1.0) * 255).astype(np.uint8)
@@ -108,12 +98,6 @@ def depth_colours(
     where there is no surface."""
     part = np.log(np.clip(depth_z_m, _NEAR_M, far_m) / far_m) / np.log(_NEAR_M / far_m)
     return _on_surface(_turbo(0.08 + 0.84 * part), np.isfinite(depth_z_m))
-
-
-def error_colours(error: Float[np.ndarray, "h w"], largest: float) -> UInt8[np.ndarray, "h w 3"]:
-    """|error| from 0 (dark blue) to `largest` (dark red); grey where it is not finite."""
-    part = np.clip(np.abs(np.nan_to_num(error, posinf=0.0, neginf=0.0)) / largest, 0.0, 1.0)
-    return _on_surface(_turbo(part), np.isfinite(error))
 
 
 def normal_colours(buffers: GBuffers) -> UInt8[np.ndarray, "h w 3"]:

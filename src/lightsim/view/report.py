@@ -57,14 +57,6 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Chart:
-    """Inline SVG made by `lightsim.view.charts` (it is put into the page as it is)."""
-
-    caption: str
-    svg: str
-
-
-@dataclass(frozen=True)
 class Video:
     """A film beside the report; `source` is a path relative to the report."""
 
@@ -81,7 +73,6 @@ class Section:
     cards: Sequence[Card] = ()
     tables: Sequence[Table] = ()
     figures: Sequence[Figure] = ()
-    charts: Sequence[Chart] = ()
     videos: Sequence[Video] = ()
 
 

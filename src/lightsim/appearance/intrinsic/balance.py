@@ -34,6 +34,10 @@ _CLOUD_LOG_FACTOR, _CLOUD_LOG_STD = float(np.log(0.15)), 1.5
 """What cloud before the sun leaves of it."""
 _FIRM = 0.8
 """Difference of the probabilities of being lit that makes a pair."""
+_TURNS = 3
+"""Between labels and light."""
+_MIN_PAIRS = 60
+"""Fewer lit/shadowed pairs say nothing."""
 _MAX_PAIRS = 15_000
 _BLOCK_M = 4.0
 """Pairs within a block of this size count as one observation."""
@@ -45,11 +49,11 @@ def balance_light(observed: Observed, freedom: LightFreedom, config: DelightConf
     block = light_blocks(observed.surfels.position, _BLOCK_M)
     found, lit = LightBalance.unchanged(), prior
     messages = np.zeros((len(observed.graph.pairs), 2), np.float32)
-    for turn in range(config.rounds + 1):
+    for turn in range(_TURNS + 1):
         if turn:
             lit = infer_labels(observed, found, prior, config, messages)
         pairs = shadow_pairs(observed, lit)
-        if len(pairs) >= config.min_pairs:
+        if len(pairs) >= _MIN_PAIRS:
             found = fit_balance(pairs, observed.log_radiance, observed.light, block, freedom)
     return found
 

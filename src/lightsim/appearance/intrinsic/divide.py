@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
@@ -15,31 +15,28 @@ _CHUNK = 1 << 15
 """Vertices inpainted together: some 20 MB of intermediate results, whatever the log."""
 
 
-@dataclass(frozen=True)
-class DivideConfig:
-    """Division by the rendered light."""
+# Settings of the baseline; none was measured alone.
 
-    low: float = 0.02
-    """Least base colour."""
-    high: float = 0.95
-    """Greatest base colour."""
-    dark_fraction: float = 0.02
-    """Light below this share of the mesh's bright light (95th percentile) is not trusted."""
-    max_step: float = 0.25
-    """Where the log of the light changes more than this to a neighbour, a shadow edge is near,
-    and its exact place is not trusted."""
-    edge_rings: int = 2
-    """Vertices this many edges from such a step are not trusted either."""
-    neighbours: int = 12
-    """Trusted vertices from which an untrusted one takes its colour."""
-    normal_power: float = 4.0
-    """How quickly a neighbour loses influence as its normal turns away."""
-    max_distance_m: float = 3.0
-    """Beyond this, trusted vertices say nothing about an untrusted one."""
+# Light below this share of the mesh's bright light (95th percentile) is not trusted.
+_DARK_FRACTION = 0.02
+# Vertices this many edges from such a step are not trusted either.
+_EDGE_RINGS = 2
+# Trusted vertices from which an untrusted one takes its colour.
+_NEIGHBOURS = 12
+# How quickly a neighbour loses influence as its normal turns away.
+_NORMAL_POWER = 4.0
+# Beyond this, trusted vertices say nothing about an untrusted one.
+_MAX_DISTANCE_M = 3.0
+# Where the log of the light changes more than this to a neighbour, a shadow edge is near, and its
+# exact place is not trusted.
+_MAX_LOG_STEP = 0.25
+# Base colours are kept within these: charcoal and fresh snow. Also for the labels' quotient.
+LOWEST_BASE_COLOUR = 0.02
+HIGHEST_BASE_COLOUR = 0.95
 
 
 def base_colour_from_radiance(
-    mesh: TriMesh, irradiance_over_pi: Float32[np.ndarray, "n 3"], config: DivideConfig
+    mesh: TriMesh, irradiance_over_pi: Float32[np.ndarray, "n 3"]
 ) -> TriMesh:
     """The mesh with its base colour, which must hold radiance, divided by the source light.
 
@@ -70,26 +67,28 @@ def base_colour_from_radiance(
         return mesh
     light = irradiance_over_pi.astype(np.float64)
     brightness = light @ LUMINANCE_WEIGHTS.astype(np.float64)
-    floor = max(config.dark_fraction * float(np.percentile(brightness, 95)), 1e-6)
+    floor = max(_DARK_FRACTION * float(np.percentile(brightness, 95)), 1e-6)
     quotient = mesh.base_colour / np.maximum(light, floor)
-    is_trusted = (brightness > floor) & ~_near_light_steps(mesh, brightness + floor, config)
-    colour = inpaint_colour(mesh, np.clip(quotient, config.low, config.high), is_trusted, config)
+    is_trusted = (brightness > floor) & ~_near_light_steps(mesh, brightness + floor)
+    colour = inpaint_colour(
+        mesh, np.clip(quotient, LOWEST_BASE_COLOUR, HIGHEST_BASE_COLOUR), is_trusted
+    )
     return replace(mesh, base_colour=colour.astype(np.float32))
 
 
 def _near_light_steps(
-    mesh: TriMesh, brightness: Float64[np.ndarray, " n"], config: DivideConfig
+    mesh: TriMesh, brightness: Float64[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
     """Vertices close to an abrupt change of the light that their orientation does not explain."""
     edges = _edges(mesh)
     normals = mesh.vertex_normals()
     turn = (normals[edges[:, 0]] * normals[edges[:, 1]]).sum(axis=1)
     logs = np.log(brightness)
-    is_step = np.abs(logs[edges[:, 0]] - logs[edges[:, 1]]) > config.max_step
+    is_step = np.abs(logs[edges[:, 0]] - logs[edges[:, 1]]) > _MAX_LOG_STEP
     is_step &= turn > 0.9
     is_near = np.zeros(len(mesh.vertices), dtype=bool)
     is_near[edges[is_step].ravel()] = True
-    for _ in range(config.edge_rings):
+    for _ in range(_EDGE_RINGS):
         touched = edges[is_near[edges].any(axis=1)]
         is_near[touched.ravel()] = True
     return is_near
@@ -104,7 +103,6 @@ def inpaint_colour(
     mesh: TriMesh,
     colour: Float64[np.ndarray, "n 3"],
     is_trusted: Bool[np.ndarray, " n"],
-    config: DivideConfig,
 ) -> Float64[np.ndarray, "n 3"]:
     """Untrusted vertices take the colour of trusted ones near by that face the same way."""
     from scipy.spatial import KDTree
@@ -112,7 +110,7 @@ def inpaint_colour(
     trusted, other = np.flatnonzero(is_trusted), np.flatnonzero(~is_trusted)
     if len(other) == 0 or len(trusted) == 0:
         return colour
-    k = min(config.neighbours, len(trusted))
+    k = min(_NEIGHBOURS, len(trusted))
     tree, normals = KDTree(mesh.vertices[trusted]), mesh.vertex_normals()
     result = colour.copy()
     for start in range(0, len(other), _CHUNK):
@@ -120,8 +118,8 @@ def inpaint_colour(
         distance, index = tree.query(mesh.vertices[rows], k=k)
         distance, index = distance.reshape(len(rows), k), trusted[index.reshape(len(rows), k)]
         facing = np.clip(np.einsum("nc,nkc->nk", normals[rows], normals[index]), 0.0, 1.0)
-        share = facing.astype(np.float64) ** config.normal_power / np.maximum(distance, 0.02) ** 2
-        share *= distance < config.max_distance_m
+        share = facing.astype(np.float64) ** _NORMAL_POWER / np.maximum(distance, 0.02) ** 2
+        share *= distance < _MAX_DISTANCE_M
         total = share.sum(axis=1)
         is_found = total > 1e-9
         found = np.einsum("nk,nkc->nc", share, colour[index])

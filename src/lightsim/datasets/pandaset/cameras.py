@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64, Int64, UInt8
+from jaxtyping import Float64, UInt8
 
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import (
@@ -239,8 +239,3 @@ def _image_size(path: Path) -> tuple[int, int]:
             expected=f"at most {_MAX_ASPECT} to 1",
         )
     return size
-
-
-def camera_times_ns(folders: Sequence[CameraFolder]) -> Int64[np.ndarray, " n"]:
-    """Times of all pictures, in order."""
-    return np.array(sorted(frame.time_ns for folder in folders for frame in folder.frames))

@@ -32,7 +32,7 @@ from lightsim.datasets.pandaset.sweeps import (
     read_class_names,
 )
 from lightsim.datasets.pandaset.tracks import CuboidFile, read_tracks
-from lightsim.datasets.plausible import MAX_GPS_GAP_S, check_clocks, check_rigid
+from lightsim.datasets.plausible import LIMITS, check_clocks, check_rigid
 from lightsim.datasets.selection import FrameSelection
 from lightsim.errors import InputError
 
@@ -259,14 +259,8 @@ def _read_gps(source: Path, start_ns: int) -> GpsTrack | None:
             expected="degrees within 90 and 180 of zero",
         )
     gap_s = float(np.abs(times_ns - start_ns).min()) * 1e-9
-    if gap_s > MAX_GPS_GAP_S:
-        raise InputError(
-            "no GPS fix is near the log's first picture in time",
-            where=source / "meta" / "timestamps.json",
-            got=f"the nearest {gap_s:.4g} s away",
-            expected=f"at most {MAX_GPS_GAP_S:g} s",
-            remedy="All files must be of one sequence and one clock.",
-        )
+    where = source / "meta" / "timestamps.json"
+    LIMITS["gps gap"].check(where, gap_s, f"the nearest {gap_s:.4g} s away")
     return GpsTrack(times_ns, fixes[:, 0].copy(), fixes[:, 1].copy())
 
 

@@ -15,7 +15,7 @@ from lightsim.core.sensors import LidarSweep
 from lightsim.datasets.files import read_json, require_object
 from lightsim.datasets.layout import has_file
 from lightsim.datasets.pandaset.rig import Rig, ego_from_pandar64, positions_along
-from lightsim.datasets.plausible import MAX_COORDINATE_M, MAX_RANGE_M
+from lightsim.datasets.plausible import LIMITS
 from lightsim.datasets.safe_pickle import Table, read_table
 from lightsim.errors import InputError
 
@@ -55,14 +55,8 @@ def load_sweep(source: SweepSource) -> LidarSweep:
     times_ns, device = _times_and_device(table, is_good, source)
     origins = _origins(source, times_ns, device)
     range_m = float(np.median(np.linalg.norm(points - origins, axis=1)))
-    if range_m > MAX_RANGE_M:
-        raise InputError(
-            "the sweep's points are not where the vehicle was",
-            where=source.path,
-            got=f"half of them more than {range_m:.4g} m away",
-            expected=f"at most {MAX_RANGE_M:g} m",
-            remedy="Points must be in metres, in the world frame of the camera poses.",
-        )
+    got = f"half of them more than {range_m:.4g} m away"
+    LIMITS["range"].check(source.path, range_m, got)
     n = len(points)
     return LidarSweep(
         source.stem,
@@ -141,7 +135,7 @@ def _read_points(source: SweepSource) -> tuple[Table, Bool[np.ndarray, " n"]]:
     for name in _COLUMNS:
         is_good &= np.isfinite(table[name])
     for name in ("x", "y", "z"):
-        is_good &= np.abs(table[name].astype(np.float64)) < MAX_COORDINATE_M
+        is_good &= np.abs(table[name].astype(np.float64)) < LIMITS["coordinate"].most
     if not is_good.any():
         raise InputError(
             "the sweep has no valid point",

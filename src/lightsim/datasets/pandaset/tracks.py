@@ -15,7 +15,7 @@ from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.datasets.files import MAX_NUMBER
 from lightsim.datasets.pandaset.rig import EGO_BELOW_LIDAR_M
 from lightsim.datasets.pandaset.sweeps import ScanTiming
-from lightsim.datasets.plausible import MAX_BOX_DISTANCE_M, MAX_BOX_M, odd_track_notes
+from lightsim.datasets.plausible import LIMITS, odd_track_notes
 from lightsim.datasets.safe_pickle import Table, read_table
 from lightsim.errors import InputError
 
@@ -191,13 +191,10 @@ def _check_places(
     x, y = c * away[:, 0] + s * away[:, 1], c * away[:, 1] - s * away[:, 0]
     holds_lidar = (np.abs(np.stack([x, y, away[:, 2]], axis=1)) < sizes_wlh / 2).all(axis=1)
     distances_m = np.linalg.norm(away, axis=1)
+    size, reach = LIMITS["box"], LIMITS["box distance"]
     for is_bad, what, expected in (
-        ((sizes_wlh >= MAX_BOX_M).any(axis=1), "a box is too large", f"below {MAX_BOX_M:g} m"),
-        (
-            distances_m > MAX_BOX_DISTANCE_M,
-            "a box is beyond the LiDAR's reach",
-            f"within {MAX_BOX_DISTANCE_M:g} m",
-        ),
+        ((sizes_wlh >= size.most).any(axis=1), size.what, f"below {size.most:g} m"),
+        (distances_m > reach.most, reach.what, f"within {reach.most:g} m"),
         (holds_lidar, "a box holds the recording LiDAR itself", "boxes of other road users"),
     ):
         if is_bad.any():

@@ -12,7 +12,6 @@ from lightsim.core.mesh import TriMesh
 _SEEDS = 120
 _MAX_WALLS = 120
 _COS_NORMAL = float(np.cos(np.radians(15.0)))
-_BIN_M = 0.5
 
 
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured

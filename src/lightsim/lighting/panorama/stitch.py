@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from lightsim.core.actors import ActorTrack
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.colour import linear_from_srgb8
+from lightsim.core.colour import CLIPPED_CODE, linear_from_srgb8
 from lightsim.core.equirect import pixel_directions, uv_from_directions
 from lightsim.core.log import DrivingLog
 from lightsim.core.resample import resize_area
@@ -31,6 +31,16 @@ _INFINITY_M = 1e6
 """Where sky is put, so that the camera's motion during its readout does not shift it."""
 
 
+# None was measured alone.
+
+# Camera pixels along one side of a panorama pixel; larger images are shrunk to this.
+_SAMPLES_PER_PX = 2.0
+# Alpha from which a camera pixel counts as sky.
+_SKY_THRESHOLD = 0.9
+# Boxes of moving actors are masked with this margin.
+_ACTOR_MARGIN_M = 0.4
+
+
 @dataclass(frozen=True)
 class StitchConfig:
     """How the panorama is made."""
@@ -39,14 +49,6 @@ class StitchConfig:
     """Rows of the panorama; it is twice as wide."""
     frame_count: int = 5
     """Moments of the log whose sky is used, 1 = the middle one; surfaces come from it alone."""
-    samples_per_px: float = 2.0
-    """Camera pixels along one side of a panorama pixel; larger images are shrunk to this."""
-    sky_threshold: float = 0.9
-    """Alpha from which a camera pixel counts as sky."""
-    clip_code: int = 250
-    """8-bit code from which a channel counts as saturated."""
-    actor_margin_m: float = 0.4
-    """Boxes of moving actors are masked with this margin."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,14 +196,14 @@ def _load_view(
     config: StitchConfig,
 ) -> _View:
     full = log.cameras[frame.camera_name]
-    px_per_rad = config.samples_per_px * 2 * config.height_px / (2 * np.pi)
+    px_per_rad = _SAMPLES_PER_PX * 2 * config.height_px / (2 * np.pi)
     camera = full.scaled(min(1.0, float(px_per_rad / full.fx)))
     srgb8 = frame.load_srgb8()
     size = (camera.height_px, camera.width_px)
     linear = resize_area(linear_from_srgb8(srgb8), *size)
-    saturated = np.any(srgb8 >= config.clip_code, axis=-1, keepdims=True)
+    saturated = np.any(srgb8 >= CLIPPED_CODE, axis=-1, keepdims=True)
     clipped = resize_area(np.asarray(saturated, np.float32), *size)
-    is_valid = ~_moving_actor_mask(log, frame, camera, config.actor_margin_m)
+    is_valid = ~_moving_actor_mask(log, frame, camera, _ACTOR_MARGIN_M)
     if frame.camera_name in log.own_car_masks:
         own_car = log.own_car_masks[frame.camera_name].astype(np.float32)[..., None]
         is_valid &= resize_area(own_car, *size)[..., 0] == 0
@@ -212,7 +214,7 @@ def _load_view(
         (linear / gain).astype(np.float32),
         is_valid,
         clipped[..., 0] > 0.5,
-        resize_area(matte[..., None], *size)[..., 0] >= config.sky_threshold,
+        resize_area(matte[..., None], *size)[..., 0] >= _SKY_THRESHOLD,
         cast_depth(frame, camera),
     )
 

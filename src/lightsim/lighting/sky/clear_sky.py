@@ -84,17 +84,6 @@ def clear_sky_parts(
     return radiance, sun
 
 
-def overcast_sky(
-    level_irradiance: Float[np.ndarray, "3"], ground_albedo: float = 0.2, height_px: int = 256
-) -> SkyDome:
-    """The CIE standard overcast sky, (1 + 2 sin elevation) / 3 times the zenith's radiance
-    (Moon & Spencer 1942), scaled to an RGB irradiance on level ground. It has no sun."""
-    shape = overcast_shape(height_px)
-    level = irradiance(shape, np.array([0.0, 0.0, 1.0]))
-    radiance = (shape * (level_irradiance / level)).astype(np.float32)
-    return SkyDome(with_ground(radiance, ground_albedo * level_irradiance / np.pi), None)
-
-
 def overcast_shape(height_px: int) -> Float32[np.ndarray, "h w 3"]:
     """CIE overcast radiance over its zenith's, lower half black."""
     elevation_sine = pixel_directions(height_px)[..., 2:3]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
@@ -16,7 +16,7 @@ from lightsim.core.twin import LightFreedom, Panorama, SkyEstimate
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.blend import blend_observed, shrink_masked, unseen_weight
 from lightsim.lighting.sky.clear_sky import clear_sky_parts, overcast_shape, with_ground
-from lightsim.lighting.sky.fit import SunFit, SunFitConfig, fit_sun
+from lightsim.lighting.sky.fit import SunFit, fit_sun
 from lightsim.lighting.sun.direction import SunDirection, find_sun_blob
 from lightsim.lighting.sun.evidence import LightEvidence
 from lightsim.progress import Progress, SilentProgress
@@ -33,24 +33,25 @@ _PEAK_ROWS = 64
 """Rows of the domes that networks predict peaks of (lighting/sample.py)."""
 
 
+# Chosen with streets 0 and 1 and log 002 in view; only what all do together is measured
+# (docs/benchmarks/lighting.md).
+
+# Rows of the shrunk panorama that the analytic sky is fitted to.
+_FIT_HEIGHT_PX = 64
+# Candidates for the clear part.
+_TURBIDITIES = (2.0, 2.5, 3.0, 4.0, 5.0, 6.5, 8.0, 10.0)
+# Sky nearer to the sun is not fitted: its glow is that of cloud and lens.
+_SUN_GAP_DEG = 6.0
+# Assumed where the ground was not seen.
+_GROUND_ALBEDO = 0.2
+
+
 @dataclass(frozen=True)
 class SkyConfig:
     """How the dome is estimated."""
 
     height_px: int = 256
     """Rows of the dome."""
-    fit_height_px: int = 64
-    """Rows of the shrunk panorama that the analytic sky is fitted to."""
-    turbidities: tuple[float, ...] = (2.0, 2.5, 3.0, 4.0, 5.0, 6.5, 8.0, 10.0)
-    """Candidates for the clear part."""
-    sun_gap_deg: float = 6.0
-    """Sky nearer to the sun is not fitted: its glow is that of cloud and lens."""
-    ground_albedo: float = 0.2
-    """Assumed where the ground was not seen."""
-    sun_fit: SunFitConfig = field(default_factory=SunFitConfig)
-    """How the sun's strength is read from shadows."""
-    seed: int = 0
-    """For thinning the pairs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +110,11 @@ def solve_sky(
     analytic = fit_analytic_sky(panorama, sun.direction_world, config)
     next(steps)
     sky = blend_observed(panorama, analytic.radiance)
-    ground = _ground_radiance(panorama, sky, config.ground_albedo)
+    ground = _ground_radiance(panorama, sky, _GROUND_ALBEDO)
     up = np.array([0.0, 0.0, 1.0])
     sky_irradiance = irradiance(sky, up)
     next(steps)
-    strength = _sun_strength(analytic, evidence, sky, sun, config)
+    strength = _sun_strength(analytic, evidence, sky, sun)
     if strength.kind == "analytic" and prediction is not None:
         strength = _with_prediction(strength, prediction)
     dome = add_sun(with_ground(sky, ground), Sun(sun.direction_world, strength.irradiance))
@@ -144,7 +145,6 @@ def _sun_strength(
     evidence: LightEvidence | None,
     sky: Float32[np.ndarray, "h w 3"],
     sun: SunDirection,
-    config: SkyConfig,
 ) -> SunFit:
     """The fit to shadows, or the analytic sun with a wide uncertainty."""
     notes: tuple[str, ...] = ()
@@ -153,28 +153,26 @@ def _sun_strength(
             evidence,
             evidence.diffuse_light(sky),
             irradiance(sky, np.array([0.0, 0.0, 1.0])),
-            config.sun_fit,
-            np.random.default_rng(config.seed),
+            np.random.default_rng(0),
             sunny_probability=sun.sunny_probability,
         )
         if fit.kind != "unknown":
             return fit
         notes = fit.notes
-    return _usual_sun(analytic, sky, sun, config, notes)
+    return _usual_sun(analytic, sky, sun, notes)
 
 
 def _usual_sun(
     analytic: AnalyticFit,
     sky: Float32[np.ndarray, "h w 3"],
     sun: SunDirection,
-    config: SkyConfig,
     notes: tuple[str, ...],
 ) -> SunFit:
     """Without shadows: the sun of the fitted clear part, as far as it fits, and the usual ratio
     of sun to sky at that elevation; clouds, where likely, dim both."""
     up = np.array([0.0, 0.0, 1.0])
     radiance, clear = clear_sky_parts(
-        sun.direction_world, _USUAL_TURBIDITY, config.ground_albedo, config.fit_height_px
+        sun.direction_world, _USUAL_TURBIDITY, _GROUND_ALBEDO, _FIT_HEIGHT_PX
     )
     usual_ratio = _grey(clear.irradiance) / _grey(irradiance(radiance, up))
     usual = np.log(usual_ratio * _grey(irradiance(sky, up)))
@@ -221,12 +219,12 @@ def fit_analytic_sky(
 
     Relative residuals, reweighted twice so that clouds and masts count less.
     """
-    observed, is_used = _shrunk_sky(panorama, sun_direction_world, config)
-    low, full = config.fit_height_px, config.height_px
+    observed, is_used = _shrunk_sky(panorama, sun_direction_world)
+    low, full = _FIT_HEIGHT_PX, config.height_px
     overcast = overcast_shape(low)[is_used].astype(np.float64)
     best: tuple[float, float, Float[np.ndarray, "3 2"]] | None = None
-    for turbidity in config.turbidities:
-        clear, _ = clear_sky_parts(sun_direction_world, turbidity, config.ground_albedo, low)
+    for turbidity in _TURBIDITIES:
+        clear, _ = clear_sky_parts(sun_direction_world, turbidity, _GROUND_ALBEDO, low)
         weights = _fit_channels(observed, clear[is_used].astype(np.float64), overcast)
         model = clear[is_used] * weights[:, 0] + overcast * weights[:, 1]
         error = np.abs(model - observed) / np.maximum(observed, 1e-6)
@@ -240,7 +238,7 @@ def fit_analytic_sky(
             3.0,
             np.tile([_unseen_scale(panorama, sun_direction_world), 0.0], (3, 1)),
         )
-    clear, clear_sun = clear_sky_parts(sun_direction_world, turbidity, config.ground_albedo, full)
+    clear, clear_sun = clear_sky_parts(sun_direction_world, turbidity, _GROUND_ALBEDO, full)
     cloud = overcast_shape(full) * weights[:, 1]
     radiance = (clear * weights[:, 0] + cloud).astype(np.float32)
     up = np.array([0.0, 0.0, 1.0])
@@ -270,14 +268,14 @@ def _fit_channels(
 
 
 def _shrunk_sky(
-    panorama: Panorama, sun_direction_world: Float[np.ndarray, "3"], config: SkyConfig
+    panorama: Panorama, sun_direction_world: Float[np.ndarray, "3"]
 ) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, "h w"]]:
     """Observed unsaturated sky, averaged to the fit's grid, away from the sun."""
-    low = config.fit_height_px
+    low = _FIT_HEIGHT_PX
     usable = panorama.is_sky & panorama.is_seen & ~panorama.is_clipped
     mean, coverage = shrink_masked(panorama.radiance, usable, low)
     directions = pixel_directions(low)
-    is_far = directions @ sun_direction_world < np.cos(np.radians(config.sun_gap_deg))
+    is_far = directions @ sun_direction_world < np.cos(np.radians(_SUN_GAP_DEG))
     is_used = (coverage > 0.3) & is_far & (directions[..., 2] > 0)
     return mean[is_used].astype(np.float64), is_used
 

@@ -18,26 +18,19 @@ from scipy.spatial import KDTree
 
 from lightsim.core.colour import luminance
 from lightsim.lighting.sun.evidence import LightEvidence
+from lightsim.lighting.sun.surface_samples import BLOCK_M, SAME_PLANE_COSINE, SAME_PLANE_OFFSET_M
 
+# Chosen with streets 0 and 1 and log 002 in view; only what all do together is measured
+# (docs/benchmarks/lighting.md).
 
-@dataclass(frozen=True)
-class SunFitConfig:
-    """How pairs are chosen and judged."""
-
-    max_pair_distance_m: float = 2.5
-    """Pairs lie no farther apart."""
-    min_normal_cosine: float = 0.97
-    """Their normals differ by no more (14 degrees)."""
-    max_plane_offset_m: float = 0.15
-    """The shadowed point lies this close to the lit point's plane: the same surface."""
-    max_pairs: int = 6000
-    """More pairs are thinned at random."""
-    min_pairs: int = 40
-    """Fewer pairs say nothing."""
-    block_m: float = 4.0
-    """Pairs within one block of this size share their errors and count as one observation."""
-    diffused_ratio: float = 0.25
-    """Below this ratio of the sun's irradiance to the sky's, the light is called diffused."""
+# Pairs lie no farther apart.
+_MAX_PAIR_DISTANCE_M = 2.5
+# More pairs are thinned at random.
+_MAX_PAIRS = 6000
+# Fewer pairs say nothing.
+_MIN_PAIRS = 40
+# Below this ratio of the sun's irradiance to the sky's, the light is called diffused.
+_DIFFUSED_RATIO = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +65,6 @@ def fit_sun(
     evidence: LightEvidence,
     diffuse: Float[np.ndarray, "n 3"],
     sky_irradiance: Float[np.ndarray, "3"],
-    config: SunFitConfig,
     rng: np.random.Generator,
     *,
     sunny_probability: float | None = None,
@@ -88,8 +80,8 @@ def fit_sun(
         sky_irradiance: on level ground, sun excluded.
         sunny_probability: prior for a sun that casts shadows, from elsewhere.
     """
-    lit, shaded = _pairs(evidence, config, rng)
-    if len(lit) < config.min_pairs:
+    lit, shaded = _pairs(evidence, rng)
+    if len(lit) < _MIN_PAIRS:
         return SunFit(
             np.zeros(3, np.float32),
             np.inf,
@@ -105,11 +97,11 @@ def fit_sun(
     log_q = np.log(grey / (_grey(radiance[shaded]) / _grey(diffuse[shaded])))
     sky_luminance = float(_grey(sky_irradiance[None])[0])
     gain = cosine * sky_luminance / _grey(diffuse[lit])
-    blocks = _block_count(evidence.position_world[lit], config.block_m)
+    blocks = _block_count(evidence.position_world[lit], BLOCK_M)
     ratio, log_std, share = _posterior(log_q, gain, blocks, _log_prior(sunny_probability))
     rgb = _channels(excess, diffuse[lit], cosine, log_q, gain, ratio)
     rgb *= ratio * sky_luminance / max(float(_grey(rgb[None])[0]), 1e-12)
-    kind = "direct" if ratio >= config.diffused_ratio else "diffused"
+    kind = "direct" if ratio >= _DIFFUSED_RATIO else "diffused"
     note = (
         f"{len(lit)} pairs in {blocks} places: sun/sky luminance {ratio:.2f}, {kind}"
         f" (log std {log_std:.2f}, {100 * share:.0f} % of the pairs contradict)"
@@ -122,7 +114,7 @@ def _grey(rgb: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
 
 
 def _pairs(
-    evidence: LightEvidence, config: SunFitConfig, rng: np.random.Generator
+    evidence: LightEvidence, rng: np.random.Generator
 ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
     """Indices of lit points and of their nearest shadowed neighbours on the same surface."""
     lit_found: list[np.ndarray] = []
@@ -139,16 +131,14 @@ def _pairs(
         distance, nearest = distance.reshape(len(lit), -1), nearest.reshape(len(lit), -1)
         first = np.repeat(lit, distance.shape[1])
         second = shaded[nearest.ravel()]
-        keep = (distance.ravel() <= config.max_pair_distance_m) & _same_surface(
-            evidence, first, second, config
-        )
+        keep = (distance.ravel() <= _MAX_PAIR_DISTANCE_M) & _same_surface(evidence, first, second)
         lit_found.append(first[keep])
         shaded_found.append(second[keep])
     if not lit_found:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     first, second = np.concatenate(lit_found), np.concatenate(shaded_found)
-    if len(first) > config.max_pairs:
-        chosen = rng.choice(len(first), config.max_pairs, replace=False)
+    if len(first) > _MAX_PAIRS:
+        chosen = rng.choice(len(first), _MAX_PAIRS, replace=False)
         first, second = first[chosen], second[chosen]
     return first, second
 
@@ -157,13 +147,12 @@ def _same_surface(
     evidence: LightEvidence,
     first: Int[np.ndarray, " n"],
     second: Int[np.ndarray, " n"],
-    config: SunFitConfig,
 ) -> np.ndarray:
     normal = evidence.normal_world[first]
     cosine = np.einsum("ij,ij->i", normal, evidence.normal_world[second])
     offset = evidence.position_world[second] - evidence.position_world[first]
     height_m = np.abs(np.einsum("ij,ij->i", normal, offset))
-    return (cosine >= config.min_normal_cosine) & (height_m <= config.max_plane_offset_m)
+    return (cosine >= SAME_PLANE_COSINE) & (height_m <= SAME_PLANE_OFFSET_M)
 
 
 def _block_count(points: Float[np.ndarray, "n 3"], block_m: float) -> int:

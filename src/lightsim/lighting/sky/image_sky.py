@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from lightsim.core.colour import linear_from_srgb8
+from lightsim.core.colour import CLIPPED_CODE, linear_from_srgb8
 from lightsim.core.equirect import pixel_directions
 from lightsim.core.resample import resize_area
 from lightsim.core.twin import Panorama, SkyEstimate
@@ -16,12 +16,10 @@ from lightsim.lighting.sun.cues import NetworkCue, OpenSkyCue, panorama_cues
 from lightsim.lighting.sun.direction import SunDirection
 from lightsim.lighting.sun.posterior import (
     SunPosterior,
-    SunPosteriorConfig,
     sun_direction,
     sun_posterior,
 )
 
-_CLIP_CODE = 250
 _LEAST_ROWS = 16
 """Below this, a pixel is larger than the glow of a sun."""
 
@@ -67,9 +65,9 @@ def picture_sun(panorama: Panorama, prediction: SkyPrediction | None) -> SunPost
     pictures are clouds and walls. So what it says stands, but for sky that was seen without a sun.
     """
     if prediction is None:
-        return sun_posterior(panorama_cues(panorama), panorama, SunPosteriorConfig())
+        return sun_posterior(panorama_cues(panorama), panorama)
     cues = [OpenSkyCue(panorama), NetworkCue(prediction, temper=1.0)]
-    return sun_posterior(cues, panorama, SunPosteriorConfig(takes_mode=True))
+    return sun_posterior(cues, panorama, takes_mode=True)
 
 
 def panorama_from_image(
@@ -98,7 +96,7 @@ def panorama_from_image(
     seen = np.ones((height, width), bool) if is_observed is None else is_observed
     weight = seen.astype(np.float32)[..., None]
     linear = linear_from_srgb8(srgb8) * weight
-    clipped = np.any(srgb8 >= _CLIP_CODE, axis=-1, keepdims=True) * weight
+    clipped = np.any(srgb8 >= CLIPPED_CODE, axis=-1, keepdims=True) * weight
     coverage = resize_area(weight, height_px, 2 * height_px)
     share = np.maximum(coverage, 1e-6)
     radiance = resize_area(linear, height_px, 2 * height_px) / share

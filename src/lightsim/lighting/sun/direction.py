@@ -13,7 +13,6 @@ from lightsim.core.equirect import pixel_directions, solid_angles_sr
 from lightsim.core.log import GeoReference
 from lightsim.core.solar import (
     angle_between_deg,
-    azimuth_elevation,
     direction_world,
     solar_position,
 )
@@ -193,43 +192,6 @@ def _wrapped_labels(mask: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
         if left and right and left != right:
             labels[labels == right] = left
     return labels
-
-
-def sun_from_panorama(panorama: Panorama) -> SunDirection:
-    """The sun from the picture alone: the clipped spot, else the gradient of the sky.
-
-    The gradient compares the observed sky with clear skies (plus an overcast part) of all sun
-    directions on a grid, turbidities 2, 4 and 8; the uncertainty is the spread of the directions
-    weighted by exp(-residual), never below 15 degrees.
-
-    Raises:
-        InputError: no sky was seen.
-    """
-    blob = find_sun_blob(panorama)
-    if blob is not None:
-        elevation_deg = azimuth_elevation(blob.direction_world).elevation_deg
-        # A cut spot may be the edge of a glow whose middle was not seen.
-        std_deg = float(np.hypot(0.5, blob.radius_deg * (4.0 if blob.is_cut else 0.33)))
-        note = f"clipped spot of {blob.radius_deg:.1f} degrees radius in the sky"
-        return SunDirection(blob.direction_world, None, elevation_deg, "image", std_deg, (note,))
-    return _sun_from_gradient(panorama)
-
-
-def _sun_from_gradient(panorama: Panorama) -> SunDirection:
-    directions, residual = gradient_candidates(panorama)
-    # A mean relative error of 5 % is what thin clouds leave of a well-fitting model.
-    weight = np.exp(-(residual - residual.min()) / (2 * 0.05**2))
-    best = directions[int(residual.argmin())]
-    angle_deg = np.degrees(np.arccos(np.clip(directions @ best, -1, 1)))
-    spread_deg = float(np.sqrt((weight * angle_deg**2).sum() / weight.sum()))
-    return SunDirection(
-        best,
-        None,
-        azimuth_elevation(best).elevation_deg,
-        "image",
-        float(np.clip(spread_deg, 15.0, 90.0)),
-        ("the sun was not seen: its direction is the best fit of clear skies to the gradient",),
-    )
 
 
 def gradient_candidates(

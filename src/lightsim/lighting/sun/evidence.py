@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from lightsim.core.casting import MakeCaster, RayCaster, RayHits
-from lightsim.core.colour import linear_from_srgb8
+from lightsim.core.colour import CLIPPED_CODE, linear_from_srgb8
 from lightsim.core.dome import disc_directions
 from lightsim.core.equirect import uv_from_directions
 from lightsim.core.frames import RigidTransform
@@ -18,7 +18,22 @@ from lightsim.core.mesh import TriMesh
 from lightsim.core.resample import resize_area
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import SceneAssets
+from lightsim.lighting.sun.surface_samples import LIFT_M
 from lightsim.progress import Progress, SilentProgress
+
+# Chosen with streets 0 and 1 and log 002 in view; only what all do together is measured
+# (docs/benchmarks/lighting.md).
+
+# Farther points are dropped: a pixel covers too much there.
+_MAX_DISTANCE_M = 50.0
+# 8-bit codes below this are noise.
+_DARKEST_CODE = 4
+# Radius about the sun within which visibility must not flip.
+_SHADOW_MARGIN_DEG = 2.0
+# Shift along the surface within which visibility must not flip.
+_SHADOW_MARGIN_M = 0.15
+# Cosine-weighted rays that gather the light of the sky and of the surfaces around.
+_LIGHT_RAYS = 48
 
 
 @dataclass(frozen=True)
@@ -29,20 +44,6 @@ class EvidenceConfig:
     """Camera pixels that are cast, over all frames and cameras."""
     frame_count: int = 6
     """Moments of the log that are used, evenly spread."""
-    max_distance_m: float = 50.0
-    """Farther points are dropped: a pixel covers too much there."""
-    darkest_code: int = 4
-    """8-bit codes below this are noise."""
-    clip_code: int = 250
-    """8-bit codes from this on are saturated."""
-    lift_m: float = 0.08
-    """Rays start this far above the surface, so that they miss the surface itself."""
-    shadow_margin_deg: float = 2.0
-    """Radius about the sun within which visibility must not flip."""
-    shadow_margin_m: float = 0.15
-    """Shift along the surface within which visibility must not flip."""
-    light_rays: int = 48
-    """Cosine-weighted rays that gather the light of the sky and of the surfaces around."""
 
 
 @dataclass(frozen=True)
@@ -150,9 +151,9 @@ def collect_evidence(
         moving = _moving_caster(log, assets, frame.time_ns, make_caster)
         gain = assets.camera_gains[frame.camera_name]
         casters = [static] if moving is None else [static, moving]
-        points = _seen_points(log, frame, casters, gain, count, config, rng)
+        points = _seen_points(log, frame, casters, gain, count, rng)
         points = points.on_meshes(1 + len(around.parked))
-        parts.append(_measure(points, casters, sun_direction_world, config, group, rng))
+        parts.append(_measure(points, casters, sun_direction_world, group, rng))
     return _joined(parts)
 
 
@@ -177,19 +178,18 @@ def _seen_points(
     casters: Sequence[RayCaster],
     gain: Float32[np.ndarray, "3"],
     count: int,
-    config: EvidenceConfig,
     rng: np.random.Generator,
 ) -> _Points:
     camera = log.cameras[frame.camera_name]
     uv = rng.random((count, 2)) * [camera.width_px, camera.height_px]
     column, row = uv.astype(np.int64).T
     srgb8 = frame.load_srgb8()[row, column]
-    is_good = (srgb8 >= config.darkest_code).all(1) & (srgb8 < config.clip_code).all(1)
+    is_good = (srgb8 >= _DARKEST_CODE).all(1) & (srgb8 < CLIPPED_CODE).all(1)
     if frame.camera_name in log.own_car_masks:
         is_good &= ~log.own_car_masks[frame.camera_name][row, column]
     origins, directions = frame.pixel_rays(camera, uv[is_good])
     hits = casters[0].intersect(origins, directions)
-    keep = hits.is_hit & (hits.distance_m < config.max_distance_m)
+    keep = hits.is_hit & (hits.distance_m < _MAX_DISTANCE_M)
     if len(casters) > 1:
         keep &= casters[1].intersect(origins, directions).distance_m > hits.distance_m
     normals = _hit_normals(casters[0], hits)
@@ -222,29 +222,28 @@ def _measure(
     points: _Points,
     casters: Sequence[RayCaster],
     sun: Float[np.ndarray, "3"],
-    config: EvidenceConfig,
     group: int,
     rng: np.random.Generator,
 ) -> LightEvidence:
     """Sun and sky visibility; points near a shadow's edge are dropped."""
-    start = points.position_world + config.lift_m * points.normal_world
+    start = points.position_world + LIFT_M * points.normal_world
     cosine = points.normal_world @ sun
     hidden = np.stack(
         [
             _occluded(casters, start + shift, direction)
-            for direction, shift in _jitters(points.normal_world, sun, config)
+            for direction, shift in _jitters(points.normal_world, sun)
         ]
     )
     is_stable = (hidden.all(0) | ~hidden.any(0)) & (np.abs(cosine) > 0.05)
     is_lit = ~hidden.any(0) & (cosine > 0)
     kept = is_stable
     start, normals = start[kept], points.normal_world[kept]
-    cells = np.zeros((len(start), config.light_rays), np.int64)
+    cells = np.zeros((len(start), _LIGHT_RAYS), np.int64)
     surface_light = np.zeros((len(start), 3))
-    for k in range(config.light_rays):
+    for k in range(_LIGHT_RAYS):
         directions = _cosine_directions(normals, rng)
         radiance, cells[:, k] = _incoming(casters, start, directions)
-        surface_light += radiance * (np.pi / config.light_rays)
+        surface_light += radiance * (np.pi / _LIGHT_RAYS)
     return LightEvidence(
         points.position_world[kept],
         normals,
@@ -286,19 +285,19 @@ def _sky_grid(sky: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "c 3"]:
 
 
 def _jitters(
-    normals: Float[np.ndarray, "n 3"], sun: Float[np.ndarray, "3"], config: EvidenceConfig
+    normals: Float[np.ndarray, "n 3"], sun: Float[np.ndarray, "3"]
 ) -> list[tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]]:
     """(direction, shift) of the rays that must agree: the centre, a ring about the sun, and
     four shifts along the surface."""
     still = np.zeros_like(normals)
     centre = np.broadcast_to(sun, normals.shape)
-    disc = disc_directions(sun, config.shadow_margin_deg, 64)
+    disc = disc_directions(sun, _SHADOW_MARGIN_DEG, 64)
     ring = disc[np.argsort(disc @ sun)[:16]][::4]
     helper = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     tangent = np.cross(normals, helper)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     other = np.cross(normals, tangent)
-    step = config.shadow_margin_m
+    step = _SHADOW_MARGIN_M
     shifts = [step * tangent, -step * tangent, step * other, -step * other]
     found = [(centre, still)]
     found += [(np.broadcast_to(d, normals.shape), still) for d in ring]

@@ -24,23 +24,18 @@ _STD_PER_RADIUS_90 = 2.146
 _LOWEST_SINE = np.sin(np.radians(0.5))
 
 
-@dataclass(frozen=True)
-class SunPosteriorConfig:
-    """The grid and the prior."""
+# None was measured alone.
 
-    spacing_deg: float = 2.0
-    """Of the first grid, over the hemisphere."""
-    resolved: float = 8.0
-    """The grid is made finer until 99 % of the mass lie beyond this many spacings."""
-    finer_steps: int = 25
-    """Spacings along the radius of a finer grid."""
-    max_rounds: int = 4
-    """Finer grids at most."""
-    sunny_prior: float = 0.5
-    """Probability of a clear sun before anything was seen."""
-    takes_mode: bool = False
-    """The estimate is the densest direction. The least expected angle, which is taken otherwise,
-    lies between several modes, but of one wide density it is pushed up by the horizon."""
+# Of the first grid, over the hemisphere.
+_SPACING_DEG = 2.0
+# The grid is made finer until 99 % of the mass lie beyond this many spacings.
+_RESOLVED = 8.0
+# Spacings along the radius of a finer grid.
+_FINER_STEPS = 25
+# Finer grids at most.
+_MAX_ROUNDS = 4
+# Probability of a clear sun before anything was seen.
+_SUNNY_PRIOR = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +46,7 @@ class SunPosterior:
         grid_world: directions.
         mass: probability of each with a clear sun, and with an overcast sky; sums to 1.
         direction_world: the estimate: the direction with the least expected angle to the sun, or
-            the mode where the config says so.
+            the mode where that was asked for.
         mode_world: the densest direction.
         region_90_deg: radius about `direction_world` that holds 90 % of the mass.
         sunny_probability: of a sun that casts shadows.
@@ -88,24 +83,32 @@ class SunPosterior:
 
 
 def sun_posterior(
-    cues: Sequence[Cue], panorama: Panorama | None, config: SunPosteriorConfig
+    cues: Sequence[Cue], panorama: Panorama | None, *, takes_mode: bool = False
 ) -> SunPosterior:
-    """The density of the sun given cues; without any, that of a uniform hemisphere."""
-    grid = fibonacci_hemisphere(count_for_spacing(config.spacing_deg))
-    spacing_deg = config.spacing_deg
-    mass = _mass(cues, grid, spacing_deg, config)
-    for _ in range(config.max_rounds):
+    """The density of the sun given cues; without any, that of a uniform hemisphere.
+
+    Args:
+        cues: independent given the sun.
+        panorama: what was seen; None where nothing was.
+        takes_mode: the estimate is the mode, else the direction with the least expected angle to
+            the sun: that lies between several modes, but of one wide density it is pushed up by
+            the horizon.
+    """
+    grid = fibonacci_hemisphere(count_for_spacing(_SPACING_DEG))
+    spacing_deg = _SPACING_DEG
+    mass = _mass(cues, grid, spacing_deg)
+    for _ in range(_MAX_ROUNDS):
         centre = _median_direction(grid, mass)
         reach_deg = _radius_deg(grid, mass, centre, 0.99)
-        if reach_deg > config.resolved * spacing_deg:
+        if reach_deg > _RESOLVED * spacing_deg:
             break
         radius_deg = max(1.3 * reach_deg, 2.5 * spacing_deg)
-        spacing_deg = radius_deg / config.finer_steps
-        disc = disc_directions(centre, radius_deg, round(np.pi * config.finer_steps**2))
+        spacing_deg = radius_deg / _FINER_STEPS
+        disc = disc_directions(centre, radius_deg, round(np.pi * _FINER_STEPS**2))
         grid = disc[disc[:, 2] > _LOWEST_SINE]
-        mass = _mass(cues, grid, spacing_deg, config)
+        mass = _mass(cues, grid, spacing_deg)
     mode = grid[int(mass.sum(axis=1).argmax())]
-    centre = mode if config.takes_mode else _median_direction(grid, mass)
+    centre = mode if takes_mode else _median_direction(grid, mass)
     correction_deg, heading_deg = _heading(cues, centre)
     visible = 0.0
     if panorama is not None:
@@ -121,7 +124,7 @@ def sun_posterior(
         visible,
         correction_deg,
         heading_deg,
-        _notes(cues, centre, config),
+        _notes(cues, centre),
     )
 
 
@@ -159,9 +162,8 @@ def _mass(
     cues: Sequence[Cue],
     grid: Float[np.ndarray, "n 3"],
     spacing_deg: float,
-    config: SunPosteriorConfig,
 ) -> Float64[np.ndarray, "n 2"]:
-    prior = np.log([config.sunny_prior, 1.0 - config.sunny_prior])
+    prior = np.log([_SUNNY_PRIOR, 1.0 - _SUNNY_PRIOR])
     log_mass = np.tile(prior, (len(grid), 1))
     for cue in cues:
         log_mass = log_mass + cue.log_likelihood(grid, 0.5 * spacing_deg)
@@ -211,14 +213,12 @@ def _heading(
     return None, None
 
 
-def _notes(
-    cues: Sequence[Cue], centre: Float[np.ndarray, "3"], config: SunPosteriorConfig
-) -> tuple[str, ...]:
+def _notes(cues: Sequence[Cue], centre: Float[np.ndarray, "3"]) -> tuple[str, ...]:
     """What each cue alone would say."""
     notes: list[str] = []
     for cue in cues:
-        grid = fibonacci_hemisphere(count_for_spacing(config.spacing_deg))
-        mass = _mass([cue], grid, config.spacing_deg, config)
+        grid = fibonacci_hemisphere(count_for_spacing(_SPACING_DEG))
+        mass = _mass([cue], grid, _SPACING_DEG)
         alone = grid[int(mass.sum(axis=1).argmax())]
         radius_deg = _radius_deg(grid, mass, alone, 0.9)
         off_deg = angle_between_deg(alone, centre)

@@ -22,7 +22,14 @@ from scipy.spatial import KDTree
 
 from lightsim.core.casting import RayCaster
 from lightsim.lighting.directions import count_for_spacing, fibonacci_hemisphere, log_vmf
-from lightsim.lighting.sun.surface_samples import SampleConfig, SurfaceSamples
+from lightsim.lighting.sun.surface_samples import (
+    BLOCK_M,
+    LIFT_M,
+    SAME_PLANE_COSINE,
+    SAME_PLANE_OFFSET_M,
+    SampleConfig,
+    SurfaceSamples,
+)
 from lightsim.progress import Progress, SilentProgress
 
 STRENGTHS = (0.6, 1.5, 3.5, 8.0)
@@ -33,34 +40,33 @@ _LOG_INDEPENDENT = 4.6
 """Log of the number of directions whose shadows differ altogether, about a hundred."""
 
 
+# Chosen with streets 0 and 1 and log 002 in view; only what all do together is measured
+# (docs/benchmarks/lighting.md).
+
+# Partners of each point.
+_PAIRS_PER_POINT = 2
+# Nearest and farthest partner.
+_PAIR_DISTANCE_M = (0.3, 3.0)
+# Independent pairs that a block counts for at most.
+_VOTES_PER_BLOCK = 3.0
+# Share of pairs whose cast shadow is wrong: casters that no sensor saw.
+_WRONG_SHARE = 0.3
+# Light of the surroundings where no sky is seen, in units of the level sky.
+_BOUNCE = 0.35
+# Spacing of the second round, near the first round's best.
+_FINE_DEG = 1.2
+# Error that the meshes' shape adds to the direction.
+_MESH_STD_DEG = 1.5
+
+
 @dataclass(frozen=True)
 class ShadowVoteConfig:
     """How surfaces are asked for the sun."""
 
     samples: SampleConfig = field(default_factory=SampleConfig)
     """The points."""
-    pairs_per_point: int = 2
-    """Partners of each point."""
-    pair_distance_m: tuple[float, float] = (0.3, 3.0)
-    """Nearest and farthest partner."""
-    min_normal_cosine: float = 0.97
-    """Their normals differ by no more (14 degrees)."""
-    max_plane_offset_m: float = 0.15
-    """A partner lies this close to the point's plane."""
-    block_m: float = 4.0
-    """Side of the blocks of space that vote as one."""
-    votes_per_block: float = 3.0
-    """Independent pairs that a block counts for at most."""
-    wrong_share: float = 0.3
-    """Share of pairs whose cast shadow is wrong: casters that no sensor saw."""
-    bounce: float = 0.35
-    """Light of the surroundings where no sky is seen, in units of the level sky."""
     coarse_count: int = 700
     """Directions of the first round over the hemisphere (5.4 degrees apart)."""
-    fine_deg: float = 1.2
-    """Spacing of the second round, near the first round's best."""
-    mesh_std_deg: float = 1.5
-    """Error that the meshes' shape adds to the direction."""
     bootstraps: int = 200
     """Resampled sets of blocks."""
 
@@ -96,10 +102,10 @@ def vote(
     progress: Progress | None = None,
 ) -> ShadowVotes:
     """Likelihood of every sun direction given the light and shade on the samples."""
-    first, second = _pairs(samples, config, rng)
+    first, second = _pairs(samples, rng)
     coarse = fibonacci_hemisphere(config.coarse_count)
     weight = np.full(len(coarse), 2 * np.pi / len(coarse))
-    blocks = _block_numbers(samples, first, config.block_m)
+    blocks = _block_numbers(samples, first, BLOCK_M)
     block_count = int(blocks.max()) + 1 if len(blocks) else 0
     if block_count < _MIN_BLOCKS:
         return ShadowVotes(coarse, weight, np.zeros(len(coarse)), 0.5, 0.0, len(first), block_count)
@@ -115,7 +121,7 @@ def vote(
     sunny, trust = _reliability(votes, model.block_votes(coarse, is_flipped=True))
     next(steps)
     chosen = _best_cells(rough, weight)
-    fine = fibonacci_hemisphere(count_for_spacing(config.fine_deg))
+    fine = fibonacci_hemisphere(count_for_spacing(_FINE_DEG))
     fine = fine[np.isin(KDTree(coarse).query(fine)[1], chosen)]
     exact = _resampled(model.block_votes(fine), counts)
     for _ in steps:
@@ -126,9 +132,7 @@ def vote(
     directions = np.concatenate([coarse[rest], fine])
     weight = np.concatenate([weight[rest], np.full(len(fine), fine_sr)])
     joint = np.concatenate([rough[:, rest], exact], axis=1)
-    density = _blurred(
-        directions, _mean_density(trust * joint, weight), weight, config.mesh_std_deg
-    )
+    density = _blurred(directions, _mean_density(trust * joint, weight), weight, _MESH_STD_DEG)
     # Against a model that is wrong everywhere, no direction is ruled out.
     relative = (1 - _UNIFORM_SHARE) * density * 2 * np.pi + _UNIFORM_SHARE
     return ShadowVotes(
@@ -143,24 +147,24 @@ def vote(
 
 
 def _pairs(
-    samples: SurfaceSamples, config: ShadowVoteConfig, rng: np.random.Generator
+    samples: SurfaceSamples, rng: np.random.Generator
 ) -> tuple[Int64[np.ndarray, " p"], Int64[np.ndarray, " p"]]:
     """Random partners on the same plane of the same material."""
     nothing = np.zeros(0, np.int64)
     if len(samples) < 2:
         return nothing, nothing
-    near_m, far_m = config.pair_distance_m
+    near_m, far_m = _PAIR_DISTANCE_M
     tree = KDTree(samples.position_world)
     found = tree.query_pairs(far_m, output_type="ndarray").astype(np.int64)
     i, j = found[:, 0], found[:, 1]
     offset = samples.position_world[j] - samples.position_world[i]
     normal = samples.normal_world
     keep = np.linalg.norm(offset, axis=1) >= near_m
-    keep &= np.einsum("ij,ij->i", normal[i], normal[j]) >= config.min_normal_cosine
-    keep &= np.abs(np.einsum("ij,ij->i", normal[i], offset)) <= config.max_plane_offset_m
+    keep &= np.einsum("ij,ij->i", normal[i], normal[j]) >= SAME_PLANE_COSINE
+    keep &= np.abs(np.einsum("ij,ij->i", normal[i], offset)) <= SAME_PLANE_OFFSET_M
     keep &= samples.material[i] == samples.material[j]
     i, j = i[keep], j[keep]
-    order = rng.permutation(len(i))[: config.pairs_per_point * len(samples)]
+    order = rng.permutation(len(i))[: _PAIRS_PER_POINT * len(samples)]
     return i[order], j[order]
 
 
@@ -185,10 +189,11 @@ class _PairModel:
         blocks: Int64[np.ndarray, " p"],
         config: ShadowVoteConfig,
     ) -> None:
-        self._samples, self._caster, self._config = samples, caster, config
+        self._samples, self._caster = samples, caster
+        self._config = config
         self._first, self._second = first, second
         self._used = np.unique(np.concatenate([first, second]))
-        diffuse = samples.sky_share + config.bounce * (1 - samples.sky_share)
+        diffuse = samples.sky_share + _BOUNCE * (1 - samples.sky_share)
         self._diffuse = np.maximum(diffuse, 0.05).astype(np.float32)
         seen = samples.log_radiance[first] - samples.log_radiance[second]
         flat = np.log(self._diffuse[first] / self._diffuse[second])
@@ -198,7 +203,7 @@ class _PairModel:
         self._scale = np.float32(1.0 / noise)
         self._excess = (excess * self._scale).astype(np.float32)
         self._inverse_null = 1.0 / _density(self._excess)
-        share = np.minimum(1.0, config.votes_per_block / np.bincount(blocks)).astype(np.float32)
+        share = np.minimum(1.0, _VOTES_PER_BLOCK / np.bincount(blocks)).astype(np.float32)
         self._block_count = len(share)
         self._sum_blocks = sparse.csr_matrix(
             (share[blocks], (blocks, np.arange(len(blocks)))), dtype=np.float32
@@ -225,16 +230,13 @@ class _PairModel:
         sun = np.zeros(len(samples), np.float32)
         cosine = samples.normal_world[self._used] @ direction
         facing = self._used[cosine > 0.02]
-        start = (
-            samples.position_world[facing]
-            + self._config.samples.lift_m * samples.normal_world[facing]
-        )
+        start = samples.position_world[facing] + LIFT_M * samples.normal_world[facing]
         hidden = self._caster.is_occluded(start, np.broadcast_to(direction, start.shape).copy())
         sun[facing] = np.where(hidden, 0.0, cosine[cosine > 0.02])
         return sun / self._diffuse
 
     def _ratio(self, step: Float32[np.ndarray, " p"]) -> Float32[np.ndarray, " p"]:
-        wrong = np.float32(self._config.wrong_share)
+        wrong = np.float32(_WRONG_SHARE)
         return (1 - wrong) * _density(self._excess - step) * self._inverse_null + wrong
 
 

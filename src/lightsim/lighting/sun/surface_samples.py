@@ -16,6 +16,22 @@ from lightsim.core.mesh import Provenance, TriMesh
 _MUTE = (Provenance.INFERRED, Provenance.BACKGROUND_PROXY)
 """Surfaces whose shape was guessed: they cast shadows but have no say."""
 
+# Chosen with streets 0 and 1 and log 002 in view; only what all do together is measured
+# (docs/benchmarks/lighting.md).
+
+# Normals of two points of one surface differ by no more (14 degrees).
+SAME_PLANE_COSINE = 0.97
+# The second lies this close to the first one's plane.
+SAME_PLANE_OFFSET_M = 0.15
+# Observations within a block of this size share their errors and count as one.
+BLOCK_M = 4.0
+# Rays start this far above a surface, so that they miss the bumps of its mesh.
+LIFT_M = 0.08
+# Points lie this close to the path of the cameras.
+_REACH_M = 35.0
+# Surfaces whose colour was guessed do not count.
+_MIN_CONFIDENCE = 0.5
+
 
 @dataclass(frozen=True)
 class SampleConfig:
@@ -23,12 +39,6 @@ class SampleConfig:
 
     point_count: int = 4000
     """Surface points, about, in proportion to area."""
-    reach_m: float = 35.0
-    """Points lie this close to the path of the cameras."""
-    min_confidence: float = 0.5
-    """Surfaces whose colour was guessed do not count."""
-    lift_m: float = 0.08
-    """Rays start this far above the surface."""
     sky_rays: int = 32
     """Cosine-weighted rays that measure how much sky a point sees."""
 
@@ -81,13 +91,13 @@ def sample_surfaces(
     keep = (radiance > 1e-3) & (np.linalg.norm(normal, axis=1) > 0.5)
     if mesh.confidence is not None:
         trust = (mesh.confidence[mesh.faces[face]] * barycentric).sum(axis=1)
-        keep &= trust >= config.min_confidence
+        keep &= trust >= _MIN_CONFIDENCE
     material = np.zeros(len(face), np.int64)
     if mesh.face_material is not None:
         material = mesh.face_material[face].astype(np.int64)
     keep &= ~mesh.comes_from(*_MUTE)[face]
     position, normal, radiance, material = (a[keep] for a in (position, normal, radiance, material))
-    sky_share = _sky_share(caster, position + config.lift_m * normal, normal, config, rng)
+    sky_share = _sky_share(caster, position + LIFT_M * normal, normal, config, rng)
     return SurfaceSamples(position, normal, np.log(radiance), material, sky_share), caster
 
 
@@ -104,7 +114,7 @@ def _drawn_faces(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
     distance_m = KDTree(path_world).query(corners.mean(axis=1))[0]
-    weight = np.where(distance_m < config.reach_m, area, 0.0)
+    weight = np.where(distance_m < _REACH_M, area, 0.0)
     if not weight.sum() > 0:
         return np.zeros(0, np.int64), np.zeros((0, 3))
     face = rng.choice(len(weight), 2 * config.point_count, p=weight / weight.sum())

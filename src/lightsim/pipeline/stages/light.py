@@ -38,6 +38,8 @@ from lightsim.store.twin import write_twin
 
 IRRADIANCE = IrradianceConfig(TransportConfig(sky_rays=32, face_rays=8), 0.25)
 """Sun, sky and the light of other surfaces as it was seen; what was not seen is grey."""
+LIDAR_RETURNS = 1_500_000
+"""LiDAR returns whose intensity is asked."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +53,6 @@ class SkyStageConfig:
     """Light on the patches that say how sun and unseen sky compare."""
     labels: DelightConfig = field(default_factory=DelightConfig)
     """How their shadows are found."""
-    lidar_returns: int = 1_500_000
-    """LiDAR returns whose intensity is asked."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,6 @@ class TwinConfig:
     """Light at the vertices."""
     delight: DelightConfig = field(default_factory=DelightConfig)
     """How shadows are found."""
-    lidar_returns: int = 1_500_000
-    """LiDAR returns whose intensity is asked."""
 
 
 def make_panorama(
@@ -142,7 +140,7 @@ def source_sky(
         freedom,
         config.labels,
         rng,
-        returns=static_returns(log, config.lidar_returns, rng),
+        returns=static_returns(log, LIDAR_RETURNS, rng),
     )
     if not balance.pair_count:
         return estimate
@@ -175,7 +173,7 @@ def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Contex
         source.on(identity),
         config.delight,
         rng,
-        returns=static_returns(log, config.lidar_returns, rng),
+        returns=static_returns(log, LIDAR_RETURNS, rng),
     )
     tracks = {track.actor_id: track for track in log.actors}
     actors = {}

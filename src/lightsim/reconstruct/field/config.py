@@ -48,12 +48,8 @@ class NeuralConfig:
         )
     )
     """Features of all actors, each in its box frame with its own salt."""
-    hidden: int = 64
-    """Width of the MLP heads."""
     has_prior: bool = True
     """Learn a residual on the fused LiDAR instead of the whole signed distance."""
-    prior_half_weight: float = 0.5
-    """Evidence at which the fused LiDAR counts half."""
     has_camera_gains: bool = True
     """Learn exposure and white balance of each camera."""
     conversion: Literal["neus", "unisim"] = "neus"
@@ -65,26 +61,10 @@ class NeuralConfig:
     """Colour error of a ray: the paper's Euclidean norm, or its square."""
     weights: LossWeights = field(default_factory=LossWeights)
     """Of the loss terms."""
-    camera_pool: int = 1_500_000
-    """Pixels drawn from all frames; batches are drawn from these."""
-    lidar_pool: int = 1_500_000
-    """Returns drawn from all sweeps."""
     camera_batch: int = 3072
     """Camera rays a step."""
     lidar_batch: int = 1024
     """LiDAR rays a step."""
-    near_samples: int = 8
-    """Samples around the expected surface."""
-    free_samples: int = 4
-    """Samples between the sensor and there."""
-    near_half_m: float = 0.4
-    """Half width of the band around the expected surface, times (1 + t / 40)."""
-    free_distance_m: float = 0.3
-    """Signed distance asked of free space."""
-    table_rate: float = 1e-2
-    """Learning rate of the grids."""
-    head_rate: float = 2e-3
-    """Learning rate of everything else."""
 
 
 def config_from_json(value: Mapping[str, Any]) -> NeuralConfig:

@@ -22,6 +22,14 @@ from lightsim.reconstruct.field.tsdf_prior import TsdfPrior
 __all__ = ["NeuralConfig", "Training", "draft", "paper", "refine_by_field", "standard"]
 
 
+# Not measured alone; training as a whole is (docs/benchmarks/reconstruction.md).
+
+# Pixels drawn from all frames; batches are drawn from these.
+_CAMERA_POOL = 1_500_000
+# Returns drawn from all sweeps.
+_LIDAR_POOL = 1_500_000
+
+
 @dataclass(frozen=True, eq=False)
 class Training:
     """What training needs beside the log and its fused LiDAR.
@@ -56,8 +64,8 @@ def refine_by_field(
     """
     rng = np.random.default_rng(training.seed)
     rays = TrainingRays(
-        camera_rays(log, config.camera_pool, training.surfaces, training.sky_matte, rng, progress),
-        lidar_rays(log, config.lidar_pool, training.surfaces, rng, progress),
+        camera_rays(log, _CAMERA_POOL, training.surfaces, training.sky_matte, rng, progress),
+        lidar_rays(log, _LIDAR_POOL, training.surfaces, rng, progress),
     )
     field = make_field(log, fields, config, training.seed).to(choose_device(training.device))
     train_field(field, rays, training.seed, Session(training.journal, progress))

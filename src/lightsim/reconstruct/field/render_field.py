@@ -32,7 +32,7 @@ def render_frame(
         pixel = np.arange(start, min(start + _CHUNK, camera.width_px * camera.height_px))
         rays = batch_of(pixel_rays(log, frame, pixel, surfaces), device)
         with torch.no_grad():
-            t = place_samples(rays, field.config, generator)
+            t = place_samples(rays, generator)
             sdf, colour, _, _ = field(*rays.points(t))
             weights = composite(
                 opacities(sdf.reshape(t.shape), field.beta, field.config.conversion)

@@ -8,10 +8,18 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from lightsim.reconstruct.field.config import NeuralConfig
-
 NEAREST_M = 0.5
 _FARTHEST_M = 200.0
+
+
+# Not measured alone; training as a whole is (docs/benchmarks/reconstruction.md).
+
+# Samples around the expected surface.
+_NEAR_SAMPLES = 8
+# Samples between the sensor and there.
+_FREE_SAMPLES = 4
+# Half width of the band around the expected surface, times (1 + t / 40).
+_NEAR_HALF_M = 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,19 +67,17 @@ class RayBatch:
         return points.reshape(-1, 3), actor.reshape(-1)
 
 
-def place_samples(
-    rays: RayBatch, config: NeuralConfig, generator: torch.Generator
-) -> Float[Tensor, "r s"]:
+def place_samples(rays: RayBatch, generator: torch.Generator) -> Float[Tensor, "r s"]:
     """Sorted sample distances: some in a band around the expected surface (the measured return of
     a LiDAR ray), some in the free space before it.
 
     Rays without an expected surface are sampled through the first actor box they pass, else
     evenly in the logarithm of the distance.
     """
-    near, free = config.near_samples, config.free_samples
+    near, free = _NEAR_SAMPLES, _FREE_SAMPLES
     count = len(rays.origin)
     centre = torch.where(rays.is_lidar, rays.return_m, rays.surface_m)
-    half = config.near_half_m * (1 + centre / 40)
+    half = _NEAR_HALF_M * (1 + centre / 40)
     span = rays.slot_span_m[:, 0]
     through_box = ~torch.isfinite(centre) & (rays.slot_actor[:, 0] >= 0)
     centre = torch.where(through_box, span.mean(dim=1), centre)

@@ -25,6 +25,14 @@ _ENCODING_POWER = 2.2
 _FIRST_BETA = 40.0
 
 
+# Not measured alone; training as a whole is (docs/benchmarks/reconstruction.md).
+
+# Width of the MLP heads.
+_HIDDEN = 64
+# Evidence at which the fused LiDAR counts half.
+_PRIOR_HALF_WEIGHT = 0.5
+
+
 class SceneField(nn.Module):
     """The compositional scene, with what is learned only for training: camera gains and a sky.
 
@@ -51,8 +59,8 @@ class SceneField(nn.Module):
         self.prior = prior
         self.background_table = make_table(config.background_grid, generator)
         self.actor_table = make_table(config.actor_grid, generator)
-        self.background_head = _head(config.background_grid, config, generator)
-        self.actor_head = _head(config.actor_grid, config, generator)
+        self.background_head = _head(config.background_grid, generator)
+        self.actor_head = _head(config.actor_grid, generator)
         self.sky_head = _mlp(15, 32, 3, generator)
         self.log_gains = nn.Parameter(torch.zeros(max(len(camera_names), 1), 3))
         self.log_beta = nn.Parameter(torch.log(torch.tensor(_FIRST_BETA)))
@@ -128,7 +136,7 @@ class SceneField(nn.Module):
             ranges = torch.from_numpy(self._grid_ranges).to(points.device)[actor]
             found = self._prior_on(points.device).look_up(points.detach(), ranges)
         sdf, weight, truncation = found.unbind(dim=1)
-        confidence = weight / (weight + self.config.prior_half_weight)
+        confidence = weight / (weight + _PRIOR_HALF_WEIGHT)
         is_known = weight > 0
         reach = torch.where(is_known, _RESIDUAL_REACH * truncation, outside)
         return torch.where(is_known, sdf, outside), confidence, reach
@@ -161,9 +169,9 @@ class SceneField(nn.Module):
         return torch.sigmoid(self.sky_head(_direction_features(direction)))
 
 
-def _head(spec: HashGridSpec, config: NeuralConfig, generator: torch.Generator) -> nn.Sequential:
+def _head(spec: HashGridSpec, generator: torch.Generator) -> nn.Sequential:
     """Features and position to (signed distance or residual, colour); starts at residual 0."""
-    head = _mlp(spec.output_dim + 3, config.hidden, 4, generator)
+    head = _mlp(spec.output_dim + 3, _HIDDEN, 4, generator)
     last = head[-1]
     assert isinstance(last, nn.Linear)
     with torch.no_grad():

@@ -21,6 +21,14 @@ _FINAL_FRACTION = 0.1
 _STEP_SEED = 1_000_003
 
 
+# Not measured alone; training as a whole is (docs/benchmarks/reconstruction.md).
+
+# Learning rate of the grids.
+_TABLE_RATE = 1e-2
+# Learning rate of everything else.
+_HEAD_RATE = 2e-3
+
+
 @dataclass(frozen=True, eq=False)
 class TrainingRays:
     """The two kinds of rays a batch is drawn from."""
@@ -38,8 +46,8 @@ def train_field(field: SceneField, rays: TrainingRays, seed: int, session: Sessi
     config = field.config
     device = next(field.parameters()).device
     # Sparse Adam for the tables, of which a batch reaches little; Adam for the rest.
-    tables = [SparseAdam(table, learning_rate=config.table_rate) for table in field.tables]
-    dense = torch.optim.Adam(field.dense_parameters, lr=config.head_rate, eps=1e-15)
+    tables = [SparseAdam(table, learning_rate=_TABLE_RATE) for table in field.tables]
+    dense = torch.optim.Adam(field.dense_parameters, lr=_HEAD_RATE, eps=1e-15)
 
     def losses(_: int, draw: int) -> Iterator[Loss]:
         generator = torch.Generator().manual_seed(seed * _STEP_SEED + draw)

@@ -8,7 +8,7 @@ how blue the pixel is for its surface, and by its neighbours up to the next imag
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float32
@@ -22,32 +22,31 @@ from lightsim.relighting.physical.filters import box_mean, guided_filter, weight
 _DARKEST = np.float32(1e-4)
 
 
-@dataclass(frozen=True)
-class ShadowRefineConfig:
-    """How the evidence is weighed."""
+# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
+# (docs/benchmarks/first-light.md, docs/benchmarks/relighting.md).
 
-    geometry_error_m: float = 0.2
-    """Distance from a rendered shadow edge over which it gains the trust of one logit."""
-    largest_prior_logit: float = 3.0
-    """Trust in the rendered visibility far from its edges."""
-    luminance_deviation: float = 0.4
-    """Standard deviation of log luminance of an image against base colour times light."""
-    chroma_deviation: float = 0.3
-    """The same of the log of red over blue and of green over the two."""
-    largest_image_logit: float = 4.0
-    """Most that the look of one pixel may say."""
-    smoothness_logit: float = 8.0
-    """Weight of the neighbours' vote."""
-    neighbourhood_share: float = 1 / 100
-    """Radius of the neighbourhood as a share of the image width."""
-    calibration_share: float = 1 / 16
-    """Radius, as a share of the width, over which base colour is calibrated on the image."""
-    smallest_share: float = 1 / 240
-    """Width of a strip, as a share of the image width, below which a change is taken for noise."""
-    iterations: int = 5
-    """Rounds of calibration, evidence and vote."""
-    least_contrast: float = 0.15
-    """Sun light below this share of the other light is left as rendered."""
+# Distance from a rendered shadow edge over which it gains the trust of one logit.
+_GEOMETRY_ERROR_M = 0.2
+# Trust in the rendered visibility far from its edges.
+_LARGEST_PRIOR_LOGIT = 3.0
+# Standard deviation of log luminance of an image against base colour times light.
+_LUMINANCE_DEVIATION = 0.4
+# The same of the log of red over blue and of green over the two.
+_CHROMA_DEVIATION = 0.3
+# Most that the look of one pixel may say.
+_LARGEST_IMAGE_LOGIT = 4.0
+# Weight of the neighbours' vote.
+_SMOOTHNESS_LOGIT = 8.0
+# Radius of the neighbourhood as a share of the image width.
+_NEIGHBOURHOOD_SHARE = 1 / 100
+# Radius, as a share of the width, over which base colour is calibrated on the image.
+_CALIBRATION_SHARE = 1 / 16
+# Width of a strip, as a share of the image width, below which a change is taken for noise.
+_SMALLEST_SHARE = 1 / 240
+# Rounds of calibration, evidence and vote.
+_ITERATIONS = 5
+# Sun light below this share of the other light is left as rendered.
+_LEAST_CONTRAST = 0.15
 
 
 def refine_sun_visibility(
@@ -56,7 +55,6 @@ def refine_sun_visibility(
     shadows: ShadowBuffers,
     sun: Sun,
     is_usable: Bool[np.ndarray, "h w"],
-    config: ShadowRefineConfig,
 ) -> Float32[np.ndarray, "h w"]:
     """Sun visibility in [0, 1] that agrees with the image; as rendered where it cannot be told.
 
@@ -68,16 +66,16 @@ def refine_sun_visibility(
     sunlight = unoccluded_sun(buffers, shadows, sun)
     ambient = np.maximum(shadows.sky + shadows.bounce, _DARKEST)
     contrast = luminance(sunlight) / luminance(ambient)
-    is_open = is_usable & buffers.has_surface & (contrast > config.least_contrast)
+    is_open = is_usable & buffers.has_surface & (contrast > _LEAST_CONTRAST)
     if not is_open.any():
         return shadows.sun_visibility
-    prior = _prior_logit(shadows.sun_visibility, buffers, is_open, config)
+    prior = _prior_logit(shadows.sun_visibility, buffers, is_open)
     residual = np.log(np.maximum(radiance, _DARKEST)) - np.log(
         np.maximum(buffers.base_colour, np.float32(0.02)) * ambient
     )
     step = np.log1p(sunlight / ambient)
-    visibility = _infer(residual, step, prior, luminance(radiance), is_open, config)
-    share = is_open * _changed_share(visibility, shadows.sun_visibility, config)
+    visibility = _infer(residual, step, prior, luminance(radiance), is_open)
+    share = is_open * _changed_share(visibility, shadows.sun_visibility)
     rendered = shadows.sun_visibility
     return np.where(share > 0, rendered + share * (visibility - rendered), rendered)
 
@@ -85,11 +83,10 @@ def refine_sun_visibility(
 def _changed_share(
     visibility: Float32[np.ndarray, "h w"],
     rendered: Float32[np.ndarray, "h w"],
-    config: ShadowRefineConfig,
 ) -> Float32[np.ndarray, "h w"]:
     """1 where lit and shadowed are exchanged, fading to 0 beside: elsewhere rendered edges are
     sharper than found ones. Specks are left out."""
-    smallest = max(2, round(rendered.shape[1] * config.smallest_share))
+    smallest = max(2, round(rendered.shape[1] * _SMALLEST_SHARE))
     is_changed = (visibility > 0.5) != (rendered > 0.5)
     is_changed = ndimage.binary_opening(is_changed, np.ones((smallest, smallest)))
     grown = np.asarray(ndimage.binary_dilation(is_changed, np.ones((3, 3))))
@@ -133,23 +130,22 @@ def _infer(
     prior: Float32[np.ndarray, "h w"],
     brightness: Float32[np.ndarray, "h w"],
     is_open: Bool[np.ndarray, "h w"],
-    config: ShadowRefineConfig,
 ) -> Float32[np.ndarray, "h w"]:
     """Mean-field inference: `residual` is log(image / unlit model), `step` what sun adds to it."""
     width = residual.shape[1]
-    near = max(1, round(width * config.neighbourhood_share))
-    far = max(2, round(width * config.calibration_share))
+    near = max(1, round(width * _NEIGHBOURHOOD_SHARE))
+    far = max(2, round(width * _CALIBRATION_SHARE))
     weight = is_open.astype(np.float32)
     guide = np.log(np.maximum(brightness, _DARKEST)).astype(np.float32)
     visibility = _sigmoid(prior)
-    for _ in range(config.iterations):
+    for _ in range(_ITERATIONS):
         certainty = weight * np.square(2 * visibility - 1)
         unexplained = residual - visibility[..., None] * step
         local, share = weighted_mean(unexplained, certainty, far)
         offset = local * (share / (share + np.float32(0.02)))[..., None]
-        logit = prior + _image_logit(residual - offset, step, config)
+        logit = prior + _image_logit(residual - offset, step)
         vote = guided_filter(guide, visibility, weight, near, 0.05)
-        logit += np.float32(config.smoothness_logit) * (2 * np.clip(vote, 0, 1) - 1)
+        logit += np.float32(_SMOOTHNESS_LOGIT) * (2 * np.clip(vote, 0, 1) - 1)
         visibility = _sigmoid(logit)
     soft = guided_filter(guide, visibility, weight, max(1, near // 2), 0.01)
     return np.clip(soft, 0.0, 1.0).astype(np.float32)
@@ -158,20 +154,17 @@ def _infer(
 def _image_logit(
     residual: Float32[np.ndarray, "h w 3"],
     step: Float32[np.ndarray, "h w 3"],
-    config: ShadowRefineConfig,
 ) -> Float32[np.ndarray, "h w"]:
     """Log-odds of lit against shadowed from the look of each pixel alone, clipped.
 
     Brightness, red over blue, and green over both are taken as independent Gaussians.
     """
     basis = np.array([[1 / 3, 1 / 3, 1 / 3], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]], np.float32)
-    deviation = np.array(
-        [config.luminance_deviation, config.chroma_deviation, config.chroma_deviation], np.float32
-    )
+    deviation = np.array([_LUMINANCE_DEVIATION, _CHROMA_DEVIATION, _CHROMA_DEVIATION], np.float32)
     if_shadowed = residual @ basis.T / deviation
     if_lit = (residual - step) @ basis.T / deviation
     logit = 0.5 * (np.square(if_shadowed) - np.square(if_lit)).sum(axis=-1)
-    limit = np.float32(config.largest_image_logit)
+    limit = np.float32(_LARGEST_IMAGE_LOGIT)
     return (limit * np.tanh(logit / limit)).astype(np.float32)
 
 
@@ -179,15 +172,14 @@ def _prior_logit(
     visibility: Float32[np.ndarray, "h w"],
     buffers: GBuffers,
     is_open: Bool[np.ndarray, "h w"],
-    config: ShadowRefineConfig,
 ) -> Float32[np.ndarray, "h w"]:
     """Log-odds of lit from the rendered visibility: 0 on its edges, growing with distance."""
     is_lit = visibility > 0.5
     inside = np.asarray(ndimage.distance_transform_edt(is_lit | ~is_open))
     outside = np.asarray(ndimage.distance_transform_edt(~is_lit | ~is_open))
     signed_px = np.where(is_lit, inside, -outside)
-    logit = signed_px * _footprint_m(buffers) / config.geometry_error_m
-    limit = config.largest_prior_logit
+    logit = signed_px * _footprint_m(buffers) / _GEOMETRY_ERROR_M
+    limit = _LARGEST_PRIOR_LOGIT
     return (limit * np.tanh(logit / limit)).astype(np.float32)
 
 

@@ -11,6 +11,8 @@ from lightsim.core.casting import MISS, RayHits, check_world
 from lightsim.core.mesh import TriMesh
 
 _CHUNK_RAYS = 1 << 18
+# Less lets rays meet the surface that they leave, more leaks light under cars. Not measured alone.
+_OFFSET_M = 0.002
 _MIN_OFFSET_ULPS = 8.0
 
 
@@ -87,17 +89,16 @@ def make_embree_caster(meshes: Sequence[TriMesh]) -> EmbreeCaster:
 def offset_origins(
     points_world: Float[np.ndarray, "n 3"],
     directions_world: Float[np.ndarray, "n 3"],
-    scale_m: float = 1e-3,
 ) -> Float32[np.ndarray, "n 3"]:
     """Ray origins moved off a surface, along its normals or the rays, so that rays leaving it
     do not meet it again.
 
-    The step is `scale_m`, or eight float32 steps at the point's largest coordinate where that
-    is more (then `scale_m` would be lost in rounding).
+    The step is 2 mm, or eight float32 steps at the point's largest coordinate where that is more
+    (then 2 mm would be lost in rounding).
     """
     largest = np.abs(points_world).max(axis=1, initial=0.0)
     ulp = np.spacing(largest.astype(np.float32)).astype(np.float64)
-    step = np.maximum(scale_m, _MIN_OFFSET_ULPS * ulp)[:, None]
+    step = np.maximum(_OFFSET_M, _MIN_OFFSET_ULPS * ulp)[:, None]
     return (points_world + step * directions_world).astype(np.float32)
 
 

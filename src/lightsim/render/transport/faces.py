@@ -19,6 +19,10 @@ _TEXELS = 16
 """Texels whose mean is the base colour of a face."""
 
 
+# Rows of the equirectangular grid of sky cells (2 degrees each at 90); at most 180.
+SKY_CELL_ROWS = 90
+
+
 @dataclass(frozen=True)
 class TransportConfig:
     """The ray table and the sun rays."""
@@ -31,14 +35,10 @@ class TransportConfig:
     """Rays per pixel over the solar disc."""
     face_sun_rays: int = 2
     """Sun rays per met face."""
-    sky_cell_rows: int = 90
-    """Rows of the equirectangular grid of sky cells (2 degrees each at 90); at most 180."""
     shading_step_px: int = 2
     """One pixel in this many, along rows and columns, is traced; sun rays start from all."""
     filter_radius: int = 1
     """Traced neighbours over which sky and bounce light are smoothed along surfaces."""
-    origin_offset_m: float = 2e-3
-    """Distance by which rays start off their surface."""
     bounces: int = 1
     """Of light between surfaces. 2 takes a second level of faces and rays; more cost sums only."""
     pixel_samples: int = 1
@@ -115,9 +115,7 @@ class FaceTable:
         corners, normals = self._geometry(sides)
         count = max(1, self._config.face_sun_rays)
         points = self._points(sides, corners, count).reshape(-1, 3)
-        starts = offset_origins(
-            points, np.repeat(normals, count, axis=0), self._config.origin_offset_m
-        )
+        starts = offset_origins(points, np.repeat(normals, count, axis=0))
         return FaceSamples(
             starts.reshape(-1, count, 3),
             normals,
@@ -216,13 +214,9 @@ class FaceTable:
             part = slice(start, start + tile)
             corners, normals = self._geometry(sides[part])
             shifts = hashed_shifts(sides[part], self._seed)
-            directions, found = hemisphere_directions(
-                normals, shifts, rays, self._config.sky_cell_rows
-            )
+            directions, found = hemisphere_directions(normals, shifts, rays, SKY_CELL_ROWS)
             points = self._points(sides[part], corners, rays).reshape(-1, 3)
-            origins = offset_origins(
-                points, np.repeat(normals, rays, axis=0), self._config.origin_offset_m
-            )
+            origins = offset_origins(points, np.repeat(normals, rays, axis=0))
             flat = directions.reshape(-1, 3)
             if finder is not None:
                 met[part] = finder.met(origins, flat).reshape(-1, rays)

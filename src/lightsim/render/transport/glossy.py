@@ -86,7 +86,7 @@ def trace_glossy(
         uv = uv_from_directions(directions)
         table.directions_uv[part] = np.minimum(uv * 65536.0, 65535.0).astype(np.uint16)
         positions = samples.ray_starts_world[points.rows[part]]
-        origins = offset_origins(positions, normals, config.origin_offset_m)
+        origins = offset_origins(positions, normals)
         sides = finder.met(np.repeat(origins, count, axis=0), directions.reshape(-1, 3))
         table.face_rows[part] = sides.reshape(-1, count)
     return table

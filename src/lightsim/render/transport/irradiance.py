@@ -88,8 +88,8 @@ def irradiance_at(
     rays = config.transport
     if config.unseen_albedo is None:
         rays = replace(rays, face_rays=0)
-    cells = prepare_sky(dome, rays)
-    part_cells = None if part_of_dome is None else prepare_sky(part_of_dome, rays)
+    cells = prepare_sky(dome)
+    part_cells = None if part_of_dome is None else prepare_sky(part_of_dome)
     table = static_face_table(scene, rays, seed) if faces is None else faces
     found = PointIrradiance.zeros(len(points_world))
     for start in range(0, len(points_world), _TILE_POINTS):

@@ -48,7 +48,7 @@ def light(
             light is the mean over each pixel's surfaces, and reflections are added.
         sky: a dome, or the result of `prepare_sky`, which saves time for many frames.
     """
-    cells = prepare_sky(sky, config) if isinstance(sky, SkyDome) else sky
+    cells = prepare_sky(sky) if isinstance(sky, SkyDome) else sky
     radiosity = face_radiosity(table.points.faces, scene.caster, cells)
     sums = table_sums(table.points, cells, radiosity)
     images = np.zeros((gbuffers.depth_z_m.size, 9), dtype=np.float32)

@@ -56,7 +56,7 @@ class DeviceSunRays:
         self._backend: MitsubaBackend = backend
         self._rays_each = (config.sun_rays, faces.sun_points_world.shape[1])
         chosen = hashed_shifts(np.arange(self.pixel_count), 7)[:, 0] * PATTERNS
-        starts = offset_origins(points_world, normals_world, config.origin_offset_m)
+        starts = offset_origins(points_world, normals_world)
         with mitsuba_with(VARIANTS[backend]) as mitsuba:
             has_faces = any(len(mesh.faces) for mesh in meshes)
             self._scene: Any = make_mitsuba_scene(mitsuba, meshes) if has_faces else None

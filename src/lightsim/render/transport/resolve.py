@@ -117,9 +117,7 @@ def _add_sun(
         cosine = np.maximum(normals @ direction, 0)
         facing = np.flatnonzero(cosine > 0)
         pixel = samples.pixel[part][facing]
-        origins = offset_origins(
-            samples.ray_starts_world[part][facing], normals[facing], config.origin_offset_m
-        )
+        origins = offset_origins(samples.ray_starts_world[part][facing], normals[facing])
         chosen = (hashed_shifts(pixel.astype(np.int64), 7)[:, 0] * PATTERNS).astype(np.int64)
         which = samples.number[part][facing, None] + samples.per_pixel * np.arange(rays)
         directions = patterns[chosen[:, None], which].reshape(-1, 3)

@@ -12,7 +12,7 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import RayHits
 from lightsim.core.frames import RigidTransform
 from lightsim.core.sensors import CameraFrame
-from lightsim.render.gbuffers import BAND_RAYS, GBufferConfig, SeenSurfaces, see
+from lightsim.render.gbuffers import BAND_RAYS, SeenSurfaces, see
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import TransportConfig
 
@@ -108,7 +108,7 @@ def render_samples(
     gathered = _Gathered(gbuffers, count)
     for start in range(0, camera.height_px, band):
         uv = (corners[start : start + band, :, None] + offsets).reshape(-1, 2)
-        seen = see(scene, camera, view, uv, GBufferConfig())
+        seen = see(scene, camera, view, uv)
         gathered.add(scene, seen, slice(start * width, start * width + len(uv) // count), config)
     return gathered.result()
 

@@ -10,7 +10,7 @@ from jaxtyping import Float32
 from lightsim.core.dome import SkyDome, Sun, split_sun
 from lightsim.core.equirect import solid_angles_sr
 from lightsim.core.resample import resize_area
-from lightsim.render.transport.faces import TransportConfig
+from lightsim.render.transport.faces import SKY_CELL_ROWS
 
 _REFLECTED_ROWS = 512
 
@@ -30,10 +30,10 @@ class SkyCells:
     smooth: Float32[np.ndarray, "h w 3"] | None = None
 
 
-def prepare_sky(dome: SkyDome, config: TransportConfig) -> SkyCells:
+def prepare_sky(dome: SkyDome) -> SkyCells:
     """Mean radiance of each sky cell by solid angle, and the sun; energy is kept."""
     rest, sun = split_sun(dome)
-    rows = config.sky_cell_rows
+    rows = SKY_CELL_ROWS
     solid = np.broadcast_to(
         solid_angles_sr(dome.height_px).astype(np.float32)[..., None], (*rest.shape[:2], 1)
     )

@@ -41,7 +41,7 @@ def sun_visibility(
     for start in range(0, len(facing), tile):
         rows = facing[start : start + tile]
         chosen = (hashed_shifts(rows, 7)[:, 0] * PATTERNS).astype(np.int64)
-        origins = offset_origins(points_world[rows], normals_world[rows], config.origin_offset_m)
+        origins = offset_origins(points_world[rows], normals_world[rows])
         occluded = caster.is_occluded(
             np.repeat(origins, config.sun_rays, axis=0), patterns[chosen].reshape(-1, 3)
         )

@@ -19,6 +19,7 @@ from lightsim.render.casters.embree import offset_origins
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport.bag_torch import TorchBag
 from lightsim.render.transport.faces import (
+    SKY_CELL_ROWS,
     FaceSamples,
     FaceTable,
     TransportConfig,
@@ -140,7 +141,7 @@ def trace_transport(
     )
     bag = None
     if config.device != "cpu":
-        cell_count = 2 * config.sky_cell_rows**2
+        cell_count = 2 * SKY_CELL_ROWS**2
         bag = TorchBag(cells, sides, cell_count, config.device)
     points = PointTable(cells, sides, faces, bag)
     has_surface = gbuffers.has_surface
@@ -228,9 +229,9 @@ def _trace(
     for start in range(0, len(points_world), tile):
         part = slice(start, start + tile)
         directions, cells[part] = hemisphere_directions(
-            normals_world[part], shifts[part], rays, config.sky_cell_rows
+            normals_world[part], shifts[part], rays, SKY_CELL_ROWS
         )
-        origins = offset_origins(points_world[part], normals_world[part], config.origin_offset_m)
+        origins = offset_origins(points_world[part], normals_world[part])
         found = finder.met(np.repeat(origins, rays, axis=0), directions.reshape(-1, 3))
         sides[part] = found.reshape(-1, rays)
     return cells, sides
