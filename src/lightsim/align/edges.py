@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 
 from lightsim.core.actors import ActorTrack
 from lightsim.core.resample import resize_area
-from lightsim.core.sensors import LidarSweep
+from lightsim.core.sensors import SWEEP_HOLD_S, LidarSweep
 
 _NEIGHBOURS = 8
 _NEIGHBOUR_RAD = 0.012
@@ -21,7 +21,6 @@ _SENSOR_M = 0.3
 _RANGE_M = (3.0, 60.0)
 _QUERIES = 40_000
 _STRONG = 3.0
-_HOLD_S = 0.15
 
 
 def depth_edges(
@@ -70,8 +69,8 @@ def is_on_moving_actor(
     """Which points lie in the grown box of an actor that moves."""
     found = np.zeros(len(points_world), dtype=bool)
     for actor in actors:
-        if actor.is_moving and actor.is_present(time_ns, _HOLD_S):
-            actor_from_world = actor.world_from_actor(time_ns, _HOLD_S).inverse()
+        if actor.is_moving and actor.is_present(time_ns, SWEEP_HOLD_S):
+            actor_from_world = actor.world_from_actor(time_ns, SWEEP_HOLD_S).inverse()
             local = np.abs(actor_from_world.apply(points_world))
             found |= (local <= actor.size_lwh_m / 2 + margin_m).all(axis=1)
     return found

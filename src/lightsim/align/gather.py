@@ -12,12 +12,11 @@ from lightsim.align.edges import depth_edges
 from lightsim.align.planes import Cloud, first_of_voxels
 from lightsim.core.actors import ActorTrack
 from lightsim.core.log import DrivingLog
-from lightsim.core.sensors import LidarSweep
+from lightsim.core.sensors import SWEEP_HOLD_S, LidarSweep
 from lightsim.progress import Progress
 
 _VOXEL_M = 0.15
 _RANGE_M = 80.0
-_HOLD_S = 0.15
 _MARGIN_M = 0.25
 
 
@@ -80,15 +79,15 @@ def _cloud(sweep: LidarSweep, index: int) -> Cloud:
 
 def rows_near_box(cloud: Cloud, actor: ActorTrack, time_ns: int) -> Int64[np.ndarray, " n"]:
     """Rows of one sweep inside the grown box of an actor at the time it was scanned."""
-    if not actor.is_present(time_ns, _HOLD_S):
+    if not actor.is_present(time_ns, SWEEP_HOLD_S):
         return np.empty(0, dtype=np.int64)
-    centre = actor.world_from_actor(time_ns, _HOLD_S).translation_m
+    centre = actor.world_from_actor(time_ns, SWEEP_HOLD_S).translation_m
     reach = float(np.linalg.norm(actor.size_lwh_m)) / 2 + 3.0
     near = np.flatnonzero((np.abs(cloud.points_world[:, :2] - centre[:2]) < reach).all(axis=1))
     if len(near) == 0:
         return near
     scanned_ns = int(np.median(cloud.times_ns[near]))
-    if not actor.is_present(scanned_ns, _HOLD_S):
+    if not actor.is_present(scanned_ns, SWEEP_HOLD_S):
         scanned_ns = time_ns
     inside = actor_contains(actor, cloud.points_world[near], scanned_ns)
     return near[inside]
@@ -98,5 +97,5 @@ def actor_contains(
     actor: ActorTrack, points_world: Float64[np.ndarray, "n 3"], time_ns: int
 ) -> Bool[np.ndarray, " n"]:
     """Inside the box grown sideways and upwards."""
-    local = actor.world_from_actor(time_ns, _HOLD_S).inverse().apply(points_world)
+    local = actor.world_from_actor(time_ns, SWEEP_HOLD_S).inverse().apply(points_world)
     return np.all(np.abs(local) <= actor.size_lwh_m / 2 + _MARGIN_M, axis=1)

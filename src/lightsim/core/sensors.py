@@ -11,6 +11,10 @@ from jaxtyping import Bool, Float, Float32, Int16, UInt8
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform, turned_by
 
+# Actors are labelled once a sweep, whose returns lie up to a sweep (0.1 s) from the label's moment:
+# their first and last pose hold for this long.
+SWEEP_HOLD_S = 0.15
+
 _PROJECTION_ROUNDS = 4
 
 

@@ -18,13 +18,14 @@ from lightsim.synthetic.rig import (
 )
 from lightsim.synthetic.street import Street
 
+# Coordinates are stored in steps that a float holds exactly: the files compress better.
+STEP_M = 1.0 / 512.0
+
 BEAM_COUNT = 64
 _LOWEST_DEG, _HIGHEST_DEG = -25.0, 15.0
 _RANGE_M = 120.0
 _NOISE_M = 0.015
 _DROPOUT = 0.015
-_STEP_M = 1.0 / 512.0
-"""Coordinates are stored in steps that a float holds exactly: the files compress better."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +71,7 @@ def scan(street: Street, config: StreetConfig, time_s: float, rng: np.random.Gen
     noisy = hits.distance_m[is_kept] + rng.normal(0.0, _NOISE_M, int(is_kept.sum()))
     points = origins[is_kept] + noisy[:, None] * directions[is_kept]
     intensity = np.clip(np.round(255.0 * 0.9 * strength[is_kept]), 0, 255)
-    return Returns(np.round(points / _STEP_M) * _STEP_M, intensity, offsets[is_kept])
+    return Returns(np.round(points / STEP_M) * STEP_M, intensity, offsets[is_kept])
 
 
 def _rays(

@@ -16,6 +16,7 @@ from lightsim.core.solar import azimuth_elevation
 from lightsim.store.atomic import whole_file
 from lightsim.store.images import write_exr
 from lightsim.synthetic.geometry import Snapshot
+from lightsim.synthetic.lidar import STEP_M
 from lightsim.synthetic.plan import StreetConfig
 from lightsim.synthetic.rig import MountedCamera
 from lightsim.synthetic.skies import Sky
@@ -23,7 +24,6 @@ from lightsim.synthetic.street import Street
 from lightsim.synthetic.writer import write_json
 
 _SUN_RAYS = 16
-_STEP_M = 1.0 / 512.0
 
 
 def write_sky(folder: Path, sky: Sky, height_px: int) -> None:
@@ -77,7 +77,7 @@ def compute_buffers(
         visibility[seen] = snapshot.sun_visibility(points, hits.normal_world[seen], disc)
     actor = np.where(seen, snapshot.actor[hits.face], NO_SURFACE)
     flat = {
-        "depth_z_m": np.round(depth / _STEP_M) * _STEP_M,
+        "depth_z_m": np.round(depth / STEP_M) * STEP_M,
         "normal_world": hits.normal_world,
         "base_colour": np.round(np.where(seen[:, None], colour, 0.0) * 256) / 256,
         "sun_visibility": visibility,
@@ -128,9 +128,9 @@ def write_geometry(path: Path, street: Street) -> None:
         offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
         vertices = np.concatenate([part.vertices for part in parts])
         faces = [part.faces + o for part, o in zip(parts, offsets, strict=True)]
-        steps = np.round(vertices / _STEP_M).astype(np.int32)
+        steps = np.round(vertices / STEP_M).astype(np.int32)
         unique, index = np.unique(steps, axis=0, return_inverse=True)
-        arrays[f"{name}/vertices"] = (unique * _STEP_M).astype(np.float32)
+        arrays[f"{name}/vertices"] = (unique * STEP_M).astype(np.float32)
         arrays[f"{name}/faces"] = index.ravel()[np.concatenate(faces)].astype(np.int32)
     with whole_file(path) as temporary:
         np.savez_compressed(temporary, allow_pickle=False, **arrays)

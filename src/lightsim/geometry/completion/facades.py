@@ -20,7 +20,12 @@ from lightsim.core.casting import MakeCaster, RayCaster
 from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.errors import FrameMismatchError
-from lightsim.geometry.completion.silhouettes import View, classify_matte, spaced_views
+from lightsim.geometry.completion.silhouettes import (
+    MIN_BASELINE_M,
+    View,
+    classify_matte,
+    spaced_views,
+)
 from lightsim.geometry.completion.walls import Wall, find_walls
 from lightsim.geometry.materials import FACADE
 
@@ -47,8 +52,6 @@ _MAX_HOLE_M2 = 40.0
 _MIN_BORDER = 0.6
 # Views from further away do not count.
 _MAX_VIEW_M = 90.0
-# Views of a camera that moved less than this since its last used view are skipped.
-_MIN_BASELINE_M = 2.0
 # Cells above the measured wall that more than this share of the views shows as sky are open.
 _MAX_SKY_SHARE = 0.3
 # The same within the measured wall, where glass reflects the sky.
@@ -119,7 +122,7 @@ def complete_facades(
     walls = find_walls(background)
     caster = make_caster([background])
     cells = [_measure(wall, caster) for wall in walls]
-    for frame, camera, matte in spaced_views(silhouettes, _MIN_BASELINE_M):
+    for frame, camera, matte in spaced_views(silhouettes, MIN_BASELINE_M):
         kind = classify_matte(camera, matte)
         for wall_cells in cells:
             _look(wall_cells, (frame, camera, kind), caster)

@@ -21,7 +21,12 @@ from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import FrameMismatchError
-from lightsim.geometry.completion.silhouettes import View, classify_matte, spaced_views
+from lightsim.geometry.completion.silhouettes import (
+    MIN_BASELINE_M,
+    View,
+    classify_matte,
+    spaced_views,
+)
 
 _SINK_M = 0.15
 _STEPS_DOWN = 3
@@ -51,8 +56,6 @@ _MAX_HEIGHT_M = 90.0
 _MIN_VIEWS = 2
 # Share of the views of a cell that must show matter.
 _MIN_MATTER = 0.5
-# Views of a camera that moved less than this since its last used view are skipped.
-_MIN_BASELINE_M = 2.0
 # Pixels used, along both axes.
 _EVERY_NTH_PIXEL = 2
 # The ground goes on from this distance from the path.
@@ -100,7 +103,7 @@ def build_far_field(
     backdrop = _empty_backdrop(background, path_m)
     extended = _extend_ground(background, ground, path_m, backdrop, make_caster)
     caster = make_caster([background, extended])
-    for frame, camera, matte in spaced_views(silhouettes, _MIN_BASELINE_M):
+    for frame, camera, matte in spaced_views(silhouettes, MIN_BASELINE_M):
         kind = classify_matte(camera, matte)
         _look(backdrop, (frame, camera, kind), caster)
     panels = _mesh_panels(backdrop, _skyline(backdrop), ground)

@@ -11,6 +11,10 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
 
+# Views of a camera that moved less than this since its last used view are skipped by those who ask
+# for walls and for the far field. Not measured alone.
+MIN_BASELINE_M = 2.0
+
 # A pixel of at least the first shows sky, of at most the second matter; between them wires, twigs
 # and borders, which prove neither. Not measured alone.
 SKY_ALPHA = 0.8

@@ -22,13 +22,16 @@ from lightsim.core.twin import Panorama
 from lightsim.errors import InputError
 from lightsim.lighting.directions import log_vmf
 from lightsim.lighting.sample import SkyPrediction
-from lightsim.lighting.sun.direction import SunBlob, find_sun_blobs, gradient_candidates
+from lightsim.lighting.sun.direction import (
+    EPHEMERIS_STD_DEG,
+    SunBlob,
+    find_sun_blobs,
+    gradient_candidates,
+)
 from lightsim.lighting.sun.shadow_votes import ShadowVotes
 
 _UNIFORM = -float(np.log(2 * np.pi))
 """Log density of the hemisphere, per sr."""
-_EPHEMERIS_STD_DEG = 0.05
-"""Refraction and levelling of the world frame; the ephemeris itself is better than 0.001."""
 _CLOCK_STD_DEG = 1.0 * 360.0 / 86164.0
 """A second of clock."""
 _UNKNOWN_HEADING_STD_DEG = 1.0
@@ -83,7 +86,7 @@ class EphemerisCue:
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
-        level_deg = float(np.linalg.norm([_EPHEMERIS_STD_DEG, _CLOCK_STD_DEG, blur_deg]))
+        level_deg = float(np.linalg.norm([EPHEMERIS_STD_DEG, _CLOCK_STD_DEG, blur_deg]))
         elevation = np.degrees(np.arcsin(np.clip(directions_world[:, 2], -1, 1)))
         height = -0.5 * ((elevation - self.position.elevation_deg) / level_deg) ** 2
         height -= np.log(level_deg)

@@ -20,8 +20,9 @@ from lightsim.core.twin import Panorama
 from lightsim.errors import InputError
 from lightsim.lighting.sky.clear_sky import clear_sky_parts, overcast_shape
 
-_EPHEMERIS_STD_DEG = 0.05
-"""Refraction and levelling of the world frame; the ephemeris itself is better than 0.001."""
+# Refraction and levelling of the world frame; the ephemeris itself is better than 0.001.
+EPHEMERIS_STD_DEG = 0.05
+
 _CLOCK_STD_S = 1.0
 _SKY_TURN_DEG_PER_S = 360.0 / 86164.0
 _BLOB_MAX_RADIUS_DEG = 12.0
@@ -92,7 +93,7 @@ def sun_from_geo(geo: GeoReference, time_ns: int) -> SunDirection:
         )
     direction = direction_world(position.azimuth_deg, position.elevation_deg, geo.enu_from_world)
     heading_deg = geo.heading_residual_deg if geo.heading_residual_deg is not None else 1.0
-    parts = [heading_deg, _EPHEMERIS_STD_DEG, _CLOCK_STD_S * _SKY_TURN_DEG_PER_S]
+    parts = [heading_deg, EPHEMERIS_STD_DEG, _CLOCK_STD_S * _SKY_TURN_DEG_PER_S]
     return SunDirection(
         direction,
         position.azimuth_deg,

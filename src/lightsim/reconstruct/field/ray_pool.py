@@ -16,7 +16,7 @@ from lightsim.core.actors import ActorTrack
 from lightsim.core.casting import RayCaster
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import DrivingLog
-from lightsim.core.sensors import CameraFrame, LidarSweep
+from lightsim.core.sensors import SWEEP_HOLD_S, CameraFrame, LidarSweep
 from lightsim.errors import InputError
 from lightsim.progress import Progress
 from lightsim.reconstruct.field.prior_kernels import enter_boxes
@@ -25,7 +25,6 @@ from lightsim.reconstruct.fusion.sweep_views import label_points
 SLOTS = 2
 """Actor boxes that a ray can pass; further ones are rare and left out."""
 _BOX_MARGIN_M = 0.1
-_HOLD_S = 0.15
 _FAR_M = 250.0
 SkyMatte = Callable[[CameraFrame], Float32[np.ndarray, "h w"]]
 
@@ -187,13 +186,13 @@ def _poses_at_returns(
     """Where each actor stood when its own returns were measured."""
     poses = {}
     for i, actor in enumerate(log.actors):
-        if not actor.is_present(sweep.time_ns, _HOLD_S):
+        if not actor.is_present(sweep.time_ns, SWEEP_HOLD_S):
             continue
         own = sweep.time_offset_s[labels == i + 1]
         offset_s = float(np.median(own)) if len(own) else 0.0
         time_ns = sweep.time_ns + int(offset_s * 1e9)
-        is_known = actor.is_present(time_ns, _HOLD_S)
-        poses[i] = actor.world_from_actor(time_ns if is_known else sweep.time_ns, _HOLD_S)
+        is_known = actor.is_present(time_ns, SWEEP_HOLD_S)
+        poses[i] = actor.world_from_actor(time_ns if is_known else sweep.time_ns, SWEEP_HOLD_S)
     return poses
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Float, Float64, Int64
 from lightsim.core.actors import ActorTrack
 from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog
-from lightsim.core.sensors import LidarSweep
+from lightsim.core.sensors import SWEEP_HOLD_S, LidarSweep
 
 _SENSOR_TOLERANCE_M = 0.4
 _SLICE_OVERLAP = 0.02
@@ -21,7 +21,6 @@ _BOX_MARGIN_M = 0.12
 """Labelled boxes are grown by this before returns are assigned to actors."""
 _BOX_FLOOR_M = 0.12
 """Returns lower than this above a box's underside belong to the ground."""
-_HOLD_S = 0.15
 
 
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
@@ -101,17 +100,17 @@ def label_points(actors: tuple[ActorTrack, ...], sweep: LidarSweep) -> Int64[np.
     labels = np.zeros(len(sweep.points_world), dtype=np.int64)
     xy = sweep.points_world[:, :2]
     for index, actor in enumerate(actors):
-        if not actor.is_present(sweep.time_ns, _HOLD_S):
+        if not actor.is_present(sweep.time_ns, SWEEP_HOLD_S):
             continue
-        centre = actor.world_from_actor(sweep.time_ns, _HOLD_S).translation_m
+        centre = actor.world_from_actor(sweep.time_ns, SWEEP_HOLD_S).translation_m
         reach = float(np.linalg.norm(actor.size_lwh_m)) / 2 + 3.0
         near = np.flatnonzero((np.abs(xy - centre[:2].astype(np.float32)) < reach).all(axis=1))
         if len(near) == 0:
             continue
         time_ns = sweep.time_ns + int(float(np.median(sweep.time_offset_s[near])) * 1e9)
-        if not actor.is_present(time_ns, _HOLD_S):
+        if not actor.is_present(time_ns, SWEEP_HOLD_S):
             time_ns = sweep.time_ns
-        actor_from_world = actor.world_from_actor(time_ns, _HOLD_S).inverse()
+        actor_from_world = actor.world_from_actor(time_ns, SWEEP_HOLD_S).inverse()
         inside = is_inside_box(
             actor_from_world.apply(sweep.points_world[near].astype(np.float64)), actor
         )

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float64, Int32
 from lightsim.core.actors import ActorTrack
 from lightsim.core.fields import BLOCK, GroundMap, SceneFields, TsdfGrid
 from lightsim.core.log import DrivingLog
+from lightsim.core.sensors import SWEEP_HOLD_S
 from lightsim.errors import InputError
 from lightsim.progress import Progress
 from lightsim.reconstruct.fusion.config import FuseConfig, draft, paper, standard
@@ -26,7 +27,6 @@ __all__ = ["FuseConfig", "draft", "fuse_log", "paper", "standard"]
 _LEVEL_OVERLAP_M = 1.0
 _ACTOR_PADDING_M = 0.2
 _MIN_VIEW_PIXELS = 12
-_HOLD_S = 0.15
 
 
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
@@ -212,8 +212,8 @@ class _ActorFusion:
         self._blocks.grow(np.argwhere(np.ones(tuple(shape.tolist()), dtype=bool)).astype(np.int32))
 
     def add(self, image: RangeImage, label: int) -> None:
-        if self._actor.is_present(image.time_ns, _HOLD_S):
-            pose = self._actor.world_from_actor(image.time_ns, _HOLD_S).matrix
+        if self._actor.is_present(image.time_ns, SWEEP_HOLD_S):
+            pose = self._actor.world_from_actor(image.time_ns, SWEEP_HOLD_S).matrix
             self._blocks.integrate(image, label, pose, 120.0)
 
     def grid(self) -> TsdfGrid:

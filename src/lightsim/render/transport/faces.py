@@ -14,7 +14,9 @@ from lightsim.errors import InputError
 from lightsim.render.casters.embree import offset_origins
 from lightsim.render.transport.sides import OPEN, SideFinder
 
-_TILE_RAYS = 1 << 19
+# Rays in memory at once. Not measured alone; peaks are in docs/benchmarks/memory.md.
+TILE_RAYS = 1 << 19
+
 _TEXELS = 16
 """Texels whose mean is the base colour of a face."""
 
@@ -209,7 +211,7 @@ class FaceTable:
         cells = np.empty((len(sides), rays), dtype=np.uint16)
         met = np.full((len(sides) if self._config.bounces > 1 else 0, rays), OPEN, dtype=np.int32)
         finder = SideFinder(self._caster) if self._config.bounces > 1 else None
-        tile = max(1, _TILE_RAYS // max(1, rays))
+        tile = max(1, TILE_RAYS // max(1, rays))
         for start in range(0, len(sides) if rays else 0, tile):
             part = slice(start, start + tile)
             corners, normals = self._geometry(sides[part])

@@ -15,14 +15,13 @@ from lightsim.core.buffers import GBuffers
 from lightsim.core.dome import Sun
 from lightsim.core.equirect import uv_from_directions
 from lightsim.render.casters.embree import offset_origins
-from lightsim.render.transport.faces import TransportConfig, pixel_shifts
+from lightsim.render.transport.faces import TILE_RAYS, TransportConfig, pixel_shifts
 from lightsim.render.transport.samples import PixelSamples, SurfacePoints
 from lightsim.render.transport.sides import SideFinder
 from lightsim.render.transport.spread import Spread, TracedPixels
 
 _DIELECTRIC_F0 = 0.04
 _LEAST_ALPHA = 1e-3
-_TILE_RAYS = 1 << 19
 _SMOOTHED_ROUGHNESS = 0.2
 """Surfaces smoother than this show sharp reflections, which must stay sharp."""
 
@@ -69,7 +68,7 @@ def trace_glossy(
     shifts = pixel_shifts(*np.divmod(pixel, samples.coverage.shape[1]), 1, seed + 3)
     which = samples.number[points.rows].astype(np.int64)
     alphas = _alphas(points.roughness)
-    tile = max(1, _TILE_RAYS // count)
+    tile = max(1, TILE_RAYS // count)
     for start in range(0, total, tile):
         part = slice(start, start + tile)
         normals = points.normal_world[part]
@@ -158,8 +157,8 @@ def reflected_sun(
     alphas = np.hypot(_alphas(points.roughness), np.radians(sun.angular_radius_deg) / 2)
     direction = sun.direction_world / np.linalg.norm(sun.direction_world)
     out = np.empty_like(f0)
-    for start in range(0, len(out), _TILE_RAYS):
-        part = slice(start, start + _TILE_RAYS)
+    for start in range(0, len(out), TILE_RAYS):
+        part = slice(start, start + TILE_RAYS)
         normals = points.normal_world[part]
         towards = np.broadcast_to(direction.astype(np.float32), normals.shape)
         lobe = specular_lobe(

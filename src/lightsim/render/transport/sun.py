@@ -8,9 +8,8 @@ from jaxtyping import Float, Float32
 from lightsim.core.casting import RayCaster
 from lightsim.core.dome import Sun, disc_directions
 from lightsim.render.casters.embree import offset_origins
-from lightsim.render.transport.faces import TransportConfig, hashed_shifts
+from lightsim.render.transport.faces import TILE_RAYS, TransportConfig, hashed_shifts
 
-TILE_RAYS = 1 << 19
 PATTERNS = 64
 
 

@@ -20,6 +20,7 @@ from lightsim.render.scene import FrameScene
 from lightsim.render.transport.bag_torch import TorchBag
 from lightsim.render.transport.faces import (
     SKY_CELL_ROWS,
+    TILE_RAYS,
     FaceSamples,
     FaceTable,
     TransportConfig,
@@ -36,8 +37,6 @@ from lightsim.render.transport.glossy import (
 from lightsim.render.transport.samples import PixelSamples
 from lightsim.render.transport.sides import OPEN, SideFinder
 from lightsim.render.transport.spread import Spread, TracedPixels
-
-_TILE_RAYS = 1 << 19
 
 
 def exact() -> TransportConfig:
@@ -225,7 +224,7 @@ def _trace(
     rays = config.sky_rays
     cells = np.empty((len(points_world), rays), dtype=np.uint16)
     sides = np.full((len(points_world), rays), OPEN, dtype=np.int32)
-    tile = max(1, _TILE_RAYS // rays)
+    tile = max(1, TILE_RAYS // rays)
     for start in range(0, len(points_world), tile):
         part = slice(start, start + tile)
         directions, cells[part] = hemisphere_directions(
