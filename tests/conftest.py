@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,3 +26,66 @@ def shared_data() -> Path:
     if not path.is_dir():
         pytest.skip(f"needs the development data at {path} (or $LIGHTSIM_DATA)")
     return path
+
+
+@dataclass(frozen=True)
+class BuiltStreet:
+    """A twin of a small part of the shipped street, as a user builds it.
+
+    Args:
+        work: the work folder; whoever damages it mends it.
+        words: of `lightsim` that made it.
+        reads: (stage, stem) of every picture and sweep that was loaded meanwhile.
+    """
+
+    work: Path
+    words: tuple[str, ...]
+    reads: frozenset[tuple[str, str]]
+
+
+@pytest.fixture(scope="session")
+def built_street(tmp_path_factory: pytest.TempPathFactory) -> BuiltStreet:
+    """Preset `standard`: two cameras, four frames of 120x68 pixels, the frame 01 held out."""
+    from lightsim import cli
+    from lightsim.synthetic import shipped_street
+
+    work = tmp_path_factory.mktemp("street")
+    words = (
+        *("build", str(shipped_street() / "log"), "--work", str(work), "--frames", "0:4"),
+        *("--cameras", "front_camera,left_camera", "--image-scale", "0.25"),
+        *("--hold-out", "3", "--neural-steps", "20", "--preset", "standard"),
+    )
+    with recorded_reads() as reads:
+        cli.main(words)
+    return BuiltStreet(work, words, frozenset(reads))
+
+
+@contextmanager
+def recorded_reads() -> Generator[set[tuple[str, str]]]:
+    """Collects (stage, stem) of the pictures and sweeps that a build loads."""
+    from lightsim.datasets.pandaset import cameras, log
+    from lightsim.pipeline.workspace import Workspace
+
+    reads: set[tuple[str, str]] = set()
+    stage = ""
+    opened, load_image, load_sweep = Workspace.opened, cameras.load_image, log.load_sweep
+
+    def open_stage(work: Workspace, stages: Iterable[str]) -> Any:
+        nonlocal stage
+        names = tuple(stages)
+        stage = names[-1]
+        return opened(work, names)
+
+    def read_image(path: Path, *size: int) -> Any:
+        reads.add((stage, path.stem))
+        return load_image(path, *size)
+
+    def read_sweep(source: Any) -> Any:
+        reads.add((stage, source.stem))
+        return load_sweep(source)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Workspace, "opened", open_stage)
+        patch.setattr(cameras, "load_image", read_image)
+        patch.setattr(log, "load_sweep", read_sweep)
+        yield reads

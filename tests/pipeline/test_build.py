@@ -10,7 +10,7 @@ import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -37,15 +37,16 @@ CAMERAS = ("front_camera", "left_camera")
 
 
 def options() -> BuildOptions:
-    source = str(shipped_street() / "log")
-    return BuildOptions(LogReading(source, "auto", CAMERAS, "0:4", None, 0.5, 3), "draft", 0, 20)
+    """Those of the built street."""
+    source = str((shipped_street() / "log").resolve())
+    return BuildOptions(
+        LogReading(source, "auto", CAMERAS, "0:4", None, 0.25, 3), "standard", 0, 20
+    )
 
 
-@pytest.fixture(scope="module")
-def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("street")
-    build(folder, options(), SilentProgress())
-    return folder
+@pytest.fixture
+def work(built_street: Any) -> Path:
+    return built_street.work
 
 
 class Interrupting(SilentProgress):
@@ -63,22 +64,27 @@ class Interrupting(SilentProgress):
 
 
 def contents(folder: Path) -> dict[str, bytes]:
+    """All files but those that hold times."""
     return {
         str(p.relative_to(folder)): p.read_bytes()
         for p in sorted(folder.rglob("*"))
-        if p.is_file() and p.name != "artefact.json"
+        if p.is_file() and p.name not in ("artefact.json", "metrics.jsonl")
     }
 
 
 @pytest.mark.slow
-def test_an_interrupted_build_gives_the_same_meshes(work: Path, tmp_path: Path) -> None:
-    for after in (3, 20, 31, 60):
+def test_an_interrupted_build_gives_the_same_mattes_and_fields(work: Path, tmp_path: Path) -> None:
+    """Interrupted among the mattes, the rays and the training steps; stages that write their files
+    at once are taken from the other build."""
+    for stage in ("log", "alignment", "fields"):
+        shutil.copytree(work / stage, tmp_path / stage)
+    for after in (3, 8, 12, 25):
         try:
-            build(tmp_path, options(), Interrupting(after), until="assets")
+            build(tmp_path, options(), Interrupting(after), until="neural")
         except KeyboardInterrupt:
             continue
-    build(tmp_path, options(), SilentProgress(), until="assets")
-    for stage in ("masks", "geometry", "assets"):
+    build(tmp_path, options(), SilentProgress(), until="neural")
+    for stage in ("masks", "held_out_masks", "neural"):
         assert contents(tmp_path / stage) == contents(work / stage), stage
     assert [p.name for p in tmp_path.glob(".*")] == [".lock"]
 
@@ -212,13 +218,12 @@ def test_relight_writes_what_the_interface_promises(work: Path) -> None:
         assert stems == [f.stem for f in log.frames_of(camera)[:2]]
         image = read_srgb8(folder / "frames" / camera / f"{stems[0]}.png")
         linear = read_exr(folder / "linear" / camera / f"{stems[0]}.exr")
-        assert image.shape == linear.shape == (135, 240, 3)
+        assert image.shape == linear.shape == (68, 120, 3)
         assert np.isfinite(linear).all()
         assert len(list(read_video(folder / "video" / f"{camera}.mp4"))) == 2
     scenario = json.loads((folder / "scenario.json").read_text())
     assert len(scenario["frames"]) == 4
     assert scenario["frames"][0]["actors"]
-    assert (folder / "report.html").stat().st_size > 10_000
     before = contents(folder)
     assert relight(work, chosen, SilentProgress()) == folder
     for other in (replace(chosen, sky=SkyChoice("sun:90,30")), replace(chosen, exposure_ev=1.0)):
@@ -235,19 +240,23 @@ def test_relight_writes_what_the_interface_promises(work: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["background.glb", "twin.json"])
-def test_a_damaged_twin_is_not_read_and_is_made_anew(work: Path, name: str) -> None:
-    path = work / "twin" / name
-    whole = path.read_bytes()
-    path.write_bytes(whole[:1000] + bytes([whole[1000] ^ 1]) + whole[1001:])
-    with pytest.raises(ArtefactError, match=rf"{name} has other bytes.*lightsim build"):
-        relight(work, RelightOptions("x", SkyChoice("source")), SilentProgress())
-    states = {line.name: line.state for line in status(work, is_hashed=True)}
-    assert [stage for stage, state in states.items() if state != "made"] == ["twin"]
-    path.unlink()
-    assert {line.name: line.state for line in status(work)}["twin"] == "broken"
+def test_a_damaged_twin_is_not_read_and_is_made_anew(work: Path) -> None:
+    paths = [work / "twin" / name for name in ("background.glb", "twin.json")]
+    whole = [path.read_bytes() for path in paths]
+    for path, content in zip(paths, whole, strict=True):
+        path.write_bytes(content[:1000] + bytes([content[1000] ^ 1]) + content[1001:])
+        with pytest.raises(ArtefactError, match=rf"{path.name} has other bytes.*lightsim build"):
+            relight(work, RelightOptions("x", SkyChoice("source")), SilentProgress())
+        states = {line.name: line.state for line in status(work, is_hashed=True)}
+        assert [stage for stage, state in states.items() if state != "made"] == ["twin"]
+        path.unlink()
+        assert {line.name: line.state for line in status(work)}["twin"] == "broken"
+        path.write_bytes(content)
+        assert {line.state for line in status(work, is_hashed=True)} == {"made"}
+    for path in paths:
+        path.unlink()
     build(work, options(), SilentProgress())
-    assert path.read_bytes() == whole
+    assert [path.read_bytes() for path in paths] == whole
 
 
 @pytest.mark.slow
@@ -329,5 +338,5 @@ def test_wrong_words_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="sun:AZ,EL"):
         _ = SkyChoice("no_such_file.hdr").input_key
     broken = replace(options().reading, source=str(tmp_path / "nowhere"))
-    with pytest.raises((InputError, OSError)):
+    with pytest.raises(InputError, match="no such folder"):
         build(tmp_path / "work", BuildOptions(broken, "draft", 0), SilentProgress())
