@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
+from collections.abc import Generator, Iterable, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,3 +27,72 @@ def shared_data() -> Path:
     if not path.is_dir():
         pytest.skip(f"needs the development data at {path} (or $LIGHTSIM_DATA)")
     return path
+
+
+@dataclass(frozen=True)
+class BuiltStreet:
+    """A twin of a small part of the shipped street, as a user builds it.
+
+    Args:
+        work: the work folder; whoever damages it mends it.
+        words: of `lightsim` that made it.
+        reads: (stage, stem) of every picture and sweep that was loaded meanwhile.
+        decoded: how often each sweep was.
+    """
+
+    work: Path
+    words: tuple[str, ...]
+    reads: frozenset[tuple[str, str]]
+    decoded: Mapping[str, int]
+
+
+@pytest.fixture(scope="session")
+def built_street(tmp_path_factory: pytest.TempPathFactory) -> BuiltStreet:
+    """Preset `standard`: two cameras, four frames of 120x68 pixels, the frame 01 held out."""
+    from lightsim import cli
+    from lightsim.synthetic import shipped_street
+
+    work = tmp_path_factory.mktemp("street")
+    words = (
+        *("build", str(shipped_street() / "log"), "--work", str(work), "--frames", "0:4"),
+        *("--cameras", "front_camera,left_camera", "--image-scale", "0.25"),
+        *("--hold-out", "3", "--neural-steps", "20", "--preset", "standard"),
+    )
+    with recorded_reads() as reads:
+        cli.main(words)
+    pictures_and_sweeps, decoded = reads
+    return BuiltStreet(work, words, frozenset(pictures_and_sweeps), decoded)
+
+
+@contextmanager
+def recorded_reads() -> Generator[tuple[set[tuple[str, str]], Counter[str]]]:
+    """Collects (stage, stem) of the pictures and sweeps that a build loads, and how often
+    each sweep was."""
+    from lightsim.datasets.pandaset import cameras, log
+    from lightsim.pipeline.workspace import Workspace
+
+    reads: set[tuple[str, str]] = set()
+    decoded: Counter[str] = Counter()
+    stage = ""
+    opened, load_image, load_sweep = Workspace.opened, cameras.load_image, log.load_sweep
+
+    def open_stage(work: Workspace, stages: Iterable[str]) -> Any:
+        nonlocal stage
+        names = tuple(stages)
+        stage = names[-1]
+        return opened(work, names)
+
+    def read_image(path: Path, *size: int) -> Any:
+        reads.add((stage, path.stem))
+        return load_image(path, *size)
+
+    def read_sweep(source: Any) -> Any:
+        reads.add((stage, source.stem))
+        decoded[source.stem] += 1
+        return load_sweep(source)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Workspace, "opened", open_stage)
+        patch.setattr(cameras, "load_image", read_image)
+        patch.setattr(log, "load_sweep", read_sweep)
+        yield reads, decoded

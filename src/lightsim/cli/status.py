@@ -28,6 +28,6 @@ class Status:
         for line in pipeline.status(self.work, is_hashed=self.verify):
             took = "" if line.seconds is None else f"{line.seconds:8.1f} s"
             memory = "" if line.peak_memory_mb is None else f"{line.peak_memory_mb:6d} MB"
-            say(f"{line.name:10s}{line.state:8s}{took:>12s}{memory:>12s}")
+            say(f"{line.name:16s}{line.state:8s}{took:>12s}{memory:>12s}")
             for damage in line.damage:
                 say(f"          {damage}")

@@ -99,7 +99,8 @@ def _no_settings(_: BuildOptions) -> None:
 
 STAGES = (
     Stage("log", 3, (), lambda o: replace(o.reading, source=""), recording.make_log),
-    Stage("masks", 1, ("log",), _no_settings, recording.make_masks),
+    Stage("masks", 2, ("log",), _no_settings, recording.make_masks),
+    Stage("held_out_masks", 1, ("log",), _no_settings, recording.make_held_out_masks),
     Stage(
         "alignment",
         2,
@@ -153,14 +154,14 @@ STAGES = (
     Stage(
         "measures",
         1,
-        ("log", "masks", "alignment", "assets", "sky"),
+        ("log", "held_out_masks", "alignment", "assets", "sky"),
         lambda o: MeasureConfig(),
         results.make_measures,
     ),
     Stage(
         "report",
         2,
-        ("log", "masks", "alignment", "panorama", "sky", "twin", "measures"),
+        ("log", "masks", "held_out_masks", "alignment", "panorama", "sky", "twin", "measures"),
         lambda o: ReportConfig(tuple(s.name for s in STAGES if s.name != "report")),
         results.make_report,
     ),
@@ -227,9 +228,9 @@ def _build(work: Path, options: BuildOptions, progress: Progress, until: str) ->
         folder = work / stage.name
         state = state_of(folder, recipe, is_hashed=True)
         if state == "made":
-            logger.info("%-9s kept", stage.name)
+            logger.info("%-14s kept", stage.name)
             continue
-        logger.info("%-9s %s", stage.name, "is damaged: anew ..." if state == "broken" else "...")
+        logger.info("%-14s %s", stage.name, "is damaged: anew ..." if state == "broken" else "...")
         with workspace.opened((*stage.needs, stage.name)):
             record = make_artefact(
                 folder,
@@ -239,7 +240,7 @@ def _build(work: Path, options: BuildOptions, progress: Progress, until: str) ->
                 ),
             )
         logger.info(
-            "%-9s made in %.1f s (peak memory %d MB)",
+            "%-14s made in %.1f s (peak memory %d MB)",
             stage.name,
             record["seconds"],
             record["peak_memory_mb"],

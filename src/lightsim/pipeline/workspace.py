@@ -245,8 +245,10 @@ class Workspace:
         )
 
     def sky_matte(self, frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
-        """Sky alpha of a frame at the build's image scale, 1 = sky."""
-        path = self.need("masks") / frame.camera_name / f"{frame.stem}.png"
+        """Sky alpha of a frame at the build's image scale, 1 = sky. Those of held-out frames are
+        an artefact of their own, which the stages that build declare no need of."""
+        stage = "held_out_masks" if frame.stem in self.held_out else "masks"
+        path = self.need(stage) / frame.camera_name / f"{frame.stem}.png"
         return read_grey8(path).astype(np.float32) / 255.0
 
     @made_of("fields")

@@ -12,6 +12,7 @@ from lightsim.align.build import align_log
 from lightsim.align.config import AlignConfig
 from lightsim.core.fields import SceneFields
 from lightsim.core.frames import RigidTransform
+from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading
 from lightsim.core.sensors import CameraFrame
 from lightsim.geometry.surface import background_levels, extract_surface
@@ -52,18 +53,32 @@ def make_alignment(
 
 
 def make_masks(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
-    """One matte a frame; those that an interrupted run left are kept."""
+    """One matte for every frame that building may look at."""
+    _write_mattes(work.recorded_training_log, folder, context)
+    return ()
+
+
+def make_held_out_masks(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
+    """The mattes of held-out frames: measuring and relighting need them, building must not.
+
+    Their surfaces are known from the sweeps of the build alone, like those of the others.
+    """
+    frames = tuple(f for f in work.recorded_log.frames if f.stem in work.held_out)
+    _write_mattes(work.recorded_training_log.with_frames(frames), folder, context)
+    return ()
+
+
+def _write_mattes(log: DrivingLog, folder: Path, context: Context) -> None:
+    """One matte a frame of the log; those that an interrupted run left are kept."""
 
     def path_of(frame: CameraFrame) -> Path:
         return folder / frame.camera_name / f"{frame.stem}.png"
 
-    missing = tuple(f for f in work.recorded_log.frames if not path_of(f).exists())
-    for camera in work.recorded_log.cameras:
+    for camera in log.cameras:
         (folder / camera).mkdir(exist_ok=True)
-    wanted = work.recorded_log.with_frames(missing)
+    wanted = log.with_frames(tuple(f for f in log.frames if not path_of(f).exists()))
     for frame, matte in sky_mattes(wanted, context.progress):
         write_grey8(path_of(frame), np.round(matte * 255).astype(np.uint8))
-    return ()
 
 
 def make_fields(
