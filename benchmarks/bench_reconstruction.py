@@ -49,7 +49,7 @@ VARIANTS: dict[str, dict] = {
     "no lidar_poses": {**QUICK, "no_refine": ("lidar_poses",)},
     "no actor_tracks": {**QUICK, "no_refine": ("actor_tracks",)},
     "no point_times": {**QUICK, "no_refine": ("point_times",)},
-    "no own_car_masks": {**QUICK, "no_refine": ("own_car_masks",)},
+    "no ego_vehicle_masks": {**QUICK, "no_refine": ("ego_vehicle_masks",)},
     "no camera_gains": {**QUICK, "no_refine": ("camera_gains",)},
     "recorded": {
         **QUICK,
@@ -159,11 +159,11 @@ def _build_and_measure(options: argparse.Namespace, name: str) -> None:
 def _take_from_siblings(out: Path, work: Path, options: BuildOptions) -> None:
     """Artefacts that another variant has made from the same recipe need not be made again."""
     source_key = hash_names(hash_recording(Path(options.reading.source)))
-    for stage, recipe in pipeline.recipes(options, source_key).items():
+    for stage, artefact_key in pipeline.artefact_keys(options, source_key).items():
         for other in sorted(out.glob("*/")):
-            if state_of(work / stage, recipe) == "made":
+            if state_of(work / stage, artefact_key) == "made":
                 break
-            if state_of(other / stage, recipe) == "made":
+            if state_of(other / stage, artefact_key) == "made":
                 shutil.copytree(other / stage, work / stage, dirs_exist_ok=True)
 
 
@@ -171,7 +171,7 @@ def _print_tables(options: argparse.Namespace, names: list[str]) -> None:
     scores = {name: json.loads((options.out / name / "scores.json").read_text()) for name in names}
     rows = [r for r in scores[names[0]]["frames"] if r["region"] == "masked"]
     cameras = list(dict.fromkeys(r["condition"] for r in rows))
-    where = f"{options.source.name}, without sky and own car"
+    where = f"{options.source.name}, without sky and ego vehicle"
     _say(f"\nHeld-out frames of {where}: PSNR dB / SSIM / LPIPS\n")
     _say("| | " + " | ".join(c.removesuffix("_camera") for c in cameras) + " | mean |")
     _say("|---|" + "---:|" * (len(cameras) + 1))

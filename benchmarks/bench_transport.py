@@ -24,13 +24,13 @@ from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.light import light
-from lightsim.render.transport.sky import prepare_sky
-from lightsim.render.transport.table import (
+from lightsim.render.transport.matrix import (
     TransportConfig,
     exact,
     static_face_table,
     trace_transport,
 )
+from lightsim.render.transport.sky import prepare_sky
 
 
 def street() -> TriMesh:

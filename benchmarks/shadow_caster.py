@@ -33,8 +33,8 @@ def caster_radiance(dome: SkyDome) -> Float[np.ndarray, "n 3"]:
     directions = pixel_directions(_SKY_ROWS)[:rows].reshape(-1, 3)
     solid = np.repeat(solid_angles_sr(_SKY_ROWS)[:rows], 2 * _SKY_ROWS, axis=0)
     points = ground_points()
-    open_share = ~_is_shadowed(points, directions) * directions[:, 2]
-    total = open_share @ (sky[:rows].reshape(-1, 3).astype(np.float64) * solid)
+    open_fraction = ~_is_shadowed(points, directions) * directions[:, 2]
+    total = open_fraction @ (sky[:rows].reshape(-1, 3).astype(np.float64) * solid)
     if sun is not None and sun.direction_world[2] > 0:
         disc = disc_directions(sun.direction_world, sun.angular_radius_deg, _DISC_POINTS)
         lit = (~_is_shadowed(points, disc)).mean(axis=1)

@@ -18,7 +18,7 @@ from lightsim.pipeline.workspace import Workspace
 from lightsim.synthetic.generate import actor_poses_at
 from lightsim.synthetic.plan import config_of, plan_street
 from lightsim.synthetic.rig import SWEEP_S, mount_cameras
-from lightsim.synthetic.sensor import develop
+from lightsim.synthetic.sensor import camera_isp
 from lightsim.synthetic.skies import build_sky, environment, sky_specs
 from lightsim.synthetic.street import build_street
 from lightsim.synthetic.tracer import PathTracer, Placed
@@ -50,13 +50,13 @@ def main() -> None:
         tracer.place(actor_poses_at(street, time_s))
         pose = camera_pose(plan, config, mounted, time_s)
         radiance = tracer.render(mounted.camera, mounted.margin_px, pose, options.samples, 987654)
-        clean = develop(radiance, mounted.gain, np.random.default_rng(0))
+        clean = camera_isp(radiance, mounted.gain, np.random.default_rng(0))
         frame = next(
             f for f in work.log.frames_of(mounted.camera.name) if int(f.stem) == options.stem
         )
-        own_car = work.log.own_car_masks.get(frame.camera_name)
+        ego_vehicle = work.log.ego_vehicle_masks.get(frame.camera_name)
         valid = work.sky_matte(frame) < 0.5
-        valid &= True if own_car is None else ~own_car
+        valid &= True if ego_vehicle is None else ~ego_vehicle
         score = psnr(
             clean.astype(np.float32) / 255, frame.load_srgb8().astype(np.float32) / 255, valid
         )

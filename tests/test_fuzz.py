@@ -40,7 +40,7 @@ def test_nothing_foreign_endless_large_or_outside(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, (done.stdout + done.stderr)[-6000:]
     table = (tmp_path / "table.md").read_text()
-    assert all(f"| {kind.name} | {ROUNDS * kind.share} |" in table for kind in KINDS)
+    assert all(f"| {kind.name} | {ROUNDS * kind.fraction} |" in table for kind in KINDS)
     assert f"| all | {COUNT} |" in table
 
 

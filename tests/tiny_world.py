@@ -48,7 +48,7 @@ class TinyWorkspace(Workspace):
         self.mattes: Mapping[str, np.ndarray] = {}
 
     @property
-    def shadow_casters(self) -> TriMesh:
+    def unobserved_occluders(self) -> TriMesh:
         return NOTHING
 
     def log_at(self, image_scale: float) -> DrivingLog:
@@ -112,7 +112,7 @@ def scenario_of(work: TinyWorkspace) -> Scenario:
 
 def rendered(work: TinyWorkspace, frame: CameraFrame, sky: SkyDome) -> tuple[GBuffers, Any]:
     """Geometry and light of one frame."""
-    from lightsim.render.transport.table import TransportConfig
+    from lightsim.render.transport.matrix import TransportConfig
 
     renderer = FrameRenderer(work.assets.background, NOTHING, TransportConfig(), 0)
     buffers, (light,) = renderer.render(scenario_of(work), frame, LENS, [sky])

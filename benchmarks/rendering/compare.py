@@ -34,13 +34,13 @@ from lightsim.render.reference.cycles import Cycles
 from lightsim.render.reference.path_tracer import PathTracer
 from lightsim.render.reference.renderer import Shot
 from lightsim.render.transport.light import light
-from lightsim.render.transport.sky import prepare_sky
-from lightsim.render.transport.table import (
+from lightsim.render.transport.matrix import (
     TransportConfig,
     exact,
     static_face_table,
     trace_transport,
 )
+from lightsim.render.transport.sky import prepare_sky
 
 Array = np.ndarray[Any, Any]
 _PASS = 64
@@ -235,13 +235,16 @@ def row(name: str, result: Result, judge: Judge, counts: list[int]) -> str:
 
 
 def split(frames: Frames, options: argparse.Namespace) -> None:
-    """Where the ray table's time goes, and further frames with all skies."""
+    """Where the light transport matrix's time goes, and further frames with all skies."""
     config = TransportConfig(glossy_rays=0)
     most = max(options.skies)
     cells = [prepare_sky(sky) for sky in frames.skies(most)]
     dark = [replace(cell, sun=None) for cell in cells]
     faces = static_face_table(frames.scene(), config)
-    say(f"| ray table, N={config.sky_rays} | place + BVH | primary | trace | sums | sun rays |")
+    say(
+        f"| light transport matrix, N={config.sky_rays} | place + BVH | primary | trace | sums "
+        "| sun rays |"
+    )
     say("|" + " --- |" * 6)
     for number in range(min(4, len(frames.frames))):
         marks = [time.process_time()]

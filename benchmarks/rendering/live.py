@@ -36,8 +36,8 @@ from lightsim.render.casters.mitsuba import MitsubaBackend
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.transport.light import light
 from lightsim.render.transport.live import LiveFrame
-from lightsim.render.transport.sky import SkyCells, prepare_sky
-from lightsim.render.transport.table import TransportConfig, static_face_table, trace_transport
+from lightsim.render.transport.matrix import TransportConfig, static_face_table, trace_transport
+from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
 
 
 def say(line: str = "") -> None:
@@ -120,7 +120,7 @@ def measure(options: argparse.Namespace, width: int, backend: MitsubaBackend) ->
     live = LiveFrame(table, scene, buffers, config, backend)
     built_s = time.perf_counter() - start
 
-    def by_host(sky: SkyCells) -> Any:
+    def by_host(sky: EnvironmentCells) -> Any:
         return light(table, scene, buffers, sky, config).shaded * buffers.base_colour
 
     # Taken twice, around the other, for what else the machine does.
@@ -147,7 +147,9 @@ def measure(options: argparse.Namespace, width: int, backend: MitsubaBackend) ->
     say(host.row("host", is_frame=True))
 
 
-def difference(live: LiveFrame, by_host: Callable[[SkyCells], Any], skies: list[SkyCells]) -> float:
+def difference(
+    live: LiveFrame, by_host: Callable[[EnvironmentCells], Any], skies: list[EnvironmentCells]
+) -> float:
     """Mean absolute difference over mean, the worst of some suns."""
     worst = 0.0
     for sky in skies[:: max(1, len(skies) // 4)]:
@@ -156,7 +158,7 @@ def difference(live: LiveFrame, by_host: Callable[[SkyCells], Any], skies: list[
     return worst
 
 
-def parts(live: LiveFrame, skies: Sequence[SkyCells]) -> dict[str, Clock]:
+def parts(live: LiveFrame, skies: Sequence[EnvironmentCells]) -> dict[str, Clock]:
     """Parts of a frame, each waited for, which a whole frame on CUDA does not do."""
     sums = live.sky_sums(skies[0])
     bounce = live.bounce(sums, skies[0].sun)
@@ -166,7 +168,7 @@ def parts(live: LiveFrame, skies: Sequence[SkyCells]) -> dict[str, Clock]:
         "sun rays of pixels": clock(lambda sky: live.rays.of_pixels(must(sky.sun)), skies),
         "sun rays of faces": clock(lambda sky: live.rays.of_faces(must(sky.sun)), skies),
         "sums over met faces": clock(lambda sky: live.bounce(sums, sky.sun), dark),
-        "spread to pixels": clock(lambda _: live.spread(bounce), skies),
+        "spread to pixels": clock(lambda _: live.upsampling(bounce), skies),
         "image": clock(lambda _: replace(last).radiance, skies),
     }
 
@@ -176,7 +178,7 @@ def must(sun: Sun | None) -> Sun:
     return sun
 
 
-def clock(run: Callable[[SkyCells], Any], skies: Sequence[SkyCells]) -> Clock:
+def clock(run: Callable[[EnvironmentCells], Any], skies: Sequence[EnvironmentCells]) -> Clock:
     taken = []
     for sky in skies:
         start, processor = time.perf_counter(), time.process_time()

@@ -22,9 +22,9 @@ from lightsim.render.reference.path_tracer import PathTracer
 from lightsim.render.reference.renderer import Shot
 from lightsim.render.scene import FrameScene, StaticScene, make_static_scene, place
 from lightsim.render.transport.light import light
+from lightsim.render.transport.matrix import TransportConfig, static_face_table, trace_transport
 from lightsim.render.transport.samples import render_samples
 from lightsim.render.transport.sky import prepare_sky
-from lightsim.render.transport.table import TransportConfig, static_face_table, trace_transport
 from lightsim.scenario.replay import replay
 
 Array = np.ndarray[Any, Any]
@@ -41,7 +41,7 @@ class Frames:
         self._scenario = replay(twin, "benchmark", tuple(frames))
         camera = workspace.log.cameras[camera_name]
         self.camera: PinholeCamera = camera.scaled(width_px / camera.width_px)
-        inferred = workspace.shadow_casters
+        inferred = workspace.unobserved_occluders
         start = time.perf_counter()
         static = make_static_scene(
             [twin.assets.background], [inferred] if len(inferred.faces) else []
@@ -119,7 +119,7 @@ class Result:
 
 
 class TableMethod:
-    """The ray table; `once` is all that further skies do not pay."""
+    """The light transport matrix; `once` is all that further skies do not pay."""
 
     def __init__(self, config: TransportConfig) -> None:
         self.config = config

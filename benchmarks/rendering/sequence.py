@@ -3,7 +3,8 @@
     python benchmarks/rendering/sequence.py WORK [--camera front_camera] [--width 960] [--frames 40]
         [--skies 23] [--rays 32] [--images]
 
-The ray table as `lightsim render --what shaded,shadow` uses it at one sample a pixel, or, with
+The light transport matrix as `lightsim render --what shaded,shadow` uses it at one sample a pixel,
+or, with
 --images, `--what image` at four with reflections; nothing is written. Camera and actors move.
 Skies: the twin's own, turned by 15 degrees each.
 """
@@ -43,7 +44,7 @@ def main() -> None:
     choice = RendererChoice(rays=options.rays, pixel_samples=samples)
     start = time.perf_counter()
     renderer = make_renderer(
-        choice, twin.assets.background, workspace.shadow_casters, 0, has_images=options.images
+        choice, twin.assets.background, workspace.unobserved_occluders, 0, has_images=options.images
     )
     dome = twin.sky.dome
     skies = [renderer.prepare(dome.turned(15.0 * k)) for k in range(options.skies)]

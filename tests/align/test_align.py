@@ -119,13 +119,13 @@ def test_parked_boxes_stop_jittering() -> None:
 def test_physics_can_be_switched_off() -> None:
     log = make_log(4)
     masks = {"side": np.ones((CAMERA.height_px, CAMERA.width_px), dtype=bool)}
-    log = replace(log, own_car_masks=masks)
-    plain = Alignment(has_point_times=False, has_own_car_masks=False).applied_to(log)
-    assert not plain.own_car_masks
+    log = replace(log, ego_vehicle_masks=masks)
+    plain = Alignment(has_point_times=False, has_ego_vehicle_masks=False).applied_to(log)
+    assert not plain.ego_vehicle_masks
     sweep = plain.sweeps[1].load()
     assert not sweep.time_offset_s.any()
     assert np.ptp(sweep.origins_world, axis=0).max() == 0.0
-    assert Alignment().applied_to(log).own_car_masks is masks
+    assert Alignment().applied_to(log).ego_vehicle_masks is masks
 
 
 def test_unknown_parts_are_refused() -> None:

@@ -25,25 +25,25 @@ KINDS: tuple[SkyKind, ...] = ("nlfe", "nlfe_panorama", "sold_net")
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_step_moves_every_parameter_and_the_network_is_scored(kind: SkyKind) -> None:
-    recipe, again = sky_recipe(kind, "small"), sky_recipe(kind, "small")
-    before = {k: v.clone() for k, v in recipe.network.state_dict().items()}
+    artefact_key, again = sky_recipe(kind, "small"), sky_recipe(kind, "small")
+    before = {k: v.clone() for k, v in artefact_key.network.state_dict().items()}
     data, config = FakeSkies(), SkyTrainConfig(LoopConfig(steps=2), batch=2)
-    for network in (recipe.network, again.network):
-        train_sky(SkyRecipe(network, recipe.loss, config), data, MemoryJournal().session())
-    still = [k for k, v in recipe.network.state_dict().items() if torch.equal(v, before[k])]
+    for network in (artefact_key.network, again.network):
+        train_sky(SkyRecipe(network, artefact_key.loss, config), data, MemoryJournal().session())
+    still = [k for k, v in artefact_key.network.state_dict().items() if torch.equal(v, before[k])]
     assert still == []
-    for name, value in weights_of(recipe.network).items():
+    for name, value in weights_of(artefact_key.network).items():
         assert torch.equal(value, again.network.state_dict()[name])
-    assert isinstance(recipe.network, SkyModel)
+    assert isinstance(artefact_key.network, SkyModel)
     drawn = [data.batch(4, 0, 0, only_sunny=False)]
-    rows = evaluate_sky_networks(drawn, {kind: recipe.network}, drawn)
+    rows = evaluate_sky_networks(drawn, {kind: artefact_key.network}, drawn)
     assert [row.name for row in rows] == ["constant", "brightest pixel", kind]
     assert np.isfinite(rows[-1].decoding_angle_deg)
 
 
 def test_estimator_has_the_recipe_of_a_network_trained_on_clear_suns() -> None:
-    recipe = sky_recipe("lightsim", "small")
-    assert "config_json" in weights_of(recipe.network)
+    artefact_key = sky_recipe("lightsim", "small")
+    assert "config_json" in weights_of(artefact_key.network)
 
 
 def test_cells_are_those_of_a_small_panorama() -> None:

@@ -57,11 +57,11 @@ def delete(name: str) -> Break:
     return apply
 
 
-def cut(name: str, share: float) -> Break:
+def cut(name: str, fraction: float) -> Break:
     def apply(log: Path) -> None:
         path = log / name
         data = path.read_bytes()
-        path.write_bytes(data[: int(len(data) * share)])
+        path.write_bytes(data[: int(len(data) * fraction)])
 
     return apply
 

@@ -206,9 +206,9 @@ def test_real_log_knows_north_and_the_sun(real: DrivingLog) -> None:
     assert sun.elevation_deg == pytest.approx(12.07, abs=0.1)
 
 
-def test_real_log_sees_its_own_car_behind_only(real: DrivingLog) -> None:
-    assert list(real.own_car_masks) == ["back_camera"]
-    mask = real.own_car_masks["back_camera"]
+def test_real_log_sees_its_ego_vehicle_behind_only(real: DrivingLog) -> None:
+    assert list(real.ego_vehicle_masks) == ["back_camera"]
+    mask = real.ego_vehicle_masks["back_camera"]
     assert mask.shape == (1080, 1920)
     assert mask[-150:].all()
     assert not mask[:780].any()
@@ -235,8 +235,8 @@ def laser_sharpness(real: DrivingLog, sweep: LidarSweep, origins: np.ndarray) ->
     elevation = np.degrees(np.arcsin(rays[:, 2] / distance))
     is_used = (distance > 8) & (rays[:, 0] < 0)  # behind, where the front LiDAR is blind
     histogram, _ = np.histogram(elevation[is_used], np.arange(-26, 16, 0.01))
-    share = histogram / histogram.sum()
-    return float((share**2).sum())
+    fraction = histogram / histogram.sum()
+    return float((fraction**2).sum())
 
 
 def test_real_actors(real: DrivingLog) -> None:
@@ -259,7 +259,7 @@ def test_real_actors(real: DrivingLog) -> None:
 
 def test_real_lidar_falls_onto_the_pictures(real: DrivingLog) -> None:
     """Every camera sees thousands of points, and the road's are in the lower half of its picture
-    (within the share that trees, cars and slopes leave)."""
+    (within the fraction that trees, cars and slopes leave)."""
     sweep = next(s for s in real.sweeps if s.stem == "44").load()
     points = sweep.points_world.astype(np.float64)
     for name, camera in real.cameras.items():

@@ -35,7 +35,7 @@ def test_pictures_have_the_cameras_size_at_every_scale(size: tuple[int, int]) ->
         picture = small.frames[0].load_srgb8()
         assert picture.shape[:2] == shape, percent
         assert (picture == 200).all()
-        assert small.own_car_masks["front"].shape == shape
+        assert small.ego_vehicle_masks["front"].shape == shape
         # The camera's angles stay: its picture only has fewer pixels.
         assert camera.fx / camera.width_px == pytest.approx(60.0 / size[0])
         assert camera.fy / camera.height_px == pytest.approx(60.0 / size[1])

@@ -15,7 +15,7 @@ from lightsim.evaluate.closure import measure_closure, surface_classes
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.reference.path_tracer import PathTracer
 from lightsim.render.reference.renderer import Shot
-from lightsim.render.transport.table import TransportConfig
+from lightsim.render.transport.matrix import TransportConfig
 from render.rendering_scenes import box, camera, look_at, plane, sun_sky
 
 

@@ -34,7 +34,7 @@ class Kind:
     """
 
     name: str
-    share: int
+    fraction: int
     make: Callable[[Seeds, Path, Rng], str]
     read: Callable[[Path], None]
 
@@ -158,5 +158,5 @@ KINDS: tuple[Kind, ...] = (
     Kind("work special files", 2, _in_work(_special), read_artefacts),
     Kind("options", 2, write_options_case, read_options_case),
 )
-ROUND: tuple[Kind, ...] = tuple(kind for kind in KINDS for _ in range(kind.share))
+ROUND: tuple[Kind, ...] = tuple(kind for kind in KINDS for _ in range(kind.fraction))
 """Case n is of kind ROUND[n % len(ROUND)], whichever kinds are asked for."""

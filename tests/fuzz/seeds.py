@@ -19,7 +19,7 @@ from lightsim.core.reading import LogReading
 from lightsim.core.twin import ActorAsset, DigitalTwin, Panorama, SceneAssets, SkyEstimate
 from lightsim.datasets.fingerprint import hash_recording
 from lightsim.datasets.reader import read_log
-from lightsim.pipeline.build import STAGES, recipes
+from lightsim.pipeline.build import STAGES, artefact_keys
 from lightsim.pipeline.options import BuildOptions
 from lightsim.pipeline.workspace import FIELD_CONFIG_NAME, FIELD_NAME, OPTIONS_NAME
 from lightsim.reconstruct.field.config import draft
@@ -27,7 +27,7 @@ from lightsim.store.alignment import write_alignment
 from lightsim.store.artefact import hash_names, make_artefact
 from lightsim.store.artefact import write_json as write_own_json
 from lightsim.store.assets import write_assets, write_mesh
-from lightsim.store.checkpoint import FolderJournal
+from lightsim.store.checkpoint import FolderCheckpointer
 from lightsim.store.fields import write_fields
 from lightsim.store.images import write_grey8
 from lightsim.store.log import write_log
@@ -85,7 +85,7 @@ def _write_work(work: Path, log_folder: Path) -> None:
     write_own_json(work / OPTIONS_NAME, options)
     log = read_log(reading)
     writers = _Writers(log, reading, hash_recording(log_folder))
-    recipe_of = recipes(options, hash_names(writers.hashes))
+    recipe_of = artefact_keys(options, hash_names(writers.hashes))
     for stage in STAGES:
         write = getattr(writers, stage.name, writers.nothing)
         make_artefact(work / stage.name, recipe_of[stage.name], write)
@@ -136,9 +136,9 @@ class _Writers:
         record = WeightsRecord("a field", "by hand", "nothing", "0", 0, 5, {"x": 1.0}, "none", "0")
         write_weights(folder / FIELD_NAME, {"a": torch.ones(4, 3), "b.c": torch.zeros(7)}, record)
         write_own_json(folder / FIELD_CONFIG_NAME, draft())
-        journal = FolderJournal(folder)
-        journal.record({"step": 3.0, "loss": 0.5})
-        journal.save({"step": 5, "model": {"a": torch.ones(4, 3)}})
+        checkpointer = FolderCheckpointer(folder)
+        checkpointer.record({"step": 3.0, "loss": 0.5})
+        checkpointer.save({"step": 5, "model": {"a": torch.ones(4, 3)}})
         return ()
 
     def geometry(self, folder: Path) -> Iterable[str]:

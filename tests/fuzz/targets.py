@@ -30,7 +30,7 @@ from lightsim.simulate.skies import resolve_sky, sky_alone, sun_of_command
 from lightsim.store.alignment import read_alignment
 from lightsim.store.artefact import read_json
 from lightsim.store.assets import read_assets, read_mesh, write_assets
-from lightsim.store.checkpoint import FolderJournal
+from lightsim.store.checkpoint import FolderCheckpointer
 from lightsim.store.fields import read_fields
 from lightsim.store.images import read_grey8, read_srgb8_alpha
 from lightsim.store.log import read_reading, write_log
@@ -130,7 +130,7 @@ def _readers(work: Path) -> tuple[Callable[[], object], ...]:
         lambda: config_from_json(read_json(work / "neural" / FIELD_CONFIG_NAME)),
         lambda: read_weights(work / "neural" / FIELD_NAME),
         lambda: read_record(work / "neural" / FIELD_NAME),
-        lambda: FolderJournal(work / "neural").load(),
+        lambda: FolderCheckpointer(work / "neural").load(),
         lambda: _use_assets(read_assets(work / "geometry")),
         lambda: _use_assets(read_assets(work / "assets")),
         lambda: _use_mesh(read_mesh(work / "assets" / "inferred.npz", "world")),
@@ -233,9 +233,9 @@ def relight_with_options(
         scenarios.relight(work, options, SilentProgress())
 
 
-def _make_folder_only(folder: Path, recipe: object, build: object) -> None:
+def _make_folder_only(folder: Path, artefact_key: object, build: object) -> None:
     del build
-    _ = recipe.key  # type: ignore[attr-defined]
+    _ = artefact_key.key  # type: ignore[attr-defined]
     folder.mkdir(parents=True, exist_ok=True)
 
 

@@ -91,14 +91,14 @@ def test_borders_and_material_lines_keep_their_course() -> None:
 
 def test_normals_of_flat_parts_become_calm_and_edges_stay() -> None:
     mesh = _box(noise_m=0.015)
-    calm = denoise(mesh, 0.05)
+    smooth_planes = denoise(mesh, 0.05)
 
     def off_axis_deg(m: TriMesh) -> np.ndarray:
         inner = np.sort(np.abs(m.vertices[m.faces].mean(axis=1)), axis=1)[:, 1] < 1.2
         return np.degrees(np.arccos(np.clip(np.abs(m.face_normals()[inner]).max(axis=1), 0, 1)))
 
-    assert off_axis_deg(calm).mean() < 0.35 * off_axis_deg(mesh).mean()
-    assert np.linalg.norm(calm.vertices - mesh.vertices, axis=1).max() <= 0.05 + 1e-6
-    corner = np.sort(np.abs(calm.vertices), axis=1)
+    assert off_axis_deg(smooth_planes).mean() < 0.35 * off_axis_deg(mesh).mean()
+    assert np.linalg.norm(smooth_planes.vertices - mesh.vertices, axis=1).max() <= 0.05 + 1e-6
+    corner = np.sort(np.abs(smooth_planes.vertices), axis=1)
     at_edge = corner[:, 1] > 1.44
     assert np.abs(corner[at_edge, 1:] - SIDE_M / 2).mean() < 0.04

@@ -15,7 +15,7 @@ SUN = np.array([3.0, 2.6, 2.0])
 
 
 def _evidence(
-    rng: np.random.Generator, sun_rgb: np.ndarray, noise: float, wrong_share: float
+    rng: np.random.Generator, sun_rgb: np.ndarray, noise: float, wrong_fraction: float
 ) -> LightEvidence:
     """A road with stripes of shade, its albedo varying in patches of a metre."""
     count = 4000
@@ -29,7 +29,7 @@ def _evidence(
     diffuse = visibility[:, None] * SKY + (1 - visibility[:, None]) * SURFACES
     total = diffuse + is_lit[:, None] * 0.6 * sun_rgb
     radiance = albedo[:, None] * total / np.pi * rng.normal(1.0, noise, (count, 1))
-    label = np.where(rng.random(count) < wrong_share, ~is_lit, is_lit)
+    label = np.where(rng.random(count) < wrong_fraction, ~is_lit, is_lit)
     return LightEvidence(
         position,
         np.tile([0.0, 0.0, 1.0], (count, 1)),
@@ -48,8 +48,8 @@ def _fit(evidence: LightEvidence, rng: np.random.Generator, **hints: float) -> S
 
 
 @pytest.mark.parametrize("wrong_share", [0.0, 0.15])
-def test_a_known_sun_is_recovered_from_noisy_pairs(rng: np.random.Generator, wrong_share: float):
-    fit = _fit(_evidence(rng, SUN, 0.1, wrong_share), rng)
+def test_a_known_sun_is_recovered_from_noisy_pairs(rng: np.random.Generator, wrong_fraction: float):
+    fit = _fit(_evidence(rng, SUN, 0.1, wrong_fraction), rng)
     assert fit.kind == "direct"
     np.testing.assert_allclose(fit.irradiance, SUN, rtol=0.15)
     assert fit.log_std < 0.25

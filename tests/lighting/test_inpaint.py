@@ -205,10 +205,10 @@ def test_gradients_reach_every_parameter() -> None:
 @pytest.mark.slow
 def test_training_learns_and_what_was_learnt_can_be_loaded() -> None:
     config = replace(TINY, loop=LoopConfig(120), width=4, rate=1e-2, adversarial_weight=0.001)
-    journal = MemoryJournal()
-    weights, steps = train_inpaint(Gradients(), config, journal.session())
+    checkpointer = MemoryJournal()
+    weights, steps = train_inpaint(Gradients(), config, checkpointer.session())
     assert steps == 120
-    assert journal.lines[-1]["l1"] < 0.6 * journal.lines[0]["l1"]
+    assert checkpointer.lines[-1]["l1"] < 0.6 * checkpointer.lines[0]["l1"]
     scores = evaluate_inpaint(Gradients(), weights, batches=1, size=2, seed=7)
     assert set(scores) == {"network", "row mean", "nearest", "laplace"}
     assert scores["network"]["psnr_db"] > scores["row mean"]["psnr_db"]
@@ -297,7 +297,7 @@ def test_the_published_size_takes_two_steps() -> None:
         full, loop=replace(full.loop, steps=2), batch=1, width=2, discriminator_width=2,
         adversarial_from=0.0, workers=1, dilations=(2, 4), discriminator_layers=3,
     )  # fmt: skip
-    journal = MemoryJournal()
-    train_inpaint(Gradients(), config, journal.session())
-    assert "discriminator" in journal.lines[-1]
-    assert all(math.isfinite(value) for value in journal.lines[-1].values())
+    checkpointer = MemoryJournal()
+    train_inpaint(Gradients(), config, checkpointer.session())
+    assert "discriminator" in checkpointer.lines[-1]
+    assert all(math.isfinite(value) for value in checkpointer.lines[-1].values())

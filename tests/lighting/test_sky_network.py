@@ -44,9 +44,9 @@ def batch_of(size: int = 4, seed: int = 0) -> Any:
     return sky_tensors(drawn, whole, None, torch.device("cpu"))
 
 
-def train(network: SkyNetwork, steps: int, journal: MemoryJournal, rate: float = 1e-3) -> None:
+def train(network: SkyNetwork, steps: int, checkpointer: MemoryJournal, rate: float = 1e-3) -> None:
     config = SkyTrainConfig(LoopConfig(steps), rate, batch=4)
-    train_sky(SkyRecipe(network, sky_loss, config), DATA, journal.session())
+    train_sky(SkyRecipe(network, sky_loss, config), DATA, checkpointer.session())
 
 
 def test_fake_skies_are_lighting_data() -> None:
@@ -96,8 +96,8 @@ def test_fisher_density_integrates_to_one() -> None:
         assert float(torch.trapezoid(density, cosine)) * 2 * math.pi == pytest.approx(1, abs=1e-3)
         cone = credible_cone_deg(np.array([kappa]), 0.9)[0]
         inside = cosine >= math.cos(math.radians(cone))
-        share = float(torch.trapezoid(density[inside], cosine[inside])) * 2 * math.pi
-        assert share == pytest.approx(0.9, abs=1e-2)
+        fraction = float(torch.trapezoid(density[inside], cosine[inside])) * 2 * math.pi
+        assert fraction == pytest.approx(0.9, abs=1e-2)
 
 
 def test_laplace_loss_is_least_at_the_mean_absolute_error() -> None:
@@ -216,9 +216,9 @@ def test_weights_carry_their_config_and_their_record(tmp_path: Any) -> None:
 
 @pytest.mark.slow
 def test_training_finds_the_sun() -> None:
-    network, journal = SkyNetwork(SkyNetworkConfig(**TINY)), MemoryJournal()
-    train(network, 60, journal, rate=4e-3)
-    assert journal.lines[-1]["loss"] < journal.lines[0]["loss"] - 1.0
+    network, checkpointer = SkyNetwork(SkyNetworkConfig(**TINY)), MemoryJournal()
+    train(network, 60, checkpointer, rate=4e-3)
+    assert checkpointer.lines[-1]["loss"] < checkpointer.lines[0]["loss"] - 1.0
     drawn = parts_of(DATA.batch(64, 7, 0, only_sunny=False), 25)
     assert [len(part.log_peak) for part in drawn] == [25, 25, 14]
     rows = {r.name: r for r in evaluate_sky_networks(drawn, {"ours": network}, drawn)}

@@ -41,9 +41,9 @@ def panorama() -> Panorama:
 
 
 def test_visible_sun_is_found_and_turns_with_the_picture(panorama: Panorama) -> None:
-    said = predict_sky(panorama)
-    towards = said.sun_direction.astype(np.float64)
-    assert said.sunny_probability > 0.5
+    predicted = predict_sky(panorama)
+    towards = predicted.sun_direction.astype(np.float64)
+    assert predicted.sunny_probability > 0.5
     found = azimuth_elevation(towards).azimuth_deg
     assert abs(found - 20.0) < 15.0
     quarter = panorama_from_image(

@@ -129,11 +129,11 @@ def test_rows_that_were_read_while_the_camera_turned_lie_where_they_looked():
     assert np.percentile(error, 99) < 0.04
 
 
-def test_the_own_car_is_left_out():
+def test_the_ego_vehicle_is_left_out():
     log = _log(GAIN)
     mask = np.zeros((120, 160), bool)
     mask[90:] = True
-    hooded = _stitch(replace(log, own_car_masks={"camera_0": mask}))
+    hooded = _stitch(replace(log, ego_vehicle_masks={"camera_0": mask}))
     hidden = _stitch(log).is_seen & ~hooded.is_seen
     rows, columns = np.nonzero(hidden)
     assert hidden.sum() > 100

@@ -26,11 +26,11 @@ from lightsim.lighting.sun.cues import (
 )
 from lightsim.lighting.sun.direction import SunBlob
 from lightsim.lighting.sun.posterior import sun_direction, sun_posterior
-from lightsim.lighting.sun.shadow_votes import ShadowVoteConfig, ShadowVotes, vote
+from lightsim.lighting.sun.shadow_likelihood import ShadowLikelihood, ShadowLikelihoodConfig, vote
 from lightsim.lighting.sun.surface_samples import SampleConfig, sample_surfaces
 from lightsim.render.casters.embree import make_embree_caster
 
-CONFIG = ShadowVoteConfig(
+CONFIG = ShadowLikelihoodConfig(
     samples=SampleConfig(point_count=1500, sky_rays=16), coarse_count=500, bootstraps=60
 )
 TIME_NS = int(datetime(2019, 5, 11, 1, 59, 16, tzinfo=UTC).timestamp()) * 10**9
@@ -76,15 +76,15 @@ def _street(sun: np.ndarray, strength: float, seed: int) -> TriMesh:
     start = mesh.vertices.astype(np.float64) + 0.02 * normal
     cosine = np.maximum(normal @ sun, 0.0)
     hidden = caster.is_occluded(start, np.broadcast_to(sun, start.shape).copy())
-    open_share = 0.5 + 0.5 * normal[:, 2]
-    light = strength * cosine * ~hidden + 0.35 + 0.65 * open_share
+    open_fraction = 0.5 + 0.5 * normal[:, 2]
+    light = strength * cosine * ~hidden + 0.35 + 0.65 * open_fraction
     patch = np.floor(mesh.vertices / 1.5).astype(np.int64) @ [7, 13, 29]
     paint = 0.2 * np.exp(rng.normal(0, 0.15, 1009))[patch % 1009]
     paint *= np.exp(rng.normal(0, 0.1, len(paint)))
     return replace(mesh, base_colour=np.tile((paint * light)[:, None], 3).astype(np.float32))
 
 
-def _votes(sun: np.ndarray, strength: float, seed: int) -> ShadowVotes:
+def _votes(sun: np.ndarray, strength: float, seed: int) -> ShadowLikelihood:
     mesh = _street(sun, strength, seed)
     rng = np.random.default_rng(seed)
     path = np.column_stack([np.linspace(-10, 10, 5), np.zeros(5), np.full(5, 1.8)])

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float32
 
 from lightsim.core.frames import RigidTransform
 from lightsim.core.sensors import CameraFrame
-from lightsim.masks.ego_vehicle import _small_grey, find_own_car
+from lightsim.masks.ego_vehicle import _small_grey, find_ego_vehicle
 
 H, W = 90, 160
 
@@ -28,19 +28,19 @@ def bonnet() -> Bool[np.ndarray, "h w"]:
 
 
 def test_a_fixed_bonnet_is_covered_to_its_margin(rng: np.random.Generator) -> None:
-    mask = find_own_car(pictures(rng, has_car=True))
+    mask = find_ego_vehicle(pictures(rng, has_car=True))
     assert not (bonnet() & ~mask).any()
     assert (mask & ~bonnet()).sum() <= 5 * W
 
 
 def test_a_wandering_scene_gives_no_mask(rng: np.random.Generator) -> None:
-    assert not find_own_car(pictures(rng, has_car=False)).any()
+    assert not find_ego_vehicle(pictures(rng, has_car=False)).any()
 
 
-def test_a_kerb_along_the_motion_is_no_own_car(rng: np.random.Generator) -> None:
+def test_a_kerb_along_the_motion_is_no_ego_vehicle(rng: np.random.Generator) -> None:
     images = pictures(rng, has_car=False)
     images[:, 70:73] = 250.0
-    assert not find_own_car(images).any()
+    assert not find_ego_vehicle(images).any()
 
 
 def test_narrow_pictures_are_not_enlarged() -> None:

@@ -74,7 +74,7 @@ def test_a_plain_white_wall_is_not_sky(rng: np.random.Generator) -> None:
     assert not matte.any()
 
 
-def test_nothing_below_the_horizon_or_on_the_own_car(rng: np.random.Generator) -> None:
+def test_nothing_below_the_horizon_or_on_the_ego_vehicle(rng: np.random.Generator) -> None:
     image, _ = draw_street(rng, "blue")
     own = np.zeros((270, 480), bool)
     own[:60, 300:] = True
@@ -87,7 +87,7 @@ def test_nothing_below_the_horizon_or_on_the_own_car(rng: np.random.Generator) -
     assert not matte.any()
 
 
-def test_a_wire_takes_its_share_of_the_sky(rng: np.random.Generator) -> None:
+def test_a_wire_takes_its_fraction_of_the_sky(rng: np.random.Generator) -> None:
     image, is_sky = draw_street(rng, "grey")
     image[60, 250:] = 40
     points = wall_returns(np.linspace(-20, -3.4, 200), 20.0)

@@ -25,41 +25,41 @@ from journals import MemoryJournal
 from lightsim.errors import ArtefactError
 from lightsim.lighting.sky.network import SkyNetwork, SkyNetworkConfig
 from lightsim.networks import loop
-from lightsim.networks.loop import Journal, Learner, LoopConfig, Loss, Session, run_training
+from lightsim.networks.loop import Checkpointer, Learner, LoopConfig, Loss, Session, run_training
 from lightsim.progress import Progress, SilentProgress
 from lightsim.reconstruct.field.train import TrainingRays, train_field
-from lightsim.store.checkpoint import FolderJournal
+from lightsim.store.checkpoint import FolderCheckpointer
 from lightsim.training.inpaint import InpaintConfig, train_inpaint
 from lightsim.training.sky import SkyRecipe, SkyTrainConfig, train_sky
 from lightsim.training.sky_losses import sky_loss
 
 Weights = dict[str, Tensor]
-Train = Callable[[Journal, Progress, int], Weights]
+Train = Callable[[Checkpointer, Progress, int], Weights]
 """(journal, progress, threads that draw batches) -> weights after `STEPS` steps."""
 STEPS = 6
 
 
-def field(journal: Journal, progress: Progress, workers: int) -> Weights:
+def field(checkpointer: Checkpointer, progress: Progress, workers: int) -> Weights:
     rays = TrainingRays(wall_pool(500, False), wall_pool(500, True))
     trained = small_field(small_config(steps=STEPS), wall_fields(0.0))
-    train_field(trained, rays, 7, Session(journal, progress))
+    train_field(trained, rays, 7, Session(checkpointer, progress))
     return trained.state_dict()
 
 
-def inpaint(journal: Journal, progress: Progress, workers: int) -> Weights:
+def inpaint(checkpointer: Checkpointer, progress: Progress, workers: int) -> Weights:
     config = InpaintConfig(
         LoopConfig(STEPS), batch=2, width=2, dilations=(1, 2), discriminator_width=2,
         discriminator_layers=2, adversarial_from=0.3, adversarial_weight=0.1, workers=workers,
     )  # fmt: skip
-    return train_inpaint(FakeSkies(), config, Session(journal, progress, device="cpu"))[0]
+    return train_inpaint(FakeSkies(), config, Session(checkpointer, progress, device="cpu"))[0]
 
 
-def sky(journal: Journal, progress: Progress, workers: int) -> Weights:
+def sky(checkpointer: Checkpointer, progress: Progress, workers: int) -> Weights:
     config = SkyNetworkConfig(widths=(8, 8, 16), decoder_widths=(8, 8, 16), height_px=32)
     how = SkyTrainConfig(LoopConfig(STEPS), batch=2, workers=workers)
-    recipe = SkyRecipe(SkyNetwork(config), sky_loss, how)
-    train_sky(recipe, FakeSkies(), Session(journal, progress, device="cpu"))
-    return recipe.network.state_dict()
+    artefact_key = SkyRecipe(SkyNetwork(config), sky_loss, how)
+    train_sky(artefact_key, FakeSkies(), Session(checkpointer, progress, device="cpu"))
+    return artefact_key.network.state_dict()
 
 
 class Interrupting:
@@ -80,7 +80,7 @@ def test_an_interrupted_training_that_goes_on_is_the_uninterrupted_one(
     train: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(loop, "_SAVE_EVERY_S", 0.0)
-    journals = [FolderJournal(tmp_path / name) for name in ("whole", "parts")]
+    journals = [FolderCheckpointer(tmp_path / name) for name in ("whole", "parts")]
     for name in ("whole", "parts"):
         (tmp_path / name).mkdir()
     whole = train(journals[0], SilentProgress(), 0)
@@ -127,13 +127,13 @@ class Recording(torch.optim.SGD):
 
 
 def run(
-    layer: nn.Module, optimiser: Any, config: LoopConfig, journal: MemoryJournal | None = None
+    layer: nn.Module, optimiser: Any, config: LoopConfig, checkpointer: MemoryJournal | None = None
 ) -> None:
     def losses(step: int, draw: int) -> Iterator[Loss]:
         yield "layer", 100 * layer(torch.ones(1, 2)).sum(), {}
 
     learner = Learner(layer, (optimiser,), is_averaged=True)
-    run_training({"layer": learner}, losses, config, (journal or MemoryJournal()).session())
+    run_training({"layer": learner}, losses, config, (checkpointer or MemoryJournal()).session())
 
 
 def test_rates_warm_up_and_fall_by_a_cosine_and_gradients_are_clipped() -> None:
@@ -165,10 +165,10 @@ def test_networks_are_compiled_where_the_config_asks(monkeypatch: pytest.MonkeyP
 
 
 def test_the_checkpoint_of_another_network_is_refused() -> None:
-    journal = MemoryJournal()
+    checkpointer = MemoryJournal()
     small, large = nn.Linear(2, 1), nn.Linear(2, 3)
-    run(small, torch.optim.SGD(small.parameters()), LoopConfig(1), journal)
+    run(small, torch.optim.SGD(small.parameters()), LoopConfig(1), checkpointer)
     with pytest.raises(ArtefactError, match="another training"):
-        run(large, torch.optim.SGD(large.parameters()), LoopConfig(2), journal)
+        run(large, torch.optim.SGD(large.parameters()), LoopConfig(2), checkpointer)
     with pytest.raises(ArtefactError, match="another training"):
         run(small, torch.optim.SGD(small.parameters()), LoopConfig(2), MemoryJournal({"step": 1}))

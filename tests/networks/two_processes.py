@@ -14,7 +14,7 @@ import torch
 from lightsim.networks.devices import ALONE, Processes, joined_processes
 from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
 from lightsim.progress import SilentProgress
-from lightsim.store.checkpoint import FolderJournal
+from lightsim.store.checkpoint import FolderCheckpointer
 
 POINTS, TOGETHER = 4, 2
 
@@ -39,7 +39,7 @@ def train(folder: Path, processes: Processes = ALONE, minutes: float | None = No
         "a": Learner(a, (torch.optim.AdamW(a.parameters(), lr=1e-2),), is_averaged=True),
         "b": Learner(b, (torch.optim.SGD(b.parameters(), lr=1e-2),)),
     }
-    session = Session(FolderJournal(folder), SilentProgress(), minutes, processes=processes)
+    session = Session(FolderCheckpointer(folder), SilentProgress(), minutes, processes=processes)
     done = run_training(learners, losses, LoopConfig(steps=30, warm_up_steps=5), session)
     if processes.is_first:
         torch.save({"a": a.state_dict(), "b": b.state_dict(), "done": done}, folder / "final.pt")

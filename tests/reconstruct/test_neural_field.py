@@ -24,7 +24,7 @@ from lightsim.reconstruct.field.sampling import place_samples
 from lightsim.reconstruct.field.train import TrainingRays, batch_of, train_field
 from lightsim.reconstruct.field.tsdf_prior import TsdfPrior
 from lightsim.reconstruct.field.volume_rendering import composite, crossings_m, opacities
-from lightsim.store.checkpoint import FolderJournal
+from lightsim.store.checkpoint import FolderCheckpointer
 
 
 def test_opaque_wall_gives_all_weight_and_its_exact_depth() -> None:
@@ -93,7 +93,7 @@ def test_training_corrects_a_displaced_prior() -> None:
 def test_damaged_checkpoint_is_one_clear_error(tmp_path: Path) -> None:
     (tmp_path / "checkpoint.pt").write_bytes(b"PK not a checkpoint")
     with pytest.raises(ArtefactError, match="checkpoint"):
-        FolderJournal(tmp_path).load()
+        FolderCheckpointer(tmp_path).load()
 
 
 def test_paper_preset_uses_the_papers_terms_alone() -> None:

@@ -53,8 +53,8 @@ def geometry(rng: np.random.Generator) -> GBuffers:
 def light(buffers: GBuffers, sun: Sun | None, sky: float, visibility: np.ndarray) -> ShadowBuffers:
     """Irradiance over pi of a bluish uniform sky and a sun."""
     blue = np.array([0.7, 0.85, 1.2], np.float32) * np.float32(sky)
-    share = 0.5 * (1 + buffers.normal_world[..., 2:])
-    from_sky = np.where(buffers.has_surface[..., None], share * blue, 0.0).astype(np.float32)
+    fraction = 0.5 * (1 + buffers.normal_world[..., 2:])
+    from_sky = np.where(buffers.has_surface[..., None], fraction * blue, 0.0).astype(np.float32)
     open_sun = np.zeros_like(from_sky)
     if sun is not None:
         cosine = np.maximum(buffers.normal_world @ sun.direction_world.astype(np.float32), 0)

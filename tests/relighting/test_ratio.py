@@ -69,7 +69,7 @@ def test_the_same_sky_gives_the_source_back(inputs: RelightInputs) -> None:
 
 def test_lambert_scene_under_another_sun_is_exact(inputs: RelightInputs) -> None:
     wanted = inputs.buffers.base_colour * inputs.target.shaded
-    relit = relight_physical(inputs, RatioConfig(are_shadows_refined=False, darkest_share=0.0))
+    relit = relight_physical(inputs, RatioConfig(are_shadows_refined=False, darkest_fraction=0.0))
     ground = np.s_[SKY_ROWS:]
     np.testing.assert_allclose(relit[ground], wanted[ground], rtol=2e-3)
 

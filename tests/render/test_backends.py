@@ -16,7 +16,7 @@ from lightsim.render.casters.mitsuba import MitsubaBackend, is_usable, mitsuba_c
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import make_static_scene, place
 from lightsim.render.transport.light import light
-from lightsim.render.transport.table import exact, trace_transport
+from lightsim.render.transport.matrix import exact, trace_transport
 
 
 @pytest.fixture(params=["llvm", pytest.param("cuda", marks=pytest.mark.gpu)])

@@ -25,13 +25,13 @@ from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.kernels import fill_unlisted
 from lightsim.render.transport.light import light
-from lightsim.render.transport.samples import render_samples
-from lightsim.render.transport.table import (
+from lightsim.render.transport.matrix import (
     TransportConfig,
     exact,
     static_face_table,
     trace_transport,
 )
+from lightsim.render.transport.samples import render_samples
 
 _VIEW = look_at((0.0, -9.0, 5.0), (0.0, 0.0, 0.5))
 
@@ -45,19 +45,20 @@ def _integrating_sphere(albedo: float, opening_deg: float):
 
 @pytest.mark.parametrize("bounces", [1, 2, 5, 40])
 def test_light_in_an_integrating_sphere(bounces):
-    """From anywhere on a sphere every part of it fills its share of the area in form factor: with
+    """From anywhere on a sphere every part of it fills its fraction of the area in form factor:
+    with
     an opening of share f, direct light is f, and every bounce adds a factor albedo x (1 - f)."""
     albedo, opening = 0.8, 60.0
     ball = _integrating_sphere(albedo, opening)
-    share = (1 - np.cos(np.radians(opening))) / 2
+    fraction = (1 - np.cos(np.radians(opening))) / 2
     config = replace(exact(), bounces=bounces, sky_rays=256, face_rays=64)
     scene = without_actors(make_static_scene([ball]))
     view = look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0))
     gbuffers = render_gbuffers(scene, camera(32, 24, 20.0), view)
     table = trace_transport(scene, gbuffers, config)
     out = light(table, scene, gbuffers, constant_sky((1.0, 1.0, 1.0)), config)
-    kept = albedo * (1 - share)
-    expected = share * (1 - kept ** (bounces + 1)) / (1 - kept)
+    kept = albedo * (1 - fraction)
+    expected = fraction * (1 - kept ** (bounces + 1)) / (1 - kept)
     assert out.shaded.mean() == pytest.approx(expected, rel=0.01)
     assert np.abs(out.shaded - expected).max() < 0.12 * expected
 

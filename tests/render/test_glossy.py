@@ -17,8 +17,8 @@ from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.glossy import specular_lobe
 from lightsim.render.transport.glossy_kernels import reflected_rays
 from lightsim.render.transport.light import light
+from lightsim.render.transport.matrix import exact, trace_transport
 from lightsim.render.transport.samples import render_samples
-from lightsim.render.transport.table import exact, trace_transport
 
 _VIEW = look_at((0.0, -6.0, 3.0), (0.0, 0.0, 0.0))
 

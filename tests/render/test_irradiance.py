@@ -12,7 +12,7 @@ from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.irradiance import IrradianceConfig, irradiance_at
 from lightsim.render.transport.light import light
-from lightsim.render.transport.table import TransportConfig, exact, trace_transport
+from lightsim.render.transport.matrix import TransportConfig, exact, trace_transport
 
 
 def test_open_ground_sees_all_of_the_sky_and_the_sun():

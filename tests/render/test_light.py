@@ -1,4 +1,4 @@
-"""The ray table against closed forms."""
+"""The light transport matrix against closed forms."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from lightsim.core.mesh import TriMesh
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.light import light
-from lightsim.render.transport.sky import prepare_sky
-from lightsim.render.transport.table import (
+from lightsim.render.transport.matrix import (
     TransportConfig,
     exact,
     static_face_table,
     trace_transport,
 )
+from lightsim.render.transport.sky import prepare_sky
 
 _VIEW = look_at((0.0, -9.0, 5.0), (0.0, 0.0, 0.5))
 

@@ -18,9 +18,9 @@ from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import FrameScene, make_static_scene, place
 from lightsim.render.transport.light import light
 from lightsim.render.transport.live import LiveFrame, LiveLight
+from lightsim.render.transport.matrix import TransportConfig, exact, trace_transport
 from lightsim.render.transport.samples import render_samples
 from lightsim.render.transport.sky import prepare_sky
-from lightsim.render.transport.table import TransportConfig, exact, trace_transport
 
 CONFIG = TransportConfig(sky_rays=16)
 

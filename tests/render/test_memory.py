@@ -15,7 +15,7 @@ from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.transport.light import light
 from lightsim.render.transport.samples import render_samples
 from lightsim.render.scene import make_static_scene, without_actors
-from lightsim.render.transport.table import TransportConfig, trace_transport
+from lightsim.render.transport.matrix import TransportConfig, trace_transport
 
 scene = without_actors(make_static_scene([scenes.plane(80.0, 60), scenes.sphere((0, 0, 1), 1.0)]))
 lens, view = scenes.camera(1920, 1080, 1000.0), scenes.look_at((0, -9, 5), (0, 0, -3))

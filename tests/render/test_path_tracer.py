@@ -1,4 +1,4 @@
-"""The Mitsuba path tracer against closed forms and against the ray table."""
+"""The Mitsuba path tracer against closed forms and against the light transport matrix."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from lightsim.render.reference.path_tracer import PathTracer
 from lightsim.render.reference.renderer import ReferenceRenderer, Shot, open_irradiance_over_pi
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.light import light
-from lightsim.render.transport.table import exact, trace_transport
+from lightsim.render.transport.matrix import exact, trace_transport
 
 _LENS = camera(48, 36, 42.0)
 _VIEW = look_at((0.0, -7.0, 4.0), (0.0, 0.0, 0.5))

@@ -14,8 +14,8 @@ from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.image import scene_image
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.light import light
+from lightsim.render.transport.matrix import TransportConfig, exact, trace_transport
 from lightsim.render.transport.samples import render_samples, sample_offsets
-from lightsim.render.transport.table import TransportConfig, exact, trace_transport
 
 _VIEW = look_at((0.0, -9.0, 5.0), (0.0, 0.0, 0.5))
 _ABOVE = look_at((0.0, 0.0, 10.0), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0))
@@ -40,7 +40,7 @@ def _street():
 
 
 def _area_left_of(slope: float, shift_px: float, lens: PinholeCamera) -> np.ndarray:
-    """Share of each pixel left of the line u = shift + slope x v, by 64 x 64 points."""
+    """Fraction of each pixel left of the line u = shift + slope x v, by 64 x 64 points."""
     fine = (np.arange(64) + 0.5) / 64
     u = (np.arange(lens.width_px)[:, None] + fine).reshape(1, -1)
     v = (np.arange(lens.height_px)[:, None] + fine).reshape(-1, 1)
@@ -73,10 +73,10 @@ def test_coverage_of_an_edge_against_the_sky(count):
     half = replace(half, vertices=(turned + np.float32([x0, 0, 0])).astype(np.float32))
     config = replace(exact(), pixel_samples=count)
     gbuffers, _, out = _render([half], constant_sky((1.0, 1.0, 1.0)), config, _ABOVE, lens)
-    exact_share = _area_left_of(slope, shift, lens)
+    exact_fraction = _area_left_of(slope, shift, lens)
     assert out.coverage is not None
-    error = out.coverage - exact_share
-    is_cut = (exact_share > 0) & (exact_share < 1)
+    error = out.coverage - exact_fraction
+    is_cut = (exact_fraction > 0) & (exact_fraction < 1)
     assert is_cut.sum() > 30
     assert np.abs(error).max() < 2.0 / count
     assert abs(error[is_cut].mean()) < 0.02
@@ -86,7 +86,7 @@ def test_coverage_of_an_edge_against_the_sky(count):
     np.testing.assert_allclose(image[..., 0], 0.5 * out.coverage, atol=1e-5)
 
 
-def test_a_sharp_shadow_edge_is_the_covered_share_of_each_pixel():
+def test_a_sharp_shadow_edge_is_the_covered_fraction_of_each_pixel():
     """A roof 5 cm above the ground has a penumbra of half a millimetre; a pixel has 25 cm."""
     lens = camera(48, 36, 40.0)
     roof = plane(20.0, z_m=0.05)
@@ -103,9 +103,9 @@ def test_a_sharp_shadow_edge_is_the_covered_share_of_each_pixel():
     fine = camera(48 * 16, 36 * 16, 40.0 * 16)
     x = render_gbuffers(scene, fine, _ABOVE).position_world
     is_lit = x[..., 0] * c + x[..., 1] * s > 0
-    share = is_lit.reshape(36, 16, 48, 16).mean(axis=(1, 3))
-    assert np.abs(out.sun_visibility - share).max() < 0.15
-    assert np.abs(out.sun_visibility - share).mean() < 0.004
+    fraction = is_lit.reshape(36, 16, 48, 16).mean(axis=(1, 3))
+    assert np.abs(out.sun_visibility - fraction).max() < 0.15
+    assert np.abs(out.sun_visibility - fraction).mean() < 0.004
     between = (out.sun_visibility > 0.05) & (out.sun_visibility < 0.95)
     assert between.sum() > 25
 

@@ -20,7 +20,7 @@ from lightsim.render.composite import CompositeCaster
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import FrameScene, make_static_scene, place, without_actors
 from lightsim.render.transport.light import light
-from lightsim.render.transport.table import exact, trace_transport
+from lightsim.render.transport.matrix import exact, trace_transport
 
 _ABOVE = look_at((0.0, 0.0, 30.0), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0))
 

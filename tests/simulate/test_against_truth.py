@@ -246,7 +246,7 @@ def test_held_out_pictures_are_scored_by_the_twin_and_by_the_nearest_picture() -
     ego_vehicle = np.zeros(SIZE, bool)
     ego_vehicle[-10:] = True
     with_pictures(work, shown)
-    recorded = replace(work.log, own_car_masks={"above": ego_vehicle})
+    recorded = replace(work.log, ego_vehicle_masks={"above": ego_vehicle})
     work.__dict__.update(held_out=frozenset({"01"}), recorded_log=recorded)
     for factor in (1.0, 1.3):
         ground = plane(60.0, 1, np.float32(factor) * GROUND)

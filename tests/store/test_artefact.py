@@ -10,7 +10,7 @@ import pytest
 
 from lightsim.errors import ArtefactError
 from lightsim.store.artefact import (
-    Recipe,
+    ArtefactKey,
     find_damage,
     make_artefact,
     read_record,
@@ -19,9 +19,9 @@ from lightsim.store.artefact import (
 )
 
 
-def recipe(**changes: object) -> Recipe:
+def artefact_key(**changes: object) -> ArtefactKey:
     base = {"stage": "toy", "schema": 1, "config": {"size": 3}, "inputs": {"log": "a"}, "seed": 0}
-    return Recipe(**{**base, **changes})  # type: ignore[arg-type]
+    return ArtefactKey(**{**base, **changes})  # type: ignore[arg-type]
 
 
 def test_made_once_then_reused_then_stale(tmp_path: Path) -> None:
@@ -33,14 +33,14 @@ def test_made_once_then_reused_then_stale(tmp_path: Path) -> None:
         return ["said once"]
 
     folder = tmp_path / "toy"
-    assert state_of(folder, recipe()) == "missing"
-    first = make_artefact(folder, recipe(), build)
-    second = make_artefact(folder, recipe(), build)
+    assert state_of(folder, artefact_key()) == "missing"
+    first = make_artefact(folder, artefact_key(), build)
+    second = make_artefact(folder, artefact_key(), build)
     assert first == second
     assert len(calls) == 1
     assert first["notes"] == ["said once"]
     for change in ({"config": {"size": 4}}, {"inputs": {"log": "b"}}, {"seed": 1}, {"schema": 2}):
-        assert state_of(folder, recipe(**change)) == "stale"
+        assert state_of(folder, artefact_key(**change)) == "stale"
     assert [p.name for p in tmp_path.iterdir()] == ["toy"]
 
 
@@ -60,9 +60,9 @@ def test_interrupted_build_shows_nothing_and_resumes(tmp_path: Path) -> None:
 
     folder = tmp_path / "toy"
     with pytest.raises(KeyboardInterrupt):
-        make_artefact(folder, recipe(), lambda f: build(f, 2))
+        make_artefact(folder, artefact_key(), lambda f: build(f, 2))
     assert not folder.exists()
-    make_artefact(folder, recipe(), lambda f: build(f, 99))
+    make_artefact(folder, artefact_key(), lambda f: build(f, 99))
     assert done == ["0.txt", "1.txt", "2.txt", "3.txt"]
     names = {p.name for p in folder.iterdir()}
     assert names == {"0.txt", "1.txt", "2.txt", "3.txt", "artefact.json"}
@@ -75,8 +75,8 @@ def test_leftovers_of_another_recipe_are_removed(tmp_path: Path) -> None:
 
     folder = tmp_path / "toy"
     with pytest.raises(KeyboardInterrupt):
-        make_artefact(folder, recipe(), fail)
-    make_artefact(folder, recipe(seed=5), lambda f: [])
+        make_artefact(folder, artefact_key(), fail)
+    make_artefact(folder, artefact_key(seed=5), lambda f: [])
     assert not (folder / "old.txt").exists()
 
 
@@ -110,14 +110,14 @@ def test_a_damaged_artefact_is_told_and_made_anew(
     tmp_path: Path, harm: Callable[[Path], None], told: str
 ) -> None:
     folder = tmp_path / "toy"
-    record = make_artefact(folder, recipe(), fill)
+    record = make_artefact(folder, artefact_key(), fill)
     assert find_damage(folder, record, is_hashed=True) == ()
     harm(folder / "sub" / "value.bin")
     assert told in find_damage(folder, record, is_hashed=True)[0]
-    assert state_of(folder, recipe(), is_hashed=True) == "broken"
+    assert state_of(folder, artefact_key(), is_hashed=True) == "broken"
     with pytest.raises(ArtefactError, match=rf"value\.bin.*{told}.*Build again"):
         require_whole(folder, "Build again.")
-    make_artefact(folder, recipe(), fill)
+    make_artefact(folder, artefact_key(), fill)
     assert (folder / "sub" / "value.bin").read_bytes() == bytes(range(100))
     assert [p.name for p in tmp_path.iterdir()] == ["toy"]
 
@@ -125,17 +125,17 @@ def test_a_damaged_artefact_is_told_and_made_anew(
 @pytest.mark.parametrize("text", ["{", "[]", '{"key": 1}', "[" * 100_000])
 def test_an_artefact_with_a_damaged_record_is_set_aside(tmp_path: Path, text: str) -> None:
     folder = tmp_path / "toy"
-    make_artefact(folder, recipe(), fill)
+    make_artefact(folder, artefact_key(), fill)
     (folder / "artefact.json").write_text(text)
-    assert state_of(folder, recipe()) == "broken"
-    make_artefact(folder, recipe(), fill)
-    assert state_of(folder, recipe(), is_hashed=True) == "made"
+    assert state_of(folder, artefact_key()) == "broken"
+    make_artefact(folder, artefact_key(), fill)
+    assert state_of(folder, artefact_key(), is_hashed=True) == "made"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["toy", "toy.broken-1"]
 
 
 def test_a_record_that_names_what_cannot_be_a_file_is_damage(tmp_path: Path) -> None:
     folder = tmp_path / "toy"
-    record = make_artefact(folder, recipe(), fill)
+    record = make_artefact(folder, artefact_key(), fill)
     names = {"x" * 5000: [1, "a"], "sub": [1, "a"], "a\0b": [1, "a"]}
     damage = find_damage(folder, {**record, "files": names}, is_hashed=True)
     assert [words.split()[-1] for words in damage] == ["read", "file", "read"]
@@ -143,10 +143,10 @@ def test_a_record_that_names_what_cannot_be_a_file_is_damage(tmp_path: Path) -> 
 
 def test_an_endless_record_is_not_read(tmp_path: Path) -> None:
     folder = tmp_path / "toy"
-    make_artefact(folder, recipe(), fill)
+    make_artefact(folder, artefact_key(), fill)
     with (folder / "artefact.json").open("w") as handle:
         handle.truncate(1 << 40)
-    assert state_of(folder, recipe()) == "broken"
+    assert state_of(folder, artefact_key()) == "broken"
 
 
 def test_only_an_artefact_of_the_same_stage_is_replaced(tmp_path: Path) -> None:
@@ -154,31 +154,31 @@ def test_only_an_artefact_of_the_same_stage_is_replaced(tmp_path: Path) -> None:
     mine.mkdir()
     (mine / "thesis.txt").write_text("years of work")
     other = tmp_path / "other"
-    make_artefact(other, recipe(stage="other"), fill)
+    make_artefact(other, artefact_key(stage="other"), fill)
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     for folder in (mine, other):
         with pytest.raises(ArtefactError, match=r"holds something else.*Nothing was touched"):
-            make_artefact(folder, recipe(), fill)
+            make_artefact(folder, artefact_key(), fill)
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
     empty = tmp_path / "empty"
     empty.mkdir()
-    make_artefact(empty, recipe(), fill)
+    make_artefact(empty, artefact_key(), fill)
 
 
 def test_a_finished_attempt_that_was_not_renamed_is_taken(tmp_path: Path) -> None:
     """The process was killed between the last file and the rename."""
     folder = tmp_path / "toy"
-    made = make_artefact(folder, recipe(), fill)
+    made = make_artefact(folder, artefact_key(), fill)
     folder.rename(tmp_path / ".toy.partial")
-    assert make_artefact(folder, recipe(), lambda f: pytest.fail("made again")) == made
-    assert state_of(folder, recipe(), is_hashed=True) == "made"
+    assert make_artefact(folder, artefact_key(), lambda f: pytest.fail("made again")) == made
+    assert state_of(folder, artefact_key(), is_hashed=True) == "made"
 
 
 def test_an_artefact_of_version_0_2_is_stale(tmp_path: Path) -> None:
     folder = tmp_path / "toy"
-    record = make_artefact(folder, recipe(), fill)
+    record = make_artefact(folder, artefact_key(), fill)
     old = {k: v for k, v in record.items() if k not in ("files", "format")}
     (folder / "artefact.json").write_text(json.dumps({**old, "key": "of another time"}))
-    assert state_of(folder, recipe()) == "stale"
-    make_artefact(folder, recipe(), fill)
+    assert state_of(folder, artefact_key()) == "stale"
+    make_artefact(folder, artefact_key(), fill)
     assert [p.name for p in tmp_path.iterdir()] == ["toy"]

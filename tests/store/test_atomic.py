@@ -20,7 +20,7 @@ import numpy as np
 from lightsim.errors import ArtefactError
 from lightsim.store.arrays import save_arrays
 from lightsim.store.artefact import write_text
-from lightsim.store.checkpoint import FolderJournal
+from lightsim.store.checkpoint import FolderCheckpointer
 from lightsim.store.images import write_exr, write_png
 from lightsim.store.mp4 import Mp4Writer
 from lightsim.store.weights import WeightsRecord, write_weights
@@ -39,7 +39,7 @@ writers = {
     "a.safetensors": lambda p: write_weights(
         p, {"noise": torch.from_numpy(noise)}, WeightsRecord(*"noise by hand".split(), *[""] * 6)
     ),
-    "checkpoint.pt": lambda p: FolderJournal(p.parent).save(tensor),
+    "checkpoint.pt": lambda p: FolderCheckpointer(p.parent).save(tensor),
     "a.txt": lambda p: write_text(p, "x" * 500_000),
     "a.mp4": film,
 }

@@ -20,7 +20,7 @@ from lightsim.lighting.target_sky import dome_from_array, parse_time
 from lightsim.reconstruct.field.config import config_from_json
 from lightsim.store.arrays import load_arrays, save_arrays
 from lightsim.store.assets import read_assets, read_mesh, write_mesh
-from lightsim.store.checkpoint import FolderJournal
+from lightsim.store.checkpoint import FolderCheckpointer
 from lightsim.store.entries import Entries
 from lightsim.store.log import reading_from_json
 from lightsim.store.reading import read_bytes
@@ -139,14 +139,14 @@ def test_entries_of_another_type_are_named() -> None:
 
 
 def test_a_broken_line_of_metrics_is_named(tmp_path: Path) -> None:
-    journal = FolderJournal(tmp_path)
-    journal.save({"step": 3})
+    checkpointer = FolderCheckpointer(tmp_path)
+    checkpointer.save({"step": 3})
     (tmp_path / "metrics.jsonl").write_text('{"step": 1}\n{"step"\n')
     with pytest.raises(ArtefactError, match=r"metrics\.jsonl"):
-        journal.load()
-    journal.save({"steps": 3})
+        checkpointer.load()
+    checkpointer.save({"steps": 3})
     with pytest.raises(ArtefactError, match=r"checkpoint\.pt"):
-        journal.load()
+        checkpointer.load()
 
 
 def test_skies_beyond_float_sums_are_refused() -> None:

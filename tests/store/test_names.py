@@ -38,7 +38,7 @@ def test_hostile_ids_become_plain_names_that_differ(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(f"{name}.glb" for name in names)
 
 
-def test_ids_that_differ_by_case_alone_do_not_share_a_file() -> None:
+def test_ids_that_differ_by_case_alone_do_not_fraction_a_file() -> None:
     names = file_names(["Car", "car", "bus"])
     assert names["bus"] == "bus"
     assert len({name.casefold() for name in names.values()}) == 3

@@ -25,7 +25,7 @@ from lightsim.synthetic.geometry import Snapshot
 from lightsim.synthetic.lidar import scan
 from lightsim.synthetic.plan import StreetConfig, plan_street
 from lightsim.synthetic.rig import mount_cameras, street_from_ego
-from lightsim.synthetic.sensor import develop
+from lightsim.synthetic.sensor import camera_isp
 from lightsim.synthetic.shapes import rectangle, tube
 from lightsim.synthetic.skies import build_sky, environment, sky_specs
 from lightsim.synthetic.street import (
@@ -139,10 +139,10 @@ def test_texture_lookup_repeats_and_interpolates() -> None:
 
 def test_the_sensor_clips_and_its_noise_is_one_per_cent_or_two(rng: np.random.Generator) -> None:
     grey = np.full((200, 200, 3), 0.18, dtype=np.float32)
-    clean, noisy = develop(grey, np.ones(3), None), develop(grey, np.ones(3), rng)
+    clean, noisy = camera_isp(grey, np.ones(3), None), camera_isp(grey, np.ones(3), rng)
     assert np.unique(clean).tolist() == [118]
     assert 0.5 < noisy.std() < 1.5
-    assert develop(grey * 100, np.ones(3), rng).min() == 255
+    assert camera_isp(grey * 100, np.ones(3), rng).min() == 255
 
 
 def _grey() -> Finish:

@@ -81,15 +81,15 @@ def open_ground(height_px: int) -> StreetView:
     rows = np.minimum((cosine_rows / np.pi * height_px).astype(np.int64), height_px // 2 - 1)
     columns = np.arange(64) * 7 % (2 * height_px)
     cells = 2 * half + rows * 2 * height_px + columns
-    share = np.zeros((height_px, 2 * height_px), np.uint8)
-    share[height_px // 2 :] = 255
+    fraction = np.zeros((height_px, 2 * height_px), np.uint8)
+    fraction[height_px // 2 :] = 255
     return StreetView(
         pixel,
         np.full((half, 3), 255, np.uint8),
         np.tile(np.array([0, 0, 127], np.int8), (half, 1)),
         np.repeat(cells[:, None], half, axis=1).astype(np.uint16),
         np.zeros((64, half), np.uint8),
-        share,
+        fraction,
     )
 
 

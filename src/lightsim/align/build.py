@@ -43,7 +43,7 @@ def align_log(
     switched = Alignment(
         has_rolling_shutter=config.rolling_shutter,
         has_point_times=config.point_times,
-        has_own_car_masks=config.own_car_masks,
+        has_ego_vehicle_masks=config.ego_vehicle_masks,
     )
     log = switched.applied_to(log)
     frames = _frames_to_compare(log, config)

@@ -9,7 +9,7 @@ from lightsim.errors import InputError
 PARTS = (
     "rolling_shutter",
     "point_times",
-    "own_car_masks",
+    "ego_vehicle_masks",
     "lidar_poses",
     "actor_tracks",
     "camera_poses",
@@ -33,8 +33,8 @@ class AlignConfig:
     """Keep the shutters that the log's reader gave the frames."""
     point_times: bool = True
     """Each return has its own time and origin; else those of its sweep's middle."""
-    own_car_masks: bool = True
-    """Leave the recording car out of its pictures."""
+    ego_vehicle_masks: bool = True
+    """Leave the ego vehicle out of its pictures."""
     lidar_poses: bool = True
     """Refine the ego's path by the agreement of the sweeps."""
     actor_tracks: bool = True

@@ -159,8 +159,8 @@ def _collect(
         frame = view.frame
         inverse_depth = view.inverse_depth.astype(np.float32)
         alpha = None if sky_matte is None else sky_matte(frame)
-        own_car = log.own_car_masks.get(frame.camera_name)
-        pixel_weight = pixel_weights(image, own_car, alpha, inverse_depth)
+        ego_vehicle = log.ego_vehicle_masks.get(frame.camera_name)
+        pixel_weight = pixel_weights(image, ego_vehicle, alpha, inverse_depth)
         scene.place(frame, MAX_VIEW_M)
         _project(corners, scene, view, log.cameras[frame.camera_name], config)
         step, tolerance = float(DEPTH_STEP_PX), config.occlusion_tolerance_m

@@ -153,20 +153,20 @@ def sample_texels(chosen, patch, faces, uv, depth, weight, view, samples):
         if min(depth[a], depth[b], depth[c]) < _NEAR_M:
             continue
         n, t = resolution[f], first[f]
-        share, colour = np.empty(3), np.empty(3)
+        fraction, colour = np.empty(3), np.empty(3)
         for j in range(n + 1):
             for i in range(row_length(n, j)):
-                corner_weights(n, corner[f], i, j, share)
-                sharp = share[0] * weight[a] + share[1] * weight[b] + share[2] * weight[c]
-                share[0] *= depth[a]
-                share[1] *= depth[b]
-                share[2] *= depth[c]
-                z = share[0] + share[1] + share[2]
+                corner_weights(n, corner[f], i, j, fraction)
+                sharp = fraction[0] * weight[a] + fraction[1] * weight[b] + fraction[2] * weight[c]
+                fraction[0] *= depth[a]
+                fraction[1] *= depth[b]
+                fraction[2] *= depth[c]
+                z = fraction[0] + fraction[1] + fraction[2]
                 t += 1
                 if z < _NEAR_M or sharp <= 0.0:
                     continue
-                u = (share[0] * uv[a, 0] + share[1] * uv[b, 0] + share[2] * uv[c, 0]) / z
-                v = (share[0] * uv[a, 1] + share[1] * uv[b, 1] + share[2] * uv[c, 1]) / z
+                u = (fraction[0] * uv[a, 0] + fraction[1] * uv[b, 0] + fraction[2] * uv[c, 0]) / z
+                v = (fraction[0] * uv[a, 1] + fraction[1] * uv[b, 1] + fraction[2] * uv[c, 1]) / z
                 if u < 1.0 or v < 1.0 or u > width - 1.0 or v > height - 1.0:
                     continue
                 if not is_visible(inverse_depth, step, u, v, z, tolerance_m):
@@ -219,16 +219,16 @@ def robust_texels(samples, linear, inverse_gains, limit, radiance, is_seen):
 def vertex_sums(patch, faces, area, radiance, is_seen, sums, total):
     """Add up the seen texels around each vertex, by area and nearness."""
     resolution, corner, first = patch
-    share = np.empty(3)
+    fraction = np.empty(3)
     for f in range(faces.shape[0]):
         n, t = resolution[f], first[f]
         unit = area[f] / (first[f + 1] - first[f])
         for j in range(n + 1):
             for i in range(row_length(n, j)):
                 if is_seen[t]:
-                    corner_weights(n, corner[f], i, j, share)
+                    corner_weights(n, corner[f], i, j, fraction)
                     for c in range(3):
-                        w = unit * max(share[c], 0.0)
+                        w = unit * max(fraction[c], 0.0)
                         total[faces[f, c]] += w
                         for k in range(3):
                             sums[faces[f, c], k] += w * radiance[t, k]
@@ -242,14 +242,14 @@ def fill_unseen_texels(patch, faces, colour, radiance, is_seen):
     resolution, corner, first = patch
     for f in prange(faces.shape[0]):
         n, t = resolution[f], first[f]
-        share = np.empty(3)
+        fraction = np.empty(3)
         for j in range(n + 1):
             for i in range(row_length(n, j)):
                 if not is_seen[t]:
-                    corner_weights(n, corner[f], i, j, share)
+                    corner_weights(n, corner[f], i, j, fraction)
                     for k in range(3):
                         value = 0.0
                         for c in range(3):
-                            value += share[c] * colour[faces[f, c], k]
+                            value += fraction[c] * colour[faces[f, c], k]
                         radiance[t, k] = max(value, 0.0)
                 t += 1

@@ -27,7 +27,7 @@ def build_assets(
     """The same meshes with colour at image resolution, and the gain of each camera.
 
     Textures and `base_colour` hold the mean observed RADIANCE at this stage (linear, gains
-    divided out); `delight` turns it into albedo once the source light is known.
+    divided out); `decompose` turns it into albedo once the source light is known.
     Frames that must not influence colours are simply left out of `log`; pixels that
     `sky_matte` calls sky give no colour.
     """

@@ -44,9 +44,9 @@ def fill_unseen(
     k = min(_NEIGHBOURS, len(known))
     distance, index = KDTree(mesh.vertices[known]).query(mesh.vertices[unknown], k=k)
     distance, index = distance.reshape(len(unknown), k), index.reshape(len(unknown), k)
-    share = 1.0 / np.maximum(distance, 1e-3) ** 2
-    share /= share.sum(axis=1, keepdims=True)
-    result[unknown] = (share[:, :, None] * result[known][index]).sum(axis=1)
+    fraction = 1.0 / np.maximum(distance, 1e-3) ** 2
+    fraction /= fraction.sum(axis=1, keepdims=True)
+    result[unknown] = (fraction[:, :, None] * result[known][index]).sum(axis=1)
     return _relax(mesh, result, unknown).astype(np.float32)
 
 

@@ -65,10 +65,10 @@ def _camera_means(
     means = np.zeros((camera_count, len(colours), 3))
     is_seen = np.zeros((camera_count, len(colours)), dtype=bool)
     for camera in range(camera_count):
-        share = np.where(is_fair & (cameras == camera), weights, 0.0)
-        total = share.sum(axis=1)
+        fraction = np.where(is_fair & (cameras == camera), weights, 0.0)
+        total = fraction.sum(axis=1)
         is_seen[camera] = total > 0
-        mean = (share[:, :, None] * colours).sum(axis=1) / np.where(total > 0, total, 1)[:, None]
+        mean = (fraction[:, :, None] * colours).sum(axis=1) / np.where(total > 0, total, 1)[:, None]
         means[camera] = np.log(np.where(total[:, None] > 0, mean, 1.0))
     return means, is_seen
 

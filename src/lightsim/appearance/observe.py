@@ -41,7 +41,7 @@ _EDGE_RADIUS_PX = 4
 _EDGE_WEIGHT = 0.1
 # Visibility is tested against a depth image with one ray for this many pixels.
 DEPTH_STEP_PX = 2
-# Surfaces further from a camera take no colour from it; the backdrop is nearer.
+# Surfaces further from a camera take no colour from it; the background proxy is nearer.
 MAX_VIEW_M = 400.0
 
 
@@ -237,18 +237,18 @@ def load_image(frame: CameraFrame, camera: PinholeCamera) -> UInt8[np.ndarray, "
 
 def pixel_weights(
     image: UInt8[np.ndarray, "h w 3"],
-    own_car: Bool[np.ndarray, "h w"] | None,
+    ego_vehicle: Bool[np.ndarray, "h w"] | None,
     sky_alpha: Float32[np.ndarray, "h w"] | None,
     inverse_depth: Float32[np.ndarray, "h2 w2"],
 ) -> Float32[np.ndarray, "h w"]:
-    """Little where a channel is clipped or an outline is near, nothing on own car and sky."""
+    """Little where a channel is clipped or an outline is near, nothing on ego vehicle and sky."""
     weight = np.where(image.max(axis=2) >= CLIPPED_CODE, _CLIPPED_WEIGHT, 1.0)
     step = DEPTH_STEP_PX
     is_outline = outlines(inverse_depth, _EDGE_STEP, _EDGE_RADIUS_PX / step)
     is_outline = is_outline.repeat(step, axis=0).repeat(step, axis=1)
     weight[is_outline[: len(weight), : weight.shape[1]]] *= _EDGE_WEIGHT
-    if own_car is not None:
-        weight[own_car] = 0.0
+    if ego_vehicle is not None:
+        weight[ego_vehicle] = 0.0
     if sky_alpha is not None:
         weight[sky_alpha > _SKY_ALPHA] = 0.0
     return weight.astype(np.float32)

@@ -85,7 +85,7 @@ class Alignment:
         actors: corrected `world_from_actor` of each pose of a track, by actor id.
         has_rolling_shutter: whether frames keep the shutter that the log's reader gave them.
         has_point_times: whether returns keep their own times and origins, not their sweep's.
-        has_own_car_masks: whether the log keeps its masks of the recording car.
+        has_ego_vehicle_masks: whether the log keeps its masks of the ego vehicle.
         numbers: what was measured, by name; for reports.
         notes: for people.
     """
@@ -95,7 +95,7 @@ class Alignment:
     actors: Mapping[str, Float[np.ndarray, "_ 4 4"]] = field(default_factory=dict)
     has_rolling_shutter: bool = True
     has_point_times: bool = True
-    has_own_car_masks: bool = True
+    has_ego_vehicle_masks: bool = True
     numbers: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
@@ -109,7 +109,7 @@ class Alignment:
             sweeps=tuple(self._sweep(sweep) for sweep in log.sweeps),
             ego=self._trajectory(log.ego),
             actors=tuple(self._actor(actor) for actor in log.actors),
-            own_car_masks=log.own_car_masks if self.has_own_car_masks else {},
+            ego_vehicle_masks=log.ego_vehicle_masks if self.has_ego_vehicle_masks else {},
         )
 
     def _trajectory(self, trajectory: Trajectory) -> Trajectory:

@@ -25,14 +25,14 @@ class GBuffers:
     """Cosine-weighted fraction of the upper hemisphere about the normal that is open; sky 1."""
     actor_index: Int32[np.ndarray, "h w"]
     """Index into the frame's list of placed actors, BACKGROUND or NO_SURFACE."""
-    lifted_world: Float32[np.ndarray, "h w 3"] | None = None
+    offset_world: Float32[np.ndarray, "h w 3"] | None = None
     """Points of the curved surface that the faces' smooth normals tell of; None: the position."""
 
     @property
     def ray_starts_world(self) -> Float32[np.ndarray, "h w 3"]:
         """Where rays that leave the surface start: on the curved surface, not on the flat faces,
         which would shadow themselves where they turn away from the light."""
-        return self.position_world if self.lifted_world is None else self.lifted_world
+        return self.position_world if self.offset_world is None else self.offset_world
 
     @property
     def has_surface(self) -> Bool[np.ndarray, "h w"]:
@@ -51,7 +51,7 @@ class ShadowBuffers:
         bounce: light from other surfaces.
         shaded: direct_sun + sky + bounce.
         unshadowed: the same light without visibility rays and without bounce.
-        coverage: share of each pixel that shows a surface, where pixels were sampled; light is
+        coverage: fraction of each pixel that shows a surface, where pixels were sampled; light is
             the mean over that share. None: 1 where the pixel's centre shows a surface, else 0.
         diffuse: radiance of the surfaces by diffuse reflection, mean over the covered share.
             None: base colour times `shaded`.

@@ -198,8 +198,8 @@ def _disc_radiance(
     column = np.minimum((uv[:, 0] * 2 * height_px).astype(np.int64), 2 * height_px - 1)
     row = np.minimum((uv[:, 1] * height_px).astype(np.int64), height_px - 1)
     index, hits = np.unique(row * 2 * height_px + column, return_counts=True)
-    share = hits / count / solid_angles_sr(height_px)[index // (2 * height_px), 0]
-    return index, share[:, None] * energy
+    fraction = hits / count / solid_angles_sr(height_px)[index // (2 * height_px), 0]
+    return index, fraction[:, None] * energy
 
 
 @dataclass(frozen=True, eq=False)

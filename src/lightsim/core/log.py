@@ -44,8 +44,8 @@ class DrivingLog:
     ego: Trajectory
     actors: tuple[ActorTrack, ...]
     geo: GeoReference | None
-    own_car_masks: Mapping[str, Bool[np.ndarray, "h w"]]
-    """True where a camera sees the recording car itself; cameras without an entry do not."""
+    ego_vehicle_masks: Mapping[str, Bool[np.ndarray, "h w"]]
+    """True where a camera sees the ego vehicle itself; cameras without an entry do not."""
     notes: tuple[str, ...] = ()
     """What was odd or substituted while reading: said once, recorded in the artefact."""
     semantic_names: Mapping[int, str] = field(default_factory=dict[int, str])
@@ -86,11 +86,11 @@ FindEgoVehicle = Callable[
     [Sequence[tuple[PinholeCamera, Sequence[CameraFrame]]], Trajectory],
     tuple[dict[str, Bool[np.ndarray, "h w"]], tuple[str, ...]],
 ]
-"""(cameras with their frames, world_from_ego) -> masks of the recording car, notes."""
+"""(cameras with their frames, world_from_ego) -> masks of the ego vehicle, notes."""
 
 
 def without_ego_vehicle(
     views: Sequence[tuple[PinholeCamera, Sequence[CameraFrame]]], ego: Trajectory
 ) -> tuple[dict[str, Bool[np.ndarray, "h w"]], tuple[str, ...]]:
-    """No masks: nobody looked for the recording car."""
+    """No masks: nobody looked for the ego vehicle."""
     return {}, ()

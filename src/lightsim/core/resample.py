@@ -53,11 +53,11 @@ def resize_sphere(
 def _overlaps(
     old: Float[np.ndarray, " o"], new: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "m k"]:
-    """The share of each new interval (rows) that lies in each old one (columns)."""
+    """The fraction of each new interval (rows) that lies in each old one (columns)."""
     low = np.maximum(new[:-1, None], old[None, :-1])
     high = np.minimum(new[1:, None], old[None, 1:])
-    share = np.clip(high - low, 0.0, None)
-    return share / share.sum(axis=1, keepdims=True)
+    fraction = np.clip(high - low, 0.0, None)
+    return fraction / fraction.sum(axis=1, keepdims=True)
 
 
 def _look_ups(old: int, new: int, is_around: bool) -> Float[np.ndarray, "n o"]:

@@ -13,7 +13,7 @@ from lightsim.core.log import GeoReference
 MIN_PATH_M = 3.0
 """A shorter ego path says too little about its own direction."""
 _MAX_RESIDUAL_SHARE = 0.2
-"""Above this share of the path's spread, path and track do not show the same drive."""
+"""Above this fraction of the path's spread, path and track do not show the same drive."""
 _SEMI_MAJOR_M = 6378137.0
 _ECCENTRICITY_SQUARED = 6.69437999014e-3
 

@@ -37,7 +37,7 @@ def read_log(
 
     Args:
         reading: its image scale and held-out frames are the caller's business.
-        find_ego_vehicle: finds the recording car in the pictures; by default nobody looks.
+        find_ego_vehicle: finds the ego vehicle in the pictures; by default nobody looks.
 
     Raises:
         InputError: the folder is of no known data set, or a file in it is missing or broken.

@@ -37,9 +37,9 @@ def at_scale(log: DrivingLog, image_scale: float) -> DrivingLog:
             mask[..., None].astype(np.float32), cameras[name].height_px, cameras[name].width_px
         )[..., 0]
         > 0.01
-        for name, mask in log.own_car_masks.items()
+        for name, mask in log.ego_vehicle_masks.items()
     }
-    return replace(log, cameras=cameras, frames=frames, own_car_masks=masks)
+    return replace(log, cameras=cameras, frames=frames, ego_vehicle_masks=masks)
 
 
 def _resized_loader(frame: CameraFrame, camera: PinholeCamera) -> Loader:

@@ -26,7 +26,7 @@ ActorsAt = Callable[[int], Sequence[TriMesh]]
 
 # LiDAR returns drawn from each sweep.
 _RETURNS_PER_SWEEP = 20_000
-# Nearer returns are the recording car itself.
+# Nearer returns are the ego vehicle itself.
 _LEAST_DISTANCE_M = 3.0
 # Farther returns do not count.
 _LARGEST_DISTANCE_M = 80.0
@@ -83,11 +83,11 @@ class LidarScores:
 
     Args:
         count: returns compared.
-        hit_rate: share of the beams that meet a mesh at all.
+        hit_rate: fraction of the beams that meet a mesh at all.
         median_abs_m: median of the absolute error.
         percentile_90_m: 90th percentile of it.
         median_signed_m: positive where meshes lie behind the returns.
-        within_10_cm: share of all beams whose error is below 10 cm.
+        within_10_cm: fraction of all beams whose error is below 10 cm.
         median_across_m: median of the error across the surface (times the cosine of incidence):
             a road met at two degrees turns 1 cm of height into 30 cm along the beam.
     """
@@ -305,8 +305,8 @@ def _sample_near(
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
     """About `count` points on the seen part of a mesh, evenly by area, and their faces.
 
-    The density must not depend on how much of the mesh lies elsewhere (a far backdrop, the outer
-    ground): samples are drawn until enough lie near what was seen.
+    The density must not depend on how much of the mesh lies elsewhere (a far background proxy, the
+    outer ground): samples are drawn until enough lie near what was seen.
     """
     if seen is None:
         return sample_surface(mesh, count, rng)

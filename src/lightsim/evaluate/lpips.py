@@ -62,7 +62,7 @@ def lpips_of_features(
 ) -> float:
     """Distance of two images by their features, averaged over the valid pixels.
 
-    At each stage a cell counts with the share of its pixels that are valid. Fill what is not
+    At each stage a cell counts with the fraction of its pixels that are valid. Fill what is not
     valid alike in both images before taking features, since receptive fields reach across.
     """
     weights = _weights()
@@ -75,8 +75,8 @@ def lpips_of_features(
                 continue
             mask = torch.from_numpy(is_valid.astype(np.float32))[None, None]
             cells = (distance.shape[0], distance.shape[1])
-            share = functional.adaptive_avg_pool2d(mask, cells)[0, 0]
-            total += float((distance * share).sum() / share.sum())
+            fraction = functional.adaptive_avg_pool2d(mask, cells)[0, 0]
+            total += float((distance * fraction).sum() / fraction.sum())
     return total
 
 

@@ -61,8 +61,8 @@ def filter_normals(points, faces, near, count, rounds, spread):
                 g = near[f, q]
                 far = ((centres[f] - centres[g]) ** 2).sum()
                 other = ((normals[f] - normals[g]) ** 2).sum()
-                share = math.exp(-0.5 * far / reach - 0.5 * other / (spread * spread))
-                total = total + area[g] * share * normals[g]
+                fraction = math.exp(-0.5 * far / reach - 0.5 * other / (spread * spread))
+                total = total + area[g] * fraction * normals[g]
             length = math.sqrt((total * total).sum())
             if length > 0.0:
                 new[f] = total / length

@@ -26,7 +26,7 @@ from lightsim.geometry.simplify import denoise, simplify
 from lightsim.geometry.surface import background_levels, drop_floaters
 from lightsim.progress import Progress
 
-Calm = Callable[[TriMesh, float], TriMesh]
+SmoothPlanes = Callable[[TriMesh, float], TriMesh]
 """Takes the noise off a level of the background that lies on known shapes, such as walls; the
 number is the distance between the level's samples, in metres."""
 
@@ -54,10 +54,10 @@ def mesh_scene(
     *,
     make_caster: MakeCaster,
     progress: Progress,
-    calm: Calm | None = None,
+    smooth_planes: SmoothPlanes | None = None,
 ) -> SceneAssets:
     """Background and actors as black meshes; no gains yet (assets.build.build_assets)."""
-    background = mesh_background(fields, make_caster, calm)
+    background = mesh_background(fields, make_caster, smooth_planes)
     background = classify_background(background, log, fields.ground)
     actors, notes = {}, list(fields.notes)
     for track in progress.track(log.actors, "mesh the actors", len(log.actors)):
@@ -83,15 +83,15 @@ def _with_face_classes(mesh: TriMesh, track: ActorTrack, evidence: ActorEvidence
 
 
 def mesh_background(
-    fields: SceneFields, make_caster: MakeCaster, calm: Calm | None = None
+    fields: SceneFields, make_caster: MakeCaster, smooth_planes: SmoothPlanes | None = None
 ) -> TriMesh:
     """All levels of the static scene in one mesh, ground closed; black."""
     levels = []
     for level, grid in zip(background_levels(fields, _MIN_WEIGHT), fields.background, strict=True):
         mesh = drop_floaters(level, _MIN_PIECE_M2)
         mesh = trim_ground(mesh, fields.ground, fields.path_m)
-        if calm is not None:
-            mesh = calm(mesh, grid.voxel_m)
+        if smooth_planes is not None:
+            mesh = smooth_planes(mesh, grid.voxel_m)
         levels.append(_refined(mesh, grid.voxel_m))
     surface = concatenate_meshes(levels)
     if len(surface.faces) == 0:

@@ -53,12 +53,12 @@ def simplify(
     remaining = len(points)
     for _ in range(_MAX_ROUNDS):
         start, members = faces_by_vertex(faces, len(points))
-        edges, shares, kind = list_edges(faces, groups, start, members)
-        cost, place = edge_costs(points, edges, shares, kind, quadrics, weight, error, edge)
+        edges, fractions, kind = list_edges(faces, groups, start, members)
+        cost, place = edge_costs(points, edges, fractions, kind, quadrics, weight, error, edge)
         order = np.flatnonzero(np.isfinite(cost))
         order = order[np.argsort(cost[order], kind="stable")]
         done = collapse_round(
-            points, faces, groups, start, members, edges, shares, cost, place, order,
+            points, faces, groups, start, members, edges, fractions, cost, place, order,
             quadrics, weight, error, edge,
         )  # fmt: skip
         alive = faces[:, 0] >= 0

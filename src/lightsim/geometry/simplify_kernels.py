@@ -74,7 +74,7 @@ def list_edges(faces, groups, start, members):
     """Every edge once (first < second), the faces that share it, and the kind of each vertex."""
     count = start.shape[0] - 1
     edges = np.empty((members.shape[0], 2), np.int64)
-    shares = np.empty(members.shape[0], np.int64)
+    fractions = np.empty(members.shape[0], np.int64)
     kind = np.zeros(count, np.int8)
     found, uses = np.empty(64, np.int64), np.empty(64, np.int64)
     group = np.empty(64, np.int64)
@@ -90,9 +90,9 @@ def list_edges(faces, groups, start, members):
             elif uses[q] != 2:
                 kind[v] = max(kind[v], BORDER)
             if v < found[q]:
-                edges[n, 0], edges[n, 1], shares[n] = v, found[q], uses[q]
+                edges[n, 0], edges[n, 1], fractions[n] = v, found[q], uses[q]
                 n += 1
-    return edges[:n].copy(), shares[:n].copy(), kind
+    return edges[:n].copy(), fractions[:n].copy(), kind
 
 
 @njit(cache=True, nogil=True)
@@ -202,7 +202,7 @@ def _square(points, v, w):
 
 @njit(cache=True, nogil=True, parallel=True)
 @no_type_check
-def edge_costs(points, edges, shares, kind, quadrics, weight, max_error, max_edge):
+def edge_costs(points, edges, fractions, kind, quadrics, weight, max_error, max_edge):
     """Where each edge would collapse to and the RMS distance from the planes around; inf where
     it must stay."""
     cost = np.full(edges.shape[0], np.inf)
@@ -211,7 +211,7 @@ def edge_costs(points, edges, shares, kind, quadrics, weight, max_error, max_edg
     for e in prange(edges.shape[0]):
         v, w = edges[e, 0], edges[e, 1]
         is_border_pair = kind[v] == BORDER and kind[w] == BORDER
-        if kind[v] == FIXED or kind[w] == FIXED or (is_border_pair and shares[e] == 2):
+        if kind[v] == FIXED or kind[w] == FIXED or (is_border_pair and fractions[e] == 2):
             continue
         square = _square(points, v, w)
         if square > min(max_edge[v], max_edge[w]) ** 2:
@@ -274,7 +274,7 @@ def _is_sound(v, other, p, points, faces, start, members, limit):
 @njit(cache=True, nogil=True)
 @no_type_check
 def collapse_round(  # noqa: C901, PLR0913 - one compiled loop over flat arrays
-    points, faces, groups, start, members, edges, shares, cost, place, order,
+    points, faces, groups, start, members, edges, fractions, cost, place, order,
     quadrics, weight, max_error, max_edge,
 ):  # fmt: skip
     """Collapse edges in order of cost, each vertex ring at most once. Dead faces get index -1.
@@ -300,7 +300,7 @@ def collapse_round(  # noqa: C901, PLR0913 - one compiled loop over flat arrays
         for j in range(n_w):
             blocked = blocked or is_touched[near_w[j]]
         # The link condition: two faces share the edge and nothing else joins its ends.
-        if blocked or common != shares[e] % 100:
+        if blocked or common != fractions[e] % 100:
             continue
         limit = min(max_edge[v], max_edge[w])
         if not _is_sound(v, w, place[e], points, faces, start, members, limit):

@@ -1,4 +1,4 @@
-"""The recording car in its own pictures: what stays put below a fixed edge while the ego moves."""
+"""The ego vehicle in its own pictures: what stays put below a fixed edge while the ego moves."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ _HOLD_S = 1.0
 _PICTURES = 12
 # The ego must have moved this far between the first and the last picture.
 _MIN_PATH_M = 5.0
-# The outline is looked for in this lower share of the picture.
+# The outline is looked for in this lower fraction of the picture.
 _SEARCH_HEIGHT = 0.4
 # Grey levels per pixel of a standing edge that counts as outline.
 _MIN_EDGE = 6.0
 # Steepness of the outline: rows per column of the reduced picture.
 _MAX_STEP_PX = 2
-# Share of the picture's width over which the outline must stand.
+# Fraction of the picture's width over which the outline must stand.
 _MIN_COLUMNS = 0.3
 # Median change in time, in grey levels, of what lies below the outline.
 _MAX_CHANGE = 2.0
@@ -40,13 +40,13 @@ _MAX_CHANGE = 2.0
 _MARGIN_PX = 2
 
 
-def find_own_car(images: Float32[np.ndarray, "n h w"]) -> Bool[np.ndarray, "h w"]:
-    """True where the recording car covers the picture; all False where none is found.
+def find_ego_vehicle(images: Float32[np.ndarray, "n h w"]) -> Bool[np.ndarray, "h w"]:
+    """True where the ego vehicle covers the picture; all False where none is found.
 
-    Outside, edges wander while the ego moves; those of the own car stand still. So for every
+    Outside, edges wander while the ego moves; those of the ego vehicle stand still. So for every
     column the row of the strongest standing edge is sought, joined to one outline from left to
-    right by dynamic programming in which a column without own car costs nothing. What lies below
-    must moreover hardly change, which a kerb parallel to the motion does not pass.
+    right by dynamic programming in which a column without ego vehicle costs nothing. What lies
+    below must moreover hardly change, which a kerb parallel to the motion does not pass.
 
     Args:
         images: grey pictures (0 to 255) of one camera, taken along the drive and reduced to a few
@@ -57,7 +57,7 @@ def find_own_car(images: Float32[np.ndarray, "n h w"]) -> Bool[np.ndarray, "h w"
     """
     n, height, width = images.shape
     if n < 3:
-        raise InputError("too few pictures to find the own car", got=n, expected="3 or more")
+        raise InputError("too few pictures to find the ego vehicle", got=n, expected="3 or more")
     top = min(height - 2, int(height * (1.0 - _SEARCH_HEIGHT)))
     outline = _outline(_standing_edges(images)[top:] - _MIN_EDGE, _MAX_STEP_PX) + top
     is_car_column = outline < height - 1
@@ -79,7 +79,7 @@ def _standing_edges(images: Float32[np.ndarray, "n h w"]) -> Float64[np.ndarray,
 
 
 def _outline(reward: Float64[np.ndarray, "h w"], max_step_px: int) -> Int64[np.ndarray, " w"]:
-    """The row of the outline in each column; the last row stands for no own car."""
+    """The row of the outline in each column; the last row stands for no ego vehicle."""
     height, width = reward.shape
     reward = reward.copy()
     reward[-1] = 0.0
@@ -110,7 +110,7 @@ def _grown_upwards(mask: Bool[np.ndarray, "h w"], n_px: int) -> Bool[np.ndarray,
 def ego_vehicle_masks(
     views: Sequence[tuple[PinholeCamera, Sequence[CameraFrame]]], ego: Trajectory
 ) -> tuple[dict[str, Bool[np.ndarray, "h w"]], tuple[str, ...]]:
-    """The recording car's mask of every camera that sees it, by camera name, and notes.
+    """The ego vehicle's mask of every camera that sees it, by camera name, and notes.
 
     Args:
         views: cameras with their frames in order of time.
@@ -121,11 +121,11 @@ def ego_vehicle_masks(
     for camera, frames in views:
         if len(frames) < 3 or _path_m(frames, ego) < _MIN_PATH_M:
             notes.append(
-                f"{camera.name}: too little motion to find the recording car in its pictures"
+                f"{camera.name}: too little motion to find the ego vehicle in its pictures"
             )
             continue
         chosen = np.unique(np.linspace(0, len(frames) - 1, _PICTURES).round().astype(int))
-        small = find_own_car(np.stack([_small_grey(frames[i]) for i in chosen]))
+        small = find_ego_vehicle(np.stack([_small_grey(frames[i]) for i in chosen]))
         if small.any():
             masks[camera.name] = _enlarged(small, camera)
     return masks, tuple(notes)

@@ -67,7 +67,7 @@ def estimate_sky_matte(
     camera: PinholeCamera,
     world_from_camera: RigidTransform,
     lidar_points_world: Float[np.ndarray, "n 3"],
-    own_car_mask: Bool[np.ndarray, "h w"] | None,
+    ego_vehicle_mask: Bool[np.ndarray, "h w"] | None,
 ) -> Float32[np.ndarray, "h w"]:
     """Fraction of each pixel that is sky: 1 sky, 0 anything else.
 
@@ -79,7 +79,7 @@ def estimate_sky_matte(
         camera: its intrinsics, for exactly this image size.
         world_from_camera: the camera's pose; world z is up.
         lidar_points_world: returns around the time of the image; may be empty.
-        own_car_mask: True where the camera sees the recording car.
+        ego_vehicle_mask: True where the camera sees the ego vehicle.
 
     Raises:
         InputError: image and camera differ in size.
@@ -92,7 +92,7 @@ def estimate_sky_matte(
             got=f"image {width}x{height} px",
             expected=f"{camera.width_px}x{camera.height_px} px",
         )
-    evidence = _gather(srgb8, camera, world_from_camera, lidar_points_world, own_car_mask)
+    evidence = _gather(srgb8, camera, world_from_camera, lidar_points_world, ego_vehicle_mask)
     if not (evidence.elevation_deg > _HORIZON_DEG).any():
         return np.zeros((height, width), np.float32)
     labels = _segment(evidence.lab)
@@ -118,7 +118,7 @@ def sky_mattes(
             log.cameras[frame.camera_name],
             frame.world_from_camera,
             points_world,
-            log.own_car_masks.get(frame.camera_name),
+            log.ego_vehicle_masks.get(frame.camera_name),
         )
 
     # Array operations leave Python's lock, so threads do share the work.
@@ -160,7 +160,7 @@ def _gather(
     camera: PinholeCamera,
     world_from_camera: RigidTransform,
     lidar_points_world: Float[np.ndarray, "n 3"],
-    own_car_mask: Bool[np.ndarray, "h w"] | None,
+    ego_vehicle_mask: Bool[np.ndarray, "h w"] | None,
 ) -> ImageEvidence:
     """Per-pixel evidence at working width."""
     from skimage.color import rgb2lab
@@ -170,10 +170,10 @@ def _gather(
     rgb = resize_area(srgb8.astype(np.float32) / np.float32(255.0), rows, columns)
     directions = world_from_camera.rotate(small.directions(small.pixel_centres()))
     elevation_deg = np.degrees(np.arcsin(np.clip(directions[..., 2], -1.0, 1.0)))
-    is_own_car = np.zeros((rows, columns), bool)
-    if own_car_mask is not None:
-        share = resize_area(own_car_mask[..., None].astype(np.float32), rows, columns)
-        is_own_car = share[..., 0] > 0.01
+    is_ego_vehicle = np.zeros((rows, columns), bool)
+    if ego_vehicle_mask is not None:
+        fraction = resize_area(ego_vehicle_mask[..., None].astype(np.float32), rows, columns)
+        is_ego_vehicle = fraction[..., 0] > 0.01
     hits = _project_hits(lidar_points_world, small, world_from_camera)
     low, high = _LIDAR_BAND_DEG
     in_band = (elevation_deg > low) & (elevation_deg < high)
@@ -186,7 +186,7 @@ def _gather(
         has_hit=hits,
         is_scanned=elevation_deg < high,
         is_silent=is_silent,
-        is_excluded=is_own_car | (elevation_deg < _HORIZON_DEG),
+        is_excluded=is_ego_vehicle | (elevation_deg < _HORIZON_DEG),
     )
 
 

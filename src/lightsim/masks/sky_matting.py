@@ -33,11 +33,11 @@ def refine_matte(
     c = np.minimum(columns * is_sky.shape[1] // width, is_sky.shape[1] - 1)
     line = sky[r, c] - other[r, c]
     length2 = np.sum(line**2, axis=1)
-    share = np.sum((pixels - other[r, c]) * line, axis=1) / np.maximum(length2, 1e-4)
+    fraction = np.sum((pixels - other[r, c]) * line, axis=1) / np.maximum(length2, 1e-4)
     # Pull the foot and shoulder to 0 and 1: both sides vary around their mean.
-    share = np.clip((share - 0.2) / 0.6, 0.0, 1.0)
+    fraction = np.clip((fraction - 0.2) / 0.6, 0.0, 1.0)
     trust = np.clip(length2 / 0.01, 0.0, 1.0) * reliable[r, c]
-    alpha[rows, columns] = trust * share + (1 - trust) * alpha[rows, columns]
+    alpha[rows, columns] = trust * fraction + (1 - trust) * alpha[rows, columns]
     alpha *= 1.0 - _thin_lines(srgb8)
     is_out = _resize(evidence.is_excluded.astype(np.float32), height, width) > 0.5
     alpha[is_out] = 0.0
@@ -77,7 +77,7 @@ def _local_colours(
 
 
 def _thin_lines(srgb8: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
-    """Share of each pixel that a thin dark line covers: black top-hat over the bright ground."""
+    """Fraction of each pixel that a thin dark line covers: black top-hat over the bright ground."""
     from scipy.ndimage import grey_closing
 
     width = srgb8.shape[1]

@@ -23,7 +23,7 @@ class ImageEvidence:
         has_hit: a LiDAR return falls into the pixel.
         is_scanned: below the top of the LiDAR's field of view, as far as that is certain.
         is_silent: inside the LiDAR's field of view, without a return nearby.
-        is_excluded: own car, or below the horizon.
+        is_excluded: ego vehicle, or below the horizon.
     """
 
     lab: Float32[np.ndarray, "h w 3"]

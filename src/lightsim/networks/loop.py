@@ -20,7 +20,7 @@ _SAVE_EVERY_S = 60.0
 
 
 @runtime_checkable
-class Journal(Protocol):
+class Checkpointer(Protocol):
     """Where training keeps what must survive an interruption; store/checkpoint.py writes files."""
 
     def load(self) -> dict[str, Any] | None: ...
@@ -107,7 +107,7 @@ class Session:
             together they learn from one as many times as large. All start with equal weights.
     """
 
-    journal: Journal
+    checkpointer: Checkpointer
     progress: Progress
     minutes: float | None = None
     device: str = "auto"
@@ -128,9 +128,9 @@ def run_training(
     Raises:
         ArtefactError: the journal's state belongs to other networks.
     """
-    journal, processes = session.journal, session.processes
+    checkpointer, processes = session.checkpointer, session.processes
     loop = _Loop(learners, config, processes)
-    first, before_s = loop.restore(processes.from_first(journal.load))
+    first, before_s = loop.restore(processes.from_first(checkpointer.load))
     started = saved = time.monotonic()
     done = first
     steps = range(first, config.steps)
@@ -144,9 +144,9 @@ def run_training(
         seconds = before_s + now - started
         if processes.is_first and (step % _RECORD_EVERY == 0 or is_last):
             values = {name: float(value.detach()) for name, value in metrics.items()}
-            journal.record({"step": float(step), "seconds": seconds, **values})
+            checkpointer.record({"step": float(step), "seconds": seconds, **values})
         if processes.is_first and (now - saved > _SAVE_EVERY_S or is_over or is_last):
-            journal.save(loop.state(done, seconds))
+            checkpointer.save(loop.state(done, seconds))
             saved = now
         if is_over:
             break

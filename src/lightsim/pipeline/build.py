@@ -30,7 +30,7 @@ from lightsim.progress import Progress
 from lightsim.reconstruct.field import config as neural_config
 from lightsim.reconstruct.fusion import config as fuse_config
 from lightsim.store.artefact import (
-    Recipe,
+    ArtefactKey,
     State,
     find_damage,
     hash_names,
@@ -168,16 +168,16 @@ STAGES = (
 )
 
 
-def recipes(options: BuildOptions, source_key: str) -> dict[str, Recipe]:
+def artefact_keys(options: BuildOptions, source_key: str) -> dict[str, ArtefactKey]:
     """The recipe of every stage; a stage's key holds the keys of all it needs.
 
     Args:
         source_key: hash of the recording.
     """
-    made: dict[str, Recipe] = {}
+    made: dict[str, ArtefactKey] = {}
     for stage in STAGES:
         inputs = {name: made[name].key for name in stage.needs} or {"source": source_key}
-        made[stage.name] = Recipe(
+        made[stage.name] = ArtefactKey(
             stage.name, stage.schema, json_ready(_as_mapping(stage, options)), inputs, options.seed
         )
     return made
@@ -219,14 +219,14 @@ def build(
 
 def _build(work: Path, options: BuildOptions, progress: Progress, until: str) -> Workspace:
     source_hashes = hash_recording(Path(options.reading.source))
-    by_stage = recipes(options, hash_names(source_hashes))
+    by_stage = artefact_keys(options, hash_names(source_hashes))
     write_json(work / OPTIONS_NAME, options)
     workspace = Workspace(work, options.reading, source_hashes)
     context = Context(progress, options.seed, options.preset, options.device)
     for stage in _stages_until(until):
-        recipe = by_stage[stage.name]
+        artefact_key = by_stage[stage.name]
         folder = work / stage.name
-        state = state_of(folder, recipe, is_hashed=True)
+        state = state_of(folder, artefact_key, is_hashed=True)
         if state == "made":
             logger.info("%-14s kept", stage.name)
             continue
@@ -234,7 +234,7 @@ def _build(work: Path, options: BuildOptions, progress: Progress, until: str) ->
         with workspace.opened((*stage.needs, stage.name)):
             record = make_artefact(
                 folder,
-                recipe,
+                artefact_key,
                 lambda partial, stage=stage: stage.make(
                     workspace, stage.config(options), partial, context
                 ),
@@ -289,8 +289,10 @@ def status(work: Path, *, is_hashed: bool = False) -> list[StageStatus]:
         ArtefactError: `work` holds no build.
     """
     options = read_options(work)
-    by_stage = recipes(options, _source_key(work, Path(options.reading.source)))
-    return [_status_of(work / name, recipe, is_hashed) for name, recipe in by_stage.items()]
+    by_stage = artefact_keys(options, _source_key(work, Path(options.reading.source)))
+    return [
+        _status_of(work / name, artefact_key, is_hashed) for name, artefact_key in by_stage.items()
+    ]
 
 
 def _source_key(work: Path, source: Path) -> str:
@@ -302,8 +304,8 @@ def _source_key(work: Path, source: Path) -> str:
     return "" if record is None else record["inputs"].get("source", "")
 
 
-def _status_of(folder: Path, recipe: Recipe, is_hashed: bool) -> StageStatus:
-    state = state_of(folder, recipe)
+def _status_of(folder: Path, artefact_key: ArtefactKey, is_hashed: bool) -> StageStatus:
+    state = state_of(folder, artefact_key)
     try:
         record = read_record(folder)
     except ArtefactError as error:

@@ -42,7 +42,7 @@ from lightsim.progress import Progress
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.image import sky_image
-from lightsim.render.transport.table import TransportConfig
+from lightsim.render.transport.matrix import TransportConfig
 from lightsim.scenario.replay import replay
 from lightsim.store.artefact import read_json, write_json
 from lightsim.synthetic.reader import read_true_meshes, true_source_sky
@@ -136,7 +136,7 @@ def held_out_frames(
     The twin's observed radiance is rendered through each held-out camera, inferred upper facades
     included; beside it stands the trivial baseline, the nearest training image of the same
     camera, and `with_field` the neural field itself, volume-rendered. The region `masked` leaves
-    out sky and own car.
+    out sky and ego vehicle.
 
     Raises:
         InputError: the build held nothing out.
@@ -164,8 +164,8 @@ def held_out_frames(
 
     def is_valid(frame: CameraFrame) -> LoadMask:
         valid = workspace.sky_matte(frame) < 0.5
-        own_car = workspace.recorded_log.own_car_masks.get(frame.camera_name)
-        return valid if own_car is None else valid & ~own_car
+        ego_vehicle = workspace.recorded_log.ego_vehicle_masks.get(frame.camera_name)
+        return valid if ego_vehicle is None else valid & ~ego_vehicle
 
     extra = {"field": _field_renderer(workspace)} if with_field else {}
     tasks = []

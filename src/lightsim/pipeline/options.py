@@ -33,7 +33,7 @@ class BuildOptions:
     at vertices; by default the preset's."""
     no_refine: Names = ()
     """Comma-separated physics of the log to leave out: rolling_shutter, point_times,
-    own_car_masks, lidar_poses, actor_tracks, camera_poses, camera_gains."""
+    ego_vehicle_masks, lidar_poses, actor_tracks, camera_poses, camera_gains."""
     gps: GpsUse = "all"
     """What the sun is found with besides the images: place, time and heading; place and time; or
     nothing."""

@@ -13,7 +13,7 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.pipeline.measures import Measures, read_measures
 from lightsim.pipeline.workspace import Workspace
 from lightsim.render.frame_renderer import FrameRenderer
-from lightsim.render.transport.table import TransportConfig
+from lightsim.render.transport.matrix import TransportConfig
 from lightsim.scenario.replay import replay
 from lightsim.store.artefact import read_json, read_record
 from lightsim.view.figures import (
@@ -54,7 +54,7 @@ def write_build_report(path: Path, work: Workspace, config: ReportConfig) -> Non
     ]
     if frames is not None:
         score = np.mean([r.scores.psnr_db for r in frames.rows if _is_twin(r)])
-        cards.append(Card("held-out PSNR", f"{score:.1f} dB", "without sky and own car"))
+        cards.append(Card("held-out PSNR", f"{score:.1f} dB", "without sky and ego vehicle"))
     sections = [
         _sky_section(work),
         _scene_section(work, config.transport),
@@ -91,7 +91,7 @@ def _sky_section(work: Workspace) -> Section:
 
 def _scene_section(work: Workspace, config: TransportConfig) -> Section:
     log, twin = work.log, work.twin
-    renderer = FrameRenderer(twin.assets.background, work.shadow_casters, config, seed=0)
+    renderer = FrameRenderer(twin.assets.background, work.unobserved_occluders, config, seed=0)
     scenario = replay(twin, "report", log.frames)
     skies = [renderer.prepare(work.sky.dome)]
     figures = []

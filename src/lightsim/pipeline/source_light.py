@@ -19,8 +19,8 @@ from lightsim.render.composite import CompositeCaster
 from lightsim.render.frame_renderer import parked_actor_meshes
 from lightsim.render.scene import FrameScene, make_static_scene, without_actors
 from lightsim.render.transport.irradiance import IrradianceConfig, irradiance_at
+from lightsim.render.transport.matrix import static_face_table
 from lightsim.render.transport.sun import sun_visibility, unshadowed_sun
-from lightsim.render.transport.table import static_face_table
 
 
 class SourceLight:
@@ -104,11 +104,11 @@ def _with_casters(scene: FrameScene, inferred: TriMesh) -> FrameScene:
 
 def static_returns(log: DrivingLog, count: int, rng: np.random.Generator) -> LidarReturns:
     """About `count` LiDAR returns from what does not move, in frame `world`."""
-    share = count / max(1, sum(len(s.load().intensity) for s in log.sweeps))
+    fraction = count / max(1, sum(len(s.load().intensity) for s in log.sweeps))
     points, origins, intensity = [], [], []
     for lazy in log.sweeps:
         sweep = lazy.load()
-        keep = rng.random(len(sweep.intensity)) < share
+        keep = rng.random(len(sweep.intensity)) < fraction
         for actor in log.actors_at(sweep.time_ns):
             if actor.is_moving:
                 keep &= ~actor.contains(sweep.points_world.astype(np.float64), sweep.time_ns, 0.3)

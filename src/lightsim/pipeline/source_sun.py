@@ -16,7 +16,7 @@ from lightsim.lighting.sun.posterior import (
     sun_direction,
     sun_posterior,
 )
-from lightsim.lighting.sun.shadow_votes import ShadowVoteConfig, ShadowVotes, vote
+from lightsim.lighting.sun.shadow_likelihood import ShadowLikelihood, ShadowLikelihoodConfig, vote
 from lightsim.lighting.sun.surface_samples import sample_surfaces
 from lightsim.pipeline.options import GpsUse
 from lightsim.pipeline.workspace import Workspace
@@ -29,7 +29,7 @@ from lightsim.render.frame_renderer import parked_actor_meshes
 class SourceSunConfig:
     """What is asked about the sun."""
 
-    votes: ShadowVoteConfig = field(default_factory=ShadowVoteConfig)
+    votes: ShadowLikelihoodConfig = field(default_factory=ShadowLikelihoodConfig)
     """Light and shade on the surfaces."""
     gps: GpsUse = "all"
     """How much of the log's place, time and heading is used."""
@@ -60,16 +60,18 @@ def find_source_sun(
         cues.append(ephemeris_cue(geo, middle_ns))
         position = solar_position(geo.latitude_deg, geo.longitude_deg, middle_ns)
     cues += panorama_cues(work.panorama)
-    cues.append(ShadowCue(source_votes(work, config.votes, seed=seed, progress=progress)))
+    cues.append(
+        ShadowCue(source_shadow_likelihood(work, config.votes, seed=seed, progress=progress))
+    )
     if prediction is not None:
         cues.append(NetworkCue(prediction))
     posterior = sun_posterior(cues, work.panorama)
     return sun_direction(posterior, position), posterior
 
 
-def source_votes(
-    work: Workspace, config: ShadowVoteConfig, *, seed: int, progress: Progress
-) -> ShadowVotes:
+def source_shadow_likelihood(
+    work: Workspace, config: ShadowLikelihoodConfig, *, seed: int, progress: Progress
+) -> ShadowLikelihood:
     """What light and shade on the static surfaces say about the sun."""
     log, assets = work.training_log, work.assets
     rng = np.random.default_rng(seed)

@@ -202,7 +202,7 @@ class Workspace:
     def _find_ego_vehicle(
         self, views: Sequence[tuple[PinholeCamera, Sequence[CameraFrame]]], ego: Trajectory
     ) -> tuple[dict[str, Bool[np.ndarray, "h w"]], tuple[str, ...]]:
-        """The recording car, looked for in the pictures that building may look at."""
+        """The ego vehicle, looked for in the pictures that building may look at."""
         from lightsim.datasets.selection import FrameSelection
         from lightsim.masks.ego_vehicle import ego_vehicle_masks
 
@@ -306,7 +306,7 @@ class Workspace:
         return read_twin_assets(self.need("twin"))
 
     @property
-    def shadow_casters(self) -> TriMesh:
+    def unobserved_occluders(self) -> TriMesh:
         """The inferred casters with their base colour."""
         return self._twin_assets[1]
 

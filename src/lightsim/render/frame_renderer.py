@@ -23,14 +23,14 @@ from lightsim.render.image import scene_image
 from lightsim.render.scene import FrameScene, make_static_scene, place
 from lightsim.render.transport.faces import FaceTable
 from lightsim.render.transport.light import light
-from lightsim.render.transport.samples import render_samples
-from lightsim.render.transport.sky import SkyCells, prepare_sky
-from lightsim.render.transport.table import (
+from lightsim.render.transport.matrix import (
     TransportConfig,
-    TransportTable,
+    TransportMatrix,
     static_face_table,
     trace_transport,
 )
+from lightsim.render.transport.samples import render_samples
+from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
 
 
 def parked_actor_meshes(log: DrivingLog, assets: SceneAssets) -> list[TriMesh]:
@@ -58,7 +58,7 @@ class TransportFrame:
         view: tuple[CameraFrame, PinholeCamera],
         buffers: GBuffers,
         scene: FrameScene,
-        table: TransportTable,
+        table: TransportMatrix,
         config: TransportConfig,
     ) -> None:
         self.buffers = buffers
@@ -66,22 +66,22 @@ class TransportFrame:
         self._scene = scene
         self._table = table
         self._config = config
-        self._last: tuple[SkyDome | SkyCells, ShadowBuffers] | None = None
+        self._last: tuple[SkyDome | EnvironmentCells, ShadowBuffers] | None = None
 
-    def light(self, sky: SkyDome | SkyCells) -> ShadowBuffers:
+    def light(self, sky: SkyDome | EnvironmentCells) -> ShadowBuffers:
         if self._last is None or self._last[0] is not sky:
             self._last = None
             self._last = (sky, light(self._table, self._scene, self.buffers, sky, self._config))
         return self._last[1]
 
-    def image(self, sky: SkyCells) -> Float32[np.ndarray, "h w 3"]:
+    def image(self, sky: EnvironmentCells) -> Float32[np.ndarray, "h w 3"]:
         """Radiance: anti-aliased and with reflections where the renderer looks at samples of
         pixels; the sky behind."""
         return scene_image(self.buffers, self.light(sky), visible_sky(sky, *self._view))
 
 
 def visible_sky(
-    sky: SkyCells, frame: CameraFrame, camera: PinholeCamera
+    sky: EnvironmentCells, frame: CameraFrame, camera: PinholeCamera
 ) -> Float32[np.ndarray, "h w 3"]:
     """The sky as a camera sees it, with a sharp solar disc."""
     assert sky.smooth is not None
@@ -125,7 +125,7 @@ class FrameRenderer:
         self._seed = seed
         self._faces: FaceTable | None = None
 
-    def prepare(self, sky: SkyDome) -> SkyCells:
+    def prepare(self, sky: SkyDome) -> EnvironmentCells:
         """A sky made ready once for many frames."""
         return prepare_sky(sky)
 
@@ -140,7 +140,8 @@ class FrameRenderer:
     def trace(
         self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera
     ) -> TransportFrame:
-        """Geometry and the ray table of a frame: all that does not depend on the sky."""
+        """Geometry and the light transport matrix of a frame: all that does not depend on the
+        sky."""
         scene = self.scene(scenario, frame.time_ns)
         if self._faces is None:
             self._faces = static_face_table(scene, self._transport, self._seed)
@@ -158,8 +159,8 @@ class FrameRenderer:
         scenario: Scenario,
         frame: CameraFrame,
         camera: PinholeCamera,
-        skies: Sequence[SkyDome | SkyCells],
+        skies: Sequence[SkyDome | EnvironmentCells],
     ) -> tuple[GBuffers, list[ShadowBuffers]]:
-        """Geometry of a frame and its light under each sky, from one ray table."""
+        """Geometry of a frame and its light under each sky, from one light transport matrix."""
         traced = self.trace(scenario, frame, camera)
         return traced.buffers, [traced.light(sky) for sky in skies]

@@ -37,7 +37,7 @@ def render_gbuffers(
     """
     height, width = camera.height_px, camera.width_px
     lifted = np.zeros((height, width, 3), dtype=np.float32)
-    out = replace(_empty(height, width), lifted_world=lifted)
+    out = replace(_empty(height, width), offset_world=lifted)
     centres = camera.pixel_centres()
     band = max(1, BAND_RAYS // width)
     for start in range(0, height, band):
@@ -48,7 +48,7 @@ def render_gbuffers(
         out.position_world.reshape(-1, 3)[index] = seen.position_world
         out.normal_world.reshape(-1, 3)[index] = seen.normal_world
         out.base_colour.reshape(-1, 3)[index] = seen.base_colour
-        lifted.reshape(-1, 3)[index] = seen.lifted_world
+        lifted.reshape(-1, 3)[index] = seen.offset_world
         out.actor_index.reshape(-1)[index] = scene.actor_index[seen.hits.mesh_index]
     return out
 
@@ -81,7 +81,7 @@ class SeenSurfaces:
     depth_z_m: Float32[np.ndarray, " n"]
     position_world: Float32[np.ndarray, "n 3"]
     normal_world: Float32[np.ndarray, "n 3"]
-    lifted_world: Float32[np.ndarray, "n 3"]
+    offset_world: Float32[np.ndarray, "n 3"]
     base_colour: Float32[np.ndarray, "n 3"]
     towards_camera: Float32[np.ndarray, "n 3"]
 
@@ -101,14 +101,14 @@ def see(
     depth = distance * camera.directions(uv[rows])[:, 2]
     towards = directions[rows]
     position = (origins[rows] + distance[:, None] * towards).astype(np.float32)
-    normal, bulge, colour = _surface(scene, hits, towards)
+    normal, terminator_offset, colour = _surface(scene, hits, towards)
     return SeenSurfaces(
         rows,
         hits,
         depth.astype(np.float32),
         position,
         normal,
-        position + bulge,
+        position + terminator_offset,
         colour,
         (-towards).astype(np.float32),
     )
@@ -151,7 +151,7 @@ def _surface(
 
     meshes: Sequence[TriMesh] = scene.camera_meshes
     normal = np.zeros((len(hits.distance_m), 3), dtype=np.float32)
-    bulge = np.zeros_like(normal)
+    terminator_offset = np.zeros_like(normal)
     colour = np.zeros_like(normal)
     order = np.argsort(hits.mesh_index, kind="stable")
     bounds = np.searchsorted(hits.mesh_index[order], np.arange(len(meshes) + 1))
@@ -171,5 +171,5 @@ def _surface(
             found[0],
             found[1],
         )
-        normal[rows], bulge[rows] = found
-    return normal, bulge, colour
+        normal[rows], terminator_offset[rows] = found
+    return normal, terminator_offset, colour

@@ -20,17 +20,20 @@ class RendererChoice:
     """How light is computed."""
 
     renderer: RendererName = "transport"
-    """transport: one ray table for all skies; path: Mitsuba's path tracer; cycles: Blender's, in a
-    process of its own. The latter two start anew for every sky."""
+    """transport: one light transport matrix for all skies; path: Mitsuba's path tracer; cycles:
+    Blender's, in a process of its own. The latter two start anew for every sky."""
     backend: Backend = "auto"
-    """What casts the rays of the ray table: auto takes CUDA where there is one, else Embree."""
+    """What casts the rays of the light transport matrix: auto takes CUDA where there is one, else
+    Embree."""
     rays: int | None = None
     """Rays over the hemisphere of each traced pixel, or paths of each pixel; more are less
     noisy. By default the renderer's own number."""
     pixel_samples: int = 4
-    """Points of each pixel at which the ray table looks: 1, 4, 9, 16; more are smoother edges."""
+    """Points of each pixel at which the light transport matrix looks: 1, 4, 9, 16; more are
+    smoother edges."""
     bounces: int | None = None
-    """Of light between surfaces, 1 to 64; by default 1 with the ray table, 4 with the others."""
+    """Of light between surfaces, 1 to 64; by default 1 with the light transport matrix, 4 with the
+    others."""
     denoise: bool = False
     """Remove noise from `image` with Open Image Denoise (extra `denoise`)."""
     blender_python: Path | None = None

@@ -17,8 +17,8 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.render.casters.choice import choose_caster, resolve_backend
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.options import RendererChoice
-from lightsim.render.transport.bag_torch import has_torch_cuda
-from lightsim.render.transport.table import TransportConfig
+from lightsim.render.transport.matrix import TransportConfig
+from lightsim.render.transport.matrix_torch import has_torch_cuda
 
 _PATHS = 64
 _PATH_BOUNCES = 4
@@ -68,7 +68,7 @@ def renderer_settings(choice: RendererChoice) -> dict[str, Any]:
 
 
 def _transport(choice: RendererChoice) -> TransportConfig:
-    """Rays of the ray table, on the CPU."""
+    """Rays of the light transport matrix, on the CPU."""
     config = TransportConfig(pixel_samples=choice.pixel_samples)
     if choice.bounces is not None:
         config = replace(config, bounces=choice.bounces)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from lightsim.appearance.intrinsic.decompose import delight
+from lightsim.appearance.intrinsic.decompose import decompose
 from lightsim.baselines.colour_transfer import BASELINES
 from lightsim.core.buffers import BACKGROUND
 from lightsim.core.frames import RigidTransform
@@ -40,7 +40,7 @@ from lightsim.progress import Progress
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import make_static_scene, without_actors
-from lightsim.render.transport.table import TransportConfig
+from lightsim.render.transport.matrix import TransportConfig
 from lightsim.simulate.options import RelightOptions
 from lightsim.simulate.relight import relight
 from lightsim.store.exr import read_exr
@@ -151,8 +151,8 @@ def base_colour(work: Path, truth: Path, progress: Progress) -> BaseColourReport
         0,
     )
     identity = RigidTransform.identity("world", "world")
-    baseline = replace(config.delight, method="divide")
-    divided = delight(radiance, source.on(identity), baseline, np.random.default_rng(0)).mesh
+    baseline = replace(config.intrinsic, method="divide")
+    divided = decompose(radiance, source.on(identity), baseline, np.random.default_rng(0)).mesh
     meshes = {"labels": twin.assets.background, "divide": divided, "radiance": radiance}
     return base_colours_of(meshes, workspace, truth, progress)
 

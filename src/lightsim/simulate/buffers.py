@@ -114,7 +114,8 @@ def render(work: Path, out: Path, options: RenderOptions, progress: Progress) ->
 
     Depth is inf, other buffers 0 where there is no surface; `actor` is the number that
     scenario.json tells, the same in all frames, -1 background, -2 none. Light is irradiance over
-    pi, `image` the radiance that the camera sees. The ray table averages light and image over the
+    pi, `image` the radiance that the camera sees. The light transport matrix averages light and
+    image over the
     pixel's samples (light over those that meet a surface); all else belongs to the pixel's centre.
     The shards of a run may share OUT; their union is the same as one run, byte for byte, on equal
     machines.
@@ -150,7 +151,7 @@ def _render(
         renderer = make_renderer(
             options.renderer,
             twin.assets.background,
-            workspace.shadow_casters,
+            workspace.unobserved_occluders,
             options.seed,
             has_images="image" in options.what,
         )

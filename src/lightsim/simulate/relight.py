@@ -29,7 +29,7 @@ from lightsim.simulate.report import report_frames, write_relight_report, write_
 from lightsim.simulate.skies import TargetSky, made_from_sky, resolve_sky
 from lightsim.store.artefact import (
     RECORD_NAME,
-    Recipe,
+    ArtefactKey,
     json_ready,
     make_artefact,
     open_attempt,
@@ -50,7 +50,7 @@ class _Job:
 
     folder: Path
     settings: dict[str, Any]
-    recipe: Recipe
+    artefact_key: ArtefactKey
     scenario: Scenario
     sky: TargetSky
 
@@ -94,17 +94,17 @@ def _relight(
             _refuse_other_settings(folder, {**settings, "seed": options.seed})
         made_from = {**settings, "config": json_ready(config)}
         inputs = {"twin": workspace.record("twin")["key"]}
-        recipe = Recipe(_STAGE, _SCHEMA, made_from, inputs, options.seed)
+        artefact_key = ArtefactKey(_STAGE, _SCHEMA, made_from, inputs, options.seed)
         target = resolve_sky(choice, workspace)
-        jobs.append(_Job(folder, settings, recipe, replace(scenario, sky=choice), target))
+        jobs.append(_Job(folder, settings, artefact_key, replace(scenario, sky=choice), target))
     _make_room(base, folders, is_overwriting=options.overwrite)
-    attempts = [(job, open_attempt(job.folder, job.recipe)) for job in jobs]
+    attempts = [(job, open_attempt(job.folder, job.artefact_key)) for job in jobs]
     pending = [(job, partial) for job, partial in attempts if partial is not None]
     if pending:
         relighter = Relighter(workspace, log, config, options)
         _write_frames(relighter, pending, progress, is_linear_written=options.linear)
     for job in jobs:
-        make_artefact(job.folder, job.recipe, lambda p, job=job: _finish(p, job, progress))
+        make_artefact(job.folder, job.artefact_key, lambda p, job=job: _finish(p, job, progress))
     return folders
 
 

@@ -20,8 +20,8 @@ from lightsim.relighting.physical.compose import camera_image
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.image import sky_image
-from lightsim.render.transport.sky import SkyCells
-from lightsim.render.transport.table import TransportConfig
+from lightsim.render.transport.matrix import TransportConfig
+from lightsim.render.transport.sky import EnvironmentCells
 from lightsim.simulate.options import RelightOptions
 from lightsim.simulate.skies import TargetSky
 
@@ -70,7 +70,7 @@ class RelightTarget:
     """
 
     sky: TargetSky
-    cells: SkyCells
+    cells: EnvironmentCells
     level_ratio: Float32[np.ndarray, "3"]
 
 
@@ -86,7 +86,7 @@ class Relighter:
         self._config = config
         self._renderer = FrameRenderer(
             workspace.twin.assets.background,
-            workspace.shadow_casters,
+            workspace.unobserved_occluders,
             config.transport,
             options.seed,
         )
@@ -135,9 +135,9 @@ class Relighter:
             target_sun=target.cells.sun,
         )
         radiance = METHODS[self._options.method](inputs, self._config.ratio)
-        own_car = self.log.own_car_masks.get(frame.camera_name)
-        if own_car is not None:
+        ego_vehicle = self.log.ego_vehicle_masks.get(frame.camera_name)
+        if ego_vehicle is not None:
             # It moves with the camera and has no mesh: lit as a level surface in the open.
-            radiance[own_car] = inputs.radiance[own_car] * target.level_ratio
+            radiance[ego_vehicle] = inputs.radiance[ego_vehicle] * target.level_ratio
         image = camera_image(radiance, gain, self._options.exposure_ev)
         return RelitFrame(frame, image, radiance, buffers, *light, source_srgb8)

@@ -14,7 +14,7 @@ from lightsim.store.entries import Entries
 
 ARRAYS_NAME = "alignment.npz"
 SUMMARY_NAME = "alignment.json"
-_SWITCHES = ("has_rolling_shutter", "has_point_times", "has_own_car_masks")
+_SWITCHES = ("has_rolling_shutter", "has_point_times", "has_ego_vehicle_masks")
 
 
 def write_alignment(folder: Path, alignment: Alignment) -> None:

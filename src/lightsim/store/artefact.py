@@ -55,7 +55,7 @@ logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Recipe:
+class ArtefactKey:
     """All that decides the content of an artefact.
 
     Args:
@@ -130,7 +130,7 @@ def _broken_record(path: Path, found: object) -> ArtefactError:
     )
 
 
-def state_of(folder: Path, recipe: Recipe, *, is_hashed: bool = False) -> State:
+def state_of(folder: Path, artefact_key: ArtefactKey, *, is_hashed: bool = False) -> State:
     """Whether the artefact exists, was made from this very recipe, and is as it was written.
 
     Args:
@@ -142,7 +142,7 @@ def state_of(folder: Path, recipe: Recipe, *, is_hashed: bool = False) -> State:
         return "broken"
     if record is None:
         return "missing"
-    if record["key"] != recipe.key:
+    if record["key"] != artefact_key.key:
         return "stale"
     return "broken" if find_damage(folder, record, is_hashed=is_hashed) else "made"
 
@@ -194,7 +194,7 @@ def _few(damage: tuple[str, ...]) -> str:
 
 
 def make_artefact(
-    folder: Path, recipe: Recipe, build: Callable[[Path], Iterable[str]]
+    folder: Path, artefact_key: ArtefactKey, build: Callable[[Path], Iterable[str]]
 ) -> dict[str, Any]:
     """Make the artefact unless it is up to date and whole; returns its record.
 
@@ -205,20 +205,20 @@ def make_artefact(
     Raises:
         ArtefactError: the folder holds something else.
     """
-    if state_of(folder, recipe, is_hashed=True) == "made":
+    if state_of(folder, artefact_key, is_hashed=True) == "made":
         record = read_record(folder)
         assert record is not None
         return record
-    _make_way(folder, recipe)
+    _make_way(folder, artefact_key)
     partial = _partial_of(folder)
-    record = _finished(partial, recipe)
+    record = _finished(partial, artefact_key)
     if record is None:
-        record = _make(partial, recipe, build)
+        record = _make(partial, artefact_key, build)
     _replace(partial, folder)
     return record
 
 
-def open_attempt(folder: Path, recipe: Recipe) -> Path | None:
+def open_attempt(folder: Path, artefact_key: ArtefactKey) -> Path | None:
     """The folder that `make_artefact` will hand to its `build`, to fill in files beforehand; None
     where the artefact is up to date or complete but for its rename.
 
@@ -227,37 +227,39 @@ def open_attempt(folder: Path, recipe: Recipe) -> Path | None:
     Raises:
         ArtefactError: `folder` holds something that must not be replaced.
     """
-    if state_of(folder, recipe, is_hashed=True) == "made":
+    if state_of(folder, artefact_key, is_hashed=True) == "made":
         return None
-    _make_way(folder, recipe)
+    _make_way(folder, artefact_key)
     partial = _partial_of(folder)
-    return None if _finished(partial, recipe) else _open(partial, recipe)
+    return None if _finished(partial, artefact_key) else _open(partial, artefact_key)
 
 
 def _partial_of(folder: Path) -> Path:
     return folder.parent / f".{folder.name}.partial"
 
 
-def _open(partial: Path, recipe: Recipe) -> Path:
+def _open(partial: Path, artefact_key: ArtefactKey) -> Path:
     """The attempt as it was left, or an empty one where that was at another recipe."""
     plan = partial / _PLAN
-    if partial.exists() and not (plan.is_file() and plan.read_text() == recipe.key):
+    if partial.exists() and not (plan.is_file() and plan.read_text() == artefact_key.key):
         shutil.rmtree(partial)
     partial.mkdir(parents=True, exist_ok=True)
     sweep_partials(partial)
-    plan.write_text(recipe.key)
+    plan.write_text(artefact_key.key)
     return partial
 
 
-def _make(partial: Path, recipe: Recipe, build: Callable[[Path], Iterable[str]]) -> dict[str, Any]:
-    plan = _open(partial, recipe) / _PLAN
+def _make(
+    partial: Path, artefact_key: ArtefactKey, build: Callable[[Path], Iterable[str]]
+) -> dict[str, Any]:
+    plan = _open(partial, artefact_key) / _PLAN
     start = time.monotonic()
     notes = tuple(build(partial))
     seconds = round(time.monotonic() - start, 2)
     record = {
-        **json_ready(recipe),
+        **json_ready(artefact_key),
         "format": _FORMAT,
-        "key": recipe.key,
+        "key": artefact_key.key,
         "package_version": __version__,
         "seconds": seconds,
         "peak_memory_mb": peak_memory_mb(),
@@ -273,12 +275,14 @@ def _make(partial: Path, recipe: Recipe, build: Callable[[Path], Iterable[str]])
     return record
 
 
-def _finished(partial: Path, recipe: Recipe) -> dict[str, Any] | None:
+def _finished(partial: Path, artefact_key: ArtefactKey) -> dict[str, Any] | None:
     """The record of an attempt that was complete when its process ended, but not yet renamed."""
-    return read_record(partial) if state_of(partial, recipe, is_hashed=True) == "made" else None
+    return (
+        read_record(partial) if state_of(partial, artefact_key, is_hashed=True) == "made" else None
+    )
 
 
-def _make_way(folder: Path, recipe: Recipe) -> None:
+def _make_way(folder: Path, artefact_key: ArtefactKey) -> None:
     """Refuse to replace what is no artefact of the stage; an artefact whose record cannot be read
     is set aside, since it might be anything."""
     if not folder.exists() and not folder.is_symlink():
@@ -291,10 +295,10 @@ def _make_way(folder: Path, recipe: Recipe) -> None:
         logger.warning("%s It was set aside as %s.", error, aside.name)
         return
     is_empty = folder.is_dir() and not folder.is_symlink() and not any(folder.iterdir())
-    if is_empty or (record is not None and record["stage"] == recipe.stage):
+    if is_empty or (record is not None and record["stage"] == artefact_key.stage):
         return
     raise ArtefactError(
-        f"the folder is to hold the artefact '{recipe.stage}', but holds something else",
+        f"the folder is to hold the artefact '{artefact_key.stage}', but holds something else",
         where=folder,
         got="no artefact.json" if record is None else f"the artefact '{record['stage']}'",
         remedy="Nothing was touched. Move the folder away.",

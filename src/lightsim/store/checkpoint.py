@@ -17,8 +17,8 @@ CHECKPOINT_NAME = "checkpoint.pt"
 METRICS_NAME = "metrics.jsonl"
 
 
-class FolderJournal:
-    """Checkpoint and metrics.jsonl in one folder; see `networks.loop.Journal`."""
+class FolderCheckpointer:
+    """Checkpoint and metrics.jsonl in one folder; see `networks.loop.Checkpointer`."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

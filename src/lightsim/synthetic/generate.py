@@ -18,7 +18,7 @@ from lightsim.synthetic.geometry import Snapshot
 from lightsim.synthetic.lidar import scan
 from lightsim.synthetic.plan import Size, StreetConfig, config_of, plan_street
 from lightsim.synthetic.rig import SWEEP_S, MountedCamera, mount_cameras
-from lightsim.synthetic.sensor import develop
+from lightsim.synthetic.sensor import camera_isp
 from lightsim.synthetic.skies import Sky, build_sky, environment, sky_specs
 from lightsim.synthetic.street import Street, build_street
 from lightsim.synthetic.tracer import PathTracer, Placed
@@ -165,7 +165,7 @@ def _render(
         radiance = tracer.render(mounted.camera, mounted.margin_px, pose, shot.samples, shot.seed)
         rng = np.random.default_rng([street.plan.seed, 9, shot.seed])
         shot.path.parent.mkdir(parents=True, exist_ok=True)
-        _write_jpeg(shot.path, develop(radiance, mounted.gain, rng))
+        _write_jpeg(shot.path, camera_isp(radiance, mounted.gain, rng))
 
 
 def _write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"]) -> None:

@@ -1,4 +1,4 @@
-"""The recording car: its path, six cameras and the roof LiDAR, mounted and timed as PandaSet's."""
+"""The ego vehicle: its path, six cameras and the roof LiDAR, mounted and timed as PandaSet's."""
 
 from __future__ import annotations
 

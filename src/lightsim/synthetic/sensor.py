@@ -11,7 +11,7 @@ _SHOT = 5e-5
 _READ = 1e-3
 
 
-def develop(
+def camera_isp(
     radiance: Float32[np.ndarray, "h w 3"],
     gain: Float[np.ndarray, "3"],
     rng: np.random.Generator | None,

@@ -34,7 +34,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 _SPOT_DEG = 6.0
 _RAISED_TURBIDITY = 3.5
 _SKY_CUT = 0.4
-"""Share of the upper half below whose blue level brighter sky is cut off."""
+"""Fraction of the upper half below whose blue level brighter sky is cut off."""
 _CLASS_RATIO = 2.5
 """Least ratio of the levels of sky and scene; closer classes are both sky."""
 

@@ -62,7 +62,7 @@ class InpaintConfig:
     adversarial_weight: float = 0.005
     """Weight of the discriminator's judgement beside the L1 losses, after it has grown from 0."""
     adversarial_from: float = 0.4
-    """Share of the steps before the discriminator takes part."""
+    """Fraction of the steps before the discriminator takes part."""
     workers: int = 0
     """Threads that draw batches ahead; 0 draws each when it is needed."""
     seed: int = 0

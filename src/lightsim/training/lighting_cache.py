@@ -111,7 +111,7 @@ def write_cache(path: Path, cache: LightingCache) -> None:
         "noise": pack_noise(cache.noise),
         "view_count": np.array(counts),
         "view_is_test": np.array(cache.view_is_test),
-        "view_share": np.stack([view.surface_share for view in cache.views]),
+        "view_share": np.stack([view.surface_fraction for view in cache.views]),
         **clear_arrays(cache.clear),
     }
     for name in _VIEW_FIELDS:
@@ -166,7 +166,7 @@ def _unpacked(arrays: Mapping[str, Shaped[np.ndarray, "..."]], height: int) -> L
     )
     ends = np.cumsum(arrays["view_count"])
     views = []
-    for end, count, share in zip(ends, arrays["view_count"], arrays["view_share"], strict=True):
+    for end, count, fraction in zip(ends, arrays["view_count"], arrays["view_share"], strict=True):
         part = slice(int(end - count), int(end))
         views.append(
             StreetView(
@@ -175,7 +175,7 @@ def _unpacked(arrays: Mapping[str, Shaped[np.ndarray, "..."]], height: int) -> L
                 arrays["view_normal"][part],
                 np.ascontiguousarray(arrays["view_met"][:, part]),
                 np.ascontiguousarray(arrays["view_horizon"][:, part]),
-                share,
+                fraction,
             )
         )
     is_test = tuple(bool(x) for x in arrays["view_is_test"])

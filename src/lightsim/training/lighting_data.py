@@ -37,17 +37,17 @@ _MAX_PEAK = 1e9
 
 # What a batch is mixed of; none was measured alone.
 
-# Share of samples that show an HDR panorama with its own lower half.
+# Fraction of samples that show an HDR panorama with its own lower half.
 _OWN_SCENE = 0.4
-# Share of measured skies among those over streets; the rest is procedural.
+# Fraction of measured skies among those over streets; the rest is procedural.
 _MEASURED = 0.5
-# Share of closed covers among procedural skies.
+# Fraction of closed covers among procedural skies.
 _OVERCAST = 0.25
-# Share of clear procedural skies that get clouds.
+# Fraction of clear procedural skies that get clouds.
 _CLOUDS = 0.6
-# Share of measured skies over streets that get clouds.
+# Fraction of measured skies over streets that get clouds.
 _MEASURED_CLOUDS = 0.2
-# Share of cars that drive along the street; the others stand at any angle.
+# Fraction of cars that drive along the street; the others stand at any angle.
 _ALONG_STREET = 0.85
 # Rows and columns of the front picture.
 _FRONT_PX = (40, 64)

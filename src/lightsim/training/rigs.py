@@ -122,7 +122,7 @@ class MaskConfig:
 def rig_mask(
     height_px: int, rng: np.random.Generator, config: MaskConfig
 ) -> Bool[np.ndarray, "h w"]:
-    """What a random rig saw: a rig, tilted, scaled, with a ragged border, holes and own car."""
+    """What a random rig saw: a rig, tilted, scaled, with a ragged border, holes and ego vehicle."""
     rig = RIGS[int(rng.choice(len(RIGS), p=_WEIGHTS))]
     return mask_of(rig, height_px, rng, config)
 
@@ -142,7 +142,7 @@ def mask_of(
         seen |= _sees(camera, turned, scale, wobble)
     mask = seen.reshape(height_px, 2 * height_px)
     mask &= ~_holes(height_px, rng, config.holes)
-    return mask & ~_own_car(height_px, rng)
+    return mask & ~_ego_vehicle(height_px, rng)
 
 
 def _sees(
@@ -190,7 +190,7 @@ def _holes(height_px: int, rng: np.random.Generator, mean: float) -> Bool[np.nda
     return holes
 
 
-def _own_car(height_px: int, rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:
+def _ego_vehicle(height_px: int, rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:
     """The own bonnet and roof below a line of the lower half; only some rigs see them."""
     mask = np.zeros((height_px, 2 * height_px), dtype=bool)
     if rng.random() < 0.6:

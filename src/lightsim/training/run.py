@@ -114,13 +114,13 @@ def train_sky_network(command: TrainingOptions, kind: SkyKind, inpaint: Path | N
     cache = read_cache(command.data)
     data = LightingSet(cache)
     complete = None if inpaint is None else completion_of(inpaint)
-    recipe = sky_recipe(kind, command.preset, command.seed, inpaints=inpaint is not None)
-    loop = _loop(recipe.config.loop, command)
-    recipe = replace(recipe, config=replace(recipe.config, loop=loop))
+    artefact_key = sky_recipe(kind, command.preset, command.seed, inpaints=inpaint is not None)
+    loop = _loop(artefact_key.config.loop, command)
+    artefact_key = replace(artefact_key, config=replace(artefact_key.config, loop=loop))
     with _session(command) as session:
-        steps = sky_train.train_sky(recipe, data, session, complete)
+        steps = sky_train.train_sky(artefact_key, data, session, complete)
     if session.processes.is_first:
-        network, test = recipe.network.cpu().eval(), _test_split(cache)
+        network, test = artefact_key.network.cpu().eval(), _test_split(cache)
         scores = _sky_scores(kind, network, (data, test), complete) if test else {}
         record = _record(command, kind, cache, session, steps, scores)
         _write(command, weights_of(network), scores, record)
@@ -150,12 +150,12 @@ def _loop(config: LoopConfig, command: TrainingOptions) -> LoopConfig:
 def _session(command: TrainingOptions) -> Generator[Session]:
     from lightsim.networks.devices import choose_device, joined_processes
     from lightsim.networks.loop import Session
-    from lightsim.store.checkpoint import FolderJournal
+    from lightsim.store.checkpoint import FolderCheckpointer
 
     command.out.mkdir(parents=True, exist_ok=True)
-    journal, progress = FolderJournal(command.out), terminal_progress()
+    checkpointer, progress = FolderCheckpointer(command.out), terminal_progress()
     with joined_processes(choose_device(command.device)) as processes:
-        yield Session(journal, progress, command.minutes, command.device, processes)
+        yield Session(checkpointer, progress, command.minutes, command.device, processes)
 
 
 def _record(

@@ -30,7 +30,7 @@ LossFunction = Callable[[Any, Draw, torch.Generator], tuple[Tensor, dict[str, Te
 """(network, batches, generator) -> loss and its terms."""
 
 
-# Share of the panoramas that is shown whole, as pictures without a log are.
+# Fraction of the panoramas that is shown whole, as pictures without a log are.
 _COMPLETE_SHARE = 0.25
 
 
@@ -62,7 +62,7 @@ class SkyRecipe:
 
 
 def train_sky(
-    recipe: SkyRecipe,
+    artefact_key: SkyRecipe,
     data: LightingData,
     session: Session,
     complete: Completion | None = None,
@@ -79,7 +79,7 @@ def train_sky(
         InputError: the device is not there.
     """
     target = choose_device(session.device)
-    network, config = recipe.network.to(target), recipe.config
+    network, config = artefact_key.network.to(target), artefact_key.config
 
     def make(number: int) -> LightingBatch:
         return data.batch(config.batch, config.seed, number, only_sunny=number % 2 == 1)
@@ -93,7 +93,7 @@ def train_sky(
             whole = torch.rand(config.batch, generator=generator).numpy() < _COMPLETE_SHARE
             return sky_tensors(batch, whole, complete, target)
 
-        yield "sky", *recipe.loss(network, drawn, generator)
+        yield "sky", *artefact_key.loss(network, drawn, generator)
 
     adam = torch.optim.AdamW(network.parameters(), lr=config.rate, weight_decay=config.weight_decay)
     stride = 2 * session.processes.count

@@ -18,7 +18,7 @@ from lightsim.networks.sky_terms import (
 )
 
 TEACHER_FORCING = 0.5
-"""Share of the samples whose decoder is given the true sun."""
+"""Fraction of the samples whose decoder is given the true sun."""
 
 
 def sky_loss(
@@ -61,18 +61,18 @@ def _direction_terms(
     """Terms of the direction, and the directions of `batch`."""
     rows = batch.sky.shape[2]
     if not network.config.dual:
-        said = network.direct(image, rows)
-        return _terms_of(said, batch.sun_direction), said[1]
+        predicted = network.direct(image, rows)
+        return _terms_of(predicted, batch.sun_direction), predicted[1]
     with torch.no_grad():
         direction = network.direct(image, rows)[1]
     sunny = draw(True)
-    said = network.direct(network.encoder_input(network.shown(sunny)), rows)
-    return _terms_of(said, sunny.sun_direction), direction
+    predicted = network.direct(network.encoder_input(network.shown(sunny)), rows)
+    return _terms_of(predicted, sunny.sun_direction), direction
 
 
-def _terms_of(said: tuple[Tensor | None, Tensor, Tensor], truth: Tensor) -> dict[str, Tensor]:
+def _terms_of(predicted: tuple[Tensor | None, Tensor, Tensor], truth: Tensor) -> dict[str, Tensor]:
     """Terms of one batch's density (or None), directions and log concentrations."""
-    log_density, direction, log_kappa = said
+    log_density, direction, log_kappa = predicted
     # The direction has its own losses: here it stands still, and only the spread learns.
     spread = fisher_loss(direction.detach(), log_kappa, truth)
     terms = {"angle": angles(direction, truth).mean(), "fisher": 0.2 * spread.mean()}

@@ -45,11 +45,11 @@ class SkyScore:
         angle_seen_deg: mean where a camera saw the clear sun.
         angle_hidden_deg: mean where none did.
         log_peak_error: mean of the absolute error, all skies.
-        sunny_accuracy: share of right answers to whether the sun is clear.
+        sunny_accuracy: fraction of right answers to whether the sun is clear.
         decoding_log_peak: mean |log peak of the dome - the one fed|, all skies.
         decoding_angle_deg: mean angle between the dome's brightest spot and the direction fed.
-        inside_90: share of clear suns within the 90 % cone of the predicted density.
-        peak_inside_90: share of peaks within the 90 % interval.
+        inside_90: fraction of clear suns within the 90 % cone of the predicted density.
+        peak_inside_90: fraction of peaks within the 90 % interval.
         log_sky_rmse: of the dome against the truth in natural log radiance, by solid angle.
     """
 
@@ -129,14 +129,18 @@ def answer_of(model: SkyModel, batch: LightingBatch, complete: Completion | None
     device = next(model.parameters()).device if isinstance(model, torch.nn.Module) else "cpu"
     tensors = sky_tensors(batch, np.zeros(count, bool), complete, torch.device(device))
     with torch.no_grad():
-        said = model.encode(tensors)
-        dome = model.dome(tensors, said, said.direction, said.log_peak)
+        predicted = model.encode(tensors)
+        dome = model.dome(tensors, predicted, predicted.direction, predicted.log_peak)
     silent = np.full(count, np.nan)
-    kappa, scale, sunny = said.log_concentration, said.log_peak_scale, said.sunny_logit
+    kappa, scale, sunny = (
+        predicted.log_concentration,
+        predicted.log_peak_scale,
+        predicted.sunny_logit,
+    )
     return Answers(
-        said.direction.cpu().numpy().astype(np.float32),
+        predicted.direction.cpu().numpy().astype(np.float32),
         silent if kappa is None else credible_cone_deg(kappa.exp().cpu().numpy(), _CREDIBLE),
-        said.log_peak.cpu().numpy(),
+        predicted.log_peak.cpu().numpy(),
         # The 90 % interval of a Laplace density.
         silent if scale is None else scale.exp().cpu().numpy() * -math.log(1 - _CREDIBLE),
         silent if sunny is None else torch.sigmoid(sunny).cpu().numpy(),
@@ -155,7 +159,7 @@ def score_answers(
     peak = np.concatenate([np.abs(a.log_peak - b.log_peak) for b, a in pairs])
     margin = np.concatenate([a.peak_margin for a in answers])
     cone = np.concatenate([a.cone_deg for a in answers])
-    said = np.concatenate([a.sunny for a in answers])
+    predicted = np.concatenate([a.sunny for a in answers])
     decoded = np.array([d for a in answers for d in _decoding_errors(a)]).reshape(-1, 2)
     return SkyScore(
         name=name,
@@ -166,7 +170,7 @@ def score_answers(
         angle_seen_deg=_mean(angle, sunny & seen),
         angle_hidden_deg=_mean(angle, sunny & ~seen),
         log_peak_error=float(peak.mean()),
-        sunny_accuracy=_mean((said > 0.5) == sunny, ~np.isnan(said)),
+        sunny_accuracy=_mean((predicted > 0.5) == sunny, ~np.isnan(predicted)),
         decoding_log_peak=_mean(decoded[:, 0], np.ones(len(decoded), bool)),
         decoding_angle_deg=_mean(decoded[:, 1], np.ones(len(decoded), bool)),
         inside_90=_mean(angle <= cone, sunny & ~np.isnan(cone)),
@@ -180,11 +184,11 @@ def angles_deg(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Floa
 
 
 def credible_cone_deg(
-    concentration: Float[np.ndarray, " n"], share: float
+    concentration: Float[np.ndarray, " n"], fraction: float
 ) -> Float[np.ndarray, " n"]:
-    """Half angle of the cone that holds a share of a von Mises-Fisher density."""
+    """Half angle of the cone that holds a fraction of a von Mises-Fisher density."""
     kappa = concentration.astype(np.float64)
-    cosine = 1.0 + np.log(1 - share * -np.expm1(-2 * kappa)) / kappa
+    cosine = 1.0 + np.log(1 - fraction * -np.expm1(-2 * kappa)) / kappa
     return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 

@@ -87,7 +87,7 @@ class StreetView:
     normal: Int8[np.ndarray, "n 3"]
     met: Shaped[np.ndarray, "k n"]
     horizon: UInt8[np.ndarray, "a n"]
-    surface_share: UInt8[np.ndarray, "h w"]
+    surface_fraction: UInt8[np.ndarray, "h w"]
 
 
 def trace_streets(
@@ -142,8 +142,8 @@ class ViewTracer:
         height = self._height
         directions = self._world_from_street.rotate(pixel_directions(height).reshape(-1, 3))
         eye, hits = self._free_position(directions)
-        share, colour = _primary(self._snapshot, self._world_from_street, eye, height)
-        pixel = np.flatnonzero(hits.is_hit & (share > 0))
+        fraction, colour = _primary(self._snapshot, self._world_from_street, eye, height)
+        pixel = np.flatnonzero(hits.is_hit & (fraction > 0))
         normals_world = hits.normal_world[pixel]
         reach = hits.distance_m[pixel, None] * directions[pixel]
         points = eye + reach + _OFFSET_M * normals_world
@@ -159,7 +159,7 @@ class ViewTracer:
             np.round(normals * 127).astype(np.int8),
             met.astype(kind),
             self._horizons(points, normals_world),
-            np.round(share * 255).astype(np.uint8).reshape(height, 2 * height),
+            np.round(fraction * 255).astype(np.uint8).reshape(height, 2 * height),
         )
 
     def _free_position(
@@ -267,17 +267,17 @@ def _primary(
     eye_world: Float[np.ndarray, "3"],
     height_px: int,
 ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p 3"]]:
-    """Share of each pixel that is surface, and the mean base colour there, by 2 x 2 rays."""
+    """Fraction of each pixel that is surface, and the mean base colour there, by 2 x 2 rays."""
     u, v = np.meshgrid(np.arange(2 * height_px) + 0.5, np.arange(height_px) + 0.5)
-    share = np.zeros(u.size)
+    fraction = np.zeros(u.size)
     colour = np.zeros((u.size, 3))
     for du, dv in _SUB_PIXELS:
         uv = np.stack([(u + du) / (2 * height_px), (v + dv) / height_px], axis=-1)
         directions = world_from_street.rotate(directions_from_uv(uv).reshape(-1, 3))
         hits = snapshot.intersect(np.broadcast_to(eye_world, directions.shape), directions)
-        share += hits.is_hit / len(_SUB_PIXELS)
+        fraction += hits.is_hit / len(_SUB_PIXELS)
         colour += snapshot.base_colour(hits) / len(_SUB_PIXELS)
-    return share, colour / np.maximum(share, 1e-9)[:, None]
+    return fraction, colour / np.maximum(fraction, 1e-9)[:, None]
 
 
 def _like(
@@ -324,7 +324,7 @@ def light_view(
 ) -> tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h/2 w"]]:
     """Linear panorama of a view under a sky (its sun's disc left out of the sky pixels), and
     where the upper half shows sky. Frame of the view."""
-    height, width = view.surface_share.shape
+    height, width = view.surface_fraction.shape
     albedo = view.albedo.astype(np.float32) * np.float32(1 / 255)
     sun = _sunlight(view, heaven)
     values = np.zeros((height * width + height // 2 * width, 4), np.float32)
@@ -333,12 +333,12 @@ def light_view(
         arriving = _means(values, view.met)
         values[view.pixel, :3] = albedo * (arriving + sun)
     picture = values[: height * width, :3].reshape(height, width, 3).copy()
-    share = view.surface_share.astype(np.float32)[..., None] * np.float32(1 / 255)
+    fraction = view.surface_fraction.astype(np.float32)[..., None] * np.float32(1 / 255)
     behind = np.empty_like(picture)
     behind[: height // 2] = heaven.rest
     ground = values[view.pixel[view.normal[:, 2] > 100], :3]
     behind[height // 2 :] = ground.mean(axis=0) if len(ground) else 0.0
-    return picture * share + behind * (1 - share), view.surface_share[: height // 2] < 128
+    return picture * fraction + behind * (1 - fraction), view.surface_fraction[: height // 2] < 128
 
 
 def _means(

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from lightsim.appearance.intrinsic.config import DelightConfig
+from lightsim.appearance.intrinsic.config import IntrinsicConfig
 from lightsim.appearance.intrinsic.labels import Observed, infer_labels, visibility_prior
 from lightsim.appearance.intrinsic.light import LightBalance, SurfaceLight
 from lightsim.core.twin import LightFreedom
@@ -21,8 +21,8 @@ from lightsim.core.twin import LightFreedom
 _GRID = np.linspace(np.log(0.01), np.log(10.0), 47)
 """Candidates of the log of the factor on sun over sky."""
 _STEPS, _ROUNDS = 25, 4
-_TONE_STD, _HUE_STD = 0.3, 0.12
-"""Spread of log base colour between the patches of a pair, and of its colour part."""
+_REFLECTANCE_STD, _HUE_STD = 0.3, 0.12
+"""BilateralUpsampling of log base colour between the patches of a pair, and of its colour part."""
 _MOST_WRONG = 0.6
 """Fraction of the pairs at which a rendered shadow may be wrong altogether."""
 _REMAINDER = 0.02
@@ -43,7 +43,9 @@ _BLOCK_M = 4.0
 """Pairs within a block of this size count as one observation."""
 
 
-def balance_light(observed: Observed, freedom: LightFreedom, config: DelightConfig) -> LightBalance:
+def balance_light(
+    observed: Observed, freedom: LightFreedom, config: IntrinsicConfig
+) -> LightBalance:
     """Alternate between the labels of patches and the light that they ask for."""
     prior = visibility_prior(observed, config)
     block = light_blocks(observed.surfels.position, _BLOCK_M)
@@ -64,13 +66,13 @@ class ShadowPairs:
 
     Args:
         lit, shadowed: indices of surfels.
-        tone_step: log of the ratio of base colours, lit over shadowed, that LiDAR predicts.
+        reflectance_step: log of the ratio of base colours, lit over shadowed, that LiDAR predicts.
         weight: of the pair.
     """
 
     lit: Int64[np.ndarray, " p"]
     shadowed: Int64[np.ndarray, " p"]
-    tone_step: Float64[np.ndarray, " p"]
+    reflectance_step: Float64[np.ndarray, " p"]
     weight: Float64[np.ndarray, " p"]
 
     def __len__(self) -> int:
@@ -93,7 +95,9 @@ def fit_balance(
     explains. Pairs of one block of space share their errors and count as one observation for
     the uncertainty.
     """
-    wanted = log_radiance[pairs.lit] - log_radiance[pairs.shadowed] - pairs.tone_step[:, None]
+    wanted = (
+        log_radiance[pairs.lit] - log_radiance[pairs.shadowed] - pairs.reflectance_step[:, None]
+    )
     lit, shadowed = light.at(pairs.lit), light.at(pairs.shadowed)
     fits = []
     for path in _paths(freedom):
@@ -207,7 +211,7 @@ def shadow_pairs(observed: Observed, lit: Float64[np.ndarray, " n"]) -> ShadowPa
     chosen = chosen[:: max(1, len(chosen) // _MAX_PAIRS)]
     is_first = difference[chosen] > 0
     a, b = first[chosen].astype(np.int64), second[chosen].astype(np.int64)
-    step = observed.tone_step[chosen].astype(np.float64)
+    step = observed.reflectance_step[chosen].astype(np.float64)
     return ShadowPairs(
         np.where(is_first, a, b),
         np.where(is_first, b, a),
@@ -220,7 +224,7 @@ def _likelihood(residual: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, " p
     """Of a step that the model should explain, with the spread of base colour in a material."""
     mean = residual.mean(axis=1)
     hue = ((residual - mean[:, None]) ** 2).sum(axis=1)
-    return np.exp(-0.5 * (mean / _TONE_STD) ** 2 - 0.5 * hue / _HUE_STD**2)
+    return np.exp(-0.5 * (mean / _REFLECTANCE_STD) ** 2 - 0.5 * hue / _HUE_STD**2)
 
 
 def _score(
@@ -228,12 +232,12 @@ def _score(
     wanted: Float64[np.ndarray, "p 3"],
     weight: Float64[np.ndarray, " p"],
 ) -> float:
-    """Log likelihood at the best share of wrong pairs."""
+    """Log likelihood at the best fraction of wrong pairs."""
     model, wrong = _likelihood(residual), _likelihood(wanted)
-    shares = np.linspace(0.05, _MOST_WRONG, 5)
+    fractions = np.linspace(0.05, _MOST_WRONG, 5)
     return max(
-        float((weight * np.log((1 - share) * model + share * wrong + _REMAINDER)).sum())
-        for share in shares
+        float((weight * np.log((1 - fraction) * model + fraction * wrong + _REMAINDER)).sum())
+        for fraction in fractions
     )
 
 
@@ -262,8 +266,8 @@ def weighted_median(
 ) -> Float64[np.ndarray, "3"]:
     """Of each column."""
     order = np.argsort(values, axis=0)
-    share = np.cumsum(weight[order], axis=0) / weight.sum()
-    row = np.minimum((share < 0.5).sum(axis=0), len(values) - 1)
+    fraction = np.cumsum(weight[order], axis=0) / weight.sum()
+    row = np.minimum((fraction < 0.5).sum(axis=0), len(values) - 1)
     return np.take_along_axis(np.take_along_axis(values, order, 0), row[None], 0)[0]
 
 

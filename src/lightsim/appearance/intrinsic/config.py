@@ -7,7 +7,7 @@ from typing import Literal
 
 
 @dataclass(frozen=True)
-class DelightConfig:
+class IntrinsicConfig:
     """How radiance becomes base colour."""
 
     method: Literal["labels", "divide"] = "labels"
@@ -23,5 +23,5 @@ class DelightConfig:
     """Smaller shadows that no rendering knows, amid light (or the reverse), are dark or bright
     things such as windows and lane marks."""
     deep_shade: tuple[float, float] = (0.1, 0.3)
-    """Share of an open sky's light up to which a quotient is worth nothing, and from which on it
+    """Fraction of an open sky's light up to which a quotient is worth nothing, and from which on it
     counts fully; in between and below, colours come from surfaces near by that face alike."""

@@ -13,18 +13,23 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
 from lightsim.appearance.intrinsic.balance import balance_light
-from lightsim.appearance.intrinsic.config import DelightConfig
+from lightsim.appearance.intrinsic.config import IntrinsicConfig
 from lightsim.appearance.intrinsic.divide import (
     HIGHEST_BASE_COLOUR,
     LOWEST_BASE_COLOUR,
     base_colour_from_radiance,
     inpaint_colour,
 )
-from lightsim.appearance.intrinsic.edges import LabelField, Seen, label_field, refine_visibility
+from lightsim.appearance.intrinsic.edges import (
+    LabelField,
+    ShadedPoints,
+    label_field,
+    refine_visibility,
+)
 from lightsim.appearance.intrinsic.labels import (
     Observed,
     label_shadows,
-    predict_tone_steps,
+    predict_reflectance_steps,
     rendered_visibility,
 )
 from lightsim.appearance.intrinsic.light import LightAt, LightBalance, SurfaceLight
@@ -32,7 +37,7 @@ from lightsim.appearance.intrinsic.surfels import (
     LidarReturns,
     Surfels,
     connect,
-    lidar_tone,
+    lidar_log_reflectance,
     make_surfels,
 )
 from lightsim.appearance.intrinsic.texture import DeepShade, VertexLight, texture_without_light
@@ -41,10 +46,17 @@ from lightsim.core.mesh import Provenance, TriMesh
 from lightsim.core.twin import LightFreedom
 from lightsim.errors import InputError
 
-__all__ = ["DelightConfig", "Delit", "LidarReturns", "SurfaceLight", "delight", "find_balance"]
+__all__ = [
+    "Decomposition",
+    "IntrinsicConfig",
+    "LidarReturns",
+    "SurfaceLight",
+    "decompose",
+    "find_balance",
+]
 
 _LEAST_RADIANCE = 1e-3
-_TONE_REACH_M = 0.3
+_REFLECTANCE_REACH_M = 0.3
 _WEIGHTS = LUMINANCE_WEIGHTS.astype(np.float64)
 _LEAST_SURFELS = 50
 
@@ -58,7 +70,7 @@ _SURFEL_M = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class Delit:
+class Decomposition:
     """A mesh without its light.
 
     Args:
@@ -75,14 +87,14 @@ class Delit:
     lidar_exponent: float | None = None
 
 
-def delight(
+def decompose(
     mesh: TriMesh,
     light_at: LightAt,
-    config: DelightConfig,
+    config: IntrinsicConfig,
     rng: np.random.Generator,
     *,
     returns: LidarReturns | None = None,
-) -> Delit:
+) -> Decomposition:
     """The mesh with base colour in place of the radiance that it must hold.
 
     Args:
@@ -95,7 +107,7 @@ def delight(
         InputError: the light is negative or not finite, or not one per point.
     """
     if len(mesh.vertices) == 0:
-        return Delit(mesh, np.zeros(0, np.float32), ())
+        return Decomposition(mesh, np.zeros(0, np.float32), ())
     normals = mesh.vertex_normals()
     light = light_at(mesh.vertices, normals).floored()
     if len(light.sun) != len(mesh.vertices):
@@ -110,22 +122,24 @@ def delight(
     surfels = make_surfels(mesh, faces, _SURFEL_M, rng)
     if len(surfels) < _LEAST_SURFELS:
         return _finished(mesh, VertexLight(light, light.visibility[:, 1]), None, config)
-    observed, tone_gain = _observe(surfels, light_at, config, rng, returns)
+    observed, reflectance_gain = _observe(surfels, light_at, config, rng, returns)
     labels = label_shadows(observed, config)
     field = label_field(faces, observed, labels)
     del surfels, observed  # Larger than all that is left to do.
     found = VertexLight(light, _visibility(mesh, normals, light, field))
-    note = f"LiDAR intensity predicts base colour with exponent {tone_gain:.2f}"
+    note = f"LiDAR intensity predicts base colour with exponent {reflectance_gain:.2f}"
     notes = () if returns is None else (note,)
     done = _finished(mesh, found, field, config)
-    return replace(done, notes=notes, lidar_exponent=None if returns is None else float(tone_gain))
+    return replace(
+        done, notes=notes, lidar_exponent=None if returns is None else float(reflectance_gain)
+    )
 
 
 def find_balance(
     mesh: TriMesh,
     light_at: LightAt,
     freedom: LightFreedom,
-    config: DelightConfig,
+    config: IntrinsicConfig,
     rng: np.random.Generator,
     *,
     returns: LidarReturns | None = None,
@@ -133,7 +147,7 @@ def find_balance(
     """The sun and the unseen sky that lit and shadowed patches of a mesh ask for.
 
     Args:
-        mesh, light_at, returns: as for `delight`.
+        mesh, light_at, returns: as for `decompose`.
         freedom: how far the light may be off.
     """
     faces = _labelled_faces(mesh)
@@ -159,7 +173,7 @@ def _visibility(
     field: LabelField,
 ) -> Float32[np.ndarray, " n"]:
     """Of the sun at each vertex: as labels have it, or as rendered where there are none."""
-    seen = Seen(
+    seen = ShadedPoints(
         mesh.vertices,
         normals,
         mesh.base_colour,
@@ -177,7 +191,7 @@ def _visibility(
 def _observe(
     surfels: Surfels,
     light_at: LightAt,
-    config: DelightConfig,
+    config: IntrinsicConfig,
     rng: np.random.Generator,
     returns: LidarReturns | None,
 ) -> tuple[Observed, float]:
@@ -187,20 +201,22 @@ def _observe(
     log_radiance = np.log(np.maximum(surfels.radiance, _LEAST_RADIANCE))
     step, gain = np.zeros(len(graph.pairs), np.float32), 0.0
     if returns is not None and len(returns.intensity):
-        tone = lidar_tone(surfels, returns, _TONE_REACH_M)
-        step, gain = predict_tone_steps(graph, log_radiance, tone, light.visibility)
+        log_reflectance = lidar_log_reflectance(surfels, returns, _REFLECTANCE_REACH_M)
+        step, gain = predict_reflectance_steps(
+            graph, log_radiance, log_reflectance, light.visibility
+        )
     return Observed(surfels, graph, log_radiance, step, light, _SURFEL_M), gain
 
 
 def _finished(
-    mesh: TriMesh, found: VertexLight, field: LabelField | None, config: DelightConfig
-) -> Delit:
+    mesh: TriMesh, found: VertexLight, field: LabelField | None, config: IntrinsicConfig
+) -> Decomposition:
     """Radiance over light; confidence falls where the sun's share hangs on an unsure label."""
     visibility = found.visibility.astype(np.float64)
     total = np.maximum(found.light.total(visibility), 1e-6)
     colour = np.clip(mesh.base_colour / total, LOWEST_BASE_COLOUR, HIGHEST_BASE_COLOUR)
-    share = found.light.sun.sum(axis=1) / total.sum(axis=1)
-    unsure = 4 * visibility * (1 - visibility) * np.minimum(share, 1.0)
+    fraction = found.light.sun.sum(axis=1) / total.sum(axis=1)
+    unsure = 4 * visibility * (1 - visibility) * np.minimum(fraction, 1.0)
     seen = np.ones(len(unsure)) if mesh.confidence is None else mesh.confidence
     open_sky = float(np.percentile(found.light.diffuse @ _WEIGHTS, 95))
     shade = _deep_shade(mesh, colour, total @ _WEIGHTS / max(open_sky, 1e-9), seen > 0, config)
@@ -214,24 +230,25 @@ def _finished(
         confidence=(seen * (1 - 0.8 * unsure) * (0.2 + 0.8 * shade.trust)).astype(np.float32),
         texture=texture,
     )
-    return Delit(done, found.visibility, ())
+    return Decomposition(done, found.visibility, ())
 
 
 def _deep_shade(
     mesh: TriMesh,
     colour: Float64[np.ndarray, "n 3"],
-    openness: Float64[np.ndarray, " n"],
+    sky_view_factor: Float64[np.ndarray, " n"],
     is_seen: Bool[np.ndarray, " n"],
-    config: DelightConfig,
+    config: IntrinsicConfig,
 ) -> DeepShade:
     """Under vehicles and in deep corners nearly all light is stray light that no model knows: the
-    quotient there says little, surfaces beside them more. `openness`: light over an open sky's."""
-    trust = np.interp(openness, config.deep_shade, (0.0, 1.0))
+    quotient there says little, surfaces beside them more. `sky_view_factor`: light over an open
+    sky's."""
+    trust = np.interp(sky_view_factor, config.deep_shade, (0.0, 1.0))
     fill = inpaint_colour(mesh, colour, (trust >= 1.0) & is_seen)
     return DeepShade(trust, fill)
 
 
-def _divided(mesh: TriMesh, light: SurfaceLight) -> Delit:
+def _divided(mesh: TriMesh, light: SurfaceLight) -> Decomposition:
     """The baseline, with the light as the sky stage estimated it."""
     found = VertexLight(light, light.visibility[:, 1])
     total = light.total(found.visibility)
@@ -239,4 +256,4 @@ def _divided(mesh: TriMesh, light: SurfaceLight) -> Delit:
     if mesh.texture is not None:
         limits = (LOWEST_BASE_COLOUR, HIGHEST_BASE_COLOUR)
         done = replace(done, texture=texture_without_light(mesh, mesh.texture, found, None, limits))
-    return Delit(done, found.visibility, ("divided by the rendered light",))
+    return Decomposition(done, found.visibility, ("divided by the rendered light",))

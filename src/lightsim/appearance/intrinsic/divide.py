@@ -17,7 +17,7 @@ _CHUNK = 1 << 15
 
 # Settings of the baseline; none was measured alone.
 
-# Light below this share of the mesh's bright light (95th percentile) is not trusted.
+# Light below this fraction of the mesh's bright light (95th percentile) is not trusted.
 _DARK_FRACTION = 0.02
 # Vertices this many edges from such a step are not trusted either.
 _EDGE_RINGS = 2
@@ -118,10 +118,10 @@ def inpaint_colour(
         distance, index = tree.query(mesh.vertices[rows], k=k)
         distance, index = distance.reshape(len(rows), k), trusted[index.reshape(len(rows), k)]
         facing = np.clip(np.einsum("nc,nkc->nk", normals[rows], normals[index]), 0.0, 1.0)
-        share = facing.astype(np.float64) ** _NORMAL_POWER / np.maximum(distance, 0.02) ** 2
-        share *= distance < _MAX_DISTANCE_M
-        total = share.sum(axis=1)
+        fraction = facing.astype(np.float64) ** _NORMAL_POWER / np.maximum(distance, 0.02) ** 2
+        fraction *= distance < _MAX_DISTANCE_M
+        total = fraction.sum(axis=1)
         is_found = total > 1e-9
-        found = np.einsum("nk,nkc->nc", share, colour[index])
+        found = np.einsum("nk,nkc->nc", fraction, colour[index])
         result[rows[is_found]] = found[is_found] / total[is_found, None]
     return result

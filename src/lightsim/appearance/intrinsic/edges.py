@@ -82,11 +82,11 @@ def _colour_around(
     step = _CHUNK * _NEAREST // _AROUND
     for start in range(0, len(all_rows), step):
         rows = all_rows[start : start + step]
-        index, share, distance = _around(
+        index, fraction, distance = _around(
             surfels, position[rows], normal[rows], _AROUND, _REACH_M / 2
         )
-        result[rows] = (share[:, :, None] * log_colour[firm[index]]).sum(axis=1)
-        facing = (share * (normal[firm[index]] * normal[rows][:, None]).sum(axis=2)).sum(axis=1)
+        result[rows] = (fraction[:, :, None] * log_colour[firm[index]]).sum(axis=1)
+        facing = (fraction * (normal[firm[index]] * normal[rows][:, None]).sum(axis=2)).sum(axis=1)
         is_known[rows] = (distance < _REACH_M) & (facing > 0.8)
     return result, is_known
 
@@ -105,12 +105,12 @@ def _around(
     distance, index = distance.reshape(len(points), -1), index.reshape(len(points), -1)
     facing = np.clip((normal[index] * normals[:, None]).sum(axis=2), 0.0, 1.0)
     near = np.exp(-0.5 * ((distance - distance[:, :1]) / width_m) ** 2)
-    share = near * (facing**4 + 1e-4)
-    return index.astype(np.int64), share / share.sum(axis=1, keepdims=True), distance[:, 0]
+    fraction = near * (facing**4 + 1e-4)
+    return index.astype(np.int64), fraction / fraction.sum(axis=1, keepdims=True), distance[:, 0]
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class ShadedPoints:
     """Points of the surface with what was seen, and the light without and of the sun there."""
 
     points: Float32[np.ndarray, "n 3"]
@@ -122,9 +122,9 @@ class Seen:
     def __len__(self) -> int:
         return len(self.points)
 
-    def at(self, rows: slice | Int64[np.ndarray, " m"]) -> Seen:
+    def at(self, rows: slice | Int64[np.ndarray, " m"]) -> ShadedPoints:
         """Some of the points."""
-        return Seen(
+        return ShadedPoints(
             self.points[rows],
             self.normals[rows],
             self.radiance[rows],
@@ -133,7 +133,7 @@ class Seen:
         )
 
 
-def refine_visibility(field: LabelField, seen: Seen) -> Float32[np.ndarray, " n"]:
+def refine_visibility(field: LabelField, seen: ShadedPoints) -> Float32[np.ndarray, " n"]:
     """Fraction of the sun that reaches each point.
 
     Away from edges it is the label of the surfels around. Near an edge it is what makes the
@@ -147,12 +147,12 @@ def refine_visibility(field: LabelField, seen: Seen) -> Float32[np.ndarray, " n"
     return result
 
 
-def _refine(field: LabelField, seen: Seen) -> Float64[np.ndarray, " n"]:
+def _refine(field: LabelField, seen: ShadedPoints) -> Float64[np.ndarray, " n"]:
     surfels = (field.tree, field.normal)
-    index, share, _ = _around(surfels, seen.points, seen.normals, _NEAREST, 0.6 * field.surfel_m)
-    lit = (share * field.lit[index]).sum(axis=1)
-    known = (share * field.is_known[index]).sum(axis=1)
-    colour = share * field.is_known[index]
+    index, fraction, _ = _around(surfels, seen.points, seen.normals, _NEAREST, 0.6 * field.surfel_m)
+    lit = (fraction * field.lit[index]).sum(axis=1)
+    known = (fraction * field.is_known[index]).sum(axis=1)
+    colour = fraction * field.is_known[index]
     colour = (colour[:, :, None] * field.log_colour[index]).sum(axis=1)
     colour = np.exp(colour / np.maximum(known, 1e-9)[:, None])
     wanted = ((seen.radiance / colour - seen.diffuse) * seen.direct).sum(axis=1)

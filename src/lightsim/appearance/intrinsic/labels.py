@@ -17,7 +17,7 @@ from jaxtyping import Float32, Float64
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from lightsim.appearance.intrinsic.config import DelightConfig
+from lightsim.appearance.intrinsic.config import IntrinsicConfig
 from lightsim.appearance.intrinsic.light import LightBalance, SurfaceLight
 from lightsim.appearance.intrinsic.surfels import Graph, Surfels
 
@@ -36,9 +36,9 @@ _TRUST_INFERRED = 0.75
 _LEAST_LIT = 0.02
 # What these say of one patch counts this much: neighbours share their errors.
 _PRIOR_WEIGHT = 0.25
-# Spread of log base colour within a material.
-_TONE_STD = 0.2
-# Spread of its colour part.
+# BilateralUpsampling of log base colour within a material.
+_REFLECTANCE_STD = 0.2
+# BilateralUpsampling of its colour part.
 _HUE_STD = 0.08
 # Weight of what pictures say against the rendered prior.
 _STRENGTH = 1.5
@@ -56,7 +56,8 @@ class Observed:
 
     Args:
         log_radiance: natural logarithm.
-        tone_step: for each pair of the graph, log of base colour of the second over the first,
+        reflectance_step: for each pair of the graph, log of base colour of the second over the
+        first,
             as LiDAR intensity predicts it; 0 where that says nothing.
         light: of the source sky at each surfel.
     """
@@ -64,7 +65,7 @@ class Observed:
     surfels: Surfels
     graph: Graph
     log_radiance: Float64[np.ndarray, "n 3"]
-    tone_step: Float32[np.ndarray, " e"]
+    reflectance_step: Float32[np.ndarray, " e"]
     light: SurfaceLight
     surfel_m: float
 
@@ -82,7 +83,7 @@ class Labels:
     prior: Float64[np.ndarray, " n"]
 
 
-def label_shadows(observed: Observed, config: DelightConfig) -> Labels:
+def label_shadows(observed: Observed, config: IntrinsicConfig) -> Labels:
     """Labels under the light as it is."""
     prior = visibility_prior(observed, config)
     messages = np.zeros((len(observed.graph.pairs), 2), np.float32)
@@ -92,7 +93,7 @@ def label_shadows(observed: Observed, config: DelightConfig) -> Labels:
     return Labels(lit, prior)
 
 
-def visibility_prior(observed: Observed, config: DelightConfig) -> Float64[np.ndarray, " n"]:
+def visibility_prior(observed: Observed, config: IntrinsicConfig) -> Float64[np.ndarray, " n"]:
     """Probability that a patch is lit, from the renderings alone."""
     believed = rendered_visibility(observed.light)
     smooth = _smoothed(believed, observed.graph, config.edge_error_m)
@@ -122,7 +123,7 @@ def infer_labels(
     observed: Observed,
     balance: LightBalance,
     prior: Float64[np.ndarray, " n"],
-    config: DelightConfig,
+    config: IntrinsicConfig,
     messages: Float32[np.ndarray, "e 2"],
 ) -> Float64[np.ndarray, " n"]:
     """Probability of being lit by loopy belief propagation.
@@ -162,7 +163,7 @@ def without_islands(
 
 
 def pair_energies(
-    observed: Observed, balance: LightBalance, config: DelightConfig
+    observed: Observed, balance: LightBalance, config: IntrinsicConfig
 ) -> Float32[np.ndarray, "e 2 2"]:
     """Energy of each pair by the labels of its two patches, in nats.
 
@@ -181,7 +182,7 @@ def pair_energies(
         for a in (0, 1):
             for b in (0, 1):
                 step = log_colour[second, b] - log_colour[first, a]
-                cost = _misfit(step - observed.tone_step[part, None]) / reach
+                cost = _misfit(step - observed.reflectance_step[part, None]) / reach
                 cost = _STRENGTH * -np.log(np.exp(-cost) + exp(-_MAX_PAIR_ENERGY))
                 energy[part, a, b] = graph.weight[part] * (cost + _EDGE_ENERGY * (a != b))
     return energy
@@ -191,13 +192,13 @@ def _misfit(step: Float32[np.ndarray, "e 3"]) -> Float32[np.ndarray, " e"]:
     """Squared step of brightness and of colour, in units of their spread."""
     mean = step.mean(axis=1)
     chroma = step - mean[:, None]
-    return 0.5 * (mean / _TONE_STD) ** 2 + 0.5 * (chroma**2).sum(axis=1) / _HUE_STD**2
+    return 0.5 * (mean / _REFLECTANCE_STD) ** 2 + 0.5 * (chroma**2).sum(axis=1) / _HUE_STD**2
 
 
-def predict_tone_steps(
+def predict_reflectance_steps(
     graph: Graph,
     log_radiance: Float64[np.ndarray, "n 3"],
-    tone: Float64[np.ndarray, " n"],
+    log_reflectance: Float64[np.ndarray, " n"],
     visibility: Float32[np.ndarray, "n 2"],
 ) -> tuple[Float32[np.ndarray, " e"], float]:
     """Step of log base colour across each pair that LiDAR intensity predicts, and the gain.
@@ -206,7 +207,7 @@ def predict_tone_steps(
     rendering puts on the same side of the sun; noise of the intensity shrinks it, as it should.
     """
     first, second = graph.pairs.T
-    step = (tone[second] - tone[first]).astype(np.float32)
+    step = (log_reflectance[second] - log_reflectance[first]).astype(np.float32)
     known = np.isfinite(step)
     step = np.where(known, np.clip(step, -2.0, 2.0), 0.0).astype(np.float32)
     same = (np.abs(visibility[first] - visibility[second]) < 0.1).all(axis=1) & known

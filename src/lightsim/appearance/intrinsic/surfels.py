@@ -167,7 +167,7 @@ class LidarReturns:
     intensity: Float32[np.ndarray, " n"]
 
 
-def lidar_tone(
+def lidar_log_reflectance(
     surfels: Surfels, returns: LidarReturns, reach_m: float
 ) -> Float64[np.ndarray, " n"]:
     """Log of the LiDAR intensity of each surfel, relative to that of all returns of its range and

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Float32, Float64, Int32
 from scipy.spatial import KDTree
 
 from lightsim.appearance.atlas import texel_parts
-from lightsim.appearance.intrinsic.edges import LabelField, Seen, refine_visibility
+from lightsim.appearance.intrinsic.edges import LabelField, ShadedPoints, refine_visibility
 from lightsim.appearance.intrinsic.light import SurfaceLight
 from lightsim.core.mesh import Texture, TriMesh
 
@@ -19,7 +19,7 @@ _CHUNK = 1 << 17
 
 @dataclass(frozen=True, eq=False)
 class VertexLight:
-    """Light at a mesh's vertices as delighting found it.
+    """Light at a mesh's vertices as intrinsic decomposition found it.
 
     Args:
         visibility: of the sun.
@@ -111,7 +111,7 @@ class _VertexAttributes:
         corners: Int32[np.ndarray, "t 3"],
         barycentric: Float32[np.ndarray, "t 3"],
         radiance: Float32[np.ndarray, "t 3"],
-    ) -> tuple[Seen, Float32[np.ndarray, " t"]]:
+    ) -> tuple[ShadedPoints, Float32[np.ndarray, " t"]]:
         """Points inside triangles, and the visibility between the corners'."""
         weights = barycentric[:, :, None]
         points, normals, diffuse, direct = (
@@ -120,7 +120,7 @@ class _VertexAttributes:
         )
         visibility = (barycentric * self.visibility[corners]).sum(axis=1)
         light = np.maximum(diffuse, 1e-6), np.maximum(direct, 0.0)
-        return Seen(points, normals, radiance, *light), visibility
+        return ShadedPoints(points, normals, radiance, *light), visibility
 
 
 def edge_faces(mesh: TriMesh, field: LabelField) -> Bool[np.ndarray, " k"]:

@@ -59,7 +59,7 @@ def read_pandaset(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> Driv
 
     Args:
         reading: its source is the sequence's folder, such as pandaset/002.
-        find_ego_vehicle: looks for the recording car in all pictures of the cameras.
+        find_ego_vehicle: looks for the ego vehicle in all pictures of the cameras.
 
     Raises:
         InputError: something is missing or broken; the message names the file.

@@ -11,7 +11,7 @@ from lightsim.core.actors import ActorKind
 _OPEN = (ActorKind.PICKUP, ActorKind.TRAILER, ActorKind.CONSTRUCTION_VEHICLE)
 """Their cross sections are hollow in truth."""
 _CABIN_FROM = 0.55
-"""Windows begin above this share of the height."""
+"""Windows begin above this fraction of the height."""
 _BODY_BAND_M = 0.35
 """Height of the part of the body below the belt line that tells its width."""
 _MIN_CELLS = 8

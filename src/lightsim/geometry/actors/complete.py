@@ -75,10 +75,10 @@ def actor_surface(track: ActorTrack, grid: TsdfGrid | None) -> tuple[TriMesh, Ac
 
 
 def mirrored(
-    sdf: Float32[np.ndarray, "x y z"], weight: Float32[np.ndarray, "x y z"], share: float
+    sdf: Float32[np.ndarray, "x y z"], weight: Float32[np.ndarray, "x y z"], fraction: float
 ) -> tuple[Float32[np.ndarray, "x y z"], Float32[np.ndarray, "x y z"]]:
-    """A field and its mirror image about the middle of axis 1, the image weighing `share`."""
-    other_weight = share * weight[:, ::-1]
+    """A field and its mirror image about the middle of axis 1, the image weighing `fraction`."""
+    other_weight = fraction * weight[:, ::-1]
     total = weight + other_weight
     mixed = sdf * weight + sdf[:, ::-1] * other_weight
     mixed = np.where(total > 0, mixed / np.where(total > 0, total, 1), 0)
@@ -150,7 +150,7 @@ def ground_patches(
     path_m: Float[np.ndarray, "k 3"],
     make_caster: MakeCaster,
 ) -> TriMesh:
-    """Ground that the background lacks: under parked cars, behind them, under the recording car.
+    """Ground that the background lacks: under parked cars, behind them, under the ego vehicle.
 
     Rays straight down find the holes; heights there solve Laplace's equation between the
     surface around them. Patches start 3 mm below their neighbours, so that nothing

@@ -142,10 +142,10 @@ def _classify_pixels(
     check_matte(camera, matte)
     small = camera.scaled(min(1.0, _RAY_WIDTH_PX / camera.width_px))
     masks = np.stack([matte >= SKY_ALPHA, matte <= SOLID_ALPHA], axis=-1)
-    shares = resize_area(masks.astype(np.float32), small.height_px, small.width_px) > 0.999
+    fractions = resize_area(masks.astype(np.float32), small.height_px, small.width_px) > 0.999
     size = 2 * _ERODE_PX + 1
-    is_sky = np.asarray(minimum_filter(shares[..., 0], size), bool)
+    is_sky = np.asarray(minimum_filter(fractions[..., 0], size), bool)
     kind = np.full(is_sky.shape, _UNUSED)
-    kind[shares[..., 1]] = _VOTING
+    kind[fractions[..., 1]] = _VOTING
     kind[is_sky] = _CARVED
     return small, kind

@@ -48,11 +48,11 @@ _CELL_M = 0.25
 _MAX_RISE_M = 20.0
 # Larger holes stay open.
 _MAX_HOLE_M2 = 40.0
-# Share of a hole's border, and of its lintel, that must be measured wall.
+# Fraction of a hole's border, and of its lintel, that must be measured wall.
 _MIN_BORDER = 0.6
 # Views from further away do not count.
 _MAX_VIEW_M = 90.0
-# Cells above the measured wall that more than this share of the views shows as sky are open.
+# Cells above the measured wall that more than this fraction of the views shows as sky are open.
 _MAX_SKY_SHARE = 0.3
 # The same within the measured wall, where glass reflects the sky.
 _MAX_HOLE_SKY_SHARE = 0.7
@@ -62,7 +62,7 @@ _MIN_VOTES = 2
 _MIN_PASSES = 2
 # LiDAR returns used for that.
 _EVERY_NTH_RETURN = 4
-# Share of the cells between measured and inferred top that have those votes.
+# Fraction of the cells between measured and inferred top that have those votes.
 _MIN_SUPPORT = 0.5
 
 
@@ -192,8 +192,8 @@ def _pass(cells: WallCells, sweep: LidarSweep) -> None:
     before, after = start @ wall.normal, end @ wall.normal
     crosses = (before > _FRONT_M) & (after < -2 * _BEHIND_M)
     start, end = start[crosses], end[crosses]
-    share = (before[crosses] / (before[crosses] - after[crosses]))[:, None]
-    place = start + share * (end - start)
+    fraction = (before[crosses] / (before[crosses] - after[crosses]))[:, None]
+    place = start + fraction * (end - start)
     i = np.floor((place @ wall.along - wall.span_m[0]) / cells.cell_m).astype(np.int64)
     j = np.floor((place[:, 2] - wall.height_m[0]) / cells.cell_m).astype(np.int64)
     shape = cells.passes.shape
@@ -265,12 +265,12 @@ def _closed_holes(cells: WallCells, is_missing: Bool[np.ndarray, "s z"]) -> Bool
         if piece.sum() * _CELL_M**2 > _MAX_HOLE_M2:
             continue
         grown = tuple(slice(b.start, b.stop + 2) for b in box)
-        if _border_share(np.pad(piece, 1), covered[grown], _MIN_BORDER):
+        if _border_fraction(np.pad(piece, 1), covered[grown], _MIN_BORDER):
             kept[box] |= piece
     return kept
 
 
-def _border_share(
+def _border_fraction(
     piece: Bool[np.ndarray, "a b"], covered: Bool[np.ndarray, "a b"], needed: float
 ) -> bool:
     """Whether enough of a hole's border, and enough of what lies over it, is measured."""
@@ -290,8 +290,8 @@ def _spread_offset(cells: WallCells) -> Float64[np.ndarray, "s z"]:
     is_used = cells.is_covered & (np.abs(cells.offset_m) < _OFFSET_LIMIT_M)
     spread = 1.0 / cells.cell_m
     total = np.asarray(gaussian_filter(np.where(is_used, cells.offset_m, 0.0), spread))
-    share = np.asarray(gaussian_filter(is_used.astype(np.float64), spread))
-    return total / np.maximum(share, 0.02)
+    fraction = np.asarray(gaussian_filter(is_used.astype(np.float64), spread))
+    return total / np.maximum(fraction, 0.02)
 
 
 def _mesh_cells(

@@ -1,10 +1,10 @@
-"""What stands beyond the LiDAR's reach: a coarse backdrop with the images' skyline, on ground that
-goes on to it.
+"""What stands beyond the LiDAR's reach: a coarse background proxy with the images' skyline, on
+ground that goes on to it.
 
 Directions in which images show matter but nothing was measured or inferred end on an upright
 cylinder around the path. Over a log's short way the parallax at such distances is small, so the
-distance matters little to the picture; a low sun sets behind the backdrop as it does behind the
-real skyline.
+distance matters little to the picture; a low sun sets behind the background proxy as it does behind
+the real skyline.
 """
 
 from __future__ import annotations
@@ -41,20 +41,20 @@ _BLEND_M = 8.0
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
 # (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
 
-# Radius of the backdrop around the middle of the path; more where the path or the measured
+# Radius of the background proxy around the middle of the path; more where the path or the measured
 # surfaces reach further.
 _DISTANCE_M = 160.0
-# The backdrop stands at least this far beyond all measured surfaces.
+# The background proxy stands at least this far beyond all measured surfaces.
 _MARGIN_M = 20.0
-# Width of a panel of the backdrop.
+# Width of a panel of the background proxy.
 _AZIMUTH_STEP_DEG = 0.5
 # Heights are found in steps of this.
 _LEVEL_M = 1.0
-# The backdrop ends at this height above the cameras.
+# The background proxy ends at this height above the cameras.
 _MAX_HEIGHT_M = 90.0
 # Views that must show matter in a cell.
 _MIN_VIEWS = 2
-# Share of the views of a cell that must show matter.
+# Fraction of the views of a cell that must show matter.
 _MIN_MATTER = 0.5
 # Pixels used, along both axes.
 _EVERY_NTH_PIXEL = 2
@@ -65,7 +65,7 @@ _GROUND_STEP_M = 4.0
 
 
 @dataclass(eq=False)
-class _Backdrop:
+class _BackgroundProxy:
     """Counts of views per panel and level [azimuth, height]."""
 
     centre: Float64[np.ndarray, "3"]
@@ -83,7 +83,7 @@ def build_far_field(
     *,
     make_caster: MakeCaster,
 ) -> TriMesh:
-    """Backdrop and extended ground, frame world, a background proxy; black.
+    """Background proxy and extended ground, frame world, a background proxy; black.
 
     Args:
         background: measured and inferred surfaces, frame world.
@@ -100,17 +100,17 @@ def build_far_field(
         raise FrameMismatchError(
             "the background lies in the wrong frame", got=background.frame, expected="world"
         )
-    backdrop = _empty_backdrop(background, path_m)
-    extended = _extend_ground(background, ground, path_m, backdrop, make_caster)
+    proxy = _empty_proxy(background, path_m)
+    extended = _extend_ground(background, ground, path_m, proxy, make_caster)
     caster = make_caster([background, extended])
     for frame, camera, matte in spaced_views(silhouettes, MIN_BASELINE_M):
         kind = classify_matte(camera, matte)
-        _look(backdrop, (frame, camera, kind), caster)
-    panels = _mesh_panels(backdrop, _skyline(backdrop), ground)
+        _look(proxy, (frame, camera, kind), caster)
+    panels = _mesh_panels(proxy, _skyline(proxy), ground)
     return concatenate_meshes([extended, panels])
 
 
-def _empty_backdrop(background: TriMesh, path_m: Float[np.ndarray, "k 3"]) -> _Backdrop:
+def _empty_proxy(background: TriMesh, path_m: Float[np.ndarray, "k 3"]) -> _BackgroundProxy:
     centre = 0.5 * (path_m.min(axis=0) + path_m.max(axis=0)).astype(np.float64)
     places = np.concatenate([background.vertices[:, :2].astype(np.float64), path_m[:, :2]])
     reach = float(np.linalg.norm(places - centre[:2], axis=1).max())
@@ -121,15 +121,15 @@ def _empty_backdrop(background: TriMesh, path_m: Float[np.ndarray, "k 3"]) -> _B
     )
     none = np.zeros(shape, dtype=np.int64)
     low = float(path_m[:, 2].min()) - 2.0
-    return _Backdrop(centre, radius, none, none.copy(), low)
+    return _BackgroundProxy(centre, radius, none, none.copy(), low)
 
 
 def _look(
-    backdrop: _Backdrop,
+    proxy: _BackgroundProxy,
     view: tuple[CameraFrame, PinholeCamera, Float[np.ndarray, "h w"] | np.ndarray],
     caster: RayCaster,
 ) -> None:
-    """Which cells of the backdrop one view shows as matter or as sky, each cell once."""
+    """Which cells of the background proxy one view shows as matter or as sky, each cell once."""
     frame, camera, kind = view
     step = _EVERY_NTH_PIXEL
     uv = camera.pixel_centres()[::step, ::step].reshape(-1, 2)
@@ -140,36 +140,34 @@ def _look(
     is_hit = caster.intersect(origins[matter], rays[matter]).is_hit
     used = np.concatenate([matter[~is_hit], np.flatnonzero(kind > 0)])
     origins, rays, kind = origins[used], rays[used], kind[used]
-    offset = origins[:, :2] - backdrop.centre[:2]
+    offset = origins[:, :2] - proxy.centre[:2]
     a = (rays[:, :2] ** 2).sum(axis=1)
     b = (rays[:, :2] * offset).sum(axis=1)
-    c = (offset**2).sum(axis=1) - backdrop.radius_m**2
+    c = (offset**2).sum(axis=1) - proxy.radius_m**2
     distance = (-b + np.sqrt(b * b - a * c)) / np.maximum(a, 1e-9)
     place = offset + distance[:, None] * rays[:, :2]
     azimuth = np.degrees(np.arctan2(place[:, 1], place[:, 0])) % 360.0
-    count = backdrop.matter.shape
+    count = proxy.matter.shape
     i = (azimuth / _AZIMUTH_STEP_DEG).astype(np.int64) % count[0]
-    height = origins[:, 2] + distance * rays[:, 2] - backdrop.low_m
+    height = origins[:, 2] + distance * rays[:, 2] - proxy.low_m
     j = np.floor(height / _LEVEL_M).astype(np.int64)
     # Not yet hit below the horizon: the road ahead sinks away; its far end is the lowest level.
     j = np.where(kind < 0, np.maximum(j, 0), j)
     is_inside = (j >= 0) & (j < count[1])
     flat = i[is_inside] * count[1] + j[is_inside]
-    for table, sign in ((backdrop.matter, -1), (backdrop.sky, 1)):
+    for table, sign in ((proxy.matter, -1), (proxy.sky, 1)):
         seen = np.unique(flat[kind[is_inside] == sign])
         table.reshape(-1)[seen] += 1
 
 
-def _skyline(backdrop: _Backdrop) -> Float64[np.ndarray, " a"]:
+def _skyline(proxy: _BackgroundProxy) -> Float64[np.ndarray, " a"]:
     """Height of each panel above the lowest level; 0 where nothing stands."""
     from scipy.ndimage import median_filter
 
-    seen = backdrop.matter + backdrop.sky
-    is_matter = (backdrop.matter >= _MIN_VIEWS) & (
-        backdrop.matter >= _MIN_MATTER * np.maximum(seen, 1)
-    )
+    seen = proxy.matter + proxy.sky
+    is_matter = (proxy.matter >= _MIN_VIEWS) & (proxy.matter >= _MIN_MATTER * np.maximum(seen, 1))
     levels = np.arange(is_matter.shape[1])
-    is_sky = (backdrop.sky >= _MIN_VIEWS) & ~is_matter
+    is_sky = (proxy.sky >= _MIN_VIEWS) & ~is_matter
     first_sky = np.where(is_sky.any(axis=1), is_sky.argmax(axis=1), len(levels))
     is_below = is_matter & (levels < first_sky[:, None])
     top = np.where(is_below.any(axis=1), np.where(is_below, levels + 1, 0).max(axis=1), 0)
@@ -178,15 +176,15 @@ def _skyline(backdrop: _Backdrop) -> Float64[np.ndarray, " a"]:
 
 
 def _mesh_panels(
-    backdrop: _Backdrop,
+    proxy: _BackgroundProxy,
     height_m: Float64[np.ndarray, " a"],
     ground: GroundMap,
 ) -> TriMesh:
     """Upright quads from below the ground to the skyline, facing the path."""
     panel = np.flatnonzero(height_m > 0)
     angle = np.radians(_AZIMUTH_STEP_DEG * np.stack([panel, panel + 1], axis=1))
-    xy = backdrop.centre[:2] + backdrop.radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    top = backdrop.low_m + height_m[panel]
+    xy = proxy.centre[:2] + proxy.radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    top = proxy.low_m + height_m[panel]
     foot = _continued_height(ground, xy.reshape(-1, 2)).min() if len(panel) else 0.0
     low = np.minimum(foot, top) - _STEPS_DOWN * _LEVEL_M
     count = np.maximum(np.ceil((top - low) / _PANEL_M), 1).astype(np.int64)
@@ -205,17 +203,17 @@ def _extend_ground(
     background: TriMesh,
     ground: GroundMap,
     path_m: Float[np.ndarray, "k 3"],
-    backdrop: _Backdrop,
+    proxy: _BackgroundProxy,
     make_caster: MakeCaster,
 ) -> TriMesh:
-    """Ground from the closed surface near the path out to the backdrop, where none was measured;
-    a little lower than the map, so that measured surfaces stay in front."""
+    """Ground from the closed surface near the path out to the background proxy, where none was
+    measured; a little lower than the map, so that measured surfaces stay in front."""
     from scipy.spatial import KDTree
 
     step = _GROUND_STEP_M
-    count = int(np.ceil(2 * backdrop.radius_m / step)) + 1
+    count = int(np.ceil(2 * proxy.radius_m / step)) + 1
     axis = step * (np.arange(count) - (count - 1) / 2)
-    xy = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1) + backdrop.centre[:2]
+    xy = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1) + proxy.centre[:2]
     flat = xy.reshape(-1, 2)
     height = _continued_height(ground, flat) - _SINK_M
     points = np.concatenate([flat, height[:, None]], axis=1)
@@ -224,7 +222,7 @@ def _extend_ground(
         [index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], axis=-1
     ).reshape(-1, 4)
     middle = points[quads].mean(axis=1)
-    is_used = np.linalg.norm(middle[:, :2] - backdrop.centre[:2], axis=1) < backdrop.radius_m
+    is_used = np.linalg.norm(middle[:, :2] - proxy.centre[:2], axis=1) < proxy.radius_m
     distance, _ = KDTree(path_m[:, :2]).query(middle[:, :2])
     is_used &= np.asarray(distance) > _INNER_M
     quads, middle = quads[is_used], middle[is_used]
@@ -259,9 +257,9 @@ def _continued_height(
         weight = 1.0 / np.sqrt(1.0 + ((z - terms @ plane) / _PLANE_SPREAD_M) ** 2)
     is_ground = np.abs(z - terms @ plane) < _OFF_PLANE_M
     distance, nearest = KDTree(places[is_ground]).query(xy)
-    share = np.exp(-np.asarray(distance) / _BLEND_M)
+    fraction = np.exp(-np.asarray(distance) / _BLEND_M)
     far = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ plane
-    return share * z[is_ground][nearest] + (1.0 - share) * far
+    return fraction * z[is_ground][nearest] + (1.0 - fraction) * far
 
 
 def _mesh(points: Float64[np.ndarray, "n 3"], faces: Int64[np.ndarray, "m 3"]) -> TriMesh:

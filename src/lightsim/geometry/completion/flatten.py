@@ -77,11 +77,11 @@ def _flatten(
             above = out[rows] - _smooth_height_m(cell[:, known], out[known], reach, cell[:, rows])
             rough = _local_mean(cell[:, rows], 1.0 - cosine[rows], reach)
             bump = np.interp(rough, _ROUGHNESS, _BUMP_M)
-            share = (np.abs(above) - bump) / (np.interp(rough, _ROUGHNESS, _KEPT_M) - bump)
-            way = np.clip(1.0 - share, 0.0, 1.0) * above
+            fraction = (np.abs(above) - bump) / (np.interp(rough, _ROUGHNESS, _KEPT_M) - bump)
+            way = np.clip(1.0 - fraction, 0.0, 1.0) * above
             points[rows] -= way[:, None] * wall.normal
             out[rows] -= way
-            is_out = share > 0
+            is_out = fraction > 0
             remaining += [rows[is_out & (above > 0)], rows[is_out & (above < 0)]]
         layers = remaining
 

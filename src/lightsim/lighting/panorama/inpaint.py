@@ -116,10 +116,10 @@ def _shrunk(
 ) -> tuple[Float32[np.ndarray, "h2 w2 3"], Bool[np.ndarray, "h2 w2"]]:
     """The seen pixels averaged as light over larger ones; seen is what was seen by half."""
     weight = is_seen[..., None].astype(np.float32)
-    share = resize_area(weight, height_px, 2 * height_px)
+    fraction = resize_area(weight, height_px, 2 * height_px)
     linear = resize_area(linear_from_srgb(ldr) * weight, height_px, 2 * height_px)
-    seen = share[..., 0] >= min(0.5, float(share.max()))
-    small = srgb_from_linear(linear / np.maximum(share, 1e-6)) * seen[..., None]
+    seen = fraction[..., 0] >= min(0.5, float(fraction.max()))
+    small = srgb_from_linear(linear / np.maximum(fraction, 1e-6)) * seen[..., None]
     return small.astype(np.float32), seen
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 _PRIOR_SHARE = 5e-4
-"""An overlap of this share of the panorama alone is believed two thirds; slivers less."""
+"""An overlap of this fraction of the panorama alone is believed two thirds; slivers less."""
 _DARKEST = 1e-3
 
 
@@ -35,10 +35,10 @@ def sky_factors(
         is_bright = (first > _DARKEST).all(axis=1) & (second > _DARKEST).all(axis=1)
         if not is_bright.any():
             continue
-        share = float(is_bright.sum() / both.size)
+        fraction = float(is_bright.sum() / both.size)
         ratio = np.median(np.log(first[is_bright] / second[is_bright]), axis=0)
-        system[[a, b], [a, b]] += share
-        system[[a, b], [b, a]] -= share
-        right[a] -= share * ratio
-        right[b] += share * ratio
+        system[[a, b], [a, b]] += fraction
+        system[[a, b], [b, a]] -= fraction
+        right[a] -= fraction * ratio
+        right[b] += fraction * ratio
     return np.exp(np.linalg.solve(system, right))

@@ -204,9 +204,9 @@ def _load_view(
     saturated = np.any(srgb8 >= CLIPPED_CODE, axis=-1, keepdims=True)
     clipped = resize_area(np.asarray(saturated, np.float32), *size)
     is_valid = ~_moving_actor_mask(log, frame, camera, _ACTOR_MARGIN_M)
-    if frame.camera_name in log.own_car_masks:
-        own_car = log.own_car_masks[frame.camera_name].astype(np.float32)[..., None]
-        is_valid &= resize_area(own_car, *size)[..., 0] == 0
+    if frame.camera_name in log.ego_vehicle_masks:
+        ego_vehicle = log.ego_vehicle_masks[frame.camera_name].astype(np.float32)[..., None]
+        is_valid &= resize_area(ego_vehicle, *size)[..., 0] == 0
     matte = sky_matte(frame, camera)
     return _View(
         camera,

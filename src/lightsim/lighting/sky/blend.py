@@ -71,7 +71,7 @@ def _blur(image: Float[np.ndarray, "h w"], sigma_px: float) -> Float[np.ndarray,
 def shrink_masked(
     image: Float[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"], height_px: int
 ) -> tuple[Float[np.ndarray, "a b 3"], Float[np.ndarray, "a b"]]:
-    """Mean over the masked pixels of each cell, and the share of the cell that is masked."""
+    """Mean over the masked pixels of each cell, and the fraction of the cell that is masked."""
     row = (np.arange(image.shape[0]) * height_px) // image.shape[0]
     column = (np.arange(image.shape[1]) * 2 * height_px) // image.shape[1]
     index = (row[:, None] * 2 * height_px + column[None, :]).ravel()

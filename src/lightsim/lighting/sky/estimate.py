@@ -69,7 +69,7 @@ class AnalyticFit:
 
     radiance: Float32[np.ndarray, "h w 3"]
     turbidity: float
-    overcast_share: float
+    overcast_fraction: float
     clear_sun_irradiance: Float32[np.ndarray, "3"]
     residual: float
     observed_count: int
@@ -177,11 +177,11 @@ def _usual_sun(
     usual_ratio = _grey(clear.irradiance) / _grey(irradiance(radiance, up))
     usual = np.log(usual_ratio * _grey(irradiance(sky, up)))
     fitted = np.log(max(_grey(analytic.clear_sun_irradiance), 1e-9))
-    fit_std = 0.2 + 8.0 * analytic.residual + 2.0 * analytic.overcast_share
+    fit_std = 0.2 + 8.0 * analytic.residual + 2.0 * analytic.overcast_fraction
     weight = _USUAL_LOG_STD**2 / (_USUAL_LOG_STD**2 + fit_std**2)
     sunny = sun.sunny_probability
     if sunny is None:
-        sunny = 1.0 - analytic.overcast_share
+        sunny = 1.0 - analytic.overcast_fraction
     log_sun = usual + weight * (fitted - usual) + (1.0 - sunny) * _CLOUD_LOG_FACTOR
     spread = abs(_CLOUD_LOG_FACTOR) * np.sqrt(sunny * (1.0 - sunny))
     log_std = float(np.linalg.norm([np.sqrt(weight) * fit_std, spread, 0.2]))
@@ -243,10 +243,10 @@ def fit_analytic_sky(
     radiance = (clear * weights[:, 0] + cloud).astype(np.float32)
     up = np.array([0.0, 0.0, 1.0])
     total = float(irradiance(radiance, up).sum())
-    share = float(irradiance(cloud, up).sum() / max(total, 1e-12))
+    fraction = float(irradiance(cloud, up).sum() / max(total, 1e-12))
     sun_rgb = clear_sun.irradiance * weights[:, 0].mean()
     return AnalyticFit(
-        radiance, turbidity, share, sun_rgb.astype(np.float32), residual, len(observed)
+        radiance, turbidity, fraction, sun_rgb.astype(np.float32), residual, len(observed)
     )
 
 
@@ -296,7 +296,7 @@ def _unseen_scale(panorama: Panorama, sun_direction_world: Float[np.ndarray, "3"
 
 def _level_log_std(panorama: Panorama) -> float:
     """Log standard deviation of the sky's irradiance: 0.3 for a sky that was not seen at all (the
-    error of extrapolating from the horizon strip), less by the share of it that was seen."""
+    error of extrapolating from the horizon strip), less by the fraction of it that was seen."""
     height = panorama.radiance.shape[0]
     weight = np.clip(pixel_directions(height)[..., 2], 0.0, None) * solid_angles_sr(height)
     seen = panorama.is_sky & panorama.is_seen & ~panorama.is_clipped
@@ -316,7 +316,7 @@ def _ground_radiance(
 
 def _sky_notes(panorama: Panorama, analytic: AnalyticFit, sun: SunDirection) -> tuple[str, ...]:
     fitted = (
-        f"sky: turbidity {analytic.turbidity:g}, {100 * analytic.overcast_share:.0f} % of its"
+        f"sky: turbidity {analytic.turbidity:g}, {100 * analytic.overcast_fraction:.0f} % of its"
         f" light overcast, median residual {100 * analytic.residual:.0f} % over"
         f" {analytic.observed_count} cells"
     )

@@ -144,8 +144,8 @@ def _views(network: SkyNetwork, batch: SkyTensors) -> list[SkyEncoding]:
     width = batch.panorama.shape[3]
     found = []
     for mirrored in (False, True):
-        for share in _TURNS_OF_WIDTH:
-            shift = round(share * width)
+        for fraction in _TURNS_OF_WIDTH:
+            shift = round(fraction * width)
             panorama, seen = batch.panorama, batch.seen
             if mirrored:
                 panorama, seen = panorama.flip(3), seen.flip(3)
@@ -176,15 +176,15 @@ def _turned(direction: Float[Tensor, "n 3"], angle_rad: float) -> Float[Tensor, 
 
 def _mean_prediction(first: SkyEncoding, views: list[SkyEncoding]) -> SkyPrediction:
     """Means over views; directions by their concentration, so that disagreement lowers it."""
-    said = [_prediction(view) for view in views]
-    total = np.mean([p.concentration * p.sun_direction for p in said], axis=0)
+    predicted = [_prediction(view) for view in views]
+    total = np.mean([p.concentration * p.sun_direction for p in predicted], axis=0)
     length = max(float(np.linalg.norm(total)), 1e-6)
     return SkyPrediction(
         sun_direction=(total / length).astype(np.float32),
         concentration=length,
-        log_peak=float(np.mean([p.log_peak for p in said])),
-        log_peak_std=float(np.mean([p.log_peak_std for p in said])),
-        sunny_probability=float(np.mean([p.sunny_probability for p in said])),
+        log_peak=float(np.mean([p.log_peak for p in predicted])),
+        log_peak_std=float(np.mean([p.log_peak_std for p in predicted])),
+        sunny_probability=float(np.mean([p.sunny_probability for p in predicted])),
         latent=first.latent[0].numpy().astype(np.float32),
     )
 

@@ -56,9 +56,9 @@ class SunFit:
 _RATIOS = np.geomspace(0.01, 40.0, 121)
 """Candidates of the sun's luminance over the sky's on level ground."""
 _OUTLIER_SHARES = (0.05, 0.2, 0.4, 0.6)
-"""Share of pairs whose shadow label is wrong: registration, unseen roofs."""
+"""Fraction of pairs whose shadow label is wrong: registration, unseen roofs."""
 _NOISE_LOG_STDS = (0.1, 0.2, 0.35, 0.6)
-"""Spread of base colour between the points of a pair."""
+"""BilateralUpsampling of base colour between the points of a pair."""
 
 
 def fit_sun(
@@ -98,13 +98,13 @@ def fit_sun(
     sky_luminance = float(_grey(sky_irradiance[None])[0])
     gain = cosine * sky_luminance / _grey(diffuse[lit])
     blocks = _block_count(evidence.position_world[lit], BLOCK_M)
-    ratio, log_std, share = _posterior(log_q, gain, blocks, _log_prior(sunny_probability))
+    ratio, log_std, fraction = _posterior(log_q, gain, blocks, _log_prior(sunny_probability))
     rgb = _channels(excess, diffuse[lit], cosine, log_q, gain, ratio)
     rgb *= ratio * sky_luminance / max(float(_grey(rgb[None])[0]), 1e-12)
     kind = "direct" if ratio >= _DIFFUSED_RATIO else "diffused"
     note = (
         f"{len(lit)} pairs in {blocks} places: sun/sky luminance {ratio:.2f}, {kind}"
-        f" (log std {log_std:.2f}, {100 * share:.0f} % of the pairs contradict)"
+        f" (log std {log_std:.2f}, {100 * fraction:.0f} % of the pairs contradict)"
     )
     return SunFit(rgb.astype(np.float32), log_std, kind, len(lit), (note,))
 
@@ -177,22 +177,22 @@ def _posterior(
     blocks: int,
     log_prior: Float[np.ndarray, " r"],
 ) -> tuple[float, float, float]:
-    """Median of the sun/sky ratio, its log standard deviation, and the share of outliers.
+    """Median of the sun/sky ratio, its log standard deviation, and the fraction of outliers.
 
     The likelihood is tempered to one observation per block: neighbouring pairs share paint,
     normals and mesh errors.
     """
     predicted = np.log1p(_RATIOS[:, None] * gain[None, :])
-    tables, shares = [], []
-    for share in _OUTLIER_SHARES:
+    tables, fractions = [], []
+    for fraction in _OUTLIER_SHARES:
         for std in _NOISE_LOG_STDS:
             model = np.exp(-0.5 * ((log_q - predicted) / std) ** 2)
             wrong = np.exp(-0.5 * (log_q / std) ** 2)
             floor = 1e-3
-            density = ((1 - share) * model + share * wrong + floor) / std
+            density = ((1 - fraction) * model + fraction * wrong + floor) / std
             evidence = np.log(density).mean(axis=1) * min(blocks, len(log_q))
-            tables.append(evidence + log_prior + np.log(1.0 - share))
-            shares.append(share)
+            tables.append(evidence + log_prior + np.log(1.0 - fraction))
+            fractions.append(fraction)
     table = np.array(tables)
     weights = np.exp(table - table.max())
     posterior = weights.sum(axis=0)
@@ -201,8 +201,8 @@ def _posterior(
     mean = float(posterior @ np.log(_RATIOS))
     std = float(np.sqrt(posterior @ (np.log(_RATIOS) - mean) ** 2))
     # The model itself (diffuse surfaces, uniform sky) is not better than about 10 %.
-    share = float((weights.sum(1) @ np.array(shares)) / weights.sum())
-    return median, float(np.hypot(std, 0.1)), share
+    fraction = float((weights.sum(1) @ np.array(fractions)) / weights.sum())
+    return median, float(np.hypot(std, 0.1)), fraction
 
 
 def _channels(

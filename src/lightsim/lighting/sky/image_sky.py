@@ -98,10 +98,12 @@ def panorama_from_image(
     linear = linear_from_srgb8(srgb8) * weight
     clipped = np.any(srgb8 >= CLIPPED_CODE, axis=-1, keepdims=True) * weight
     coverage = resize_area(weight, height_px, 2 * height_px)
-    share = np.maximum(coverage, 1e-6)
-    radiance = resize_area(linear, height_px, 2 * height_px) / share
+    fraction = np.maximum(coverage, 1e-6)
+    radiance = resize_area(linear, height_px, 2 * height_px) / fraction
     is_seen = coverage[..., 0] > 0.5
-    is_clipped = is_seen & ((resize_area(clipped, height_px, 2 * height_px) / share)[..., 0] > 0.5)
+    is_clipped = is_seen & (
+        (resize_area(clipped, height_px, 2 * height_px) / fraction)[..., 0] > 0.5
+    )
     if not is_seen[: height_px // 2].any():
         raise InputError(
             "nothing was observed above the horizon",

@@ -86,7 +86,8 @@ class HeatHead(nn.Module):
         """Log density over the pixels (sums to 1), directions, log concentration."""
         logits = upsampled(self.exit(functional.silu(self.merge(features))))[:, 0, :rows]
         polar = (torch.arange(rows, device=logits.device) + 0.5) * math.pi / (2 * rows)
-        # A pixel's share of the sphere, so that equal logits mean an even sky, not a heavy zenith.
+        # A pixel's fraction of the sphere, so that equal logits mean an even sky, not a heavy
+        # zenith.
         logits = logits + torch.log(torch.sin(polar))[None, :, None]
         log_density = torch.log_softmax(logits.flatten(1), dim=1).view_as(logits)
         directions = direction_map(2 * rows, rows, logits.device)[0]
@@ -267,5 +268,5 @@ def _away(a: Tensor, b: Tensor, rows: int) -> Tensor:
     angle = torch.rad2deg(
         torch.acos(torch.maximum(cosine_map(a, rows), cosine_map(b, rows)).clamp(-1, 1))
     )
-    share = ((angle / MOVED_SUN_DEG - 0.6) / 0.8).clamp(0.0, 1.0)
-    return share * share * (3 - 2 * share)
+    fraction = ((angle / MOVED_SUN_DEG - 0.6) / 0.8).clamp(0.0, 1.0)
+    return fraction * fraction * (3 - 2 * fraction)

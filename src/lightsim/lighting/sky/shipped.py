@@ -33,8 +33,8 @@ def predict_sky(panorama: Panorama) -> SkyPrediction:
         InputError: nothing was seen, or the weights are damaged.
     """
     ldr, exposure = _completed(panorama)
-    said = _estimator().predict(ldr, panorama.is_seen, averages=True)
-    return replace(said, log_peak=said.log_peak - float(np.log(exposure)))
+    predicted = _estimator().predict(ldr, panorama.is_seen, averages=True)
+    return replace(predicted, log_peak=predicted.log_peak - float(np.log(exposure)))
 
 
 def decoded_dome(
@@ -62,17 +62,17 @@ def decoded_dome(
             expected="a finite number above 0",
         )
     ldr, exposure = _completed(panorama)
-    said = _estimator().predict(ldr, panorama.is_seen, averages=True)
+    predicted = _estimator().predict(ldr, panorama.is_seen, averages=True)
     upper = _estimator().decode(
-        said,
+        predicted,
         ldr,
         seen=panorama.is_seen,
         sun_direction=sun_direction,
-        log_peak=said.log_peak + float(np.log(sun_factor)),
+        log_peak=predicted.log_peak + float(np.log(sun_factor)),
     )
     ground = linear_from_srgb(ldr[len(ldr) // 2 :])
     radiance = (np.concatenate([upper, ground]) / np.float32(exposure)).astype(np.float32)
-    direction = said.sun_direction if sun_direction is None else sun_direction
+    direction = predicted.sun_direction if sun_direction is None else sun_direction
     towards = Sun(direction.astype(np.float64), np.zeros(3, dtype=np.float32))
     return SkyDome(radiance, split_sun(SkyDome(radiance, towards))[1])
 

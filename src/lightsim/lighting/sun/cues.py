@@ -28,7 +28,7 @@ from lightsim.lighting.sun.direction import (
     find_sun_blobs,
     gradient_candidates,
 )
-from lightsim.lighting.sun.shadow_votes import ShadowVotes
+from lightsim.lighting.sun.shadow_likelihood import ShadowLikelihood
 
 _UNIFORM = -float(np.log(2 * np.pi))
 """Log density of the hemisphere, per sr."""
@@ -60,10 +60,12 @@ def _both(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
     return np.stack([values, values], axis=1)
 
 
-def _robust(log_density: Float[np.ndarray, " n"], outlier_share: float) -> Float[np.ndarray, " n"]:
+def _robust(
+    log_density: Float[np.ndarray, " n"], outlier_fraction: float
+) -> Float[np.ndarray, " n"]:
     """Mixed with a uniform hemisphere, relative to it."""
     return np.logaddexp(
-        np.log1p(-outlier_share) + log_density - _UNIFORM, np.log(max(outlier_share, 1e-12))
+        np.log1p(-outlier_fraction) + log_density - _UNIFORM, np.log(max(outlier_fraction, 1e-12))
     )
 
 
@@ -206,15 +208,17 @@ class GradientCue:
 
     name = "gradient of the sky"
 
-    def __init__(self, panorama: Panorama, std: float = 0.07, outlier_share: float = 0.4) -> None:
+    def __init__(
+        self, panorama: Panorama, std: float = 0.07, outlier_fraction: float = 0.4
+    ) -> None:
         directions, residual = gradient_candidates(panorama)
         # Relative errors that thin clouds and tone curves leave of a well-fitting model.
         log_weight = -(residual - residual.min()) / (2 * std**2)
-        # Candidates lie on rings of equal count: each stands for a cosine's share of the sphere.
-        share = np.exp(log_weight) * np.sqrt(1 - directions[:, 2] ** 2)
-        density = np.exp(log_weight) / share.sum() * np.sqrt(1 - directions[:, 2] ** 2).sum()
+        # Candidates lie on rings of equal count: each stands for a cosine's fraction of the sphere.
+        fraction = np.exp(log_weight) * np.sqrt(1 - directions[:, 2] ** 2)
+        density = np.exp(log_weight) / fraction.sum() * np.sqrt(1 - directions[:, 2] ** 2).sum()
         self._values = _Interpolated(
-            directions, np.log((1 - outlier_share) * density + outlier_share)
+            directions, np.log((1 - outlier_fraction) * density + outlier_fraction)
         )
 
     def log_likelihood(
@@ -228,7 +232,7 @@ class ShadowCue:
 
     name = "light and shade"
 
-    def __init__(self, votes: ShadowVotes) -> None:
+    def __init__(self, votes: ShadowLikelihood) -> None:
         self.votes = votes
         self._values = _Interpolated(votes.direction_world, votes.log_likelihood)
 

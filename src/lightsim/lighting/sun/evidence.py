@@ -133,7 +133,7 @@ def collect_evidence(
 ) -> LightEvidence:
     """Random surface points of the static scene with what they saw of sun and sky.
 
-    Points are dropped that are saturated, dark, far, seen at a grazing angle, on the own car or
+    Points are dropped that are saturated, dark, far, seen at a grazing angle, on the ego vehicle or
     on a moving actor, or whose sun visibility flips within the margins. Base
     colour of all meshes is observed radiance.
     """
@@ -185,8 +185,8 @@ def _seen_points(
     column, row = uv.astype(np.int64).T
     srgb8 = frame.load_srgb8()[row, column]
     is_good = (srgb8 >= _DARKEST_CODE).all(1) & (srgb8 < CLIPPED_CODE).all(1)
-    if frame.camera_name in log.own_car_masks:
-        is_good &= ~log.own_car_masks[frame.camera_name][row, column]
+    if frame.camera_name in log.ego_vehicle_masks:
+        is_good &= ~log.ego_vehicle_masks[frame.camera_name][row, column]
     origins, directions = frame.pixel_rays(camera, uv[is_good])
     hits = casters[0].intersect(origins, directions)
     keep = hits.is_hit & (hits.distance_m < _MAX_DISTANCE_M)

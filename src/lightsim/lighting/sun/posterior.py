@@ -188,11 +188,11 @@ def _radius_deg(
     grid: Float[np.ndarray, "n 3"],
     mass: Float64[np.ndarray, "n 2"],
     centre: Float[np.ndarray, "3"],
-    share: float,
+    fraction: float,
 ) -> float:
     angle = np.degrees(np.arccos(np.clip(grid @ centre, -1, 1)))
     order = np.argsort(angle)
-    reached = np.searchsorted(np.cumsum(mass.sum(axis=1)[order]), share)
+    reached = np.searchsorted(np.cumsum(mass.sum(axis=1)[order]), fraction)
     return float(angle[order[min(int(reached), len(order) - 1)]])
 
 
@@ -222,10 +222,12 @@ def _notes(cues: Sequence[Cue], centre: Float[np.ndarray, "3"]) -> tuple[str, ..
         alone = grid[int(mass.sum(axis=1).argmax())]
         radius_deg = _radius_deg(grid, mass, alone, 0.9)
         off_deg = angle_between_deg(alone, centre)
-        said = f"{cue.name}: 90 % within {radius_deg:.0f} degrees, {off_deg:.0f} from the result"
+        predicted = (
+            f"{cue.name}: 90 % within {radius_deg:.0f} degrees, {off_deg:.0f} from the result"
+        )
         if isinstance(cue, ShadowCue):
             votes = cue.votes
-            said += f"; {votes.pair_count} pairs in {votes.block_count} places, clear sun"
-            said += f" {votes.sunny_probability:.2f}"
-        notes.append(said)
+            predicted += f"; {votes.pair_count} pairs in {votes.block_count} places, clear sun"
+            predicted += f" {votes.sunny_probability:.2f}"
+        notes.append(predicted)
     return tuple(notes)

@@ -50,14 +50,14 @@ class SurfaceSamples:
     Args:
         log_radiance: natural logarithm of the observed luminance.
         material: class of the surface.
-        sky_share: cosine-weighted open share of the hemisphere that is sky.
+        sky_share: cosine-weighted open fraction of the hemisphere that is sky.
     """
 
     position_world: Float[np.ndarray, "n 3"]
     normal_world: Float[np.ndarray, "n 3"]
     log_radiance: Float[np.ndarray, " n"]
     material: Int64[np.ndarray, " n"]
-    sky_share: Float[np.ndarray, " n"]
+    sky_fraction: Float[np.ndarray, " n"]
 
     def __len__(self) -> int:
         return len(self.log_radiance)
@@ -97,8 +97,8 @@ def sample_surfaces(
         material = mesh.face_material[face].astype(np.int64)
     keep &= ~mesh.comes_from(*_MUTE)[face]
     position, normal, radiance, material = (a[keep] for a in (position, normal, radiance, material))
-    sky_share = _sky_share(caster, position + LIFT_M * normal, normal, config, rng)
-    return SurfaceSamples(position, normal, np.log(radiance), material, sky_share), caster
+    sky_fraction = _sky_fraction(caster, position + LIFT_M * normal, normal, config, rng)
+    return SurfaceSamples(position, normal, np.log(radiance), material, sky_fraction), caster
 
 
 def _drawn_faces(
@@ -122,7 +122,7 @@ def _drawn_faces(
     return face.astype(np.int64), np.stack([1 - u, u * (1 - v), u * v], axis=1)
 
 
-def _sky_share(
+def _sky_fraction(
     caster: RayCaster,
     start: Float[np.ndarray, "n 3"],
     normal: Float[np.ndarray, "n 3"],

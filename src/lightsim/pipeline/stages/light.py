@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from lightsim.appearance.intrinsic.decompose import DelightConfig, delight, find_balance
+from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, decompose, find_balance
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.core.sensors import CameraFrame
@@ -32,7 +32,7 @@ from lightsim.render.frame_renderer import parked_actor_meshes
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.irradiance import IrradianceConfig
-from lightsim.render.transport.table import TransportConfig
+from lightsim.render.transport.matrix import TransportConfig
 from lightsim.store.sky import write_panorama, write_panorama_pictures, write_sky
 from lightsim.store.twin import write_twin
 
@@ -51,7 +51,7 @@ class SkyStageConfig:
     sky: SkyConfig = field(default_factory=SkyConfig)
     irradiance: IrradianceConfig = field(default_factory=lambda: IRRADIANCE)
     """Light on the patches that say how sun and unseen sky compare."""
-    labels: DelightConfig = field(default_factory=DelightConfig)
+    labels: IntrinsicConfig = field(default_factory=IntrinsicConfig)
     """How their shadows are found."""
 
 
@@ -61,7 +61,7 @@ class TwinConfig:
 
     irradiance: IrradianceConfig = field(default_factory=lambda: IRRADIANCE)
     """Light at the vertices."""
-    delight: DelightConfig = field(default_factory=DelightConfig)
+    intrinsic: IntrinsicConfig = field(default_factory=IntrinsicConfig)
     """How shadows are found."""
 
 
@@ -89,11 +89,11 @@ def make_panorama(
 def make_sky(
     work: Workspace, config: SkyStageConfig, folder: Path, context: Context
 ) -> Iterable[str]:
-    said = predict_sky(work.panorama)
+    predicted = predict_sky(work.panorama)
     sun, _ = find_source_sun(
-        work, config.sun, seed=context.seed, progress=context.progress, prediction=said
+        work, config.sun, seed=context.seed, progress=context.progress, prediction=predicted
     )
-    sky = source_sky(work, sun, config, said, seed=context.seed, progress=context.progress)
+    sky = source_sky(work, sun, config, predicted, seed=context.seed, progress=context.progress)
     write_sky(folder, sky)
     write_panorama_pictures(folder, work.panorama)
     return sky.notes
@@ -168,10 +168,10 @@ def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Contex
     source = SourceLight(log, assets, inferred, work.sky.dome, config.irradiance, context.seed)
     rng = np.random.default_rng(context.seed)
     identity = RigidTransform.identity("world", "world")
-    street = delight(
+    street = decompose(
         assets.background,
         source.on(identity),
-        config.delight,
+        config.intrinsic,
         rng,
         returns=static_returns(log, LIDAR_RETURNS, rng),
     )
@@ -180,10 +180,10 @@ def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Contex
     for actor in context.progress.track(assets.actors.values(), "base colour", len(assets.actors)):
         trajectory = tracks[actor.actor_id].trajectory
         pose = trajectory.at(int(trajectory.times_ns[len(trajectory) // 2]))
-        done = delight(actor.mesh, source.on(pose), config.delight, rng)
+        done = decompose(actor.mesh, source.on(pose), config.intrinsic, rng)
         actors[actor.actor_id] = replace(actor, mesh=done.mesh)
     if len(inferred.faces):
-        found = delight(inferred, source.on(identity), config.delight, rng)
+        found = decompose(inferred, source.on(identity), config.intrinsic, rng)
         inferred = found.mesh
     assets = replace(assets, background=street.mesh, actors=actors)
     write_twin(folder, build_twin(work.log, assets, work.sky), inferred)

@@ -26,7 +26,7 @@ from lightsim.reconstruct.fusion.tsdf import fuse_log
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.store.alignment import write_alignment
 from lightsim.store.artefact import hash_names, write_json
-from lightsim.store.checkpoint import FolderJournal
+from lightsim.store.checkpoint import FolderCheckpointer
 from lightsim.store.fields import write_fields
 from lightsim.store.images import write_grey8
 from lightsim.store.log import write_log
@@ -93,7 +93,7 @@ def make_neural(
     work: Workspace, config: NeuralConfig, folder: Path, context: Context
 ) -> Iterable[str]:
     """The neural field, trained on images and LiDAR from where the fused LiDAR stands."""
-    fused, journal = work.fused, FolderJournal(folder)
+    fused, checkpointer = work.fused, FolderCheckpointer(folder)
     if config.steps == 0:
         write_fields(folder, fused)
         return (*fused.notes, "no neural field was trained; geometry is fused LiDAR alone")
@@ -102,7 +102,7 @@ def make_neural(
     training = Training(
         prior_surfaces(fused),
         work.sky_matte,
-        journal,
+        checkpointer,
         context.seed,
         context.device,
     )
@@ -122,7 +122,7 @@ def make_neural(
     )
     write_weights(folder / FIELD_NAME, field.state_dict(), record)
     write_json(folder / FIELD_CONFIG_NAME, asdict(config))
-    journal.finish()
+    checkpointer.finish()
     return fields.notes
 
 

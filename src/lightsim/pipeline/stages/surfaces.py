@@ -35,7 +35,7 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
         fields,
         make_caster=make_embree_caster,
         progress=context.progress,
-        calm=flatten_walls,
+        smooth_planes=flatten_walls,
     )
 
     def views() -> Iterable[tuple[CameraFrame, PinholeCamera, Float32[np.ndarray, "h w"]]]:

@@ -10,7 +10,7 @@ import torch
 from lightsim.core.fields import SceneFields
 from lightsim.core.log import DrivingLog
 from lightsim.networks.devices import choose_device
-from lightsim.networks.loop import Journal, Session
+from lightsim.networks.loop import Checkpointer, Session
 from lightsim.progress import Progress
 from lightsim.reconstruct.field.config import NeuralConfig, draft, paper, standard
 from lightsim.reconstruct.field.ray_pool import PriorSurfaces, SkyMatte, camera_rays, lidar_rays
@@ -44,7 +44,7 @@ class Training:
 
     surfaces: PriorSurfaces
     sky_matte: SkyMatte
-    journal: Journal
+    checkpointer: Checkpointer
     seed: int = 0
     device: str = "auto"
 
@@ -68,7 +68,7 @@ def refine_by_field(
         lidar_rays(log, _LIDAR_POOL, training.surfaces, rng, progress),
     )
     field = make_field(log, fields, config, training.seed).to(choose_device(training.device))
-    train_field(field, rays, training.seed, Session(training.journal, progress))
+    train_field(field, rays, training.seed, Session(training.checkpointer, progress))
     return refined_fields(fields, field, progress=progress), field
 
 

@@ -39,16 +39,16 @@ def _interpolated(stack, g, x, y, z):
     value, evidence, total = 0.0, 0.0, 0.0
     for corner in range(8):
         di, dj, dk = corner >> 2, (corner >> 1) & 1, corner & 1
-        share = (fx if di else 1.0 - fx) * (fy if dj else 1.0 - fy) * (fz if dk else 1.0 - fz)
+        fraction = (fx if di else 1.0 - fx) * (fy if dj else 1.0 - fy) * (fz if dk else 1.0 - fz)
         block = _block_at(stack, g, i + di, j + dj, k + dk)
         if block < 0:
             continue
         at = (((i + di) & 7) * 8 + ((j + dj) & 7)) * 8 + ((k + dk) & 7)
         w = weight[block, at]
         if w > 0.0:
-            value += share * sdf[block, at]
-            evidence += share * w
-            total += share
+            value += fraction * sdf[block, at]
+            evidence += fraction * w
+            total += fraction
     if total < 0.5:
         return 0.0, 0.0
     return value / total, evidence

@@ -50,13 +50,13 @@ class TorchPrior:
         value, evidence, total = (torch.zeros_like(scaled[:, 0]) for _ in range(3))
         for corner in _CORNERS:
             offset = torch.tensor(corner, device=points.device)
-            share = torch.where(offset.bool(), inner, 1 - inner).prod(dim=1)
+            fraction = torch.where(offset.bool(), inner, 1 - inner).prod(dim=1)
             at = self._sample(cell + offset, grid)
-            weight = torch.where(at >= 0, self._weight[at.clamp(min=0)], torch.zeros_like(share))
-            share = torch.where(weight > 0, share, torch.zeros_like(share))
-            value += share * self._sdf[at.clamp(min=0)]
-            evidence += share * weight
-            total += share
+            weight = torch.where(at >= 0, self._weight[at.clamp(min=0)], torch.zeros_like(fraction))
+            fraction = torch.where(weight > 0, fraction, torch.zeros_like(fraction))
+            value += fraction * self._sdf[at.clamp(min=0)]
+            evidence += fraction * weight
+            total += fraction
         is_known = total >= 0.5
         value = torch.where(is_known, value / total.clamp(min=0.5), torch.zeros_like(value))
         return value, torch.where(is_known, evidence, torch.zeros_like(evidence))

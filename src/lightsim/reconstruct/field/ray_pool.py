@@ -90,7 +90,7 @@ def camera_rays(
     rng: np.random.Generator,
     progress: Progress,
 ) -> RayPool:
-    """About `count` random pixels over all frames; the recording car is left out.
+    """About `count` random pixels over all frames; the ego vehicle is left out.
 
     Raises:
         InputError: the log has no frame.
@@ -107,9 +107,9 @@ def camera_rays(
         camera = log.cameras[frame.camera_name]
         image, matte = frame.load_srgb8(), sky_matte(frame)
         pixel = rng.integers(0, camera.width_px * camera.height_px, each)
-        own_car = log.own_car_masks.get(frame.camera_name)
-        if own_car is not None:
-            pixel = pixel[~own_car.ravel()[pixel]]
+        ego_vehicle = log.ego_vehicle_masks.get(frame.camera_name)
+        if ego_vehicle is not None:
+            pixel = pixel[~ego_vehicle.ravel()[pixel]]
         pools.append(
             replace(
                 pixel_rays(log, frame, pixel, surfaces),

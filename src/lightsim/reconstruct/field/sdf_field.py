@@ -17,7 +17,7 @@ _OUTSIDE_M = 0.5
 """Signed distance where neither prior nor training says anything: free."""
 _RESIDUAL_SCALE = 0.1
 _RESIDUAL_REACH = 0.5
-"""Share of the truncation by which the field may differ from the prior."""
+"""Fraction of the truncation by which the field may differ from the prior."""
 _FREE_REACH_M = 1e3
 _POSITION_SCALE = {"background": 50.0, "actors": 3.0}
 _ENCODING_POWER = 2.2

@@ -59,8 +59,8 @@ def crossings_m(
         return t
     before, after = sdf[:, :-1], sdf[:, 1:]
     fall = (before - after).clamp(min=1e-4)
-    share = (before / fall).clamp(0.0, 1.0)
-    inner = t[:, :-1] + share * (t[:, 1:] - t[:, :-1])
+    fraction = (before / fall).clamp(0.0, 1.0)
+    inner = t[:, :-1] + fraction * (t[:, 1:] - t[:, :-1])
     return torch.cat([t[:, :1], inner], dim=1)
 
 

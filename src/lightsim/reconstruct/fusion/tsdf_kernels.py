@@ -30,8 +30,8 @@ def _direction(pixel, row, column):
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _shares(row, column, a, b, c, area):
-    """Barycentric shares of three (row, column) corners at a pixel."""
+def _fractions(row, column, a, b, c, area):
+    """Barycentric fractions of three (row, column) corners at a pixel."""
     w1 = ((row - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (column - a[1])) / area
     w2 = ((b[0] - a[0]) * (column - a[1]) - (row - a[0]) * (b[1] - a[1])) / area
     return 1.0 - w1 - w2, w1, w2
@@ -53,7 +53,7 @@ def _draw(  # noqa: PLR0913 - compiled code takes plain arrays
     first_column, last_column = math.ceil(corners[:, 1].min()), math.floor(corners[:, 1].max())
     for row in range(first_row, last_row + 1):
         for unwrapped in range(first_column, last_column + 1):
-            w0, w1, w2 = _shares(row, unwrapped, a, b, c, area)
+            w0, w1, w2 = _fractions(row, unwrapped, a, b, c, area)
             if min(w0, w1, w2) < -1e-6:
                 continue
             column = unwrapped % width

@@ -20,12 +20,12 @@ def weighted_mean(
 ) -> tuple[Float32[np.ndarray, "h w *c"], Float32[np.ndarray, "h w"]]:
     """Mean of what has weight, and the mean weight, over three passes of a square window."""
     extra = weight.reshape(weight.shape + (1,) * (image.ndim - 2))
-    total, share = image * extra, weight
+    total, fraction = image * extra, weight
     for _ in range(2):
-        total, share = box_mean(total, radius_px), box_mean(share, radius_px)
-    share = np.maximum(share, 0.0)
-    below = (share + _EPSILON).reshape(extra.shape)
-    return (total / below).astype(np.float32), share
+        total, fraction = box_mean(total, radius_px), box_mean(fraction, radius_px)
+    fraction = np.maximum(fraction, 0.0)
+    below = (fraction + _EPSILON).reshape(extra.shape)
+    return (total / below).astype(np.float32), fraction
 
 
 def guided_filter(
@@ -39,15 +39,15 @@ def guided_filter(
 
     He et al., Guided Image Filtering, doi:10.1109/TPAMI.2012.213, with a weight per pixel.
     """
-    share = box_mean(weight, radius_px) + _EPSILON
-    mean_guide = box_mean(guide * weight, radius_px) / share
-    mean_image = box_mean(image * weight, radius_px) / share
-    covariance = box_mean(guide * image * weight, radius_px) / share - mean_guide * mean_image
-    variance = box_mean(guide * guide * weight, radius_px) / share - mean_guide**2
+    fraction = box_mean(weight, radius_px) + _EPSILON
+    mean_guide = box_mean(guide * weight, radius_px) / fraction
+    mean_image = box_mean(image * weight, radius_px) / fraction
+    covariance = box_mean(guide * image * weight, radius_px) / fraction - mean_guide * mean_image
+    variance = box_mean(guide * guide * weight, radius_px) / fraction - mean_guide**2
     slope = covariance / (np.maximum(variance, 0.0) + np.float32(epsilon))
     offset = mean_image - slope * mean_guide
-    slope = box_mean(slope * weight, radius_px) / share
-    offset = box_mean(offset * weight, radius_px) / share
+    slope = box_mean(slope * weight, radius_px) / fraction
+    offset = box_mean(offset * weight, radius_px) / fraction
     return (slope * guide + offset).astype(np.float32)
 
 

@@ -10,7 +10,7 @@ from lightsim.relighting.physical.filters import fill_holes
 _PURE = np.float32(0.02)
 """A matte this close to 0 or 1 counts as unmixed."""
 _THINNEST = np.float32(0.15)
-"""Below this share of foreground, un-mixing only amplifies noise."""
+"""Below this fraction of foreground, un-mixing only amplifies noise."""
 
 
 def foreground_radiance(
@@ -29,8 +29,8 @@ def foreground_radiance(
     surroundings = fill_holes(radiance, ~is_mixed) if not is_mixed.all() else radiance * 0
     sky = fill_holes(radiance, is_sky) if is_sky.any() else radiance
     alpha = sky_matte[..., None]
-    share = np.maximum(1 - alpha, _THINNEST)
-    unmixed = np.clip((radiance - alpha * sky) / share, 0.0, np.maximum(radiance, surroundings))
+    fraction = np.maximum(1 - alpha, _THINNEST)
+    unmixed = np.clip((radiance - alpha * sky) / fraction, 0.0, np.maximum(radiance, surroundings))
     mixed = (1 - alpha) * unmixed + alpha * surroundings
     return np.where(is_mixed[..., None], mixed, radiance).astype(np.float32)
 

@@ -25,7 +25,7 @@ from lightsim.relighting.physical.shadow_refine import (
     with_sun_visibility,
 )
 
-_SEALED_RIM_PX = 3
+_ENCLOSED_RIM_PX = 3
 
 
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
@@ -48,7 +48,7 @@ class RelightInputs:
     Args:
         radiance: the recorded image, linear, divided by the camera's gain.
         is_clipped: at least one channel of the recorded image is saturated.
-        sky_matte: share of each pixel that is sky, in [0, 1].
+        sky_matte: fraction of each pixel that is sky, in [0, 1].
         buffers: geometry, moving actors included.
         source: light of the sky under which the image was taken.
         target: light of the sky wanted.
@@ -93,8 +93,8 @@ class RatioConfig:
 
     are_shadows_refined: bool = True
     """Move the source's shadow edges to where the image has them."""
-    darkest_share: float = 0.02
-    """Light below this share of the frame's median counts as that much, under both skies."""
+    darkest_fraction: float = 0.02
+    """Light below this fraction of the frame's median counts as that much, under both skies."""
     base_colour_deviation: float = 0.35
     """Relative error of the twin's base colour times target light."""
 
@@ -114,7 +114,7 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
         )
     )
     is_surface = inputs.buffers.has_surface & (inputs.sky_matte < 0.5)
-    is_surface &= ~_is_sealed(foreground, inputs.source, is_surface, config)
+    is_surface &= ~_is_enclosed(foreground, inputs.source, is_surface, config)
     ratio = _light_ratio(source, target, is_surface, config)
     relit = _relit_surface(foreground, ratio, inputs, source, target, is_surface, config)
     return composite(relit, inputs.target_sky, inputs.sky_matte)
@@ -139,15 +139,15 @@ def _refined(inputs: RelightInputs) -> tuple[ShadowBuffers, ShadowBuffers]:
         return source, inputs.target
     # The same sun has the same shadow edges; two suns apart err independently.
     angle = angle_between_deg(sun.direction_world, inputs.target_sun.direction_world)
-    share = np.float32(max(0.0, 1.0 - angle / _SAME_SUN_DEG))
-    if share == 0:
+    fraction = np.float32(max(0.0, 1.0 - angle / _SAME_SUN_DEG))
+    if fraction == 0:
         return source, inputs.target
-    moved = np.clip(inputs.target.sun_visibility + share * (visibility - rendered), 0.0, 1.0)
+    moved = np.clip(inputs.target.sun_visibility + fraction * (visibility - rendered), 0.0, 1.0)
     sunlight = unoccluded_sun(inputs.buffers, inputs.target, inputs.target_sun)
     return source, with_sun_visibility(inputs.target, sunlight, moved.astype(np.float32))
 
 
-def _is_sealed(
+def _is_enclosed(
     foreground: Float32[np.ndarray, "h w 3"],
     source: ShadowBuffers,
     is_surface: Bool[np.ndarray, "h w"],
@@ -158,10 +158,12 @@ def _is_sealed(
     the rim of the hole, where light is smoothed."""
     from scipy.ndimage import binary_dilation
 
-    least = np.float32(config.darkest_share) * _median_light(source.shaded, is_surface)
+    least = np.float32(config.darkest_fraction) * _median_light(source.shaded, is_surface)
     is_dark = (source.shaded <= 0.25 * least).all(axis=-1)
     is_bright = (foreground > least * np.float32(_LARGEST_ALBEDO)).any(axis=-1)
-    return np.asarray(binary_dilation(is_surface & is_dark & is_bright, iterations=_SEALED_RIM_PX))
+    return np.asarray(
+        binary_dilation(is_surface & is_dark & is_bright, iterations=_ENCLOSED_RIM_PX)
+    )
 
 
 def _light_ratio(
@@ -172,13 +174,13 @@ def _light_ratio(
 ) -> Float32[np.ndarray, "h w 3"]:
     """Target over source light; where no mesh is, that of the surroundings (1 if there are none).
 
-    Both get the same share of their own median added, so that a pixel in the dark under both
+    Both get the same fraction of their own median added, so that a pixel in the dark under both
     keeps its radiance instead of an arbitrary quotient.
     """
     if not is_surface.any():
         return np.ones_like(source.shaded)
     lit = [
-        light.shaded + np.float32(config.darkest_share) * _median_light(light.shaded, is_surface)
+        light.shaded + np.float32(config.darkest_fraction) * _median_light(light.shaded, is_surface)
         for light in (source, target)
     ]
     tiny = np.float32(1e-8)
@@ -217,7 +219,7 @@ def _split_highlight(
     config: RatioConfig,
 ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:
     """What a diffuse surface can reflect, and the rest."""
-    floor = np.float32(config.darkest_share) * _median_light(source.shaded, is_surface)
+    floor = np.float32(config.darkest_fraction) * _median_light(source.shaded, is_surface)
     most = np.float32(_LARGEST_ALBEDO) * (source.shaded + floor)
     diffuse = np.where(is_surface[..., None], np.minimum(radiance, most), radiance)
     return diffuse.astype(np.float32), (radiance - diffuse).astype(np.float32)

@@ -37,15 +37,15 @@ _CHROMA_DEVIATION = 0.3
 _LARGEST_IMAGE_LOGIT = 4.0
 # Weight of the neighbours' vote.
 _SMOOTHNESS_LOGIT = 8.0
-# Radius of the neighbourhood as a share of the image width.
+# Radius of the neighbourhood as a fraction of the image width.
 _NEIGHBOURHOOD_SHARE = 1 / 100
-# Radius, as a share of the width, over which base colour is calibrated on the image.
+# Radius, as a fraction of the width, over which base colour is calibrated on the image.
 _CALIBRATION_SHARE = 1 / 16
-# Width of a strip, as a share of the image width, below which a change is taken for noise.
+# Width of a strip, as a fraction of the image width, below which a change is taken for noise.
 _SMALLEST_SHARE = 1 / 240
 # Rounds of calibration, evidence and vote.
 _ITERATIONS = 5
-# Sun light below this share of the other light is left as rendered.
+# Sun light below this fraction of the other light is left as rendered.
 _LEAST_CONTRAST = 0.15
 
 
@@ -75,12 +75,12 @@ def refine_sun_visibility(
     )
     step = np.log1p(sunlight / ambient)
     visibility = _infer(residual, step, prior, luminance(radiance), is_open)
-    share = is_open * _changed_share(visibility, shadows.sun_visibility)
+    fraction = is_open * _changed_fraction(visibility, shadows.sun_visibility)
     rendered = shadows.sun_visibility
-    return np.where(share > 0, rendered + share * (visibility - rendered), rendered)
+    return np.where(fraction > 0, rendered + fraction * (visibility - rendered), rendered)
 
 
-def _changed_share(
+def _changed_fraction(
     visibility: Float32[np.ndarray, "h w"],
     rendered: Float32[np.ndarray, "h w"],
 ) -> Float32[np.ndarray, "h w"]:
@@ -141,8 +141,8 @@ def _infer(
     for _ in range(_ITERATIONS):
         certainty = weight * np.square(2 * visibility - 1)
         unexplained = residual - visibility[..., None] * step
-        local, share = weighted_mean(unexplained, certainty, far)
-        offset = local * (share / (share + np.float32(0.02)))[..., None]
+        local, fraction = weighted_mean(unexplained, certainty, far)
+        offset = local * (fraction / (fraction + np.float32(0.02)))[..., None]
         logit = prior + _image_logit(residual - offset, step)
         vote = guided_filter(guide, visibility, weight, near, 0.05)
         logit += np.float32(_SMOOTHNESS_LOGIT) * (2 * np.clip(vote, 0, 1) - 1)

@@ -20,8 +20,8 @@ from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.render.gbuffers import render_gbuffers, with_ambient_occlusion
 from lightsim.render.scene import FrameScene, make_static_scene, place
+from lightsim.render.transport.matrix import TransportConfig, trace_transport
 from lightsim.render.transport.sun import unshadowed_sun
-from lightsim.render.transport.table import TransportConfig, trace_transport
 
 Surfaces = Literal["principled", "diffuse", "white"]
 Picture = Float32[np.ndarray, "_ _ 3"]
@@ -189,8 +189,8 @@ def _shadow_buffers(buffers: GBuffers, sky: SkyDome, images: Sequence[Picture]) 
     open_alone = np.zeros_like(sun)
     open_alone[buffers.has_surface] = open_irradiance_over_pi(rest, normals)
     level = sun_alone.sum(axis=-1)
-    share = sun.sum(axis=-1) / np.where(level > 0, level, 1)
-    visibility = np.where(level > 0, np.clip(share, 0, 1), 0)
+    fraction = sun.sum(axis=-1) / np.where(level > 0, level, 1)
+    visibility = np.where(level > 0, np.clip(fraction, 0, 1), 0)
     return ShadowBuffers(
         visibility.astype(np.float32),
         sun,

@@ -27,7 +27,7 @@ SKY_CELL_ROWS = 90
 
 @dataclass(frozen=True)
 class TransportConfig:
-    """The ray table and the sun rays."""
+    """The light transport matrix and the sun rays."""
 
     sky_rays: int = 32
     """Rays per traced pixel over the hemisphere."""
@@ -72,7 +72,7 @@ class FaceSamples:
         sun_points_world: where its sun rays start.
         normals_world: unit, on the side that was met.
         base_colour: mean over the face.
-        sky_cells: one for each face ray, `transport_kernels.BLOCKED` where geometry is met.
+        sky_cells: one for each face ray, `kernels.BLOCKED` where geometry is met.
         next_rows: rows of these samples that the face rays meet, -1 for none, for further bounces.
         confidence: of the colour on the side that was met; 0 where no camera saw it.
         bounces: of light, the one from these faces to what they were met from included.

@@ -18,7 +18,7 @@ from lightsim.render.casters.embree import offset_origins
 from lightsim.render.transport.faces import TILE_RAYS, TransportConfig, pixel_shifts
 from lightsim.render.transport.samples import PixelSamples, SurfacePoints
 from lightsim.render.transport.sides import SideFinder
-from lightsim.render.transport.spread import Spread, TracedPixels
+from lightsim.render.transport.upsampling import BilateralUpsampling, TracedPixels
 
 _DIELECTRIC_F0 = 0.04
 _LEAST_ALPHA = 1e-3
@@ -33,7 +33,7 @@ class GlossyTable:
     Args:
         directions_uv: of each ray, in 65536ths of the dome's width and height.
         face_rows: row in the frame's faces that the ray meets, -1 for the sky.
-        weights: factors of F0 and of 1 in the share of the ray's radiance that is reflected.
+        weights: factors of F0 and of 1 in the fraction of the ray's radiance that is reflected.
         f0: reflectance at normal incidence.
     """
 
@@ -44,7 +44,7 @@ class GlossyTable:
 
     @property
     def albedo(self) -> Float32[np.ndarray, "g 3"]:
-        """Share of a uniform light that each sample's rays reflect; at most 1."""
+        """Fraction of a uniform light that each sample's rays reflect; at most 1."""
         mean = self.weights.mean(axis=1)
         return self.f0 * mean[:, :1] + mean[:, 1:]
 
@@ -102,11 +102,11 @@ class ReflectionSmoothing:
     """
 
     pixel: Int64[np.ndarray, " p"]
-    spread: Spread
+    upsampling: BilateralUpsampling
 
     def __call__(self, image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
         out = image.copy()
-        out.reshape(-1, 3)[self.pixel] = self.spread(image.reshape(-1, 3)[self.pixel])
+        out.reshape(-1, 3)[self.pixel] = self.upsampling(image.reshape(-1, 3)[self.pixel])
         return out
 
 
@@ -131,10 +131,10 @@ def reflection_smoothing(
     )
     wide = replace(config, shading_step_px=1, filter_radius=2)
     depth = gbuffers.depth_z_m.reshape(-1)[pixel]
-    return ReflectionSmoothing(pixel, near.spread(pixel, position, normal, depth, wide))
+    return ReflectionSmoothing(pixel, near.upsampling(pixel, position, normal, depth, wide))
 
 
-def diffuse_share(points: SurfacePoints, table: GlossyTable) -> Float32[np.ndarray, "g 3"]:
+def diffuse_fraction(points: SurfacePoints, table: GlossyTable) -> Float32[np.ndarray, "g 3"]:
     """What diffuse reflection keeps of the base colour: no metal has any, and the energy that the
     rays reflect is missing, so that a white surface in a white furnace shows 1."""
     return ((1 - points.metallic)[:, None] * (1 - table.albedo)).astype(np.float32)
@@ -175,7 +175,7 @@ def specular_lobe(
     towards_light: Float32[np.ndarray, "n 3"],
     alphas: Float32[np.ndarray, " n"],
 ) -> Float32[np.ndarray, "n 2"]:
-    """BRDF without Fresnel times the light's cosine (1/sr), and Schlick's share of white."""
+    """BRDF without Fresnel times the light's cosine (1/sr), and Schlick's fraction of white."""
     from lightsim.render.transport.glossy_kernels import reflectance
 
     out = np.empty((len(normals), 2), dtype=np.float32)

@@ -12,8 +12,8 @@ from lightsim.core.dome import SkyDome
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import FaceSamples, FaceTable, hashed_shifts
 from lightsim.render.transport.light import face_radiosity, light_points, table_sums
-from lightsim.render.transport.sky import SkyCells, prepare_sky
-from lightsim.render.transport.table import TransportConfig, static_face_table, trace_points
+from lightsim.render.transport.matrix import TransportConfig, static_face_table, trace_points
+from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
 
 _TILE_POINTS = 1 << 16
 
@@ -111,7 +111,7 @@ def _tile(
     surface: tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]],
     shifts: Float32[np.ndarray, "n 2"],
     scene: FrameScene,
-    shared: tuple[SkyCells, SkyCells | None, FaceTable],
+    shared: tuple[EnvironmentCells, EnvironmentCells | None, FaceTable],
     config: IrradianceConfig,
 ) -> PointIrradiance:
     points, normals = surface
@@ -123,12 +123,12 @@ def _tile(
     if part_cells is not None:
         sky_part = table_sums(table, part_cells, np.zeros_like(radiosity))[:, :3]
     return PointIrradiance(
-        lit.sun_visibility, table.openness, lit.direct_sun, lit.sky, sky_part, lit.bounce
+        lit.sun_visibility, table.sky_view_factor, lit.direct_sun, lit.sky, sky_part, lit.bounce
     )
 
 
 def _radiosity(
-    faces: FaceSamples, caster: RayCaster, cells: SkyCells, unseen_albedo: float | None
+    faces: FaceSamples, caster: RayCaster, cells: EnvironmentCells, unseen_albedo: float | None
 ) -> Float32[np.ndarray, "f 3"]:
     """What each face sends: as it was seen, or one grey bounce where it was not."""
     if unseen_albedo is None:

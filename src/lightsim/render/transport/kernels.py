@@ -1,4 +1,4 @@
-"""The inner loops of the ray table, compiled by numba.
+"""The inner loops of the light transport matrix, compiled by numba.
 
 `no_type_check` keeps the tests' run-time type checker out of compiled code.
 """
@@ -268,11 +268,11 @@ def weighted_rows(rows, weights, count, values, place, out):
 
 @njit(cache=True)
 @no_type_check
-def add_to_pixels(pixel, share, values, out):
-    """Add the values of samples, times the share that a sample has in its pixel."""
+def add_to_pixels(pixel, fraction, values, out):
+    """Add the values of samples, times the fraction that a sample has in its pixel."""
     for p in range(len(pixel)):
         for c in range(values.shape[1]):
-            out[pixel[p], c] += share[pixel[p]] * values[p, c]
+            out[pixel[p], c] += fraction[pixel[p]] * values[p, c]
 
 
 @njit(cache=True)
@@ -355,7 +355,7 @@ def shading_normals(mesh, smooth, face_index, barycentric, directions, out, lift
         if away > 0:
             n[:] = -n
             side = -side
-        bulge = np.zeros(3)
+        terminator_offset = np.zeros(3)
         for v in range(3):
             below = 0.0
             for m in range(3):
@@ -366,9 +366,11 @@ def shading_normals(mesh, smooth, face_index, barycentric, directions, out, lift
                 )
                 below += gap * side * smooth[corner[v], m]
             for m in range(3):
-                bulge[m] -= barycentric[r, v] * min(0.0, below) * side * smooth[corner[v], m]
-        length = np.sqrt((bulge * bulge).sum())
+                terminator_offset[m] -= (
+                    barycentric[r, v] * min(0.0, below) * side * smooth[corner[v], m]
+                )
+        length = np.sqrt((terminator_offset * terminator_offset).sum())
         shrink = min(1.0, MAX_LIFT_M / max(length, 1e-30))
         for m in range(3):
             out[r, m] = n[m]
-            lift[r, m] = shrink * bulge[m]
+            lift[r, m] = shrink * terminator_offset[m]

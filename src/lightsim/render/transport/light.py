@@ -12,10 +12,10 @@ from lightsim.core.casting import RayCaster
 from lightsim.core.dome import SkyDome, Sun
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import FaceSamples
+from lightsim.render.transport.matrix import PointTransport, TransportConfig, TransportMatrix
 from lightsim.render.transport.resolve import resolve
-from lightsim.render.transport.sky import SkyCells, prepare_sky
+from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
 from lightsim.render.transport.sun import sun_visibility, unshadowed_sun
-from lightsim.render.transport.table import PointTable, TransportConfig, TransportTable
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,10 +30,10 @@ class PointLight:
 
 
 def light(
-    table: TransportTable,
+    table: TransportMatrix,
     scene: FrameScene,
     gbuffers: GBuffers,
-    sky: SkyDome | SkyCells,
+    sky: SkyDome | EnvironmentCells,
     config: TransportConfig,
 ) -> ShadowBuffers:
     """Shaded and unshadowed images of one frame under one sky (paper, Sec. 3.3).
@@ -52,7 +52,7 @@ def light(
     radiosity = face_radiosity(table.points.faces, scene.caster, cells)
     sums = table_sums(table.points, cells, radiosity)
     images = np.zeros((gbuffers.depth_z_m.size, 9), dtype=np.float32)
-    table.spread.add(sums, images, table.pixel)
+    table.upsampling.add(sums, images, table.pixel)
     images = images.reshape(*gbuffers.depth_z_m.shape, 9)
     if table.detail is None:
         return _at_centres(images, scene, gbuffers, cells, config)
@@ -63,7 +63,7 @@ def _at_centres(
     images: Float32[np.ndarray, "h w 9"],
     scene: FrameScene,
     gbuffers: GBuffers,
-    cells: SkyCells,
+    cells: EnvironmentCells,
     config: TransportConfig,
 ) -> ShadowBuffers:
     """Light at pixel centres: sky, bounce and unshadowed sky, and the sun."""
@@ -89,12 +89,12 @@ def _at_centres(
 
 
 def light_points(
-    table: PointTable,
+    table: PointTransport,
     radiosity: Float32[np.ndarray, "f 3"],
     scene: FrameScene,
     points_world: Float32[np.ndarray, "n 3"],
     normals_world: Float32[np.ndarray, "n 3"],
-    cells: SkyCells,
+    cells: EnvironmentCells,
     config: TransportConfig,
 ) -> PointLight:
     """Light of one sky on traced points, with what their surroundings send."""
@@ -108,20 +108,20 @@ def light_points(
 
 
 def table_sums(
-    table: PointTable, cells: SkyCells, radiosity: Float32[np.ndarray, "f 3"]
+    table: PointTransport, cells: EnvironmentCells, radiosity: Float32[np.ndarray, "f 3"]
 ) -> Float32[np.ndarray, "n 9"]:
     """Open sky, bounce and unshadowed sky of each point, irradiance / pi."""
     from lightsim.render.transport.kernels import point_light
 
-    if table.bag is not None:
-        return table.bag.point_light(cells.radiance, radiosity)
+    if table.on_device is not None:
+        return table.on_device.point_light(cells.radiance, radiosity)
     out = np.empty((len(table.sky_cells), 9), dtype=np.float32)
     point_light(table.sky_cells, table.face_rows, cells.radiance, radiosity, out)
     return out
 
 
 def face_radiosity(
-    faces: FaceSamples, caster: RayCaster, cells: SkyCells
+    faces: FaceSamples, caster: RayCaster, cells: EnvironmentCells
 ) -> Float32[np.ndarray, "f 3"]:
     """Radiance that each face sends out: base colour x (sky + sun + other faces) irradiance / pi.
 

@@ -22,8 +22,8 @@ from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import FaceSamples, TransportConfig
 from lightsim.render.transport.kernels import BLOCKED
 from lightsim.render.transport.live_sun import DeviceSunRays
-from lightsim.render.transport.sky import SkyCells
-from lightsim.render.transport.table import PointTable, TransportTable
+from lightsim.render.transport.matrix import PointTransport, TransportMatrix
+from lightsim.render.transport.sky import EnvironmentCells
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +76,8 @@ class LiveLight:
     def _shaded(self) -> Float32[torch.Tensor, "p 3"]:
         return self._sun(self.sun_cosine * self.sun_seen) + self.sky[0] + self.bounce
 
-    def _sun(self, share: Float32[torch.Tensor, " p"]) -> Float32[torch.Tensor, "p 3"]:
-        return share[:, None] * self.sun_colour
+    def _sun(self, fraction: Float32[torch.Tensor, " p"]) -> Float32[torch.Tensor, "p 3"]:
+        return fraction[:, None] * self.sun_colour
 
 
 class LiveFrame:
@@ -89,7 +89,7 @@ class LiveFrame:
 
     def __init__(
         self,
-        table: TransportTable,
+        table: TransportMatrix,
         scene: FrameScene,
         gbuffers: GBuffers,
         config: TransportConfig,
@@ -106,7 +106,7 @@ class LiveFrame:
         if table.detail is not None:
             raise InputError(
                 "a frame on a device is lit at pixel centres",
-                got="a ray table with samples of pixels",
+                got="a light transport matrix with samples of pixels",
                 remedy="Trace it without samples, or light it by render.light.",
             )
         has_surface = gbuffers.has_surface
@@ -118,13 +118,13 @@ class LiveFrame:
         self.device = self.rays.device
         self._shape = has_surface.shape
         self._pixel = self._upload(table.pixel)
-        self._spread = self._upload(table.spread.rows), self._upload(table.spread.weights)
+        self._spread = self._upload(table.upsampling.rows), self._upload(table.upsampling.weights)
         self.base_colour = self._upload(gbuffers.base_colour[has_surface])
         self._faces = _DeviceFaces(faces, self.device)
         self._points = _DevicePoints(table.points, self.device)
         self._sky: SkySums | None = None
 
-    def __call__(self, sky: SkyCells) -> LiveLight:
+    def __call__(self, sky: EnvironmentCells) -> LiveLight:
         """Light under a sky of `prepare_sky`.
 
         The sky's own sums are kept for the next call, and taken again only where `sky.radiance`
@@ -133,7 +133,7 @@ class LiveFrame:
         """
         sums = self.sky_sums(sky)
         sun = sky.sun
-        bounce = self.spread(self.bounce(sums, sun))
+        bounce = self.upsampling(self.bounce(sums, sun))
         if sun is None:
             dark = torch.zeros(self.rays.pixel_count, device=self.device)
             black = torch.zeros(3, device=self.device)
@@ -150,11 +150,11 @@ class LiveFrame:
             tensors += [self._sky.faces, *self._sky.pixels]
         return self.rays.held_bytes + sum(t.numel() * t.element_size() for t in tensors)
 
-    def sky_sums(self, sky: SkyCells) -> SkySums:
+    def sky_sums(self, sky: EnvironmentCells) -> SkySums:
         """All that does not depend on the sun."""
         if self._sky is None or self._sky.made_from is not sky.radiance:
             cells = self._upload(sky.radiance)
-            both = self.spread(torch.cat(self._points.sky(cells), dim=1))
+            both = self.upsampling(torch.cat(self._points.sky(cells), dim=1))
             pixels = both[:, :3].contiguous(), both[:, 3:].contiguous()
             self._sky = SkySums(sky.radiance, self._faces.sky(cells), pixels)
         return self._sky
@@ -166,7 +166,7 @@ class LiveFrame:
             arriving = arriving + self.rays.of_faces(sun)[:, None] * self._sun_colour(sun)
         return self._points.bounce(self._faces.radiosity(arriving))
 
-    def spread(self, values: Float32[torch.Tensor, "t c"]) -> Float32[torch.Tensor, "p c"]:
+    def upsampling(self, values: Float32[torch.Tensor, "t c"]) -> Float32[torch.Tensor, "p c"]:
         """Values of the traced points at all pixels with a surface."""
         rows, weights = self._spread
         if not len(rows):
@@ -236,7 +236,7 @@ class _DeviceFaces:
 class _DevicePoints:
     """Rays of the traced points: all for the sky, those that meet faces once more in a row."""
 
-    def __init__(self, points: PointTable, device: torch.device) -> None:
+    def __init__(self, points: PointTransport, device: torch.device) -> None:
         is_met = points.face_rows >= 0
         met = points.face_rows[is_met]
         counts = is_met.sum(axis=1)

@@ -11,10 +11,10 @@ from lightsim.render.casters.embree import offset_origins
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import TransportConfig, hashed_shifts
 from lightsim.render.transport.glossy import reflected_sun
+from lightsim.render.transport.matrix import SampleTable
 from lightsim.render.transport.samples import PixelSamples
-from lightsim.render.transport.sky import SkyCells
+from lightsim.render.transport.sky import EnvironmentCells
 from lightsim.render.transport.sun import PATTERNS, TILE_RAYS, disc_patterns, unshadowed_sun
-from lightsim.render.transport.table import SampleTable
 
 
 def resolve(
@@ -22,7 +22,7 @@ def resolve(
     scene: FrameScene,
     gbuffers: GBuffers,
     arrived: tuple[
-        SkyCells,
+        EnvironmentCells,
         Float32[np.ndarray, "f 3"],
         Float32[np.ndarray, "t 9"],
         Float32[np.ndarray, "h w 9"],
@@ -39,10 +39,10 @@ def resolve(
     """
     cells, radiosity, sums, images = arrived
     samples = detail.samples
-    share = samples.share
-    edge_light = detail.edge_spread(sums)
+    fraction = samples.fraction
+    edge_light = detail.edge_upsampling(sums)
     images.reshape(-1, 9)[samples.pixel[samples.edge.rows]] = 0
-    samples.add_means(images, samples.edge.rows, edge_light, share)
+    samples.add_means(images, samples.edge.rows, edge_light, fraction)
     open_sky, bounce, sky_unshadowed = (images[..., i : i + 3].copy() for i in (0, 3, 6))
     del images
     visible = np.zeros(len(samples.pixel), dtype=np.float32)
@@ -51,7 +51,7 @@ def resolve(
     sunlight = np.zeros(3, np.float32)
     if cells.sun is not None:
         sunlight = (cells.sun.irradiance / np.pi).astype(np.float32)
-        visible = _add_sun(sun, share, (samples, scene, gbuffers), cells.sun, config)
+        visible = _add_sun(sun, fraction, (samples, scene, gbuffers), cells.sun, config)
         edge_shaded += _sun_at_edges(samples, visible, cells.sun)
     direct_sun = sun[..., 1:2] * sunlight
     shaded = direct_sun + open_sky + bounce
@@ -63,8 +63,8 @@ def resolve(
         shaded,
         sun[..., 2:] * sunlight + sky_unshadowed,
         samples.coverage,
-        _diffuse(detail, shaded, edge_shaded, share),
-        _glossy(detail, cells, radiosity, visible, share),
+        _diffuse(detail, shaded, edge_shaded, fraction),
+        _glossy(detail, cells, radiosity, visible, fraction),
     )
 
 
@@ -79,18 +79,18 @@ def _diffuse(
     detail: SampleTable,
     shaded: Float32[np.ndarray, "h w 3"],
     edge_shaded: Float32[np.ndarray, "e 3"],
-    share: Float32[np.ndarray, " p"],
+    fraction: Float32[np.ndarray, " p"],
 ) -> Float32[np.ndarray, "h w 3"]:
     """Mean radiance by diffuse reflection: colours differ within a pixel, light at edges only."""
     samples = detail.samples
     image = detail.base_colour * shaded
     image.reshape(-1, 3)[samples.pixel[samples.edge.rows]] = 0
-    return samples.add_means(image, samples.edge.rows, detail.edge_colour * edge_shaded, share)
+    return samples.add_means(image, samples.edge.rows, detail.edge_colour * edge_shaded, fraction)
 
 
 def _add_sun(
     image: Float32[np.ndarray, "h w 3"],
-    share: Float32[np.ndarray, " p"],
+    fraction: Float32[np.ndarray, " p"],
     frame: tuple[PixelSamples, FrameScene, GBuffers],
     sun: Sun,
     config: TransportConfig,
@@ -124,16 +124,16 @@ def _add_sun(
         occluded = caster.is_occluded(np.repeat(origins, rays, axis=0), directions)
         visible[start + facing] = 1 - occluded.reshape(-1, rays).mean(axis=1, dtype=np.float32)
         seen = visible[part]
-        samples.add_means(image, part, np.stack([seen, cosine * seen, cosine], axis=1), share)
+        samples.add_means(image, part, np.stack([seen, cosine * seen, cosine], axis=1), fraction)
     return visible
 
 
 def _glossy(
     detail: SampleTable,
-    cells: SkyCells,
+    cells: EnvironmentCells,
     radiosity: Float32[np.ndarray, "f 3"],
     visible: Float32[np.ndarray, " n"],
-    share: Float32[np.ndarray, " p"],
+    fraction: Float32[np.ndarray, " p"],
 ) -> Float32[np.ndarray, "h w 3"] | None:
     """Mean radiance that the samples reflect; None where reflections are left out."""
     from lightsim.render.transport.glossy_kernels import reflected_light
@@ -148,8 +148,8 @@ def _glossy(
     reflected_light(
         table.directions_uv, table.face_rows, table.weights, table.f0, cells.smooth, radiosity, rays
     )
-    image = smoothing(samples.add_means(samples.black, points.rows, rays, share))
+    image = smoothing(samples.add_means(samples.black, points.rows, rays, fraction))
     if cells.sun is not None:
         sun = reflected_sun(points, table.f0, cells.sun) * visible[points.rows, None]
-        samples.add_means(image, points.rows, sun, share)
+        samples.add_means(image, points.rows, sun, fraction)
     return image

@@ -48,7 +48,7 @@ class PixelSamples:
         number: of the sample within its pixel.
         ray_starts_world: of each sample, see core.buffers.GBuffers.
         base_colour: mean over the samples of a pixel; 0 without a surface.
-        coverage: share of each pixel's samples that show a surface.
+        coverage: fraction of each pixel's samples that show a surface.
         edge: samples of pixels that show more than one surface; the samples of other pixels lie
             on the surface at the pixel's centre.
         glossy: samples on surfaces that reflect.
@@ -64,7 +64,7 @@ class PixelSamples:
     glossy: SurfacePoints
 
     @property
-    def share(self) -> Float32[np.ndarray, " p"]:
+    def fraction(self) -> Float32[np.ndarray, " p"]:
         """Weight of a sample in the mean of its pixel's surface samples, for each pixel."""
         count = np.bincount(self.pixel, minlength=self.coverage.size)
         return (1.0 / np.maximum(count, 1)).astype(np.float32)
@@ -74,12 +74,12 @@ class PixelSamples:
         image: Float32[np.ndarray, "h w c"],
         rows: Int64[np.ndarray, " k"] | slice,
         values: Float32[np.ndarray, "k c"],
-        share: Float32[np.ndarray, " p"],
+        fraction: Float32[np.ndarray, " p"],
     ) -> Float32[np.ndarray, "h w c"]:
-        """`image`, to which each pixel's values times `share` are added in place."""
+        """`image`, to which each pixel's values times `fraction` are added in place."""
         from lightsim.render.transport.kernels import add_to_pixels
 
-        add_to_pixels(self.pixel[rows], share, values, image.reshape(share.size, -1))
+        add_to_pixels(self.pixel[rows], fraction, values, image.reshape(fraction.size, -1))
         return image
 
     @property
@@ -158,7 +158,7 @@ class _Gathered:
         for found, chosen in ((self._edges, is_edge[local]), (self._glossy, is_glossy)):
             points = _points(seen, np.flatnonzero(chosen), roughness, metallic)
             found.append(replace(points, rows=points.rows + self._total))
-        self._append(band.start + local, number, seen.lifted_world)
+        self._append(band.start + local, number, seen.offset_world)
 
     def _append(
         self,

@@ -16,8 +16,8 @@ _REFLECTED_ROWS = 512
 
 
 @dataclass(frozen=True, eq=False)
-class SkyCells:
-    """A dome ready for the ray table; make it once for all frames with `prepare_sky`.
+class EnvironmentCells:
+    """A dome ready for the light transport matrix; make it once for all frames with `prepare_sky`.
 
     Args:
         radiance: mean radiance of every sky cell, the sun left out.
@@ -30,7 +30,7 @@ class SkyCells:
     smooth: Float32[np.ndarray, "h w 3"] | None = None
 
 
-def prepare_sky(dome: SkyDome) -> SkyCells:
+def prepare_sky(dome: SkyDome) -> EnvironmentCells:
     """Mean radiance of each sky cell by solid angle, and the sun; energy is kept."""
     rest, sun = split_sun(dome)
     rows = SKY_CELL_ROWS
@@ -41,4 +41,4 @@ def prepare_sky(dome: SkyDome) -> SkyCells:
     smooth = rest
     if len(rest) > _REFLECTED_ROWS:
         smooth = resize_area(rest, _REFLECTED_ROWS, 2 * _REFLECTED_ROWS)
-    return SkyCells(mean.astype(np.float32).reshape(-1, 3), sun, smooth)
+    return EnvironmentCells(mean.astype(np.float32).reshape(-1, 3), sun, smooth)

@@ -191,12 +191,12 @@ def _scatter(  # noqa: PLR0913 - compiled code takes plain arrays
     is_feature = is_in[:, None] & (k < FEATURES)
     x, y, z, bits, u, v, w = _cell(points, salt, p, is_in, tl.load(scales + level))
     where = (p[:, None] * LEVELS + level) * FEATURES + k
-    share = tl.load(upstream + where, mask=is_feature, other=0.0)
+    fraction = tl.load(upstream + where, mask=is_feature, other=0.0)
     for corner in tl.static_range(8):
         entry = level * SIZE + _entry(x, y, z, bits, corner, SIZE)
         weight = _side(u, corner & 1) * _side(v, corner & 2) * _side(w, corner & 4)
         target = gradient + entry[:, None] * FEATURES + k
-        tl.atomic_add(target, weight[:, None] * share, mask=is_feature, sem="relaxed")
+        tl.atomic_add(target, weight[:, None] * fraction, mask=is_feature, sem="relaxed")
 
 
 @triton.jit
@@ -226,12 +226,12 @@ def _point_gradient(  # noqa: PLR0913 - compiled code takes plain arrays
         scale = tl.load(scales + level)
         x, y, z, bits, u, v, w = _cell(points, salt, p, is_in, scale)
         where = (p[:, None] * LEVELS + level) * FEATURES + k
-        share = tl.load(upstream + where, mask=is_feature, other=0.0) * scale
+        fraction = tl.load(upstream + where, mask=is_feature, other=0.0) * scale
         first_entry = tl.cast(level, tl.int64) * SIZE
         for corner in tl.static_range(8):
             entry = first_entry + _entry(x, y, z, bits, corner, SIZE)
             value = tl.load(table + entry[:, None] * FEATURES + k, mask=is_feature, other=0.0)
-            pull = tl.sum(share * value, axis=1)
+            pull = tl.sum(fraction * value, axis=1)
             a, b, c = _side(u, corner & 1), _side(v, corner & 2), _side(w, corner & 4)
             along_x += pull * b * c * (1.0 if corner & 1 else -1.0)
             along_y += pull * a * c * (1.0 if corner & 2 else -1.0)

@@ -2,7 +2,8 @@
 
 Two points of one plane and material share their base colour on average, so that the contrast of
 their radiance is that of the light on them: log L_i - log L_j = log(d_i + s c_i v_i) - log(d_j +
-s c_j v_j), with the diffuse light d (open share of the sky and what the surroundings send, in units
+s c_j v_j), with the diffuse light d (open fraction of the sky and what the surroundings send, in
+units
 of the level sky), the sun's strength s in the same units, its cosine c and its visibility v, cast
 through the meshes. Every direction of a grid is asked how likely it makes the contrasts seen; a sun
 of strength 0 is the rival hypothesis: overcast. Neighbouring pairs share paint and mesh errors:
@@ -49,7 +50,7 @@ _PAIRS_PER_POINT = 2
 _PAIR_DISTANCE_M = (0.3, 3.0)
 # Independent pairs that a block counts for at most.
 _VOTES_PER_BLOCK = 3.0
-# Share of pairs whose cast shadow is wrong: casters that no sensor saw.
+# Fraction of pairs whose cast shadow is wrong: casters that no sensor saw.
 _WRONG_SHARE = 0.3
 # Light of the surroundings where no sky is seen, in units of the level sky.
 _BOUNCE = 0.35
@@ -60,7 +61,7 @@ _MESH_STD_DEG = 1.5
 
 
 @dataclass(frozen=True)
-class ShadowVoteConfig:
+class ShadowLikelihoodConfig:
     """How surfaces are asked for the sun."""
 
     samples: SampleConfig = field(default_factory=SampleConfig)
@@ -72,7 +73,7 @@ class ShadowVoteConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class ShadowVotes:
+class ShadowLikelihood:
     """What surfaces say about the sun.
 
     Args:
@@ -96,11 +97,11 @@ class ShadowVotes:
 def vote(
     samples: SurfaceSamples,
     caster: RayCaster,
-    config: ShadowVoteConfig,
+    config: ShadowLikelihoodConfig,
     rng: np.random.Generator,
     *,
     progress: Progress | None = None,
-) -> ShadowVotes:
+) -> ShadowLikelihood:
     """Likelihood of every sun direction given the light and shade on the samples."""
     first, second = _pairs(samples, rng)
     coarse = fibonacci_hemisphere(config.coarse_count)
@@ -108,7 +109,9 @@ def vote(
     blocks = _block_numbers(samples, first, BLOCK_M)
     block_count = int(blocks.max()) + 1 if len(blocks) else 0
     if block_count < _MIN_BLOCKS:
-        return ShadowVotes(coarse, weight, np.zeros(len(coarse)), 0.5, 0.0, len(first), block_count)
+        return ShadowLikelihood(
+            coarse, weight, np.zeros(len(coarse)), 0.5, 0.0, len(first), block_count
+        )
     model = _PairModel(samples, caster, first, second, blocks, config)
     counts = rng.multinomial(
         block_count, np.full(block_count, 1.0 / block_count), size=config.bootstraps
@@ -135,7 +138,7 @@ def vote(
     density = _blurred(directions, _mean_density(trust * joint, weight), weight, _MESH_STD_DEG)
     # Against a model that is wrong everywhere, no direction is ruled out.
     relative = (1 - _UNIFORM_SHARE) * density * 2 * np.pi + _UNIFORM_SHARE
-    return ShadowVotes(
+    return ShadowLikelihood(
         directions,
         weight,
         np.log(relative),
@@ -187,13 +190,13 @@ class _PairModel:
         first: Int64[np.ndarray, " p"],
         second: Int64[np.ndarray, " p"],
         blocks: Int64[np.ndarray, " p"],
-        config: ShadowVoteConfig,
+        config: ShadowLikelihoodConfig,
     ) -> None:
         self._samples, self._caster = samples, caster
         self._config = config
         self._first, self._second = first, second
         self._used = np.unique(np.concatenate([first, second]))
-        diffuse = samples.sky_share + _BOUNCE * (1 - samples.sky_share)
+        diffuse = samples.sky_fraction + _BOUNCE * (1 - samples.sky_fraction)
         self._diffuse = np.maximum(diffuse, 0.05).astype(np.float32)
         seen = samples.log_radiance[first] - samples.log_radiance[second]
         flat = np.log(self._diffuse[first] / self._diffuse[second])
@@ -203,10 +206,10 @@ class _PairModel:
         self._scale = np.float32(1.0 / noise)
         self._excess = (excess * self._scale).astype(np.float32)
         self._inverse_null = 1.0 / _density(self._excess)
-        share = np.minimum(1.0, _VOTES_PER_BLOCK / np.bincount(blocks)).astype(np.float32)
-        self._block_count = len(share)
+        fraction = np.minimum(1.0, _VOTES_PER_BLOCK / np.bincount(blocks)).astype(np.float32)
+        self._block_count = len(fraction)
         self._sum_blocks = sparse.csr_matrix(
-            (share[blocks], (blocks, np.arange(len(blocks)))), dtype=np.float32
+            (fraction[blocks], (blocks, np.arange(len(blocks)))), dtype=np.float32
         )
 
     def block_votes(
@@ -259,7 +262,7 @@ def _density(z: Float32[np.ndarray, " p"]) -> Float32[np.ndarray, " p"]:
 def _reliability(
     found: Float32[np.ndarray, "b d s"], flipped: Float32[np.ndarray, "b d s"]
 ) -> tuple[float, float]:
-    """(probability of a sun that casts shadows at even odds, share of the vote to be trusted).
+    """(probability of a sun that casts shadows at even odds, fraction of the vote to be trusted).
 
     The flipped sun is a control: it meets the same shapes, paint and look-elsewhere effect, and
     whatever it explains is chance. Its best stands against the sun's best; a true sun must beat
@@ -305,9 +308,9 @@ def _mean_log_strength(
     log_ratio: Float32[np.ndarray, "k d s"], weight: Float[np.ndarray, " d"]
 ) -> float:
     top = log_ratio.max(axis=(1, 2), keepdims=True)
-    share = np.einsum("kds,d->ks", np.exp((log_ratio - top).astype(np.float64)), weight)
-    share /= share.sum(axis=1, keepdims=True)
-    return float(share.mean(axis=0) @ np.log(STRENGTHS))
+    fraction = np.einsum("kds,d->ks", np.exp((log_ratio - top).astype(np.float64)), weight)
+    fraction /= fraction.sum(axis=1, keepdims=True)
+    return float(fraction.mean(axis=0) @ np.log(STRENGTHS))
 
 
 def _blurred(
@@ -316,7 +319,7 @@ def _blurred(
     weight: Float[np.ndarray, " d"],
     std_deg: float,
 ) -> Float[np.ndarray, " d"]:
-    """Spread by errors of the meshes that all blocks share."""
+    """BilateralUpsampling by errors of the meshes that all blocks share."""
     kernel = np.exp(log_vmf(np.clip(directions @ directions.T, -1, 1), std_deg))
     # Coarse cells are wider than the kernel: a row that does not sum to one keeps its own mass.
     mass = kernel * weight[None]

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lightsim.appearance.intrinsic.config import DelightConfig
-from lightsim.appearance.intrinsic.decompose import delight
+from lightsim.appearance.intrinsic.config import IntrinsicConfig
+from lightsim.appearance.intrinsic.decompose import decompose
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
 from lightsim.pipeline.source_light import SourceLight, static_returns
@@ -27,8 +27,8 @@ from lightsim.progress import SilentProgress
 from lightsim.simulate.against_truth import base_colours_of
 from lightsim.simulate.skies import SkyChoice, resolve_sky
 
-DEFAULT = DelightConfig()
-VARIANTS: dict[str, DelightConfig] = {
+DEFAULT = IntrinsicConfig()
+VARIANTS: dict[str, IntrinsicConfig] = {
     "labels": DEFAULT,
     "no LiDAR intensity": DEFAULT,
     "no inferred casters": DEFAULT,
@@ -69,7 +69,7 @@ def _without_light(workspace: Workspace, name: str, truth: Path) -> TriMesh:
     source = SourceLight(log, assets, inferred, dome, config.irradiance, 0)
     rng = np.random.default_rng(0)
     uses_lidar = name != "no LiDAR intensity"
-    done = delight(
+    done = decompose(
         assets.background,
         source.on(RigidTransform.identity("world", "world")),
         VARIANTS[name],

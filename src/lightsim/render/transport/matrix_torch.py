@@ -1,4 +1,4 @@
-"""The embedding-bag sums of the ray table in torch, for CUDA.
+"""The embedding-bag sums of the light transport matrix in torch, for CUDA.
 
 The same numbers as `transport_kernels.point_light`, which is faster on a CPU.
 """
@@ -18,7 +18,7 @@ def has_torch_cuda() -> bool:
     return torch.cuda.is_available()
 
 
-class TorchBag:
+class TorchTransport:
     """The rays of n points on a device, kept there for any number of skies.
 
     Every ray is one row number of a table in which open cells stand before faces, so that one

@@ -16,7 +16,7 @@ from lightsim.core.reading import LogReading
 from lightsim.pipeline.build import STAGES
 from lightsim.pipeline.options import PRESETS, BuildOptions, Preset
 from lightsim.simulate.relighter import RelightConfig
-from lightsim.store.artefact import Recipe, json_ready
+from lightsim.store.artefact import ArtefactKey, json_ready
 
 
 def options(preset: Preset) -> BuildOptions:
@@ -41,7 +41,7 @@ def with_one_change(config: Any) -> Iterator[tuple[str, Any]]:
 
 
 def key(config: Any) -> str:
-    return Recipe("stage", 1, {"config": json_ready(config)}, {}, 0).key
+    return ArtefactKey("stage", 1, {"config": json_ready(config)}, {}, 0).key
 
 
 @pytest.mark.parametrize("preset", PRESETS)

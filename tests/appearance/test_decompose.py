@@ -9,10 +9,10 @@ import pytest
 
 from lightsim.appearance.atlas import choose_resolution, edge_lengths_m, pack, texels_of
 from lightsim.appearance.intrinsic.decompose import (
-    DelightConfig,
+    IntrinsicConfig,
     LidarReturns,
     SurfaceLight,
-    delight,
+    decompose,
     find_balance,
 )
 from lightsim.appearance.intrinsic.light import LightAt, LightBalance
@@ -84,7 +84,7 @@ def _freedom(
 
 
 def _balance(mesh: TriMesh, light_at: LightAt, freedom: LightFreedom) -> LightBalance:
-    return find_balance(mesh, light_at, freedom, DelightConfig(), np.random.default_rng(0))
+    return find_balance(mesh, light_at, freedom, IntrinsicConfig(), np.random.default_rng(0))
 
 
 def _balanced(light_at: LightAt, balance: LightBalance) -> LightAt:
@@ -97,7 +97,7 @@ def test_division_by_the_right_light_leaves_the_base_colour():
     def light_at(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
         return _light(points, _is_lit(points) & ~_unknown_shadow(points), sun=1.0)
 
-    done = delight(mesh, light_at, DelightConfig(method="divide"), np.random.default_rng(0))
+    done = decompose(mesh, light_at, IntrinsicConfig(method="divide"), np.random.default_rng(0))
     assert _ratio(done.mesh, lit, albedo) == pytest.approx(1.0, abs=0.01)
     error = np.log(done.mesh.base_colour / albedo[:, None])
     assert np.abs(np.median(error)) < 0.01
@@ -113,7 +113,9 @@ def test_shadows_vanish_though_rendered_ones_lie_elsewhere_and_the_sun_is_too_st
     balance = _balance(mesh, light_at, _freedom())
     np.testing.assert_allclose(balance.sun, 1 / 2.2, rtol=0.1)
     np.testing.assert_array_equal(balance.unseen_sky, 1.0)
-    done = delight(mesh, _balanced(light_at, balance), DelightConfig(), np.random.default_rng(0))
+    done = decompose(
+        mesh, _balanced(light_at, balance), IntrinsicConfig(), np.random.default_rng(0)
+    )
     assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.05)
     assert ((done.visibility > 0.5) == (lit > 0.5)).mean() > 0.97
     paint = albedo > 0.5
@@ -166,7 +168,9 @@ def test_without_hard_shadows_none_are_invented():
     # The sun was read with some certainty, but there may be cloud before it.
     balance = _balance(mesh, light_at, _freedom(sun=0.16, cloud=0.3))
     assert (balance.sun < 0.1).all()
-    done = delight(mesh, _balanced(light_at, balance), DelightConfig(), np.random.default_rng(0))
+    done = decompose(
+        mesh, _balanced(light_at, balance), IntrinsicConfig(), np.random.default_rng(0)
+    )
     lit = _is_lit(mesh.vertices).astype(float)
     assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.05)
 
@@ -185,10 +189,10 @@ def test_lidar_intensity_keeps_dark_patches_from_becoming_shadows():
         return _light(points, _is_lit(points, shift_m=0.4), sun=2.2)
 
     balance = LightBalance(np.full(3, 1 / 2.2), np.ones(3), 0.0, 1)
-    done = delight(
+    done = decompose(
         mesh,
         _balanced(light_at, balance),
-        DelightConfig(),
+        IntrinsicConfig(),
         np.random.default_rng(0),
         returns=returns,
     )
@@ -202,7 +206,7 @@ def test_broken_light_is_refused():
     points = mesh.vertices[:-1].astype(np.float64)
     short = _light(points, np.ones(len(points)), 1.0)
     with pytest.raises(InputError, match="every vertex"):
-        delight(mesh, lambda p, n: short, DelightConfig(), np.random.default_rng(0))
+        decompose(mesh, lambda p, n: short, IntrinsicConfig(), np.random.default_rng(0))
     with pytest.raises(InputError, match="negative"):
         replace(short, sky=-short.sky)
 
@@ -233,7 +237,7 @@ def test_a_texture_loses_its_shadows_texel_by_texel_on_coarse_faces():
     def light_at(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
         return _light(points, _is_lit(points, shift_m=0.4), sun=1.0)
 
-    done = delight(mesh, light_at, DelightConfig(), np.random.default_rng(0)).mesh
+    done = decompose(mesh, light_at, IntrinsicConfig(), np.random.default_rng(0)).mesh
     assert done.texture is not None
     assert mesh.texture is not None
     assert done.texture.image.shape == mesh.texture.image.shape

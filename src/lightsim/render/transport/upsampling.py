@@ -11,7 +11,7 @@ from lightsim.render.transport.faces import TransportConfig
 
 
 @dataclass(frozen=True, eq=False)
-class Spread:
+class BilateralUpsampling:
     """Which traced points shade each of n points, and how much; made once for all skies.
 
     Args:
@@ -56,19 +56,19 @@ class TracedPixels:
     surface: Float32[np.ndarray, "t 6"]
     width: int
 
-    def spread(
+    def upsampling(
         self,
         pixel: Int32[np.ndarray, " n"] | Int64[np.ndarray, " n"],
         position_world: Float32[np.ndarray, "n 3"],
         normal_world: Float32[np.ndarray, "n 3"],
         depth_z_m: Float32[np.ndarray, " n"],
         config: TransportConfig,
-    ) -> Spread:
+    ) -> BilateralUpsampling:
         """How light reaches points on surfaces that are seen in the given (flat) pixels."""
         from lightsim.render.transport.kernels import spread_weights
 
         size = (2 * config.filter_radius + 1) ** 2
-        spread = Spread(
+        upsampling = BilateralUpsampling(
             np.zeros((len(pixel), size), dtype=np.int32),
             np.zeros((len(pixel), size), dtype=np.float32),
             np.zeros(len(pixel), dtype=np.uint8),
@@ -79,8 +79,8 @@ class TracedPixels:
             position_world,
             normal_world,
             depth_z_m,
-            spread.rows,
-            spread.weights,
-            spread.count,
+            upsampling.rows,
+            upsampling.weights,
+            upsampling.count,
         )
-        return spread
+        return upsampling

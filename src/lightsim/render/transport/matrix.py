@@ -1,4 +1,5 @@
-"""The ray table: light transport is linear in the sky, so rays are traced once for all skies.
+"""The light transport matrix: light transport is linear in the sky, so rays are traced once for all
+skies.
 
 For every traced pixel N cosine-distributed rays are stored as the sky cell they point at and the
 surface face they meet, if any; for every face met, M rays of its own. A sky then costs sums of
@@ -17,7 +18,6 @@ from jaxtyping import Bool, Float32, Int32, Int64, UInt16
 from lightsim.core.buffers import GBuffers
 from lightsim.render.casters.embree import offset_origins
 from lightsim.render.scene import FrameScene
-from lightsim.render.transport.bag_torch import TorchBag
 from lightsim.render.transport.faces import (
     SKY_CELL_ROWS,
     TILE_RAYS,
@@ -30,13 +30,14 @@ from lightsim.render.transport.faces import (
 from lightsim.render.transport.glossy import (
     GlossyTable,
     ReflectionSmoothing,
-    diffuse_share,
+    diffuse_fraction,
     reflection_smoothing,
     trace_glossy,
 )
+from lightsim.render.transport.matrix_torch import TorchTransport
 from lightsim.render.transport.samples import PixelSamples
 from lightsim.render.transport.sides import OPEN, SideFinder
-from lightsim.render.transport.spread import Spread, TracedPixels
+from lightsim.render.transport.upsampling import BilateralUpsampling, TracedPixels
 
 
 def exact() -> TransportConfig:
@@ -45,7 +46,7 @@ def exact() -> TransportConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class PointTable:
+class PointTransport:
     """Rays of n points.
 
     Args:
@@ -58,10 +59,10 @@ class PointTable:
     sky_cells: UInt16[np.ndarray, "n k"]
     face_rows: Int32[np.ndarray, "n k"]
     faces: FaceSamples
-    bag: TorchBag | None = None
+    on_device: TorchTransport | None = None
 
     @property
-    def openness(self) -> Float32[np.ndarray, " n"]:
+    def sky_view_factor(self) -> Float32[np.ndarray, " n"]:
         """Cosine-weighted fraction of the hemisphere that is open."""
         return (self.face_rows == OPEN).mean(axis=1, dtype=np.float32)
 
@@ -80,15 +81,15 @@ class SampleTable:
     """
 
     samples: PixelSamples
-    edge_spread: Spread
+    edge_upsampling: BilateralUpsampling
     base_colour: Float32[np.ndarray, "h w 3"]
     edge_colour: Float32[np.ndarray, "e 3"]
     glossy: tuple[GlossyTable, ReflectionSmoothing] | None
 
 
 @dataclass(frozen=True, eq=False)
-class TransportTable:
-    """The ray table of one frame.
+class TransportMatrix:
+    """The light transport matrix of one frame.
 
     Args:
         points: rays of the traced pixels.
@@ -98,9 +99,9 @@ class TransportTable:
         detail: what anti-aliased images and reflections need, where asked for.
     """
 
-    points: PointTable
+    points: PointTransport
     pixel: Int64[np.ndarray, " p"]
-    spread: Spread
+    upsampling: BilateralUpsampling
     ambient_occlusion: Float32[np.ndarray, "h w"]
     detail: SampleTable | None = None
 
@@ -117,8 +118,8 @@ def trace_transport(
     seed: int = 0,
     face_table: FaceTable | None = None,
     samples: PixelSamples | None = None,
-) -> TransportTable:
-    """Trace the ray table of one frame.
+) -> TransportMatrix:
+    """Trace the light transport matrix of one frame.
 
     Args:
         face_table: from `static_face_table` with the same config, shared by the frames of a
@@ -138,30 +139,30 @@ def trace_transport(
     faces = _compact(
         [sides] if glossy is None else [sides, glossy.face_rows], scene, static, config
     )
-    bag = None
+    on_device = None
     if config.device != "cpu":
         cell_count = 2 * SKY_CELL_ROWS**2
-        bag = TorchBag(cells, sides, cell_count, config.device)
-    points = PointTable(cells, sides, faces, bag)
+        on_device = TorchTransport(cells, sides, cell_count, config.device)
+    points = PointTransport(cells, sides, faces, on_device)
     has_surface = gbuffers.has_surface
     traced = TracedPixels(
         index, np.concatenate([positions, normals], axis=1), int(has_surface.shape[1])
     )
     pixel = np.flatnonzero(has_surface)
-    spread = _spread_to_centres(traced, pixel, gbuffers, config)
+    upsampling = _upsampling_to_centres(traced, pixel, gbuffers, config)
     occlusion = np.ones(has_surface.shape, dtype=np.float32)
-    occlusion[has_surface] = spread(points.openness[:, None])[:, 0]
+    occlusion[has_surface] = upsampling(points.sky_view_factor[:, None])[:, 0]
     detail = None if samples is None else _detail(samples, gbuffers, traced, glossy, config)
-    return TransportTable(points, pixel, spread, occlusion, detail)
+    return TransportMatrix(points, pixel, upsampling, occlusion, detail)
 
 
-def _spread_to_centres(
+def _upsampling_to_centres(
     traced: TracedPixels,
     pixel: Int64[np.ndarray, " p"],
     gbuffers: GBuffers,
     config: TransportConfig,
-) -> Spread:
-    return traced.spread(
+) -> BilateralUpsampling:
+    return traced.upsampling(
         pixel,
         gbuffers.ray_starts_world.reshape(-1, 3)[pixel],
         gbuffers.normal_world.reshape(-1, 3)[pixel],
@@ -178,7 +179,7 @@ def _detail(
     config: TransportConfig,
 ) -> SampleTable:
     edge = samples.edge
-    spread = traced.spread(
+    upsampling = traced.upsampling(
         samples.pixel[edge.rows],
         samples.ray_starts_world[edge.rows],
         edge.normal_world,
@@ -186,16 +187,18 @@ def _detail(
         config,
     )
     if glossy is None:
-        return SampleTable(samples, spread, samples.base_colour, edge.base_colour, None)
-    kept = samples.glossy.base_colour * diffuse_share(samples.glossy, glossy)
+        return SampleTable(samples, upsampling, samples.base_colour, edge.base_colour, None)
+    kept = samples.glossy.base_colour * diffuse_fraction(samples.glossy, glossy)
     lost = kept - samples.glossy.base_colour
-    colour = samples.add_means(samples.base_colour.copy(), samples.glossy.rows, lost, samples.share)
+    colour = samples.add_means(
+        samples.base_colour.copy(), samples.glossy.rows, lost, samples.fraction
+    )
     by_sample = np.full(len(samples.pixel), OPEN, dtype=np.int32)
     by_sample[samples.glossy.rows] = np.arange(len(kept), dtype=np.int32)
     row = by_sample[edge.rows]
     edge_colour = np.where((row >= 0)[:, None], kept[row], edge.base_colour)
     smoothing = reflection_smoothing(samples, gbuffers, config)
-    return SampleTable(samples, spread, np.maximum(colour, 0), edge_colour, (glossy, smoothing))
+    return SampleTable(samples, upsampling, np.maximum(colour, 0), edge_colour, (glossy, smoothing))
 
 
 def trace_points(
@@ -205,12 +208,12 @@ def trace_points(
     shifts: Float32[np.ndarray, "n 2"],
     config: TransportConfig,
     face_table: FaceTable | None = None,
-) -> PointTable:
+) -> PointTransport:
     """Trace the rays of surface points; `shifts` in [0, 1) turn each point's ray pattern."""
     finder = SideFinder(scene.caster)
     cells, sides = _trace(finder, points_world, normals_world, shifts, config)
     faces = _compact([sides], scene, face_table or static_face_table(scene, config), config)
-    return PointTable(cells, sides, faces)
+    return PointTransport(cells, sides, faces)
 
 
 def _trace(

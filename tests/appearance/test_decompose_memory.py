@@ -1,4 +1,5 @@
-"""The memory of delighting follows what was measured, not how far the scene reaches."""
+"""The memory of intrinsic decomposition follows what was measured, not how far the scene
+reaches."""
 
 from __future__ import annotations
 
@@ -17,9 +18,14 @@ from lightsim.appearance.atlas import (
     texel_parts,
     texels_of,
 )
-from lightsim.appearance.intrinsic import surfels as delight_surfels
+from lightsim.appearance.intrinsic import surfels as intrinsic_surfels
 from lightsim.appearance.intrinsic.balance import light_blocks
-from lightsim.appearance.intrinsic.decompose import DelightConfig, Delit, SurfaceLight, delight
+from lightsim.appearance.intrinsic.decompose import (
+    Decomposition,
+    IntrinsicConfig,
+    SurfaceLight,
+    decompose,
+)
 from lightsim.appearance.intrinsic.surfels import connect, make_surfels
 from lightsim.core.mesh import Provenance, Texture, TriMesh, concatenate_meshes
 
@@ -61,9 +67,9 @@ def test_a_far_field_costs_no_more_than_its_vertices_and_keeps_the_rendered_ligh
     near, far = _street(), _far_field()
     scene = concatenate_meshes([near, far])
     rng = np.random.default_rng(0)
-    alone = _peak_bytes(lambda: delight(near, _half_light, DelightConfig(), rng))
-    done: list[Delit] = []
-    both = _peak_bytes(lambda: done.append(delight(scene, _half_light, DelightConfig(), rng)))
+    alone = _peak_bytes(lambda: decompose(near, _half_light, IntrinsicConfig(), rng))
+    done: list[Decomposition] = []
+    both = _peak_bytes(lambda: done.append(decompose(scene, _half_light, IntrinsicConfig(), rng)))
     assert both < alone + 2000 * len(far.vertices)
     count = len(near.vertices)
     np.testing.assert_array_equal(done[0].visibility[count:], far.vertices[:, 0] > 0)
@@ -73,8 +79,8 @@ def test_a_far_field_costs_no_more_than_its_vertices_and_keeps_the_rendered_ligh
 
 
 def test_surfels_and_their_pairs_take_a_bounded_number_of_bytes(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(delight_surfels, "_CHUNK", 1 << 12)
-    monkeypatch.setattr(delight_surfels, "_CHUNK_SURFELS", 1 << 9)
+    monkeypatch.setattr(intrinsic_surfels, "_CHUNK", 1 << 12)
+    monkeypatch.setattr(intrinsic_surfels, "_CHUNK_SURFELS", 1 << 9)
 
     def made(side_m: float) -> tuple[int, int]:
         mesh, rng = plane_mesh(side_m, side_m / 20), np.random.default_rng(0)
