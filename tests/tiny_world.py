@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from tests.render.rendering_scenes import box, look_at, plane
 
-from lightsim.core.actors import ActorTrack
+from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.buffers import GBuffers
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.dome import SkyDome
@@ -68,9 +68,11 @@ def driving_box() -> tuple[ActorAsset, ActorTrack]:
     poses = np.tile(np.eye(4), (len(STEMS), 1, 1))
     poses[:, 1, 3] = STEP_M * (np.arange(len(STEMS)) - 1)
     poses[:, 2, 3] = BOX_LWH_M[2] / 2
-    track = ActorTrack("car", "Car", BOX_LWH_M, Trajectory("world", "actor", times_ns, poses), True)
+    track = ActorTrack(
+        "car", ActorKind.CAR, BOX_LWH_M, Trajectory("world", "actor", times_ns, poses), True
+    )
     mesh = replace(box((0, 0, 0), BOX_LWH_M, 0.2), frame="actor")
-    return ActorAsset("car", "Car", mesh), track
+    return ActorAsset("car", ActorKind.CAR, mesh), track
 
 
 def tiny_world(

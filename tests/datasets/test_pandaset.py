@@ -107,7 +107,7 @@ def test_an_unknown_label_is_said_once_and_stays(folder: Path, tmp_path: Path) -
     for path in (copy / "annotations" / "cuboids").iterdir():
         table = pd.read_pickle(path)
         write_frame(path, {**table, "label": ["Car", "Hovercraft", "Hovercraft"]})
-    log = read_log(copy)
+    log = read_log(LogReading(source=str(copy)))
     assert {(a.label, a.kind) for a in log.actors} == {
         ("Car", ActorKind.CAR),
         ("Hovercraft", ActorKind.OTHER),

@@ -260,9 +260,8 @@ def test_an_actor_has_one_number_everywhere(work: Path, tmp_path: Path) -> None:
     assert workspace.training_log.number_by_actor == number_by_actor
     assert workspace.twin.log.number_by_actor == number_by_actor
     assert workspace.scene_field.actor_ids == tuple(number_by_actor)
-    chosen = RenderOptions(("actor",), (), frames="0:1")
-    render(work, tmp_path, chosen, SilentProgress())
-    table = json.loads((tmp_path / "actors.json").read_text())
+    render(work, tmp_path, RenderOptions(what=("actor",), frames="0:1"), SilentProgress())
+    table = json.loads((tmp_path / "scenario.json").read_text())["actors"]
     assert {row["actor_id"]: row["number"] for row in table} == number_by_actor
     truth = shipped_street() / "truth"
     true_ids = json.loads((truth / "truth.json").read_text())["actors"]

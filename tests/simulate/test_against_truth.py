@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks import bench_reconstruction
 from tests.render.rendering_scenes import plane, sun_sky
 from tests.tiny_world import (
     AHEAD,
@@ -28,6 +29,7 @@ from tests.tiny_world import (
 from lightsim.core.dome import Sun, add_sun
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh, concatenate_meshes
+from lightsim.core.reading import LogReading
 from lightsim.core.sensors import LazySweep, LidarSweep
 from lightsim.core.twin import Panorama, SceneAssets
 from lightsim.errors import InputError
@@ -36,8 +38,8 @@ from lightsim.evaluate.geometry import GeometryConfig
 from lightsim.pipeline import measures
 from lightsim.progress import SilentProgress
 from lightsim.simulate import against_truth
+from lightsim.simulate.options import RelightOptions
 from lightsim.store.images import write_exr, write_png
-from lightsim.store.log import LogReading
 
 QUICK = FramesConfig(with_lpips=False, with_exposure=False)
 SKY = sun_sky(np.radians(40.0), 35.0, 0.2)
@@ -75,9 +77,9 @@ def test_relit_frames_are_scored_on_true_surfaces_beside_what_a_copy_reaches(
     """One sky is relit perfectly, the other 10 codes too bright; the source is 20 codes off. What
     stands in the sky does not count."""
     source = tmp_path / "log"
-    reading = LogReading(str(source), "auto", (), "", None, 1.0, 0)
+    reading = LogReading(source=str(source), image_scale=1.0)
     work = tiny_world(SKY, AHEAD, reading=reading)
-    asked: list[Any] = []
+    asked: list[RelightOptions] = []
     for frame in work.log.frames[:2]:
         picture = rng.integers(60, 180, (*SIZE, 3)).astype(np.uint8)
         is_sky = ~sees_surface(frame)
@@ -94,16 +96,15 @@ def test_relit_frames_are_scored_on_true_surfaces_beside_what_a_copy_reaches(
             (folder / "above").mkdir(parents=True, exist_ok=True)
             write_png(folder / "above" / f"{frame.stem}.png", shown)
 
-    def relight_all(root: Path, choices: list, progress: object) -> list[Path]:
-        asked.extend(choices)
-        return [tmp_path / options.name for options in choices]
+    def relight(root: Path, options: RelightOptions, progress: object) -> list[Path]:
+        asked.append(options)
+        return [tmp_path / f"truth-{name}" for name in options.sky_by_name]
 
     use(monkeypatch, work)
-    monkeypatch.setattr(against_truth, "relight_all", relight_all)
+    monkeypatch.setattr(against_truth, "relight", relight)
     report = against_truth.relit_frames(Path("w"), truth, SilentProgress(), QUICK)
-    assert [(o.sky.sky, o.sky.scale, o.frames) for o in asked] == [
-        (str(truth / "skies" / f"{name}.exr"), "none", "0:2:1") for name in ("bright", "perfect")
-    ]
+    skies = tuple(str(truth / "skies" / f"{name}.exr") for name in ("bright", "perfect"))
+    assert [(o.sky, o.sky_scale, o.frames) for o in asked] == [(skies, "none", "0:2:1")]
     masked = {
         (condition, method): report.mean(condition, method, "masked")
         for condition in report.conditions
@@ -222,8 +223,8 @@ def test_a_tilted_ground_has_its_tilt_as_error_of_normals(
     for mesh, wanted in ((plane(60.0), 0.0), (plane(60.0).moved(pose), 5.0)):
         work = tiny_world(SKY, background=mesh)
         write_true_buffers(truth, work)
-        use(monkeypatch, work)
-        found = against_truth.normal_error_deg(Path("w"), truth)
+        monkeypatch.setattr(bench_reconstruction, "Workspace", lambda root, work=work: work)
+        found = bench_reconstruction.normal_error_deg(Path("w"), truth)
         assert found == pytest.approx(wanted, abs=0.05)
 
 

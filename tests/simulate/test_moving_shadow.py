@@ -23,8 +23,9 @@ from tests.tiny_world import (
 from lightsim.core.colour import luminance, srgb8_from_linear
 from lightsim.core.dome import SkyDome
 from lightsim.evaluate.metrics import psnr
-from lightsim.simulate.relighter import RelightConfig, Relighter, RelightOptions
-from lightsim.simulate.skies import SkyChoice, TargetSky
+from lightsim.simulate.options import RelightOptions
+from lightsim.simulate.relighter import RelightConfig, Relighter
+from lightsim.simulate.skies import TargetSky
 
 SKY = 0.15
 PIXEL_M = 0.32
@@ -41,9 +42,8 @@ def recorded(sky: SkyDome) -> TinyWorkspace:
 
 def relit(work: TinyWorkspace, sky: SkyDome, number: int) -> tuple[np.ndarray, np.ndarray]:
     """Radiance and 8-bit picture of one frame under another sky."""
-    relighter = Relighter(work, work.log, RelightConfig(), 0)
-    options = RelightOptions("tiny", SkyChoice("source"))
-    target = relighter.target(TargetSky(sky, {}), options)
+    relighter = Relighter(work, work.log, RelightConfig(), RelightOptions(name="tiny"))
+    target = relighter.target(TargetSky(sky, {}))
     (found,) = relighter.relit(work.log.frames[number], scenario_of(work), [target])
     return found.radiance, found.image_srgb8
 
