@@ -114,6 +114,10 @@ def test_the_twin_agrees_with_the_truth(built_street: Any, tmp_path: Path) -> No
     assert sky["sun_error_truth_deg"] < 0.5
     assert abs(sky["sun_irradiance_error_ev"]) < 1.0
     assert abs(sky["sky_irradiance_error_ev"]) < 1.0
+    rows = {row["surface"]: row for row in evaluated("closure", work, out)["rows"]}
+    assert rows["all"]["median"] == pytest.approx(1.0, abs=0.05)
+    for surface in ("ground, lit", "facades, lit"):
+        assert rows[surface]["median"] == pytest.approx(1.0, abs=0.1), surface
     workspace = Workspace(work)
     meshes = {"labels": workspace.twin.assets.background, "radiance": workspace.assets.background}
     found = base_colours_of(meshes, workspace, Path(TRUTH), SilentProgress())

@@ -120,17 +120,37 @@ class EvaluateBaseColour:
         show(report, self.out)
 
 
+@dataclass(frozen=True)
+class EvaluateClosure:
+    """Base colour x light against what the cameras saw: 1 closes. Needs no ground truth."""
+
+    work: tyro.conf.Positional[Path]
+    """Work folder."""
+    out: Path | None = None
+    """Also write the table as JSON here."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Measure the closure."""
+        from lightsim.pipeline.closure import closure
+        from lightsim.pipeline.workspace import Workspace
+
+        show(closure(Workspace(self.work)), self.out)
+
+
 Evaluate = (
     Annotated[EvaluateFrames, tyro.conf.subcommand("frames")]
     | Annotated[EvaluateRelight, tyro.conf.subcommand("relight")]
     | Annotated[EvaluateGeometry, tyro.conf.subcommand("geometry")]
     | Annotated[EvaluateSky, tyro.conf.subcommand("sky")]
     | Annotated[EvaluateBaseColour, tyro.conf.subcommand("base-colour")]
+    | Annotated[EvaluateClosure, tyro.conf.subcommand("closure")]
 )
 
 
 @dataclass(frozen=True)
 class EvaluateGroup:
-    """Measure frames, relighting, geometry, the sky or base colour."""
+    """Measure frames, relighting, geometry, the sky, base colour or closure."""
 
     measure: tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[Evaluate]]
