@@ -14,15 +14,16 @@ T = TypeVar("T")
 class Progress(Protocol):
     """What a stage needs to report: wrap the loop in `track`."""
 
-    def track(
-        self, items: Iterable[T], description: str, total: int | None = None
-    ) -> Iterator[T]: ...
+    def track(self, items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
+        """Yield the items unchanged while reporting; `total` where they have no length."""
+        ...
 
 
 class SilentProgress:
     """Reports nothing (library use, tests)."""
 
     def track(self, items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
+        """Yield the items."""
         yield from items
 
 
@@ -33,6 +34,7 @@ class LineProgress:
         self._every_s = every_s
 
     def track(self, items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
+        """Yield the items; lines tell the count done and the seconds since the start."""
         total = _length(items) if total is None else total
         start = last = time.monotonic()
         done = 0
@@ -57,6 +59,7 @@ class BarProgress:
     """A rich progress bar with the estimated time left."""
 
     def track(self, items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
+        """Yield the items under a bar on standard error."""
         from rich.console import Console
         from rich.progress import track
 

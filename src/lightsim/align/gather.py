@@ -64,6 +64,7 @@ def gather(
 
 
 def joined_clouds(clouds: list[Cloud]) -> Cloud:
+    """One cloud of all returns, in the order of the clouds."""
     return Cloud(
         np.concatenate([c.points_world for c in clouds]),
         np.concatenate([c.times_ns for c in clouds]),

@@ -1,7 +1,8 @@
-"""How what was located sweep by sweep wanders, by the agreement of all sweeps: point to plane.
+"""How what was located sweep by sweep wanders, by the agreement of all sweeps.
 
 For the ego's path the sweeps of the whole street are compared in frame `world`; for a moving actor
-the returns inside its box, in its own frame (movers.py).
+the returns inside its box, in its own frame (movers.py). The distance is that of point to plane
+(Chen & Medioni 1992, doi:10.1016/0262-8856(92)90066-C).
 """
 
 from __future__ import annotations
@@ -72,10 +73,12 @@ class PathFit:
 
     @property
     def shifts_m(self) -> Float64[np.ndarray, " n"]:
+        """How far the correction moves the path at each of its knots."""
         return np.linalg.norm(self.correction.shifts_m, axis=1)
 
     @property
     def turns_deg(self) -> Float64[np.ndarray, " n"]:
+        """By what angle the correction turns the path at each of its knots."""
         return np.degrees(np.linalg.norm(self.correction.rotations_rad, axis=1))
 
 

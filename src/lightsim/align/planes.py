@@ -30,6 +30,7 @@ class Cloud:
     sweep: Int64[np.ndarray, " n"]
 
     def rows(self, which: np.ndarray) -> Cloud:
+        """The returns that `which` names, by index or by mask."""
         return Cloud(self.points_world[which], self.times_ns[which], self.sweep[which])
 
 
@@ -94,7 +95,10 @@ def first_of_voxels(points: Float64[np.ndarray, "n 3"], voxel_m: float) -> Int64
 def robust_weights(
     residuals_m: Float64[np.ndarray, " n"], scale_m: float
 ) -> Float64[np.ndarray, " n"]:
-    """Weights of iteratively reweighted least squares; the loss is Cauchy's."""
+    """Weights of iteratively reweighted least squares; the loss is Cauchy's.
+
+    It is scale^2 / 2 log(1 + (r / scale)^2); the weight is its slope over r.
+    """
     return 1.0 / (1.0 + np.square(residuals_m / scale_m))
 
 

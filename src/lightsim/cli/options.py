@@ -15,9 +15,13 @@ Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"])]
 class Report(Protocol):
     """A measurement that can be shown."""
 
-    def to_table(self) -> str: ...
+    def to_table(self) -> str:
+        """Aligned text for a terminal."""
+        ...
 
-    def to_json(self) -> str: ...
+    def to_json(self) -> str:
+        """The same figures as a JSON text."""
+        ...
 
 
 def say(text: str) -> None:

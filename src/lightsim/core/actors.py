@@ -97,6 +97,7 @@ class ActorTrack:
             )
 
     def is_present(self, time_ns: int, hold_s: float = 0.1) -> bool:
+        """Whether the actor has a pose then: within its labelled times, or `hold_s` beyond them."""
         return self.trajectory.covers(time_ns, hold_s)
 
     def world_from_actor(self, time_ns: int, hold_s: float = 0.1) -> RigidTransform:

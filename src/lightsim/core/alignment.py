@@ -71,6 +71,7 @@ class CameraCorrection:
     time_offset_s: float
 
     def recorded_from_true(self) -> RigidTransform:
+        """From the true frame `camera` to the recorded one."""
         rotation = rotation_from_vector(self.rotation_rad)
         return RigidTransform.from_rotation("camera", "camera", rotation, self.shift_m)
 

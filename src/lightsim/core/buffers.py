@@ -36,6 +36,7 @@ class GBuffers:
 
     @property
     def has_surface(self) -> Bool[np.ndarray, "h w"]:
+        """Pixels whose ray meets a mesh; the others show the sky."""
         return np.isfinite(self.depth_z_m)
 
 

@@ -44,6 +44,7 @@ class RayHits:
 
     @property
     def is_hit(self) -> Bool[np.ndarray, " n"]:
+        """Rays that met a face."""
         return self.face_index != MISS
 
 
@@ -52,15 +53,21 @@ class RayCaster(Protocol):
     """Rays against a fixed list of meshes in frame `world`. Directions are unit vectors."""
 
     @property
-    def meshes(self) -> Sequence[TriMesh]: ...
+    def meshes(self) -> Sequence[TriMesh]:
+        """The meshes, in the order that `RayHits.mesh_index` counts."""
+        ...
 
     def intersect(
         self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
-    ) -> RayHits: ...
+    ) -> RayHits:
+        """The nearest face that each ray meets, from either side."""
+        ...
 
     def is_occluded(
         self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
-    ) -> Bool[np.ndarray, " n"]: ...
+    ) -> Bool[np.ndarray, " n"]:
+        """Whether a ray meets any face, at whatever distance."""
+        ...
 
 
 def check_world(meshes: Sequence[TriMesh]) -> None:

@@ -45,4 +45,5 @@ def srgb8_from_linear(linear: Shaped[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n
 
 
 def luminance(linear: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
+    """Relative luminance of linear sRGB (weights of ITU-R BT.709), in the unit of the input."""
     return np.asarray(linear @ LUMINANCE_WEIGHTS)

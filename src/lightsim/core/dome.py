@@ -44,6 +44,7 @@ class Sun:
 
     @property
     def elevation_deg(self) -> float:
+        """Angle above the horizon; negative below it."""
         return float(np.degrees(np.arcsin(np.clip(self.direction_world[2], -1, 1))))
 
     def turned(self, yaw_deg: float) -> Sun:
@@ -86,6 +87,7 @@ class SkyDome:
 
     @property
     def height_px(self) -> int:
+        """Rows of the image; it has twice as many columns."""
         return self.radiance.shape[0]
 
     def horizontal_irradiance(self) -> Float[np.ndarray, "3"]:
@@ -149,6 +151,7 @@ class SkyDome:
         return SkyDome(_with_disc(rolled, sun, lifted.energy), sun)
 
     def look_up(self, directions_world: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+        """Radiance from unit directions, bilinear between pixel centres."""
         return sample_bilinear(self.radiance, directions_world)
 
 

@@ -55,6 +55,7 @@ class RigidTransform:
 
     @staticmethod
     def identity(dst: str, src: str) -> RigidTransform:
+        """The transform between two frames that coincide."""
         return RigidTransform(dst, src, np.eye(4))
 
     @staticmethod
@@ -64,6 +65,7 @@ class RigidTransform:
         rotation: Float[np.ndarray, "3 3"],
         translation_m: Float[np.ndarray, "3"],
     ) -> RigidTransform:
+        """From a rotation and the origin of `src` in `dst`."""
         matrix = np.eye(4)
         matrix[:3, :3] = rotation
         matrix[:3, 3] = translation_m
@@ -91,6 +93,7 @@ class RigidTransform:
 
     @property
     def rotation(self) -> Float[np.ndarray, "3 3"]:
+        """The 3x3 block; its columns are the axes of `src` in `dst`."""
         return self.matrix[:3, :3]
 
     @property
@@ -114,6 +117,7 @@ class RigidTransform:
         return RigidTransform(self.dst, other.src, self.matrix @ other.matrix)
 
     def inverse(self) -> RigidTransform:
+        """`src_from_dst`, by the transposed rotation: exact to rounding."""
         rotation = self.rotation.T
         return RigidTransform.from_rotation(
             self.src, self.dst, rotation, -rotation @ self.translation_m
@@ -131,6 +135,7 @@ class RigidTransform:
 def points_rotated(
     vectors: Float[np.ndarray, "*n 3"], rotation: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "*n 3"]:
+    """Each row of `vectors` turned by one rotation matrix, which multiplies from the left."""
     return vectors @ rotation.T
 
 
@@ -179,6 +184,8 @@ def quaternion_from_matrix(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarr
 class Trajectory:
     """Poses `dst_from_src` over time: slerp and lerp between them, nothing beyond them.
 
+    Rotations turn at constant rate between poses (Shoemake 1985, doi:10.1145/325165.325242).
+
     Args:
         times_ns: strictly increasing integer nanoseconds.
         matrices: one 4x4 `dst_from_src` each.
@@ -210,17 +217,21 @@ class Trajectory:
 
     @property
     def start_ns(self) -> int:
+        """Time of the first pose."""
         return int(self.times_ns[0])
 
     @property
     def end_ns(self) -> int:
+        """Time of the last pose."""
         return int(self.times_ns[-1])
 
     @property
     def positions_m(self) -> Float[np.ndarray, "n 3"]:
+        """Origin of `src` in `dst` at each pose."""
         return self.matrices[:, :3, 3]
 
     def covers(self, time_ns: int, hold_s: float = 0.0) -> bool:
+        """Whether `at` answers: from the first pose to the last, and `hold_s` beyond either."""
         hold_ns = int(hold_s * 1e9)
         return self.start_ns - hold_ns <= time_ns <= self.end_ns + hold_ns
 

@@ -66,9 +66,11 @@ class DrivingLog:
         return tuple(f for f in self.frames if f.camera_name == camera_name)
 
     def actors_at(self, time_ns: int) -> tuple[ActorTrack, ...]:
+        """The actors whose track holds at a time (`ActorTrack.is_present`)."""
         return tuple(actor for actor in self.actors if actor.is_present(time_ns))
 
     def with_frames(self, frames: tuple[CameraFrame, ...]) -> DrivingLog:
+        """The log with other camera frames; sweeps, ego and actors stay."""
         return replace(self, frames=frames)
 
     @cached_property

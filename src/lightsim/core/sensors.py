@@ -119,6 +119,7 @@ class LidarSweep:
 
     @property
     def distances_m(self) -> Float[np.ndarray, " n"]:
+        """Length of each beam, from where the sensor then stood."""
         return np.linalg.norm(self.points_world - self.origins_world, axis=1)
 
 

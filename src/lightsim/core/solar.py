@@ -14,7 +14,7 @@ from lightsim.errors import InputError
 
 @dataclass(frozen=True)
 class SolarPosition:
-    """Geometric direction of the sun's centre, refraction included."""
+    """Apparent direction of the sun's centre: refraction is included."""
 
     azimuth_deg: float
     elevation_deg: float

@@ -43,7 +43,13 @@ class Maker(Protocol):
 class Settable(Protocol):
     """A stand-in whose state may be set."""
 
-    def set_state(self, state: Any) -> None: ...
+    def set_state(self, state: Any) -> None:
+        """Take what the pickle's BUILD instruction hands over.
+
+        Raises:
+            RefusedError: no table has such a state.
+        """
+        ...
 
 
 class PickleMachine:

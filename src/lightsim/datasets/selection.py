@@ -43,5 +43,6 @@ class FrameSelection:
         )
 
     def holds(self, number: int) -> bool:
+        """Whether the frame of this number is wanted."""
         is_inside = number >= self.start and (self.stop is None or number < self.stop)
         return is_inside and (number - self.start) % self.step == 0

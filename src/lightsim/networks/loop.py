@@ -23,11 +23,17 @@ _SAVE_EVERY_S = 60.0
 class Checkpointer(Protocol):
     """Where training keeps what must survive an interruption; store/checkpoint.py writes files."""
 
-    def load(self) -> dict[str, Any] | None: ...
+    def load(self) -> dict[str, Any] | None:
+        """The state last saved, its tensors on the CPU; None before the first."""
+        ...
 
-    def save(self, state: dict[str, Any]) -> None: ...
+    def save(self, state: dict[str, Any]) -> None:
+        """Replace the saved state, whole or not at all."""
+        ...
 
-    def record(self, metrics: dict[str, float]) -> None: ...
+    def record(self, metrics: dict[str, float]) -> None:
+        """Append one line of metrics; `step` is among them."""
+        ...
 
 
 @runtime_checkable
@@ -36,11 +42,17 @@ class Optimiser(Protocol):
 
     param_groups: list[dict[str, Any]]
 
-    def step(self) -> Any: ...
+    def step(self) -> Any:
+        """Move the parameters along their gradients."""
+        ...
 
-    def state_dict(self) -> dict[str, Any]: ...
+    def state_dict(self) -> dict[str, Any]:
+        """What a resumed training needs besides the parameters."""
+        ...
 
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None: ...
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Continue from `state_dict`."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -254,7 +266,7 @@ class _Loop:
 
 
 def _rate_fraction(step: int, config: LoopConfig) -> float:
-    """Of the highest learning rate: warm-up, then half a cosine."""
+    """Of the highest learning rate: warm-up, then half a cosine (arXiv:1608.03983, no restarts)."""
     warm = min(1.0, (step + 1) / config.warm_up_steps)
     cosine = 0.5 * (1 + math.cos(math.pi * (step / max(config.steps - 1, 1))))
     return warm * (config.final_fraction + (1 - config.final_fraction) * cosine)

@@ -45,11 +45,12 @@ class WrapConv(nn.Module):
         self.convolution = nn.Conv2d(inputs, outputs, 3, stride)
 
     def forward(self, image: Float[Tensor, "n c h w"]) -> Float[Tensor, "n d h2 w2"]:
+        """Height and width divided by the stride, rounded up."""
         return self.convolution(pad_borders(image, 1, wraps=self.wraps))
 
 
 class Residual(nn.Module):
-    """x + conv(act(norm(conv(act(norm(x))))))."""
+    """x + conv(act(norm(conv(act(norm(x)))))): a block of He et al. 2016 (arXiv:1603.05027)."""
 
     def __init__(self, width: int, *, wraps: bool = True) -> None:
         super().__init__()
@@ -63,6 +64,7 @@ class Residual(nn.Module):
         )
 
     def forward(self, image: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
+        """The image plus what two convolutions add to it, in the same size."""
         return image + self.layers(image)
 
 
@@ -84,6 +86,7 @@ class Pyramid(nn.Module):
         )
 
     def forward(self, image: Float[Tensor, "n c h w"]) -> list[Tensor]:
+        """One feature map [n, widths[i], h / 2^(i + 1), w / 2^(i + 1)] per level, finest first."""
         features = []
         for level in self.levels:
             image = level(image)
@@ -92,7 +95,10 @@ class Pyramid(nn.Module):
 
 
 class Merge(nn.Module):
-    """The top of a pyramid brought down to its finest level, sum by sum (feature pyramid)."""
+    """The top of a pyramid brought down to its finest level, sum by sum.
+
+    A feature pyramid network (Lin et al. 2017, doi:10.1109/CVPR.2017.106).
+    """
 
     def __init__(self, widths: tuple[int, ...]) -> None:
         super().__init__()
@@ -100,6 +106,7 @@ class Merge(nn.Module):
         self.smooth = nn.ModuleList(WrapConv(widths[0], widths[0]) for _ in widths[1:])
 
     def forward(self, features: list[Tensor]) -> Float[Tensor, "n c h w"]:
+        """Merged features at the size and width of `features[0]`, the finest level."""
         merged = self.sideways[-1](features[-1])
         for index in range(len(features) - 2, -1, -1):
             merged = upsampled(merged) + self.sideways[index](features[index])
@@ -109,6 +116,8 @@ class Merge(nn.Module):
 
 class UNet(nn.Module):
     """Image to image, with a vector fused in at the coarsest level.
+
+    After the U-Net of Ronneberger et al. 2015 (arXiv:1505.04597).
 
     Args:
         inputs: channels of the image.

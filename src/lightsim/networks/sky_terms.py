@@ -77,6 +77,7 @@ class SkyEncoding:
 
 
 def luminance_of(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 h w"]:
+    """Relative luminance of linear sRGB (weights of ITU-R BT.709), channel kept."""
     weights = torch.tensor(_LUMINANCE, device=radiance.device)[None, :, None, None]
     return (radiance * weights).sum(dim=1, keepdim=True)
 
@@ -123,6 +124,7 @@ def log_radiance(radiance: Tensor) -> Tensor:
 
 
 def radiance_of_log(value: Tensor) -> Tensor:
+    """Inverse of `log_radiance`; never negative, and bounded so that no exponential overflows."""
     return (torch.exp(value.clamp(-6.0, 14.0)) - _LOG_FLOOR).clamp_min(0.0)
 
 
@@ -145,7 +147,10 @@ def fisher_loss(
     log_concentration: Float[Tensor, " n"],
     truth: Float[Tensor, "n 3"],
 ) -> Float[Tensor, " n"]:
-    """Negative log-likelihood of the von Mises-Fisher density on the sphere."""
+    """Negative log-likelihood of the von Mises-Fisher density on the sphere.
+
+    Fisher 1953 (doi:10.1098/rspa.1953.0064); directions are unit vectors, one loss per sample.
+    """
     kappa = log_concentration.exp()
     cosine = (direction * truth).sum(dim=1)
     # log(kappa / (2 pi (1 - exp(-2 kappa)))) + kappa (cos - 1): stable for every kappa > 0.
@@ -171,6 +176,7 @@ def laplace_loss(
 
 
 def sunny_loss(logit: Float[Tensor, " n"], truth: Float[Tensor, " n"]) -> Float[Tensor, ""]:
+    """Mean cross-entropy, in nats, of whether the sun casts shadows (`truth` 1 or 0)."""
     return functional.binary_cross_entropy_with_logits(logit, truth)
 
 

@@ -74,6 +74,7 @@ class ArtefactKey:
 
     @property
     def key(self) -> str:
+        """128-bit BLAKE2b of all fields, as 32 hexadecimal digits."""
         value = {"format": _FORMAT, **dataclasses.asdict(self)}
         text = json.dumps(value, sort_keys=True, separators=(",", ":"))
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
@@ -322,6 +323,11 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
+    """Write indented JSON that appears whole or not at all.
+
+    Raises:
+        ValueError: a number is not finite, which JSON cannot hold.
+    """
     write_text(path, json.dumps(json_ready(value), indent=1, allow_nan=False) + "\n")
 
 

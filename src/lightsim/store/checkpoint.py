@@ -55,12 +55,22 @@ class FolderCheckpointer:
         return state
 
     def save(self, state: Mapping[str, Any]) -> None:
+        """Replace the checkpoint, whole or not at all.
+
+        Raises:
+            LightSimError: the file cannot be written.
+        """
         import torch
 
         with whole_file(self._folder / CHECKPOINT_NAME) as temporary:
             torch.save(dict(state), temporary)
 
     def record(self, metrics: Mapping[str, float]) -> None:
+        """Append a line to metrics.jsonl, values rounded to six decimals.
+
+        Raises:
+            LightSimError: the file cannot be written.
+        """
         path = self._folder / METRICS_NAME
         try:
             with path.open("a") as handle:

@@ -35,18 +35,22 @@ class Entries:
 
     @staticmethod
     def of_file(path: Path) -> Entries:
+        """The object that a JSON file holds."""
         return Entries(read_json(path), path)
 
     def __contains__(self, key: str) -> bool:
         return key in self._value
 
     def is_null(self, key: str) -> bool:
+        """Whether the entry is there and null."""
         return self._entry(key) is None
 
     def flag(self, key: str) -> bool:
+        """An entry that is true or false."""
         return self._checked(key, bool, "true or false")
 
     def text(self, key: str) -> str:
+        """An entry that is a text, possibly empty."""
         return self._checked(key, str, "a text")
 
     def word(self, key: str, words: Sequence[str]) -> Any:
@@ -64,12 +68,14 @@ class Entries:
         return enumeration(text)
 
     def texts(self, key: str) -> tuple[str, ...]:
+        """An entry that is a list of texts."""
         values = self._checked(key, list, "a list of texts")
         if not all(isinstance(value, str) for value in values):
             raise self._error(f"'{key}' is no list of texts", values)
         return tuple(values)
 
     def number(self, key: str) -> float:
+        """An entry that is one finite number."""
         return float(self.numbers(key, ()))
 
     def numbers(self, key: str, shape: tuple[int | None, ...]) -> Float64[np.ndarray, "..."]:
@@ -95,9 +101,11 @@ class Entries:
         return self._value
 
     def object(self, key: str) -> Entries:
+        """An entry that is an object itself; its errors name the way to it."""
         return Entries(self._entry(key), f"{self._where}, '{key}'")
 
     def objects(self, key: str) -> tuple[Entries, ...]:
+        """An entry that is a list of objects; their errors name the place in it."""
         values = self._checked(key, list, "a list")
         return tuple(Entries(v, f"{self._where}, '{key}'[{i}]") for i, v in enumerate(values))
 

@@ -15,6 +15,7 @@ FIELDS_NAME = "fields.npz"
 
 
 def write_fields(folder: Path, fields: SceneFields) -> None:
+    """Write fields.npz into the folder, without loss."""
     save_arrays(folder / FIELDS_NAME, fields.to_arrays())
 
 

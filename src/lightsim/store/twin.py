@@ -76,6 +76,7 @@ def read_twin_assets(folder: Path) -> tuple[SceneAssets, TriMesh]:
 
 
 def empty_mesh() -> TriMesh:
+    """A mesh without vertices and faces, frame `world`."""
     return TriMesh(
         "world",
         np.zeros((0, 3), np.float32),

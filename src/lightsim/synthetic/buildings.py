@@ -37,6 +37,7 @@ class Building:
 
     @property
     def height_m(self) -> float:
+        """From the ground to the upper edge of the front, above the cornice."""
         return _GROUND_FLOOR_M + _FLOOR_M * (self.floors - 1) + 0.6
 
 

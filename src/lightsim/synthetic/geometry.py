@@ -29,6 +29,7 @@ class Hits:
 
     @property
     def is_hit(self) -> Bool[np.ndarray, " n"]:
+        """Rays that met a triangle."""
         return self.face >= 0
 
 
@@ -91,12 +92,14 @@ class Snapshot:
         return colour
 
     def lidar_gain(self, hits: Hits) -> Float[np.ndarray, " n"]:
+        """Factor on the return of each hit's material; meaningless for misses."""
         gains = np.array([self.finishes[name].lidar_gain for name in self.names])
         return gains[self.material[hits.face]]
 
     def is_occluded(
         self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
     ) -> Bool[np.ndarray, " n"]:
+        """Whether a ray meets any triangle, at whatever distance."""
         found = self._scene.run(
             origins_world.astype(np.float32), directions_world.astype(np.float32), query="INTERSECT"
         )

@@ -41,6 +41,7 @@ class Participant:
     speed_m_s: float
 
     def street_from_actor(self, time_s: float) -> RigidTransform:
+        """Pose of the box centre, seconds after time 0; negative times lie before."""
         distance = self.speed_m_s * time_s
         x, y, z = self.start_m
         centre = np.array(

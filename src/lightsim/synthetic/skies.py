@@ -1,5 +1,6 @@
 """Skies of the synthetic street: CIE standard skies with clouds, and a sun.
 
+The relative luminance is that of the CIE standard general sky (CIE S 011, ISO 15469:2004).
 The same radiance lights the scene, fills the sky pixels and is written as ground truth. It is on
 purpose none of the analytic models that sky estimation fits.
 """
@@ -103,7 +104,10 @@ def build_sky(spec: SkySpec, plan: StreetPlan, height_px: int = 512) -> Sky:
 
 
 def sun_irradiance(elevation_deg: float) -> Float[np.ndarray, "3"]:
-    """RGB irradiance facing the sun: Beer's law along the air mass of Kasten & Young 1989."""
+    """RGB irradiance facing the sun, scene units: Beer's law along the relative air mass.
+
+    The air mass is that of Kasten & Young 1989 (doi:10.1364/AO.28.004735), equation 3.
+    """
     sine = np.sin(np.radians(elevation_deg))
     mass = 1.0 / (sine + 0.50572 * (elevation_deg + 6.07995) ** -1.6364)
     return _SUN_AT_ZENITH * np.exp(-_EXTINCTION_RGB * mass)

@@ -54,6 +54,7 @@ def noise(
 
 
 def constant(value: float) -> Float32[np.ndarray, "1 1"]:
+    """A texture of one texel."""
     return np.full((1, 1), value, dtype=np.float32)
 
 

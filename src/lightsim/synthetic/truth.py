@@ -137,4 +137,5 @@ def write_geometry(path: Path, street: Street) -> None:
 
 
 def stem_of(index: int) -> str:
+    """Name of a frame's or sweep's files without extension: two digits or more, as in PandaSet."""
     return f"{index:02d}"

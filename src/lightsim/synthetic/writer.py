@@ -43,6 +43,7 @@ class Clock:
 
 
 def write_json(path: Path, value: Any) -> None:
+    """Write indented JSON, whole or not at all; missing folders are made."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
         temporary.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")

@@ -27,6 +27,7 @@ class Ahead(Generic[T]):
         self._coming: dict[int, Future[T]] = {}
 
     def get(self, number: int) -> T:
+        """The item of a number; each may be asked for once, its followers are then begun."""
         if self._pool is None:
             return self._make(number)
         for later in range(number, min(number + self._reach, self._stop), self._stride):

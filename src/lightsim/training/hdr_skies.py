@@ -210,9 +210,10 @@ def shrunk(radiance: Float32[np.ndarray, "a b 3"], height_px: int) -> Float32[np
 
 
 def sky_mask(panorama: Float32[np.ndarray, "h w 3"], is_all_sky: bool) -> Bool[np.ndarray, "h/2 w"]:
-    """Sky of an HDR panorama's upper half: the class of strong blue light (Otsu 1979).
+    """Sky of an HDR panorama's upper half: the class of strong blue light.
 
-    The brightest part is cut off first, else a clear sky falls into aureole and the rest.
+    The threshold is Otsu's (1979, doi:10.1109/TSMC.1979.4310076), by solid angle. The
+    brightest part is cut off first, else a clear sky falls into aureole and the rest.
     """
     from scipy import ndimage
 

@@ -1,4 +1,7 @@
-"""The losses of inpainting: weighted L1 and the hinge of the patch discriminator."""
+"""The losses of inpainting: weighted L1 and the hinge of the patch discriminator.
+
+The hinge is that of Lim & Ye 2017 (arXiv:1705.02894).
+"""
 
 from __future__ import annotations
 

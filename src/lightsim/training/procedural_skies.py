@@ -57,6 +57,7 @@ class ClearSkies:
 
 
 def level_irradiance(upper: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3"]:
+    """RGB irradiance on level ground of a sky's upper half."""
     return level_weights(2 * upper.shape[0]) @ upper.sum(axis=1, dtype=np.float64)
 
 
@@ -65,7 +66,8 @@ def make_clear_skies(
 ) -> ClearSkies:
     """Hosek-Wilkie skies, elevations from 1 to 85 degrees evenly, turbidities 1.8 to 9 at random.
 
-    The field is symmetric about the sun's meridian; one half is evaluated per sky.
+    The model is that of Hosek & Wilkie 2012 (doi:10.1145/2185520.2185591). It is symmetric about
+    the sun's meridian; one half is evaluated per sky.
     """
     elevations = 1.0 + 84.0 * (np.arange(count) + rng.random(count)) / count
     rest = np.zeros((count, height_px // 2, 2 * height_px, 3), np.float16)
@@ -101,11 +103,13 @@ def make_noise(rng: np.random.Generator) -> Float32[np.ndarray, "k s s"]:
 
 
 def pack_noise(fields: Float32[np.ndarray, "k s s"]) -> Shaped[np.ndarray, "k s s"]:
+    """Noise fields as bytes, values beyond 4 standard deviations clipped."""
     scaled = (fields / _NOISE_RANGE + 1.0) * 127.5
     return np.clip(np.round(scaled), 0, 255).astype(np.uint8)
 
 
 def unpack_noise(codes: Shaped[np.ndarray, "k s s"]) -> Float32[np.ndarray, "k s s"]:
+    """Inverse of `pack_noise` up to its rounding."""
     return ((codes.astype(np.float32) / 127.5) - 1.0) * np.float32(_NOISE_RANGE)
 
 

@@ -26,11 +26,15 @@ _CREDIBLE = 0.9
 class SkyModel(Protocol):
     """A network that is scored: `SkyNetwork` and those of baselines/."""
 
-    def encode(self, batch: SkyTensors) -> SkyEncoding: ...
+    def encode(self, batch: SkyTensors) -> SkyEncoding:
+        """What the network says of each panorama of a batch."""
+        ...
 
     def dome(
         self, batch: SkyTensors, encoding: SkyEncoding, direction: Tensor, log_peak: Tensor
-    ) -> Tensor: ...
+    ) -> Tensor:
+        """Linear radiance of the upper half [n, 3, h / 2, w], with this sun in it."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -180,13 +184,17 @@ def score_answers(
 
 
 def angles_deg(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+    """Angle between the directions of each row, accurate for small angles too."""
     return np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1)))
 
 
 def credible_cone_deg(
     concentration: Float[np.ndarray, " n"], fraction: float
 ) -> Float[np.ndarray, " n"]:
-    """Half angle of the cone that holds a fraction of a von Mises-Fisher density."""
+    """Half angle of the cone that holds a fraction of a von Mises-Fisher density.
+
+    The fraction within cos >= c is (1 - exp(-kappa (1 - c))) / (1 - exp(-2 kappa)), solved for c.
+    """
     kappa = concentration.astype(np.float64)
     cosine = 1.0 + np.log(1 - fraction * -np.expm1(-2 * kappa)) / kappa
     return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))

@@ -83,6 +83,7 @@ class ScanTiming:
 
     @staticmethod
     def instantaneous() -> ScanTiming:
+        """All directions measured at the sweep's own time."""
         return ScanTiming(np.zeros(_N_BINS))
 
     def offsets_s(self, points_ego: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:

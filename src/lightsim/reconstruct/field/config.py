@@ -92,6 +92,7 @@ def draft() -> NeuralConfig:
 
 
 def standard() -> NeuralConfig:
+    """The defaults: a residual on the fused LiDAR."""
     return NeuralConfig()
 
 

@@ -69,6 +69,7 @@ class RayPool:
 
     @staticmethod
     def joined(pools: Sequence[RayPool]) -> RayPool:
+        """All rays of several pools, in their order."""
         return RayPool(
             *[np.concatenate([getattr(p, f.name) for p in pools]) for f in fields(RayPool)]
         )

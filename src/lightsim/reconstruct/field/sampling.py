@@ -41,6 +41,7 @@ class RayBatch:
 
     @property
     def is_lidar(self) -> Bool[Tensor, " r"]:
+        """Rays of LiDAR returns; the others are camera pixels."""
         return self.camera < 0
 
     def owner(self, t: Float[Tensor, "r s"]) -> Int[Tensor, "r s"]:

@@ -31,6 +31,7 @@ class TsdfPrior:
 
     @staticmethod
     def of(fields: SceneFields) -> TsdfPrior:
+        """The prior of fused fields, actors in the order of their mapping."""
         grids = (*fields.background, *fields.actors.values())
         return TsdfPrior(grids, len(fields.background), tuple(fields.actors))
 

@@ -36,8 +36,9 @@ def opacities(
 ) -> Float[Tensor, "r s"]:
     """Opacity of each sample, samples in the order of the ray.
 
-    "unisim": 1 / (1 + exp(beta s)) (UniSim, equation 3). "neus": the fall of the sigmoid since the
-    sample before (NeuS, equation 13); in front of the first sample stands a free one.
+    "unisim": 1 / (1 + exp(beta s)) (UniSim, doi:10.1109/CVPR52729.2023.00140, equation 3). "neus":
+    the fall of the sigmoid since the sample before (NeuS, doi:10.48550/arXiv.2106.10689, equation
+    13); in front of the first sample stands a free one.
     """
     if conversion == "unisim":
         return torch.sigmoid(-beta * sdf)
@@ -65,7 +66,10 @@ def crossings_m(
 
 
 def composite(opacity: Float[Tensor, "r s"]) -> RenderedRays:
-    """Front-to-back compositing: w_i = a_i prod_{j<i} (1 - a_j)."""
+    """Front-to-back compositing: w_i = a_i prod_{j<i} (1 - a_j).
+
+    Max 1995 (doi:10.1109/2945.468400).
+    """
     through = torch.cumprod(1.0 - opacity + _EPSILON, dim=1)
     reaching = torch.cat([torch.ones_like(through[:, :1]), through[:, :-1]], dim=1)
     return RenderedRays(opacity * reaching, through[:, -1])

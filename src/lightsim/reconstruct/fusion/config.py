@@ -29,6 +29,7 @@ def draft() -> FuseConfig:
 
 
 def standard() -> FuseConfig:
+    """10 cm samples near the path, from every sweep."""
     return FuseConfig()
 
 

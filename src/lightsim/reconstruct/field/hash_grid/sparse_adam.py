@@ -21,9 +21,10 @@ from lightsim.reconstruct.field.hash_grid.threads import for_ranges
 
 
 class SparseAdam:
-    """Adam (Kingma & Ba 2015) that leaves values without gradient, and their moments, untouched.
+    """Adam that leaves values without gradient, and their moments, untouched.
 
-    Where every value has a gradient it equals `torch.optim.Adam`. From now on compiled
+    Where every value has a gradient it equals `torch.optim.Adam` (Kingma & Ba 2015,
+    arXiv:1412.6980, algorithm 1). From now on compiled
     `hash_encode` calls on `table` add to a sparse gradient beside it, not to `table.grad`, which
     only the plain torch implementation fills. `step` uses the sum of both and clears both.
 

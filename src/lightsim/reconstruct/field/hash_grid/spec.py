@@ -13,7 +13,10 @@ from lightsim.errors import InputError
 
 @dataclass(frozen=True)
 class HashGridSpec:
-    """Size of a hash grid; cell sizes grow geometrically between the two ends."""
+    """Size of a hash grid; cell sizes shrink geometrically between the two ends.
+
+    Mueller et al. 2022 (doi:10.1145/3528223.3530127), equations 2 and 3, without the rounding.
+    """
 
     levels: int = 12
     """Grids of different cell size."""
