@@ -34,10 +34,12 @@ class AssetConfig:
 
 
 def draft() -> AssetConfig:
+    """A quick look: every fourth image, 6 views a texel, half of the texels."""
     return AssetConfig(every_nth_frame=4, samples_per_texel=6, max_texels=6_000_000)
 
 
 def standard() -> AssetConfig:
+    """Textures of up to 12 million texels from all images."""
     return AssetConfig()
 
 

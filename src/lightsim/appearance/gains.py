@@ -74,7 +74,8 @@ def _camera_means(
 
 
 def _robust_mean(values: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "3"]:
-    """Huber's location per channel, by reweighting from the median."""
+    """Huber's location (1964, doi:10.1214/aoms/1177703732) per channel, by reweighting from the
+    median."""
     centre = np.median(values, axis=0)
     for _ in range(_ROUNDS):
         distance = np.abs(values - centre)

@@ -56,6 +56,10 @@ class Nlfe(nn.Module):
             self.decoder = UNet(7, 3, config.decoder_widths, LATENT)
 
     def encode(self, batch: SkyTensors) -> SkyEncoding:
+        """Peak direction, peak and latent (Wang et al. 2022, Sec. 3.1); neither spread nor sunny.
+
+        The input is the front picture, or with `from_panorama` the panorama's upper half.
+        """
         image = batch.front * 2 - 1
         if self.config.from_panorama:
             sky = batch.ldr_sky * 2 - 1

@@ -71,6 +71,7 @@ class SoldNet(nn.Module):
         return cells, code, 4.0 + 2.0 * rest[:, 0], rest[:, 1]
 
     def encode(self, batch: SkyTensors) -> SkyEncoding:
+        """Sun, peak and sky code by the front picture; the sun is its likeliest cell's centre."""
         cells, code, log_peak, sunny = self.read(batch.front)
         centres = direction_map(2 * _ROWS, _ROWS, cells.device)[0].flatten(1).T
         return SkyEncoding(centres[cells.argmax(dim=1)], None, log_peak, None, sunny, code)

@@ -110,6 +110,7 @@ class BaseColourReport:
         return "\n".join(lines)
 
     def to_json(self) -> str:
+        """All rows with every figure; a ratio without a value is null."""
         return json.dumps(asdict(self), indent=2)
 
 

@@ -76,6 +76,7 @@ class ClosureReport:
         return "\n".join(lines)
 
     def to_json(self) -> str:
+        """All rows, the percentiles and the medians of each channel included."""
         return json.dumps(asdict(self), indent=2)
 
 

@@ -108,10 +108,12 @@ class FramesReport:
 
     @property
     def conditions(self) -> tuple[str, ...]:
+        """Each condition once, in the order of the rows."""
         return tuple(dict.fromkeys(row.condition for row in self.rows))
 
     @property
     def methods(self) -> tuple[str, ...]:
+        """Each method once, in the order of the rows."""
         return tuple(dict.fromkeys(row.method for row in self.rows))
 
     def to_table(self) -> str:

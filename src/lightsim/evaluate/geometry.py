@@ -112,6 +112,7 @@ class SurfaceScores:
 
     @property
     def f_score(self) -> float:
+        """Harmonic mean of precision and recall; 0 where both are 0."""
         total = self.precision + self.recall
         return 2 * self.precision * self.recall / total if total > 0 else 0.0
 
@@ -144,6 +145,7 @@ class GeometryReport:
         return "\n".join(lines)
 
     def to_json(self) -> str:
+        """LiDAR and surface scores, the F-score of each threshold included."""
         surface = [asdict(row) | {"f_score": row.f_score} for row in self.surface]
         return json.dumps({"lidar": asdict(self.lidar), "surface": surface}, indent=2)
 

@@ -64,6 +64,7 @@ class SkyReport:
         )
 
     def to_json(self) -> str:
+        """All errors; those without a reference are null."""
         return json.dumps(asdict(self), indent=2)
 
 

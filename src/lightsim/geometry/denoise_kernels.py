@@ -39,7 +39,8 @@ def neighbour_faces(faces, start, members):
 @njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def filter_normals(points, faces, near, count, rounds, spread):
-    """Unit normals, each the weighted mean of its neighbours' that differ little from it."""
+    """Unit normals, each the weighted mean of its neighbours' that differ little from it
+    (Zheng et al. 2011, doi:10.1109/TVCG.2010.264)."""
     m = faces.shape[0]
     normals = np.zeros((m, 3))
     centres = np.zeros((m, 3))
@@ -75,7 +76,8 @@ def filter_normals(points, faces, near, count, rounds, spread):
 @njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def fit_vertices(points, faces, start, members, normals, rounds):
-    """Vertices moved along the normals around them until each face is square to its normal."""
+    """Vertices moved along the normals around them until each face is square to its normal
+    (Sun et al. 2007, doi:10.1109/TVCG.2007.1065)."""
     moved = points.copy()
     for _ in range(rounds):
         new = moved.copy()

@@ -113,8 +113,8 @@ def _add_plane(quadric, nx, ny, nz, d, weight):
 @njit(cache=True, nogil=True)
 @no_type_check
 def vertex_quadrics(points, faces, groups, start, members):
-    """Area-weighted plane quadrics (Garland & Heckbert 1997) and the total weight of each vertex;
-    borders add planes across them, which keep their course."""
+    """Area-weighted plane quadrics and the total weight of each vertex (Garland & Heckbert 1997,
+    doi:10.1145/258734.258849); borders add planes across them, which keep their course."""
     quadrics = np.zeros((points.shape[0], 10))
     weight = np.zeros(points.shape[0])
     found, uses = np.empty(64, np.int64), np.empty(64, np.int64)

@@ -135,6 +135,7 @@ def drop_floaters(mesh: TriMesh, min_area_m2: float) -> TriMesh:
 
 
 def face_areas_m2(mesh: TriMesh) -> Float64[np.ndarray, " m"]:
+    """Half the length of the cross product of two edges of each face, in float64."""
     a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(np.float64) for i in range(3))
     return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
 

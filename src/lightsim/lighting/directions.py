@@ -22,8 +22,10 @@ def count_for_spacing(spacing_deg: float) -> int:
 
 
 def log_vmf(cosine: Float[np.ndarray, "*n"], std_deg: float) -> Float[np.ndarray, "*n"]:
-    """Log density (per sr) of a von Mises-Fisher distribution whose two tangential components
-    have the standard deviation `std_deg`."""
+    """Log density per sr of a von Mises-Fisher distribution (doi:10.1098/rspa.1953.0064).
+
+    Its two tangential components have the standard deviation `std_deg`.
+    """
     kappa = 1.0 / np.radians(std_deg) ** 2
     # log(kappa / (4 pi sinh kappa)) without overflow.
     log_norm = np.log(kappa / (2 * np.pi)) - np.log1p(-np.exp(-2 * kappa))

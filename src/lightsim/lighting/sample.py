@@ -43,7 +43,9 @@ class LightingData(Protocol):
 
     height_px: int
 
-    def batch(self, size: int, seed: int, index: int, *, only_sunny: bool) -> LightingBatch: ...
+    def batch(self, size: int, seed: int, index: int, *, only_sunny: bool) -> LightingBatch:
+        """`size` panoramas; with `only_sunny`, of clear suns as far as the source has such."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)

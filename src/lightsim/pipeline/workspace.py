@@ -100,6 +100,7 @@ class Workspace:
         self._sweeps = KeptSweeps()
 
     def folder(self, stage: str) -> Path:
+        """Where a stage's artefact stands, or will."""
         return self.root / stage
 
     @contextmanager
@@ -146,6 +147,11 @@ class Workspace:
 
     @cached_property
     def reading(self) -> LogReading:
+        """How the log is read: as was given, else as the build of `root` did.
+
+        Raises:
+            ArtefactError: nothing was given, and there is no finished build to ask.
+        """
         if self._reading is not None:
             return self._reading
         recorded = read_reading(self.need("log"))
@@ -182,11 +188,12 @@ class Workspace:
 
     @made_of("log")
     def recorded_log(self) -> DrivingLog:
-        """The same as recorded."""
+        """All frames at the scale of the build, not aligned."""
         return self._recorded_at(self.reading.image_scale)
 
     @made_of("alignment")
     def alignment(self) -> Alignment:
+        """Corrections of path, boxes and cameras that turn the recorded log into `log`."""
         return read_alignment(self.need("alignment"))
 
     @cached_property
@@ -224,6 +231,7 @@ class Workspace:
 
     @made_of("log")
     def held_out(self) -> frozenset[str]:
+        """Stems of the frames and sweeps that building may not look at."""
         return held_out_stems(self._full_log, self.reading.hold_out)
 
     @made_of("log", "alignment")
@@ -233,7 +241,7 @@ class Workspace:
 
     @made_of("log")
     def recorded_training_log(self) -> DrivingLog:
-        """The same as recorded: what is aligned."""
+        """The recorded log without what is held out: what the alignment is found on."""
         return self._without_held_out(self.recorded_log)
 
     def _without_held_out(self, log: DrivingLog) -> DrivingLog:
@@ -280,7 +288,7 @@ class Workspace:
 
     @made_of("geometry")
     def meshes(self) -> SceneAssets:
-        """The same without colour."""
+        """Background and actors before they are coloured."""
         return read_assets(self.need("geometry"))
 
     @made_of("assets")
@@ -295,10 +303,12 @@ class Workspace:
 
     @made_of("panorama")
     def panorama(self) -> Panorama:
+        """What the cameras saw around the ego's place in the middle of the log, scene units."""
         return read_panorama(self.need("panorama"))
 
     @made_of("sky")
     def sky(self) -> SkyEstimate:
+        """The source sky: the light under which the log was recorded."""
         return read_estimate(self.need("sky"))
 
     @made_of("twin")
@@ -312,6 +322,7 @@ class Workspace:
 
     @made_of("log", "alignment", "sky", "twin")
     def twin(self) -> DigitalTwin:
+        """The aligned log, its meshes with base colour, and the source sky."""
         return DigitalTwin(self.log, self._twin_assets[0], self.sky)
 
 

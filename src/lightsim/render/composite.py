@@ -22,11 +22,13 @@ class CompositeCaster:
 
     @property
     def meshes(self) -> Sequence[TriMesh]:
+        """Those of all casters, one caster after another."""
         return self._meshes
 
     def intersect(
         self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
     ) -> RayHits:
+        """The nearest of the first hits; at equal distances the earlier caster wins."""
         best: RayHits | None = None
         for caster, first in zip(self._casters, self._first_mesh, strict=True):
             if best is not None and not _has_faces(caster):
@@ -40,6 +42,7 @@ class CompositeCaster:
     def is_occluded(
         self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
     ) -> Bool[np.ndarray, " n"]:
+        """Whether any caster meets the ray; later ones are asked about open rays alone."""
         occluded = np.zeros(len(origins_world), dtype=bool)
         for caster in self._casters:
             if not _has_faces(caster):

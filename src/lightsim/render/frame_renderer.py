@@ -69,6 +69,7 @@ class TransportFrame:
         self._last: tuple[SkyDome | EnvironmentCells, ShadowBuffers] | None = None
 
     def light(self, sky: SkyDome | EnvironmentCells) -> ShadowBuffers:
+        """Irradiance / pi of the pixels under a sky; that of the last sky object is kept."""
         if self._last is None or self._last[0] is not sky:
             self._last = None
             self._last = (sky, light(self._table, self._scene, self.buffers, sky, self._config))
@@ -130,6 +131,7 @@ class FrameRenderer:
         return prepare_sky(sky)
 
     def scene(self, scenario: Scenario, time_ns: int) -> FrameScene:
+        """The static meshes and the scenario's actors where they are at `time_ns`."""
         return place(self._static, scenario, time_ns, self._make_caster)
 
     def geometry(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> GBuffers:

@@ -36,6 +36,7 @@ class StaticScene:
 
     @property
     def meshes(self) -> tuple[TriMesh, ...]:
+        """Visible, then shadow-only: what `caster` counts."""
         return self.visible + self.shadow_only
 
 
@@ -75,6 +76,7 @@ class FrameScene:
 
     @property
     def camera_meshes(self) -> tuple[TriMesh, ...]:
+        """Visible static meshes, then actors."""
         return self.static.visible + self.actors
 
     @property

@@ -57,6 +57,7 @@ class Layout:
     mark: str = ""
 
     def sky_folder(self, sky: str) -> Path:
+        """OUT/<sky>, or OUT itself for a single sky."""
         return self.out if len(self.skies) == 1 else self.out / sky
 
     def geometry(self, frame: CameraFrame) -> dict[str, Path]:
@@ -72,6 +73,7 @@ class Layout:
         return self._missing(self.sky_folder(sky), LIGHT, frame)
 
     def is_done(self, frame: CameraFrame) -> bool:
+        """Whether no file of the frame is missing under any sky; raises as `geometry`."""
         return not self.geometry(frame) and not any(self.light(frame, s) for s in self.skies)
 
     def _missing(self, folder: Path, kind: tuple[str, ...], frame: CameraFrame) -> dict[str, Path]:

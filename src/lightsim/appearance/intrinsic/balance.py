@@ -22,7 +22,7 @@ _GRID = np.linspace(np.log(0.01), np.log(10.0), 47)
 """Candidates of the log of the factor on sun over sky."""
 _STEPS, _ROUNDS = 25, 4
 _REFLECTANCE_STD, _HUE_STD = 0.3, 0.12
-"""BilateralUpsampling of log base colour between the patches of a pair, and of its colour part."""
+"""Spread of log base colour between the patches of a pair, and of its colour part."""
 _MOST_WRONG = 0.6
 """Fraction of the pairs at which a rendered shadow may be wrong altogether."""
 _REMAINDER = 0.02

@@ -1,4 +1,8 @@
-"""Loopy belief propagation on pairs of binary labels, compiled by numba."""
+"""Loopy belief propagation on pairs of binary labels, compiled by numba.
+
+The sum-product algorithm (Kschischang et al. 2001, doi:10.1109/18.910572), iterated on a graph with
+cycles.
+"""
 
 # numba infers the types of its functions' parameters.
 # pyright: reportMissingParameterType=false

@@ -36,9 +36,9 @@ _TRUST_INFERRED = 0.75
 _LEAST_LIT = 0.02
 # What these say of one patch counts this much: neighbours share their errors.
 _PRIOR_WEIGHT = 0.25
-# BilateralUpsampling of log base colour within a material.
+# Spread of log base colour within a material.
 _REFLECTANCE_STD = 0.2
-# BilateralUpsampling of its colour part.
+# Spread of its colour part.
 _HUE_STD = 0.08
 # Weight of what pictures say against the rendered prior.
 _STRENGTH = 1.5

@@ -42,6 +42,7 @@ class DeepShade:
     fill: Float64[np.ndarray, "n 3"]
 
     def blended(self, colour: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+        """Base colour from the quotient as far as it is trusted, else the fill; linear RGB."""
         trust = self.trust[:, None]
         return trust * colour + (1.0 - trust) * self.fill
 

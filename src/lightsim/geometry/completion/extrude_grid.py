@@ -45,6 +45,7 @@ class VoxelGrid:
         return np.floor((points_world - self.low_m) / self.voxel_m).astype(np.int64)
 
     def contains(self, cells: Int[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Which voxel indices, as `cells` gives them, lie within the grid."""
         return np.all((cells >= 0) & (cells < np.array(self.shape)), axis=1)
 
 
@@ -68,6 +69,7 @@ class VoxelEvidence:
 
     @staticmethod
     def empty(grid: VoxelGrid) -> VoxelEvidence:
+        """Before the first view: nothing is free, nothing has votes."""
         return VoxelEvidence(
             grid,
             np.zeros(grid.shape, np.uint8),

@@ -89,6 +89,7 @@ class WallCells:
     passes: Int32[np.ndarray, "s z"]
 
     def centres(self, out_m: float = 0.0) -> Float64[np.ndarray, "s z 3"]:
+        """Middle of each cell in frame world, `out_m` in front of the wall's plane."""
         ns, nz = self.is_covered.shape
         s = self.wall.span_m[0] + (np.arange(ns) + 0.5) * self.cell_m
         z = self.wall.height_m[0] + (np.arange(nz) + 0.5) * self.cell_m

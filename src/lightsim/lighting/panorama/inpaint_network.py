@@ -45,6 +45,7 @@ class GatedConvolution(nn.Module):
         nn.init.constant_(self.convolution.bias, 0.0)  # type: ignore[arg-type]
 
     def forward(self, x: Float[Tensor, "n _ _ _"]) -> Float[Tensor, "n _ _ _"]:
+        """[n, inputs, h, w] to [n, outputs, h / stride, w / stride], padded as on the sphere."""
         features, gate = self.convolution(pad_sphere(x, self.padding)).chunk(2, dim=1)
         return functional.elu(features) * torch.sigmoid(gate)
 
@@ -183,6 +184,12 @@ class PatchDiscriminator(nn.Module):
     def forward(
         self, image: Float[Tensor, "n 3 h w"], hole: Float[Tensor, "n 1 h w"]
     ) -> Float[Tensor, "n _ _ _"]:
+        """Unbounded scores, high for true pictures, at 1 / 2^layers of the size.
+
+        Args:
+            image: values about -1 to 1, the holes filled or true.
+            hole: 1 where the picture was to be completed.
+        """
         x = torch.cat([image, hole, elevation_map(image)], 1)
         for number, layer in enumerate(self.layers):
             x = layer(pad_sphere(x, 2))

@@ -85,7 +85,10 @@ def clear_sky_parts(
 
 
 def overcast_shape(height_px: int) -> Float32[np.ndarray, "h w 3"]:
-    """CIE overcast radiance over its zenith's, lower half black."""
+    """CIE overcast radiance over its zenith's, lower half black.
+
+    (1 + 2 sin elevation) / 3 (Moon & Spencer 1942; ISO 15469:2004, sky type 16).
+    """
     elevation_sine = pixel_directions(height_px)[..., 2:3]
     shape = np.where(elevation_sine > 0, (1 + 2 * elevation_sine) / 3, 0.0)
     return np.repeat(shape, 3, axis=-1).astype(np.float32)

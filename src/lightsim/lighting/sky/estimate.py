@@ -61,7 +61,7 @@ class AnalyticFit:
     Args:
         radiance: the fitted sky without sun, lower half black.
         turbidity: of the clear part.
-        overcast_share: part of the level illuminance that the overcast part brings.
+        overcast_fraction: part of the level illuminance that the overcast part brings.
         clear_sun_irradiance: the sun of the clear part, no cloud before it.
         residual: median relative residual of the luminance.
         observed_count: fitted cells.

@@ -58,7 +58,7 @@ _RATIOS = np.geomspace(0.01, 40.0, 121)
 _OUTLIER_SHARES = (0.05, 0.2, 0.4, 0.6)
 """Fraction of pairs whose shadow label is wrong: registration, unseen roofs."""
 _NOISE_LOG_STDS = (0.1, 0.2, 0.35, 0.6)
-"""BilateralUpsampling of base colour between the points of a pair."""
+"""Spread of base colour between the points of a pair."""
 
 
 def fit_sun(

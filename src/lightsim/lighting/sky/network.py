@@ -66,10 +66,16 @@ class SkyNetworkConfig:
 
     @classmethod
     def full(cls) -> SkyNetworkConfig:
+        """About three times the channels, for panoramas twice as high."""
         return cls(widths=(48, 96, 192, 256), decoder_widths=(24, 48, 96, 192), height_px=128)
 
     @classmethod
     def paper(cls) -> SkyNetworkConfig:
+        """The paper's form (appendix, "Sky dome estimator architecture") at the small width.
+
+        Encoders see the upper half alone, the direction comes from `FlatHead`, and the decoder
+        draws the sun.
+        """
         return cls(uses_ground=False, heatmap=False, composed_sun=False, fills_unseen=False)
 
 
@@ -108,6 +114,7 @@ class FlatHead(nn.Module):
         self.layers = nn.Sequential(nn.Linear(width * 16, 128), nn.SiLU(), nn.Linear(128, 4))
 
     def forward(self, features: list[Tensor], rows: int) -> tuple[None, Tensor, Tensor]:
+        """No density, unit directions, log concentration; `rows` is there to match `HeatHead`."""
         flat = functional.adaptive_avg_pool2d(features[-1], (2, 8)).flatten(1)
         value = self.layers(flat)
         return None, functional.normalize(value[:, :3], dim=1), value[:, 3]
@@ -141,6 +148,7 @@ class SkyNetwork(nn.Module):
         return batch.shown(filled(batch.panorama, batch.seen), batch.seen)
 
     def encode(self, batch: SkyTensors) -> SkyEncoding:
+        """Sun, peak and latent, each from its own encoder (paper, Sec. 3.2)."""
         image = self.encoder_input(self.shown(batch))
         _, direction, log_kappa = self.direct(image, batch.panorama.shape[2] // 2)
         peak, scale, sunny = self.measure(image)
@@ -156,6 +164,7 @@ class SkyNetwork(nn.Module):
         return 4.0 + 2.0 * value[:, 0], value[:, 1], value[:, 2]
 
     def latent(self, image: Tensor) -> Float[Tensor, "n v"]:
+        """Appearance of the sky (paper: z_sky), from an `encoder_input`."""
         return self.latent_head(pooled(self.latent_encoder(image)[-1]))
 
     def encoder_input(self, batch: SkyTensors) -> Float[Tensor, "n c h w"]:
@@ -218,6 +227,7 @@ class SkyNetwork(nn.Module):
 
 
 def config_from_json(text: str) -> SkyNetworkConfig:
+    """Inverse of the JSON text that `tensors_of` keeps beside the weights."""
     values = json.loads(text)
     for name in ("widths", "decoder_widths"):
         values[name] = tuple(values[name])

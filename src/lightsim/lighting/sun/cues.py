@@ -47,12 +47,18 @@ class Cue(Protocol):
     """One observation."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """For people, in the notes of the sky."""
+        ...
 
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
-        """Of each direction: column 0 given a clear sun, column 1 given an overcast sky."""
+        """Of each direction: column 0 given a clear sun, column 1 given an overcast sky.
+
+        Natural logarithms, relative to a uniform hemisphere. `blur_deg` is the standard deviation
+        that widens narrow cues to the spacing of the directions.
+        """
         ...
 
 
@@ -88,6 +94,11 @@ class EphemerisCue:
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
+        """Normal in elevation and azimuth over a uniform hemisphere; the same under cloud.
+
+        Without a heading every azimuth is as likely. A wrong heading or place keeps a small
+        probability, so that other cues can outvote it.
+        """
         level_deg = float(np.linalg.norm([EPHEMERIS_STD_DEG, _CLOCK_STD_DEG, blur_deg]))
         elevation = np.degrees(np.arcsin(np.clip(directions_world[:, 2], -1, 1)))
         height = -0.5 * ((elevation - self.position.elevation_deg) / level_deg) ** 2
@@ -136,6 +147,10 @@ class BlobCue:
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
+        """Lobes about the spots, by plausibility, and a uniform part for "none is the sun".
+
+        A clear sun gains up to 1.5 nats near the likeliest spot where that is not cut.
+        """
         weight = np.array([blob.plausibility for blob in self.blobs])
         none = _NO_SPOT_WEIGHT / (_NO_SPOT_WEIGHT + weight.sum())
         parts = [self._around(blob, directions_world, blur_deg) for blob in self.blobs]
@@ -171,6 +186,7 @@ class OpenSkyCue:
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
+        """`log_penalty` for a clear sun in unsaturated sky, else 0; no blur."""
         is_open = looked_up(
             self.panorama.is_sky & self.panorama.is_seen & ~self.panorama.is_clipped,
             directions_world,
@@ -224,6 +240,7 @@ class GradientCue:
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
+        """Of the fit of clear skies, between its candidates; the same under cloud, no blur."""
         return _both(self._values.at(directions_world))
 
 
@@ -239,6 +256,8 @@ class ShadowCue:
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
+        """The votes between their directions and the odds of a clear sun; half the votes under
+        cloud, no blur."""
         values = self._values.at(directions_world)
         # Thin cloud softens shadows but does not move them.
         return np.stack([values + _log_odds(self.votes.sunny_probability), 0.5 * values], axis=1)
@@ -255,6 +274,7 @@ class NetworkCue:
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
+        """The predicted density, widened by `temper` and the blur, and the odds of a clear sun."""
         cosine = directions_world @ self.prediction.sun_direction.astype(np.float64)
         kappa = max(self.prediction.concentration * self.temper, 1e-3)
         std_deg = float(np.hypot(np.degrees(1 / np.sqrt(kappa)), blur_deg))

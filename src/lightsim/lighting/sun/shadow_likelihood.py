@@ -319,7 +319,7 @@ def _blurred(
     weight: Float[np.ndarray, " d"],
     std_deg: float,
 ) -> Float[np.ndarray, " d"]:
-    """BilateralUpsampling by errors of the meshes that all blocks share."""
+    """Blurred by errors of the meshes that all blocks share."""
     kernel = np.exp(log_vmf(np.clip(directions @ directions.T, -1, 1), std_deg))
     # Coarse cells are wider than the kernel: a row that does not sum to one keeps its own mass.
     mass = kernel * weight[None]

@@ -68,6 +68,10 @@ class TwinConfig:
 def make_panorama(
     work: Workspace, config: StitchConfig, folder: Path, context: Context
 ) -> Iterable[str]:
+    """What the cameras saw around the ego's place in the middle of the log.
+
+    Depth comes from the static and parked surfaces: moving actors are not in it.
+    """
     log, assets = work.training_log, work.assets
     scene = without_actors(
         make_static_scene([assets.background, *parked_actor_meshes(log, assets)])
@@ -89,6 +93,7 @@ def make_panorama(
 def make_sky(
     work: Workspace, config: SkyStageConfig, folder: Path, context: Context
 ) -> Iterable[str]:
+    """The source sky: the sun is found first, then strengths and dome; notes say from what."""
     predicted = predict_sky(work.panorama)
     sun, _ = find_source_sun(
         work, config.sun, seed=context.seed, progress=context.progress, prediction=predicted

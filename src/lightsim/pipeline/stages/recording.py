@@ -35,6 +35,7 @@ from lightsim.version import __version__
 
 
 def make_log(work: Workspace, config: LogReading, folder: Path, context: Context) -> Iterable[str]:
+    """The reading, a summary and the hashes of the recording's files; no pixel is copied."""
     write_log(folder, work.recorded_log, config, work.source_hashes)
     return work.recorded_log.notes
 
@@ -42,6 +43,7 @@ def make_log(work: Workspace, config: LogReading, folder: Path, context: Context
 def make_alignment(
     work: Workspace, config: AlignConfig, folder: Path, context: Context
 ) -> Iterable[str]:
+    """Corrections of path, boxes and cameras, found without held-out frames and sweeps."""
     alignment = align_log(
         work.recorded_training_log,
         config,
@@ -84,6 +86,7 @@ def _write_mattes(log: DrivingLog, folder: Path, context: Context) -> None:
 def make_fields(
     work: Workspace, config: FuseConfig, folder: Path, context: Context
 ) -> Iterable[str]:
+    """Signed-distance grids of background and actors, fused from the aligned sweeps."""
     fields = fuse_log(work.training_log, config, progress=context.progress)
     write_fields(folder, fields)
     return fields.notes

@@ -14,6 +14,7 @@ from lightsim.pipeline.workspace import Workspace
 def make_measures(
     work: Workspace, config: MeasureConfig, folder: Path, context: Context
 ) -> Iterable[str]:
+    """measures.json: all that can be measured without ground truth."""
     write_measures(folder, measure(work, config, context.progress))
     return ()
 
@@ -21,5 +22,6 @@ def make_measures(
 def make_report(
     work: Workspace, config: ReportConfig, folder: Path, context: Context
 ) -> Iterable[str]:
+    """index.html: the page of figures and numbers."""
     write_build_report(folder / "index.html", work, config)
     return ()

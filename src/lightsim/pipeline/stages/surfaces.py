@@ -75,6 +75,10 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
 def make_assets(
     work: Workspace, config: AssetConfig, folder: Path, context: Context
 ) -> Iterable[str]:
+    """Meshes coloured with observed radiance, and the camera gains found with them.
+
+    Inferred casters, which no image shows, take the colour of the nearest background.
+    """
     assets = build_assets(
         work.training_log,
         work.meshes,

@@ -56,7 +56,8 @@ def fill_holes(
 ) -> Float32[np.ndarray, "h w c"]:
     """Known pixels as they are, the others from their surroundings (pull-push pyramid).
 
-    Where nothing is known at all the result is 0. Gortler et al., The Lumigraph, Sec. 3.4.
+    Where nothing is known at all the result is 0. Gortler et al., The Lumigraph, Sec. 3.4,
+    doi:10.1145/237170.237200.
     """
     if is_known.all():
         return image

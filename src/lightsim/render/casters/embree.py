@@ -45,6 +45,7 @@ class EmbreeCaster:
 
     @property
     def meshes(self) -> Sequence[TriMesh]:
+        """As given; `RayHits.mesh_index` counts them."""
         return self._meshes
 
     def intersect(

@@ -43,6 +43,7 @@ class MitsubaCaster:
 
     @property
     def meshes(self) -> Sequence[TriMesh]:
+        """As given; `RayHits.mesh_index` counts them."""
         return self._meshes
 
     def intersect(

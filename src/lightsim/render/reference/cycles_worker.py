@@ -46,6 +46,7 @@ class Worker:
         return thing
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Run the method `do_X` for the X that `request["do"]` names; returns its seconds."""
         start = time.perf_counter()
         getattr(self, f"do_{request['do']}")(request)
         return {"seconds": time.perf_counter() - start}
@@ -278,6 +279,10 @@ def _turned_towards(direction: np.ndarray) -> np.ndarray:
 
 
 def serve(requests: IO[str], replies: IO[str]) -> None:
+    """Answer requests until their end, one line of JSON each; Blender starts with the first.
+
+    A request that fails is answered with `error` and `trace`, and the next one is read.
+    """
     worker = None
     for line in requests:
         try:

@@ -65,7 +65,13 @@ class ReferenceTracer(Protocol):
         view: CameraFrame | RigidTransform,
         shots: Sequence[Shot],
         seed: int,
-    ) -> list[Picture]: ...
+    ) -> list[Picture]:
+        """One picture a shot, in their order; `seed` draws the paths.
+
+        Args:
+            view: where the camera is; a transform is `world_from_camera` of one moment.
+        """
+        ...
 
 
 class ReferenceRenderer:
@@ -105,6 +111,7 @@ class ReferenceRenderer:
         return sky
 
     def scene(self, scenario: Scenario, time_ns: int) -> FrameScene:
+        """The static meshes and the scenario's actors where they are at `time_ns`."""
         return place(self._static, scenario, time_ns)
 
     def geometry(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> GBuffers:

@@ -109,6 +109,7 @@ class FaceTable:
 
     @property
     def face_count(self) -> int:
+        """Faces of all meshes together; each has two sides."""
         return int(self._first_face[-1])
 
     def samples(self, sides: Int64[np.ndarray, " f"]) -> FaceSamples:
@@ -232,6 +233,14 @@ class FaceTable:
 def hemisphere_directions(
     normals: Float32[np.ndarray, "n 3"], shifts: Float32[np.ndarray, "n 2"], rays: int, rows: int
 ) -> tuple[Float32[np.ndarray, "n k 3"], UInt16[np.ndarray, "n k"]]:
+    """Cosine-stratified unit directions about each normal, and the sky cell each points at.
+
+    Args:
+        normals: unit.
+        shifts: of each point's pattern, in [0, 1).
+        rays: directions for each normal.
+        rows: of the sky's cells, twice as many columns; cell = row * 2 rows + column.
+    """
     from lightsim.render.transport.kernels import hemisphere_rays
 
     directions = np.empty((len(normals), rays, 3), dtype=np.float32)
@@ -241,7 +250,8 @@ def hemisphere_directions(
 
 
 def hashed_shifts(numbers: Int64[np.ndarray, " n"], seed: int) -> Float32[np.ndarray, "n 2"]:
-    """Two uniform numbers in [0, 1) for each integer (SplitMix64; Steele et al. 2014)."""
+    """Two uniform numbers in [0, 1) for each integer (SplitMix64; Steele et al. 2014,
+    doi:10.1145/2660193.2660195)."""
     shifts = np.empty((len(numbers), 2), dtype=np.float32)
     for axis in range(2):
         with np.errstate(over="ignore"):

@@ -1,7 +1,9 @@
 """Microfacet reflection, compiled by numba.
 
-GGX distribution with height-correlated Smith masking and Schlick's Fresnel term, as in the
-Principled model (Burley 2012); normals are drawn by their visibility (Heitz 2018, JCGT 7(4)).
+GGX distribution (Walter et al. 2007, doi:10.2312/EGWR/EGSR07/195-206) with height-correlated Smith
+masking (Heitz 2014, JCGT 3(2)) and Schlick's Fresnel term (1994, doi:10.1111/1467-8659.1330233), as
+in the Principled model (Burley 2012). Normals are drawn by their visibility (Heitz 2018, JCGT
+7(4)).
 `no_type_check` keeps the tests' run-time type checker out of compiled code.
 """
 
@@ -43,7 +45,7 @@ def _local(v, n, t, s):
 @njit(cache=True)
 @no_type_check
 def _smith(x, y, z, alpha):
-    """Smith's Lambda."""
+    """Smith's Lambda of GGX (Heitz 2014, JCGT 3(2))."""
     slope = alpha * alpha * (x * x + y * y) / (z * z)
     return 0.5 * (np.sqrt(1.0 + slope) - 1.0)
 

@@ -54,7 +54,7 @@ def hemisphere_rays(normals, shifts, count, rows, directions, cells):
     """`count` cosine-stratified directions for each normal, and the sky cell of each.
 
     All points use one R2 pattern, turned on the unit torus by their own shift (Cranley and
-    Patterson 1976), so that neighbours make different errors.
+    Patterson 1976, doi:10.1137/0713071), so that neighbours make different errors.
     """
     for p in prange(normals.shape[0]):
         for k in range(count):
@@ -232,7 +232,8 @@ def _neighbours(index, block, grid, offset, surface, traced, rows, weights):
 @njit(cache=True, parallel=True)
 @no_type_check
 def spread_weights(traced_pixels, pixel, positions, normals, depths, out_rows, out_weights, count):
-    """Joint bilateral filter from the traced pixels to any points (Kopf et al. 2007).
+    """Joint bilateral filter from the traced pixels to any points (Kopf et al. 2007,
+    doi:10.1145/1276377.1276497).
 
     `index[i, j]` is the row of the traced point of block (i, j), or -1. `traced` holds position
     and normal of the traced points. Weights: distance in the image, and distance from the point's

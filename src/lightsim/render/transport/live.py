@@ -49,10 +49,12 @@ class LiveLight:
 
     @property
     def sun_visibility(self) -> Float32[torch.Tensor, "h w"]:
+        """Fraction of the solar disc seen."""
         return self.frame.as_image(self.sun_seen[:, None])[..., 0]
 
     @property
     def shaded(self) -> Float32[torch.Tensor, "h w 3"]:
+        """All light: sun and sky with visibility, and bounce."""
         return self.frame.as_image(self._shaded)
 
     @property
@@ -62,6 +64,7 @@ class LiveLight:
 
     @property
     def unshadowed(self) -> Float32[torch.Tensor, "h w 3"]:
+        """Sun and sky without visibility and without bounce."""
         return self.frame.as_image(self._sun(self.sun_cosine) + self.sky[1])
 
     @property

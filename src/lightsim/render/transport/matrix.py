@@ -1,10 +1,10 @@
-"""The light transport matrix: light transport is linear in the sky, so rays are traced once for all
-skies.
+"""The light transport matrix: light is linear in the sky, so rays are traced once for all skies.
 
 For every traced pixel N cosine-distributed rays are stored as the sky cell they point at and the
 surface face they meet, if any; for every face met, M rays of its own. A sky then costs sums of
 table look-ups and a few sun rays (`render.transport.light`). Diffuse surfaces, one bounce or two;
-reflections of smooth surfaces are traced by `render.transport.glossy`.
+reflections of smooth surfaces are traced by `render.transport.glossy`. This is precomputed radiance
+transfer (Sloan et al. 2002, doi:10.1145/566654.566612) with cells of the sky as its basis.
 """
 
 from __future__ import annotations

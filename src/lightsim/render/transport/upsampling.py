@@ -1,4 +1,7 @@
-"""Light of traced pixels carried along surfaces to all pixels and to points within them."""
+"""Light of traced pixels carried along surfaces to all pixels and to points within them.
+
+Joint bilateral upsampling: Kopf et al. 2007, doi:10.1145/1276377.1276497.
+"""
 
 from __future__ import annotations
 
