@@ -1,6 +1,6 @@
 """Base colour of a synthetic street's twin with parts of the method left out; a Markdown table.
 
-    python benchmarks/bench_delight.py WORK --truth DIR [--variants "labels,no lidar intensity"]
+    python benchmarks/bench_decompose.py WORK --truth DIR [--variants "labels,no lidar intensity"]
 
 WORK: a build up to the stage sky. Ratio: base colour where the sun shone over where it did not,
 against the truth; 1 is free of shadows.

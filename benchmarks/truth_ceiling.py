@@ -37,7 +37,7 @@ def main() -> None:
     street, cameras = build_street(plan, config.ego_speed_m_s), mount_cameras(plan, config)
     sky = build_sky(sky_specs(plan)[0], plan)
     tracer = PathTracer(
-        [part.moved(plan.world_from_street) for part in street.background],
+        [part.transformed(plan.world_from_street) for part in street.background],
         [Placed(f"actor{i}", actor.parts) for i, actor in enumerate(street.participants)],
         street.finishes,
         environment(sky, config.environment_height_px),

@@ -19,7 +19,7 @@ def main() -> None:
     assert sun is not None
     position = azimuth_elevation(sun.direction_world)
     level = sky.horizontal_irradiance()
-    turned = sky.turned(-60.0)
+    turned = sky.rotated(-60.0)
     assert turned.sun is not None
     sys.stdout.write(
         f"sun at azimuth {position.azimuth_deg:.1f}, elevation {position.elevation_deg:.1f} deg\n"

@@ -60,7 +60,7 @@ class Frames:
 
     def skies(self, count: int) -> list[SkyDome]:
         """The twin's own sky turned in steps of 15 degrees."""
-        return [self.dome.turned(15.0 * k) for k in range(count)]
+        return [self.dome.rotated(15.0 * k) for k in range(count)]
 
 
 def flat(normals: Sequence[Array]) -> tuple[Array, ...]:

@@ -47,7 +47,7 @@ def main() -> None:
         choice, twin.assets.background, workspace.unobserved_occluders, 0, has_images=options.images
     )
     dome = twin.sky.dome
-    skies = [renderer.prepare(dome.turned(15.0 * k)) for k in range(options.skies)]
+    skies = [renderer.prepare(dome.rotated(15.0 * k)) for k in range(options.skies)]
     once = time.perf_counter() - start
     scenario = replay(twin, "benchmark", tuple(frames))
     rows, peak_mb = [], []

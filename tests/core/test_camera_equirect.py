@@ -113,7 +113,7 @@ def test_no_sun_in_an_overcast_sky() -> None:
 def test_turning_keeps_energy_and_moves_the_sun(yaw: float) -> None:
     direction = direction_enu(140.0, 35.0)
     dome = make_sunny(direction, 64)
-    turned = dome.turned(yaw)
+    turned = dome.rotated(yaw)
     np.testing.assert_allclose(
         turned.horizontal_irradiance(), dome.horizontal_irradiance(), rtol=1e-3
     )

@@ -65,7 +65,7 @@ def test_turning_turns_the_irradiance_of_every_normal(
     azimuth: float, z: float, normal_azimuth: float, normal_z: float, yaw_deg: float
 ) -> None:
     dome = sunny(azimuth, z)
-    turned = dome.turned(yaw_deg)
+    turned = dome.rotated(yaw_deg)
     before = dome.irradiance(direction(normal_azimuth, normal_z))
     after = turned.irradiance(direction(normal_azimuth + np.radians(yaw_deg), normal_z))
     assert_allclose(after, before, rtol=1e-3, atol=1e-3)
@@ -76,7 +76,7 @@ def test_turning_turns_the_irradiance_of_every_normal(
 def test_turning_does_not_smear_the_disc(azimuth: float, z: float, yaw_deg: float) -> None:
     """The turned dome equals the one whose sun was put at the turned azimuth at once."""
     even = np.full((64, 128, 3), 0.3, np.float32)
-    turned = add_sun(even, Sun(direction(azimuth, z), ENERGY)).turned(yaw_deg)
+    turned = add_sun(even, Sun(direction(azimuth, z), ENERGY)).rotated(yaw_deg)
     assert turned.sun is not None
     at_once = add_sun(even, turned.sun)
     assert_allclose(turned.sun.direction_world, direction(azimuth + np.radians(yaw_deg), z))

@@ -53,7 +53,7 @@ def test_rows_see_the_camera_move() -> None:
         world_from_camera=RigidTransform.from_rotation(
             "world",
             "camera",
-            motion.turned(frame_at(None).world_from_camera.rotation.T, np.full(3, 0.015)).T,
+            motion.rotated(frame_at(None).world_from_camera.rotation.T, np.full(3, 0.015)).T,
             frame_at(None).world_from_camera.translation_m + 0.015 * motion.velocity_m_s,
         ),
     )

@@ -191,7 +191,7 @@ def test_scale_free_error_ignores_brightness_only() -> None:
     brighter = sphere_radiance(dome().scaled(np.array(1.7)))
     assert relative_rmse(brighter, truth) == pytest.approx(0.7, rel=1e-4)
     assert relative_rmse(brighter, truth, is_scale_free=True) < 1e-5
-    turned = sphere_radiance(dome().turned(90.0))
+    turned = sphere_radiance(dome().rotated(90.0))
     assert relative_rmse(turned, truth, is_scale_free=True) > 0.3
 
 

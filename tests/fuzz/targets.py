@@ -83,7 +83,7 @@ def read_sky_file(folder: Path) -> None:
     dome = sky_alone(SkyChoice(str(path), 0.0)).dome
     use_dome(dome)
     source = SkyDome(np.full((16, 32, 3), 0.3, np.float32), None)
-    scaled, factor = scale_to_source(dome.turned(33.0), source, "auto")
+    scaled, factor = scale_to_source(dome.rotated(33.0), source, "auto")
     _require_finite(factor)
     use_dome(scaled)
 

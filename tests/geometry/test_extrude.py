@@ -157,7 +157,7 @@ def test_views_without_sky_information_prove_nothing(
 
 def test_wrong_inputs_are_refused(canyon: tuple[TriMesh, TriMesh, list[View]]) -> None:
     _, seen, views = canyon
-    moved = seen.moved(RigidTransform.identity("actor", "world"))
+    moved = seen.transformed(RigidTransform.identity("actor", "world"))
     with pytest.raises(FrameMismatchError):
         infer(moved, views)
     frame, camera, matte = views[0]

@@ -57,7 +57,7 @@ def test_scene_units_a_white_level_surface_has_luminance_one_at_45_degrees():
 
 def test_turning_a_sky_keeps_its_energy():
     dome = clear_sky(direction_enu(100.0, 30.0), height_px=64)
-    turned = dome.turned(37.3)
+    turned = dome.rotated(37.3)
     np.testing.assert_allclose(
         turned.horizontal_irradiance(), dome.horizontal_irradiance(), rtol=1e-4
     )

@@ -153,8 +153,8 @@ def test_turning_sky_and_scene_together_changes_nothing(rng):
     )
     config = replace(exact(), sky_rays=256)
     _, _, out = _render(_street(), sky, config)
-    turned = [m.moved(turn) for m in _street()]
-    _, _, other = _render(turned, sky.turned(turn_deg), config, turn @ _VIEW)
+    turned = [m.transformed(turn) for m in _street()]
+    _, _, other = _render(turned, sky.rotated(turn_deg), config, turn @ _VIEW)
     assert np.abs(out.shaded - other.shaded).mean() < 0.01 * out.shaded.mean()
     np.testing.assert_allclose(other.shaded.mean(), out.shaded.mean(), rtol=2e-3)
 

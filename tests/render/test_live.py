@@ -94,7 +94,7 @@ def test_a_moved_sun_takes_no_sums_of_the_sky_and_no_kernels_of_its_own(
     sky = prepare_sky(sun_sky(1.0, 40.0, 0.3))
     first = live(sky)
     assert sky.sun is not None
-    suns = [sky.sun.turned(10.0 * k) for k in range(1, 13)]
+    suns = [sky.sun.rotated(10.0 * k) for k in range(1, 13)]
     with drjit.scoped_set_flag(drjit.JitFlag.KernelHistory):
         moved = [live(replace(sky, sun=sun)) for sun in suns]
         kernels = drjit.kernel_history([drjit.KernelType.JIT])

@@ -220,7 +220,7 @@ def test_a_tilted_ground_has_its_tilt_as_error_of_normals(
     tilt = np.radians(5.0)
     turn = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
     pose = RigidTransform.from_rotation("world", "world", turn, np.zeros(3))
-    for mesh, wanted in ((plane(60.0), 0.0), (plane(60.0).moved(pose), 5.0)):
+    for mesh, wanted in ((plane(60.0), 0.0), (plane(60.0).transformed(pose), 5.0)):
         work = tiny_world(SKY, background=mesh)
         write_true_buffers(truth, work)
         monkeypatch.setattr(bench_reconstruction, "Workspace", lambda root, work=work: work)

@@ -157,8 +157,8 @@ def test_skies_beyond_float_sums_are_refused() -> None:
         with pytest.raises(InputError, match="too bright"):
             dome.scaled(factor)
     with pytest.raises(InputError, match="cannot be turned"):
-        dome.turned(float("inf"))
-    np.testing.assert_array_equal(dome.turned(1e300).radiance, dome.radiance)
+        dome.rotated(float("inf"))
+    np.testing.assert_array_equal(dome.rotated(1e300).radiance, dome.radiance)
 
 
 def test_places_and_times_that_are_none() -> None:

@@ -42,7 +42,7 @@ class AlignConfig:
     camera_poses: bool = True
     """Refine the mounting and the time offset of each camera by depth edges."""
     least_gain: float = 0.005
-    """By which share the held-back score must improve for a correction to be kept."""
+    """By which fraction the held-back score must improve for a correction to be kept."""
     plane_voxel_m: float = 0.2
     """Edge of the voxels to which all sweeps together are thinned for the map."""
     points_per_sweep: int = 4000

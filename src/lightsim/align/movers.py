@@ -49,7 +49,9 @@ def settle_moving(
             continue
         if path is not None:
             actor = _moved(actor, path)
-            cloud = replace(cloud, points_world=path.moved(cloud.points_world, cloud.times_ns))
+            cloud = replace(
+                cloud, points_world=path.transformed(cloud.points_world, cloud.times_ns)
+            )
         cloud = _in_box(cloud, actor)
         if len(cloud.sweep) < _LEAST_RETURNS or len(np.unique(cloud.sweep)) < _LEAST_SWEEPS:
             continue

@@ -152,7 +152,7 @@ def _thinned(cloud: Cloud, voxel_m: float, rng: np.random.Generator) -> Cloud:
 
 
 def _moved(cloud: Cloud, correction: PathCorrection) -> Cloud:
-    points = correction.moved(cloud.points_world, cloud.times_ns)
+    points = correction.transformed(cloud.points_world, cloud.times_ns)
     return Cloud(points, cloud.times_ns, cloud.sweep)
 
 

@@ -33,7 +33,7 @@ _MIN_COSINE = 0.05
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
 # (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
 
-# Inverse depth that bends by more than this share from pixel to pixel is an outline.
+# Inverse depth that bends by more than this fraction from pixel to pixel is an outline.
 _EDGE_STEP = 0.05
 # Pixels this near an outline may show another surface.
 _EDGE_RADIUS_PX = 4
@@ -126,7 +126,7 @@ class PlacedScene:
 
     def _put(self, track: ActorTrack, number: int, time_ns: int) -> TriMesh:
         pose = track.world_from_actor(time_ns, _HOLD_S)
-        mesh = self.meshes[number].moved(pose)
+        mesh = self.meshes[number].transformed(pose)
         part = self._vertices_of(number)
         self.vertices[part] = mesh.vertices
         self.normals[part] = pose.rotate(self._own_normals[number].astype(np.float64))

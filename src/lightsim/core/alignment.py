@@ -38,7 +38,7 @@ class PathCorrection:
         seconds = (times_ns - self.times_ns[0]) * 1e-9
         return np.stack([np.interp(seconds, knots, values[:, k]) for k in range(3)], axis=1)
 
-    def moved(
+    def transformed(
         self, points_world: Float[np.ndarray, "m 3"], times_ns: Int64[np.ndarray, " m"]
     ) -> Float[np.ndarray, "m 3"]:
         """Points that were located at the given times, corrected."""
@@ -184,8 +184,8 @@ def _corrected_loader(
     def load_corrected() -> LidarSweep:
         sweep = load()
         times_ns = sweep.time_ns + (sweep.time_offset_s.astype(np.float64) * 1e9).astype(np.int64)
-        points = path.moved(sweep.points_world.astype(np.float64), times_ns)
-        origins = path.moved(sweep.origins_world.astype(np.float64), times_ns)
+        points = path.transformed(sweep.points_world.astype(np.float64), times_ns)
+        origins = path.transformed(sweep.origins_world.astype(np.float64), times_ns)
         return replace(
             sweep,
             points_world=points.astype(np.float32),

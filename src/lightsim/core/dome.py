@@ -47,7 +47,7 @@ class Sun:
         """Angle above the horizon; negative below it."""
         return float(np.degrees(np.arcsin(np.clip(self.direction_world[2], -1, 1))))
 
-    def turned(self, yaw_deg: float) -> Sun:
+    def rotated(self, yaw_deg: float) -> Sun:
         """The sun turned counter-clockwise seen from above."""
         c, s = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
         rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -120,7 +120,7 @@ class SkyDome:
         )
         return SkyDome((self.radiance * rgb).astype(np.float32), sun)
 
-    def turned(self, yaw_deg: float) -> SkyDome:
+    def rotated(self, yaw_deg: float) -> SkyDome:
         """The sky turned counter-clockwise seen from above; total energy is kept.
 
         Between whole columns the sky is interpolated. A known sun is not: it is taken out and put
@@ -139,15 +139,15 @@ class SkyDome:
         shift = -yaw_deg / 360.0 * self.radiance.shape[1]
         if abs(shift - round(shift)) < _WHOLE_COLUMN:
             rolled = np.roll(self.radiance, round(shift), axis=1)
-            return SkyDome(rolled, self.sun and self.sun.turned(yaw_deg))
+            return SkyDome(rolled, self.sun and self.sun.rotated(yaw_deg))
         lifted = _lifted_sun(self)
         whole = int(np.floor(shift))
         part = shift - whole
         rolled = np.roll(self.radiance if lifted is None else lifted.rest, whole, axis=1)
         rolled = (1 - part) * rolled + part * np.roll(rolled, 1, axis=1)
         if lifted is None:
-            return SkyDome(rolled.astype(np.float32), self.sun and self.sun.turned(yaw_deg))
-        sun = lifted.sun.turned(yaw_deg)
+            return SkyDome(rolled.astype(np.float32), self.sun and self.sun.rotated(yaw_deg))
+        sun = lifted.sun.rotated(yaw_deg)
         return SkyDome(_with_disc(rolled, sun, lifted.energy), sun)
 
     def look_up(self, directions_world: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:

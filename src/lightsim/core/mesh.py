@@ -155,7 +155,7 @@ class TriMesh:
         corners = self.base_colour[self.faces[face]]
         return (barycentric[:, :, None] * corners).sum(axis=1).astype(np.float32)
 
-    def moved(self, transform: RigidTransform) -> TriMesh:
+    def transformed(self, transform: RigidTransform) -> TriMesh:
         """The same mesh in frame `transform.dst`."""
         if transform.src != self.frame:
             raise FrameMismatchError(

@@ -37,7 +37,7 @@ class RollingShutter:
         """When rows are read, relative to the frame's time; rows outside count as the nearest."""
         return (np.clip(v / height_px, 0.0, 1.0) - 0.5) * self.readout_s
 
-    def turned(
+    def rotated(
         self, vectors_world: Float[np.ndarray, "n 3"], seconds: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, "n 3"]:
         """Vectors fixed to the camera at the frame's time, as they point `seconds` later."""
@@ -71,7 +71,7 @@ class CameraFrame:
             return origins, directions
         seconds = self.shutter.seconds(uv[:, 1], camera.height_px)
         origins += seconds[:, None] * self.shutter.velocity_m_s
-        return origins, self.shutter.turned(directions, seconds)
+        return origins, self.shutter.rotated(directions, seconds)
 
     def project(
         self, camera: PinholeCamera, points_world: Float[np.ndarray, "n 3"]
@@ -91,7 +91,7 @@ class CameraFrame:
             rows = np.where(np.isnan(uv[:, 1]), 0.0, uv[:, 1])
             seconds = self.shutter.seconds(rows, camera.height_px)
             moved = relative - seconds[:, None] * self.shutter.velocity_m_s
-            uv, inside = camera.project(self.shutter.turned(moved, -seconds) @ rotation)
+            uv, inside = camera.project(self.shutter.rotated(moved, -seconds) @ rotation)
         return uv, inside
 
 

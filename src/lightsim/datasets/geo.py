@@ -12,7 +12,7 @@ from lightsim.core.log import GeoReference
 
 MIN_PATH_M = 3.0
 """A shorter ego path says too little about its own direction."""
-_MAX_RESIDUAL_SHARE = 0.2
+_MAX_RESIDUAL_FRACTION = 0.2
 """Above this fraction of the path's spread, path and track do not show the same drive."""
 _SEMI_MAJOR_M = 6378137.0
 _ECCENTRICITY_SQUARED = 6.69437999014e-3
@@ -106,7 +106,7 @@ def locate(
             f"{MIN_PATH_M:g} m); give the azimuth of world +x with --heading-deg"
         )
         return GeoReference(*place, None, "unknown", None), (note,)
-    if fit.residual_m > _MAX_RESIDUAL_SHARE * fit.path_m:
+    if fit.residual_m > _MAX_RESIDUAL_FRACTION * fit.path_m:
         note = (
             f"ego path and GPS track disagree by {fit.residual_m:.1f} m over {fit.path_m:.1f} m, "
             "so north is unknown; give the azimuth of world +x with --heading-deg"

@@ -111,7 +111,7 @@ class Session:
     """Where and how long a training runs; what is learned depends on `processes` alone.
 
     Args:
-        journal: keeps checkpoints and metrics.
+        checkpointer: keeps checkpoints and metrics.
         progress: shows the steps.
         minutes: stop then, to go on later.
         device: "auto", "cpu" or "cuda".
@@ -133,12 +133,12 @@ def run_training(
     session: Session,
     label: str = "train",
 ) -> int:
-    """Train in place from the journal's last state; the number of steps done when it stops.
+    """Train in place from the checkpointer's last state; the number of steps done when it stops.
 
     An interrupted run that goes on gives the very same networks on the CPU.
 
     Raises:
-        ArtefactError: the journal's state belongs to other networks.
+        ArtefactError: the checkpointer's state belongs to other networks.
     """
     checkpointer, processes = session.checkpointer, session.processes
     loop = _Loop(learners, config, processes)

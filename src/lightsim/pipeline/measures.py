@@ -215,7 +215,7 @@ def geometry(
 
     def actors_at(time_ns: int) -> list[TriMesh]:
         return [
-            assets.actors[track.actor_id].mesh.moved(track.world_from_actor(time_ns))
+            assets.actors[track.actor_id].mesh.transformed(track.world_from_actor(time_ns))
             for track in log.actors_at(time_ns)
             if track.actor_id in assets.actors
         ]

@@ -127,7 +127,7 @@ def place(
 ) -> FrameScene:
     """The static scene with the scenario's actors where they are at `time_ns`."""
     placements = scenario.placements_at(time_ns)
-    actors = tuple(p.asset.mesh.moved(p.world_from_actor(time_ns)) for p in placements)
+    actors = tuple(p.asset.mesh.transformed(p.world_from_actor(time_ns)) for p in placements)
     return FrameScene(
         static,
         actors,

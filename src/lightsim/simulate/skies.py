@@ -51,7 +51,7 @@ def resolve_sky(choice: SkyChoice, workspace: Workspace) -> TargetSky:
     """
     dome, facts = _dome_of(choice, workspace.log.geo, workspace.sky)
     if choice.yaw_deg:
-        dome = dome.turned(-choice.yaw_deg)
+        dome = dome.rotated(-choice.yaw_deg)
     dome, factor = scale_to_source(dome, workspace.sky.dome, choice.scale_mode)
     facts |= {"yaw_deg": choice.yaw_deg, "scale": choice.scale, "scale_factor": factor}
     return TargetSky(dome, facts | _light_facts(dome))

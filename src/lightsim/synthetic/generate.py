@@ -151,7 +151,7 @@ def _render(
     if not shots:
         return
     tracer = PathTracer(
-        [part.moved(street.plan.world_from_street) for part in street.background],
+        [part.transformed(street.plan.world_from_street) for part in street.background],
         [Placed(_key(i), actor.parts) for i, actor in enumerate(street.participants)],
         street.finishes,
         environment(sky, config.environment_height_px),

@@ -39,10 +39,10 @@ class Snapshot:
     def __init__(self, street: Street, world_from_actors: Sequence[RigidTransform]) -> None:
         world_from_street = street.plan.world_from_street
         placed: list[tuple[int, Part]] = [
-            (BACKGROUND, part.moved(world_from_street)) for part in street.background
+            (BACKGROUND, part.transformed(world_from_street)) for part in street.background
         ]
         for i, (actor, pose) in enumerate(zip(street.participants, world_from_actors, strict=True)):
-            placed += [(i, part.moved(pose)) for part in actor.parts]
+            placed += [(i, part.transformed(pose)) for part in actor.parts]
         self.names = tuple(street.finishes)
         self.finishes: Mapping[str, Finish] = street.finishes
         offsets = np.cumsum([0] + [len(part.vertices) for _, part in placed[:-1]])

@@ -27,7 +27,7 @@ class Part:
     faces: Int32[np.ndarray, "m 3"]
     uv_m: Float32[np.ndarray, "n 2"]
 
-    def moved(self, transform: RigidTransform) -> Part:
+    def transformed(self, transform: RigidTransform) -> Part:
         """The part in the frame `transform.dst`; texture coordinates stay."""
         vertices = transform.apply(self.vertices.astype(np.float64)).astype(np.float32)
         return replace(self, vertices=vertices)

@@ -82,7 +82,7 @@ class PathTracer:
             for j, part in enumerate(self._actors[key]):
                 name = f"{key}_{j}.vertex_positions"
                 kind = type(self._parameters[name])
-                self._parameters[name] = kind(part.moved(pose).vertices.ravel())
+                self._parameters[name] = kind(part.transformed(pose).vertices.ravel())
         if changed:
             with mitsuba_with(self.variant):
                 self._parameters.update()

@@ -122,7 +122,7 @@ def write_geometry(path: Path, street: Street) -> None:
     1/512 m, the only loss."""
     arrays: dict[str, np.ndarray] = {}
     world_from_street = street.plan.world_from_street
-    groups = [("background", [part.moved(world_from_street) for part in street.background])]
+    groups = [("background", [part.transformed(world_from_street) for part in street.background])]
     groups += [(actor.actor_id, list(actor.parts)) for actor in street.participants]
     for name, parts in groups:
         offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])

@@ -31,7 +31,7 @@ LossFunction = Callable[[Any, Draw, torch.Generator], tuple[Tensor, dict[str, Te
 
 
 # Fraction of the panoramas that is shown whole, as pictures without a log are.
-_COMPLETE_SHARE = 0.25
+_COMPLETE_FRACTION = 0.25
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def train_sky(
     session: Session,
     complete: Completion | None = None,
 ) -> int:
-    """Train the recipe's network in place, going on from the journal's last state; the steps done.
+    """Train the recipe's network in place, going on from the checkpointer's last state; the steps done.
 
     Args:
         recipe: what to train.
@@ -90,7 +90,7 @@ def train_sky(
         def drawn(only_sunny: bool) -> SkyTensors:
             # Even numbers are all skies, odd ones clear suns: data may draw both from one stream.
             batch = batches.get(2 * draw + int(only_sunny))
-            whole = torch.rand(config.batch, generator=generator).numpy() < _COMPLETE_SHARE
+            whole = torch.rand(config.batch, generator=generator).numpy() < _COMPLETE_FRACTION
             return sky_tensors(batch, whole, complete, target)
 
         yield "sky", *artefact_key.loss(network, drawn, generator)

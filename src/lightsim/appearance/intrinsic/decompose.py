@@ -63,7 +63,7 @@ _LEAST_SURFELS = 50
 
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
 # (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test). The bench
-# benchmarks/bench_delight.py varies those that are still settings.
+# benchmarks/bench_decompose.py varies those that are still settings.
 
 # Size of the patches that carry labels.
 _SURFEL_M = 0.25
@@ -211,7 +211,7 @@ def _observe(
 def _finished(
     mesh: TriMesh, found: VertexLight, field: LabelField | None, config: IntrinsicConfig
 ) -> Decomposition:
-    """Radiance over light; confidence falls where the sun's share hangs on an unsure label."""
+    """Radiance over light; confidence falls where the sun's fraction hangs on an unsure label."""
     visibility = found.visibility.astype(np.float64)
     total = np.maximum(found.light.total(visibility), 1e-6)
     colour = np.clip(mesh.base_colour / total, LOWEST_BASE_COLOUR, HIGHEST_BASE_COLOUR)

@@ -98,7 +98,7 @@ def _around(
     count: int,
     width_m: float,
 ) -> tuple[Int64[np.ndarray, "m k"], Float64[np.ndarray, "m k"], Float64[np.ndarray, " m"]]:
-    """Nearest surfels, their shares (which favour near ones of the same facing), and the distance
+    """Nearest surfels, their weights (which favour near ones of the same facing), and the distance
     of the nearest."""
     tree, normal = surfels
     distance, index = (np.asarray(part) for part in tree.query(points, k=min(count, tree.n)))

@@ -28,7 +28,7 @@ _CHUNK_PAIRS = 1 << 16
 
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
 # (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test). The bench
-# benchmarks/bench_delight.py varies those that are still settings.
+# benchmarks/bench_decompose.py varies those that are still settings.
 
 # Probability that an inferred (unmeasured) surface is there, as far as shadows go.
 _TRUST_INFERRED = 0.75

@@ -53,9 +53,9 @@ _MIN_BORDER = 0.6
 # Views from further away do not count.
 _MAX_VIEW_M = 90.0
 # Cells above the measured wall that more than this fraction of the views shows as sky are open.
-_MAX_SKY_SHARE = 0.3
+_MAX_SKY_FRACTION = 0.3
 # The same within the measured wall, where glass reflects the sky.
-_MAX_HOLE_SKY_SHARE = 0.7
+_MAX_HOLE_SKY_FRACTION = 0.7
 # Views that must show matter in a cell above the measured wall.
 _MIN_VOTES = 2
 # Beams through a cell that returned from behind the wall: there is no wall.
@@ -207,10 +207,10 @@ def _fill(cells: WallCells) -> list[TriMesh]:
     levels = np.arange(cells.is_covered.shape[1])
     measured = np.where(cells.is_covered, levels, -1).max(axis=1)
     is_above = levels > measured[:, None]
-    is_open = cells.sky > _MAX_SKY_SHARE * seen
+    is_open = cells.sky > _MAX_SKY_FRACTION * seen
     is_open |= cells.passes >= _MIN_PASSES
     top = _raised(cells, is_open & is_above, measured)
-    is_inner = ~is_above & ~cells.is_covered & (cells.sky <= _MAX_HOLE_SKY_SHARE * seen)
+    is_inner = ~is_above & ~cells.is_covered & (cells.sky <= _MAX_HOLE_SKY_FRACTION * seen)
     is_hole = _closed_holes(cells, is_inner)
     is_upper = is_above & (levels <= top[:, None]) & (measured >= 0)[:, None]
     offset = _spread_offset(cells)

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-_PRIOR_SHARE = 5e-4
+_PRIOR_FRACTION = 5e-4
 """An overlap of this fraction of the panorama alone is believed two thirds; slivers less."""
 _DARKEST = 1e-3
 
@@ -27,7 +27,7 @@ def sky_factors(
         is_usable: where it saw unsaturated sky.
     """
     count = len(radiance)
-    system = np.eye(count) * _PRIOR_SHARE
+    system = np.eye(count) * _PRIOR_FRACTION
     right = np.zeros((count, 3))
     for a, b in combinations(range(count), 2):
         both = is_usable[a] & is_usable[b]

@@ -72,7 +72,7 @@ def fit_sun(
     """The sun's irradiance by a robust fit to lit/shadowed pairs.
 
     The luminance ratio sun : sky has a posterior on a grid: pairs follow a mixture of the model
-    and of wrong labels (log q about 0), with unknown share and spread, both integrated out. The
+    and of wrong labels (log q about 0), with unknown fraction and spread, both integrated out. The
     channels then follow from the pairs that the model explains.
 
     Args:

@@ -35,7 +35,7 @@ _UNIFORM = -float(np.log(2 * np.pi))
 _CLOCK_STD_DEG = 1.0 * 360.0 / 86164.0
 """A second of clock."""
 _UNKNOWN_HEADING_STD_DEG = 1.0
-_WRONG_HEADING_SHARE, _WRONG_PLACE_SHARE = 0.002, 0.0005
+_WRONG_HEADING_FRACTION, _WRONG_PLACE_FRACTION = 0.002, 0.0005
 _NO_SPOT_WEIGHT = 0.15
 """Plausibility of "none of the spots is the sun"."""
 _ODDS_LIMIT = 6.0
@@ -113,11 +113,11 @@ class EphemerisCue:
             std = float(np.linalg.norm([self.heading_std_deg, level_deg / cosine]))
             right = -0.5 * (off / std) ** 2 - np.log(std * np.sqrt(2 * np.pi) * cosine)
             turn = np.logaddexp(
-                np.log1p(-_WRONG_HEADING_SHARE) + right,
-                np.log(_WRONG_HEADING_SHARE / 360.0 / cosine),
+                np.log1p(-_WRONG_HEADING_FRACTION) + right,
+                np.log(_WRONG_HEADING_FRACTION / 360.0 / cosine),
             )
         log_density = height + turn - 0.5 * np.log(2 * np.pi) + 2 * np.log(180.0 / np.pi)
-        return _both(_robust(log_density, _WRONG_PLACE_SHARE))
+        return _both(_robust(log_density, _WRONG_PLACE_FRACTION))
 
 
 def ephemeris_cue(geo: GeoReference, time_ns: int) -> EphemerisCue:

@@ -169,7 +169,7 @@ def _moving_caster(
 
 
 def _placed(mesh: TriMesh, world_from_actor: RigidTransform) -> TriMesh:
-    return mesh.moved(RigidTransform("world", mesh.frame, world_from_actor.matrix))
+    return mesh.transformed(RigidTransform("world", mesh.frame, world_from_actor.matrix))
 
 
 def _seen_points(

@@ -36,7 +36,7 @@ from lightsim.progress import Progress, SilentProgress
 STRENGTHS = (0.6, 1.5, 3.5, 8.0)
 """Candidates of the irradiance of a high sun over the level sky's; 0 is the rival."""
 _MIN_BLOCKS, _MOST_CELLS = 5, 60
-_UNIFORM_SHARE = 0.02
+_UNIFORM_FRACTION = 0.02
 _LOG_INDEPENDENT = 4.6
 """Log of the number of directions whose shadows differ altogether, about a hundred."""
 
@@ -51,7 +51,7 @@ _PAIR_DISTANCE_M = (0.3, 3.0)
 # Independent pairs that a block counts for at most.
 _VOTES_PER_BLOCK = 3.0
 # Fraction of pairs whose cast shadow is wrong: casters that no sensor saw.
-_WRONG_SHARE = 0.3
+_WRONG_FRACTION = 0.3
 # Light of the surroundings where no sky is seen, in units of the level sky.
 _BOUNCE = 0.35
 # Spacing of the second round, near the first round's best.
@@ -137,7 +137,7 @@ def vote(
     joint = np.concatenate([rough[:, rest], exact], axis=1)
     density = _blurred(directions, _mean_density(trust * joint, weight), weight, _MESH_STD_DEG)
     # Against a model that is wrong everywhere, no direction is ruled out.
-    relative = (1 - _UNIFORM_SHARE) * density * 2 * np.pi + _UNIFORM_SHARE
+    relative = (1 - _UNIFORM_FRACTION) * density * 2 * np.pi + _UNIFORM_FRACTION
     return ShadowLikelihood(
         directions,
         weight,
@@ -239,7 +239,7 @@ class _PairModel:
         return sun / self._diffuse
 
     def _ratio(self, step: Float32[np.ndarray, " p"]) -> Float32[np.ndarray, " p"]:
-        wrong = np.float32(_WRONG_SHARE)
+        wrong = np.float32(_WRONG_FRACTION)
         return (1 - wrong) * _density(self._excess - step) * self._inverse_null + wrong
 
 

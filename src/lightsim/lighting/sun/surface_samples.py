@@ -50,7 +50,7 @@ class SurfaceSamples:
     Args:
         log_radiance: natural logarithm of the observed luminance.
         material: class of the surface.
-        sky_share: cosine-weighted open fraction of the hemisphere that is sky.
+        sky_fraction: cosine-weighted open fraction of the hemisphere that is sky.
     """
 
     position_world: Float[np.ndarray, "n 3"]

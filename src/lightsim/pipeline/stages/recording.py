@@ -135,7 +135,7 @@ def prior_surfaces(fused: SceneFields) -> PriorSurfaces:
     return PriorSurfaces(
         make_embree_caster(background_levels(fused, 0.03)),
         {
-            actor_id: make_embree_caster([extract_surface(grid, 0.03).moved(at_origin)])
+            actor_id: make_embree_caster([extract_surface(grid, 0.03).transformed(at_origin)])
             for actor_id, grid in fused.actors.items()
         },
     )

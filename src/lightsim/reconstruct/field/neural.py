@@ -37,7 +37,7 @@ class Training:
     Args:
         surfaces: ray casters over the meshes of the fused LiDAR.
         sky_matte: sky alpha of a frame.
-        journal: keeps checkpoints and metrics.
+        checkpointer: keeps checkpoints and metrics.
         seed: of rays, initial values and batches.
         device: "auto", "cpu" or "cuda".
     """

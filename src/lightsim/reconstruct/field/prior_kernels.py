@@ -28,7 +28,7 @@ def _block_at(stack, g, i, j, k):
 @no_type_check
 def _interpolated(stack, g, x, y, z):
     """(distance, weight) by trilinear interpolation over the corners that are known, as long as
-    they hold half of the shares; weight 0 otherwise."""
+    they hold half of the weights; weight 0 otherwise."""
     geometry, sdf, weight = stack[4], stack[5], stack[6]
     voxel = geometry[g, 3]
     fx = (x - geometry[g, 0]) / voxel

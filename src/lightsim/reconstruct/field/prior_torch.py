@@ -41,7 +41,7 @@ class TorchPrior:
     def _interpolated(
         self, points: Float[Tensor, "m 3"], grid: Int[Tensor, " m"]
     ) -> tuple[Float[Tensor, " m"], Float[Tensor, " m"]]:
-        """Trilinear over the known corners, as long as they hold half of the shares."""
+        """Trilinear over the known corners, as long as they hold half of the weights."""
         geometry = self._geometry[grid]
         scaled = (points - geometry[:, :3]) / geometry[:, 3:4]
         cell = torch.floor(scaled)

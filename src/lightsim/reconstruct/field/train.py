@@ -38,7 +38,7 @@ class TrainingRays:
 
 
 def train_field(field: SceneField, rays: TrainingRays, seed: int, session: Session) -> None:
-    """Train `field` in place, on its device, going on from the journal's last state.
+    """Train `field` in place, on its device, going on from the checkpointer's last state.
 
     Every step draws its batch from (seed, step) alone: an interrupted run that goes on gives the
     very same field on the CPU.

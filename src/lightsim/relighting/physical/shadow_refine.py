@@ -38,11 +38,11 @@ _LARGEST_IMAGE_LOGIT = 4.0
 # Weight of the neighbours' vote.
 _SMOOTHNESS_LOGIT = 8.0
 # Radius of the neighbourhood as a fraction of the image width.
-_NEIGHBOURHOOD_SHARE = 1 / 100
+_NEIGHBOURHOOD_FRACTION = 1 / 100
 # Radius, as a fraction of the width, over which base colour is calibrated on the image.
-_CALIBRATION_SHARE = 1 / 16
+_CALIBRATION_FRACTION = 1 / 16
 # Width of a strip, as a fraction of the image width, below which a change is taken for noise.
-_SMALLEST_SHARE = 1 / 240
+_SMALLEST_FRACTION = 1 / 240
 # Rounds of calibration, evidence and vote.
 _ITERATIONS = 5
 # Sun light below this fraction of the other light is left as rendered.
@@ -86,7 +86,7 @@ def _changed_fraction(
 ) -> Float32[np.ndarray, "h w"]:
     """1 where lit and shadowed are exchanged, fading to 0 beside: elsewhere rendered edges are
     sharper than found ones. Specks are left out."""
-    smallest = max(2, round(rendered.shape[1] * _SMALLEST_SHARE))
+    smallest = max(2, round(rendered.shape[1] * _SMALLEST_FRACTION))
     is_changed = (visibility > 0.5) != (rendered > 0.5)
     is_changed = ndimage.binary_opening(is_changed, np.ones((smallest, smallest)))
     grown = np.asarray(ndimage.binary_dilation(is_changed, np.ones((3, 3))))
@@ -133,8 +133,8 @@ def _infer(
 ) -> Float32[np.ndarray, "h w"]:
     """Mean-field inference: `residual` is log(image / unlit model), `step` what sun adds to it."""
     width = residual.shape[1]
-    near = max(1, round(width * _NEIGHBOURHOOD_SHARE))
-    far = max(2, round(width * _CALIBRATION_SHARE))
+    near = max(1, round(width * _NEIGHBOURHOOD_FRACTION))
+    far = max(2, round(width * _CALIBRATION_FRACTION))
     weight = is_open.astype(np.float32)
     guide = np.log(np.maximum(brightness, _DARKEST)).astype(np.float32)
     visibility = _sigmoid(prior)

@@ -130,8 +130,8 @@ def reflectance(normals, towards_camera, towards_light, alphas, out):
         hx, hy, hz = hx / length, hy / length, hz / length
         squared = alphas[p] * alphas[p]
         # 1 - hz^2 from the tangential part: the plain difference loses all digits at hz = 1.
-        upsampling = hx * hx + hy * hy + squared * hz * hz
-        density = squared / (np.pi * upsampling * upsampling)
+        spread = hx * hx + hy * hy + squared * hz * hz
+        density = squared / (np.pi * spread * spread)
         masked = 1.0 + _smith(x, y, z, alphas[p]) + _smith(lx, ly, lz, alphas[p])
         out[p, 0] = density / (4.0 * z * masked)
         out[p, 1] = (1.0 - min(max(lx * hx + ly * hy + lz * hz, 0.0), 1.0)) ** 5
