@@ -108,7 +108,7 @@ def inpaint_tensors(batch: LightingBatch, device: torch.device) -> InpaintTensor
 def train_inpaint(
     data: LightingData, config: InpaintConfig, session: Session
 ) -> tuple[dict[str, Tensor], int]:
-    """Train from the checkpointer's last state on; the generator's averaged weights and the steps done.
+    """Train from the last checkpoint on; the generator's averaged weights and the steps done.
 
     Every step draws its batch from (seed, step) alone: an interrupted run that goes on gives the
     very same weights on the CPU.

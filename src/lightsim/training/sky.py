@@ -67,7 +67,7 @@ def train_sky(
     session: Session,
     complete: Completion | None = None,
 ) -> int:
-    """Train the recipe's network in place, going on from the checkpointer's last state; the steps done.
+    """Train the recipe's network in place from the last checkpoint on; the steps done.
 
     Args:
         recipe: what to train.
