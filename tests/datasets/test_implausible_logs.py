@@ -90,7 +90,7 @@ def folder_instead(name: str) -> Break:
     return apply
 
 
-def transformed(camera: str, metres: float, entries: slice = slice(1, 2)) -> Break:
+def moved(camera: str, metres: float, entries: slice = slice(1, 2)) -> Break:
     def change(poses: list[Any]) -> list[Any]:
         for pose in poses[entries]:
             pose["position"]["x"] += metres

@@ -47,7 +47,7 @@ def _fit(evidence: LightEvidence, rng: np.random.Generator, **hints: float) -> S
     return fit_sun(evidence, evidence.diffuse_light(even_sky), SKY, rng, **hints)
 
 
-@pytest.mark.parametrize("wrong_share", [0.0, 0.15])
+@pytest.mark.parametrize("wrong_fraction", [0.0, 0.15])
 def test_a_known_sun_is_recovered_from_noisy_pairs(rng: np.random.Generator, wrong_fraction: float):
     fit = _fit(_evidence(rng, SUN, 0.1, wrong_fraction), rng)
     assert fit.kind == "direct"
