@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lightsim.core.mesh import concatenate_meshes
-from lightsim.core.scenario import Scenario
+from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
 from lightsim.evaluate.closure import measure_closure, surface_classes
@@ -75,7 +75,7 @@ def test_a_street_with_true_sky_geometry_and_base_colour_closes() -> None:
     frame = CameraFrame("test", "00", 0, view, no_image)
     config = TransportConfig(sky_rays=128)
     renderer = FrameRenderer(street, plane(cells=0), config, 0)
-    scenario = Scenario("street", (frame,), ())
+    scenario = Scenario("street", (ScenarioFrame.of(frame, "rendered"),), ())
     buffers, (light,) = renderer.render(scenario, frame, lens, [sky])
     shot = Shot(sky, 96, 1, "diffuse", is_antialiased=False)
     (seen,) = PathTracer("scalar_rgb").shoot(renderer.scene(scenario, 0), lens, view, [shot], 0)

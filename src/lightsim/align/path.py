@@ -186,11 +186,11 @@ def _jacobian(
     """Change of each residual with the knots: its return's minus the mean of its neighbours'."""
     normals, near = matches.normals[part], matches.neighbours[part]
     rows = np.zeros((len(normals), len(correction.times_ns), 6), dtype=np.float32)
-    fraction = (near >= 0) / (near >= 0).sum(axis=1, keepdims=True)
+    weight = (near >= 0) / (near >= 0).sum(axis=1, keepdims=True)
     own = asked.rows(matches.rows[part])
     _add_motion(rows, correction, own, normals, np.ones(len(normals)))
     for k in range(near.shape[1]):
-        _add_motion(rows, correction, reference.rows(near[:, k]), normals, -fraction[:, k])
+        _add_motion(rows, correction, reference.rows(near[:, k]), normals, -weight[:, k])
     return rows.reshape(len(normals), -1)
 
 
@@ -199,16 +199,16 @@ def _add_motion(
     correction: PathCorrection,
     points: Cloud,
     normals: Float64[np.ndarray, "n 3"],
-    fraction: Float64[np.ndarray, " n"],
+    weight: Float64[np.ndarray, " n"],
 ) -> None:
-    """Add how `fraction` of points moves along the normals with the two knots around their time."""
+    """Add how `weight` of points moves along the normals with the two knots around their time."""
     spacing = float(correction.times_ns[1] - correction.times_ns[0])
     place = (points.times_ns - correction.times_ns[0]) / spacing
     last = len(correction.times_ns) - 2
     knot = np.clip(np.floor(place), 0, last).astype(np.int64)
     fraction = np.clip(place - knot, 0.0, 1.0)
     turn = np.cross(points.points_world - correction.pivot_world, normals)
-    motion = np.concatenate([turn, normals], axis=1) * fraction[:, None]
+    motion = np.concatenate([turn, normals], axis=1) * weight[:, None]
     index = np.arange(len(rows))
     rows[index, knot] += motion * (1.0 - fraction)[:, None]
     rows[index, knot + 1] += motion * fraction[:, None]
