@@ -118,7 +118,7 @@ def _pictures(cache: Path, per_sky: int) -> None:
             if name.startswith("GPS"):
                 sun = _known_sun(true_sun, posterior.sunny_probability)
             prediction = said if "network" in name else None
-            sky = estimate_sky(panorama, sun, None, SkyConfig(height_px=64), prediction=prediction)
+            sky, _ = estimate_sky(panorama, sun, SkyConfig(height_px=64), prediction=prediction)
             peak = float(np.log(luminance(resized(sky.dome, 64).radiance).max()))
             rows.append(
                 {
@@ -195,10 +195,10 @@ def _log(work: Path, truth: Path | None) -> None:
     from lightsim.pipeline.source_sun import SourceSunConfig, find_source_sun
     from lightsim.pipeline.stages.light import SkyStageConfig, source_sky
     from lightsim.pipeline.workspace import Workspace
-    from lightsim.synthetic.reader import true_source_sky
+    from lightsim.synthetic.reader import true_sky
 
     workspace = Workspace(work)
-    true_dome = true_source_sky(truth) if truth is not None else None
+    true_dome = true_sky(truth) if truth is not None else None
     _say("| GPS | angle deg | 90 % radius | P(sunny) | sun log error (std) | sky log error "
          "| sphere si-RMSE | shadow si-RMSE |")  # fmt: skip
     _say("|---|---:|---:|---:|---:|---:|---:|---:|")

@@ -91,7 +91,7 @@ def tiny_world(
     log = DrivingLog("tiny", {"above": LENS}, frames, (), ego, (track,), None, {})
     background = plane(60.0, 1, GROUND) if background is None else background
     assets = SceneAssets(background, {"car": asset}, {"above": GAIN})
-    estimate = SkyEstimate(sky, None, 0.0, "image", 0.0, 0.0, np.zeros(3, np.float32))
+    estimate = SkyEstimate(sky, None, 0.0, "image", 0.0, 0.0, np.zeros(3, np.float32), 0.0)
     logs = dict.fromkeys(("log", "recorded_log", "training_log"), log)
     twin = DigitalTwin(log, assets, estimate)
     return TinyWorkspace(twin=twin, assets=assets, sky=estimate, **logs | values)

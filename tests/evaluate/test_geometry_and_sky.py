@@ -157,7 +157,7 @@ SUN = Sun(direction_enu(120.0, 40.0), np.array([5.0, 4.6, 4.0], np.float32))
 
 
 def estimate(dome: SkyDome) -> SkyEstimate:
-    return SkyEstimate(dome, 120.0, 40.0, "gps+time", 0.3, 0.2, np.ones(3, np.float32), notes=())
+    return SkyEstimate(dome, 120.0, 40.0, "gps+time", 0.3, 0.2, np.ones(3, np.float32), 0.1, ())
 
 
 def dome(sun: Sun = SUN, sky: float = 0.4) -> SkyDome:

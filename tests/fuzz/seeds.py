@@ -204,5 +204,5 @@ def _sky() -> SkyEstimate:
     sun = Sun(np.array([0.0, 0.6, 0.8]), np.array([60.0, 50.0, 40.0], np.float32))
     dome = add_sun(np.full((16, 32, 3), 0.25, np.float32), sun)
     return SkyEstimate(
-        dome, 0.0, 53.13, "image", 3.0, 0.3, np.full(3, 0.7, np.float32), ("a note",)
+        dome, 0.0, 53.13, "image", 3.0, 0.3, np.full(3, 0.7, np.float32), 0.1, ("a note",)
     )

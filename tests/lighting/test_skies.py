@@ -120,7 +120,7 @@ def test_the_dome_of_a_partly_seen_clear_sky_matches_the_truth():
         panorama.is_clipped & seen,
     )
     sun = SunDirection(direction, 250.0, 40.0, "gps+time", 0.1)
-    sky = estimate_sky(panorama, sun, None, SkyConfig(height_px=128))
+    sky, _ = estimate_sky(panorama, sun, SkyConfig(height_px=128))
     _, true_sun = split_sun(truth)
     assert true_sun is not None
     expected = truth.horizontal_irradiance() - true_sun.irradiance * direction[2]

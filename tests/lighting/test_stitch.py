@@ -14,14 +14,11 @@ from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.equirect import pixel_directions
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.log import DrivingLog
-from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame, RollingShutter
-from lightsim.core.twin import Panorama, SceneAssets
+from lightsim.core.twin import Panorama
 from lightsim.errors import InputError
 from lightsim.lighting.panorama.overlaps import sky_factors
 from lightsim.lighting.panorama.stitch import StitchConfig, stitch_panorama
-from lightsim.lighting.sun.evidence import EvidenceConfig, Surroundings, collect_evidence
-from lightsim.render.casters.embree import make_embree_caster
 
 HALF_M = 6.0
 GAIN = np.array([1.2, 0.9, 1.1], np.float32)
@@ -195,43 +192,3 @@ def test_moving_actors_are_left_out():
 def test_a_camera_without_gain_is_refused():
     with pytest.raises(InputError, match="gain"):
         stitch_panorama(_log(GAIN), {}, _depth, _sky_matte, StitchConfig(height_px=32))
-
-
-def test_evidence_knows_lit_from_shadowed(rng: np.random.Generator):
-    floor = TriMesh(
-        "world",
-        np.array([[-50, -50, -1], [50, -50, -1], [0, 80, -1]], np.float32),
-        np.array([[0, 1, 2]], np.int32),
-        np.full((3, 3), 0.3, np.float32),
-    )
-    log = _log(GAIN)
-    assets = SceneAssets(floor, {}, {name: GAIN for name in log.cameras})
-    config = EvidenceConfig(sample_count=16000, frame_count=2)
-    sun = np.array([0.0, 0.0, 1.0])
-    plate = TriMesh(
-        "world",
-        np.array([[2, -1, 1], [4, -1, 1], [4, 1, 1], [2, 1, 1]], np.float32),
-        np.array([[0, 1, 2], [0, 2, 3]], np.int32),
-        np.full((4, 3), 0.5, np.float32),
-    )
-    evidence = collect_evidence(
-        log, assets, make_embree_caster, sun, config, rng, around=Surroundings((), [plate])
-    )
-    assert (evidence.position_world[:, 2] < -0.9).all()
-    x, y = evidence.position_world[:, 0], evidence.position_world[:, 1]
-    under = (np.abs(x - 3.0) < 1.0) & (np.abs(y) < 1.0)
-    assert under.sum() > 20
-    np.testing.assert_array_equal(evidence.is_lit, ~under)
-    np.testing.assert_allclose(evidence.normal_world, np.tile(sun, (len(evidence), 1)), atol=1e-6)
-    np.testing.assert_allclose(
-        evidence.radiance, np.tile([0.25, 0.2, 0.15], (len(x), 1)), atol=0.01
-    )
-    # A 2 x 2 m plate 2 m above a point hides 4 A / pi of the cosine-weighted hemisphere.
-    far = np.hypot(x - 3.0, y) > 12.0
-    assert evidence.sky_visibility[far].mean() > 0.97
-    assert 0.6 < evidence.sky_visibility[under].mean() < 0.9
-    # What hides the sky shines as it was seen.
-    hidden = 1 - evidence.sky_visibility[under]
-    np.testing.assert_allclose(
-        evidence.surface_light[under], np.pi * 0.5 * np.tile(hidden[:, None], 3), rtol=1e-5
-    )

@@ -31,7 +31,7 @@ def twin() -> DigitalTwin:
     assets = SceneAssets(replace(mesh, frame="world"), actors, {})
     dome = SkyDome(np.ones((8, 16, 3), np.float32), None)
     return DigitalTwin(
-        log, assets, SkyEstimate(dome, None, 30.0, "image", 5.0, 1.0, np.ones(3, np.float32))
+        log, assets, SkyEstimate(dome, None, 30.0, "image", 5.0, 1.0, np.ones(3, np.float32), 0.1)
     )
 
 

@@ -22,7 +22,7 @@ def estimate() -> SkyEstimate:
     sky = np.full((128, 256, 3), 0.25, np.float32)
     sun = Sun(np.array([0.0, 0.6, 0.8]), np.array([600.0, 500.0, 400.0], np.float32))
     level = irradiance(sky, UP).astype(np.float32)
-    return SkyEstimate(add_sun(sky, sun), 0.0, 53.13, "image", 3.0, 0.3, level, ("a note",))
+    return SkyEstimate(add_sun(sky, sun), 0.0, 53.13, "image", 3.0, 0.3, level, 0.1, ("a note",))
 
 
 def test_a_sun_beyond_half_floats_comes_back_exactly(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ def _twin(assets: SceneAssets) -> DigitalTwin:
     ego = Trajectory("world", "ego", times_ns, matrices)
     log = DrivingLog("log", {}, (), (), ego, tracks, None, {})
     dome = SkyDome(np.ones((2, 4, 3), np.float32), None)
-    sky = SkyEstimate(dome, None, 10.0, "image", 1.0, 1.0, np.ones(3, np.float32))
+    sky = SkyEstimate(dome, None, 10.0, "image", 1.0, 1.0, np.ones(3, np.float32), 0.1)
     return DigitalTwin(log, assets, sky)
 
 

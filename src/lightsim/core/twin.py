@@ -78,6 +78,7 @@ class SkyEstimate:
         uncertainty_deg: one standard deviation of the sun direction.
         sun_irradiance_log_std: one standard deviation of the log of the sun's irradiance.
         sky_irradiance: RGB on level ground, sun excluded.
+        sky_irradiance_log_std: one standard deviation of the log of its luminance.
         notes: which evidence was used and what was assumed.
     """
 
@@ -88,6 +89,7 @@ class SkyEstimate:
     uncertainty_deg: float
     sun_irradiance_log_std: float
     sky_irradiance: Float32[np.ndarray, "3"]
+    sky_irradiance_log_std: float
     notes: tuple[str, ...] = ()
 
 
@@ -98,17 +100,16 @@ class LightFreedom:
     Args:
         unseen: of each pixel of the dome, 1 where no camera saw the sky, 0 where the dome shows
             what was seen.
-        sun_log_std: one standard deviation of the log of the sun's irradiance at a given sky.
-        unseen_log_std: the same of the radiance of the unseen sky.
-        sun_follows: d log sun / d log unseen sky of the estimate: 0 where the sun was found on
-            its own, 1 where it was set in proportion to the sky.
+        unseen_log_std: one standard deviation of the log of the radiance of the unseen sky.
+        log_clear_sun: log of a clear sun's irradiance at the estimated sky over the estimate's.
+        sun_log_std: one standard deviation of the log of a clear sun over the sky.
         cloud_probability: that cloud dims the sun.
     """
 
     unseen: Float32[np.ndarray, "h w"]
-    sun_log_std: float
     unseen_log_std: float
-    sun_follows: float
+    log_clear_sun: float
+    sun_log_std: float
     cloud_probability: float
 
 

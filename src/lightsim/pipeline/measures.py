@@ -45,7 +45,7 @@ from lightsim.render.image import sky_image
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.scenario.replay import replay
 from lightsim.store.artefact import read_json, write_json
-from lightsim.synthetic.reader import read_true_meshes, true_source_sky
+from lightsim.synthetic.reader import read_true_meshes, true_sky
 
 LoadMask = Bool[np.ndarray, "h w"]
 MEASURES_NAME = "measures.json"
@@ -253,7 +253,7 @@ def sky(workspace: Workspace, truth: Path | None) -> SkyReport:
     blob = find_sun_blob(workspace.panorama, near)
     return evaluate_sky(
         estimate,
-        truth=None if truth is None else true_source_sky(truth),
+        truth=None if truth is None else true_sky(truth),
         ephemeris_world=ephemeris,
         observed_sun_world=None if blob is None else blob.direction_world,
     )

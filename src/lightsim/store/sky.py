@@ -67,6 +67,7 @@ def write_sky(folder: Path, sky: SkyEstimate, dome_name: str = "source.exr") -> 
             "direction_world": None if sun is None else sun.direction_world.tolist(),
             "irradiance": None if sun is None else sun.irradiance.tolist(),
             "sky_irradiance": sky.sky_irradiance.tolist(),
+            "sky_irradiance_log_std": sky.sky_irradiance_log_std,
             "origin": sky.origin,
             "uncertainty_deg": sky.uncertainty_deg,
             "irradiance_log_std": sky.sun_irradiance_log_std,
@@ -97,6 +98,7 @@ def read_estimate(folder: Path) -> SkyEstimate:
         value.number("uncertainty_deg"),
         value.number("irradiance_log_std"),
         value.numbers("sky_irradiance", (3,)).astype(np.float32),
+        value.number("sky_irradiance_log_std"),
         value.texts("notes"),
     )
 

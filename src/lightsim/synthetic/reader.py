@@ -25,14 +25,16 @@ def read_true_meshes(path: Path) -> dict[str, TriMesh]:
     return meshes
 
 
-def true_source_sky(truth: Path) -> SkyDome:
-    """The sky that a synthetic log was recorded under.
+def true_sky(truth: Path, name: str = "source") -> SkyDome:
+    """The sky that a synthetic log was recorded under, or one of those it was rendered anew under.
 
     Raises:
         InputError, ArtefactError: `truth` is not a folder that `lightsim synthesize` wrote.
     """
     # The disc is smaller than a pixel of the file: its exact direction stands beside it.
-    beside = read_json(truth / "skies" / "source.json")
+    beside = read_json(truth / "skies" / f"{name}.json")
+    dome = read_hdr(truth / "skies" / f"{name}.exr")
+    if beside["direction_world"] is None:
+        return SkyDome(dome, None)
     direction = np.array(beside["direction_world"], dtype=np.float64)
-    sun = Sun(direction, np.array(beside["irradiance"], dtype=np.float32))
-    return SkyDome(read_hdr(truth / "skies" / "source.exr"), sun)
+    return SkyDome(dome, Sun(direction, np.array(beside["irradiance"], dtype=np.float32)))

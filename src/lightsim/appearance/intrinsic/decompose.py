@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 
 from lightsim.appearance.intrinsic.balance import balance_light
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
@@ -139,16 +139,18 @@ def find_balance(
     mesh: TriMesh,
     light_at: LightAt,
     freedom: LightFreedom,
+    path_world: Float[np.ndarray, "p 3"],
     config: IntrinsicConfig,
     rng: np.random.Generator,
     *,
     returns: LidarReturns | None = None,
 ) -> LightBalance:
-    """The sun and the unseen sky that lit and shadowed patches of a mesh ask for.
+    """The sun and the unseen sky that shadows and known materials on a mesh ask for.
 
     Args:
-        mesh, light_at, returns: as for `decompose`.
+        mesh, light_at, returns: as for `decompose`; frame `world`.
         freedom: how far the light may be off.
+        path_world: positions of the cameras along the drive.
     """
     faces = _labelled_faces(mesh)
     if len(faces) == 0:
@@ -157,7 +159,7 @@ def find_balance(
     if len(surfels) < _LEAST_SURFELS:
         return LightBalance.unchanged()
     observed, _ = _observe(surfels, light_at, config, rng, returns)
-    return balance_light(observed, freedom, config)
+    return balance_light(observed, freedom, path_world, config)
 
 
 def _labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:

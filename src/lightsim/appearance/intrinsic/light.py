@@ -89,21 +89,22 @@ LightAt = Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]], Surface
 
 @dataclass(frozen=True, eq=False)
 class LightBalance:
-    """Factors on an estimated light at which lit and shadowed sides of a surface agree.
+    """Factors on an estimated light that shadows and known materials ask for.
 
     Args:
         sun: RGB, on the sun's irradiance.
         unseen_sky: RGB, on the radiance of the sky where no camera saw it.
-        log_std: one standard deviation of the log of sun over sky.
-        pair_count: lit/shadowed pairs behind it; 0 says that nothing was found.
+        sun_log_std, unseen_sky_log_std: one standard deviation of their logs.
+        pair_count: lit/shadowed pairs behind it.
     """
 
     sun: Float64[np.ndarray, "3"]
     unseen_sky: Float64[np.ndarray, "3"]
-    log_std: float
+    sun_log_std: float
+    unseen_sky_log_std: float
     pair_count: int
 
     @staticmethod
     def unchanged() -> LightBalance:
         """The estimated light as it is."""
-        return LightBalance(np.ones(3), np.ones(3), np.inf, 0)
+        return LightBalance(np.ones(3), np.ones(3), np.inf, np.inf, 0)

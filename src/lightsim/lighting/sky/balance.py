@@ -25,13 +25,15 @@ def rebalanced(
     sun_factor: Float[np.ndarray, "3"],
     unseen_factor: Float[np.ndarray, "3"],
     *,
-    log_std: float,
+    sun_log_std: float,
+    unseen_log_std: float,
     note: str,
 ) -> SkyEstimate:
     """The estimate with RGB factors on its sun and on its unseen sky.
 
     Args:
-        log_std: one standard deviation of the log of the new sun's irradiance.
+        sun_log_std, unseen_log_std: one standard deviation of the logs of the new sun and of the
+            new unseen sky.
         note: says why.
     """
     sky, sun = split_sun(estimate.dome)
@@ -39,6 +41,8 @@ def rebalanced(
     changed = (sky * factor).astype(np.float32)
     upper = changed.copy()
     upper[len(upper) // 2 :] = 0.0
+    level = irradiance(upper, _UP)
+    unseen = irradiance((upper * freedom.unseen[..., None]).astype(np.float32), _UP)
     dome = SkyDome(changed, None)
     if sun is not None:
         light = (sun.irradiance * sun_factor).astype(np.float32)
@@ -46,7 +50,8 @@ def rebalanced(
     return replace(
         estimate,
         dome=dome,
-        sun_irradiance_log_std=log_std,
-        sky_irradiance=irradiance(upper, _UP).astype(np.float32),
+        sun_irradiance_log_std=sun_log_std,
+        sky_irradiance=level.astype(np.float32),
+        sky_irradiance_log_std=unseen_log_std * float(unseen.sum() / max(level.sum(), 1e-12)),
         notes=(*estimate.notes, note),
     )

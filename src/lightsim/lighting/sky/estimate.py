@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
@@ -16,19 +16,13 @@ from lightsim.core.twin import LightFreedom, Panorama, SkyEstimate
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.blend import blend_observed, shrink_masked, unseen_weight
 from lightsim.lighting.sky.clear_sky import clear_sky_parts, overcast_shape, with_ground
-from lightsim.lighting.sky.fit import SunFit, fit_sun
 from lightsim.lighting.sun.direction import SunDirection, find_sun_blob
-from lightsim.lighting.sun.evidence import LightEvidence
 from lightsim.progress import Progress, SilentProgress
 
 _USUAL_TURBIDITY, _USUAL_LOG_STD = 3.0, 0.8
 """Of clear skies; spread of the ratio of sun to sky among them."""
 _CLOUD_LOG_FACTOR = float(np.log(0.15))
 """What clouds before the sun leave of it."""
-_PAIRED_SUN_FOLLOWS = 0.5
-"""d log sun / d log sky of a sun that pairs told: about half of the light in shadows comes from the
-surfaces around, which is known. On the demo street the true sky in place of the estimate gives
-0.56."""
 _PEAK_ROWS = 64
 """Rows of the domes that networks predict peaks of (lighting/sample.py)."""
 
@@ -75,47 +69,49 @@ class AnalyticFit:
     observed_count: int
 
 
+@dataclass(frozen=True, eq=False)
+class _SunStrength:
+    """What skies tell of their sun, before any shadow was looked at.
+
+    Args:
+        irradiance: RGB, with the likely part of cloud before it.
+        log_std: one standard deviation of the log of its luminance.
+        log_clear: log of a clear sun over `irradiance`.
+        clear_log_std: one standard deviation of the log of a clear sun.
+        notes: what was seen.
+    """
+
+    irradiance: Float32[np.ndarray, "3"]
+    log_std: float
+    log_clear: float
+    clear_log_std: float
+    notes: tuple[str, ...]
+
+
 def estimate_sky(
     panorama: Panorama,
     sun: SunDirection,
-    evidence: LightEvidence | None,
-    config: SkyConfig,
-    *,
-    prediction: SkyPrediction | None = None,
-    progress: Progress | None = None,
-) -> SkyEstimate:
-    """The source sky in scene units; see `solve_sky`."""
-    return solve_sky(panorama, sun, evidence, config, prediction=prediction, progress=progress)[0]
-
-
-def solve_sky(
-    panorama: Panorama,
-    sun: SunDirection,
-    evidence: LightEvidence | None,
     config: SkyConfig,
     *,
     prediction: SkyPrediction | None = None,
     progress: Progress | None = None,
 ) -> tuple[SkyEstimate, LightFreedom]:
-    """The source sky in scene units, and how far it may be off.
+    """The source sky in scene units as far as the sky tells it, and how far it may be off.
 
     An analytic clear + overcast sky is fitted per channel to the observed, unsaturated sky; where
     sky was seen, the dome shows it. The lower half is the mean of what was seen below the horizon.
-    The sun's strength comes from lit/shadowed pairs (`fit_sun`); without pairs it is that of clear
-    skies, dimmed by the probability of cloud, and of a network's `prediction` where there is one
-    (in the panorama's unit); its uncertainty says so.
+    The sun is that of clear skies, dimmed by the probability of cloud, and that of a network's
+    `prediction` where there is one (in the panorama's unit); its uncertainty says so. Shadows and
+    materials, where a log has them, say more (appearance.intrinsic.balance).
     """
-    steps = (progress or SilentProgress()).track(range(3), "estimating the sky")
+    steps = (progress or SilentProgress()).track(range(2), "estimating the sky")
     next(steps)
     analytic = fit_analytic_sky(panorama, sun.direction_world, config)
     next(steps)
     sky = blend_observed(panorama, analytic.radiance)
     ground = _ground_radiance(panorama, sky, _GROUND_ALBEDO)
-    up = np.array([0.0, 0.0, 1.0])
-    sky_irradiance = irradiance(sky, up)
-    next(steps)
-    strength = _sun_strength(analytic, evidence, sky, sun)
-    if strength.kind == "analytic" and prediction is not None:
+    strength = _usual_sun(analytic, sky, sun)
+    if prediction is not None:
         strength = _with_prediction(strength, prediction)
     dome = add_sun(with_ground(sky, ground), Sun(sun.direction_world, strength.irradiance))
     for _ in steps:
@@ -128,48 +124,24 @@ def solve_sky(
         sun.origin,
         sun.uncertainty_deg,
         float(np.hypot(strength.log_std, level_log_std)),
-        sky_irradiance.astype(np.float32),
+        irradiance(sky, np.array([0.0, 0.0, 1.0])).astype(np.float32),
+        level_log_std,
         (*sun.notes, *_sky_notes(panorama, analytic, sun), *strength.notes),
     )
     return estimate, LightFreedom(
         unseen_weight(panorama, config.height_px).astype(np.float32),
-        strength.log_std,
         level_log_std,
-        1.0 if strength.kind == "analytic" else _PAIRED_SUN_FOLLOWS,
+        strength.log_clear,
+        strength.clear_log_std,
         0.5 if sun.sunny_probability is None else 1.0 - sun.sunny_probability,
     )
 
 
-def _sun_strength(
-    analytic: AnalyticFit,
-    evidence: LightEvidence | None,
-    sky: Float32[np.ndarray, "h w 3"],
-    sun: SunDirection,
-) -> SunFit:
-    """The fit to shadows, or the analytic sun with a wide uncertainty."""
-    notes: tuple[str, ...] = ()
-    if evidence is not None and len(evidence):
-        fit = fit_sun(
-            evidence,
-            evidence.diffuse_light(sky),
-            irradiance(sky, np.array([0.0, 0.0, 1.0])),
-            np.random.default_rng(0),
-            sunny_probability=sun.sunny_probability,
-        )
-        if fit.kind != "unknown":
-            return fit
-        notes = fit.notes
-    return _usual_sun(analytic, sky, sun, notes)
-
-
 def _usual_sun(
-    analytic: AnalyticFit,
-    sky: Float32[np.ndarray, "h w 3"],
-    sun: SunDirection,
-    notes: tuple[str, ...],
-) -> SunFit:
-    """Without shadows: the sun of the fitted clear part, as far as it fits, and the usual ratio
-    of sun to sky at that elevation; clouds, where likely, dim both."""
+    analytic: AnalyticFit, sky: Float32[np.ndarray, "h w 3"], sun: SunDirection
+) -> _SunStrength:
+    """The sun of the fitted clear part, as far as it fits, and the usual ratio of sun to sky at
+    that elevation; cloud, where likely, dims both."""
     up = np.array([0.0, 0.0, 1.0])
     radiance, clear = clear_sky_parts(
         sun.direction_world, _USUAL_TURBIDITY, _GROUND_ALBEDO, _FIT_HEIGHT_PX
@@ -182,19 +154,26 @@ def _usual_sun(
     sunny = sun.sunny_probability
     if sunny is None:
         sunny = 1.0 - analytic.overcast_fraction
-    log_sun = usual + weight * (fitted - usual) + (1.0 - sunny) * _CLOUD_LOG_FACTOR
+    log_clear = usual + weight * (fitted - usual)
+    log_cloud = (1.0 - sunny) * _CLOUD_LOG_FACTOR
     spread = abs(_CLOUD_LOG_FACTOR) * np.sqrt(sunny * (1.0 - sunny))
-    log_std = float(np.linalg.norm([np.sqrt(weight) * fit_std, spread, 0.2]))
+    clear_log_std = float(np.hypot(np.sqrt(weight) * fit_std, 0.2))
     rgb = clear.irradiance.astype(np.float64)
-    rgb *= np.exp(log_sun) / _grey(rgb)
+    rgb *= np.exp(log_clear + log_cloud) / _grey(rgb)
     note = (
-        f"no shadows tell the sun's strength: that of clear skies (turbidity"
-        f" {analytic.turbidity:g}), with probability {sunny:.2f} of no cloud before it"
+        f"the sky's own sun: that of clear skies (turbidity {analytic.turbidity:g}), with"
+        f" probability {sunny:.2f} of no cloud before it"
     )
-    return SunFit(rgb.astype(np.float32), log_std, "analytic", 0, (*notes, note))
+    return _SunStrength(
+        rgb.astype(np.float32),
+        float(np.hypot(clear_log_std, spread)),
+        -log_cloud,
+        clear_log_std,
+        (note,),
+    )
 
 
-def _with_prediction(strength: SunFit, prediction: SkyPrediction) -> SunFit:
+def _with_prediction(strength: _SunStrength, prediction: SkyPrediction) -> _SunStrength:
     """Joined with the brightest pixel that a network predicts, both weighted by their precision."""
     direction = prediction.sun_direction.astype(np.float64)
     row = int(np.arccos(np.clip(direction[2], 0.0, 1.0)) / np.pi * _PEAK_ROWS)
@@ -202,10 +181,15 @@ def _with_prediction(strength: SunFit, prediction: SkyPrediction) -> SunFit:
     peak_std = float(np.hypot(prediction.log_peak_std, 0.2))
     own = np.log(_grey(strength.irradiance))
     weight = strength.log_std**2 / (strength.log_std**2 + peak_std**2)
-    rgb = strength.irradiance * np.exp(weight * (peak - own))
+    change = float(weight * (peak - own))
     note = f"a network's peak is {peak - own:+.2f} from it (log; weight {weight:.2f})"
-    log_std = float(np.sqrt(weight) * peak_std)
-    return SunFit(rgb.astype(np.float32), log_std, "analytic", 0, (*strength.notes, note))
+    return replace(
+        strength,
+        irradiance=(strength.irradiance * np.exp(change)).astype(np.float32),
+        log_std=float(np.sqrt(weight) * peak_std),
+        log_clear=strength.log_clear - change,
+        notes=(*strength.notes, note),
+    )
 
 
 def _grey(rgb: Float[np.ndarray, "3"]) -> float:

@@ -54,7 +54,7 @@ def estimate_from_picture(
     """As `estimate_from_panorama`, of what `panorama_from_image` made of the picture."""
     if sun is None:
         sun = sun_direction(picture_sun(panorama, prediction), None)
-    return estimate_sky(panorama, sun, None, config, prediction=prediction)
+    return estimate_sky(panorama, sun, config, prediction=prediction)[0]
 
 
 def picture_sun(panorama: Panorama, prediction: SkyPrediction | None) -> SunPosterior:

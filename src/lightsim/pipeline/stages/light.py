@@ -17,17 +17,15 @@ from lightsim.core.twin import SkyEstimate
 from lightsim.lighting.panorama.stitch import StitchConfig, stitch_panorama
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.balance import rebalanced, unseen_part
-from lightsim.lighting.sky.estimate import SkyConfig, solve_sky
+from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
 from lightsim.lighting.sky.shipped import predict_sky
 from lightsim.lighting.sun.direction import SunDirection
-from lightsim.lighting.sun.evidence import EvidenceConfig, Surroundings, collect_evidence
 from lightsim.pipeline.assemble import build_twin
 from lightsim.pipeline.source_light import SourceLight, static_returns
 from lightsim.pipeline.source_sun import SourceSunConfig, find_source_sun
 from lightsim.pipeline.stages.context import Context
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
-from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.frame_renderer import parked_actor_meshes
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import make_static_scene, without_actors
@@ -44,10 +42,9 @@ LIDAR_RETURNS = 1_500_000
 
 @dataclass(frozen=True)
 class SkyStageConfig:
-    """Direction of the sun, evidence and fit of the source sky."""
+    """Direction of the sun, the sky that was seen, and what surfaces say of the light."""
 
     sun: SourceSunConfig = field(default_factory=SourceSunConfig)
-    evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
     sky: SkyConfig = field(default_factory=SkyConfig)
     irradiance: IrradianceConfig = field(default_factory=lambda: IRRADIANCE)
     """Light on the patches that say how sun and unseen sky compare."""
@@ -113,21 +110,11 @@ def source_sky(
     seed: int,
     progress: Progress,
 ) -> SkyEstimate:
-    """The dome of a log whose sun was found: strengths by lit and shadowed pixels of its frames,
-    then balanced by lit and shadowed patches of its surfaces."""
+    """The dome of a log whose sun was found: first what the sky tells, then with what shadows and
+    materials on its surfaces say of the sun and of the sky that no camera saw."""
     log = work.training_log
-    evidence = collect_evidence(
-        log,
-        work.assets,
-        make_embree_caster,
-        sun.direction_world,
-        config.evidence,
-        np.random.default_rng(seed),
-        around=Surroundings(parked_actor_meshes(log, work.assets), [work.inferred]),
-        progress=progress,
-    )
-    estimate, freedom = solve_sky(
-        work.panorama, sun, evidence, config.sky, progress=progress, prediction=prediction
+    estimate, freedom = estimate_sky(
+        work.panorama, sun, config.sky, progress=progress, prediction=prediction
     )
     source = SourceLight(
         log,
@@ -143,26 +130,31 @@ def source_sky(
         work.assets.background,
         source.on(RigidTransform.identity("world", "world")),
         freedom,
+        np.array([frame.world_from_camera.translation_m for frame in log.frames]),
         config.labels,
         rng,
         returns=static_returns(log, LIDAR_RETURNS, rng),
     )
-    if not balance.pair_count:
+    if np.isinf(balance.sun_log_std):
         return estimate
-    sun_factor, unseen_factor = (
-        ", ".join(f"{value:.2f}" for value in factor)
-        for factor in (balance.sun, balance.unseen_sky)
+    factors = (
+        f"({', '.join(f'{value:.2f}' for value in factor)}), log std {log_std:.2f}"
+        for factor, log_std in (
+            (balance.sun, balance.sun_log_std),
+            (balance.unseen_sky, balance.unseen_sky_log_std),
+        )
     )
     note = (
-        f"{balance.pair_count} lit/shadowed pairs of patches: sun times ({sun_factor}), unseen sky"
-        f" times ({unseen_factor}), log std {balance.log_std:.2f}"
+        f"{balance.pair_count} lit/shadowed pairs of patches and known materials: sun times"
+        f" {next(factors)}; unseen sky times {next(factors)}"
     )
     return rebalanced(
         estimate,
         freedom,
         balance.sun,
         balance.unseen_sky,
-        log_std=min(estimate.sun_irradiance_log_std, balance.log_std),
+        sun_log_std=balance.sun_log_std,
+        unseen_log_std=balance.unseen_sky_log_std,
         note=note,
     )
 
