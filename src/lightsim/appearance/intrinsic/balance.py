@@ -132,6 +132,7 @@ class _Path:
     def factors(
         self, ratio: Float64[np.ndarray, "3"]
     ) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+        """RGB factors on sun and unseen sky that change their ratio by `ratio`."""
         return ratio**self.sun, ratio**self.unseen_sky
 
     def log_density(self, log_ratio: float) -> float:
