@@ -57,7 +57,7 @@ def _foreign(folder: Path) -> None:
 
 
 def _warning(folder: Path) -> None:
-    np.float32(1e30) * np.float32(1e30)
+    _ = np.float32(1e30) * np.float32(1e30)
 
 
 def _blocked(folder: Path) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from lightsim.core.camera import PinholeCamera
 from lightsim.core.mesh import Provenance
 from lightsim.core.reading import LogReading
 from lightsim.core.scenario import Scenario
@@ -29,6 +30,7 @@ from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import SilentProgress
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.options import RendererChoice
+from lightsim.render.renderers import TracedFrame
 from lightsim.simulate.against_truth import TrueSurfaces
 from lightsim.simulate.buffers import render
 from lightsim.simulate.options import RelightOptions, RenderOptions
@@ -244,12 +246,12 @@ def test_faces_know_where_they_come_from(work: Path) -> None:
         pairs = [(assets.background, background)]
         pairs += [(assets.actors[a].mesh, actor.mesh) for a, actor in meshes.actors.items()]
         for later, first in pairs:
-            assert later.face_provenance is not None
-            assert first.face_provenance is not None
-            areas = [
-                np.bincount(m.face_provenance, face_areas_m2(m), len(Provenance))
-                for m in (later, first)
-            ]
+            areas = []
+            for mesh in (later, first):
+                assert mesh.face_provenance is not None
+                areas.append(
+                    np.bincount(mesh.face_provenance, face_areas_m2(mesh), len(Provenance))
+                )
             np.testing.assert_allclose(*areas, rtol=1e-4)
 
 
@@ -339,7 +341,9 @@ def test_several_skies_are_traced_once_and_come_out_as_one_by_one(
     traced: list[str] = []
     trace = FrameRenderer.trace
 
-    def counting(self: FrameRenderer, scenario: Scenario, frame: CameraFrame, camera: object):
+    def counting(
+        self: FrameRenderer, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera
+    ) -> TracedFrame:
         traced.append(frame.stem)
         return trace(self, scenario, frame, camera)
 
