@@ -129,17 +129,6 @@ class ReferenceRenderer:
         buffers = with_ambient_occlusion(buffers, table.ambient_occlusion)
         return ReferenceFrame(self, scene, frame, camera, buffers)
 
-    def render(
-        self,
-        scenario: Scenario,
-        frame: CameraFrame,
-        camera: PinholeCamera,
-        skies: Sequence[SkyDome],
-    ) -> tuple[GBuffers, list[ShadowBuffers]]:
-        """Geometry of a frame and its light under each sky, at pixel centres."""
-        traced = self.trace(scenario, frame, camera)
-        return traced.buffers, [traced.light(sky) for sky in skies]
-
     def shoot(self, traced: ReferenceFrame, shots: Sequence[Shot]) -> list[Picture]:
         """Pictures of a frame."""
         return self._tracer.shoot(traced.scene, traced.camera, traced.frame, shots, self._seed)
