@@ -24,7 +24,6 @@ from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import ArtefactError, InputError, MissingDependencyError
-from lightsim.geometry.surface import face_areas_m2
 from lightsim.pipeline.build import build, status
 from lightsim.pipeline.options import BuildOptions
 from lightsim.pipeline.workspace import Workspace
@@ -250,7 +249,7 @@ def test_faces_know_where_they_come_from(work: Path) -> None:
             for mesh in (later, first):
                 assert mesh.face_provenance is not None
                 areas.append(
-                    np.bincount(mesh.face_provenance, face_areas_m2(mesh), len(Provenance))
+                    np.bincount(mesh.face_provenance, mesh.face_areas_m2(), len(Provenance))
                 )
             np.testing.assert_allclose(*areas, rtol=1e-4)
 

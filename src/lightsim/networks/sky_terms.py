@@ -159,11 +159,11 @@ def fisher_loss(
 
 
 def heat_loss(
-    log_density: Float[Tensor, "n r w"], truth: Float[Tensor, "n 3"], blur_px: float = 1.0
+    log_density: Float[Tensor, "n r w"], truth: Float[Tensor, "n 3"]
 ) -> Float[Tensor, " n"]:
-    """Cross-entropy between a density over the pixels and a small spot at the truth."""
+    """Cross-entropy between a density over the pixels and a spot of one pixel at the truth."""
     rows = log_density.shape[1]
-    target = sun_lobe(truth, rows, blur_px)[:, 0] * row_weights(rows, truth.device)[:, 0]
+    target = sun_lobe(truth, rows, 1.0)[:, 0] * row_weights(rows, truth.device)[:, 0]
     target = target / target.sum(dim=(1, 2), keepdim=True)
     return -(target * log_density).sum(dim=(1, 2))
 

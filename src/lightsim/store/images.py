@@ -102,9 +102,9 @@ def write_png(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> None:
     _write_pil(path, picture, "PNG", compress_level=4)
 
 
-def write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"], quality: int = 92) -> None:
+def write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"]) -> None:
     """Write a JPEG of 8-bit sRGB, without chroma subsampling."""
-    _write_pil(path, srgb8, "JPEG", quality=quality, subsampling=0)
+    _write_pil(path, srgb8, "JPEG", quality=92, subsampling=0)
 
 
 def read_hdr(path: Path) -> Float32[np.ndarray, "h w 3"]:

@@ -94,13 +94,9 @@ class ReferenceRenderer:
         samples: int = 64,
         bounces: int = 4,
         seed: int = 0,
-        *,
-        inferred_is_visible: bool = False,
     ) -> None:
         shadow_only = [inferred] if len(inferred.faces) else []
-        self._static = make_static_scene(
-            [background], shadow_only, inferred_is_visible=inferred_is_visible
-        )
+        self._static = make_static_scene([background], shadow_only)
         self._tracer = tracer
         self._samples = samples
         self._bounces = bounces
