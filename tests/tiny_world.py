@@ -117,7 +117,8 @@ def rendered(work: TinyWorkspace, frame: CameraFrame, sky: SkyDome) -> tuple[GBu
     from lightsim.render.transport.matrix import TransportConfig
 
     renderer = FrameRenderer(work.assets.background, NOTHING, TransportConfig(), 0)
-    buffers, (light,) = renderer.render(scenario_of(work), frame, LENS, [sky])
+    traced = renderer.trace(scenario_of(work), frame, LENS)
+    buffers, light = traced.buffers, traced.light(sky)
     return buffers, light
 
 

@@ -11,7 +11,6 @@ from lightsim.appearance.atlas import (
     patches_of,
     texel_count,
     texels_of,
-    texture_texels,
 )
 from lightsim.core.mesh import Texture
 
@@ -32,7 +31,7 @@ def test_patches_do_not_overlap_and_fill_the_image(
     resolution: np.ndarray, rng: np.random.Generator
 ) -> None:
     texture = _texture(resolution, rng)
-    texels = texture_texels(texture)
+    texels = texels_of(patches_of(texture))
     assert len(np.unique(texels.pixel)) == len(texels.pixel) == texel_count(resolution).sum()
     height, width = texture.image.shape[:2]
     assert texels.pixel.max() < height * width
@@ -59,7 +58,7 @@ def test_look_up_is_linear_inside_a_face_and_reads_nothing_foreign(
 ) -> None:
     """Each face has its own linear colour; what lies between patches is far off."""
     texture = _texture(resolution, rng)
-    texels = texture_texels(texture)
+    texels = texels_of(patches_of(texture))
     slopes = rng.random((len(resolution), 3, 3)).astype(np.float32)
     poison = np.full((texture.image.shape[0] * texture.image.shape[1], 3), 10.0, np.float32)
     poison[texels.pixel] = (texels.barycentric[:, :, None] * slopes[texels.face]).sum(axis=1)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from plane_mesh import plane_mesh
 
-from lightsim.appearance.atlas import texture_texels
+from lightsim.appearance.atlas import patches_of, texels_of
 from lightsim.appearance.bake import TexelSamples, bake, mean_radiance
 from lightsim.appearance.bake_kernels import code_weight, weight_code
 from lightsim.appearance.config import AssetConfig
@@ -81,7 +81,7 @@ def _bake(
 def _texels(mesh: TriMesh) -> tuple[np.ndarray, np.ndarray]:
     """Position and colour of every texel."""
     assert mesh.texture is not None
-    texels = texture_texels(mesh.texture)
+    texels = texels_of(patches_of(mesh.texture))
     corners = mesh.vertices[mesh.faces[texels.face]]
     points = (texels.barycentric[:, :, None] * corners).sum(axis=1)
     return points, mesh.texture.image.reshape(-1, 3)[texels.pixel]
@@ -150,7 +150,7 @@ def test_texels_are_as_fine_as_the_pixels() -> None:
     assert resolution.max() <= 27
     (small,), _ = _bake(_log((), None), plane, {}, replace(CONFIG, max_texels=2000))
     assert small.texture is not None
-    assert 1500 < len(texture_texels(small.texture).face) <= 2000
+    assert 1500 < len(texels_of(patches_of(small.texture)).face) <= 2000
 
 
 def test_a_wrong_image_size_is_named() -> None:
@@ -193,7 +193,7 @@ def test_texture_look_up_gives_the_texels() -> None:
     (ground,), _ = _bake(_log((), None), plane_mesh(4.0, 1.0), {})
     texture = ground.texture
     assert isinstance(texture, Texture)
-    texels = texture_texels(texture)
+    texels = texels_of(patches_of(texture))
     inside = texels.barycentric.min(axis=1) >= 0
     found = texture.look_up(texels.face[inside], texels.barycentric[inside])
     expected = texture.image.reshape(-1, 3)[texels.pixel[inside]]

@@ -19,13 +19,13 @@ from lightsim.appearance.atlas import (
     texels_of,
 )
 from lightsim.appearance.intrinsic import surfels as intrinsic_surfels
-from lightsim.appearance.intrinsic.balance import light_blocks
 from lightsim.appearance.intrinsic.decompose import (
     Decomposition,
     IntrinsicConfig,
     SurfaceLight,
     decompose,
 )
+from lightsim.appearance.intrinsic.shadow_pairs import space_blocks
 from lightsim.appearance.intrinsic.surfels import connect, make_surfels
 from lightsim.core.mesh import Provenance, Texture, TriMesh, concatenate_meshes
 
@@ -103,7 +103,7 @@ def test_blocks_are_those_of_unique_rows(rng: np.random.Generator):
     position = rng.uniform(-30, 30, (2000, 3))
     rows = np.floor(position / 4.0)
     slow = np.unique(rows, axis=0, return_inverse=True)[1].ravel()
-    fast = np.unique(light_blocks(position, 4.0), return_inverse=True)[1].ravel()
+    fast = np.unique(space_blocks(position, 4.0), return_inverse=True)[1].ravel()
     np.testing.assert_array_equal(fast, slow)
 
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
+from tests.lighting.fake_skies import FakeSkies
 
 from journals import MemoryJournal
 from lightsim.baselines.sold_net import cell_of
@@ -16,9 +14,6 @@ from lightsim.networks.panorama import direction_map
 from lightsim.training.sky import SkyRecipe, SkyTrainConfig, train_sky
 from lightsim.training.sky_models import SkyKind, sky_recipe, weights_of
 from lightsim.training.sky_scores import SkyModel, evaluate_sky_networks
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "lighting"))
-from fake_skies import FakeSkies
 
 KINDS: tuple[SkyKind, ...] = ("nlfe", "nlfe_panorama", "sold_net")
 

@@ -21,11 +21,11 @@ def _track(actor_id: str) -> ActorTrack:
 
 def test_a_kind_is_at_most_one_of_vehicle_two_wheeler_and_person() -> None:
     for kind in ActorKind:
-        assert kind.is_vehicle + kind.is_two_wheeler + kind.is_person <= 1
-        assert not kind.is_rigid_body or not (kind.is_two_wheeler or kind.is_person)
+        assert kind.is_vehicle + kind.is_person <= 1
+        assert not kind.is_rigid_body or not kind.is_person
         assert kind.is_rigid_body or not kind.is_vehicle
     assert ActorKind.CONE.is_rigid_body
-    names = ("is_vehicle", "is_two_wheeler", "is_person", "is_rigid_body")
+    names = ("is_vehicle", "is_person", "is_rigid_body")
     assert not any(getattr(ActorKind.OTHER, name) for name in names)
 
 

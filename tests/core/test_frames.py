@@ -50,7 +50,7 @@ def test_quaternions_have_their_scalar_first() -> None:
 def test_unequal_inner_frames_are_refused() -> None:
     a = RigidTransform.identity("world", "ego")
     with pytest.raises(FrameMismatchError, match="'ego' and 'world'"):
-        a @ a
+        _ = a @ a
 
 
 @pytest.mark.parametrize(

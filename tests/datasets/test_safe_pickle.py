@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import gzip
 import io
-import os
 import pickle
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -68,10 +68,13 @@ class _OldIndex:
 def _old_new_index() -> None: ...
 
 
-class _OldPickler(pickle._Pickler):  # type: ignore[name-defined]
+_Pickler: Any = pickle._Pickler  # type: ignore[attr-defined] - unknown to the stubs
+
+
+class _OldPickler(_Pickler):
     """Writes our classes under the names that they stand for."""
 
-    dispatch = dict(pickle._Pickler.dispatch)  # type: ignore[attr-defined]  # noqa: RUF012
+    dispatch = dict(_Pickler.dispatch)  # noqa: RUF012
     names = {  # noqa: RUF012
         _OldFrame: "pandas.core.frame DataFrame",
         _OldManager: "pandas.core.internals.managers BlockManager",
@@ -107,7 +110,7 @@ class _RunsCode:
         self.marker = marker
 
     def __reduce__(self) -> tuple:
-        return os.system, (f"touch {self.marker}",)
+        return subprocess.call, (["touch", str(self.marker)],)
 
 
 def test_hostile_pickles_run_nothing(tmp_path: Path) -> None:
@@ -117,7 +120,7 @@ def test_hostile_pickles_run_nothing(tmp_path: Path) -> None:
     for value in (_RunsCode(marker), [_RunsCode(marker)], hidden):
         path = tmp_path / "evil.pkl.gz"
         path.write_bytes(gzip.compress(pickle.dumps(value)))
-        with pytest.raises(InputError, match=r"evil\.pkl\.gz.*nothing in it was run.*system"):
+        with pytest.raises(InputError, match=r"evil\.pkl\.gz.*nothing in it was run.*subprocess"):
             read_table(path, ())
     assert not marker.exists()
     pickle.loads(pickle.dumps(_RunsCode(marker)))

@@ -76,7 +76,8 @@ def test_a_street_with_true_sky_geometry_and_base_colour_closes() -> None:
     config = TransportConfig(sky_rays=128)
     renderer = FrameRenderer(street, plane(cells=0), config, 0)
     scenario = Scenario("street", (ScenarioFrame.of(frame, "rendered"),), ())
-    buffers, (light,) = renderer.render(scenario, frame, lens, [sky])
+    traced = renderer.trace(scenario, frame, lens)
+    buffers, light = traced.buffers, traced.light(sky)
     shot = Shot(sky, 96, 1, "diffuse", is_antialiased=False)
     (seen,) = PathTracer("scalar_rgb").shoot(renderer.scene(scenario, 0), lens, view, [shot], 0)
     surface = buffers.has_surface

@@ -104,14 +104,18 @@ def _other_array(array: np.ndarray, rng: Rng) -> tuple[np.ndarray | None, str]:
 
 
 def mutate_glb(path: Path, rng: Rng) -> str:
-    """The JSON chunk, the lengths, or bytes."""
+    """The JSON chunk, the lengths, or bytes; or other positions, which a reader must accept."""
     data = path.read_bytes()
-    if rng.random() < 0.4:
+    way = rng.random()
+    if way < 0.3:
         data, words = mutate_bytes(data, rng)
         path.write_bytes(data)
         return f"{path.name}: {words}"
     length = struct.unpack_from("<I", data, 12)[0]
     document = json.loads(data[20 : 20 + length])
+    if way < 0.55:
+        path.write_bytes(_scaled(data, document, 28 + length, float(rng.uniform(0.5, 2.0))))
+        return f"{path.name}: positions scaled"
     words_: list[str] = []
     for _ in range(int(rng.integers(1, 4))):
         document, word = mutate_tree(document, rng)
@@ -122,6 +126,19 @@ def mutate_glb(path: Path, rng: Rng) -> str:
     head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
     path.write_bytes(head + struct.pack("<I4s", len(text), b"JSON") + text + rest)
     return f"{path.name}: {'; '.join(words_)}"
+
+
+def _scaled(data: bytes, document: Any, binary: int, factor: float) -> bytes:
+    """All positions times a factor; `binary` is where buffers begin."""
+    changed = bytearray(data)
+    primitives = [p for mesh in document["meshes"] for p in mesh["primitives"]]
+    for index in {primitive["attributes"]["POSITION"] for primitive in primitives}:
+        accessor = document["accessors"][index]
+        view = document["bufferViews"][accessor["bufferView"]]
+        start = binary + view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        values = np.frombuffer(changed, "<f4", 3 * accessor["count"], start)
+        values *= np.float32(factor)
+    return bytes(changed)
 
 
 def mutate_safetensors(path: Path, rng: Rng) -> str:

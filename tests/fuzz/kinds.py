@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+
+from lightsim.store.artefact import RECORD_NAME, hash_file
 
 from .containers import mutate_glb, mutate_npz, mutate_safetensors
 from .mutations import Rng, mutate_bytes, mutate_json, mutate_text, pick
@@ -28,7 +31,7 @@ class Kind:
 
     Args:
         name: on the command line and in the table.
-        share: cases of this kind in each round of all kinds.
+        fraction: cases of this kind in each round of all kinds.
         make: fills a case's folder from the seeds, says what is damaged.
         read: reads the case; LightSimError is the only exception allowed.
     """
@@ -55,6 +58,25 @@ def _in_work(damage: Damage) -> Callable[[Seeds, Path, Rng], str]:
     def make(seeds: Seeds, folder: Path, rng: Rng) -> str:
         shutil.copytree(seeds.work, folder / "work")
         return damage(folder / "work", folder / CANARY_NAME, rng)
+
+    return make
+
+
+def _signed(damage: Damage) -> Damage:
+    """In half of the cases the records tell size and hash of the damaged files, as they would
+    from a stranger: else the check of hashes refuses all, and no reader behind it is tried."""
+
+    def make(folder: Path, canary: Path, rng: Rng) -> str:
+        words = damage(folder, canary, rng)
+        if rng.random() < 0.5:
+            return words
+        for path in _files(folder, RECORD_NAME):
+            record = json.loads(path.read_bytes())
+            for name in record["files"]:
+                file = path.parent / name
+                record["files"][name] = [file.stat().st_size, hash_file(file)]
+            path.write_text(json.dumps(record))
+        return f"{words}; signed"
 
     return make
 
@@ -150,11 +172,11 @@ KINDS: tuple[Kind, ...] = (
     Kind("sky exr", 2, _exr, read_sky_file),
     Kind("panorama", 2, _panorama, read_panorama_picture),
     Kind("work json", 4, _in_work(_json), read_artefacts),
-    Kind("work arrays", 3, _in_work(_arrays), read_artefacts),
-    Kind("work meshes", 3, _in_work(_meshes), read_artefacts),
-    Kind("work weights", 1, _in_work(_weights), read_artefacts),
-    Kind("work pictures", 1, _in_work(_picture), read_artefacts),
-    Kind("work source sky", 1, _in_work(_source_sky), read_artefacts),
+    Kind("work arrays", 3, _in_work(_signed(_arrays)), read_artefacts),
+    Kind("work meshes", 3, _in_work(_signed(_meshes)), read_artefacts),
+    Kind("work weights", 1, _in_work(_signed(_weights)), read_artefacts),
+    Kind("work pictures", 1, _in_work(_signed(_picture)), read_artefacts),
+    Kind("work source sky", 1, _in_work(_signed(_source_sky)), read_artefacts),
     Kind("work special files", 2, _in_work(_special), read_artefacts),
     Kind("options", 2, write_options_case, read_options_case),
 )

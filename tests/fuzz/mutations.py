@@ -216,9 +216,9 @@ def _change_entry(holder: Any, key: Any, rng: Rng) -> str:
         else:
             holder[pick(rng, list(holder))] = copy.deepcopy(old)
     elif way == "shortened":
-        del old[int(rng.integers(len(old))) if old else 0 :]
+        del holder[key][int(rng.integers(len(holder[key]))) if old else 0 :]
     elif way == "lengthened":
-        old.extend(old * int(2 ** rng.uniform(0, 6)))
+        holder[key] *= 1 + int(2 ** rng.uniform(0, 6))
     elif way == "emptied":
         holder[key] = []
     else:

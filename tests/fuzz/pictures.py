@@ -67,7 +67,7 @@ def _false_size(path: Path, rng: Rng) -> tuple[bytes, str]:
     """The size in the header is another than that of the pixels; a PNG's check sum is right."""
     data = bytearray(path.read_bytes())
     width, height = (int(pick(rng, (0, 1, 63, 4096, 30000, 65535))) for _ in range(2))
-    if data[:4] == b"\x89PNG":
+    if data.startswith(b"\x89PNG"):
         scale = int(pick(rng, (1, 1, 1 << 15)))
         data[16:24] = struct.pack(">II", width * scale, height * scale)
         data[29:33] = struct.pack(">I", zlib.crc32(bytes(data[12:29])))

@@ -29,7 +29,7 @@ from lightsim.store.artefact import write_json as write_own_json
 from lightsim.store.assets import write_assets, write_mesh
 from lightsim.store.checkpoint import FolderCheckpointer
 from lightsim.store.fields import write_fields
-from lightsim.store.images import write_grey8
+from lightsim.store.images import write_png
 from lightsim.store.log import write_log
 from lightsim.store.sky import write_panorama, write_sky
 from lightsim.store.twin import write_twin
@@ -112,7 +112,7 @@ class _Writers:
             (folder / frame.camera_name).mkdir(exist_ok=True)
             camera = self.log_.cameras[frame.camera_name]
             matte = np.full((camera.height_px, camera.width_px), 200, np.uint8)
-            write_grey8(folder / frame.camera_name / f"{frame.stem}.png", matte)
+            write_png(folder / frame.camera_name / f"{frame.stem}.png", matte)
         return ()
 
     def alignment(self, folder: Path) -> Iterable[str]:

@@ -10,7 +10,7 @@ import pytest
 from lightsim.core.fields import TsdfGrid
 from lightsim.core.mesh import Material, Provenance, TriMesh
 from lightsim.geometry.simplify import denoise, simplify
-from lightsim.geometry.surface import extract_surface, face_areas_m2, make_mesh
+from lightsim.geometry.surface import extract_surface, make_mesh
 
 SIDE_M = 3.0
 
@@ -76,13 +76,13 @@ def test_borders_and_material_lines_keep_their_course() -> None:
     small = _simplified(mesh, edge_m=1.0)
     assert len(small.faces) < 0.1 * len(mesh.faces)
     assert small.face_material is not None
-    area = face_areas_m2(small)
+    area = small.face_areas_m2()
     assert float(area[small.face_material == 0].sum()) == pytest.approx(1.7 * 4, rel=1e-3)
     assert float(area.sum()) == pytest.approx(16.0, rel=1e-4)
     is_upper = flat.vertices[flat.faces].mean(axis=1)[:, 1] > 2.3
     provenance = np.where(is_upper, Provenance.INFERRED, Provenance.MEASURED).astype(np.uint8)
     mixed = _simplified(replace(mesh, face_provenance=provenance), edge_m=1.0)
-    area = face_areas_m2(mixed)
+    area = mixed.face_areas_m2()
     assert mixed.face_material is not None
     for is_right, part in ((False, 1.7), (True, 2.3)):
         found = (mixed.face_material == is_right) & mixed.comes_from(Provenance.INFERRED)

@@ -11,7 +11,6 @@ from lightsim.core.mesh import concatenate_meshes
 from lightsim.geometry.surface import (
     drop_floaters,
     extract_surface,
-    face_areas_m2,
     make_mesh,
     smooth,
 )
@@ -48,7 +47,7 @@ def test_a_sphere_is_closed_round_and_faces_outwards() -> None:
     assert euler == 2
     outward = (mesh.vertices - centre) / RADIUS_M
     assert (mesh.vertex_normals() * outward).sum(axis=1).min() > 0.99
-    assert float(face_areas_m2(mesh).sum()) == pytest.approx(4 * np.pi * RADIUS_M**2, rel=2e-3)
+    assert float(mesh.face_areas_m2().sum()) == pytest.approx(4 * np.pi * RADIUS_M**2, rel=2e-3)
 
 
 def test_no_triangle_reaches_into_the_unknown() -> None:

@@ -11,7 +11,7 @@ from lightsim.core.equirect import pixel_directions
 from lightsim.lighting.sample import LightingBatch
 
 
-@dataclass(frozen=True)
+@dataclass
 class FakeSkies:
     """A glow around the sun above, shading away from it below; cameras see a band."""
 

@@ -72,7 +72,9 @@ def _aerosol_of(elevation_deg: float, turbidity: float) -> float:
     from scipy.optimize import brentq
 
     wanted = luminance(_model(elevation_deg, turbidity)[0])
-    return brentq(lambda a: luminance(_spectral(elevation_deg, a)[0]) - wanted, -0.1, 1.5)
+    root = brentq(lambda a: luminance(_spectral(elevation_deg, a)[0]) - wanted, -0.1, 1.5)
+    assert isinstance(root, float)
+    return root
 
 
 @pytest.mark.parametrize("elevation_deg", [10.0, 30.0, 60.0])

@@ -141,6 +141,7 @@ def test_a_picture_alone_gives_a_sky():
     )
     assert sky.origin == "image"
     assert sky.sun_azimuth_deg is None
+    assert sky.dome.sun is not None
     assert angle_between_deg(sky.dome.sun.direction_world, direction_enu(80.0, 50.0)) < 5.0
 
 
@@ -149,6 +150,7 @@ def test_target_forms():
     dome, _, facts = target_sky("sun:120,35", geo=geo, source=None, height_px=32)
     assert dome.sun is not None
     assert facts["turbidity"] == 3.0
+    assert geo.enu_from_world is not None
     in_enu = geo.enu_from_world.rotate(dome.sun.direction_world)
     assert angle_between_deg(in_enu, direction_enu(120.0, 35.0)) < 1e-3
     facts = target_sky("time:2019-05-11T01:59:16Z", geo=geo, source=None, height_px=32)[2]
@@ -174,6 +176,8 @@ def test_scaling_to_the_source():
     assert luminance(scaled.horizontal_irradiance()) == pytest.approx(
         float(luminance(source.horizontal_irradiance())), rel=1e-4
     )
+    assert scaled.sun is not None
+    assert dome.sun is not None
     assert scaled.sun.irradiance[0] == pytest.approx(dome.sun.irradiance[0] * factor, rel=1e-5)
     assert scale_to_source(dome, None, "none")[1] == 1.0
     assert scale_to_source(dome, None, 2.5)[1] == 2.5
@@ -188,6 +192,7 @@ def test_files_become_domes_with_their_sun():
         np.full((64, 128, 3), 0.2, np.float32), Sun(direction, np.full(3, 5.0, np.float32))
     ).radiance
     dome = dome_from_array(image, "a.hdr")
+    assert dome.sun is not None
     assert angle_between_deg(dome.sun.direction_world, direction) < 1.5
     for bad in (image[:, :100], image[:, :-1], image * np.nan, image - 1.0):
         with pytest.raises(InputError, match=r"a\.hdr"):

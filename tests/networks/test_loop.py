@@ -13,13 +13,10 @@ from typing import Any
 
 import pytest
 import torch
-from torch import Tensor, nn
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "lighting"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "reconstruct"))
 import two_processes
-from fake_skies import FakeSkies
-from wall import small_config, small_field, wall_fields, wall_pool
+from tests.lighting.fake_skies import FakeSkies
+from tests.reconstruct.wall import small_config, small_field, wall_fields, wall_pool
+from torch import Tensor, nn
 
 from journals import MemoryJournal
 from lightsim.errors import ArtefactError

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from lightsim.core.camera import PinholeCamera
@@ -9,14 +11,17 @@ from lightsim.core.dome import SkyDome, Sun, add_sun
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
 
+Albedo = float | Sequence[float] | np.ndarray
+"""Grey, one RGB colour, or one for each vertex."""
 
-def mesh(vertices, faces, albedo=0.5) -> TriMesh:
+
+def mesh(vertices, faces, albedo: Albedo = 0.5) -> TriMesh:
     vertices = np.asarray(vertices, dtype=np.float32)
     colour = np.broadcast_to(np.asarray(albedo, dtype=np.float32), vertices.shape).copy()
     return TriMesh("world", vertices, np.asarray(faces, dtype=np.int32), colour)
 
 
-def plane(half_m: float = 20.0, cells: int = 1, albedo=0.5, z_m: float = 0.0) -> TriMesh:
+def plane(half_m: float = 20.0, cells: int = 1, albedo: Albedo = 0.5, z_m: float = 0.0) -> TriMesh:
     """A level square that faces up."""
     line = np.linspace(-half_m, half_m, cells + 1)
     x, y = np.meshgrid(line, line)
@@ -26,7 +31,7 @@ def plane(half_m: float = 20.0, cells: int = 1, albedo=0.5, z_m: float = 0.0) ->
     return mesh(np.stack([x, y, np.full_like(x, z_m)], axis=-1).reshape(-1, 3), faces, albedo)
 
 
-def box(centre, size, albedo=0.5) -> TriMesh:
+def box(centre, size, albedo: Albedo = 0.5) -> TriMesh:
     """A box with its own vertices for every side, facing out."""
     import trimesh
 
@@ -35,7 +40,7 @@ def box(centre, size, albedo=0.5) -> TriMesh:
     return mesh(solid.vertices[solid.faces].reshape(-1, 3), np.arange(36).reshape(-1, 3), albedo)
 
 
-def sphere(centre, radius_m: float, subdivisions: int = 4, albedo=0.5) -> TriMesh:
+def sphere(centre, radius_m: float, subdivisions: int = 4, albedo: Albedo = 0.5) -> TriMesh:
     import trimesh
 
     solid = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius_m)

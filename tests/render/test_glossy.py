@@ -76,7 +76,7 @@ def test_white_furnace(roughness, metallic):
 
 def test_the_lobe_is_reciprocal_and_sampled_as_evaluated(rng):
     count = 400
-    normals = np.tile(np.float32([0.36, 0.48, 0.8]), (count, 1))
+    normals = np.tile(np.array([0.36, 0.48, 0.8], np.float32), (count, 1))
     alphas = rng.uniform(0.05, 0.6, count).astype(np.float32)
 
     def upper(n):
@@ -95,7 +95,7 @@ def test_the_lobe_is_reciprocal_and_sampled_as_evaluated(rng):
         rays = 4096
         directions = np.empty((1, rays, 3), np.float32)
         weights = np.empty((1, rays, 2), np.float32)
-        one = np.float32([alpha])
+        one = np.array([alpha], np.float32)
         reflected_rays(normals[:1], view[None], one, np.zeros((1, 2), np.float32),
                        (np.zeros(1, np.int64), 1, rays),
                        directions, weights)  # fmt: skip

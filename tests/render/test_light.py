@@ -122,7 +122,7 @@ def test_a_pole_casts_its_shadow_away_from_the_sun(azimuth_deg):
 def test_penumbra_has_the_width_of_the_solar_disc():
     """An edge 20 m above the ground under a sun at the zenith: 20 m x 0.53 degrees = 18.5 cm."""
     roof = plane(20.0, z_m=20.0)
-    roof = replace(roof, vertices=roof.vertices + np.float32([20.0, 0, 0]))
+    roof = replace(roof, vertices=roof.vertices + np.array([20.0, 0, 0], np.float32))
     config = replace(exact(), sun_rays=16)
     near = look_at((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0))
     gbuffers, _, out = _render([plane(30.0), roof], sun_sky(0.0, 90.0), config, near, (128, 64))

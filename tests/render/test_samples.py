@@ -68,9 +68,9 @@ def test_coverage_of_an_edge_against_the_sky(count):
     x0 = (shift - lens.cx + slope * lens.cy) / lens.fx * 10.0
     angle = np.arctan(slope)
     c, s = np.cos(angle), np.sin(angle)
-    corners = half.vertices - np.float32([200.0, 0, 0])
+    corners = half.vertices - np.array([200.0, 0, 0], np.float32)
     turned = corners @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]], np.float32)
-    half = replace(half, vertices=(turned + np.float32([x0, 0, 0])).astype(np.float32))
+    half = replace(half, vertices=(turned + np.array([x0, 0, 0], np.float32)).astype(np.float32))
     config = replace(exact(), pixel_samples=count)
     gbuffers, _, out = _render([half], constant_sky((1.0, 1.0, 1.0)), config, _ABOVE, lens)
     exact_fraction = _area_left_of(slope, shift, lens)
@@ -90,7 +90,7 @@ def test_a_sharp_shadow_edge_is_the_covered_fraction_of_each_pixel():
     """A roof 5 cm above the ground has a penumbra of half a millimetre; a pixel has 25 cm."""
     lens = camera(48, 36, 40.0)
     roof = plane(20.0, z_m=0.05)
-    roof = replace(roof, vertices=roof.vertices - np.float32([20.0, 0, 0]))
+    roof = replace(roof, vertices=roof.vertices - np.array([20.0, 0, 0], np.float32))
     c, s = np.cos(0.3), np.sin(0.3)
     turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]], np.float32)
     roof = replace(roof, vertices=(roof.vertices @ turn).astype(np.float32))

@@ -135,7 +135,7 @@ def half_grounds(left: Any, right: Any) -> TriMesh:
     halves = []
     for shift_m, colour in ((60.0, left), (-60.0, right)):
         mesh = plane(60.0, 1, colour)
-        halves.append(replace(mesh, vertices=mesh.vertices + np.float32([0, shift_m, 0])))
+        halves.append(replace(mesh, vertices=mesh.vertices + np.array([0, shift_m, 0], np.float32)))
     return concatenate_meshes(halves)
 
 

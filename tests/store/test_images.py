@@ -33,7 +33,7 @@ def hdr(rng: np.random.Generator) -> np.ndarray:
 def test_png_and_jpeg(tmp_path: Path, rng: np.random.Generator) -> None:
     picture = rng.integers(0, 256, (5, 7, 3)).astype(np.uint8)
     images.write_png(tmp_path / "a.png", picture)
-    images.write_grey8(tmp_path / "g.png", picture[..., 0])
+    images.write_png(tmp_path / "g.png", picture[..., 0])
     smooth = np.repeat(np.linspace(0, 255, 64).astype(np.uint8)[:, None], 64, 1)
     images.write_jpeg(tmp_path / "b.jpg", np.stack([smooth, smooth.T, smooth], -1))
     np.testing.assert_array_equal(images.read_srgb8(tmp_path / "a.png"), picture)
@@ -294,5 +294,5 @@ def _valid_file(folder: Path, name: str) -> Path:
 
 def _grey_png(folder: Path) -> Path:
     path = folder / "grey.png"
-    images.write_grey8(path, np.full((4, 8), 77, np.uint8))
+    images.write_png(path, np.full((4, 8), 77, np.uint8))
     return path

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lightsim.errors import InputError
-from lightsim.store.mp4 import Mp4Writer, read_video
+from lightsim.store.mp4 import Mp4Writer
 
 
 def _frame(index: int) -> np.ndarray:
@@ -25,7 +25,11 @@ def _write(path: Path) -> None:
 
 def test_frames_come_back(tmp_path: Path) -> None:
     _write(tmp_path / "a.mp4")
-    back = list(read_video(tmp_path / "a.mp4"))
+    with av.open(str(tmp_path / "a.mp4")) as container:
+        back = [
+            frame.reformat(format="rgb24", src_colorspace="ITU709").to_ndarray()
+            for frame in container.decode(video=0)
+        ]
     assert len(back) == 8
     for index, frame in enumerate(back):
         expected = _frame(index)[:48, :64].astype(int)
@@ -59,13 +63,3 @@ def test_nothing_is_left_after_an_error(tmp_path: Path) -> None:
         Mp4Writer(tmp_path / "a.mp4", 64, 48, 0.0)
     with pytest.raises(InputError, match="does not exist"):
         Mp4Writer(tmp_path / "no" / "a.mp4", 64, 48, 10.0)
-
-
-def test_broken_videos(tmp_path: Path) -> None:
-    path = tmp_path / "a.mp4"
-    for data in (b"", b"no video at all"):
-        path.write_bytes(data)
-        with pytest.raises(InputError, match=r"a\.mp4"):
-            list(read_video(path))
-    with pytest.raises(InputError, match=r"none\.mp4"):
-        list(read_video(tmp_path / "none.mp4"))

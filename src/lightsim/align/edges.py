@@ -20,6 +20,8 @@ _SENSOR_M = 0.3
 """Returns whose sensors stood farther apart are not neighbours on one silhouette."""
 _RANGE_M = (3.0, 60.0)
 _QUERIES = 40_000
+_MARGIN_M = 0.4
+"""Around boxes, which fit loosely; not measured."""
 _STRONG = 3.0
 
 
@@ -64,7 +66,6 @@ def is_on_moving_actor(
     points_world: Float64[np.ndarray, "n 3"],
     actors: tuple[ActorTrack, ...],
     time_ns: int,
-    margin_m: float = 0.4,
 ) -> Bool[np.ndarray, " n"]:
     """Which points lie in the grown box of an actor that moves."""
     found = np.zeros(len(points_world), dtype=bool)
@@ -72,7 +73,7 @@ def is_on_moving_actor(
         if actor.is_moving and actor.is_present(time_ns, SWEEP_HOLD_S):
             actor_from_world = actor.world_from_actor(time_ns, SWEEP_HOLD_S).inverse()
             local = np.abs(actor_from_world.apply(points_world))
-            found |= (local <= actor.size_lwh_m / 2 + margin_m).all(axis=1)
+            found |= (local <= actor.size_lwh_m / 2 + _MARGIN_M).all(axis=1)
     return found
 
 

@@ -180,13 +180,9 @@ def _shelves(
     return column, row, max(y, 1)
 
 
-def texture_texels(texture: Texture) -> Texels:
-    """Every texel of a texture that this module packed, with its place on the mesh."""
-    return texels_of(patches_of(texture))
-
-
 def texel_parts(texture: Texture, count: int) -> Iterator[Texels]:
-    """The same in parts of whole faces: about `count` texels, or one face, each."""
+    """Every texel of a texture that this module packed, with its place on the mesh, in parts of
+    whole faces: about `count` texels, or one face, each."""
     patches = patches_of(texture)
     first = patches.first_texel
     start = 0

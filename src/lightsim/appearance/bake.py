@@ -129,6 +129,7 @@ class _Table:
 
     @property
     def patch(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Resolution, corner and first texel of each face: what `patch_uv` and the kernels take."""
         return self.resolution, self.corner, self.first
 
 
@@ -187,6 +188,7 @@ class _Corners:
 
     @staticmethod
     def empty(count: int) -> _Corners:
+        """No vertex set; zero weight means unset."""
         return _Corners(
             np.zeros((count, 2), np.float32),
             np.zeros(count, np.float32),

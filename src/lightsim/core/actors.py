@@ -45,11 +45,6 @@ class ActorKind(StrEnum):
         return self in _VEHICLES
 
     @property
-    def is_two_wheeler(self) -> bool:
-        """Is ridden, and leans and steers."""
-        return self in _TWO_WHEELERS
-
-    @property
     def is_person(self) -> bool:
         """Is a person, with or without what carries them."""
         return self in _PERSONS
@@ -64,7 +59,6 @@ _VEHICLES = frozenset({
     ActorKind.CAR, ActorKind.PICKUP, ActorKind.TRUCK, ActorKind.BUS, ActorKind.RAIL_VEHICLE,
     ActorKind.TRAILER, ActorKind.CONSTRUCTION_VEHICLE, ActorKind.OTHER_VEHICLE,
 })  # fmt: skip
-_TWO_WHEELERS = frozenset({ActorKind.MOTORCYCLE, ActorKind.SCOOTER, ActorKind.BICYCLE})
 _PERSONS = frozenset({ActorKind.PEDESTRIAN, ActorKind.PERSONAL_MOBILITY})
 _STREET_FURNITURE = frozenset(
     {ActorKind.CONE, ActorKind.SIGN, ActorKind.BARRIER, ActorKind.ROLLING_CONTAINER}

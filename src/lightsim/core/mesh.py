@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, Int32, UInt8
+from jaxtyping import Bool, Float, Float32, Float64, Int, Int32, UInt8
 
 from lightsim.core.frames import RigidTransform
 from lightsim.errors import FrameMismatchError, InputError
@@ -168,15 +168,22 @@ class TriMesh:
 
     def face_normals(self) -> Float[np.ndarray, "m 3"]:
         """Unit normals; zero for degenerate faces."""
+        across = self._edge_products()
+        length = np.linalg.norm(across, axis=1, keepdims=True)
+        return across / np.where(length > 0, length, 1.0)
+
+    def face_areas_m2(self) -> Float64[np.ndarray, " m"]:
+        """Area of each face."""
+        return np.linalg.norm(self._edge_products(), axis=1) / 2
+
+    def _edge_products(self) -> Float64[np.ndarray, "m 3"]:
+        """Cross product of two edges of each face: its normal, as long as twice its area."""
         a, b, c = (self.vertices[self.faces[:, i]].astype(np.float64) for i in range(3))
-        normals = np.cross(b - a, c - a)
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        return normals / np.where(length > 0, length, 1.0)
+        return np.cross(b - a, c - a)
 
     def vertex_normals(self) -> Float32[np.ndarray, "n 3"]:
         """Area-weighted unit normals; zero for vertices without a face."""
-        a, b, c = (self.vertices[self.faces[:, i]].astype(np.float64) for i in range(3))
-        weighted = np.cross(b - a, c - a)
+        weighted = self._edge_products()
         normals = np.zeros((len(self.vertices), 3))
         for i in range(3):
             for axis in range(3):

@@ -12,7 +12,7 @@ import io
 import pickletools
 import warnings
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 MAX_STEPS = 500_000
 """A label file of 5,000 boxes takes some 200,000 instructions, a sweep 500."""
@@ -32,31 +32,12 @@ class RefusedError(Exception):
     """Something a pickled table never contains."""
 
 
-class Maker(Protocol):
-    """What a global name stands for."""
-
-    def make(self, *arguments: Any) -> Any:
-        """The object that a call of the name gives."""
-        ...
-
-
-class Settable(Protocol):
-    """A stand-in whose state may be set."""
-
-    def set_state(self, state: Any) -> None:
-        """Take what the pickle's BUILD instruction hands over.
-
-        Raises:
-            RefusedError: no table has such a state.
-        """
-        ...
-
-
 class PickleMachine:
     """Runs one pickle of protocol 2 or later.
 
     Args:
-        find: the maker that a module and a name stand for; refuses all others.
+        find: what a module and a name stand for; refuses all others. Its `make(*arguments)` answers
+            a call, and what it made takes a state by `set_state`; both may refuse.
     """
 
     def __init__(self, find: Callable[[str, str], Any]) -> None:

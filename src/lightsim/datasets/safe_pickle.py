@@ -52,11 +52,13 @@ class _Budget:
         self._encoded, self._cells = n_bytes, MAX_STEPS
 
     def take_encoded(self, count: int) -> None:
+        """Counts `count` encoded bytes; RefusedError past the budget."""
         self._encoded -= count
         if self._encoded < 0:
             raise RefusedError("more encoded bytes than the file has")
 
     def take_cells(self, count: int) -> None:
+        """Counts `count` cells of objects; RefusedError past the budget."""
         self._cells -= count
         if self._cells < 0:
             raise RefusedError("more objects than a table has")
@@ -73,12 +75,14 @@ class _Dtype:
         self._order = "<"
 
     def set_state(self, state: Any) -> None:
+        """Takes the byte order of numpy's (version, order, ...); RefusedError for another form."""
         order = state[1] if isinstance(state, tuple) and len(state) > 1 else None
         if type(order) is not str or order not in _BYTE_ORDERS:
             raise RefusedError("a damaged column type")
         self._order = order
 
     def numpy(self) -> np.dtype:
+        """The true dtype."""
         if self._code in _OBJECT_CODES:
             return np.dtype(object)
         return np.dtype(self._order + self._code)
@@ -92,6 +96,7 @@ class _Array:
         self.values: np.ndarray | None = None
 
     def set_state(self, state: Any) -> None:
+        """Takes numpy's (version, shape, dtype, is_fortran, data)."""
         if not isinstance(state, tuple) or len(state) != 5:
             raise RefusedError("a damaged array")
         _, shape, dtype, is_fortran, data = state
@@ -123,6 +128,7 @@ class _StringArray:
         self.values: np.ndarray | None = None
 
     def set_state(self, state: Any) -> None:
+        """Takes the only array of the state; RefusedError for none or several."""
         parts = state if isinstance(state, tuple) else ()
         arrays = [item for item in parts if isinstance(item, _Array)]
         if len(arrays) != 1:
@@ -144,7 +150,8 @@ class _Inert:
 
     def __init__(self, *arguments: Any) -> None: ...
 
-    def set_state(self, state: Any) -> None: ...
+    def set_state(self, state: Any) -> None:
+        """Ignores the state."""
 
 
 class _Index:
@@ -162,6 +169,7 @@ class _Manager:
         self.axes = axes
 
     def set_state(self, state: Any) -> None:
+        """Takes blocks and axes of pandas before 1.3; RefusedError for another form."""
         # pandas < 1.3 keeps its blocks under this key for the sake of older readers.
         extra = state[3] if isinstance(state, tuple) and len(state) == 4 else None
         versioned = extra.get("0.14.1") if isinstance(extra, dict) else None
@@ -179,6 +187,7 @@ class _Frame:
         self.manager: _Manager | None = None
 
     def set_state(self, state: Any) -> None:
+        """Takes the block manager, bare or in pandas' dict; RefusedError without one."""
         if isinstance(state, dict):
             state = state.get("_mgr", state.get("_data"))
         if not isinstance(state, _Manager):
@@ -227,6 +236,7 @@ class _Name:
     budget: _Budget
 
     def make(self, *arguments: Any) -> Any:
+        """What the pickle's call of this name gives."""
         return self.function(self.budget, *arguments)
 
 

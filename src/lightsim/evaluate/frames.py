@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float32, UInt8
 from lightsim.errors import InputError
 from lightsim.evaluate.metrics import ImageScores, expose, fill_invalid, fit_exposure, psnr, ssim
 from lightsim.progress import Progress, SilentProgress
-from lightsim.store.images import read_grey8, read_srgb8
+from lightsim.store.images import read_srgb8
 
 LoadImage = Callable[[], UInt8[np.ndarray, "h w 3"]]
 LoadMask = Callable[[], Bool[np.ndarray, "h w"]]
@@ -287,7 +287,35 @@ def _finite_or_none(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def pair_folders(folders: Mapping[str, Path]) -> list[tuple[str, str, dict[str, Path]]]:
+def folder_tasks(
+    condition: str,
+    method: str,
+    folders: Mapping[str, Path],
+    is_valid: Callable[[str, str], Bool[np.ndarray, "h w"]] | None = None,
+    baselines: Mapping[str, Baseline] | None = None,
+) -> list[FrameTask]:
+    """What there is to score in folders of frames (<camera>/<frame>.png).
+
+    Args:
+        method: what made the frames of the folder "predicted"; compared with those of "truth".
+        is_valid: (camera, frame stem) -> pixels that count; all where it is None.
+        baselines: (source, truth, valid pixels) -> image, by name; need the folder "source".
+
+    Raises:
+        InputError: a folder or all its frames are missing.
+    """
+    tasks = []
+    for camera, stem, files in _pair_folders(folders):
+        load = {name: partial(read_srgb8, path) for name, path in files.items()}
+        valid = None if is_valid is None else partial(is_valid, camera, stem)
+        methods: dict[str, LoadImage] = {method: load["predicted"]}
+        for name, baseline in (baselines or {}).items():
+            methods[name] = partial(_apply_baseline, baseline, load["source"], load["truth"], valid)
+        tasks.append(FrameTask(condition, camera, stem, load["truth"], methods, valid))
+    return tasks
+
+
+def _pair_folders(folders: Mapping[str, Path]) -> list[tuple[str, str, dict[str, Path]]]:
     """(camera, stem, file by folder name) of all <camera>/<stem>.<png|jpg> that every folder has.
 
     Raises:
@@ -317,42 +345,7 @@ def _images_under(folder: Path) -> dict[tuple[str, str], Path]:
     return {(path.parent.name, path.stem): path for path in paths}
 
 
-def evaluate_frames(
-    predicted: Path,
-    truth: Path,
-    config: FramesConfig,
-    *,
-    source: Path | None = None,
-    masks: Path | None = None,
-    baselines: Mapping[str, Baseline] | None = None,
-    progress: Progress | None = None,
-) -> FramesReport:
-    """Scores of a folder of frames (<camera>/<frame>.png) against a folder of true ones.
-
-    Args:
-        source: the frames before relighting, from which the baselines are made.
-        masks: grey images; what is brighter than 127 does not count (for example the sky).
-        baselines: (source, truth, valid pixels) -> image, by name; need `source`.
-
-    Raises:
-        InputError: a folder or all its frames are missing, or sizes differ.
-    """
-    named = {"predicted": predicted, "truth": truth, "source": source, "masks": masks}
-    folders = {name: folder for name, folder in named.items() if folder is not None}
-    tasks = []
-    for camera, stem, files in pair_folders(folders):
-        load = {name: partial(read_srgb8, path) for name, path in files.items()}
-        load_is_valid = partial(_read_valid, files["masks"]) if masks else None
-        methods = {"relit": load["predicted"]}
-        for name, baseline in (baselines or {}).items() if source else ():
-            methods[name] = partial(
-                apply_baseline, baseline, load["source"], load["truth"], load_is_valid
-            )
-        tasks.append(FrameTask(truth.name, camera, stem, load["truth"], methods, load_is_valid))
-    return score_frames(tasks, config, progress=progress)
-
-
-def apply_baseline(
+def _apply_baseline(
     baseline: Baseline,
     load_source: LoadImage,
     load_truth: LoadImage,
@@ -364,7 +357,3 @@ def apply_baseline(
         is_valid = None
     made = baseline(_unit(load_source()), _unit(load_truth()), is_valid)
     return np.round(np.clip(made, 0.0, 1.0) * 255.0).astype(np.uint8)
-
-
-def _read_valid(path: Path) -> Bool[np.ndarray, "h w"]:
-    return read_grey8(path) <= 127

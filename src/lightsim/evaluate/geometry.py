@@ -337,7 +337,7 @@ def sample_surface(
     """
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     edges = corners[:, 1:] - corners[:, :1]
-    area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    area = mesh.face_areas_m2()
     if not area.sum() > 0:
         raise InputError(
             "a mesh without area cannot be sampled",

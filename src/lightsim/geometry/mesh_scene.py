@@ -38,11 +38,9 @@ number is the distance between the level's samples, in metres."""
 _MIN_WEIGHT = 0.03
 # Connected pieces of the background smaller than this are dropped.
 _MIN_PIECE_M2 = 0.25
-# Rounds of normal filtering; 0 leaves the surface as extracted.
-_NORMAL_ROUNDS = 4
 # Filtering moves no vertex further than this many samples of its level.
 _MAX_MOVE_VOXELS = 0.2
-# Simplification may deviate by this many samples of a level (RMS); 0 keeps every face.
+# Simplification may deviate by this many samples of a level (RMS).
 _ERROR_VOXELS = 0.1
 # Simplification makes no edge longer than this many samples of a level.
 _EDGE_VOXELS = 6.0
@@ -105,10 +103,7 @@ def mesh_background(
 
 def _refined(mesh: TriMesh, voxel_m: float) -> TriMesh:
     """Without noise of marching cubes, and with no more faces than the shape needs."""
-    if _NORMAL_ROUNDS > 0:
-        mesh = denoise(mesh, _MAX_MOVE_VOXELS * voxel_m, normal_rounds=_NORMAL_ROUNDS)
-    if _ERROR_VOXELS == 0:
-        return mesh
+    mesh = denoise(mesh, _MAX_MOVE_VOXELS * voxel_m)
     count = len(mesh.vertices)
     return simplify(
         mesh,

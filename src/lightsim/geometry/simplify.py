@@ -18,6 +18,10 @@ from lightsim.geometry.simplify_kernels import (
 )
 
 _MAX_ROUNDS = 40
+_NORMAL_ROUNDS, _VERTEX_ROUNDS = 4, 12
+_NORMAL_SPREAD = 0.4
+"""Difference of unit normals at which a neighbour's weight falls to 1/sqrt(e)."""
+_PLANAR_ERROR_M = 0.01
 _WORTHWHILE = 1e-2
 """A round that removes a smaller part of the vertices is the last."""
 
@@ -80,14 +84,12 @@ def simplify(
     )
 
 
-def simplify_planar(
-    mesh: TriMesh, error_m: float = 0.01, edge_m: float | Float[np.ndarray, " n"] = 0.75
-) -> TriMesh:
+def simplify_planar(mesh: TriMesh, edge_m: float | Float[np.ndarray, " n"] = 0.75) -> TriMesh:
     """`simplify` with one bound on the error: for surfaces that were drawn cell by cell."""
     if len(mesh.faces) == 0:
         return mesh
     count = len(mesh.vertices)
-    return simplify(mesh, np.full(count, error_m), np.full(count, edge_m, dtype=np.float64))
+    return simplify(mesh, np.full(count, _PLANAR_ERROR_M), np.full(count, edge_m, dtype=np.float64))
 
 
 def _groups(mesh: TriMesh) -> Int32[np.ndarray, " m"]:
@@ -100,14 +102,7 @@ def _groups(mesh: TriMesh) -> Int32[np.ndarray, " m"]:
     return groups
 
 
-def denoise(
-    mesh: TriMesh,
-    max_move_m: float,
-    *,
-    normal_rounds: int = 12,
-    vertex_rounds: int = 12,
-    normal_spread: float = 0.4,
-) -> TriMesh:
+def denoise(mesh: TriMesh, max_move_m: float) -> TriMesh:
     """Smooth normals on what is flat or gently curved, keep edges.
 
     Face normals are filtered bilaterally (Zheng et al. 2011, doi:10.1109/TVCG.2010.264), then
@@ -117,9 +112,6 @@ def denoise(
     Args:
         mesh: of roughly equal faces (marching cubes).
         max_move_m: bound on each vertex's way.
-        normal_rounds: rounds of the filter.
-        vertex_rounds: rounds of fitting.
-        normal_spread: difference of unit normals at which a neighbour's weight falls to 1/sqrt(e).
     """
     if len(mesh.faces) == 0:
         return mesh
@@ -127,8 +119,8 @@ def denoise(
     faces = mesh.faces.astype(np.int64)
     start, members = faces_by_vertex(faces, len(points))
     near = neighbour_faces(faces, start, members)
-    normals = filter_normals(points, faces, *near, normal_rounds, normal_spread)
-    moved = fit_vertices(points, faces, start, members, normals, vertex_rounds)
+    normals = filter_normals(points, faces, *near, _NORMAL_ROUNDS, _NORMAL_SPREAD)
+    moved = fit_vertices(points, faces, start, members, normals, _VERTEX_ROUNDS)
     way = moved - points
     length = np.linalg.norm(way, axis=1, keepdims=True)
     way *= np.minimum(1.0, max_move_m / np.maximum(length, 1e-9))

@@ -130,14 +130,8 @@ def drop_floaters(mesh: TriMesh, min_area_m2: float) -> TriMesh:
         return mesh
     count, piece = connected_components(adjacency(mesh.faces, len(mesh.vertices)), directed=False)
     face_piece = piece[mesh.faces[:, 0]]
-    area = np.bincount(face_piece, weights=face_areas_m2(mesh), minlength=int(count))
+    area = np.bincount(face_piece, weights=mesh.face_areas_m2(), minlength=int(count))
     return keep_faces(mesh, area[face_piece] >= min_area_m2)
-
-
-def face_areas_m2(mesh: TriMesh) -> Float64[np.ndarray, " m"]:
-    """Half the length of the cross product of two edges of each face, in float64."""
-    a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(np.float64) for i in range(3))
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
 
 
 def border_vertices(faces: Int32[np.ndarray, "m 3"]) -> Int64[np.ndarray, " b"]:

@@ -226,12 +226,14 @@ class _Loop:
             optimiser.step()
 
     def finish(self) -> None:
+        """Loads the averaged weights and leaves every network in evaluation mode."""
         for name, average in self._averages.items():
             self._learners[name].network.load_state_dict(average)
         for learner in self._learners.values():
             learner.network.eval()
 
     def state(self, step: int, seconds: float) -> dict[str, Any]:
+        """What `restore` takes to resume exactly: weights, optimisers, averages, steps, seconds."""
         learners = self._learners.items()
         return {
             "step": step,

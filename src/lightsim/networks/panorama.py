@@ -29,9 +29,9 @@ def pad_borders(
     return functional.pad(image, (0, 0, size, size), mode="replicate")
 
 
-def upsampled(image: Float[Tensor, "n c h w"], *, wraps: bool = True) -> Float[Tensor, "n c H W"]:
+def upsampled(image: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c H W"]:
     """Twice the size, bilinear, without a seam."""
-    padded = pad_borders(image, 1, wraps=wraps)
+    padded = pad_borders(image, 1)
     double = functional.interpolate(padded, scale_factor=2, mode="bilinear", align_corners=False)
     return double[..., 2:-2, 2:-2]
 

@@ -11,10 +11,10 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
+from lightsim.core.colour import LUMINANCE_WEIGHTS
 from lightsim.networks.panorama import direction_map
 
 LATENT = 64
-_LUMINANCE = (0.2126, 0.7152, 0.0722)
 _LOG_FLOOR = 0.02
 _DIMMER = 0.98
 
@@ -78,7 +78,7 @@ class SkyEncoding:
 
 def luminance_of(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 h w"]:
     """Relative luminance of linear sRGB (weights of ITU-R BT.709), channel kept."""
-    weights = torch.tensor(_LUMINANCE, device=radiance.device)[None, :, None, None]
+    weights = torch.tensor(LUMINANCE_WEIGHTS, device=radiance.device)[None, :, None, None]
     return (radiance * weights).sum(dim=1, keepdim=True)
 
 
@@ -159,11 +159,11 @@ def fisher_loss(
 
 
 def heat_loss(
-    log_density: Float[Tensor, "n r w"], truth: Float[Tensor, "n 3"], blur_px: float = 1.0
+    log_density: Float[Tensor, "n r w"], truth: Float[Tensor, "n 3"]
 ) -> Float[Tensor, " n"]:
-    """Cross-entropy between a density over the pixels and a small spot at the truth."""
+    """Cross-entropy between a density over the pixels and a spot of one pixel at the truth."""
     rows = log_density.shape[1]
-    target = sun_lobe(truth, rows, blur_px)[:, 0] * row_weights(rows, truth.device)[:, 0]
+    target = sun_lobe(truth, rows, 1.0)[:, 0] * row_weights(rows, truth.device)[:, 0]
     target = target / target.sum(dim=(1, 2), keepdim=True)
     return -(target * log_density).sum(dim=(1, 2))
 

@@ -108,7 +108,7 @@ STAGES = (
         lambda o: AlignConfig().without(o.no_refine),
         recording.make_alignment,
     ),
-    Stage("fields", 1, ("log", "alignment"), lambda o: _FUSE[o.preset](), recording.make_fields),
+    Stage("fields", 2, ("log", "alignment"), lambda o: _FUSE[o.preset](), recording.make_fields),
     Stage(
         "neural",
         1,
@@ -118,7 +118,7 @@ STAGES = (
     ),
     Stage(
         "geometry",
-        3,
+        4,
         ("log", "masks", "alignment", "neural"),
         _no_settings,
         surfaces.make_geometry,
@@ -139,14 +139,14 @@ STAGES = (
     ),
     Stage(
         "sky",
-        5,
+        7,
         ("log", "alignment", "assets", "panorama"),
         lambda o: light.SkyStageConfig(SourceSunConfig(gps=o.gps)),
         light.make_sky,
     ),
     Stage(
         "twin",
-        3,
+        4,
         ("log", "alignment", "assets", "sky"),
         lambda o: light.TwinConfig(),
         light.make_twin,

@@ -93,12 +93,13 @@ def _scene_section(work: Workspace, config: TransportConfig) -> Section:
     log, twin = work.log, work.twin
     renderer = FrameRenderer(twin.assets.background, work.unobserved_occluders, config, seed=0)
     scenario = replay(twin, "report", log.frames)
-    skies = [renderer.prepare(work.sky.dome)]
+    sky = renderer.prepare(work.sky.dome)
     figures = []
     for name, camera in log.cameras.items():
         frames = log.frames_of(name)
         frame: CameraFrame = frames[len(frames) // 2]
-        buffers, (light,) = renderer.render(scenario, frame, camera, skies)
+        traced = renderer.trace(scenario, frame, camera)
+        buffers, light = traced.buffers, traced.light(sky)
         matte = np.repeat(work.sky_matte(frame)[..., None] * 255, 3, axis=2).astype(np.uint8)
         shown = [
             frame.load_srgb8(),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from jaxtyping import Float32
 
@@ -157,14 +155,3 @@ class FrameRenderer:
         table = trace_transport(scene, buffers, config, self._seed, self._faces, samples)
         buffers = with_ambient_occlusion(buffers, table.ambient_occlusion)
         return TransportFrame((frame, camera), buffers, scene, table, config)
-
-    def render(
-        self,
-        scenario: Scenario,
-        frame: CameraFrame,
-        camera: PinholeCamera,
-        skies: Sequence[SkyDome | EnvironmentCells],
-    ) -> tuple[GBuffers, list[ShadowBuffers]]:
-        """Geometry of a frame and its light under each sky, from one light transport matrix."""
-        traced = self.trace(scenario, frame, camera)
-        return traced.buffers, [traced.light(sky) for sky in skies]

@@ -134,12 +134,15 @@ class _Denoised:
     renderer: Renderer
 
     def prepare(self, sky: SkyDome) -> Any:
+        """As the renderer's."""
         return self.renderer.prepare(sky)
 
     def geometry(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> GBuffers:
+        """As the renderer's."""
         return self.renderer.geometry(scenario, frame, camera)
 
     def trace(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> TracedFrame:
+        """As the renderer's, with images denoised."""
         return _DenoisedFrame(self.renderer.trace(scenario, frame, camera))
 
 
@@ -149,12 +152,15 @@ class _DenoisedFrame:
 
     @property
     def buffers(self) -> GBuffers:
+        """As traced."""
         return self.traced.buffers
 
     def light(self, sky: Any) -> ShadowBuffers:
+        """As traced."""
         return self.traced.light(sky)
 
     def image(self, sky: Any) -> Float32[np.ndarray, "h w 3"]:
+        """Traced radiance, denoised with base colour and normals as guides."""
         from lightsim.render.reference.denoise import denoise
 
         buffers = self.buffers

@@ -29,8 +29,7 @@ from lightsim.evaluate.frames import (
     FramesConfig,
     FramesReport,
     FrameTask,
-    apply_baseline,
-    pair_folders,
+    folder_tasks,
     score_frames,
 )
 from lightsim.pipeline.source_light import SourceLight
@@ -44,7 +43,6 @@ from lightsim.render.transport.matrix import TransportConfig
 from lightsim.simulate.options import RelightOptions
 from lightsim.simulate.relight import relight
 from lightsim.store.exr import read_exr
-from lightsim.store.images import read_srgb8
 from lightsim.synthetic.reader import read_true_meshes
 
 _TRUTH_REMEDY = "Give the folder truth that lightsim synthesize wrote beside the log."
@@ -71,17 +69,8 @@ def relit_frames(
     for name, made in zip(conditions, relit, strict=True):
         folder = truth / "relit" / name
         source = Path(workspace.reading.source) / "camera"
-        for camera, stem, files in pair_folders(
-            {"relit": made / "frames", "truth": folder, "source": source}
-        ):
-            load = {key: partial(read_srgb8, path) for key, path in files.items()}
-            valid = partial(masks.is_surface, camera, stem)
-            methods = {"LightSim": load["relit"]}
-            for label, baseline in BASELINES.items():
-                methods[label] = partial(
-                    apply_baseline, baseline, load["source"], load["truth"], valid
-                )
-            tasks.append(FrameTask(name, camera, stem, load["truth"], methods, valid))
+        frames = {"predicted": made / "frames", "truth": folder, "source": source}
+        tasks += folder_tasks(name, "LightSim", frames, masks.is_surface, BASELINES)
     return score_frames(tasks, config or FramesConfig(), progress=progress)
 
 

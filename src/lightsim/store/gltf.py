@@ -137,6 +137,7 @@ class _File:
             stack.extend((matrix, child, depth + 1) for child in node.get("children", ()))
 
     def primitive(self, value: dict[str, Any], matrix: Float64[np.ndarray, "4 4"]) -> Primitive:
+        """One primitive with its vertices in the scene's frame; ValueError for bad indices."""
         attributes = value["attributes"]
         local = self.accessor(attributes["POSITION"]).astype(np.float64)
         vertices = local @ matrix[:3, :3].T + matrix[:3, 3]

@@ -44,6 +44,7 @@ class _File:
     size: int = 0
 
     def add_view(self, blob: bytes, target: int | None = None) -> int:
+        """Appends a buffer view, padded to 4 bytes (glTF 2.0, section 3.6.2.4); its index."""
         blob += b"\0" * (-len(blob) % 4)
         view = {"buffer": 0, "byteOffset": self.size, "byteLength": len(blob)}
         if target is not None:

@@ -32,7 +32,6 @@ __all__ = [
     "read_srgb8",
     "read_srgb8_alpha",
     "write_exr",
-    "write_grey8",
     "write_hdr",
     "write_jpeg",
     "write_png",
@@ -98,19 +97,14 @@ def read_grey8(path: Path) -> UInt8[np.ndarray, "h w"]:
     return _read_pil(path, "L")
 
 
-def write_png(path: Path, srgb8: UInt8[np.ndarray, "h w c"]) -> None:
-    """Write a PNG of 8-bit sRGB; [h, w, 4] carries alpha last."""
-    _write_pil(path, srgb8, "PNG", compress_level=4)
+def write_png(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> None:
+    """Write a PNG of 8-bit grey [h, w], sRGB [h, w, 3], or sRGB with alpha last [h, w, 4]."""
+    _write_pil(path, picture, "PNG", compress_level=4)
 
 
-def write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"], quality: int = 92) -> None:
+def write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"]) -> None:
     """Write a JPEG of 8-bit sRGB, without chroma subsampling."""
-    _write_pil(path, srgb8, "JPEG", quality=quality, subsampling=0)
-
-
-def write_grey8(path: Path, grey: UInt8[np.ndarray, "h w"]) -> None:
-    """Write a PNG of 8-bit grey (masks)."""
-    _write_pil(path, grey, "PNG", compress_level=4)
+    _write_pil(path, srgb8, "JPEG", quality=92, subsampling=0)
 
 
 def read_hdr(path: Path) -> Float32[np.ndarray, "h w 3"]:

@@ -1,9 +1,8 @@
-"""Videos: 8-bit sRGB frames to and from .mp4 (H.264 where the PyAV wheel has it)."""
+"""Videos: 8-bit sRGB frames to .mp4 (H.264 where the PyAV wheel has it)."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -14,16 +13,11 @@ from jaxtyping import UInt8
 
 from lightsim.errors import InputError
 from lightsim.store.atomic import partial_name, unwritable
-from lightsim.store.reading import open_regular
 
 _BT709 = 1
 _LIMITED_RANGE = 1
 _QUALITY = "20"
 _MIN_SIDE_PX = 16
-_MAX_PIXELS = 1 << 26
-"""8192x8192; a frame is decoded whole."""
-_MAX_BYTES = 16 << 30
-"""Frames are decoded one at a time: an hour of six 4k cameras side by side."""
 _MAX_FPS = 1000
 """Far above any camera: more is a fault of the time stamps."""
 
@@ -107,35 +101,6 @@ class Mp4Writer:
             raise unwritable(self._path, failure) from failure
         finally:
             self._temporary.unlink(missing_ok=True)
-
-
-def read_video(path: Path) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-    """8-bit sRGB frames of the first video stream.
-
-    Raises:
-        InputError: the file is missing, damaged, or holds no video.
-    """
-    import av
-    from av.error import FFmpegError
-
-    try:
-        with (
-            open_regular(path, "video", _MAX_BYTES) as handle,
-            av.open(handle, "r", format="mp4") as container,
-        ):
-            stream = container.streams.video[0]
-            if stream.width * stream.height > _MAX_PIXELS:
-                raise ValueError(f"frames of {stream.width}x{stream.height} px")
-            for frame in container.decode(stream):
-                rgb = frame.reformat(format="rgb24", src_colorspace="ITU709")
-                yield rgb.to_ndarray()
-    except (FFmpegError, OSError, IndexError, ValueError) as error:
-        raise InputError(
-            "the video cannot be read",
-            where=path,
-            got=error,
-            remedy="Check the path, or make the video again.",
-        ) from error
 
 
 def _open(path: Path, width: int, height: int, fps: float) -> tuple[Any, Any]:

@@ -50,6 +50,7 @@ class _Plane:
     outward: Float[np.ndarray, "3"]
 
     def place(self, std: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+        """Points (s, t, d) in metres to world points."""
         basis = np.stack([self.along, np.array([0.0, 0.0, 1.0]), self.outward])
         return self.origin + std @ basis
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32
 
+from lightsim.core.colour import luminance
 from lightsim.core.dome import SkyDome, Sun, add_sun
 from lightsim.core.equirect import pixel_directions, sample_bilinear, solid_angles_sr
 from lightsim.core.solar import SolarPosition, direction_world
@@ -94,7 +95,7 @@ def build_sky(spec: SkySpec, plan: StreetPlan, height_px: int = 512) -> Sky:
     radiance[is_below] = 0.0
     weight = np.clip(directions[..., 2], 0, None) * solid_angles_sr(height_px)
     total = np.einsum("hwc,hw->c", radiance, weight)
-    level = spec.sky_irradiance / float(total @ [0.2126, 0.7152, 0.0722])
+    level = spec.sky_irradiance / float(luminance(total))
     ground = level * total / np.pi * 0.18
     if sun is not None:
         ground = ground + sun.irradiance * towards[2] / np.pi * 0.18

@@ -162,6 +162,7 @@ class _Pair:
         self.discriminator = discriminator.to(device)
 
     def learners(self) -> dict[str, Learner]:
+        """Generator, whose weights are averaged, and discriminator, with Adam."""
         betas, config = (0.5, 0.99), self._config
         adam = torch.optim.Adam(self.generator.parameters(), config.rate, betas)
         adam_d = torch.optim.Adam(self.discriminator.parameters(), config.discriminator_rate, betas)

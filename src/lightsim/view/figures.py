@@ -15,7 +15,7 @@ from lightsim.core.resample import resize_area
 from lightsim.errors import InputError
 
 _NO_SURFACE_GREY = 24
-_NEAR_M = 2.0
+_NEAR_M, _FAR_M = 2.0, 80.0
 _GAP_GREY = 128
 _MARKER = np.array([255, 64, 32], dtype=np.uint8)
 _KEY = 0.35
@@ -30,19 +30,14 @@ _TURBO = np.array(
 """Polynomial of the Turbo colour map (Mikhailov 2019), sRGB in [0, 1]."""
 
 
-def tone_mapped(
-    linear: Float[np.ndarray, "h w 3"], exposure_ev: float | None = None
-) -> UInt8[np.ndarray, "h w 3"]:
+def tone_mapped(linear: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
     """A picture of HDR radiance; highlights are rolled off, so that suns keep their shape.
 
-    Without `exposure_ev` (stops), the median luminance above zero comes to 0.35.
+    The median luminance above zero comes to 0.35.
     """
     value = luminance(linear)
-    if exposure_ev is None:
-        lit = value[value > 0]
-        gain = _KEY / float(np.median(lit)) if len(lit) else 1.0
-    else:
-        gain = float(2.0**exposure_ev)
+    lit = value[value > 0]
+    gain = _KEY / float(np.median(lit)) if len(lit) else 1.0
     # Linear up to 0.6, then a smooth shoulder that reaches 1 at infinity; hue is kept.
     exposed = np.maximum(value * gain, 1e-9)
     over = np.maximum(exposed - 0.6, 0.0)
@@ -50,25 +45,21 @@ def tone_mapped(
     return srgb8_from_linear(linear * (gain * mapped / exposed)[..., None])
 
 
-def dome_preview(
-    dome: SkyDome, width_px: int = 768, exposure_ev: float | None = None
-) -> UInt8[np.ndarray, "h w 3"]:
+def dome_preview(dome: SkyDome, width_px: int = 768) -> UInt8[np.ndarray, "h w 3"]:
     """The tone-mapped dome, its centre column along world +x, a ring around the known sun."""
     step = max(1, dome.radiance.shape[1] // width_px)
     height, width = dome.height_px // step, dome.radiance.shape[1] // step
     cropped = dome.radiance[: height * step, : width * step]
     small = cropped.reshape(height, step, width, step, 3).mean(axis=(1, 3))
     enlarge = max(1, width_px // width)
-    picture = tone_mapped(small, exposure_ev).repeat(enlarge, axis=0).repeat(enlarge, axis=1)
+    picture = tone_mapped(small).repeat(enlarge, axis=0).repeat(enlarge, axis=1)
     if dome.sun is not None:
         uv = uv_from_directions(dome.sun.direction_world)
         _draw_ring(picture, float(uv[0]), float(uv[1]))
     return picture
 
 
-def strip(
-    pictures: Sequence[UInt8[np.ndarray, "..."]], gap_px: int = 6
-) -> UInt8[np.ndarray, "h w 3"]:
+def strip(pictures: Sequence[UInt8[np.ndarray, "..."]]) -> UInt8[np.ndarray, "h w 3"]:
     """Pictures of one height side by side.
 
     Raises:
@@ -81,7 +72,7 @@ def strip(
             got=f"heights {sorted(heights)} px",
             expected="one or more pictures that share it",
         )
-    gap = np.full((heights.pop(), gap_px, 3), _GAP_GREY, dtype=np.uint8)
+    gap = np.full((heights.pop(), 6, 3), _GAP_GREY, dtype=np.uint8)
     parts = [part for picture in pictures for part in (picture, gap)]
     return np.concatenate(parts[:-1], axis=1)
 
@@ -91,12 +82,10 @@ def ratio_grey(ratio: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"
     return np.round(np.clip(ratio, 0.0, 1.0) * 255).astype(np.uint8)
 
 
-def depth_colours(
-    depth_z_m: Float[np.ndarray, "h w"], far_m: float = 80.0
-) -> UInt8[np.ndarray, "h w 3"]:
-    """Depth in Turbo colours, near (2 m) red to far blue on a logarithmic scale; dark grey
+def depth_colours(depth_z_m: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
+    """Depth in Turbo colours, near (2 m) red to far (80 m) blue on a logarithmic scale; dark grey
     where there is no surface."""
-    part = np.log(np.clip(depth_z_m, _NEAR_M, far_m) / far_m) / np.log(_NEAR_M / far_m)
+    part = np.log(np.clip(depth_z_m, _NEAR_M, _FAR_M) / _FAR_M) / np.log(_NEAR_M / _FAR_M)
     return _on_surface(_turbo(0.08 + 0.84 * part), np.isfinite(depth_z_m))
 
 

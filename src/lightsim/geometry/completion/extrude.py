@@ -15,10 +15,9 @@ import numpy as np
 from jaxtyping import Float32
 
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.casting import MakeCaster, RayCaster
+from lightsim.core.casting import MakeCaster, RayCaster, check_world
 from lightsim.core.mesh import TriMesh
 from lightsim.core.resample import resize_area
-from lightsim.errors import FrameMismatchError
 from lightsim.geometry.completion.extrude_columns import (
     columns_from_facades,
     find_facades,
@@ -86,10 +85,7 @@ def infer_tall_structures(
         FrameMismatchError: the mesh is not in frame world.
         InputError: a matte does not fit its camera.
     """
-    if background.frame != "world":
-        raise FrameMismatchError(
-            "the background lies in the wrong frame", got=background.frame, expected="world"
-        )
+    check_world([background])
     if len(background.faces) == 0:
         return mesh_columns([], VoxelGrid(np.zeros(3), _VOXEL_M, (1, 1, 1)))
     grid = VoxelGrid.around(background, _VOXEL_M, _MAX_HEIGHT_M)

@@ -174,10 +174,8 @@ def _sample_walls(
     normals = mesh.face_normals()
     is_wall = (np.abs(normals[:, 2]) <= max_normal_z) & (np.abs(normals).sum(axis=1) > 0)
     corners = mesh.vertices[mesh.faces[is_wall]].astype(np.float64)
-    area = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
-    counts = np.clip(np.ceil(area / 2 / _SAMPLE_AREA_M2), 1, _MAX_SAMPLES_A_FACE).astype(np.int64)
+    area = mesh.face_areas_m2()[is_wall]
+    counts = np.clip(np.ceil(area / _SAMPLE_AREA_M2), 1, _MAX_SAMPLES_A_FACE).astype(np.int64)
     face = np.repeat(np.arange(len(corners)), counts)
     # The R2 sequence (Roberts 2018) covers each face evenly without a random generator.
     order = np.arange(len(face)) + 1.0

@@ -16,10 +16,9 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int32
 
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.casting import MakeCaster, RayCaster
+from lightsim.core.casting import MakeCaster, RayCaster, check_world
 from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame, LidarSweep
-from lightsim.errors import FrameMismatchError
 from lightsim.geometry.completion.silhouettes import (
     MIN_BASELINE_M,
     View,
@@ -116,10 +115,7 @@ def complete_facades(
         FrameMismatchError: the mesh is not in frame world.
         InputError: a matte does not fit its camera.
     """
-    if background.frame != "world":
-        raise FrameMismatchError(
-            "the background lies in the wrong frame", got=background.frame, expected="world"
-        )
+    check_world([background])
     walls = find_walls(background)
     caster = make_caster([background])
     cells = [_measure(wall, caster) for wall in walls]

@@ -16,11 +16,10 @@ import numpy as np
 from jaxtyping import Float, Float64, Int64
 
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.casting import MakeCaster, RayCaster
+from lightsim.core.casting import MakeCaster, RayCaster, check_world
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
-from lightsim.errors import FrameMismatchError
 from lightsim.geometry.completion.silhouettes import (
     MIN_BASELINE_M,
     View,
@@ -96,10 +95,7 @@ def build_far_field(
         FrameMismatchError: the mesh is not in frame world.
         InputError: a matte does not fit its camera.
     """
-    if background.frame != "world":
-        raise FrameMismatchError(
-            "the background lies in the wrong frame", got=background.frame, expected="world"
-        )
+    check_world([background])
     proxy = _empty_proxy(background, path_m)
     extended = _extend_ground(background, ground, path_m, proxy, make_caster)
     caster = make_caster([background, extended])

@@ -51,7 +51,7 @@ def check_matte(camera: PinholeCamera, matte: Float32[np.ndarray, "h w"]) -> Non
 
 
 def classify_matte(
-    camera: PinholeCamera, matte: Float32[np.ndarray, "h w"], erode_px: int = 1
+    camera: PinholeCamera, matte: Float32[np.ndarray, "h w"]
 ) -> Int8[np.ndarray, "h w"]:
     """1 where a pixel and its neighbours are sky, -1 where it shows matter, 0 where it is mixed.
 
@@ -63,6 +63,6 @@ def classify_matte(
     check_matte(camera, matte)
     kind = np.zeros(matte.shape, dtype=np.int8)
     kind[matte <= SOLID_ALPHA] = -1
-    is_sky = np.asarray(minimum_filter(matte, 2 * erode_px + 1)) >= SKY_ALPHA
+    is_sky = np.asarray(minimum_filter(matte, 3)) >= SKY_ALPHA
     kind[is_sky] = 1
     return kind

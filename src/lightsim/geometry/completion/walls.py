@@ -60,7 +60,7 @@ class Wall:
         return self.origin_m + place + out_m * self.normal
 
 
-def find_walls(mesh: TriMesh, seed: int = 0) -> list[Wall]:
+def find_walls(mesh: TriMesh) -> list[Wall]:
     """Upright planes with much measured surface, greatest first.
 
     RANSAC with one face as hypothesis (Fischler & Bolles 1981, doi:10.1145/358669.358692):
@@ -69,13 +69,11 @@ def find_walls(mesh: TriMesh, seed: int = 0) -> list[Wall]:
     normals = mesh.face_normals()
     is_upright = (np.abs(normals[:, 2]) < _MAX_NORMAL_Z) & (np.abs(normals).sum(axis=1) > 0)
     corners = mesh.vertices[mesh.faces[is_upright]].astype(np.float64)
-    area = 0.5 * np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    area = mesh.face_areas_m2()[is_upright]
     flat = normals[is_upright, :2]
     flat = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-9)
     centres = corners.mean(axis=1)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     is_free = area > 0
     walls: list[Wall] = []
     for _ in range(_MAX_WALLS):

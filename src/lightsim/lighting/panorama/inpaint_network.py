@@ -60,6 +60,7 @@ class _Output(nn.Module):
         nn.init.normal_(self.convolution.weight, 0.0, deviation)
 
     def forward(self, x: Float[Tensor, "n _ h w"]) -> Float[Tensor, "n 3 h w"]:
+        """Features to RGB of the same size, padded as on the sphere."""
         return self.convolution(pad_sphere(x, 1))
 
 

@@ -80,6 +80,7 @@ class _Sums:
         weight: Float[np.ndarray, " n"],
         is_clipped: Bool[np.ndarray, " n"],
     ) -> None:
+        """Adds weighted radiance to the cells of the flat panorama that `index` names."""
         for sums, chosen in ((self._open, ~is_clipped), (self._clipped, is_clipped)):
             for channel in range(3):
                 sums[:, channel] += np.bincount(

@@ -214,6 +214,7 @@ class _Interpolated:
         self._tree, self._values = KDTree(directions_world), values
 
     def at(self, directions_world: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+        """Mean of the three nearest values, weighted by inverse squared distance."""
         distance, index = self._tree.query(directions_world, k=3)
         weight = 1.0 / np.maximum(distance, 1e-4) ** 2
         return (weight * self._values[index]).sum(axis=1) / weight.sum(axis=1)

@@ -151,6 +151,7 @@ class _Glow:
         self._usual = float(np.median(value)) if len(value) else 1.0
 
     def around(self, centre: Float[np.ndarray, "3"], radius_deg: float) -> float:
+        """Mean within twice the radius and 2 degrees of `centre`, over the whole sky's median."""
         cosine = self._directions @ centre
         ring = cosine > np.cos(np.radians(2.0 * radius_deg + 2.0))
         if not ring.any():

@@ -28,7 +28,7 @@ from lightsim.store.alignment import write_alignment
 from lightsim.store.artefact import hash_names, write_json
 from lightsim.store.checkpoint import FolderCheckpointer
 from lightsim.store.fields import write_fields
-from lightsim.store.images import write_grey8
+from lightsim.store.images import write_png
 from lightsim.store.log import write_log
 from lightsim.store.weights import WeightsRecord, write_weights
 from lightsim.version import __version__
@@ -80,7 +80,7 @@ def _write_mattes(log: DrivingLog, folder: Path, context: Context) -> None:
         (folder / camera).mkdir(exist_ok=True)
     wanted = log.with_frames(tuple(f for f in log.frames if not path_of(f).exists()))
     for frame, matte in sky_mattes(wanted, context.progress):
-        write_grey8(path_of(frame), np.round(matte * 255).astype(np.uint8))
+        write_png(path_of(frame), np.round(matte * 255).astype(np.uint8))
 
 
 def make_fields(

@@ -126,12 +126,10 @@ def is_inside_box(points_actor: Float64[np.ndarray, "n 3"], actor: ActorTrack) -
     return is_within & (points_actor[:, 2] > -half[2] + floor)
 
 
-def centre_line(
-    path_m: Float[np.ndarray, "n 3"], step_m: float = 1.0
-) -> Float64[np.ndarray, "m 3"]:
-    """The path thinned to about one point every `step_m`."""
+def centre_line(path_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "m 3"]:
+    """The path thinned to about one point a metre."""
     kept = [path_m[0]]
     for point in path_m[1:]:
-        if np.linalg.norm(point - kept[-1]) >= step_m:
+        if np.linalg.norm(point - kept[-1]) >= 1.0:
             kept.append(point)
     return np.array(kept, dtype=np.float64)

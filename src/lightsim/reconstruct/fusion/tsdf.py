@@ -113,6 +113,7 @@ class _Blocks:
         self.weight = np.zeros((0, BLOCK, BLOCK, BLOCK), dtype=np.float32)
 
     def grow(self, coords: Int32[np.ndarray, "b 3"]) -> None:
+        """Appends unobserved blocks."""
         fresh = np.zeros((len(coords), BLOCK, BLOCK, BLOCK), dtype=np.float32)
         self.coords = np.concatenate([self.coords, coords])
         self.sdf = np.concatenate([self.sdf, fresh])
@@ -125,6 +126,7 @@ class _Blocks:
         world_from_grid: Float64[np.ndarray, "4 4"],
         furthest_m: float,
     ) -> None:
+        """Averages a view's truncated signed distances to `target` into all blocks."""
         grid = (*self.origin_m.tolist(), self.voxel_m, self.truncation_m, furthest_m)
         integrate_view(
             self.coords,
@@ -140,6 +142,7 @@ class _Blocks:
         )
 
     def grid(self) -> TsdfGrid:
+        """The blocks so far, in the order of their coordinates."""
         order = np.lexsort(self.coords.T[::-1])
         return TsdfGrid(
             self.frame,
@@ -178,6 +181,7 @@ class _Level:
         self._blocks = _Blocks("world", low, voxel, voxel * _TRUNCATION_VOXELS)
 
     def add(self, image: RangeImage, points_world: Float64[np.ndarray, "n 3"]) -> None:
+        """Opens blocks around the points, then integrates the view into all of them."""
         blocks = self._blocks
         before = self._table.copy()
         mark_blocks(
@@ -193,6 +197,7 @@ class _Level:
         blocks.integrate(image, 0, np.eye(4), self._reach)
 
     def grid(self) -> TsdfGrid:
+        """The level so far."""
         return self._blocks.grid()
 
 
@@ -212,9 +217,11 @@ class _ActorFusion:
         self._blocks.grow(np.argwhere(np.ones(tuple(shape.tolist()), dtype=bool)).astype(np.int32))
 
     def add(self, image: RangeImage, label: int) -> None:
+        """Integrates the view's returns of `label` where the actor is present at its time."""
         if self._actor.is_present(image.time_ns, SWEEP_HOLD_S):
             pose = self._actor.world_from_actor(image.time_ns, SWEEP_HOLD_S).matrix
             self._blocks.integrate(image, label, pose, 120.0)
 
     def grid(self) -> TsdfGrid:
+        """The actor so far, in its box frame."""
         return self._blocks.grid()

@@ -94,13 +94,9 @@ class ReferenceRenderer:
         samples: int = 64,
         bounces: int = 4,
         seed: int = 0,
-        *,
-        inferred_is_visible: bool = False,
     ) -> None:
         shadow_only = [inferred] if len(inferred.faces) else []
-        self._static = make_static_scene(
-            [background], shadow_only, inferred_is_visible=inferred_is_visible
-        )
+        self._static = make_static_scene([background], shadow_only)
         self._tracer = tracer
         self._samples = samples
         self._bounces = bounces
@@ -128,17 +124,6 @@ class ReferenceRenderer:
         table = trace_transport(scene, buffers, occlusion, self._seed)
         buffers = with_ambient_occlusion(buffers, table.ambient_occlusion)
         return ReferenceFrame(self, scene, frame, camera, buffers)
-
-    def render(
-        self,
-        scenario: Scenario,
-        frame: CameraFrame,
-        camera: PinholeCamera,
-        skies: Sequence[SkyDome],
-    ) -> tuple[GBuffers, list[ShadowBuffers]]:
-        """Geometry of a frame and its light under each sky, at pixel centres."""
-        traced = self.trace(scenario, frame, camera)
-        return traced.buffers, [traced.light(sky) for sky in skies]
 
     def shoot(self, traced: ReferenceFrame, shots: Sequence[Shot]) -> list[Picture]:
         """Pictures of a frame."""

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32, Int32, Int64, UInt16
 
 from lightsim.core.casting import RayCaster
-from lightsim.core.mesh import MATTE_ROUGHNESS, TriMesh
+from lightsim.core.mesh import TriMesh
 from lightsim.errors import InputError
 from lightsim.render.casters.embree import offset_origins
 from lightsim.render.transport.sides import OPEN, SideFinder
@@ -46,9 +46,7 @@ class TransportConfig:
     pixel_samples: int = 1
     """Points of every pixel that are looked at, a square number; 1 takes the centre."""
     glossy_rays: int = 8
-    """Rays per pixel for reflections; 0 leaves them out."""
-    glossy_max_roughness: float = MATTE_ROUGHNESS
-    """Surfaces at least this rough do not reflect."""
+    """Rays for reflections of each pixel smoother than MATTE_ROUGHNESS; 0 leaves them out."""
     device: str = "cpu"
     """Where the sums over pixel rays are taken: "cpu" (numba), or a device of torch."""
 

@@ -216,6 +216,7 @@ class _DeviceFaces:
 
     @property
     def tensors(self) -> list[torch.Tensor]:
+        """All that lies on the device."""
         more = [] if self._next is None else [self._next]
         return [self._is_blocked, self._cells, self._colour, *more]
 
@@ -254,6 +255,7 @@ class _DevicePoints:
 
     @property
     def tensors(self) -> list[torch.Tensor]:
+        """All that lies on the device."""
         return [self._cells, self._is_met, self._met, self._begin]
 
     def sky(

@@ -11,6 +11,7 @@ from lightsim.core.buffers import GBuffers
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import RayHits
 from lightsim.core.frames import RigidTransform
+from lightsim.core.mesh import MATTE_ROUGHNESS
 from lightsim.core.sensors import CameraFrame
 from lightsim.render.gbuffers import BAND_RAYS, SeenSurfaces, see
 from lightsim.render.scene import FrameScene
@@ -154,7 +155,7 @@ class _Gathered:
             is_edge = (count > 0) & (count < self._per_pixel)
             is_edge[local[_is_unlike(scene, seen, band.start + local, self._gbuffers)]] = True
         roughness, metallic = surface_material(scene, seen.hits)
-        is_glossy = (roughness < config.glossy_max_roughness) & (config.glossy_rays > 0)
+        is_glossy = (roughness < MATTE_ROUGHNESS) & (config.glossy_rays > 0)
         for found, chosen in ((self._edges, is_edge[local]), (self._glossy, is_glossy)):
             points = _points(seen, np.flatnonzero(chosen), roughness, metallic)
             found.append(replace(points, rows=points.rows + self._total))

@@ -133,6 +133,7 @@ class _Encode(torch.autograd.Function):
         spec: HashGridSpec,
         sparse: SparseGradient | None,
     ) -> Tensor:
+        """Features [n, levels * features] of points [n, 3] in metres."""
         ctx.save_for_backward(points, table, salt)
         ctx.spec, ctx.sparse = spec, sparse
         return _backend(points).look_up(points, table, salt, spec)
@@ -142,6 +143,7 @@ class _Encode(torch.autograd.Function):
     def backward(  # pyright: ignore[reportIncompatibleMethodOverride] - decorated
         ctx: Any, *upstreams: Tensor
     ) -> tuple[Tensor | None, ...]:
+        """Gradients of points and table; the table's is None where `sparse` collects it."""
         points, table, salt = ctx.saved_tensors
         upstream = upstreams[0].contiguous()
         backend = _backend(points)
