@@ -8,12 +8,16 @@ import pytest
 from lightsim.core.colour import srgb_from_linear
 from lightsim.core.dome import find_sun, split_sun
 from lightsim.core.equirect import pixel_directions
+from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import angle_between_deg, azimuth_elevation, direction_enu
 from lightsim.core.twin import Panorama
-from lightsim.errors import InputError
 from lightsim.lighting.sky.estimate import SkyConfig
-from lightsim.lighting.sky.image_sky import estimate_from_panorama, panorama_from_image
-from lightsim.lighting.sky.shipped import decoded_dome, edited_sky, predict_sky
+from lightsim.lighting.sky.image_sky import (
+    edited_sky,
+    estimate_from_panorama,
+    panorama_from_image,
+)
+from lightsim.lighting.sky.shipped import decoded_dome, predict_sky
 from lightsim.lighting.target_sky import target_sky
 
 HEIGHT_PX = 64
@@ -75,12 +79,11 @@ def test_edits_of_an_estimated_picture(panorama: Panorama) -> None:
     estimate = estimate_from_panorama(
         picture, seen, None, SkyConfig(height_px=HEIGHT_PX), predict_sky(panorama)
     )
-    moved = edited_sky(estimate, panorama, "300,50", 1.0, 120.0)
+    moved = edited_sky(estimate, SkyChoice("source", move_sun="300,50"), 120.0)
     assert (moved.sun_azimuth_deg, moved.sun_elevation_deg) == (300.0, 50.0)
     assert moved.dome.sun is not None
     # 180 degrees clockwise from the centre column, which looks along +x.
     expected = direction_enu(90.0 + 180.0, 50.0)
-    assert angle_between_deg(moved.dome.sun.direction_world, expected) < 2.0
-    for words, factor in (("300", 1.0), ("a,b", 1.0), ("300,-5", 1.0), (None, 0.0), (None, np.nan)):
-        with pytest.raises(InputError):
-            edited_sky(estimate, panorama, words, float(factor), None)
+    assert angle_between_deg(moved.dome.sun.direction_world, expected) < 1e-3
+    level = moved.sky_irradiance + moved.dome.sun.irradiance * np.sin(np.radians(50.0))
+    np.testing.assert_allclose(level, moved.dome.horizontal_irradiance(), rtol=1e-3)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,14 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.twin import SkyEstimate
 from lightsim.errors import InputError
 from lightsim.lighting.sun.direction import SunDirection, sun_from_geo
-from lightsim.lighting.target_sky import dome_from_array, parse_time, scale_to_source, target_sky
+from lightsim.lighting.target_sky import (
+    dome_from_array,
+    parse_time,
+    scale_to_source,
+    target_sky,
+    towards_sun,
+    with_edited_sun,
+)
 from lightsim.pipeline.workspace import Workspace
 from lightsim.store.artefact import hash_file
 from lightsim.store.images import read_sky
@@ -40,21 +47,38 @@ def made_from_sky(choice: SkyChoice) -> dict[str, Any]:
     """
     _check_file(choice)
     key = choice.sky if choice.path is None else hash_file(choice.path)
-    return {"input": key, "yaw_deg": choice.yaw_deg, "scale": choice.scale}
+    return {**asdict(choice), "sky": key}
 
 
 def resolve_sky(choice: SkyChoice, workspace: Workspace) -> TargetSky:
-    """The dome that a user's words name, turned and scaled, for the log of a workspace.
+    """The dome that a user's words name, for the log of a workspace: turned, scaled, and then its
+    sun edited, so that the rest of the sky is as bright as without the edit.
 
     Raises:
-        InputError: the words or the file are wrong, or the sun is below the horizon.
+        InputError: the words or the file are wrong, the sun is below the horizon, or there is none
+            to edit.
     """
     dome, facts = _dome_of(choice, workspace.log.geo, workspace.sky)
     if choice.yaw_deg:
         dome = dome.rotated(-choice.yaw_deg)
     dome, factor = scale_to_source(dome, workspace.sky.dome, choice.scale_mode)
     facts |= {"yaw_deg": choice.yaw_deg, "scale": choice.scale, "scale_factor": factor}
+    if choice.has_edited_sun:
+        dome, edited = _with_edited_sun(dome, choice, workspace.log.geo)
+        facts |= edited
     return TargetSky(dome, facts | _light_facts(dome))
+
+
+def _with_edited_sun(
+    dome: SkyDome, choice: SkyChoice, geo: GeoReference | None
+) -> tuple[SkyDome, dict[str, Any]]:
+    facts: dict[str, Any] = {"sun_factor": choice.sun_factor}
+    direction = None
+    if choice.sun_position is not None:
+        azimuth_deg, elevation_deg = choice.sun_position
+        direction, assumed = towards_sun(azimuth_deg, elevation_deg, geo)
+        facts |= {"azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg, **assumed}
+    return with_edited_sun(dome, direction, choice.sun_factor), facts
 
 
 def sky_alone(choice: SkyChoice) -> TargetSky:

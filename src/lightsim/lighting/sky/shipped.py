@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from lightsim.core.checks import check_number
 from lightsim.core.colour import linear_from_srgb
-from lightsim.core.dome import SkyDome, Sun, irradiance, split_sun
-from lightsim.core.solar import direction_enu
-from lightsim.core.twin import Panorama, SkyEstimate
+from lightsim.core.dome import SkyDome, Sun, split_sun
+from lightsim.core.twin import Panorama
 from lightsim.errors import InputError
 from lightsim.lighting.sample import SkyPrediction
 
@@ -46,6 +44,8 @@ def decoded_dome(
     """The dome that the decoder draws of a panorama; on demand with its sun elsewhere, or stronger
     (paper, appendix: the same sky latent with other f_dir and f_int).
 
+    `lighting.target_sky.with_edited_sun` does the same on any HDR dome.
+
     Args:
         panorama: stitched or a picture; the dome has its size, unit and frame.
         sun_direction: unit vector towards another sun.
@@ -75,62 +75,6 @@ def decoded_dome(
     direction = predicted.sun_direction if sun_direction is None else sun_direction
     towards = Sun(direction.astype(np.float64), np.zeros(3, dtype=np.float32))
     return SkyDome(radiance, split_sun(SkyDome(radiance, towards))[1])
-
-
-_LEAST_ELEVATION_DEG = 0.1
-"""Night and twilight are not modelled."""
-_MAX_SUN_FACTOR = 1e3
-"""From a veiled sun to a clear one is a factor of a hundred."""
-
-
-def edited_sky(
-    estimate: SkyEstimate,
-    panorama: Panorama,
-    sun: str | None,
-    sun_factor: float,
-    heading_deg: float | None,
-) -> SkyEstimate:
-    """The estimate of a picture with its sun moved to "AZIMUTH,ELEVATION" or made stronger.
-
-    Args:
-        heading_deg: azimuth of world +x; None takes azimuths from there.
-
-    Raises:
-        InputError: `sun` is not two numbers, or below the horizon.
-    """
-    check_number("--sun-factor", sun_factor, 0.0, _MAX_SUN_FACTOR)
-    azimuth_deg, elevation_deg = estimate.sun_azimuth_deg, estimate.sun_elevation_deg
-    direction = None if estimate.dome.sun is None else estimate.dome.sun.direction_world
-    if sun is not None:
-        asked_deg, elevation_deg = _two_numbers(sun)
-        azimuth_deg = None if heading_deg is None else asked_deg % 360.0
-        # Azimuths run clockwise from north, `direction_enu`'s from +y.
-        direction = direction_enu(90.0 + asked_deg - (heading_deg or 0.0), elevation_deg)
-    dome = decoded_dome(panorama, sun_direction=direction, sun_factor=sun_factor)
-    level = irradiance(split_sun(dome)[0], np.array([0.0, 0.0, 1.0]))
-    return replace(
-        estimate,
-        dome=dome,
-        sun_azimuth_deg=azimuth_deg,
-        sun_elevation_deg=elevation_deg,
-        sky_irradiance=level.astype(np.float32),
-        notes=("the sun was placed by hand; the decoder drew the sky", *estimate.notes),
-    )
-
-
-def _two_numbers(text: str) -> tuple[float, float]:
-    try:
-        first, second = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise InputError(
-            "the sun cannot be read",
-            where="--move-sun",
-            got=text,
-            expected="AZIMUTH,ELEVATION in degrees",
-        ) from error
-    check_number("--move-sun, azimuth", first, -360.0, 360.0)
-    check_number("--move-sun, elevation", second, _LEAST_ELEVATION_DEG, 90.0)
-    return first, second
 
 
 def _completed(panorama: Panorama) -> tuple[np.ndarray, float]:
