@@ -41,7 +41,7 @@ def main() -> None:
     moved = edited_sky(estimate, SkyChoice("source", move_sun="200,50"), None)
     for name, sky in (("estimate", estimate), ("moved", moved)):
         (folder / name).mkdir(parents=True, exist_ok=True)
-        write_sky(folder / name, sky, "sky.exr")
+        write_sky(folder / name, sky, None, "sky.exr")
     brightest = decoded_dome(panorama, sun_factor=2.0).radiance.max()
     sys.stdout.write(f"with its sun twice as strong its brightest pixel is {brightest:.0f}\n")
 

@@ -2,21 +2,44 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from tests.render.rendering_scenes import constant_sky, sun_sky
 from tests.simulate.test_moving_shadow import is_dark, overlap, recorded, relit
 from tests.tiny_world import TinyWorkspace, ground_points, in_shadow, on_ground, tiny_world
 
-from lightsim.core.dome import split_sun
+from lightsim.core.dome import SkyDome, split_sun
 from lightsim.core.equirect import pixel_directions
+from lightsim.core.frames import RigidTransform
+from lightsim.core.log import GeoReference
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import angle_between_deg, azimuth_elevation, direction_enu
 from lightsim.errors import InputError
 from lightsim.simulate.skies import made_from_sky, resolve_sky
+from lightsim.store.sky import write_sky
 
 UP = np.array([0.0, 0.0, 1.0])
 SKY = 0.15
+
+
+def facing(work: TinyWorkspace, heading_deg: float | None) -> TinyWorkspace:
+    """The same log with its world's +x at an azimuth, or nobody knows where."""
+    if heading_deg is None:
+        return work
+    turn = RigidTransform.from_yaw("enu", "world", np.radians(90.0 - heading_deg), np.zeros(3))
+    geo = GeoReference(48.0, 11.0, 0, turn, "given", None)
+    work.__dict__["log"] = replace(work.log, geo=geo)
+    return work
+
+
+def write(work: TinyWorkspace, dome: SkyDome, folder: Path) -> Path:
+    """The dome as a build of the log would write it."""
+    geo = work.log.geo
+    write_sky(folder, replace(work.sky, dome=dome), None if geo is None else geo.heading_deg)
+    return folder / "source.exr"
 
 
 def edited(work: TinyWorkspace, position: str, factor: float = 1.0):
@@ -89,3 +112,44 @@ def test_an_edit_is_another_sky_to_artefacts() -> None:
         for factor in (1.0, 2.0)
     ]
     assert all(a != b for i, a in enumerate(made) for b in made[:i])
+
+
+def test_the_sky_of_another_log_keeps_its_north(tmp_path: Path) -> None:
+    """To a log that lies turned and back: the sun at its azimuth, the sky as it was. Files tell
+    their sun to a quarter of a pixel of 0.7 degrees."""
+    dome = sun_sky(np.radians(30.0), 35.0, SKY)
+    dome = SkyDome(dome.radiance * np.linspace(1, 2, 512, dtype=np.float32)[:, None], dome.sun)
+    here, there = (facing(tiny_world(dome), heading) for heading in (90.0, 210.0))
+    moved = resolve_sky(SkyChoice(str(write(here, dome, tmp_path)), scale="none"), there).dome
+    assert moved.sun is not None
+    assert there.log.geo is not None
+    assert there.log.geo.enu_from_world is not None
+    in_enu = there.log.geo.enu_from_world.rotate(moved.sun.direction_world)
+    assert azimuth_elevation(in_enu).azimuth_deg == pytest.approx(60.0, abs=0.2)
+    back = resolve_sky(SkyChoice(str(write(there, moved, tmp_path)), scale="none"), here)
+    assert back.dome.sun is not None
+    assert angle_between_deg(back.dome.sun.direction_world, direction_enu(60.0, 35.0)) < 0.2
+    far = pixel_directions(256) @ direction_enu(60.0, 35.0) < 0.99
+    np.testing.assert_allclose(back.dome.radiance[far], dome.radiance[far], rtol=0.01)
+    assert "turned by -120.00 degrees" in back.facts["notes"][-1]
+    same = resolve_sky(SkyChoice(str(write(here, dome, tmp_path)), scale="none"), here).dome
+    np.testing.assert_array_equal(same.radiance, dome.radiance)
+
+
+@pytest.mark.parametrize(
+    ("file_deg", "log_deg", "named"), [(None, 90.0, "the file"), (90.0, None, "the log")]
+)
+def test_an_unknown_north_is_told_and_turns_nothing(
+    file_deg: float | None,
+    log_deg: float | None,
+    named: str,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    dome = sun_sky(np.radians(30.0), 35.0, SKY)
+    path = write(facing(tiny_world(dome), file_deg), dome, tmp_path)
+    sky = resolve_sky(SkyChoice(str(path), scale="none"), facing(tiny_world(dome), log_deg))
+    np.testing.assert_array_equal(sky.dome.radiance, dome.radiance)
+    (warning,) = caplog.messages
+    assert f"{named} does not tell where north is" in warning
+    assert sky.facts["notes"][-1] in warning

@@ -62,7 +62,7 @@ class SkyEstimateCommand:
         if edit.has_edited_sun:
             estimate = edited_sky(estimate, edit, self.heading_deg)
         self.out.mkdir(parents=True, exist_ok=True)
-        write_sky(self.out, estimate, "sky.exr")
+        write_sky(self.out, estimate, self.heading_deg, "sky.exr")
         say(f"sky: {self.out / 'sky.exr'}")
         say(f"sun: {self.out / 'sun.json'}")
 

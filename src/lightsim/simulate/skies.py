@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,7 +29,9 @@ from lightsim.pipeline.workspace import Workspace
 from lightsim.store.artefact import hash_file
 from lightsim.store.images import read_sky
 from lightsim.store.reading import is_file
+from lightsim.store.sky import read_heading
 
+_LOGGER = logging.getLogger(__name__)
 SKY_HEIGHT_PX = 256
 
 
@@ -51,22 +55,46 @@ def made_from_sky(choice: SkyChoice) -> dict[str, Any]:
 
 
 def resolve_sky(choice: SkyChoice, workspace: Workspace) -> TargetSky:
-    """The dome that a user's words name, for the log of a workspace: turned, scaled, and then its
+    """The dome that a user's words name, for the log of a workspace: a file that knows its north
+    is turned to the log's; then it is turned as asked, scaled, and then its
     sun edited, so that the rest of the sky is as bright as without the edit.
 
     Raises:
         InputError: the words or the file are wrong, the sun is below the horizon, or there is none
             to edit.
     """
-    dome, facts = _dome_of(choice, workspace.log.geo, workspace.sky)
+    geo = workspace.log.geo
+    dome, facts = _dome_of(choice, geo, workspace.sky)
+    if choice.path is not None:
+        dome, notes = _turned_to_north(dome, choice.path, geo)
+        facts["notes"] += notes
     if choice.yaw_deg:
         dome = dome.rotated(-choice.yaw_deg)
     dome, factor = scale_to_source(dome, workspace.sky.dome, choice.scale_mode)
     facts |= {"yaw_deg": choice.yaw_deg, "scale": choice.scale, "scale_factor": factor}
     if choice.has_edited_sun:
-        dome, edited = _with_edited_sun(dome, choice, workspace.log.geo)
+        dome, edited = _with_edited_sun(dome, choice, geo)
         facts |= edited
     return TargetSky(dome, facts | _light_facts(dome))
+
+
+def _turned_to_north(
+    dome: SkyDome, path: Path, geo: GeoReference | None
+) -> tuple[SkyDome, list[str]]:
+    """A file's dome in the log's frame `world`, and notes; as stored where a north is unknown."""
+    file_deg, log_deg = read_heading(path), None if geo is None else geo.heading_deg
+    if file_deg is not None and log_deg is not None:
+        # Seen from above, +x of the file's world lies this far counter-clockwise from the log's;
+        # headers hold 32 bits.
+        yaw_deg = float(np.float32(log_deg)) - file_deg
+        return dome.rotated(yaw_deg), [f"turned by {yaw_deg:.2f} degrees to the log's north"]
+    unknown = "the file" if file_deg is None else "the log"
+    note = (
+        f"{unknown} does not tell where north is: the sky's centre column is taken to look along"
+        " world +x; --sky-yaw-deg turns it"
+    )
+    _LOGGER.warning("%s: %s", path, note)
+    return dome, [note]
 
 
 def _with_edited_sun(

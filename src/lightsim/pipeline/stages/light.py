@@ -99,7 +99,8 @@ def make_sky(
         work, config.sun, seed=context.seed, progress=context.progress, prediction=predicted
     )
     sky = source_sky(work, sun, config, predicted, seed=context.seed, progress=context.progress)
-    write_sky(folder, sky)
+    geo = work.training_log.geo
+    write_sky(folder, sky, None if geo is None else geo.heading_deg)
     write_panorama_pictures(folder, work.panorama)
     return sky.notes
 
