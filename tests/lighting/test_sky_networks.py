@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lightsim.core.colour import srgb_from_linear
+from lightsim.core.colour import luminance, srgb_from_linear
 from lightsim.core.dome import find_sun, split_sun
 from lightsim.core.equirect import pixel_directions
 from lightsim.core.sky_choice import SkyChoice
@@ -17,7 +17,8 @@ from lightsim.lighting.sky.image_sky import (
     estimate_from_panorama,
     panorama_from_image,
 )
-from lightsim.lighting.sky.shipped import decoded_dome, predict_sky
+from lightsim.lighting.sky.shipped import decoded_dome, decoded_sky, predict_sky
+from lightsim.lighting.sun.direction import SunDirection
 from lightsim.lighting.target_sky import target_sky
 
 HEIGHT_PX = 64
@@ -72,6 +73,23 @@ def test_the_same_sky_with_its_sun_elsewhere_and_stronger(panorama: Panorama) ->
     np.testing.assert_allclose(
         split_sun(plain)[0].sum(axis=(0, 1)), split_sun(strong)[0].sum(axis=(0, 1)), rtol=0.3
     )
+
+
+def test_the_decoders_sky_has_the_sun_that_gps_tells(panorama: Panorama) -> None:
+    towards = direction_enu(60.0, 30.0)
+    sun = SunDirection(towards, 60.0, 30.0, "gps+time", 0.1)
+    prediction = predict_sky(panorama)
+    sky = decoded_sky(panorama, sun, prediction, 128)
+    assert sky.dome.sun is not None
+    assert angle_between_deg(sky.dome.sun.direction_world, towards) < 1e-3
+    brightest = np.unravel_index(sky.dome.radiance.sum(axis=2).argmax(), (128, 256))
+    assert angle_between_deg(pixel_directions(128)[brightest], towards) < 2.0
+    level = sky.sky_irradiance + 0.5 * sky.dome.sun.irradiance
+    np.testing.assert_allclose(level, sky.dome.horizontal_irradiance(), rtol=0.02)
+    # f_int: the peak that the encoder read off, times the solid angle of its pixel of 64 rows.
+    peak = luminance(decoded_dome(panorama, sun_direction=towards).radiance).max()
+    assert np.log(peak) == pytest.approx(prediction.log_peak, abs=0.05)
+    assert "sky-small" in sky.notes[-1]
 
 
 def test_edits_of_an_estimated_picture(panorama: Panorama) -> None:

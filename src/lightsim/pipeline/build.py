@@ -141,7 +141,7 @@ STAGES = (
         "sky",
         6,
         ("log", "alignment", "assets", "panorama"),
-        lambda o: light.SkyStageConfig(SourceSunConfig(gps=o.gps)),
+        lambda o: light.SkyStageConfig(SourceSunConfig(gps=o.gps), model=o.sky_model),
         light.make_sky,
     ),
     Stage(

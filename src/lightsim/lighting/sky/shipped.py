@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from lightsim.core.colour import linear_from_srgb
-from lightsim.core.dome import SkyDome, Sun, split_sun
-from lightsim.core.twin import Panorama
+from lightsim.core.dome import SkyDome, Sun, irradiance, resized, split_sun
+from lightsim.core.twin import Panorama, SkyEstimate
 from lightsim.errors import InputError
 from lightsim.lighting.sample import SkyPrediction
+from lightsim.lighting.sun.direction import SunDirection
 
 if TYPE_CHECKING:
     from lightsim.lighting.sky.estimator import SkyEstimator
@@ -75,6 +76,38 @@ def decoded_dome(
     direction = predicted.sun_direction if sun_direction is None else sun_direction
     towards = Sun(direction.astype(np.float64), np.zeros(3, dtype=np.float32))
     return SkyDome(radiance, split_sun(SkyDome(radiance, towards))[1])
+
+
+def decoded_sky(
+    panorama: Panorama, sun: SunDirection, prediction: SkyPrediction, height_px: int
+) -> SkyEstimate:
+    """The source sky in the paper's way (Sec. 3.2): the decoder draws it from the latent and the
+    peak that the encoders read off the completed panorama and from the sun that was found, by GPS
+    where the log has it. No shadow and no balance is asked.
+
+    Args:
+        prediction: `predict_sky` of the panorama, for its uncertainty.
+
+    Raises:
+        InputError: nothing was seen.
+    """
+    dome = resized(decoded_dome(panorama, sun_direction=sun.direction_world), height_px)
+    level = irradiance(split_sun(dome)[0], np.array([0.0, 0.0, 1.0]))
+    form = "puts the sun in" if _estimator().network.config.composed_sun else "draws the sun"
+    note = (
+        f"the dome is the decoder's ({SKY_WEIGHTS}, which {form}), on its own latent and peak and"
+        " the sun found here; no shadow says how strong that sun is"
+    )
+    return SkyEstimate(
+        dome,
+        sun.azimuth_deg,
+        sun.elevation_deg,
+        sun.origin,
+        sun.uncertainty_deg,
+        prediction.log_peak_std,
+        level.astype(np.float32),
+        (*sun.notes, note),
+    )
 
 
 def _completed(panorama: Panorama) -> tuple[np.ndarray, float]:
