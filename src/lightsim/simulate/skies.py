@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float32, UInt8
 
+from lightsim.core.camera import PinholeCamera
 from lightsim.core.checks import check_number
 from lightsim.core.dome import SkyDome, find_sun
 from lightsim.core.frames import RigidTransform
@@ -16,6 +18,7 @@ from lightsim.core.log import GeoReference
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.twin import SkyEstimate
 from lightsim.errors import InputError
+from lightsim.lighting.scenery import without_scenery
 from lightsim.lighting.sun.direction import SunDirection, sun_from_geo
 from lightsim.lighting.target_sky import (
     dome_from_array,
@@ -25,6 +28,7 @@ from lightsim.lighting.target_sky import (
     towards_sun,
     with_edited_sun,
 )
+from lightsim.masks.sky import estimate_sky_matte
 from lightsim.pipeline.workspace import Workspace
 from lightsim.store.artefact import hash_file
 from lightsim.store.images import read_sky
@@ -37,10 +41,16 @@ SKY_HEIGHT_PX = 256
 
 @dataclass(frozen=True, eq=False)
 class TargetSky:
-    """The sky to render with, in scene units, and what was done to get there."""
+    """The sky to render with, in scene units, and what was done to get there.
+
+    Args:
+        dome: gives the light.
+        behind: what cameras see of a file that shows a place of its own; None is the dome.
+    """
 
     dome: SkyDome
     facts: dict[str, Any]
+    behind: SkyDome | None = None
 
 
 def made_from_sky(choice: SkyChoice) -> dict[str, Any]:
@@ -75,7 +85,18 @@ def resolve_sky(choice: SkyChoice, workspace: Workspace) -> TargetSky:
     if choice.has_edited_sun:
         dome, edited = _with_edited_sun(dome, choice, geo)
         facts |= edited
-    return TargetSky(dome, facts | _light_facts(dome))
+    behind = None
+    if choice.path is not None:
+        behind, hidden = without_scenery(dome, picture_matte)
+        facts["scenery_fraction"] = hidden
+    return TargetSky(dome, facts | _light_facts(dome), behind)
+
+
+def picture_matte(
+    srgb8: UInt8[np.ndarray, "h w 3"], camera: PinholeCamera, pose: RigidTransform
+) -> Float32[np.ndarray, "h w"]:
+    """Sky of a picture without LiDAR."""
+    return estimate_sky_matte(srgb8, camera, pose, np.zeros((0, 3)), None)
 
 
 def _turned_to_north(
