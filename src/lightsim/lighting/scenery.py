@@ -129,10 +129,12 @@ def _seen_sky(
     rim_px = int(np.ceil(_RIM_DEG / 180.0 * height))
     poles = ndimage.binary_dilation(_upright_lines(radiance), iterations=rim_px)
     around = ((0, 0), (width // 2, width // 2))
-    scenery, poles = (np.pad(mask, around, mode="wrap") for mask in (scenery, poles))
+    scenery, poles = (
+        np.asarray(np.pad(mask, around, mode="wrap"), bool) for mask in (scenery, poles)
+    )
     # What stands on scenery is scenery; a wisp of cloud in the open is not.
     scenery = ndimage.binary_propagation(scenery, mask=scenery | poles)
-    seen = ~ndimage.binary_dilation(scenery, iterations=rim_px)
+    seen = ~np.asarray(ndimage.binary_dilation(scenery, iterations=rim_px), bool)
     labels, count = ndimage.label(seen)  # type: ignore[misc]
     sizes = np.bincount(np.ravel(labels), minlength=count + 1)
     sizes[0] = 0
