@@ -12,9 +12,14 @@ import numpy as np
 
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.equirect import pixel_directions
+from lightsim.core.sky_choice import SkyChoice
 from lightsim.lighting.sky.estimate import SkyConfig
-from lightsim.lighting.sky.image_sky import estimate_from_panorama, panorama_from_image
-from lightsim.lighting.sky.shipped import decoded_dome, edited_sky, predict_sky
+from lightsim.lighting.sky.image_sky import (
+    edited_sky,
+    estimate_from_panorama,
+    panorama_from_image,
+)
+from lightsim.lighting.sky.shipped import decoded_dome, predict_sky
 from lightsim.lighting.target_sky import target_sky
 from lightsim.store.sky import write_sky
 
@@ -33,10 +38,10 @@ def main() -> None:
     estimate = estimate_from_panorama(picture, is_seen, None, SkyConfig(), said)
     sys.stdout.write(f"{estimate.notes[0]}\n")
 
-    moved = edited_sky(estimate, panorama, "200,50", 1.0, None)
+    moved = edited_sky(estimate, SkyChoice("source", move_sun="200,50"), None)
     for name, sky in (("estimate", estimate), ("moved", moved)):
         (folder / name).mkdir(parents=True, exist_ok=True)
-        write_sky(folder / name, sky, "sky.exr")
+        write_sky(folder / name, sky, None, "sky.exr")
     brightest = decoded_dome(panorama, sun_factor=2.0).radiance.max()
     sys.stdout.write(f"with its sun twice as strong its brightest pixel is {brightest:.0f}\n")
 

@@ -22,7 +22,7 @@ RENDER = RenderOptions(what=("depth",))
 @pytest.mark.parametrize(
     ("options", "name"),
     [
-        *((BUILD, name) for name in ("preset", "colour", "gps", "device")),
+        *((BUILD, name) for name in ("preset", "colour", "gps", "sky_model", "device")),
         *((RendererChoice(), name) for name in ("renderer", "backend")),
         (READING, "dataset"),
         (RELIGHT, "method"),
@@ -31,7 +31,8 @@ RENDER = RenderOptions(what=("depth",))
 def test_a_word_that_is_no_choice_is_refused_in_python_too(options: object, name: str) -> None:
     wrong = copy.copy(options)
     object.__setattr__(wrong, name, "nonsense")  # The test run checks types before that.
-    with pytest.raises(InputError, match=f"--{name}.*nonsense.*expected one of"):
+    option = name.replace("_", "-")
+    with pytest.raises(InputError, match=f"--{option}.*nonsense.*expected one of"):
         wrong.__post_init__()  # type: ignore[attr-defined]
 
 

@@ -157,7 +157,7 @@ class _Writers:
         return ()
 
     def sky(self, folder: Path) -> Iterable[str]:
-        write_sky(folder, _sky())
+        write_sky(folder, _sky(), 20.0)
         return ()
 
     def twin(self, folder: Path) -> Iterable[str]:

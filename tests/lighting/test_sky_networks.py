@@ -5,15 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lightsim.core.colour import srgb_from_linear
+from lightsim.core.colour import luminance, srgb_from_linear
 from lightsim.core.dome import find_sun, split_sun
 from lightsim.core.equirect import pixel_directions
+from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import angle_between_deg, azimuth_elevation, direction_enu
 from lightsim.core.twin import Panorama
-from lightsim.errors import InputError
 from lightsim.lighting.sky.estimate import SkyConfig
-from lightsim.lighting.sky.image_sky import estimate_from_panorama, panorama_from_image
-from lightsim.lighting.sky.shipped import decoded_dome, edited_sky, predict_sky
+from lightsim.lighting.sky.image_sky import (
+    edited_sky,
+    estimate_from_panorama,
+    panorama_from_image,
+)
+from lightsim.lighting.sky.shipped import decoded_dome, decoded_sky, predict_sky
+from lightsim.lighting.sun.direction import SunDirection
 from lightsim.lighting.target_sky import target_sky
 
 HEIGHT_PX = 64
@@ -70,17 +75,33 @@ def test_the_same_sky_with_its_sun_elsewhere_and_stronger(panorama: Panorama) ->
     )
 
 
+def test_the_decoders_sky_has_the_sun_that_gps_tells(panorama: Panorama) -> None:
+    towards = direction_enu(60.0, 30.0)
+    sun = SunDirection(towards, 60.0, 30.0, "gps+time", 0.1)
+    prediction = predict_sky(panorama)
+    sky = decoded_sky(panorama, sun, prediction, 128)
+    assert sky.dome.sun is not None
+    assert angle_between_deg(sky.dome.sun.direction_world, towards) < 1e-3
+    brightest = np.unravel_index(sky.dome.radiance.sum(axis=2).argmax(), (128, 256))
+    assert angle_between_deg(pixel_directions(128)[brightest], towards) < 2.0
+    level = sky.sky_irradiance + 0.5 * sky.dome.sun.irradiance
+    np.testing.assert_allclose(level, sky.dome.horizontal_irradiance(), rtol=0.02)
+    # f_int: the peak that the encoder read off, times the solid angle of its pixel of 64 rows.
+    peak = luminance(decoded_dome(panorama, sun_direction=towards).radiance).max()
+    assert np.log(peak) == pytest.approx(prediction.log_peak, abs=0.05)
+    assert "sky-small" in sky.notes[-1]
+
+
 def test_edits_of_an_estimated_picture(panorama: Panorama) -> None:
     picture, seen = clear_picture(20.0, 25.0), seen_by_cameras()
     estimate = estimate_from_panorama(
         picture, seen, None, SkyConfig(height_px=HEIGHT_PX), predict_sky(panorama)
     )
-    moved = edited_sky(estimate, panorama, "300,50", 1.0, 120.0)
+    moved = edited_sky(estimate, SkyChoice("source", move_sun="300,50"), 120.0)
     assert (moved.sun_azimuth_deg, moved.sun_elevation_deg) == (300.0, 50.0)
     assert moved.dome.sun is not None
     # 180 degrees clockwise from the centre column, which looks along +x.
     expected = direction_enu(90.0 + 180.0, 50.0)
-    assert angle_between_deg(moved.dome.sun.direction_world, expected) < 2.0
-    for words, factor in (("300", 1.0), ("a,b", 1.0), ("300,-5", 1.0), (None, 0.0), (None, np.nan)):
-        with pytest.raises(InputError):
-            edited_sky(estimate, panorama, words, float(factor), None)
+    assert angle_between_deg(moved.dome.sun.direction_world, expected) < 1e-3
+    level = moved.sky_irradiance + moved.dome.sun.irradiance * np.sin(np.radians(50.0))
+    np.testing.assert_allclose(level, moved.dome.horizontal_irradiance(), rtol=1e-3)

@@ -7,14 +7,14 @@ import copy
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 
 import lightsim.pipeline.stages as stages_package
 from lightsim.core.reading import LogReading
-from lightsim.pipeline.build import STAGES
-from lightsim.pipeline.options import PRESETS, BuildOptions, Preset
+from lightsim.pipeline.build import STAGES, artefact_keys
+from lightsim.pipeline.options import PRESETS, BuildOptions, Preset, SkyModel
 from lightsim.simulate.relighter import RelightConfig
 from lightsim.store.artefact import ArtefactKey, json_ready
 
@@ -53,6 +53,15 @@ def test_every_setting_of_a_stage_decides_its_key(preset: Preset) -> None:
             assert key(changed) != key(config), f"{stage}: {name}"
             seen += 1
     assert seen > 60
+
+
+def test_the_sky_model_decides_the_sky_and_what_needs_it() -> None:
+    plain, paper = (
+        artefact_keys(dataclasses.replace(options("draft"), sky_model=model), "source")
+        for model in get_args(SkyModel)
+    )
+    changed = {name for name in plain if plain[name].key != paper[name].key}
+    assert changed == {"sky", "twin", "measures", "report"}
 
 
 def made_in_functions(source: str) -> list[str]:

@@ -26,7 +26,15 @@ from lightsim.simulate.buffers import Layout, write_frames
 from lightsim.simulate.options import RenderOptions
 from lightsim.simulate.shard import Shard
 from lightsim.store.images import read_exr
-from render.rendering_scenes import box, camera, look_at, plane, random_sky, sun_sky
+from render.rendering_scenes import (
+    box,
+    camera,
+    constant_sky,
+    look_at,
+    plane,
+    random_sky,
+    sun_sky,
+)
 
 T = TypeVar("T")
 WHAT = ("depth", "ao", "shaded", "shadow", "image")
@@ -224,6 +232,17 @@ def test_the_visible_sun_has_its_light() -> None:
     assert sky.sun is not None
     seen = visible_sky(sky, frame, view) - 0.25
     np.testing.assert_allclose(seen.sum((0, 1)) / 8000.0**2, sky.sun.irradiance, rtol=0.02)
+
+
+def test_what_stands_behind_the_street_gives_no_light() -> None:
+    made = renderer()
+    traced = made.trace(Scenario("test", (), ()), frames()[0], camera(24, 18, 20.0))
+    dome, behind = constant_sky((0.1, 0.1, 0.1)), constant_sky((0.9, 0.2, 0.3))
+    plain, other = made.prepare(dome), made.prepare(dome, behind)
+    pictures = [traced.image(sky) for sky in (plain, other)]
+    np.testing.assert_allclose(pictures[1][0], np.tile([0.9, 0.2, 0.3], (24, 1)), rtol=1e-5)
+    np.testing.assert_array_equal(pictures[0][-1], pictures[1][-1])
+    np.testing.assert_array_equal(traced.light(plain).shaded, traced.light(other).shaded)
 
 
 def test_pictures_are_right(tmp_path: Path) -> None:

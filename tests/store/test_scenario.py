@@ -41,7 +41,7 @@ def test_a_scenario_reads_back_as_it_was(
 ) -> None:
     made = replace(
         replay(twin, "noon", twin.log.frames[3:9], source, seed=7),
-        sky=SkyChoice("sun:180,60", 30.0, "2.5"),
+        sky=SkyChoice("sun:180,60", 30.0, "2.5", "90,20", 3.0),
         edits=({"do": "remove", "actor": twin.log.actors[0].actor_id},),
     )
     write_scenario(tmp_path, made, target_sky={"scale_factor": 2.5})

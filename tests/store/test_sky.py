@@ -28,7 +28,7 @@ def estimate() -> SkyEstimate:
 def test_a_sun_beyond_half_floats_comes_back_exactly(tmp_path: Path) -> None:
     sky = estimate()
     assert sky.dome.radiance.max() > 5e5
-    write_sky(tmp_path, sky)
+    write_sky(tmp_path, sky, None)
     again = read_estimate(tmp_path)
     np.testing.assert_array_equal(again.dome.radiance, sky.dome.radiance)
     assert again.dome.sun is not None
@@ -42,7 +42,7 @@ def test_a_sun_beyond_half_floats_comes_back_exactly(tmp_path: Path) -> None:
 def test_sun_json_reports_the_light_of_sun_and_sky(tmp_path: Path) -> None:
     """Level light of the picture = sky_irradiance + irradiance x sine of the elevation."""
     sky = estimate()
-    write_sky(tmp_path, sky)
+    write_sky(tmp_path, sky, None)
     facts = read_json(tmp_path / "sun.json")
     level = np.array(facts["sky_irradiance"]) + 0.8 * np.array(facts["irradiance"])
     np.testing.assert_allclose(level, sky.dome.horizontal_irradiance(), rtol=1e-5)

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from lightsim.cli.options import Verbose, say
+from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
 
 
@@ -28,23 +29,28 @@ class SkyEstimateCommand:
     """Degrees east."""
     heading_deg: float | None = None
     """Azimuth of the centre column, clockwise from north."""
-    move_sun: str | None = None
+    move_sun: str = ""
     """AZIMUTH,ELEVATION in degrees, clockwise from north (from the centre column without
     --heading-deg): the same sky under a sun that stands there."""
     sun_factor: float = 1.0
-    """Makes the sun of the same sky weaker or stronger."""
+    """Factor on the sun's irradiance; 0 takes it out."""
     verbose: Verbose = False
     """Show the trace of an error."""
 
     def run(self) -> None:
         """Estimate the sky of a panorama."""
         from lightsim.lighting.sky.estimate import SkyConfig
-        from lightsim.lighting.sky.image_sky import estimate_from_picture, panorama_from_image
-        from lightsim.lighting.sky.shipped import edited_sky, predict_sky
+        from lightsim.lighting.sky.image_sky import (
+            edited_sky,
+            estimate_from_picture,
+            panorama_from_image,
+        )
+        from lightsim.lighting.sky.shipped import predict_sky
         from lightsim.simulate.skies import sun_of_command
         from lightsim.store.images import read_srgb8_alpha
         from lightsim.store.sky import write_sky
 
+        edit = SkyChoice("source", move_sun=self.move_sun, sun_factor=self.sun_factor)
         picture, alpha = read_srgb8_alpha(self.panorama)
         sun = sun_of_command(self.time, self.latitude, self.longitude, self.heading_deg)
         try:
@@ -53,12 +59,10 @@ class SkyEstimateCommand:
             estimate = estimate_from_picture(panorama, sun, SkyConfig(), prediction)
         except InputError as error:
             raise error.at(self.panorama) from error
-        if self.move_sun is not None or self.sun_factor != 1.0:
-            estimate = edited_sky(
-                estimate, panorama, self.move_sun, self.sun_factor, self.heading_deg
-            )
+        if edit.has_edited_sun:
+            estimate = edited_sky(estimate, edit, self.heading_deg)
         self.out.mkdir(parents=True, exist_ok=True)
-        write_sky(self.out, estimate, "sky.exr")
+        write_sky(self.out, estimate, self.heading_deg, "sky.exr")
         say(f"sky: {self.out / 'sky.exr'}")
         say(f"sun: {self.out / 'sun.json'}")
 
@@ -76,7 +80,7 @@ class SkyShow:
 
     def run(self) -> None:
         """Describe a sky."""
-        from lightsim.simulate.skies import SkyChoice, sky_alone
+        from lightsim.simulate.skies import sky_alone
         from lightsim.store.images import write_png
         from lightsim.view.figures import dome_preview
 

@@ -13,6 +13,7 @@ from lightsim.core.actors import ActorTrack
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.sensors import CameraFrame, LazySweep
+from lightsim.core.solar import azimuth_elevation
 from lightsim.errors import InputError
 
 
@@ -31,6 +32,13 @@ class GeoReference:
     """One standard deviation of the heading, degrees, where it was fitted."""
     heading_residual_m: float | None = None
     """RMS distance between the rotated ego path and the GPS track."""
+
+    @property
+    def heading_deg(self) -> float | None:
+        """Azimuth of world +x, clockwise from true north."""
+        if self.enu_from_world is None:
+            return None
+        return azimuth_elevation(self.enu_from_world.matrix[:3, 0]).azimuth_deg
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
+
+import numpy as np
 
 from lightsim.core.checks import check_number
 from lightsim.errors import InputError
 
 _MIN_SCALE = 1e-9
 """Skies are stored in anything from cd/m2 to arbitrary units: nine orders hold them all."""
+_MAX_SUN_FACTOR = 1e3
+"""From a veiled sun to a clear one is a factor of a hundred."""
+POSITION = "AZIMUTH,ELEVATION in degrees"
 
 
 @dataclass(frozen=True)
@@ -22,15 +28,37 @@ class SkyChoice:
         sky: a .hdr or .exr file, sun:AZIMUTH,ELEVATION[,TURBIDITY], time:ISO or source.
         yaw_deg: turns the sky clockwise seen from above.
         scale: "auto", "none" or a number.
+        move_sun: "AZIMUTH,ELEVATION" where the sun is put; empty where it stays.
+        sun_factor: on the sun's irradiance; 0 takes the sun out.
     """
 
     sky: str
     yaw_deg: float = 0.0
     scale: str = "auto"
+    move_sun: str = ""
+    sun_factor: float = 1.0
 
     def __post_init__(self) -> None:
         check_number("--sky-yaw-deg", self.yaw_deg, -360.0, 360.0)
-        _ = self.scale_mode
+        check_number("--sun-factor", self.sun_factor, 0.0, _MAX_SUN_FACTOR)
+        _ = self.scale_mode, self.sun_position
+
+    @property
+    def sun_position(self) -> tuple[float, float] | None:
+        """Azimuth from true north and elevation that the sun is moved to, degrees.
+
+        Raises:
+            InputError: they cannot be read, or lie below the horizon.
+        """
+        if not self.move_sun:
+            return None
+        azimuth_deg, elevation_deg = sun_numbers(self.move_sun, "--move-sun", POSITION)
+        return azimuth_deg, elevation_deg
+
+    @property
+    def has_edited_sun(self) -> bool:
+        """Whether the sky's own sun is moved, or made weaker or stronger."""
+        return bool(self.move_sun) or self.sun_factor != 1.0
 
     @property
     def path(self) -> Path | None:
@@ -64,3 +92,30 @@ class SkyChoice:
             ) from error
         check_number("--sky-scale", factor, _MIN_SCALE, 1.0 / _MIN_SCALE)
         return factor
+
+
+def sun_numbers(text: str, where: str, expected: str, counts: Sequence[int] = (2,)) -> list[float]:
+    """The numbers of "AZIMUTH,ELEVATION[,...]", degrees, azimuth in [0, 360).
+
+    Args:
+        where, expected: for errors.
+        counts: how many there may be.
+
+    Raises:
+        InputError: they are not finite numbers, or the elevation is not above the horizon.
+    """
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in counts or not np.isfinite(numbers).all():
+        raise InputError("the sun cannot be read", where=where, got=text, expected=expected)
+    if not 0 < numbers[1] <= 90:
+        raise InputError(
+            "the sun's elevation is out of range",
+            where=where,
+            got=numbers[1],
+            expected="above 0 and at most 90 degrees",
+            remedy="Night and twilight are not modelled; give an HDR file for them.",
+        )
+    return [numbers[0] % 360.0, *numbers[1:]]

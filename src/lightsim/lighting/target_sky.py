@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from lightsim.core.colour import luminance
-from lightsim.core.dome import SkyDome, find_sun
+from lightsim.core.dome import SkyDome, Sun, add_sun, find_sun, split_sun
 from lightsim.core.log import GeoReference
+from lightsim.core.sky_choice import sun_numbers
 from lightsim.core.solar import azimuth_elevation, direction_enu, direction_world, solar_position
 from lightsim.core.twin import SkyEstimate
 from lightsim.errors import InputError
@@ -60,11 +61,8 @@ def target_sky(
             )
     else:
         raise InputError("the sky is not a known form", where=spec, expected=FORMS)
-    if geo is not None and geo.enu_from_world is not None:
-        direction = direction_world(azimuth_deg, elevation_deg, geo.enu_from_world)
-    else:
-        direction = direction_enu(azimuth_deg, elevation_deg)
-        facts["assumed"] = "the heading is unknown: world x is taken as east"
+    direction, assumed = towards_sun(azimuth_deg, elevation_deg, geo)
+    facts |= assumed
     dome = clear_sky(direction, turbidity, height_px=height_px)
     facts |= {
         "azimuth_deg": azimuth_deg,
@@ -73,6 +71,46 @@ def target_sky(
     }
     name = f"clear sky, sun at {azimuth_deg:.1f}, {elevation_deg:.1f}, turbidity {turbidity:g}"
     return dome, name, facts
+
+
+def towards_sun(
+    azimuth_deg: float, elevation_deg: float, geo: GeoReference | None
+) -> tuple[Float[np.ndarray, "3"], dict[str, str]]:
+    """Unit vector in `world`, and what was assumed where the heading is unknown."""
+    if geo is not None and geo.enu_from_world is not None:
+        return direction_world(azimuth_deg, elevation_deg, geo.enu_from_world), {}
+    assumed = {"assumed": "the heading is unknown: world x is taken as east"}
+    return direction_enu(azimuth_deg, elevation_deg), assumed
+
+
+def with_edited_sun(
+    dome: SkyDome, direction_world: Float[np.ndarray, "3"] | None, factor: float
+) -> SkyDome:
+    """The same sky under a sun that stands elsewhere, or is weaker or stronger (paper, appendix:
+    human control).
+
+    The sun is what `split_sun` takes out: the disc, and its glow within 4 degrees as far as it
+    exceeds what lies around. All of it shines from the new disc; wider glow stays where it was.
+
+    Args:
+        direction_world: unit vector towards the new place, above the horizon; None leaves it.
+        factor: on the irradiance; 0 takes the sun out.
+
+    Raises:
+        InputError: the sky has no sun.
+    """
+    rest, sun = split_sun(dome)
+    if sun is None:
+        raise InputError(
+            "the sky has no sun that could be moved or changed",
+            where="--move-sun, --sun-factor",
+            expected="a sky with a sun, such as sun:AZIMUTH,ELEVATION",
+        )
+    if factor == 0:
+        return SkyDome(rest, None)
+    direction = sun.direction_world if direction_world is None else direction_world
+    light = (sun.irradiance * np.float32(factor)).astype(np.float32)
+    return add_sun(rest, Sun(direction, light, sun.angular_radius_deg))
 
 
 def _source_sky(source: SkyEstimate | None) -> tuple[SkyDome, str, dict[str, Any]]:
@@ -91,23 +129,9 @@ def _source_sky(source: SkyEstimate | None) -> tuple[SkyDome, str, dict[str, Any
 
 
 def _parse_sun(spec: str) -> tuple[float, float, float]:
-    parts = spec.removeprefix("sun:").split(",")
-    try:
-        numbers = [float(part) for part in parts]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in (2, 3) or not np.isfinite(numbers).all():
-        raise InputError("the sun cannot be read", where=spec, expected=FORMS)
-    azimuth_deg, elevation_deg = numbers[0] % 360.0, numbers[1]
-    if not 0 < elevation_deg <= 90:
-        raise InputError(
-            "the sun's elevation is out of range",
-            where=spec,
-            got=elevation_deg,
-            expected="above 0 and at most 90 degrees",
-            remedy="Night and twilight are not modelled; give an HDR file for them.",
-        )
-    return azimuth_deg, elevation_deg, numbers[2] if len(numbers) == 3 else _DEFAULT_TURBIDITY
+    numbers = sun_numbers(spec.removeprefix("sun:"), spec, FORMS, (2, 3))
+    azimuth_deg, elevation_deg, turbidity = (*numbers, _DEFAULT_TURBIDITY)[:3]
+    return azimuth_deg, elevation_deg, turbidity
 
 
 def parse_time(spec: str) -> int:

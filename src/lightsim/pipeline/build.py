@@ -139,9 +139,9 @@ STAGES = (
     ),
     Stage(
         "sky",
-        7,
+        8,
         ("log", "alignment", "assets", "panorama"),
-        lambda o: light.SkyStageConfig(SourceSunConfig(gps=o.gps)),
+        lambda o: light.SkyStageConfig(SourceSunConfig(gps=o.gps), model=o.sky_model),
         light.make_sky,
     ),
     Stage(

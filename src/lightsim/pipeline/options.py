@@ -15,6 +15,8 @@ Preset = Literal["draft", "standard", "paper"]
 PRESETS: tuple[Preset, ...] = get_args(Preset)
 GpsUse = Literal["all", "place", "none"]
 """Place, time and heading; place and time alone; or the images alone."""
+SkyModel = Literal["analytic", "paper"]
+"""The source sky as one light found from all evidence, or as the sky network's decoder draws it."""
 Device = Literal["auto", "cpu", "cuda"]
 _MAX_STEPS = 10_000_000
 """Weeks of training; beyond it somebody has slipped a digit."""
@@ -37,6 +39,9 @@ class BuildOptions:
     gps: GpsUse = "all"
     """What the sun is found with besides the images: place, time and heading; place and time; or
     nothing."""
+    sky_model: SkyModel = "analytic"
+    """How the source sky is made: a physical sky fitted to what was seen with the sun by shadows,
+    or (the paper's) by the decoder of the sky network, from its latent and peak and the GPS sun."""
     device: Device = "auto"
     """Where the neural field is trained; auto takes CUDA where there is one. Results on the CPU do
     not depend on it."""
@@ -49,6 +54,7 @@ class BuildOptions:
         check_choice("--preset", self.preset, PRESETS)
         check_choice("--colour", self.colour, (None, *get_args(Colour)))
         check_choice("--gps", self.gps, get_args(GpsUse))
+        check_choice("--sky-model", self.sky_model, get_args(SkyModel))
         check_choice("--device", self.device, get_args(Device))
         AlignConfig().without(self.no_refine)
         check_seed(self.seed)

@@ -85,9 +85,9 @@ def visible_sky(
     sky: EnvironmentCells, frame: CameraFrame, camera: PinholeCamera
 ) -> Float32[np.ndarray, "h w 3"]:
     """The sky as a camera sees it, with a sharp solar disc."""
-    assert sky.smooth is not None
+    assert sky.behind is not None
     rays = frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))[1]
-    seen = sample_bilinear(sky.smooth, rays).astype(np.float32)
+    seen = sample_bilinear(sky.behind, rays).astype(np.float32)
     if sky.sun is not None:
         radius_rad = np.radians(sky.sun.angular_radius_deg)
         axis = sky.sun.direction_world / np.linalg.norm(sky.sun.direction_world)
@@ -126,9 +126,9 @@ class FrameRenderer:
         self._seed = seed
         self._faces: FaceTable | None = None
 
-    def prepare(self, sky: SkyDome) -> EnvironmentCells:
-        """A sky made ready once for many frames."""
-        return prepare_sky(sky)
+    def prepare(self, sky: SkyDome, behind: SkyDome | None = None) -> EnvironmentCells:
+        """A sky made ready once for many frames; see `prepare_sky`."""
+        return prepare_sky(sky, behind)
 
     def scene(self, scenario: Scenario, time_ns: int) -> FrameScene:
         """The static meshes and the scenario's actors where they are at `time_ns`."""

@@ -46,8 +46,12 @@ class TracedFrame(Protocol):
 class Renderer(Protocol):
     """Renders frames of one twin."""
 
-    def prepare(self, sky: SkyDome) -> Any:
-        """A sky made ready once for many frames."""
+    def prepare(self, sky: SkyDome, behind: SkyDome | None = None) -> Any:
+        """A sky made ready once for many frames.
+
+        Args:
+            behind: what the camera sees of it; the reference renderers show the dome itself.
+        """
         ...
 
     def geometry(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> GBuffers:
@@ -133,9 +137,9 @@ class _Denoised:
 
     renderer: Renderer
 
-    def prepare(self, sky: SkyDome) -> Any:
+    def prepare(self, sky: SkyDome, behind: SkyDome | None = None) -> Any:
         """As the renderer's."""
-        return self.renderer.prepare(sky)
+        return self.renderer.prepare(sky, behind)
 
     def geometry(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> GBuffers:
         """As the renderer's."""

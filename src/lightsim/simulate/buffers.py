@@ -37,7 +37,7 @@ from lightsim.store.scenario import write_scenario
 
 _RECORD = "render.json"
 _SKY_RECORD = "sky.json"
-_SCHEMA = 4
+_SCHEMA = 5
 
 
 @dataclass(frozen=True)
@@ -230,7 +230,7 @@ def _prepare_skies(
         folder = layout.sky_folder(name)
         write_json(folder / _SKY_RECORD, {**made_from_sky(sky), "facts": target.facts})
         write_scenario(folder, replace(scenario, sky=sky), target_sky=target.facts)
-        prepared[name] = renderer.prepare(target.dome)
+        prepared[name] = renderer.prepare(target.dome, target.behind)
     return prepared
 
 

@@ -37,6 +37,11 @@ class FrameOptions:
     """Turn the skies, clockwise seen from above."""
     sky_scale: str = "auto"
     """auto: the mean illuminance of the source; none: radiance as stored; or a number."""
+    move_sun: str = ""
+    """AZIMUTH,ELEVATION: put the sun of each sky there, clockwise from true north; the rest of the
+    sky stays."""
+    sun_factor: float = 1.0
+    """Factor on the irradiance of each sky's sun; 0 takes it out."""
     cameras: Names = ()
     """Comma-separated camera names; empty for all."""
     frames: str = ""
@@ -68,7 +73,9 @@ class FrameOptions:
         named: dict[str, SkyChoice] = {}
         taken = {what: f"the buffer {what}" for what in self.reserved_names}
         for words in self.sky:
-            choice = SkyChoice(words, self.sky_yaw_deg, self.sky_scale)
+            choice = SkyChoice(
+                words, self.sky_yaw_deg, self.sky_scale, self.move_sun, self.sun_factor
+            )
             name = choice.name
             if name.casefold() in taken:
                 raise InputError(

@@ -130,7 +130,7 @@ class Relighter:
             buffers=buffers,
             source=light[0],
             target=light[1],
-            target_sky=sky_image(target.sky.dome, camera, frame),
+            target_sky=sky_image(target.sky.behind or target.sky.dome, camera, frame),
             source_sun=self._source.sun,
             target_sun=target.cells.sun,
         )

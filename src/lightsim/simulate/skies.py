@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import logging
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float32, UInt8
 
+from lightsim.core.camera import PinholeCamera
 from lightsim.core.checks import check_number
 from lightsim.core.dome import SkyDome, find_sun
 from lightsim.core.frames import RigidTransform
@@ -14,22 +18,39 @@ from lightsim.core.log import GeoReference
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.twin import SkyEstimate
 from lightsim.errors import InputError
+from lightsim.lighting.scenery import without_scenery
 from lightsim.lighting.sun.direction import SunDirection, sun_from_geo
-from lightsim.lighting.target_sky import dome_from_array, parse_time, scale_to_source, target_sky
+from lightsim.lighting.target_sky import (
+    dome_from_array,
+    parse_time,
+    scale_to_source,
+    target_sky,
+    towards_sun,
+    with_edited_sun,
+)
+from lightsim.masks.sky import estimate_sky_matte
 from lightsim.pipeline.workspace import Workspace
 from lightsim.store.artefact import hash_file
 from lightsim.store.images import read_sky
 from lightsim.store.reading import is_file
+from lightsim.store.sky import read_heading
 
+_LOGGER = logging.getLogger(__name__)
 SKY_HEIGHT_PX = 256
 
 
 @dataclass(frozen=True, eq=False)
 class TargetSky:
-    """The sky to render with, in scene units, and what was done to get there."""
+    """The sky to render with, in scene units, and what was done to get there.
+
+    Args:
+        dome: gives the light.
+        behind: what cameras see of a file that shows a place of its own; None is the dome.
+    """
 
     dome: SkyDome
     facts: dict[str, Any]
+    behind: SkyDome | None = None
 
 
 def made_from_sky(choice: SkyChoice) -> dict[str, Any]:
@@ -40,21 +61,73 @@ def made_from_sky(choice: SkyChoice) -> dict[str, Any]:
     """
     _check_file(choice)
     key = choice.sky if choice.path is None else hash_file(choice.path)
-    return {"input": key, "yaw_deg": choice.yaw_deg, "scale": choice.scale}
+    return {**asdict(choice), "sky": key}
 
 
 def resolve_sky(choice: SkyChoice, workspace: Workspace) -> TargetSky:
-    """The dome that a user's words name, turned and scaled, for the log of a workspace.
+    """The dome that a user's words name, for the log of a workspace: a file that knows its north
+    is turned to the log's; then it is turned as asked, scaled, and then its
+    sun edited, so that the rest of the sky is as bright as without the edit.
 
     Raises:
-        InputError: the words or the file are wrong, or the sun is below the horizon.
+        InputError: the words or the file are wrong, the sun is below the horizon, or there is none
+            to edit.
     """
-    dome, facts = _dome_of(choice, workspace.log.geo, workspace.sky)
+    geo = workspace.log.geo
+    dome, facts = _dome_of(choice, geo, workspace.sky)
+    if choice.path is not None:
+        dome, notes = _turned_to_north(dome, choice.path, geo)
+        facts["notes"] += notes
     if choice.yaw_deg:
         dome = dome.rotated(-choice.yaw_deg)
     dome, factor = scale_to_source(dome, workspace.sky.dome, choice.scale_mode)
     facts |= {"yaw_deg": choice.yaw_deg, "scale": choice.scale, "scale_factor": factor}
-    return TargetSky(dome, facts | _light_facts(dome))
+    if choice.has_edited_sun:
+        dome, edited = _with_edited_sun(dome, choice, geo)
+        facts |= edited
+    behind = None
+    if choice.path is not None:
+        behind, hidden = without_scenery(dome, picture_matte)
+        facts["scenery_fraction"] = hidden
+    return TargetSky(dome, facts | _light_facts(dome), behind)
+
+
+def picture_matte(
+    srgb8: UInt8[np.ndarray, "h w 3"], camera: PinholeCamera, pose: RigidTransform
+) -> Float32[np.ndarray, "h w"]:
+    """Sky of a picture without LiDAR."""
+    return estimate_sky_matte(srgb8, camera, pose, np.zeros((0, 3)), None)
+
+
+def _turned_to_north(
+    dome: SkyDome, path: Path, geo: GeoReference | None
+) -> tuple[SkyDome, list[str]]:
+    """A file's dome in the log's frame `world`, and notes; as stored where a north is unknown."""
+    file_deg, log_deg = read_heading(path), None if geo is None else geo.heading_deg
+    if file_deg is not None and log_deg is not None:
+        # Seen from above, +x of the file's world lies this far counter-clockwise from the log's;
+        # headers hold 32 bits.
+        yaw_deg = float(np.float32(log_deg)) - file_deg
+        return dome.rotated(yaw_deg), [f"turned by {yaw_deg:.2f} degrees to the log's north"]
+    unknown = "the file" if file_deg is None else "the log"
+    note = (
+        f"{unknown} does not tell where north is: the sky's centre column is taken to look along"
+        " world +x; --sky-yaw-deg turns it"
+    )
+    _LOGGER.warning("%s: %s", path, note)
+    return dome, [note]
+
+
+def _with_edited_sun(
+    dome: SkyDome, choice: SkyChoice, geo: GeoReference | None
+) -> tuple[SkyDome, dict[str, Any]]:
+    facts: dict[str, Any] = {"sun_factor": choice.sun_factor}
+    direction = None
+    if choice.sun_position is not None:
+        azimuth_deg, elevation_deg = choice.sun_position
+        direction, assumed = towards_sun(azimuth_deg, elevation_deg, geo)
+        facts |= {"azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg, **assumed}
+    return with_edited_sun(dome, direction, choice.sun_factor), facts
 
 
 def sky_alone(choice: SkyChoice) -> TargetSky:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -58,23 +59,37 @@ def read_exr(path: Path) -> Float32[np.ndarray, "h w *c"]:
 def read_mark(path: Path) -> str | None:
     """What `write_exr` was told to mark the picture with; None of a file that it did not write,
     or not to the end."""
+    mark = _attribute(path, _MARK)
+    return mark if isinstance(mark, str) else None
+
+
+def read_number(path: Path, name: str) -> float | None:
+    """A number that `write_exr` was told to keep in the header; None where there is none."""
+    number = _attribute(path, name)
+    return number if isinstance(number, float) and np.isfinite(number) else None
+
+
+def _attribute(path: Path, name: str) -> Any:
     import OpenEXR
 
     try:
         if path.stat().st_size < _LEAST_BYTES:
             return None
         with OpenEXR.File(str(path), header_only=True) as file:
-            mark = file.header().get(_MARK)
+            return file.header().get(name)
     except (OSError, RuntimeError, ValueError, TypeError, LookupError, MemoryError):
         return None
-    return mark if isinstance(mark, str) else None
 
 
 def write_exr(
-    path: Path, array: Float[np.ndarray, "h w *c"], half: bool = False, mark: str = ""
+    path: Path,
+    array: Float[np.ndarray, "h w *c"],
+    half: bool = False,
+    mark: str = "",
+    numbers: Mapping[str, float] = MappingProxyType({}),
 ) -> None:
     """Write [h, w] as channel Y, or [h, w, 3] as R, G, B; ZIP compressed, float or half. The mark,
-    a word of the writer's own, goes into the header.
+    a word of the writer's own, and the numbers go into the header, these as 32-bit floats.
 
     Raises:
         InputError: another shape, an empty picture, or finite values beyond half's 65504.
@@ -97,6 +112,7 @@ def write_exr(
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
         _MARK: mark,
+        **numbers,
     }
     channels: dict[str, Any] = {"Y": pixels} if array.ndim == 2 else {"RGB": pixels}
     with whole_file(path) as temporary:

@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from lightsim.core.log import DrivingLog
 from lightsim.core.reading import DatasetChoice, LogReading
-from lightsim.core.solar import azimuth_elevation, solar_position
+from lightsim.core.solar import solar_position
 from lightsim.store.artefact import json_ready, write_json
 from lightsim.store.entries import Entries
 
@@ -100,13 +100,10 @@ def _geo_summary(log: DrivingLog) -> dict[str, Any] | None:
     if geo is None:
         return None
     sun = solar_position(geo.latitude_deg, geo.longitude_deg, log.frames[0].time_ns)
-    heading = None
-    if geo.enu_from_world is not None:
-        heading = azimuth_elevation(geo.enu_from_world.matrix[:3, 0]).azimuth_deg
     return {
         "latitude_deg": geo.latitude_deg,
         "longitude_deg": geo.longitude_deg,
-        "world_x_azimuth_deg": heading,
+        "world_x_azimuth_deg": geo.heading_deg,
         "heading_origin": geo.heading_origin,
         "heading_residual_deg": geo.heading_residual_deg,
         "heading_residual_m": geo.heading_residual_m,

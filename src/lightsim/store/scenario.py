@@ -33,6 +33,8 @@ def write_scenario(folder: Path, scenario: Scenario, **found: Any) -> None:
             "sky": None if sky is None else sky.sky,
             "sky_yaw_deg": None if sky is None else sky.yaw_deg,
             "sky_scale": None if sky is None else sky.scale,
+            "move_sun": None if sky is None else sky.move_sun,
+            "sun_factor": None if sky is None else sky.sun_factor,
             "edits": scenario.edits,
             "seed": scenario.seed,
             **found,
@@ -123,7 +125,13 @@ def _unknown(folder: Path, what: str, got: str) -> ArtefactError:
 def _read_sky(value: Entries) -> SkyChoice | None:
     if value.is_null("sky"):
         return None
-    return SkyChoice(value.text("sky"), value.number("sky_yaw_deg"), value.text("sky_scale"))
+    return SkyChoice(
+        value.text("sky"),
+        value.number("sky_yaw_deg"),
+        value.text("sky_scale"),
+        value.text("move_sun"),
+        value.number("sun_factor"),
+    )
 
 
 def _read_camera(value: Entries) -> PinholeCamera:

@@ -13,8 +13,11 @@ from lightsim.errors import ArtefactError, InputError
 from lightsim.store.arrays import ArrayFile, save_arrays
 from lightsim.store.artefact import write_json
 from lightsim.store.entries import Entries
+from lightsim.store.exr import read_number
 from lightsim.store.images import read_hdr, write_exr, write_png
 
+_HEADING = "headingDeg"
+"""Attribute of a dome's EXR header: azimuth of world +x, degrees clockwise from true north."""
 _UNIT_TOLERANCE = 1e-3
 """Of a stored direction's length; people edit sun.json by hand."""
 
@@ -55,9 +58,16 @@ def read_panorama(folder: Path) -> Panorama:
     return Panorama(radiance, *masks)
 
 
-def write_sky(folder: Path, sky: SkyEstimate, dome_name: str = "source.exr") -> None:
-    """The dome as float EXR (suns exceed half floats) and sun.json beside it."""
-    write_exr(folder / dome_name, sky.dome.radiance)
+def write_sky(
+    folder: Path, sky: SkyEstimate, heading_deg: float | None, dome_name: str = "source.exr"
+) -> None:
+    """The dome as float EXR (suns exceed half floats) and sun.json beside it.
+
+    Args:
+        heading_deg: azimuth of world +x from true north, for the picture's header; None of unknown.
+    """
+    numbers = {} if heading_deg is None else {_HEADING: heading_deg}
+    write_exr(folder / dome_name, sky.dome.radiance, numbers=numbers)
     sun = sky.dome.sun
     write_json(
         folder / "sun.json",
@@ -74,6 +84,12 @@ def write_sky(folder: Path, sky: SkyEstimate, dome_name: str = "source.exr") -> 
             "notes": list(sky.notes),
         },
     )
+
+
+def read_heading(path: Path) -> float | None:
+    """Azimuth of the +x of a sky file's world, clockwise from true north; None of a file that does
+    not tell it."""
+    return read_number(path, _HEADING)
 
 
 def read_estimate(folder: Path) -> SkyEstimate:

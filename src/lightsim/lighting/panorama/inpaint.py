@@ -56,7 +56,7 @@ def complete_panorama(
     else:
         filled = fill_by_network(small[None], small_seen[None], weights)[0]
     large = filled if height == small_height else sample_bilinear(filled, pixel_directions(height))
-    large = _faded(large, ldr, is_seen, _BLEND_PX * height / small_height)
+    large = fade_into_seen(large, ldr, is_seen, _BLEND_PX * height / small_height)
     return np.where(is_seen[..., None], ldr, np.clip(large, 0.0, 1.0)).astype(np.float32)
 
 
@@ -123,7 +123,7 @@ def _shrunk(
     return small.astype(np.float32), seen
 
 
-def _faded(
+def fade_into_seen(
     large: Float[np.ndarray, "h w 3"],
     ldr: Float32[np.ndarray, "h w 3"],
     is_seen: Bool[np.ndarray, "h w"],

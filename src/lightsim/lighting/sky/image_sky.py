@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from lightsim.core.colour import CLIPPED_CODE, linear_from_srgb8
+from lightsim.core.dome import irradiance, split_sun
 from lightsim.core.equirect import pixel_directions
 from lightsim.core.resample import resize_area
+from lightsim.core.sky_choice import SkyChoice
+from lightsim.core.solar import direction_enu
 from lightsim.core.twin import Panorama, SkyEstimate
 from lightsim.errors import InputError
 from lightsim.lighting.sample import SkyPrediction
@@ -19,6 +24,7 @@ from lightsim.lighting.sun.posterior import (
     sun_direction,
     sun_posterior,
 )
+from lightsim.lighting.target_sky import with_edited_sun
 
 _LEAST_ROWS = 16
 """Below this, a pixel is larger than the glow of a sun."""
@@ -55,6 +61,29 @@ def estimate_from_picture(
     if sun is None:
         sun = sun_direction(picture_sun(panorama, prediction), None)
     return estimate_sky(panorama, sun, config, prediction=prediction)[0]
+
+
+def edited_sky(estimate: SkyEstimate, choice: SkyChoice, heading_deg: float | None) -> SkyEstimate:
+    """The estimate of a picture with its sun edited as in `with_edited_sun`.
+
+    Args:
+        choice: its `sun_position` and `sun_factor` count.
+        heading_deg: azimuth of world +x; None takes azimuths from there.
+
+    Raises:
+        InputError: the estimated sky has no sun.
+    """
+    direction = None
+    if choice.sun_position is not None:
+        azimuth_deg, elevation_deg = choice.sun_position
+        # Azimuths run clockwise from north, `direction_enu`'s from +y.
+        direction = direction_enu(90.0 + azimuth_deg - (heading_deg or 0.0), elevation_deg)
+        known_deg = None if heading_deg is None else azimuth_deg
+        estimate = replace(estimate, sun_azimuth_deg=known_deg, sun_elevation_deg=elevation_deg)
+    dome = with_edited_sun(estimate.dome, direction, choice.sun_factor)
+    level = irradiance(split_sun(dome)[0], np.array([0.0, 0.0, 1.0]))
+    notes = ("the sun was edited by hand", *estimate.notes)
+    return replace(estimate, dome=dome, sky_irradiance=level.astype(np.float32), notes=notes)
 
 
 def picture_sun(panorama: Panorama, prediction: SkyPrediction | None) -> SunPosterior:

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from lightsim.core.checks import check_number
 from lightsim.core.colour import linear_from_srgb
-from lightsim.core.dome import SkyDome, Sun, irradiance, split_sun
-from lightsim.core.solar import direction_enu
+from lightsim.core.dome import SkyDome, Sun, irradiance, resized, split_sun
 from lightsim.core.twin import Panorama, SkyEstimate
 from lightsim.errors import InputError
 from lightsim.lighting.sample import SkyPrediction
+from lightsim.lighting.sun.direction import SunDirection
 
 if TYPE_CHECKING:
     from lightsim.lighting.sky.estimator import SkyEstimator
@@ -45,6 +44,8 @@ def decoded_dome(
 ) -> SkyDome:
     """The dome that the decoder draws of a panorama; on demand with its sun elsewhere, or stronger
     (paper, appendix: the same sky latent with other f_dir and f_int).
+
+    `lighting.target_sky.with_edited_sun` does the same on any HDR dome.
 
     Args:
         panorama: stitched or a picture; the dome has its size, unit and frame.
@@ -77,60 +78,37 @@ def decoded_dome(
     return SkyDome(radiance, split_sun(SkyDome(radiance, towards))[1])
 
 
-_LEAST_ELEVATION_DEG = 0.1
-"""Night and twilight are not modelled."""
-_MAX_SUN_FACTOR = 1e3
-"""From a veiled sun to a clear one is a factor of a hundred."""
-
-
-def edited_sky(
-    estimate: SkyEstimate,
-    panorama: Panorama,
-    sun: str | None,
-    sun_factor: float,
-    heading_deg: float | None,
+def decoded_sky(
+    panorama: Panorama, sun: SunDirection, prediction: SkyPrediction, height_px: int
 ) -> SkyEstimate:
-    """The estimate of a picture with its sun moved to "AZIMUTH,ELEVATION" or made stronger.
+    """The source sky in the paper's way (Sec. 3.2): the decoder draws it from the latent and the
+    peak that the encoders read off the completed panorama and from the sun that was found, by GPS
+    where the log has it. No shadow and no balance is asked.
 
     Args:
-        heading_deg: azimuth of world +x; None takes azimuths from there.
+        prediction: `predict_sky` of the panorama, for its uncertainty.
 
     Raises:
-        InputError: `sun` is not two numbers, or below the horizon.
+        InputError: nothing was seen.
     """
-    check_number("--sun-factor", sun_factor, 0.0, _MAX_SUN_FACTOR)
-    azimuth_deg, elevation_deg = estimate.sun_azimuth_deg, estimate.sun_elevation_deg
-    direction = None if estimate.dome.sun is None else estimate.dome.sun.direction_world
-    if sun is not None:
-        asked_deg, elevation_deg = _two_numbers(sun)
-        azimuth_deg = None if heading_deg is None else asked_deg % 360.0
-        # Azimuths run clockwise from north, `direction_enu`'s from +y.
-        direction = direction_enu(90.0 + asked_deg - (heading_deg or 0.0), elevation_deg)
-    dome = decoded_dome(panorama, sun_direction=direction, sun_factor=sun_factor)
+    dome = resized(decoded_dome(panorama, sun_direction=sun.direction_world), height_px)
     level = irradiance(split_sun(dome)[0], np.array([0.0, 0.0, 1.0]))
-    return replace(
-        estimate,
-        dome=dome,
-        sun_azimuth_deg=azimuth_deg,
-        sun_elevation_deg=elevation_deg,
-        sky_irradiance=level.astype(np.float32),
-        notes=("the sun was placed by hand; the decoder drew the sky", *estimate.notes),
+    form = "puts the sun in" if _estimator().network.config.composed_sun else "draws the sun"
+    note = (
+        f"the dome is the decoder's ({SKY_WEIGHTS}, which {form}), on its own latent and peak and"
+        " the sun found here; no shadow says how strong that sun is"
     )
-
-
-def _two_numbers(text: str) -> tuple[float, float]:
-    try:
-        first, second = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise InputError(
-            "the sun cannot be read",
-            where="--move-sun",
-            got=text,
-            expected="AZIMUTH,ELEVATION in degrees",
-        ) from error
-    check_number("--move-sun, azimuth", first, -360.0, 360.0)
-    check_number("--move-sun, elevation", second, _LEAST_ELEVATION_DEG, 90.0)
-    return first, second
+    return SkyEstimate(
+        dome,
+        sun.azimuth_deg,
+        sun.elevation_deg,
+        sun.origin,
+        sun.uncertainty_deg,
+        prediction.log_peak_std,
+        level.astype(np.float32),
+        prediction.log_peak_std,  # The network says no more of its own error.
+        (*sun.notes, note),
+    )
 
 
 def _completed(panorama: Panorama) -> tuple[np.ndarray, float]:

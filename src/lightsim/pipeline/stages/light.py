@@ -18,9 +18,10 @@ from lightsim.lighting.panorama.stitch import StitchConfig, stitch_panorama
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.balance import rebalanced, unseen_part
 from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
-from lightsim.lighting.sky.shipped import predict_sky
+from lightsim.lighting.sky.shipped import decoded_sky, predict_sky
 from lightsim.lighting.sun.direction import SunDirection
 from lightsim.pipeline.assemble import build_twin
+from lightsim.pipeline.options import SkyModel
 from lightsim.pipeline.source_light import SourceLight, static_returns
 from lightsim.pipeline.source_sun import SourceSunConfig, find_source_sun
 from lightsim.pipeline.stages.context import Context
@@ -50,6 +51,8 @@ class SkyStageConfig:
     """Light on the patches that say how sun and unseen sky compare."""
     labels: IntrinsicConfig = field(default_factory=IntrinsicConfig)
     """How their shadows are found."""
+    model: SkyModel = "analytic"
+    """Who makes the dome."""
 
 
 @dataclass(frozen=True)
@@ -95,8 +98,12 @@ def make_sky(
     sun, _ = find_source_sun(
         work, config.sun, seed=context.seed, progress=context.progress, prediction=predicted
     )
-    sky = source_sky(work, sun, config, predicted, seed=context.seed, progress=context.progress)
-    write_sky(folder, sky)
+    if config.model == "paper":
+        sky = decoded_sky(work.panorama, sun, predicted, config.sky.height_px)
+    else:
+        sky = source_sky(work, sun, config, predicted, seed=context.seed, progress=context.progress)
+    geo = work.training_log.geo
+    write_sky(folder, sky, None if geo is None else geo.heading_deg)
     write_panorama_pictures(folder, work.panorama)
     return sky.notes
 

@@ -102,8 +102,8 @@ class ReferenceRenderer:
         self._bounces = bounces
         self._seed = seed
 
-    def prepare(self, sky: SkyDome) -> SkyDome:
-        """A sky made ready once for many frames: as it is."""
+    def prepare(self, sky: SkyDome, behind: SkyDome | None = None) -> SkyDome:
+        """A sky made ready once for many frames: as it is, behind the street too."""
         return sky
 
     def scene(self, scenario: Scenario, time_ns: int) -> FrameScene:

@@ -23,15 +23,21 @@ class EnvironmentCells:
         radiance: mean radiance of every sky cell, the sun left out.
         sun: the sun, if the dome has one.
         smooth: the sky without its sun at its own resolution (at most 512 rows), for reflections.
+        behind: what a camera sees of the sky without its sun, at its own resolution.
     """
 
     radiance: Float32[np.ndarray, "c 3"]
     sun: Sun | None
     smooth: Float32[np.ndarray, "h w 3"] | None = None
+    behind: Float32[np.ndarray, "a b 3"] | None = None
 
 
-def prepare_sky(dome: SkyDome) -> EnvironmentCells:
-    """Mean radiance of each sky cell by solid angle, and the sun; energy is kept."""
+def prepare_sky(dome: SkyDome, behind: SkyDome | None = None) -> EnvironmentCells:
+    """Mean radiance of each sky cell by solid angle, and the sun; energy is kept.
+
+    Args:
+        behind: what a camera sees where it is not the dome itself; it gives no light.
+    """
     rest, sun = split_sun(dome)
     rows = SKY_CELL_ROWS
     solid = np.broadcast_to(
@@ -41,4 +47,5 @@ def prepare_sky(dome: SkyDome) -> EnvironmentCells:
     smooth = rest
     if len(rest) > _REFLECTED_ROWS:
         smooth = resize_area(rest, _REFLECTED_ROWS, 2 * _REFLECTED_ROWS)
-    return EnvironmentCells(mean.astype(np.float32).reshape(-1, 3), sun, smooth)
+    seen = rest if behind is None else split_sun(behind)[0]
+    return EnvironmentCells(mean.astype(np.float32).reshape(-1, 3), sun, smooth, seen)
