@@ -30,7 +30,7 @@ from lightsim.simulate.skies import TargetSky
 class RelightConfig:
     """How frames are relit: settings that no option of the command names."""
 
-    transport: TransportConfig = field(default_factory=TransportConfig)
+    transport: TransportConfig = field(default_factory=lambda: TransportConfig(bounces=2))
     """Light of source and target sky on the twin."""
     ratio: RatioConfig = field(default_factory=RatioConfig)
     """From the two lights to the relit pixels."""

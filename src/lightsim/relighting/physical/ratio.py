@@ -17,6 +17,7 @@ from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.dome import Sun
 from lightsim.core.solar import angle_between_deg
 from lightsim.errors import InputError
+from lightsim.relighting.physical.denoise import denoised_where_amplified
 from lightsim.relighting.physical.filters import fill_holes
 from lightsim.relighting.physical.matte import composite, foreground_radiance
 from lightsim.relighting.physical.shadow_refine import (
@@ -116,6 +117,7 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
     is_surface = inputs.buffers.has_surface & (inputs.sky_matte < 0.5)
     is_surface &= ~_is_enclosed(foreground, inputs.source, is_surface, config)
     ratio = _light_ratio(source, target, is_surface, config)
+    foreground = denoised_where_amplified(foreground, ratio.max(axis=-1))
     relit = _relit_surface(foreground, ratio, inputs, source, target, is_surface, config)
     return composite(relit, inputs.target_sky, inputs.sky_matte)
 
