@@ -43,9 +43,9 @@ def test_prepare_writes_what_the_options_ask_for(
 
     monkeypatch.setattr(commands, "prepare_cache", prepared)
     out = tmp_path / "cache.npz"
-    options = ("--height", 32, "--streets", 10, "--positions", 3, "--seed", 4)
+    options = ("--height", 32, "--streets", 12, "--positions", 3, "--seed", 4)
     assert run("train", "prepare", "--hdri", tmp_path, "--out", out, *options) == 0
-    streets = StreetConfig(street_count=10, test_count=2, positions=3)
+    streets = StreetConfig(street_count=12, held_out=2, positions=3)
     assert asked == [PrepareConfig(height_px=32, seed=4, streets=streets)]
     assert read_cache(out).height_px == 64
 
@@ -85,7 +85,7 @@ def test_training_writes_weights_and_scores(
     assert record.scores in scores.values()
     assert (record.steps, record.seed, record.licence) == (1, 0, "unknown")
     assert record.training_data == "2 HDR skies, 2 clear skies and 1 positions in synthetic streets"
-    assert record.split_hash == hashlib.sha256(b"a,train\nb,test\nc,train\n").hexdigest()
+    assert record.split_hash == hashlib.sha256(b"a,train\nb,validation\nc,train\nd,test\n").hexdigest()
     # The command that is on record is the one that was given.
     assert sorted(shlex.split(record.command)[1:]) == sorted(str(word) for word in given)
 
@@ -95,6 +95,6 @@ def test_wrong_input_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path
     assert "no.npz" in capsys.readouterr().err
     assert run("train", "prepare", "--hdri", tmp_path, "--out", tmp_path / "x.npz") == 1
     assert "no .hdr or .exr file" in capsys.readouterr().err
-    options = ("--out", tmp_path / "x.npz", "--streets", 1)
+    options = ("--out", tmp_path / "x.npz", "--streets", 2)
     assert run("train", "prepare", "--hdri", tmp_path, *options) == 1
     assert "--streets" in capsys.readouterr().err

@@ -16,11 +16,11 @@ class PrepareOptions:
     out: Path
     """File to write (.npz)."""
     split: Path | None = None
-    """CSV that names train and test files; without it all files train."""
+    """CSV that names train, validation and test files; without it all files train."""
     height: int = 64
     """Rows of the panoramas: 64 for a CPU, 128 or more for a GPU."""
-    streets: int = 15
-    """Synthetic streets to trace; the last fifth is kept for tests."""
+    streets: int = 18
+    """Synthetic streets to trace; a sixth is kept for validation, a sixth for tests."""
     positions: int = 5
     """Camera positions in each street."""
     seed: int = 0

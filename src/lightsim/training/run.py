@@ -55,14 +55,14 @@ def prepare(command: PrepareOptions) -> None:
     """Write the cache.
 
     Raises:
-        InputError: fewer than two streets or no position, no skies, or a wrong split.
+        InputError: fewer than three streets or no position, no skies, or a wrong split.
     """
-    if command.streets < 2 or command.positions < 1:
+    if command.streets < 3 or command.positions < 1:
         raise InputError(
             "too few streets: one side of the split would be empty",
             where="--streets, --positions",
             got=f"{command.streets} and {command.positions}",
-            expected="at least 2 and 1",
+            expected="at least 3 and 1",
         )
     if not command.out.absolute().parent.is_dir():
         raise InputError(
@@ -72,7 +72,7 @@ def prepare(command: PrepareOptions) -> None:
         )
     streets = StreetConfig(
         street_count=command.streets,
-        test_count=max(1, command.streets // 5),
+        held_out=max(1, command.streets // 6),
         positions=command.positions,
     )
     config = PrepareConfig(height_px=command.height, seed=command.seed, streets=streets)
@@ -89,7 +89,7 @@ def prepare(command: PrepareOptions) -> None:
 
 
 def train_inpaint(command: TrainingOptions) -> None:
-    """Train the completion; weights and, where the cache has a test split, scores."""
+    """Train the completion; weights and, where the cache has a validation side, scores."""
     from lightsim.training import inpaint as inpaint_train
     from lightsim.training.inpaint_scores import evaluate_inpaint
 
@@ -100,14 +100,14 @@ def train_inpaint(command: TrainingOptions) -> None:
     with _session(command) as session:
         weights, steps = inpaint_train.train_inpaint(LightingSet(cache), config, session)
     if session.processes.is_first:
-        test = _test_split(cache)
+        held_out = _validation(cache)
         stored = {name: value.half().float() for name, value in weights.items()}
-        scores = evaluate_inpaint(test, stored) if test else {}
+        scores = evaluate_inpaint(held_out, stored) if held_out else {}
         _write(command, weights, scores, _record(command, "inpaint", cache, session, steps, scores))
 
 
 def train_sky_network(command: TrainingOptions, kind: SkyKind, inpaint: Path | None) -> None:
-    """Train, write the weights, and score them on the fixed views of the test split."""
+    """Train, write the weights, and score them on the fixed views of the validation side."""
     from lightsim.training import sky as sky_train
     from lightsim.training.sky_models import sky_recipe, weights_of
 
@@ -120,8 +120,8 @@ def train_sky_network(command: TrainingOptions, kind: SkyKind, inpaint: Path | N
     with _session(command) as session:
         steps = sky_train.train_sky(artefact_key, data, session, complete)
     if session.processes.is_first:
-        network, test = artefact_key.network.cpu().eval(), _test_split(cache)
-        scores = _sky_scores(kind, network, (data, test), complete) if test else {}
+        network, held_out = artefact_key.network.cpu().eval(), _validation(cache)
+        scores = _sky_scores(kind, network, (data, held_out), complete) if held_out else {}
         record = _record(command, kind, cache, session, steps, scores)
         _write(command, weights_of(network), scores, record)
 
@@ -134,8 +134,8 @@ def _sky_scores(
 ) -> dict[str, Any]:
     from lightsim.training.sky_scores import evaluate_sky_networks, parts_of
 
-    train, test = sides
-    views = parts_of(test.fixed_views().batch, _SCORED_AT_ONCE)
+    train, held_out = sides
+    views = parts_of(held_out.fixed_views().batch, _SCORED_AT_ONCE)
     known = [train.batch(_SCORED_AT_ONCE, 0, k, only_sunny=False) for k in range(4)]
     rows = evaluate_sky_networks(views, {kind: network}, known, complete)  # type: ignore[dict-item]
     return {row.name: _known(asdict(row)) for row in rows}
@@ -169,11 +169,12 @@ def _record(
     baseline = ("baseline", network, f"{network} (docs/models/sky.md)")
     what, row, description = _COMMANDS.get(network, baseline)
     count = sum(sky.entry.split == "train" for sky in cache.skies)
+    positions = cache.view_sides.count("train")
     return WeightsRecord(
         description=description,
         command=_command_line(what, command, session.processes.count),
         training_data=f"{count} HDR skies, {len(cache.clear.elevation_deg)} clear skies and "
-        f"{cache.view_is_test.count(False)} positions in synthetic streets",
+        f"{positions} positions in synthetic streets",
         split_hash=split_hash(sky.entry for sky in cache.skies),
         seed=command.seed,
         steps=steps,
@@ -231,10 +232,10 @@ def completion_of(weights: Path) -> Completion:
     return complete
 
 
-def _test_split(cache: LightingCache) -> LightingSet | None:
-    """The held-out side, or None where the cache was made without a split."""
+def _validation(cache: LightingCache) -> LightingSet | None:
+    """The side that chooses, or None where the cache was made without a split."""
     try:
-        return LightingSet(cache, "test")
+        return LightingSet(cache, "validation")
     except InputError as error:
         _LOGGER.warning("no scores: %s", error)
         return None
