@@ -85,7 +85,9 @@ def test_training_writes_weights_and_scores(
     assert record.scores in scores.values()
     assert (record.steps, record.seed, record.licence) == (1, 0, "unknown")
     assert record.training_data == "2 HDR skies, 2 clear skies and 1 positions in synthetic streets"
-    assert record.split_hash == hashlib.sha256(b"a,train\nb,validation\nc,train\nd,test\n").hexdigest()
+    assert (
+        record.split_hash == hashlib.sha256(b"a,train\nb,validation\nc,train\nd,test\n").hexdigest()
+    )
     # The command that is on record is the one that was given.
     assert sorted(shlex.split(record.command)[1:]) == sorted(str(word) for word in given)
 

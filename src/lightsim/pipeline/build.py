@@ -139,7 +139,7 @@ STAGES = (
     ),
     Stage(
         "sky",
-        5,
+        6,
         ("log", "alignment", "assets", "panorama"),
         lambda o: light.SkyStageConfig(SourceSunConfig(gps=o.gps)),
         light.make_sky,

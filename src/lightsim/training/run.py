@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from lightsim.networks.loop import LoopConfig, Session
     from lightsim.training.sky import Completion
-    from lightsim.training.sky_models import SkyKind
+    from lightsim.training.sky_models import SkyKind, SkyPart
 
 _LOGGER = logging.getLogger(__name__)
 WEIGHTS_NAME = "weights.safetensors"
@@ -98,7 +98,9 @@ def train_inpaint(command: TrainingOptions) -> None:
     config = kind.small() if command.preset == "small" else kind.full()
     config = replace(config, seed=command.seed, loop=_loop(config.loop, command))
     with _session(command) as session:
-        weights, steps = inpaint_train.train_inpaint(LightingSet(cache), config, session)
+        weights, steps = inpaint_train.train_inpaint(
+            LightingSet(cache, composites=command.composites), config, session
+        )
     if session.processes.is_first:
         held_out = _validation(cache)
         stored = {name: value.half().float() for name, value in weights.items()}
@@ -106,24 +108,50 @@ def train_inpaint(command: TrainingOptions) -> None:
         _write(command, weights, scores, _record(command, "inpaint", cache, session, steps, scores))
 
 
-def train_sky_network(command: TrainingOptions, kind: SkyKind, inpaint: Path | None) -> None:
-    """Train, write the weights, and score them on the fixed views of the validation side."""
-    from lightsim.training import sky as sky_train
-    from lightsim.training.sky_models import sky_recipe, weights_of
+def train_sky_network(
+    command: TrainingOptions,
+    kind: SkyKind,
+    inpaint: Path | None,
+    start: Path | None = None,
+    part: SkyPart = "all",
+) -> None:
+    """Train, write the weights, and score them on the fixed views of the validation side.
 
+    Args:
+        inpaint: weights of the completion, for the networks that look at it.
+        start: weights to go on from.
+        part: of the network.
+
+    Raises:
+        InputError: the network looks at no completion, the data are of another size, or the
+            weights to start from are of another network.
+    """
+    from lightsim.training import sky as sky_train
+    from lightsim.training.sky_models import USES_INPAINTING, sky_recipe, started_from, weights_of
+
+    if inpaint is not None and kind not in USES_INPAINTING:
+        raise InputError(
+            "this network does not look at what was inpainted",
+            where="--inpaint",
+            got=kind,
+            expected=f"one of {', '.join(USES_INPAINTING)}",
+            remedy="Leave --inpaint out.",
+        )
     cache = read_cache(command.data)
-    data = LightingSet(cache)
+    data = LightingSet(cache, composites=command.composites)
     complete = None if inpaint is None else completion_of(inpaint)
-    artefact_key = sky_recipe(kind, command.preset, command.seed, inpaints=inpaint is not None)
-    loop = _loop(artefact_key.config.loop, command)
-    artefact_key = replace(artefact_key, config=replace(artefact_key.config, loop=loop))
+    recipe = sky_recipe(kind, command.preset, command.seed, part)
+    if start is not None:
+        recipe = started_from(recipe, read_weights(start))
+    loop = _loop(recipe.config.loop, command)
+    recipe = replace(recipe, config=replace(recipe.config, loop=loop))
     with _session(command) as session:
-        steps = sky_train.train_sky(artefact_key, data, session, complete)
+        steps = sky_train.train_sky(recipe, data, session, complete)
     if session.processes.is_first:
-        network, held_out = artefact_key.network.cpu().eval(), _validation(cache)
+        network, held_out = recipe.network.cpu().eval(), _validation(cache)
         scores = _sky_scores(kind, network, (data, held_out), complete) if held_out else {}
         record = _record(command, kind, cache, session, steps, scores)
-        _write(command, weights_of(network), scores, record)
+        _write(command, weights_of(kind, network), scores, record)
 
 
 def _sky_scores(

@@ -1,4 +1,4 @@
-"""The shipped lighting networks at work: what they say of a panorama, and the domes they draw."""
+"""The shipped lighting networks at work: what they predict of a panorama, and what they draw."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
 from lightsim.core.checks import check_number
 from lightsim.core.colour import linear_from_srgb
@@ -15,6 +15,7 @@ from lightsim.core.dome import SkyDome, Sun, irradiance, split_sun
 from lightsim.core.solar import direction_enu
 from lightsim.core.twin import Panorama, SkyEstimate
 from lightsim.errors import InputError
+from lightsim.lighting.panorama.complete import completed_ldr, exposed_ldr
 from lightsim.lighting.sample import SkyPrediction
 
 if TYPE_CHECKING:
@@ -25,14 +26,14 @@ SKY_WEIGHTS = "sky-small"
 
 
 def predict_sky(panorama: Panorama) -> SkyPrediction:
-    """Sun, peak and latent that the networks read off a panorama, completed by inpainting.
+    """Sun, peak and latent that the estimator reads off what was seen of a panorama.
 
-    `log_peak` is in the panorama's own unit of radiance.
+    It does not look at what is inpainted. `log_peak` is in the panorama's own unit of radiance.
 
     Raises:
         InputError: nothing was seen, or the weights are damaged.
     """
-    ldr, exposure = _completed(panorama)
+    ldr, exposure = exposed_ldr(panorama)
     predicted = _estimator().predict(ldr, panorama.is_seen, averages=True)
     return replace(predicted, log_peak=predicted.log_peak - float(np.log(exposure)))
 
@@ -45,6 +46,8 @@ def decoded_dome(
 ) -> SkyDome:
     """The dome that the decoder draws of a panorama; on demand with its sun elsewhere, or stronger
     (paper, appendix: the same sky latent with other f_dir and f_int).
+
+    The decoder draws the upper half; the lower one is the completed panorama's.
 
     Args:
         panorama: stitched or a picture; the dome has its size, unit and frame.
@@ -61,7 +64,7 @@ def decoded_dome(
             got=sun_factor,
             expected="a finite number above 0",
         )
-    ldr, exposure = _completed(panorama)
+    ldr, exposure = completed_panorama(panorama)
     predicted = _estimator().predict(ldr, panorama.is_seen, averages=True)
     upper = _estimator().decode(
         predicted,
@@ -133,8 +136,12 @@ def _two_numbers(text: str) -> tuple[float, float]:
     return first, second
 
 
-def _completed(panorama: Panorama) -> tuple[np.ndarray, float]:
-    from lightsim.lighting.panorama.complete import completed_ldr
+def completed_panorama(panorama: Panorama) -> tuple[Float32[np.ndarray, "h w 3"], float]:
+    """The panorama in sRGB, inpainted where nothing was seen, and its exposure (`exposed_ldr`).
+
+    Raises:
+        InputError: nothing was seen, or the weights are damaged.
+    """
     from lightsim.store.weights import load_weights
 
     return completed_ldr(panorama, load_weights(INPAINT_WEIGHTS))

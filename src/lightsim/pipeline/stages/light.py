@@ -18,7 +18,7 @@ from lightsim.lighting.panorama.stitch import StitchConfig, stitch_panorama
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.balance import rebalanced, unseen_part
 from lightsim.lighting.sky.estimate import SkyConfig, solve_sky
-from lightsim.lighting.sky.shipped import predict_sky
+from lightsim.lighting.sky.shipped import completed_panorama, predict_sky
 from lightsim.lighting.sun.direction import SunDirection
 from lightsim.lighting.sun.evidence import EvidenceConfig, Surroundings, collect_evidence
 from lightsim.pipeline.assemble import build_twin
@@ -33,7 +33,12 @@ from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.irradiance import IrradianceConfig
 from lightsim.render.transport.matrix import TransportConfig
-from lightsim.store.sky import write_panorama, write_panorama_pictures, write_sky
+from lightsim.store.sky import (
+    write_completed,
+    write_panorama,
+    write_panorama_pictures,
+    write_sky,
+)
 from lightsim.store.twin import write_twin
 
 IRRADIANCE = IrradianceConfig(TransportConfig(sky_rays=32, face_rays=8), 0.25)
@@ -101,6 +106,7 @@ def make_sky(
     sky = source_sky(work, sun, config, predicted, seed=context.seed, progress=context.progress)
     write_sky(folder, sky)
     write_panorama_pictures(folder, work.panorama)
+    write_completed(folder, completed_panorama(work.panorama)[0])
     return sky.notes
 
 
