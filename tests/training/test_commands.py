@@ -36,7 +36,11 @@ def test_prepare_writes_what_the_options_ask_for(
     asked: list[PrepareConfig] = []
 
     def prepared(
-        hdri: Path, split: Path | None, config: PrepareConfig, progress: Progress
+        hdri: Path,
+        split: Path | None,
+        config: PrepareConfig,
+        progress: Progress,
+        ldr: Path | None,
     ) -> LightingCache:
         asked.append(config)
         return read_cache(cache_path)

@@ -11,14 +11,16 @@ import pytest
 from lightsim.core.dome import irradiance
 from lightsim.core.equirect import pixel_directions, uv_from_directions
 from lightsim.errors import InputError
-from lightsim.lighting.sample import LightingData
+from lightsim.lighting.sample import LightingData, PanoramaData
+from lightsim.store.images import write_png
 from lightsim.synthetic.finishes import make_finishes
 from lightsim.synthetic.geometry import Snapshot
 from lightsim.synthetic.plan import plan_street
 from lightsim.synthetic.street import Street, build_background
 from lightsim.training.composites import cloud_layer, composite_heaven, exchanged_heaven
 from lightsim.training.hdr_skies import measured_sky, read_pool, read_split, shrunk, sky_mask
-from lightsim.training.lighting_cache import read_cache
+from lightsim.training.ldr_panoramas import read_ldr_pool
+from lightsim.training.lighting_cache import read_cache, write_cache
 from lightsim.training.lighting_data import LightingSet
 from lightsim.training.near_duplicates import check_split, sky_pairs
 from lightsim.training.procedural_skies import Heaven, raised_heaven, turned_heaven
@@ -217,6 +219,32 @@ def test_batches_are_consistent_and_repeatable(cache_path: Path) -> None:
 def test_only_sunny_batches_are_sunny(cache_path: Path) -> None:
     batch = LightingSet.load(cache_path).batch(10, 0, 0, only_sunny=True)
     assert batch.is_sunny.all()
+
+
+def test_ldr_panoramas_train_the_inpainting(cache_path: Path, tmp_path: Path) -> None:
+    colours = {"a": 200, "b": 100, "unnamed": 50}
+    for name, level in colours.items():
+        (tmp_path / name).mkdir()
+        picture = np.full((80, 160, 3), level, np.uint8)
+        write_png(tmp_path / name / f"{name}.png", picture)
+    split = read_split(cache_path.parent / "split.csv")
+    pool = read_ldr_pool(tmp_path, split, HEIGHT)
+    assert [p.side for p in pool] == ["train", "validation", "train"]
+    assert [int(p.srgb8.mean()) for p in pool] == [200, 100, 50]
+    write_cache(tmp_path / "cache.npz", replace(read_cache(cache_path), ldr=pool))
+    cache = read_cache(tmp_path / "cache.npz")
+    found = LightingSet(cache, ldr_fraction=1.0).panoramas(16, 0, 0)
+    assert {round(255 * float(p.mean())) for p in found.panorama} == {200, 50}
+    held_out = LightingSet(cache, "validation", ldr_fraction=1.0).panoramas(2, 0, 0)
+    np.testing.assert_allclose(held_out.panorama * 255, 100, rtol=1e-6)
+    # Without LDR panoramas the inpainting draws what the sky networks draw.
+    plain, batch = LightingSet.load(cache_path), LightingSet.load(cache_path)
+    assert isinstance(plain, PanoramaData)
+    expected = batch.batch(3, 1, 2, only_sunny=False)
+    np.testing.assert_array_equal(plain.panoramas(3, 1, 2).panorama, expected.panorama)
+    write_png(tmp_path / "a" / "a.png", np.zeros((80, 80, 3), np.uint8))
+    with pytest.raises(InputError, match="twice as wide"):
+        read_ldr_pool(tmp_path, split, HEIGHT)
 
 
 def test_fixed_views_show_held_out_skies_only(cache_path: Path) -> None:

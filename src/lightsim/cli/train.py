@@ -30,6 +30,8 @@ class TrainPrepare(PrepareOptions):
 class TrainInpaint(TrainingOptions):
     """Train the completion of panoramas."""
 
+    ldr_fraction: float = 0.5
+    """Of the samples that show LDR panoramas, where the data have any; 1 is the paper's way."""
     verbose: Verbose = False
     """Show the trace of an error."""
 
@@ -37,7 +39,7 @@ class TrainInpaint(TrainingOptions):
         """Train, or go on."""
         from lightsim.training import run
 
-        run.train_inpaint(self)
+        run.train_inpaint(self, self.ldr_fraction)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from lightsim.progress import Progress, SilentProgress
 from lightsim.store.arrays import load_arrays
 from lightsim.store.atomic import whole_file
 from lightsim.training.hdr_skies import HdrSky, Side, SplitEntry, read_pool, read_split
+from lightsim.training.ldr_panoramas import LdrPanorama, read_ldr_pool
 from lightsim.training.near_duplicates import check_split
 from lightsim.training.procedural_skies import (
     ClearSkies,
@@ -55,6 +56,7 @@ class LightingCache:
     noise: Float32[np.ndarray, "k s s"]
     views: tuple[StreetView, ...]
     view_sides: tuple[Side, ...]
+    ldr: tuple[LdrPanorama, ...] = ()
 
     def check(self, skies: Sequence[HdrSky], views: Sequence[StreetView], split: str) -> None:
         """Raises InputError where a split lacks skies or streets."""
@@ -67,13 +69,17 @@ class LightingCache:
 
 
 def prepare_cache(
-    hdri: Path, split: Path | None, config: PrepareConfig, progress: Progress | None = None
+    hdri: Path,
+    split: Path | None,
+    config: PrepareConfig,
+    progress: Progress | None = None,
+    ldr: Path | None = None,
 ) -> LightingCache:
-    """Read the skies, evaluate the clear ones and trace the streets.
+    """Read the skies and LDR panoramas, evaluate the clear skies and trace the streets.
 
     Raises:
         InputError: the height is odd or below 16, near-duplicates lie on two sides of the split,
-            or as `read_split` and `read_pool`.
+            or as `read_split`, `read_pool` and `read_ldr_pool`.
     """
     height = config.height_px
     if height < 16 or height % 2:
@@ -87,11 +93,12 @@ def prepare_cache(
     entries = None if split is None else read_split(split)
     skies = read_pool(hdri, entries, height, progress)
     check_split(skies)
+    pictures = () if ldr is None else read_ldr_pool(ldr, entries, height, progress)
     rng = np.random.default_rng([config.seed, 1])
     clear = make_clear_skies(config.clear_count, height, rng, progress)
     noise = unpack_noise(pack_noise(make_noise(np.random.default_rng([config.seed, 2]))))
     views, sides = trace_streets(config.streets, height, config.seed, progress)
-    return LightingCache(height, skies, clear, noise, tuple(views), tuple(sides))
+    return LightingCache(height, skies, clear, noise, tuple(views), tuple(sides), pictures)
 
 
 def write_cache(path: Path, cache: LightingCache) -> None:
@@ -115,6 +122,11 @@ def write_cache(path: Path, cache: LightingCache) -> None:
         "view_count": np.array(counts),
         "view_side": np.array(cache.view_sides),
         "view_share": np.stack([view.surface_fraction for view in cache.views]),
+        "ldr_side": np.array([picture.side for picture in cache.ldr], dtype="U10"),
+        "ldr_srgb8": np.stack(
+            [np.zeros((cache.height_px, 2 * cache.height_px, 3), np.uint8)]
+            + [picture.srgb8 for picture in cache.ldr]
+        )[1:],
         **clear_arrays(cache.clear),
     }
     for name in _VIEW_FIELDS:
@@ -185,7 +197,11 @@ def _unpacked(arrays: Mapping[str, Shaped[np.ndarray, "..."]], height: int) -> L
     if arrays["sky_rest"].shape[1:] != (height, 2 * height, 3):
         raise ValueError("skies of another size")
     noise = unpack_noise(arrays["noise"])
-    return LightingCache(height, tuple(skies), clear, noise, tuple(views), sides)
+    ldr = tuple(
+        LdrPanorama(str(side), picture)  # type: ignore[arg-type]
+        for side, picture in zip(arrays["ldr_side"], arrays["ldr_srgb8"], strict=True)
+    )
+    return LightingCache(height, tuple(skies), clear, noise, tuple(views), sides, ldr)
 
 
 def _sun_row(sun: Sun | None) -> Shaped[np.ndarray, " 6"]:

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Float32
 
 from lightsim.core.colour import luminance
 from lightsim.core.equirect import solid_angles_sr, uv_from_directions
-from lightsim.lighting.sample import LightingBatch
+from lightsim.lighting.sample import LightingBatch, PanoramaBatch
 from lightsim.training import grids
 from lightsim.training.camera_look import add_glare, exposure, pictures
 from lightsim.training.composites import (
@@ -101,6 +101,7 @@ class LightingSet:
 
     Args:
         composites: train on clouds of the skies over analytic clear ones, too.
+        ldr_fraction: of `panoramas` that show LDR panoramas, where this side has any.
     """
 
     def __init__(
@@ -109,8 +110,11 @@ class LightingSet:
         split: Side = "train",
         *,
         composites: bool = True,
+        ldr_fraction: float = 0.5,
     ) -> None:
         self._cache = cache
+        self._ldr = [picture for picture in cache.ldr if picture.side == split]
+        self._ldr_fraction = ldr_fraction if self._ldr else 0.0
         self._has_composites = composites
         self.height_px: int = cache.height_px
         self.split: Side = split
@@ -139,6 +143,30 @@ class LightingSet:
             self._draw(np.random.default_rng([seed, index, k]), only_sunny) for k in range(size)
         ]
         return _stacked(samples)
+
+    def panoramas(self, size: int, seed: int, index: int) -> PanoramaBatch:
+        """Panoramas for the inpainting; see `lighting.sample.PanoramaData`."""
+        samples = [
+            self._picture(
+                np.random.default_rng([seed, index, k]), np.random.default_rng([seed, index, k, 1])
+            )
+            for k in range(size)
+        ]
+        return PanoramaBatch(*(np.stack(part) for part in zip(*samples, strict=True)))
+
+    def _picture(
+        self, rng: np.random.Generator, ldr_rng: np.random.Generator
+    ) -> tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
+        """A panorama and what a rig saw of it; an LDR one is turned and, in training, mirrored."""
+        if ldr_rng.random() >= self._ldr_fraction:
+            sample = self._draw(rng, only_sunny=False)
+            return sample.panorama, sample.visibility
+        srgb8 = self._ldr[int(ldr_rng.integers(len(self._ldr)))].srgb8
+        if self.split == "train" and ldr_rng.random() < 0.5:
+            srgb8 = srgb8[:, ::-1]
+        turned = np.roll(srgb8, int(ldr_rng.integers(srgb8.shape[1])), axis=1)
+        mask = rig_mask(self.height_px, ldr_rng, MaskConfig())
+        return (turned / np.float32(255)).astype(np.float32), mask
 
     def fixed_views(self, per_sky: int = 8, seed: int = 0) -> FixedViews:
         """Every sky of this split `per_sky` times through random rigs, always the same ones."""

@@ -15,8 +15,12 @@ class PrepareOptions:
     """Folder of .hdr and .exr panoramas."""
     out: Path
     """File to write (.npz)."""
+    ldr: Path | None = None
+    """Folder of LDR panoramas (.jpg, .png, .webp, in any folder below it): the inpainting trains
+    on them, too."""
     split: Path | None = None
-    """CSV that names train, validation and test files; without it all files train."""
+    """CSV that names train, validation and test files; without it all files train, and so do LDR
+    panoramas that it does not name."""
     height: int = 64
     """Rows of the panoramas: 64 for a CPU, 128 or more for a GPU."""
     streets: int = 18

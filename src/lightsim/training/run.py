@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float32
 
+from lightsim.core.checks import check_number
 from lightsim.errors import InputError
 from lightsim.progress import terminal_progress
 from lightsim.store.artefact import write_json
@@ -76,20 +77,28 @@ def prepare(command: PrepareOptions) -> None:
         positions=command.positions,
     )
     config = PrepareConfig(height_px=command.height, seed=command.seed, streets=streets)
-    cache = prepare_cache(command.hdri, command.split, config, terminal_progress())
+    cache = prepare_cache(command.hdri, command.split, config, terminal_progress(), command.ldr)
     write_cache(command.out, cache)
     size_mb = command.out.stat().st_size / 1e6
     _LOGGER.info(
-        "%s: %d skies, %d street positions, %.1f MB",
+        "%s: %d skies, %d LDR panoramas, %d street positions, %.1f MB",
         command.out,
         len(cache.skies),
+        len(cache.ldr),
         len(cache.views),
         size_mb,
     )
 
 
-def train_inpaint(command: TrainingOptions) -> None:
-    """Train the completion; weights and, where the cache has a validation side, scores."""
+def train_inpaint(command: TrainingOptions, ldr_fraction: float) -> None:
+    """Train the completion; weights and, where the cache has a validation side, scores.
+
+    Args:
+        ldr_fraction: of the samples that show LDR panoramas, where the data have any.
+
+    Raises:
+        InputError: the fraction is none, or the data's size does not fit the network.
+    """
     from lightsim.training import inpaint as inpaint_train
     from lightsim.training.inpaint_scores import evaluate_inpaint
 
@@ -97,10 +106,10 @@ def train_inpaint(command: TrainingOptions) -> None:
     kind = inpaint_train.InpaintConfig
     config = kind.small() if command.preset == "small" else kind.full()
     config = replace(config, seed=command.seed, loop=_loop(config.loop, command))
+    check_number("--ldr-fraction", ldr_fraction, 0.0, 1.0)
+    data = LightingSet(cache, composites=command.composites, ldr_fraction=ldr_fraction)
     with _session(command) as session:
-        weights, steps = inpaint_train.train_inpaint(
-            LightingSet(cache, composites=command.composites), config, session
-        )
+        weights, steps = inpaint_train.train_inpaint(data, config, session)
     if session.processes.is_first:
         held_out = _validation(cache)
         stored = {name: value.half().float() for name, value in weights.items()}
@@ -198,11 +207,13 @@ def _record(
     what, row, description = _COMMANDS.get(network, baseline)
     count = sum(sky.entry.split == "train" for sky in cache.skies)
     positions = cache.view_sides.count("train")
+    ldr_count = sum(picture.side == "train" for picture in cache.ldr)
+    ldr = f", {ldr_count} LDR panoramas" if ldr_count and network == "inpaint" else ""
     return WeightsRecord(
         description=description,
         command=_command_line(what, command, session.processes.count),
         training_data=f"{count} HDR skies, {len(cache.clear.elevation_deg)} clear skies and "
-        f"{positions} positions in synthetic streets",
+        f"{positions} positions in synthetic streets{ldr}",
         split_hash=split_hash(sky.entry for sky in cache.skies),
         seed=command.seed,
         steps=steps,

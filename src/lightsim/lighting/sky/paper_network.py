@@ -129,5 +129,7 @@ def sun_encoding(
     """
     position = direction_map(2 * rows, rows, direction.device).expand(len(direction), -1, -1, -1)
     lobe = torch.exp(100.0 * (cosine_map(direction, rows) - 1.0))
-    intensity = (lobe > 0.9 * lobe.amax(dim=(2, 3), keepdim=True)) * log_peak[:, None, None, None] / 4.0
+    intensity = (
+        (lobe > 0.9 * lobe.amax(dim=(2, 3), keepdim=True)) * log_peak[:, None, None, None] / 4.0
+    )
     return torch.cat([position, lobe, intensity], dim=1)
