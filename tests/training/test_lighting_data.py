@@ -180,7 +180,7 @@ def test_composites_keep_the_sun_and_what_the_scene_hides(
     hidden = sky.sky_seen.copy()
     hidden[:, :20] = False
     place = replace(sky, sky_seen=hidden)
-    exchanged = exchanged_heaven(place, layer, cache.clear, rng)
+    exchanged = exchanged_heaven(place, [layer], cache.clear, rng)
     assert (exchanged.rest[~hidden] == sky.rest[:32][~hidden]).all()
     assert not np.allclose(exchanged.rest[hidden], sky.rest[:32][hidden], rtol=0.05)
     assert sky.sun is not None

@@ -51,7 +51,7 @@ class TrainSky(TrainingOptions):
     inpaint: Path | None = None
     """Weights of the completion that lightsim_paper looks through; without them smooth fills."""
     start: Path | None = None
-    """Weights to go on from, at half the learning rate."""
+    """Weights to go on from, at a quarter of the learning rate."""
     part: Literal["all", "direction"] = "all"
     """direction trains the encoder of the sun's direction alone; it shares nothing with the
     others."""

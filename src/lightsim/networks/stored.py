@@ -27,6 +27,11 @@ def stored_config(tensors: Mapping[str, Tensor]) -> tuple[str, dict[str, Any]]:
     return kind, {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
 
 
+def is_stored(tensors: Mapping[str, Tensor]) -> bool:
+    """Whether these are `stored_tensors`."""
+    return _CONFIG in tensors
+
+
 def load_stored(network: nn.Module, tensors: Mapping[str, Tensor]) -> None:
     """The weights, of any precision, into a network of their config; it is set to be used."""
     weights = {k: v.to(torch.float32) for k, v in tensors.items() if k != _CONFIG}

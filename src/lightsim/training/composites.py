@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Float32
+from scipy import ndimage
 
 from lightsim.core.colour import luminance
 from lightsim.lighting.panorama.inpaint import fill_by_nearest
@@ -32,18 +34,22 @@ _GLARE_DEG = 12.0
 """The glow of a clear sun is white, too: no cloud is taken from within this of it."""
 _ELEVATION_SPREAD = 0.35
 """Largest change of the log of the sun's elevation: clouds keep their light and dark sides."""
+_GLOW_RATIO = 3.0
+"""A sky whose brightest part exceeds its median by this is lit from there, sun or no sun."""
+_GLOW_PX = 3
+"""Radius over which the brightest part is averaged."""
 _DEPTH = (1.0, 6.0)
 """Optical depth of an opaque cloud before the sun."""
 
 
 @dataclass(frozen=True, eq=False)
 class CloudLayer:
-    """The clouds of a measured sky, its sun (if there is one) at azimuth 0.
+    """The clouds of a measured sky; where light comes from one side, that lies at azimuth 0.
 
     Args:
         opacity: 0 to 1.
         shade: radiance over that of white level ground under the whole sky.
-        elevation_deg: of the sun, None without one.
+        elevation_deg: of the sun or of the glow it leaves in clouds; None of an even sky.
         is_sunny: its sun is clear.
     """
 
@@ -58,10 +64,10 @@ def cloud_layer(sky: HdrSky) -> CloudLayer:
     heaven = heaven_of(sky)
     rest = fill_by_nearest(heaven.rest, sky.sky_seen) if sky.sky_seen.any() else heaven.rest
     columns, elevation_deg = 0, None
-    if sky.sun is not None:
-        x, y, z = heaven.sun_direction
-        columns = round(float(np.arctan2(y, x)) / (2 * np.pi) * rest.shape[1])
-        elevation_deg = float(np.degrees(np.arcsin(np.clip(z, -1, 1))))
+    towards = heaven.sun_direction if is_sunny(heaven) else _glow(rest)
+    if towards is not None:
+        columns = _columns_to(towards, rest.shape[1])
+        elevation_deg = float(np.degrees(np.arcsin(np.clip(towards[2], -1, 1))))
     turned = turned_heaven(Heaven(rest, *_sun_of(heaven)), columns, flip=False)
     shade = turned.rest / max(_level(turned) / np.pi, 1e-6)
     shade = np.clip(shade, 0.0, _SHADE_RANGE[1]).astype(np.float32)
@@ -69,7 +75,7 @@ def cloud_layer(sky: HdrSky) -> CloudLayer:
 
 
 def composite_heaven(layer: CloudLayer, clear: ClearSkies, rng: np.random.Generator) -> Heaven:
-    """The clouds over a clear sky whose sun stands about as high as theirs, at azimuth 0."""
+    """The clouds over a clear sky whose sun, at azimuth 0, stands about as high as theirs."""
     wanted = None
     if layer.elevation_deg is not None:
         factor = float(np.exp(rng.uniform(-_ELEVATION_SPREAD, _ELEVATION_SPREAD)))
@@ -80,21 +86,49 @@ def composite_heaven(layer: CloudLayer, clear: ClearSkies, rng: np.random.Genera
 
 
 def exchanged_heaven(
-    sky: HdrSky, layer: CloudLayer, clear: ClearSkies, rng: np.random.Generator
+    sky: HdrSky, layers: Sequence[CloudLayer], clear: ClearSkies, rng: np.random.Generator
 ) -> Heaven:
-    """A measured place under another sky with the same clear sun, whose light its ground shows."""
+    """A measured place under another sky with the same clear sun, whose light its ground shows.
+
+    Args:
+        layers: of which those with a clear sun about as high count.
+    """
     heaven = heaven_of(sky)
-    x, y, z = heaven.sun_direction
-    behind = clear_heaven(clear, rng, float(np.degrees(np.arcsin(np.clip(z, -1, 1)))))
-    open_layer = CloudLayer(layer.opacity, layer.shade, layer.elevation_deg, is_sunny=True)
-    other = _covered(behind, open_layer, 0, rng)
-    columns = -round(float(np.arctan2(y, x)) / (2 * np.pi) * other.rest.shape[1])
-    other = turned_heaven(other, columns, flip=False)
+    elevation_deg = float(np.degrees(np.arcsin(np.clip(heaven.sun_direction[2], -1, 1))))
+    behind = clear_heaven(clear, rng, elevation_deg)
+    # Shadows on the ground say that no cloud is before the sun.
+    fitting = [layer for layer in layers if _has_such_a_sun(layer, elevation_deg)]
+    if fitting:
+        behind = _covered(behind, fitting[int(rng.integers(len(fitting)))], 0, rng)
+    columns = -_columns_to(heaven.sun_direction, behind.rest.shape[1])
+    other = turned_heaven(behind, columns, flip=False)
     scale = np.median(luminance(heaven.rest[sky.sky_seen])) / max(
         float(np.median(luminance(other.rest[sky.sky_seen]))), 1e-6
     )
     rest = np.where(sky.sky_seen[..., None], other.rest * np.float32(scale), heaven.rest)
     return Heaven(rest.astype(np.float32), *_sun_of(heaven))
+
+
+def _has_such_a_sun(layer: CloudLayer, elevation_deg: float) -> bool:
+    if not layer.is_sunny or layer.elevation_deg is None:
+        return False
+    return abs(np.log(max(layer.elevation_deg, 1.0) / elevation_deg)) <= _ELEVATION_SPREAD
+
+
+def _columns_to(direction: Float[np.ndarray, "3"], width: int) -> int:
+    """Columns by which a sky is turned to bring a direction to azimuth 0."""
+    return round(float(np.arctan2(direction[1], direction[0])) / (2 * np.pi) * width)
+
+
+def _glow(rest: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3"] | None:
+    """Where an uneven sky is brightest."""
+    value = luminance(rest).astype(np.float64)
+    value = ndimage.uniform_filter1d(value, 2 * _GLOW_PX + 1, axis=1, mode="wrap")
+    value = ndimage.uniform_filter1d(value, 2 * _GLOW_PX + 1, axis=0, mode="nearest")
+    if value.max() < _GLOW_RATIO * np.median(value):
+        return None
+    directions = grids.directions(2 * len(rest))[: len(rest)]
+    return directions.reshape(-1, 3)[int(value.argmax())].astype(np.float64)
 
 
 def _covered(behind: Heaven, layer: CloudLayer, columns: int, rng: np.random.Generator) -> Heaven:

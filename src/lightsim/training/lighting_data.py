@@ -109,7 +109,7 @@ class LightingSet:
         cache: LightingCache,
         split: Side = "train",
         *,
-        composites: bool = True,
+        composites: bool = False,
         ldr_fraction: float = 0.5,
     ) -> None:
         self._cache = cache
@@ -285,7 +285,7 @@ class LightingSet:
         )
         if not is_exchanged:
             return heaven
-        return exchanged_heaven(sky, self._layer(rng), self._cache.clear, rng)
+        return exchanged_heaven(sky, self._layers, self._cache.clear, rng)
 
     def _finish(
         self,

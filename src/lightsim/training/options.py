@@ -52,7 +52,7 @@ class TrainingOptions:
     """Of first weights and batches."""
     compile: bool = False
     """Compile the networks (torch.compile), for a GPU; it needs a C compiler."""
-    composites: bool = True
+    composites: bool = False
     """Train on measured clouds over analytic clear skies, too."""
     licence: str = "unknown"
     """Of the weights, for the record that they carry; it depends on the skies they have seen."""

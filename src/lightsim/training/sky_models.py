@@ -98,7 +98,7 @@ def started_from(recipe: SkyRecipe, tensors: Mapping[str, Tensor]) -> SkyRecipe:
             got=f"{getattr(network, 'config', None)}",
             expected=f"{expected}",
         )
-    config = replace(recipe.config, rate=recipe.config.rate / 2)
+    config = replace(recipe.config, rate=recipe.config.rate / 4)
     return replace(recipe, network=network, config=config)
 
 

@@ -120,7 +120,7 @@ def trace_streets(
             Snapshot(street, poses), plan.world_from_street, height_px, config.rays, rng
         )
         views += [tracer.trace() for _ in range(config.positions)]
-        sides += [config.side_of(k)] * config.positions
+        sides.extend(config.side_of(k) for _ in range(config.positions))
     return views, sides
 
 

@@ -93,6 +93,8 @@ class HeatHead(nn.Module):
 class SkyNetwork(nn.Module):
     """LDR panorama -> (sun direction, peak intensity, latent) -> HDR sky dome."""
 
+    composes_sun = True
+
     def __init__(self, config: SkyNetworkConfig, seed: int = 0) -> None:
         super().__init__()
         self.config = config

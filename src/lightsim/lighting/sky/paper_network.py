@@ -68,6 +68,8 @@ class PaperSkyNetwork(nn.Module):
     The decoder sees nothing of the panorama: the dome is drawn from the three alone.
     """
 
+    composes_sun = False
+
     def __init__(self, config: PaperSkyConfig, seed: int = 0) -> None:
         super().__init__()
         self.config = config
