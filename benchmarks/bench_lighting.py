@@ -5,7 +5,8 @@
     python benchmarks/bench_lighting.py log WORK [--truth DIR]             a build, more or less GPS
 
 CACHE: of `lightsim train prepare` with benchmarks/hdri_split.csv. Its validation side is scored;
---side test is for releases. DIR holds the runs of `lightsim train` by name, each with weights.safetensors.
+--side test is for releases. DIR holds the runs of `lightsim train` by name, each with
+weights.safetensors.
 """
 
 from __future__ import annotations

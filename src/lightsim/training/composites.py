@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -112,7 +113,8 @@ def exchanged_heaven(
 def _has_such_a_sun(layer: CloudLayer, elevation_deg: float) -> bool:
     if not layer.is_sunny or layer.elevation_deg is None:
         return False
-    return abs(np.log(max(layer.elevation_deg, 1.0) / elevation_deg)) <= _ELEVATION_SPREAD
+    change = abs(math.log(max(layer.elevation_deg, 1.0) / elevation_deg))
+    return change <= _ELEVATION_SPREAD
 
 
 def _columns_to(direction: Float[np.ndarray, "3"], width: int) -> int:
