@@ -31,7 +31,6 @@ from lightsim.lighting.sun.posterior import sun_direction
 from lightsim.progress import SilentProgress
 from lightsim.training.hdr_skies import Side
 from lightsim.training.lighting_data import LightingSet
-from lightsim.training.sky_scores import SkyModel
 
 _WITHIN = 0.9
 
@@ -55,25 +54,15 @@ def main() -> None:
 
 def _networks(cache: Path, models: Path | None, side: Side, per_sky: int) -> None:
     """Angle and decoding errors of each network on the fixed views of a side."""
-    from lightsim.lighting.sky.shipped import SKY_WEIGHTS
-    from lightsim.networks.stored import is_stored, stored_config
-    from lightsim.pipeline.sky_networks import fill_with_shipped
-    from lightsim.store.weights import load_weights, read_weights
-    from lightsim.training.sky_models import USES_INPAINTING, network_of
+    from lightsim.pipeline.sky_networks import named_networks
     from lightsim.training.sky_scores import evaluate_sky_networks, parts_of
 
-    tensors = {"shipped": load_weights(SKY_WEIGHTS)}
-    for path in [] if models is None else sorted(models.glob("*/weights.safetensors")):
-        tensors[path.parent.name] = read_weights(path)
     train, held_out = LightingSet.load(cache), LightingSet.load(cache, side)
     known = [train.batch(32, 0, k, only_sunny=False) for k in range(4)]
     views = parts_of(held_out.fixed_views(per_sky).batch, 32)
     rows = evaluate_sky_networks(views, {}, known)
-    for name, found in tensors.items():
-        if is_stored(found):
-            complete = fill_with_shipped if stored_config(found)[0] in USES_INPAINTING else None
-            model: SkyModel = network_of(found)  # type: ignore[assignment]
-            rows += evaluate_sky_networks(views, {name: model}, known, complete)[2:]
+    for name, (model, complete) in named_networks(models).items():
+        rows += evaluate_sky_networks(views, {name: model}, known, complete)[2:]
     _say(
         "| method | angle mean / median deg | sun seen | sun hidden, mean / median | log peak "
         "| sunny right | decoding log peak | decoding deg | angle in 90 % | peak in 90 % "

@@ -22,10 +22,11 @@ from lightsim.lighting.panorama.inpaint import fill_by_network, shrink_seen
 from lightsim.lighting.sample import LightingBatch
 from lightsim.lighting.sky.shipped import INPAINT_WEIGHTS, SKY_WEIGHTS
 from lightsim.networks.sky_terms import SkyEncoding, SkyTensors
-from lightsim.networks.stored import is_stored, stored_config
+from lightsim.networks.stored import is_stored
 from lightsim.pipeline.workspace import Workspace
-from lightsim.store.weights import load_weights, read_weights
-from lightsim.training.sky_models import USES_INPAINTING, network_of
+from lightsim.store.weights import load_weights, read_record, read_weights
+from lightsim.training.sky import Completion
+from lightsim.training.sky_models import network_of
 from lightsim.training.sky_scores import (
     Answers,
     SkyModel,
@@ -124,8 +125,7 @@ def compare_sky_networks(logs: Sequence[Workspace], runs: Path | None) -> Networ
             expected="one log with place, time and heading, by day",
         )
     rows = [_row("brightest pixel", batches, [brightest_pixel(b) for b in batches.values()])]
-    for name, (model, inpaints) in _models(runs).items():
-        complete = fill_with_shipped if inpaints else None
+    for name, (model, complete) in named_networks(runs).items():
         answers = [answer_of(model, batch, complete) for batch in batches.values()]
         rows.append(_row(name, batches, answers))
         known = [
@@ -184,17 +184,26 @@ def fill_with_shipped(
     return fill_by_network(ldr, seen, load_weights(INPAINT_WEIGHTS))
 
 
-def _models(runs: Path | None) -> dict[str, tuple[SkyModel, bool]]:
-    """Networks by name, and whether they look at what was inpainted."""
-    tensors: dict[str, Mapping[str, Tensor]] = {"lightsim (shipped)": load_weights(SKY_WEIGHTS)}
-    for path in [] if runs is None else sorted(runs.glob("*/weights.safetensors")):
-        found = read_weights(path)
-        if is_stored(found):
-            tensors[path.parent.name] = found
-    return {
-        name: (network_of(found), stored_config(found)[0] in USES_INPAINTING)  # type: ignore[misc]
-        for name, found in tensors.items()
+def named_networks(runs: Path | None) -> dict[str, tuple[SkyModel, Completion | None]]:
+    """The shipped network and those of runs by name, with the completion that they look through:
+    the shipped one for networks that were trained behind a completion.
+
+    Args:
+        runs: folder of runs of `lightsim train`, each with weights.safetensors.
+
+    Raises:
+        InputError: a run's weights are of no sky network.
+    """
+    found: dict[str, tuple[SkyModel, Completion | None]] = {
+        "lightsim (shipped)": (network_of(load_weights(SKY_WEIGHTS)), None)  # type: ignore[dict-item]
     }
+    for path in [] if runs is None else sorted(runs.glob("*/weights.safetensors")):
+        tensors = read_weights(path)
+        if is_stored(tensors):
+            is_behind = "--inpaint" in read_record(path).command.split()
+            complete = fill_with_shipped if is_behind else None
+            found[path.parent.name] = (network_of(tensors), complete)  # type: ignore[assignment]
+    return found
 
 
 def _batch(work: Workspace, sun_world: Float[np.ndarray, "3"]) -> LightingBatch:
