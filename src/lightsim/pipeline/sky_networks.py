@@ -112,9 +112,9 @@ def compare_sky_networks(logs: Sequence[Workspace], runs: Path | None) -> Networ
         try:
             towards = gps_sun(work.log)
         except InputError as error:
-            left_out.append(f"{work.root.name}: {error}")
+            left_out.append(f"{work.root}: {error}")
             continue
-        batches[work.root.name] = _batch(work, towards)
+        batches[str(work.root)] = _batch(work, towards)
         sun = work.sky.dome.sun
         origins.add(work.sky.origin)
         built.append(np.nan if sun is None else angle_between_deg(sun.direction_world, towards))
