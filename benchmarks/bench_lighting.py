@@ -1,11 +1,12 @@
 """Lighting estimation on held-out skies and on logs; prints Markdown tables.
 
-    python benchmarks/bench_lighting.py networks CACHE.npz --models DIR    the paper's table A4
+    python benchmarks/bench_lighting.py networks CACHE.npz [--models DIR]  as the paper's table A4
     python benchmarks/bench_lighting.py pictures CACHE.npz [--per-sky 4]   `sky estimate`
     python benchmarks/bench_lighting.py log WORK [--truth DIR]             a build, more or less GPS
 
-CACHE: of `lightsim train prepare` with benchmarks/hdri_split.csv; only its test split is scored.
-DIR holds the runs of `lightsim train` by name, each with weights.safetensors.
+CACHE: of `lightsim train prepare` with benchmarks/hdri_split.csv. Its validation side is scored;
+--side test is for releases. DIR holds the runs of `lightsim train` by name, each with
+weights.safetensors.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from lightsim.lighting.sky.image_sky import panorama_from_image, picture_sun
 from lightsim.lighting.sun.direction import SunDirection
 from lightsim.lighting.sun.posterior import sun_direction
 from lightsim.progress import SilentProgress
+from lightsim.training.hdr_skies import Side
 from lightsim.training.lighting_data import LightingSet
 
 _WITHIN = 0.9
@@ -39,69 +41,60 @@ def main() -> None:
     parser.add_argument("source", type=Path)
     parser.add_argument("--models", type=Path)
     parser.add_argument("--truth", type=Path)
-    parser.add_argument("--per-sky", type=int, default=4)
+    parser.add_argument("--per-sky", type=int, default=8)
+    parser.add_argument("--side", choices=("validation", "test"), default="validation")
     options = parser.parse_args()
     if options.what == "networks":
-        _networks(options.source, options.models)
+        _networks(options.source, options.models, options.side, options.per_sky)
     elif options.what == "pictures":
-        _pictures(options.source, options.per_sky)
+        _pictures(options.source, options.side, options.per_sky)
     else:
         _log(options.source, options.truth)
 
 
-def _networks(cache: Path, models: Path) -> None:
-    """Angle and decoding errors of each network on the fixed test views."""
-    from lightsim.lighting.sky.network import SkyNetwork, network_from_tensors
-    from lightsim.store.weights import read_weights
-    from lightsim.training.run import completion_of
-    from lightsim.training.sky_models import sky_recipe
+def _networks(cache: Path, models: Path | None, side: Side, per_sky: int) -> None:
+    """Angle and decoding errors of each network on the fixed views of a side."""
+    from lightsim.pipeline.sky_networks import named_networks
     from lightsim.training.sky_scores import evaluate_sky_networks, parts_of
 
-    complete = completion_of(models / "inpaint" / "weights.safetensors")
-    networks = {}
-    for kind in ("sold_net", "nlfe", "nlfe_panorama", "lightsim_paper", "sky"):
-        path = models / kind / "weights.safetensors"
-        if not path.is_file():
-            continue
-        tensors = read_weights(path)
-        if kind in ("sky", "lightsim_paper"):
-            networks[kind] = network_from_tensors(tensors)
-        else:
-            network = sky_recipe(kind, "small").network.eval()
-            network.load_state_dict(tensors)
-            networks[kind] = network
-    assert all(isinstance(n, SkyNetwork) or n.training is False for n in networks.values())
-    train, test = LightingSet.load(cache), LightingSet.load(cache, "test")
+    train, held_out = LightingSet.load(cache), LightingSet.load(cache, side)
     known = [train.batch(32, 0, k, only_sunny=False) for k in range(4)]
-    rows = evaluate_sky_networks(parts_of(test.fixed_views().batch, 32), networks, known, complete)
+    views = parts_of(held_out.fixed_views(per_sky).batch, 32)
+    rows = evaluate_sky_networks(views, {}, known)
+    for name, (model, complete) in named_networks(models).items():
+        rows += evaluate_sky_networks(views, {name: model}, known, complete)[2:]
     _say(
-        "| method | angle mean / median deg | sun seen | sun hidden | log peak | sunny right "
-        "| decoding log peak | decoding deg | angle in 90 % | peak in 90 % | log sky RMSE |"
+        "| method | angle mean / median deg | sun seen | sun hidden, mean / median | log peak "
+        "| sunny right | decoding log peak | decoding deg | angle in 90 % | peak in 90 % "
+        "| log sky RMSE |"
     )
     _say("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
     for r in rows:
+        composed = "composed, " if r.composes_sun else ""
         cells = [
             f"{r.angle_mean_deg:.1f} / {r.angle_median_deg:.1f}",
             f"{r.angle_seen_deg:.1f}",
-            f"{r.angle_hidden_deg:.1f}",
-            *(
-                "-" if math.isnan(v) else f"{v:.2f}"
-                for v in (
-                    r.log_peak_error, r.sunny_accuracy, r.decoding_log_peak, r.decoding_angle_deg,
-                    r.inside_90, r.peak_inside_90, r.log_sky_rmse,
-                )
-            ),
-        ]  # fmt: skip
+            f"{r.angle_hidden_deg:.1f} / {r.angle_hidden_median_deg:.1f}",
+            _cell(r.log_peak_error),
+            _cell(r.sunny_accuracy),
+            composed + _cell(r.decoding_log_peak),
+            composed + _cell(r.decoding_angle_deg),
+            *(_cell(v) for v in (r.inside_90, r.peak_inside_90, r.log_sky_rmse)),
+        ]
         _say(f"| {r.name} | " + " | ".join(cells) + " |")
-    _say(f"\n{rows[0].count} views, {rows[0].sunny_count} under a clear sun")
+    _say(f"\n{side}: {rows[0].count} views, {rows[0].sunny_count} under a clear sun")
 
 
-def _pictures(cache: Path, per_sky: int) -> None:
+def _cell(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.2f}"
+
+
+def _pictures(cache: Path, side: Side, per_sky: int) -> None:
     """The shipped estimate on masked pictures: without GPS by cues alone, by the network, and
     with the true direction in place of GPS."""
     from lightsim.lighting.sky.shipped import decoded_dome, predict_sky
 
-    views = LightingSet.load(cache, "test").fixed_views(per_sky)
+    views = LightingSet.load(cache, side).fixed_views(per_sky)
     batch = views.batch
     table: dict[str, list[dict]] = {"cues": [], "network": [], "GPS + network": []}
     drawn: list[dict] = []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -11,7 +13,7 @@ from journals import MemoryJournal
 from lightsim.baselines.sold_net import cell_of
 from lightsim.networks.loop import LoopConfig
 from lightsim.networks.panorama import direction_map
-from lightsim.training.sky import SkyRecipe, SkyTrainConfig, train_sky
+from lightsim.training.sky import SkyTrainConfig, train_sky
 from lightsim.training.sky_models import SkyKind, sky_recipe, weights_of
 from lightsim.training.sky_scores import SkyModel, evaluate_sky_networks
 
@@ -20,25 +22,26 @@ KINDS: tuple[SkyKind, ...] = ("nlfe", "nlfe_panorama", "sold_net")
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_step_moves_every_parameter_and_the_network_is_scored(kind: SkyKind) -> None:
-    artefact_key, again = sky_recipe(kind, "small"), sky_recipe(kind, "small")
-    before = {k: v.clone() for k, v in artefact_key.network.state_dict().items()}
-    data, config = FakeSkies(), SkyTrainConfig(LoopConfig(steps=2), batch=2)
-    for network in (artefact_key.network, again.network):
-        train_sky(SkyRecipe(network, artefact_key.loss, config), data, MemoryJournal().session())
-    still = [k for k, v in artefact_key.network.state_dict().items() if torch.equal(v, before[k])]
+    recipe, again = sky_recipe(kind, "small"), sky_recipe(kind, "small")
+    before = {k: v.clone() for k, v in recipe.network.state_dict().items()}
+    data, config = FakeSkies(recipe.height_px), SkyTrainConfig(LoopConfig(steps=2), batch=2)
+    for made in (recipe, again):
+        train_sky(replace(made, config=config), data, MemoryJournal().session())
+    still = [k for k, v in recipe.network.state_dict().items() if torch.equal(v, before[k])]
     assert still == []
-    for name, value in weights_of(artefact_key.network).items():
-        assert torch.equal(value, again.network.state_dict()[name])
-    assert isinstance(artefact_key.network, SkyModel)
+    stored = weights_of(kind, recipe.network)
+    for name, value in again.network.state_dict().items():
+        assert torch.equal(value, stored[name])
+    assert isinstance(recipe.network, SkyModel)
     drawn = [data.batch(4, 0, 0, only_sunny=False)]
-    rows = evaluate_sky_networks(drawn, {kind: artefact_key.network}, drawn)
+    rows = evaluate_sky_networks(drawn, {kind: recipe.network}, drawn)
     assert [row.name for row in rows] == ["constant", "brightest pixel", kind]
     assert np.isfinite(rows[-1].decoding_angle_deg)
 
 
 def test_estimator_has_the_recipe_of_a_network_trained_on_clear_suns() -> None:
-    artefact_key = sky_recipe("lightsim", "small")
-    assert "config_json" in weights_of(artefact_key.network)
+    recipe = sky_recipe("lightsim", "small")
+    assert "config_json" in weights_of("lightsim", recipe.network)
 
 
 def test_cells_are_those_of_a_small_panorama() -> None:

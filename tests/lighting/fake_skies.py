@@ -8,7 +8,7 @@ import numpy as np
 
 from lightsim.core.colour import luminance, srgb_from_linear
 from lightsim.core.equirect import pixel_directions
-from lightsim.lighting.sample import LightingBatch
+from lightsim.lighting.sample import LightingBatch, PanoramaBatch
 
 
 @dataclass
@@ -51,3 +51,7 @@ class FakeSkies:
             log_peak=np.log(luminance(radiance[:, :half]).max(axis=(1, 2))).astype(np.float32),
             is_sunny=is_sunny,
         )
+
+    def panoramas(self, size: int, seed: int, index: int) -> PanoramaBatch:
+        batch = self.batch(size, seed, index, only_sunny=False)
+        return PanoramaBatch(batch.panorama, batch.visibility)

@@ -31,7 +31,7 @@ from lightsim.lighting.panorama.inpaint_network import (
     InpaintGenerator,
     PatchDiscriminator,
 )
-from lightsim.lighting.sample import LightingBatch
+from lightsim.lighting.sample import PanoramaBatch
 from lightsim.networks.loop import LoopConfig
 from lightsim.training.inpaint import InpaintConfig, train_inpaint
 from lightsim.training.inpaint_losses import (
@@ -60,7 +60,7 @@ class Gradients:
 
     height_px = HEIGHT
 
-    def batch(self, size: int, seed: int, index: int, *, only_sunny: bool) -> LightingBatch:
+    def panoramas(self, size: int, seed: int, index: int) -> PanoramaBatch:
         rng = np.random.default_rng([seed, index])
         h, w = HEIGHT, 2 * HEIGHT
         is_up = (np.arange(h) < h // 4)[:, None, None]
@@ -70,16 +70,7 @@ class Gradients:
         seen = np.zeros((size, h, w), bool)
         seen[:, h // 3 : 2 * h // 3] = True
         seen[:, :, w // 2 :] &= rng.random((size, h, w // 2)) < 0.9
-        return LightingBatch(
-            panorama=panorama.astype(np.float32),
-            visibility=seen,
-            front=np.zeros((size, 4, 4, 3), np.float32),
-            sky=np.zeros((size, h // 2, w, 3), np.float32),
-            sky_seen=np.ones((size, h // 2, w), bool),
-            sun_direction=np.tile(np.array([0, 0, 1], np.float32), (size, 1)),
-            log_peak=np.zeros(size, np.float32),
-            is_sunny=np.zeros(size, bool),
-        )
+        return PanoramaBatch(panorama.astype(np.float32), seen)
 
 
 def generator_of(**options: Any) -> InpaintGenerator:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -20,12 +21,20 @@ from lightsim.lighting.sky.network import (
     network_from_tensors,
     tensors_of,
 )
+from lightsim.lighting.sky.paper_network import PaperSkyConfig, PaperSkyNetwork
 from lightsim.networks.loop import LoopConfig
 from lightsim.networks.panorama import UNet, filled
 from lightsim.networks.sky_terms import fisher_loss, laplace_loss, sun_lobe
 from lightsim.store.weights import WeightsRecord, read_record, read_weights, write_weights
-from lightsim.training.sky import SkyRecipe, SkyTrainConfig, sky_tensors, train_sky
-from lightsim.training.sky_losses import sky_loss
+from lightsim.training.sky import LossFunction, SkyRecipe, SkyTrainConfig, sky_tensors, train_sky
+from lightsim.training.sky_losses import direction_loss, paper_sky_loss, sky_loss
+from lightsim.training.sky_models import (
+    SkyKind,
+    network_of,
+    sky_recipe,
+    started_from,
+    weights_of,
+)
 from lightsim.training.sky_scores import (
     angles_deg,
     brightest_spot,
@@ -46,7 +55,7 @@ def batch_of(size: int = 4, seed: int = 0) -> Any:
 
 def train(network: SkyNetwork, steps: int, checkpointer: MemoryJournal, rate: float = 1e-3) -> None:
     config = SkyTrainConfig(LoopConfig(steps), rate, batch=4)
-    train_sky(SkyRecipe(network, sky_loss, config), DATA, checkpointer.session())
+    train_sky(SkyRecipe(network, sky_loss, config, DATA.height_px), DATA, checkpointer.session())
 
 
 def test_fake_skies_are_lighting_data() -> None:
@@ -189,17 +198,35 @@ def test_bad_input_is_named() -> None:
         estimator.decode(estimator.predict(ldr), ldr, sun_direction=np.array([1.0, 0.0, -0.1]))
 
 
-@pytest.mark.parametrize("config", [SkyNetworkConfig(**TINY), SkyNetworkConfig.paper()])
-def test_gradient_reaches_every_parameter(config: SkyNetworkConfig) -> None:
-    network = SkyNetwork(config)
+def draw(only_sunny: bool) -> Any:
+    """One batch of all skies and one of clear suns."""
+    return batch_of(seed=int(only_sunny))
 
-    def draw(only_sunny: bool) -> Any:
-        return batch_of(seed=int(only_sunny))
 
-    loss, _ = sky_loss(network, draw, torch.Generator().manual_seed(0))
-    loss.backward()
+@pytest.mark.parametrize(
+    ("network", "loss"),
+    [
+        (SkyNetwork(SkyNetworkConfig(**TINY)), sky_loss),
+        (PaperSkyNetwork(PaperSkyConfig(**TINY)), paper_sky_loss),
+    ],
+)
+def test_gradient_reaches_every_parameter(network: Any, loss: LossFunction) -> None:
+    loss(network, draw, torch.Generator().manual_seed(0))[0].backward()
     dead = [n for n, p in network.named_parameters() if p.grad is None or not p.grad.any()]
     assert dead == []
+
+
+def test_the_direction_alone_learns_as_it_does_with_the_rest() -> None:
+    whole, alone = (SkyNetwork(SkyNetworkConfig(**TINY)) for _ in range(2))
+    sky_loss(whole, draw, torch.Generator().manual_seed(0))[0].backward()
+    direction_loss(alone, draw, torch.Generator().manual_seed(0))[0].backward()
+    moved = [n for n, p in alone.named_parameters() if p.grad is not None]
+    assert {n.split("_")[0] for n in moved} == {"direction"}
+    for (name, a), b in zip(alone.named_parameters(), whole.parameters(), strict=True):
+        if name in moved:
+            assert a.grad is not None
+            assert b.grad is not None
+            torch.testing.assert_close(a.grad, b.grad)
 
 
 def test_weights_carry_their_config_and_their_record(tmp_path: Any) -> None:
@@ -212,6 +239,32 @@ def test_weights_carry_their_config_and_their_record(tmp_path: Any) -> None:
     with torch.no_grad():
         a, b = network.encode(batch_of()), again.encode(batch_of())
     assert torch.allclose(a.direction, b.direction, atol=2e-3)
+
+
+def test_weights_of_every_kind_carry_what_they_are(tmp_path: Path) -> None:
+    record = WeightsRecord("sky", "train", "fake", "0", 3, 0, "none", "none", "0.2.0")
+    for kind in get_args(SkyKind):
+        recipe = sky_recipe(kind, "small", seed=1)
+        write_weights(tmp_path / "w", weights_of(kind, recipe.network), record)
+        again = network_of(read_weights(tmp_path / "w"))
+        assert type(again) is type(recipe.network)
+        assert again.config == recipe.network.config
+        assert started_from(recipe, read_weights(tmp_path / "w")).config.rate < recipe.config.rate
+    with pytest.raises(InputError, match="another network"):
+        started_from(sky_recipe("lightsim", "small"), read_weights(tmp_path / "w"))
+    with pytest.raises(InputError, match="no sky network"):
+        network_of({})
+
+
+@pytest.mark.parametrize("kind", get_args(SkyKind))
+def test_data_of_another_size_are_refused(kind: SkyKind) -> None:
+    small, full = sky_recipe(kind, "small"), sky_recipe(kind, "full")
+    count = [sum(p.numel() for p in r.network.parameters()) for r in (small, full)]
+    assert count[1] > 4 * count[0]
+    assert full.config.loop.steps == sky_recipe("lightsim", "full").config.loop.steps
+    for recipe in (small, full):
+        with pytest.raises(InputError, match="--height"):
+            train_sky(recipe, DATA, MemoryJournal().session())
 
 
 @pytest.mark.slow

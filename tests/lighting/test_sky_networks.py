@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from lightsim.core.equirect import pixel_directions
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import angle_between_deg, azimuth_elevation, direction_enu
 from lightsim.core.twin import Panorama
+from lightsim.lighting.sky import shipped
 from lightsim.lighting.sky.estimate import SkyConfig
 from lightsim.lighting.sky.image_sky import (
     edited_sky,
@@ -57,6 +60,22 @@ def test_visible_sun_is_found_and_turns_with_the_picture(panorama: Panorama) -> 
     turned = predict_sky(quarter).sun_direction.astype(np.float64)
     # Rolling the columns by a quarter turns the world clockwise: (x, y) -> (y, -x).
     assert angle_between_deg(turned, np.array([towards[1], -towards[0], towards[2]])) < 0.5
+
+
+def test_the_prediction_depends_on_what_was_seen_alone(
+    panorama: Panorama, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise AssertionError("inpainting is no part of the estimate")
+
+    monkeypatch.setattr(shipped, "completed_ldr", refused)
+    unseen = ~panorama.is_seen
+    assert unseen.any()
+    radiance = panorama.radiance + np.float32(5) * unseen[..., None]
+    other = replace(panorama, radiance=radiance.astype(np.float32))
+    a, b = predict_sky(panorama), predict_sky(other)
+    assert (a.sun_direction == b.sun_direction).all()
+    assert a.log_peak == b.log_peak
 
 
 def test_the_same_sky_with_its_sun_elsewhere_and_stronger(panorama: Panorama) -> None:

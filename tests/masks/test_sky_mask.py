@@ -97,6 +97,13 @@ def test_a_wire_takes_its_fraction_of_the_sky(rng: np.random.Generator) -> None:
     assert is_sky[60, 300]
 
 
+def test_an_even_sky_is_all_sky() -> None:
+    """One region has no neighbour."""
+    even = np.full((CAMERA.height_px, CAMERA.width_px, 3), (120, 160, 230), np.uint8)
+    up = RigidTransform.from_rotation("world", "camera", np.diag([1.0, 1.0, 1.0]), np.zeros(3))
+    assert (estimate_sky_matte(even, CAMERA, up, NO_POINTS, None) > 0.9).all()
+
+
 def test_an_image_of_another_size_is_refused() -> None:
     with pytest.raises(InputError, match="differ in size"):
         estimate_sky_matte(np.zeros((10, 10, 3), np.uint8), CAMERA, POSE, NO_POINTS, None)

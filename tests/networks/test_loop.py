@@ -54,9 +54,9 @@ def inpaint(checkpointer: Checkpointer, progress: Progress, workers: int) -> Wei
 def sky(checkpointer: Checkpointer, progress: Progress, workers: int) -> Weights:
     config = SkyNetworkConfig(widths=(8, 8, 16), decoder_widths=(8, 8, 16), height_px=32)
     how = SkyTrainConfig(LoopConfig(STEPS), batch=2, workers=workers)
-    artefact_key = SkyRecipe(SkyNetwork(config), sky_loss, how)
-    train_sky(artefact_key, FakeSkies(), Session(checkpointer, progress, device="cpu"))
-    return artefact_key.network.state_dict()
+    recipe = SkyRecipe(SkyNetwork(config), sky_loss, how, 32)
+    train_sky(recipe, FakeSkies(), Session(checkpointer, progress, device="cpu"))
+    return recipe.network.state_dict()
 
 
 class Interrupting:

@@ -36,7 +36,7 @@ from lightsim.simulate.buffers import render
 from lightsim.simulate.options import RelightOptions, RenderOptions
 from lightsim.simulate.relight import relight
 from lightsim.simulate.skies import made_from_sky
-from lightsim.store.images import read_exr, read_srgb8, write_exr
+from lightsim.store.images import read_exr, read_srgb8, read_srgb8_alpha, write_exr
 from lightsim.store.scenario import read_scenario
 from lightsim.synthetic import shipped_street
 
@@ -269,6 +269,16 @@ def test_an_actor_has_one_number_everywhere(work: Path, tmp_path: Path) -> None:
     surfaces = TrueSurfaces(truth / "scene.npz", workspace)
     assert surfaces.scenario.number_by_actor == number_by_actor
     assert set(true_ids) == set(number_by_actor)
+
+
+@pytest.mark.slow
+def test_the_completed_panorama_lies_beside_the_stitched_one(work: Path) -> None:
+    stitched, alpha = read_srgb8_alpha(work / "sky" / "panorama.png")
+    completed, whole = read_srgb8_alpha(work / "sky" / "panorama_completed.png")
+    assert completed.shape == stitched.shape
+    assert (whole == 255).all()
+    assert (alpha == 0).any()
+    assert (completed[alpha == 0].max(axis=1) > 0).mean() > 0.9
 
 
 @pytest.mark.slow

@@ -115,6 +115,14 @@ def test_the_twin_agrees_with_the_truth(built_street: Any, tmp_path: Path) -> No
     assert sky["sun_error_truth_deg"] < 0.5
     assert abs(sky["sun_irradiance_error_ev"]) < 1.0
     assert abs(sky["sky_irradiance_error_ev"]) < 1.0
+    table = evaluated("sky", work, out, "--networks")
+    assert (len(table["logs"]), table["left_out"]) == (1, [])
+    networks = {row["name"]: row for row in table["rows"]}
+    assert networks["lightsim (shipped)"]["composes_sun"]
+    assert networks["lightsim (shipped)"]["angle_mean_deg"] < 90
+    told = networks["lightsim (shipped), with GPS"]
+    assert told["angle_mean_deg"] == pytest.approx(0.0, abs=0.01)
+    assert told["decoding_angle_deg"] < 2.0
     rows = {row["surface"]: row for row in evaluated("closure", work, out)["rows"]}
     assert rows["all"]["median"] == pytest.approx(1.0, abs=0.05)
     for surface in ("ground, lit", "facades, lit"):

@@ -15,15 +15,19 @@ from lightsim.training.street_panoramas import StreetConfig
 
 SPLIT = """name,split,group,tier,scene,reason
 a,train,a,A,ground,
-b,test,b,A,ground,
+b,validation,b,A,ground,
 c,train,c,A,none,
+d,test,d,A,ground,
 """
 
 
-def made_sky(elevation_deg: float, height_px: int = 64) -> np.ndarray:
-    """A gradient over dark ground, with a sun along x."""
+def made_sky(elevation_deg: float, waves: int = 0, height_px: int = 64) -> np.ndarray:
+    """A gradient, with waves along the azimuth that tell skies apart, over dark ground, with a
+    sun along x."""
     directions = pixel_directions(height_px)
+    azimuth = np.arctan2(directions[..., 1], directions[..., 0])[..., None]
     radiance = np.repeat(0.5 + 0.4 * directions[..., 2:], 3, axis=2).astype(np.float32)
+    radiance *= np.exp(0.6 * np.cos(waves * azimuth) * (waves > 0)).astype(np.float32)
     radiance[directions[..., 2] < 0] = 0.1
     e = np.radians(elevation_deg)
     towards = np.array([np.cos(e), 0.0, np.sin(e)])
@@ -38,13 +42,13 @@ def sunny_radiance() -> np.ndarray:
 
 @pytest.fixture(scope="session")
 def cache_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two skies that train, one that tests; a street each."""
+    """Two skies that train, one each that validates and tests; a street on each side."""
     folder = tmp_path_factory.mktemp("lighting")
-    for name, elevation in (("a", 30.0), ("b", 50.0), ("c", 20.0)):
-        write_exr(folder / f"{name}.exr", made_sky(elevation))
+    for waves, (name, elevation) in enumerate(zip("abcd", (30.0, 50.0, 20.0, 40.0), strict=True)):
+        write_exr(folder / f"{name}.exr", made_sky(elevation, waves))
     split = folder / "split.csv"
     split.write_text(SPLIT)
-    streets = StreetConfig(street_count=2, test_count=1, positions=1, rays=4)
+    streets = StreetConfig(street_count=3, held_out=1, positions=1, rays=4)
     config = PrepareConfig(height_px=64, clear_count=2, streets=streets)
     write_cache(folder / "cache.npz", prepare_cache(folder, split, config))
     return folder / "cache.npz"

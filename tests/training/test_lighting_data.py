@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +11,18 @@ import pytest
 from lightsim.core.dome import irradiance
 from lightsim.core.equirect import pixel_directions, uv_from_directions
 from lightsim.errors import InputError
-from lightsim.lighting.sample import LightingData
+from lightsim.lighting.sample import LightingData, PanoramaData
+from lightsim.store.images import write_png
 from lightsim.synthetic.finishes import make_finishes
 from lightsim.synthetic.geometry import Snapshot
 from lightsim.synthetic.plan import plan_street
 from lightsim.synthetic.street import Street, build_background
-from lightsim.training.hdr_skies import measured_sky, read_split, shrunk, sky_mask
+from lightsim.training.composites import cloud_layer, composite_heaven, exchanged_heaven
+from lightsim.training.hdr_skies import measured_sky, read_pool, read_split, shrunk, sky_mask
+from lightsim.training.ldr_panoramas import read_ldr_pool
+from lightsim.training.lighting_cache import read_cache, write_cache
 from lightsim.training.lighting_data import LightingSet
+from lightsim.training.near_duplicates import check_split, sky_pairs
 from lightsim.training.procedural_skies import Heaven, raised_heaven, turned_heaven
 from lightsim.training.rigs import RIGS, MaskConfig, mask_of, rig_mask
 from lightsim.training.street_panoramas import (
@@ -54,10 +60,10 @@ def test_sky_mask_finds_a_dark_wall() -> None:
     assert sky_mask(panorama, is_all_sky=True).all()
 
 
-def test_a_group_on_both_sides_is_refused(tmp_path: Path) -> None:
+def test_a_group_on_several_sides_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "split.csv"
     path.write_text(SPLIT + "a,train,g,A,ground,\nb,test,g,A,ground,\n")
-    with pytest.raises(InputError, match="both sides"):
+    with pytest.raises(InputError, match="several sides"):
         read_split(path)
     path.write_text(SPLIT + "a,train,g,X,ground,\n")
     with pytest.raises(InputError, match="tier of 'a'"):
@@ -68,9 +74,35 @@ def test_the_written_split_covers_every_file(shared_data: Path) -> None:
     entries = read_split(Path(__file__).resolve().parents[2] / "benchmarks" / "hdri_split.csv")
     names = {p.stem for p in (shared_data / "hdri").iterdir() if p.suffix in (".hdr", ".exr")}
     assert set(entries) == names
-    test = [entry for entry in entries.values() if entry.split == "test"]
-    assert sum(entry.tier == "A" for entry in test) >= 5
-    assert 0.2 <= len(test) / len(entries) <= 0.3
+    for side in ("validation", "test"):
+        held_out = [entry for entry in entries.values() if entry.split == side]
+        assert sum(entry.tier == "A" for entry in held_out) >= 3
+        assert len(held_out) == 8
+
+
+@pytest.mark.slow
+def test_the_written_split_parts_no_near_duplicates(shared_data: Path) -> None:
+    entries = read_split(Path(__file__).resolve().parents[2] / "benchmarks" / "hdri_split.csv")
+    skies = read_pool(shared_data / "hdri", entries, 32)
+    check_split(skies)
+    copies = [pair for pair in sky_pairs(skies) if pair.is_near_duplicate]
+    assert len(copies) == 2
+    assert all(pair.first.entry.group == pair.second.entry.group for pair in copies)
+
+
+def test_a_turned_mirrored_and_brighter_copy_is_a_near_duplicate(cache_path: Path) -> None:
+    skies = {sky.entry.name: sky for sky in read_cache(cache_path).skies}
+    a, b = skies["a"], skies["b"]
+    entry = replace(a.entry, name="copy", split="test")
+    copy = replace(a, entry=entry, rest=3.0 * np.roll(a.rest[:, ::-1], 18, axis=1))
+    first, second, *_ = sky_pairs([a, b, copy])
+    assert {first.first.entry.name, first.second.entry.name} == {"a", "copy"}
+    assert first.distance < 1e-3
+    assert first.correlation == pytest.approx(1.0, abs=1e-3)
+    assert not second.is_near_duplicate
+    with pytest.raises(InputError, match="near-duplicates"):
+        check_split([a, b, copy])
+    check_split([a, b])
 
 
 def open_ground(height_px: int) -> StreetView:
@@ -128,6 +160,33 @@ def test_raising_a_sky_moves_its_bright_row() -> None:
     assert (raised.sun_irradiance > 1.0).all()
 
 
+def test_composites_keep_the_sun_and_what_the_scene_hides(
+    cache_path: Path, rng: np.random.Generator
+) -> None:
+    cache = read_cache(cache_path)
+    sky = next(sky for sky in cache.skies if sky.entry.name == "a")
+    blue = replace(sky, rest=(sky.rest * np.array([0.3, 0.6, 1.0])).astype(np.float32))
+    layer = cloud_layer(blue)
+    assert layer.elevation_deg == pytest.approx(30.0, abs=1.5)
+    assert (layer.opacity == 0).all()
+    # Without clouds the composite is a clear sky, its sun at azimuth 0 and undimmed.
+    heaven = composite_heaven(layer, cache.clear, rng)
+    assert heaven.sun_direction[1] == pytest.approx(0.0)
+    assert any(np.allclose(heaven.sun_irradiance, s) for s in cache.clear.sun_irradiance)
+    # A closed cover hides the sun.
+    closed = replace(layer, opacity=np.ones_like(layer.opacity), is_sunny=False)
+    dim = composite_heaven(closed, cache.clear, rng).sun_irradiance
+    assert (dim < 0.4 * cache.clear.sun_irradiance.max(axis=0)).all()
+    hidden = sky.sky_seen.copy()
+    hidden[:, :20] = False
+    place = replace(sky, sky_seen=hidden)
+    exchanged = exchanged_heaven(place, [layer], cache.clear, rng)
+    assert (exchanged.rest[~hidden] == sky.rest[:32][~hidden]).all()
+    assert not np.allclose(exchanged.rest[hidden], sky.rest[:32][hidden], rtol=0.05)
+    assert sky.sun is not None
+    assert (exchanged.sun_direction == sky.sun.direction_world).all()
+
+
 def test_rigs_see_a_band_about_the_horizon(rng: np.random.Generator) -> None:
     exact = MaskConfig(tilt_deg=0.0, scale=0.0, border=0.0, holes=0.0)
     for rig in RIGS:
@@ -162,8 +221,34 @@ def test_only_sunny_batches_are_sunny(cache_path: Path) -> None:
     assert batch.is_sunny.all()
 
 
+def test_ldr_panoramas_train_the_inpainting(cache_path: Path, tmp_path: Path) -> None:
+    colours = {"a": 200, "b": 100, "unnamed": 50}
+    for name, level in colours.items():
+        (tmp_path / name).mkdir()
+        picture = np.full((80, 160, 3), level, np.uint8)
+        write_png(tmp_path / name / f"{name}.png", picture)
+    split = read_split(cache_path.parent / "split.csv")
+    pool = read_ldr_pool(tmp_path, split, HEIGHT)
+    assert [p.side for p in pool] == ["train", "validation", "train"]
+    assert [int(p.srgb8.mean()) for p in pool] == [200, 100, 50]
+    write_cache(tmp_path / "cache.npz", replace(read_cache(cache_path), ldr=pool))
+    cache = read_cache(tmp_path / "cache.npz")
+    found = LightingSet(cache, ldr_fraction=1.0).panoramas(16, 0, 0)
+    assert {round(255 * float(p.mean())) for p in found.panorama} == {200, 50}
+    held_out = LightingSet(cache, "validation", ldr_fraction=1.0).panoramas(2, 0, 0)
+    np.testing.assert_allclose(held_out.panorama * 255, 100, rtol=1e-6)
+    # Without LDR panoramas the inpainting draws what the sky networks draw.
+    plain, batch = LightingSet.load(cache_path), LightingSet.load(cache_path)
+    assert isinstance(plain, PanoramaData)
+    expected = batch.batch(3, 1, 2, only_sunny=False)
+    np.testing.assert_array_equal(plain.panoramas(3, 1, 2).panorama, expected.panorama)
+    write_png(tmp_path / "a" / "a.png", np.zeros((80, 80, 3), np.uint8))
+    with pytest.raises(InputError, match="twice as wide"):
+        read_ldr_pool(tmp_path, split, HEIGHT)
+
+
 def test_fixed_views_show_held_out_skies_only(cache_path: Path) -> None:
-    views = LightingSet.load(cache_path, "test").fixed_views(4)
+    views = LightingSet.load(cache_path, "validation").fixed_views(4)
     assert views.names == ("b",) * 4
     assert views.own_scene.tolist() == [True, False, True, False]
     np.testing.assert_allclose(

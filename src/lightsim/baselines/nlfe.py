@@ -44,6 +44,8 @@ class NlfeConfig:
 class Nlfe(nn.Module):
     """Picture or panorama -> (peak direction, peak intensity, latent) -> HDR sky dome."""
 
+    composes_sun = False
+
     def __init__(self, config: NlfeConfig, seed: int = 0) -> None:
         super().__init__()
         self.config = config

@@ -47,6 +47,8 @@ class SoldNetConfig:
 class SoldNet(nn.Module):
     """Front picture -> sky code, sun position out of 256 cells, sun visibility and intensity."""
 
+    composes_sun = True
+
     def __init__(self, config: SoldNetConfig, seed: int = 0) -> None:
         super().__init__()
         self.config = config

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from lightsim.cli.options import Verbose, say, show
+from lightsim.errors import InputError
 from lightsim.progress import terminal_progress
 
 
@@ -82,10 +83,14 @@ class EvaluateGeometry:
 class EvaluateSky:
     """The estimated sky against ephemeris, the visible sun, and a truth if given."""
 
-    work: tyro.conf.Positional[Path]
-    """Work folder."""
+    work: tyro.conf.Positional[tuple[Path, ...]]
+    """Work folder; with --networks any number of them."""
     truth: Path | None = None
     """Ground truth of a synthetic log."""
+    networks: bool = False
+    """The paper's table A4 instead: sky networks on all logs, their suns by GPS as reference."""
+    runs: Path | None = None
+    """With --networks: folder of runs of lightsim train sky and baseline, compared as well."""
     out: Path | None = None
     """Also write the table as JSON here."""
     verbose: Verbose = False
@@ -94,9 +99,20 @@ class EvaluateSky:
     def run(self) -> None:
         """Measure the sky."""
         from lightsim.pipeline.measures import sky
+        from lightsim.pipeline.sky_networks import compare_sky_networks
         from lightsim.pipeline.workspace import Workspace
 
-        show(sky(Workspace(self.work), self.truth), self.out)
+        logs = [Workspace(work) for work in self.work]
+        if self.networks:
+            show(compare_sky_networks(logs, self.runs), self.out)
+        elif len(logs) == 1:
+            show(sky(logs[0], self.truth), self.out)
+        else:
+            raise InputError(
+                "one sky is measured at a time",
+                got=f"{len(logs)} work folders",
+                expected="one, or --networks",
+            )
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,8 @@ class TrainPrepare(PrepareOptions):
 class TrainInpaint(TrainingOptions):
     """Train the completion of panoramas."""
 
+    ldr_fraction: float = 0.5
+    """Of the samples that show LDR panoramas, where the data have any; 1 is the paper's way."""
     verbose: Verbose = False
     """Show the trace of an error."""
 
@@ -37,17 +39,22 @@ class TrainInpaint(TrainingOptions):
         """Train, or go on."""
         from lightsim.training import run
 
-        run.train_inpaint(self)
+        run.train_inpaint(self, self.ldr_fraction)
 
 
 @dataclass(frozen=True)
 class TrainSky(TrainingOptions):
     """Train the estimator of sky domes."""
 
-    inpaint: Path | None = None
-    """Weights of the completion that the estimator is to work behind; without them smooth fills."""
     network: Literal["lightsim", "lightsim_paper"] = "lightsim"
     """lightsim_paper is the published form."""
+    inpaint: Path | None = None
+    """Weights of the completion that lightsim_paper looks through; without them smooth fills."""
+    start: Path | None = None
+    """Weights to go on from, at a quarter of the learning rate."""
+    part: Literal["all", "direction"] = "all"
+    """direction trains the encoder of the sun's direction alone; it shares nothing with the
+    others."""
     verbose: Verbose = False
     """Show the trace of an error."""
 
@@ -55,7 +62,7 @@ class TrainSky(TrainingOptions):
         """Train, or go on."""
         from lightsim.training import run
 
-        run.train_sky_network(self, self.network, self.inpaint)
+        run.train_sky_network(self, self.network, self.inpaint, self.start, self.part)
 
 
 @dataclass(frozen=True)
@@ -65,7 +72,7 @@ class TrainBaseline(TrainingOptions):
     which: Literal["sold_net", "nlfe", "nlfe_panorama"] = "nlfe"
     """SOLD-Net, NLFE's sky branch from one picture, or from the completed panorama."""
     inpaint: Path | None = None
-    """Weights of the completion, as for sky."""
+    """Weights of the completion that nlfe_panorama looks through."""
     verbose: Verbose = False
     """Show the trace of an error."""
 

@@ -49,6 +49,25 @@ class LightingData(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
+class PanoramaBatch:
+    """Panoramas whose light need not be known; fields as in LightingBatch."""
+
+    panorama: Float32[np.ndarray, "n h w 3"]
+    visibility: Bool[np.ndarray, "n h w"]
+
+
+@runtime_checkable
+class PanoramaData(Protocol):
+    """An endless source of panoramas and masks. The same seed and index give the same batch."""
+
+    height_px: int
+
+    def panoramas(self, size: int, seed: int, index: int) -> PanoramaBatch:
+        """`size` complete panoramas and what cameras saw of them."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
 class SkyPrediction:
     """What a network reads off one completed LDR panorama; frame and units as in LightingBatch.
 

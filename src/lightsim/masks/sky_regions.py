@@ -62,7 +62,8 @@ def region_graph(
         weights.append(0.5 * np.exp(-((step / edge_contrast) ** 2)))
     ordered = np.sort(np.concatenate(pairs), axis=1)
     keys, inverse = np.unique(ordered[:, 0] * count + ordered[:, 1], return_inverse=True)
-    agreement = np.bincount(inverse, np.concatenate(weights), minlength=len(keys))
+    # Counts of nothing, where a picture is one region, would be whole numbers.
+    agreement = np.bincount(inverse, np.concatenate(weights), len(keys)).astype(np.float64)
     agreement *= agreement / (0.5 * np.bincount(inverse, minlength=len(keys)))
     i, j = keys // count, keys % count
     mean = _RegionMean(labels)
@@ -211,8 +212,8 @@ def spread_log_odds(
     weight = graph.area_px**0.75 * (0.2 + np.abs(own) / _CERTAIN) ** 2
     rows = np.concatenate([graph.i, graph.j])
     columns = np.concatenate([graph.j, graph.i])
-    links = coo_matrix((np.tile(smoothing * graph.agreement_px, 2), (rows, columns)))
-    links.resize(count, count)
+    agreement = np.tile(smoothing * graph.agreement_px, 2)
+    links = coo_matrix((agreement, (rows, columns)), shape=(count, count))
     degree = np.asarray(links.sum(axis=1)).ravel()
     system = (diags(weight + degree) - links).tocsc()
     return np.asarray(spsolve(system, weight * own))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float32
 
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.dome import SkyDome, Sun
@@ -44,6 +45,11 @@ def write_panorama_pictures(folder: Path, panorama: Panorama) -> None:
     write_png(folder / "panorama.png", picture)
     mask = np.where(panorama.is_sky, 255, np.where(panorama.is_seen, 128, 0)).astype(np.uint8)
     write_png(folder / "panorama_mask.png", np.repeat(mask[..., None], 3, axis=2))
+
+
+def write_completed(folder: Path, ldr: Float32[np.ndarray, "h w 3"]) -> None:
+    """panorama_completed.png: what was not seen is inpainted (sRGB, at the networks' exposure)."""
+    write_png(folder / "panorama_completed.png", np.round(ldr * 255).astype(np.uint8))
 
 
 def read_panorama(folder: Path) -> Panorama:

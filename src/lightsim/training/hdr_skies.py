@@ -23,7 +23,8 @@ from lightsim.progress import Progress, SilentProgress
 from lightsim.store.images import read_sky
 from lightsim.store.reading import read_bytes
 
-Split = Literal["train", "test", "out"]
+Side = Literal["train", "validation", "test"]
+Split = Literal["train", "validation", "test", "out"]
 Tier = Literal["A", "B", "C"]
 Scene = Literal["ground", "none", "canopy"]
 COLUMNS = ("name", "split", "group", "tier", "scene", "reason")
@@ -44,7 +45,8 @@ class SplitEntry:
     """What is known of one file before it is read.
 
     Args:
-        split: "out" is read by nobody (night, no open sky).
+        split: "validation" chooses among trainings, "test" is for releases, "out" is read by nobody
+            (night, no open sky).
         group: files of one place, series or sky share a group, and a group lies on one side.
         tier: A sun measured, B no sun disc or a veiled one, C sun clipped by the recording.
         scene: "ground": a place with its own lower half; "none": sky alone; "canopy": trees or
@@ -79,7 +81,7 @@ def read_split(path: Path) -> dict[str, SplitEntry]:
 
     Raises:
         InputError: the file is missing, a column or value is wrong, a name occurs twice, or a
-            group lies on both sides.
+            group lies on several sides.
     """
     text = read_bytes(path, "split file", _MAX_SPLIT_BYTES).decode()
     reader = csv.DictReader(io.StringIO(text, newline=""))
@@ -101,10 +103,10 @@ def read_split(path: Path) -> dict[str, SplitEntry]:
             )
         if entry.split != "out" and side.setdefault(entry.group, entry.split) != entry.split:
             raise InputError(
-                "a group lies on both sides",
+                "a group lies on several sides",
                 where=path,
                 got=entry.group,
-                expected="all files of a group in train, or all in test",
+                expected="all files of a group in train, in validation or in test",
             )
         entries[entry.name] = entry
     return entries
@@ -112,7 +114,7 @@ def read_split(path: Path) -> dict[str, SplitEntry]:
 
 def _entry(row: Mapping[str, str], path: Path) -> SplitEntry:
     allowed = {
-        "split": ("train", "test", "out"),
+        "split": ("train", "validation", "test", "out"),
         "tier": ("A", "B", "C"),
         "scene": ("ground", "none", "canopy"),
     }

@@ -16,7 +16,7 @@ from lightsim.lighting.panorama.inpaint_network import (
     InpaintGenerator,
     PatchDiscriminator,
 )
-from lightsim.lighting.sample import LightingBatch, LightingData
+from lightsim.lighting.sample import PanoramaBatch, PanoramaData
 from lightsim.networks.devices import choose_device
 from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
 from lightsim.training.ahead import Ahead
@@ -98,7 +98,7 @@ class InpaintTensors:
     hole: Float[Tensor, "n 1 h w"]
 
 
-def inpaint_tensors(batch: LightingBatch, device: torch.device) -> InpaintTensors:
+def inpaint_tensors(batch: PanoramaBatch, device: torch.device) -> InpaintTensors:
     """What inpainting needs of a batch."""
     truth = torch.from_numpy(np.ascontiguousarray(batch.panorama.transpose(0, 3, 1, 2)))
     hole = torch.from_numpy(~batch.visibility)[:, None].float()
@@ -106,7 +106,7 @@ def inpaint_tensors(batch: LightingBatch, device: torch.device) -> InpaintTensor
 
 
 def train_inpaint(
-    data: LightingData, config: InpaintConfig, session: Session
+    data: PanoramaData, config: InpaintConfig, session: Session
 ) -> tuple[dict[str, Tensor], int]:
     """Train from the last checkpoint on; the generator's averaged weights and the steps done.
 
@@ -120,8 +120,8 @@ def train_inpaint(
     target, count = choose_device(session.device), session.processes.count
     pair = _Pair(config, data.height_px, target)
 
-    def make(number: int) -> LightingBatch:
-        return data.batch(config.batch, config.seed, number, only_sunny=False)
+    def make(number: int) -> PanoramaBatch:
+        return data.panoramas(config.batch, config.seed, number)
 
     def losses(step: int, draw: int) -> Iterator[Loss]:
         return pair.losses(inpaint_tensors(batches.get(draw), target), step)

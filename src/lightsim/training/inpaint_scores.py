@@ -15,7 +15,7 @@ from lightsim.lighting.panorama.inpaint import (
     fill_by_network,
     fill_by_rows,
 )
-from lightsim.lighting.sample import LightingBatch, LightingData
+from lightsim.lighting.sample import PanoramaBatch, PanoramaData
 
 if TYPE_CHECKING:
     import torch
@@ -28,7 +28,7 @@ _BASELINES: dict[str, Callable[..., np.ndarray]] = {
 
 
 def evaluate_inpaint(
-    data: LightingData,
+    data: PanoramaData,
     weights: Mapping[str, torch.Tensor],
     *,
     batches: int = 8,
@@ -42,7 +42,7 @@ def evaluate_inpaint(
     """
     scores: dict[str, list[dict[str, float]]] = {}
     for index in range(batches):
-        batch = data.batch(size, seed, index, only_sunny=False)
+        batch = data.panoramas(size, seed, index)
         for method, filled in _fill(batch, weights).items():
             for i in range(size):
                 score = hole_errors(filled[i], batch.panorama[i], batch.visibility[i])
@@ -72,7 +72,7 @@ def hole_errors(
 
 
 def _fill(
-    batch: LightingBatch, weights: Mapping[str, torch.Tensor]
+    batch: PanoramaBatch, weights: Mapping[str, torch.Tensor]
 ) -> dict[str, Float32[np.ndarray, "n h w 3"]]:
     """Every method's filled panoramas."""
     known = (batch.panorama * batch.visibility[..., None]).astype(np.float32)

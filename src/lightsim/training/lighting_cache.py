@@ -14,7 +14,9 @@ from lightsim.errors import InputError
 from lightsim.progress import Progress, SilentProgress
 from lightsim.store.arrays import load_arrays
 from lightsim.store.atomic import whole_file
-from lightsim.training.hdr_skies import HdrSky, SplitEntry, read_pool, read_split
+from lightsim.training.hdr_skies import HdrSky, Side, SplitEntry, read_pool, read_split
+from lightsim.training.ldr_panoramas import LdrPanorama, read_ldr_pool
+from lightsim.training.near_duplicates import check_split
 from lightsim.training.procedural_skies import (
     ClearSkies,
     clear_arrays,
@@ -25,7 +27,7 @@ from lightsim.training.procedural_skies import (
 )
 from lightsim.training.street_panoramas import StreetConfig, StreetView, trace_streets
 
-VERSION = 1
+VERSION = 2
 _VIEW_FIELDS = ("pixel", "albedo", "normal", "met", "horizon")
 _REMEDY = "Make it again with lightsim train prepare."
 
@@ -53,7 +55,8 @@ class LightingCache:
     clear: ClearSkies
     noise: Float32[np.ndarray, "k s s"]
     views: tuple[StreetView, ...]
-    view_is_test: tuple[bool, ...]
+    view_sides: tuple[Side, ...]
+    ldr: tuple[LdrPanorama, ...] = ()
 
     def check(self, skies: Sequence[HdrSky], views: Sequence[StreetView], split: str) -> None:
         """Raises InputError where a split lacks skies or streets."""
@@ -66,12 +69,17 @@ class LightingCache:
 
 
 def prepare_cache(
-    hdri: Path, split: Path | None, config: PrepareConfig, progress: Progress | None = None
+    hdri: Path,
+    split: Path | None,
+    config: PrepareConfig,
+    progress: Progress | None = None,
+    ldr: Path | None = None,
 ) -> LightingCache:
-    """Read the skies, evaluate the clear ones and trace the streets.
+    """Read the skies and LDR panoramas, evaluate the clear skies and trace the streets.
 
     Raises:
-        InputError: the height is odd or below 16, or as `read_split` and `read_pool`.
+        InputError: the height is odd or below 16, near-duplicates lie on two sides of the split,
+            or as `read_split`, `read_pool` and `read_ldr_pool`.
     """
     height = config.height_px
     if height < 16 or height % 2:
@@ -84,11 +92,13 @@ def prepare_cache(
     progress = progress or SilentProgress()
     entries = None if split is None else read_split(split)
     skies = read_pool(hdri, entries, height, progress)
+    check_split(skies)
+    pictures = () if ldr is None else read_ldr_pool(ldr, entries, height, progress)
     rng = np.random.default_rng([config.seed, 1])
     clear = make_clear_skies(config.clear_count, height, rng, progress)
     noise = unpack_noise(pack_noise(make_noise(np.random.default_rng([config.seed, 2]))))
-    views, is_test = trace_streets(config.streets, height, config.seed, progress)
-    return LightingCache(height, skies, clear, noise, tuple(views), tuple(is_test))
+    views, sides = trace_streets(config.streets, height, config.seed, progress)
+    return LightingCache(height, skies, clear, noise, tuple(views), tuple(sides), pictures)
 
 
 def write_cache(path: Path, cache: LightingCache) -> None:
@@ -110,8 +120,13 @@ def write_cache(path: Path, cache: LightingCache) -> None:
         "sky_sun": np.stack([_sun_row(sky.sun) for sky in skies]),
         "noise": pack_noise(cache.noise),
         "view_count": np.array(counts),
-        "view_is_test": np.array(cache.view_is_test),
+        "view_side": np.array(cache.view_sides),
         "view_share": np.stack([view.surface_fraction for view in cache.views]),
+        "ldr_side": np.array([picture.side for picture in cache.ldr], dtype="U10"),
+        "ldr_srgb8": np.stack(
+            [np.zeros((cache.height_px, 2 * cache.height_px, 3), np.uint8)]
+            + [picture.srgb8 for picture in cache.ldr]
+        )[1:],
         **clear_arrays(cache.clear),
     }
     for name in _VIEW_FIELDS:
@@ -178,11 +193,15 @@ def _unpacked(arrays: Mapping[str, Shaped[np.ndarray, "..."]], height: int) -> L
                 fraction,
             )
         )
-    is_test = tuple(bool(x) for x in arrays["view_is_test"])
+    sides: tuple[Side, ...] = tuple(str(x) for x in arrays["view_side"])  # type: ignore[assignment]
     if arrays["sky_rest"].shape[1:] != (height, 2 * height, 3):
         raise ValueError("skies of another size")
     noise = unpack_noise(arrays["noise"])
-    return LightingCache(height, tuple(skies), clear, noise, tuple(views), is_test)
+    ldr = tuple(
+        LdrPanorama(str(side), picture)  # type: ignore[arg-type]
+        for side, picture in zip(arrays["ldr_side"], arrays["ldr_srgb8"], strict=True)
+    )
+    return LightingCache(height, tuple(skies), clear, noise, tuple(views), sides, ldr)
 
 
 def _sun_row(sun: Sun | None) -> Shaped[np.ndarray, " 6"]:

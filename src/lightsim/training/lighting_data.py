@@ -5,21 +5,28 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from lightsim.core.colour import luminance
 from lightsim.core.equirect import solid_angles_sr, uv_from_directions
-from lightsim.lighting.sample import LightingBatch
+from lightsim.lighting.sample import LightingBatch, PanoramaBatch
 from lightsim.training import grids
 from lightsim.training.camera_look import add_glare, exposure, pictures
-from lightsim.training.hdr_skies import HdrSky
+from lightsim.training.composites import (
+    CloudLayer,
+    cloud_layer,
+    composite_heaven,
+    exchanged_heaven,
+)
+from lightsim.training.hdr_skies import HdrSky, Side
 from lightsim.training.lighting_cache import LightingCache, read_cache
 from lightsim.training.procedural_skies import (
     Heaven,
     clear_heaven,
+    heaven_of,
+    is_sunny,
     overcast_heaven,
     raised_heaven,
     turned_heaven,
@@ -28,10 +35,9 @@ from lightsim.training.procedural_skies import (
 from lightsim.training.rigs import MaskConfig, front_view, rig_mask
 from lightsim.training.street_panoramas import HORIZON_AZIMUTHS, light_view
 
-SUNNY_RATIO = 0.4
-"""The sun casts shadows where it brings a surface that faces it at least this much of the sky's
-light on level ground."""
 _TRIES = 60
+_LOWEST_EXCHANGED = 0.05
+"""Sine of the elevation from which the clear skies reach down to a sun."""
 _MAX_PEAK = 1e9
 
 
@@ -41,6 +47,10 @@ _MAX_PEAK = 1e9
 _OWN_SCENE = 0.4
 # Fraction of measured skies among those over streets; the rest is procedural.
 _MEASURED = 0.5
+# With composites: their fraction among the skies over streets, and that of sunny places whose sky
+# is exchanged.
+_COMPOSITE = 0.3
+_EXCHANGED = 0.5
 # Fraction of closed covers among procedural skies.
 _OVERCAST = 0.25
 # Fraction of clear procedural skies that get clouds.
@@ -86,23 +96,31 @@ class LightingSet:
 
     The forward direction of the car is +x of the panorama: its centre column. Training draws
     from train skies (turned, mirrored, re-exposed, their suns moved) and procedural ones over
-    train streets. The test split shows held-out skies as they are, at random yaw and exposure, in
+    train streets. The other sides show held-out skies as they are, at random yaw and exposure, in
     their own place or over held-out streets. Safe to use from several threads.
+
+    Args:
+        composites: train on clouds of the skies over analytic clear ones, too.
+        ldr_fraction: of `panoramas` that show LDR panoramas, where this side has any.
     """
 
     def __init__(
         self,
         cache: LightingCache,
-        split: Literal["train", "test"] = "train",
+        split: Side = "train",
+        *,
+        composites: bool = False,
+        ldr_fraction: float = 0.5,
     ) -> None:
         self._cache = cache
+        self._ldr = [picture for picture in cache.ldr if picture.side == split]
+        self._ldr_fraction = ldr_fraction if self._ldr else 0.0
+        self._has_composites = composites
         self.height_px: int = cache.height_px
-        self.split: Literal["train", "test"] = split
+        self.split: Side = split
         self._skies = [sky for sky in cache.skies if sky.entry.split == split]
         self._views = [
-            view
-            for view, is_test in zip(cache.views, cache.view_is_test, strict=True)
-            if is_test == (split == "test")
+            view for view, side in zip(cache.views, cache.view_sides, strict=True) if side == split
         ]
         cache.check(self._skies, self._views, split)
 
@@ -110,7 +128,7 @@ class LightingSet:
     def load(
         cls,
         path: Path,
-        split: Literal["train", "test"] = "train",
+        split: Side = "train",
     ) -> LightingSet:
         """Read and check a cache.
 
@@ -126,6 +144,30 @@ class LightingSet:
         ]
         return _stacked(samples)
 
+    def panoramas(self, size: int, seed: int, index: int) -> PanoramaBatch:
+        """Panoramas for the inpainting; see `lighting.sample.PanoramaData`."""
+        samples = [
+            self._picture(
+                np.random.default_rng([seed, index, k]), np.random.default_rng([seed, index, k, 1])
+            )
+            for k in range(size)
+        ]
+        return PanoramaBatch(*(np.stack(part) for part in zip(*samples, strict=True)))
+
+    def _picture(
+        self, rng: np.random.Generator, ldr_rng: np.random.Generator
+    ) -> tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
+        """A panorama and what a rig saw of it; an LDR one is turned and, in training, mirrored."""
+        if ldr_rng.random() >= self._ldr_fraction:
+            sample = self._draw(rng, only_sunny=False)
+            return sample.panorama, sample.visibility
+        srgb8 = self._ldr[int(ldr_rng.integers(len(self._ldr)))].srgb8
+        if self.split == "train" and ldr_rng.random() < 0.5:
+            srgb8 = srgb8[:, ::-1]
+        turned = np.roll(srgb8, int(ldr_rng.integers(srgb8.shape[1])), axis=1)
+        mask = rig_mask(self.height_px, ldr_rng, MaskConfig())
+        return (turned / np.float32(255)).astype(np.float32), mask
+
     def fixed_views(self, per_sky: int = 8, seed: int = 0) -> FixedViews:
         """Every sky of this split `per_sky` times through random rigs, always the same ones."""
         samples, names, tiers, own = [], [], [], []
@@ -140,7 +182,7 @@ class LightingSet:
         return FixedViews(_stacked(samples), tuple(names), tuple(tiers), np.array(own))
 
     def _draw(self, rng: np.random.Generator, only_sunny: bool) -> _Sample:
-        if self.split == "test":
+        if self.split != "train":
             pool = self._sunny_skies if only_sunny else self._skies
             sky = pool[int(rng.integers(len(pool)))]
             has_own = sky.entry.scene != "none" and rng.random() < 0.5
@@ -169,10 +211,19 @@ class LightingSet:
     def _open_skies(self) -> list[HdrSky]:
         return [sky for sky in self._skies if sky.entry.scene != "canopy"] or self._skies
 
+    @cached_property
+    def _layers(self) -> list[CloudLayer]:
+        return [cloud_layer(sky) for sky in self._open_skies]
+
+    def _layer(self, rng: np.random.Generator) -> CloudLayer:
+        return self._layers[int(rng.integers(len(self._layers)))]
+
     def _training_heaven(self, rng: np.random.Generator) -> Heaven:
         """A sky to put over a street, the sun anywhere around it."""
         cache = self._cache
-        if rng.random() < _MEASURED:
+        if self._has_composites and rng.random() < _COMPOSITE:
+            heaven = composite_heaven(self._layer(rng), cache.clear, rng)
+        elif rng.random() < _MEASURED:
             open_skies = self._open_skies
             heaven = heaven_of(open_skies[int(rng.integers(len(open_skies)))])
             heaven = _varied(heaven, rng)
@@ -203,10 +254,11 @@ class LightingSet:
     def _own(self, sky: HdrSky, rng: np.random.Generator) -> _Sample:
         """The HDR panorama as it is, turned; in training mirrored half of the time."""
         flip = self.split == "train" and rng.random() < 0.5
-        heaven = heaven_of(sky)
+        heaven = self._own_heaven(sky, rng)
+        linear = np.concatenate([heaven.rest, sky.rest[len(heaven.rest) :]])
+        seen = sky.sky_seen
         columns = int(rng.integers(heaven.rest.shape[1]))
         heaven = turned_heaven(heaven, columns, flip=flip)
-        linear, seen = sky.rest, sky.sky_seen
         if flip:
             linear, seen = linear[:, ::-1], seen[:, ::-1]
         if self.split == "train":
@@ -219,6 +271,21 @@ class LightingSet:
             linear = (linear * gains).astype(np.float32)
         linear, seen = np.roll(linear, columns, axis=1), np.roll(seen, columns, axis=1)
         return self._finish(linear, heaven, seen, rng)
+
+    def _own_heaven(self, sky: HdrSky, rng: np.random.Generator) -> Heaven:
+        """The sky above its own place; in training often another one with the same clear sun."""
+        heaven = heaven_of(sky)
+        is_exchanged = (
+            self.split == "train"
+            and self._has_composites
+            and sky.entry.scene == "ground"
+            and is_sunny(heaven)
+            and heaven.sun_direction[2] > _LOWEST_EXCHANGED
+            and rng.random() < _EXCHANGED
+        )
+        if not is_exchanged:
+            return heaven
+        return exchanged_heaven(sky, self._layers, self._cache.clear, rng)
 
     def _finish(
         self,
@@ -250,21 +317,6 @@ class LightingSet:
             float(np.log(max(float(luminance(sky).max()), 1e-6))),
             is_sunny(heaven),
         )
-
-
-def heaven_of(sky: HdrSky) -> Heaven:
-    """The upper half of a measured sky and its sun."""
-    rest = sky.rest[: sky.rest.shape[0] // 2]
-    if sky.sun is None:
-        return Heaven(rest, np.array([0.0, 0.0, 1.0]), np.zeros(3))
-    sun = sky.sun
-    return Heaven(rest, sun.direction_world.astype(np.float64), sun.irradiance.astype(np.float64))
-
-
-def is_sunny(heaven: Heaven) -> bool:
-    """See SUNNY_RATIO."""
-    direct = float(luminance(heaven.sun_irradiance.astype(np.float32)))
-    return direct >= SUNNY_RATIO * float(luminance(heaven.level_irradiance().astype(np.float32)))
 
 
 def dome_of(heaven: Heaven) -> tuple[Float32[np.ndarray, "h w 3"], Float[np.ndarray, "3"]]:

@@ -15,12 +15,16 @@ class PrepareOptions:
     """Folder of .hdr and .exr panoramas."""
     out: Path
     """File to write (.npz)."""
+    ldr: Path | None = None
+    """Folder of LDR panoramas (.jpg, .png, .webp, in any folder below it): the inpainting trains
+    on them, too."""
     split: Path | None = None
-    """CSV that names train and test files; without it all files train."""
+    """CSV that names train, validation and test files; without it all files train, and so do LDR
+    panoramas that it does not name."""
     height: int = 64
     """Rows of the panoramas: 64 for a CPU, 128 or more for a GPU."""
-    streets: int = 15
-    """Synthetic streets to trace; the last fifth is kept for tests."""
+    streets: int = 18
+    """Synthetic streets to trace; a sixth is kept for validation, a sixth for tests."""
     positions: int = 5
     """Camera positions in each street."""
     seed: int = 0
@@ -48,5 +52,7 @@ class TrainingOptions:
     """Of first weights and batches."""
     compile: bool = False
     """Compile the networks (torch.compile), for a GPU; it needs a C compiler."""
+    composites: bool = False
+    """Train on measured clouds over analytic clear skies, too."""
     licence: str = "unknown"
     """Of the weights, for the record that they carry; it depends on the skies they have seen."""

@@ -17,9 +17,15 @@ from lightsim.lighting.sky.clear_sky import clear_sky_parts
 from lightsim.progress import Progress, SilentProgress
 from lightsim.training import grids
 from lightsim.training.grids import level_weights
+from lightsim.training.hdr_skies import HdrSky
 
+SUNNY_RATIO = 0.4
+"""The sun casts shadows where it brings a surface that faces it at least this much of the sky's
+light on level ground."""
 NOISE_SIZE = 256
 _NOISE_COUNT = 16
+_NEAREST = 5
+"""Clear skies with suns about as high as asked for, of different turbidities: a few degrees."""
 _NOISE_RANGE = 4.0
 """Noise fields are stored as bytes over minus to plus this many standard deviations."""
 
@@ -54,6 +60,21 @@ class ClearSkies:
     elevation_deg: Float32[np.ndarray, " n"]
     rest: Shaped[np.ndarray, "n h w 3"]
     sun_irradiance: Float32[np.ndarray, "n 3"]
+
+
+def heaven_of(sky: HdrSky) -> Heaven:
+    """The upper half of a measured sky and its sun."""
+    rest = sky.rest[: sky.rest.shape[0] // 2]
+    if sky.sun is None:
+        return Heaven(rest, np.array([0.0, 0.0, 1.0]), np.zeros(3))
+    sun = sky.sun
+    return Heaven(rest, sun.direction_world.astype(np.float64), sun.irradiance.astype(np.float64))
+
+
+def is_sunny(heaven: Heaven) -> bool:
+    """See SUNNY_RATIO."""
+    direct = float(luminance(heaven.sun_irradiance.astype(np.float32)))
+    return direct >= SUNNY_RATIO * float(luminance(heaven.level_irradiance().astype(np.float32)))
 
 
 def level_irradiance(upper: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3"]:
@@ -113,9 +134,15 @@ def unpack_noise(codes: Shaped[np.ndarray, "k s s"]) -> Float32[np.ndarray, "k s
     return ((codes.astype(np.float32) / 127.5) - 1.0) * np.float32(_NOISE_RANGE)
 
 
-def clear_heaven(skies: ClearSkies, rng: np.random.Generator) -> Heaven:
-    """One of the clear skies, its sun a little higher or lower, some with whiter haze."""
-    k = int(rng.integers(len(skies.rest)))
+def clear_heaven(
+    skies: ClearSkies, rng: np.random.Generator, elevation_deg: float | None = None
+) -> Heaven:
+    """One of the clear skies, some with whiter haze; its sun about as high as asked for."""
+    if elevation_deg is None:
+        k = int(rng.integers(len(skies.rest)))
+    else:
+        nearest = np.argsort(np.abs(skies.elevation_deg - elevation_deg))
+        k = int(rng.choice(nearest[:_NEAREST]))
     elevation = np.radians(float(skies.elevation_deg[k]))
     direction = np.array([np.cos(elevation), 0.0, np.sin(elevation)])
     rest = skies.rest[k].astype(np.float32)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float32
 
+from lightsim.core.checks import check_number
 from lightsim.errors import InputError
 from lightsim.progress import terminal_progress
 from lightsim.store.artefact import write_json
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
     from lightsim.networks.loop import LoopConfig, Session
     from lightsim.training.sky import Completion
-    from lightsim.training.sky_models import SkyKind
+    from lightsim.training.sky_models import SkyKind, SkyPart
 
 _LOGGER = logging.getLogger(__name__)
 WEIGHTS_NAME = "weights.safetensors"
@@ -55,14 +56,14 @@ def prepare(command: PrepareOptions) -> None:
     """Write the cache.
 
     Raises:
-        InputError: fewer than two streets or no position, no skies, or a wrong split.
+        InputError: fewer than three streets or no position, no skies, or a wrong split.
     """
-    if command.streets < 2 or command.positions < 1:
+    if command.streets < 3 or command.positions < 1:
         raise InputError(
             "too few streets: one side of the split would be empty",
             where="--streets, --positions",
             got=f"{command.streets} and {command.positions}",
-            expected="at least 2 and 1",
+            expected="at least 3 and 1",
         )
     if not command.out.absolute().parent.is_dir():
         raise InputError(
@@ -72,24 +73,32 @@ def prepare(command: PrepareOptions) -> None:
         )
     streets = StreetConfig(
         street_count=command.streets,
-        test_count=max(1, command.streets // 5),
+        held_out=max(1, command.streets // 6),
         positions=command.positions,
     )
     config = PrepareConfig(height_px=command.height, seed=command.seed, streets=streets)
-    cache = prepare_cache(command.hdri, command.split, config, terminal_progress())
+    cache = prepare_cache(command.hdri, command.split, config, terminal_progress(), command.ldr)
     write_cache(command.out, cache)
     size_mb = command.out.stat().st_size / 1e6
     _LOGGER.info(
-        "%s: %d skies, %d street positions, %.1f MB",
+        "%s: %d skies, %d LDR panoramas, %d street positions, %.1f MB",
         command.out,
         len(cache.skies),
+        len(cache.ldr),
         len(cache.views),
         size_mb,
     )
 
 
-def train_inpaint(command: TrainingOptions) -> None:
-    """Train the completion; weights and, where the cache has a test split, scores."""
+def train_inpaint(command: TrainingOptions, ldr_fraction: float) -> None:
+    """Train the completion; weights and, where the cache has a validation side, scores.
+
+    Args:
+        ldr_fraction: of the samples that show LDR panoramas, where the data have any.
+
+    Raises:
+        InputError: the fraction is none, or the data's size does not fit the network.
+    """
     from lightsim.training import inpaint as inpaint_train
     from lightsim.training.inpaint_scores import evaluate_inpaint
 
@@ -97,33 +106,61 @@ def train_inpaint(command: TrainingOptions) -> None:
     kind = inpaint_train.InpaintConfig
     config = kind.small() if command.preset == "small" else kind.full()
     config = replace(config, seed=command.seed, loop=_loop(config.loop, command))
+    check_number("--ldr-fraction", ldr_fraction, 0.0, 1.0)
+    data = LightingSet(cache, composites=command.composites, ldr_fraction=ldr_fraction)
     with _session(command) as session:
-        weights, steps = inpaint_train.train_inpaint(LightingSet(cache), config, session)
+        weights, steps = inpaint_train.train_inpaint(data, config, session)
     if session.processes.is_first:
-        test = _test_split(cache)
+        held_out = _validation(cache)
         stored = {name: value.half().float() for name, value in weights.items()}
-        scores = evaluate_inpaint(test, stored) if test else {}
+        scores = evaluate_inpaint(held_out, stored) if held_out else {}
         _write(command, weights, scores, _record(command, "inpaint", cache, session, steps, scores))
 
 
-def train_sky_network(command: TrainingOptions, kind: SkyKind, inpaint: Path | None) -> None:
-    """Train, write the weights, and score them on the fixed views of the test split."""
-    from lightsim.training import sky as sky_train
-    from lightsim.training.sky_models import sky_recipe, weights_of
+def train_sky_network(
+    command: TrainingOptions,
+    kind: SkyKind,
+    inpaint: Path | None,
+    start: Path | None = None,
+    part: SkyPart = "all",
+) -> None:
+    """Train, write the weights, and score them on the fixed views of the validation side.
 
+    Args:
+        inpaint: weights of the completion, for the networks that look at it.
+        start: weights to go on from.
+        part: of the network.
+
+    Raises:
+        InputError: the network looks at no completion, the data are of another size, or the
+            weights to start from are of another network.
+    """
+    from lightsim.training import sky as sky_train
+    from lightsim.training.sky_models import USES_INPAINTING, sky_recipe, started_from, weights_of
+
+    if inpaint is not None and kind not in USES_INPAINTING:
+        raise InputError(
+            "this network does not look at what was inpainted",
+            where="--inpaint",
+            got=kind,
+            expected=f"one of {', '.join(USES_INPAINTING)}",
+            remedy="Leave --inpaint out.",
+        )
     cache = read_cache(command.data)
-    data = LightingSet(cache)
+    data = LightingSet(cache, composites=command.composites)
     complete = None if inpaint is None else completion_of(inpaint)
-    artefact_key = sky_recipe(kind, command.preset, command.seed, inpaints=inpaint is not None)
-    loop = _loop(artefact_key.config.loop, command)
-    artefact_key = replace(artefact_key, config=replace(artefact_key.config, loop=loop))
+    recipe = sky_recipe(kind, command.preset, command.seed, part)
+    if start is not None:
+        recipe = started_from(recipe, read_weights(start))
+    loop = _loop(recipe.config.loop, command)
+    recipe = replace(recipe, config=replace(recipe.config, loop=loop))
     with _session(command) as session:
-        steps = sky_train.train_sky(artefact_key, data, session, complete)
+        steps = sky_train.train_sky(recipe, data, session, complete)
     if session.processes.is_first:
-        network, test = artefact_key.network.cpu().eval(), _test_split(cache)
-        scores = _sky_scores(kind, network, (data, test), complete) if test else {}
+        network, held_out = recipe.network.cpu().eval(), _validation(cache)
+        scores = _sky_scores(kind, network, (data, held_out), complete) if held_out else {}
         record = _record(command, kind, cache, session, steps, scores)
-        _write(command, weights_of(network), scores, record)
+        _write(command, weights_of(kind, network), scores, record)
 
 
 def _sky_scores(
@@ -134,8 +171,8 @@ def _sky_scores(
 ) -> dict[str, Any]:
     from lightsim.training.sky_scores import evaluate_sky_networks, parts_of
 
-    train, test = sides
-    views = parts_of(test.fixed_views().batch, _SCORED_AT_ONCE)
+    train, held_out = sides
+    views = parts_of(held_out.fixed_views().batch, _SCORED_AT_ONCE)
     known = [train.batch(_SCORED_AT_ONCE, 0, k, only_sunny=False) for k in range(4)]
     rows = evaluate_sky_networks(views, {kind: network}, known, complete)  # type: ignore[dict-item]
     return {row.name: _known(asdict(row)) for row in rows}
@@ -169,11 +206,14 @@ def _record(
     baseline = ("baseline", network, f"{network} (docs/models/sky.md)")
     what, row, description = _COMMANDS.get(network, baseline)
     count = sum(sky.entry.split == "train" for sky in cache.skies)
+    positions = cache.view_sides.count("train")
+    ldr_count = sum(picture.side == "train" for picture in cache.ldr)
+    ldr = f", {ldr_count} LDR panoramas" if ldr_count and network == "inpaint" else ""
     return WeightsRecord(
         description=description,
         command=_command_line(what, command, session.processes.count),
         training_data=f"{count} HDR skies, {len(cache.clear.elevation_deg)} clear skies and "
-        f"{cache.view_is_test.count(False)} positions in synthetic streets",
+        f"{positions} positions in synthetic streets{ldr}",
         split_hash=split_hash(sky.entry for sky in cache.skies),
         seed=command.seed,
         steps=steps,
@@ -231,10 +271,10 @@ def completion_of(weights: Path) -> Completion:
     return complete
 
 
-def _test_split(cache: LightingCache) -> LightingSet | None:
-    """The held-out side, or None where the cache was made without a split."""
+def _validation(cache: LightingCache) -> LightingSet | None:
+    """The side that chooses, or None where the cache was made without a split."""
     try:
-        return LightingSet(cache, "test")
+        return LightingSet(cache, "validation")
     except InputError as error:
         _LOGGER.warning("no scores: %s", error)
         return None

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Bool, Float32
 from torch import Tensor, nn
 
+from lightsim.errors import InputError
 from lightsim.lighting.sample import LightingBatch, LightingData
 from lightsim.networks.devices import choose_device
 from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
@@ -59,10 +60,12 @@ class SkyRecipe:
     network: nn.Module
     loss: LossFunction
     config: SkyTrainConfig
+    height_px: int
+    """Rows of the panoramas that the network is for."""
 
 
 def train_sky(
-    artefact_key: SkyRecipe,
+    recipe: SkyRecipe,
     data: LightingData,
     session: Session,
     complete: Completion | None = None,
@@ -76,10 +79,19 @@ def train_sky(
         complete: inpaints what the cameras did not see; without it, smooth fills stand there.
 
     Raises:
-        InputError: the device is not there.
+        InputError: the device is not there, or the data are of another size.
     """
+    if data.height_px != recipe.height_px:
+        raise InputError(
+            "the network is for panoramas of another size",
+            where="--data, --preset",
+            got=f"{2 * data.height_px}x{data.height_px} px",
+            expected=f"{2 * recipe.height_px}x{recipe.height_px} px",
+            remedy=f"Make the data with lightsim train prepare --height {recipe.height_px}, or"
+            " choose the preset of their size.",
+        )
     target = choose_device(session.device)
-    network, config = artefact_key.network.to(target), artefact_key.config
+    network, config = recipe.network.to(target), recipe.config
 
     def make(number: int) -> LightingBatch:
         return data.batch(config.batch, config.seed, number, only_sunny=number % 2 == 1)
@@ -93,7 +105,7 @@ def train_sky(
             whole = torch.rand(config.batch, generator=generator).numpy() < _COMPLETE_FRACTION
             return sky_tensors(batch, whole, complete, target)
 
-        yield "sky", *artefact_key.loss(network, drawn, generator)
+        yield "sky", *recipe.loss(network, drawn, generator)
 
     adam = torch.optim.AdamW(network.parameters(), lr=config.rate, weight_decay=config.weight_decay)
     stride = 2 * session.processes.count

@@ -26,6 +26,11 @@ _CREDIBLE = 0.9
 class SkyModel(Protocol):
     """A network that is scored: `SkyNetwork` and those of baselines/."""
 
+    @property
+    def composes_sun(self) -> bool:
+        """The sun is put into the dome, so that only the pixel grid makes decoding errors."""
+        ...
+
     def encode(self, batch: SkyTensors) -> SkyEncoding:
         """What the network says of each panorama of a batch."""
         ...
@@ -48,6 +53,7 @@ class SkyScore:
         angle_median_deg: the same.
         angle_seen_deg: mean where a camera saw the clear sun.
         angle_hidden_deg: mean where none did.
+        angle_hidden_median_deg: median where none did.
         log_peak_error: mean of the absolute error, all skies.
         sunny_accuracy: fraction of right answers to whether the sun is clear.
         decoding_log_peak: mean |log peak of the dome - the one fed|, all skies.
@@ -55,6 +61,7 @@ class SkyScore:
         inside_90: fraction of clear suns within the 90 % cone of the predicted density.
         peak_inside_90: fraction of peaks within the 90 % interval.
         log_sky_rmse: of the dome against the truth in natural log radiance, by solid angle.
+        composes_sun: the decoding errors are those of the pixel grid.
     """
 
     name: str
@@ -64,6 +71,7 @@ class SkyScore:
     angle_median_deg: float
     angle_seen_deg: float
     angle_hidden_deg: float
+    angle_hidden_median_deg: float
     log_peak_error: float
     sunny_accuracy: float
     decoding_log_peak: float
@@ -71,6 +79,7 @@ class SkyScore:
     inside_90: float
     peak_inside_90: float
     log_sky_rmse: float
+    composes_sun: bool
 
 
 def evaluate_sky_networks(
@@ -89,7 +98,7 @@ def evaluate_sky_networks(
     """
     rows = [
         score_answers("constant", batches, [_constant(known, len(b.log_peak)) for b in batches]),
-        score_answers("brightest pixel", batches, [_brightest(b) for b in batches]),
+        score_answers("brightest pixel", batches, [brightest_pixel(b) for b in batches]),
     ]
     for name, model in models.items():
         answers = [answer_of(model, batch, complete) for batch in batches]
@@ -117,6 +126,7 @@ class Answers:
         peak_margin: half width of its 90 % interval.
         sunny: probability.
         dome: upper halves, None for methods without one.
+        composes_sun: see `SkyModel`.
     """
 
     direction: Float32[np.ndarray, "n 3"]
@@ -125,6 +135,7 @@ class Answers:
     peak_margin: Float[np.ndarray, " n"]
     sunny: Float[np.ndarray, " n"]
     dome: Float32[np.ndarray, "n r w 3"] | None
+    composes_sun: bool = False
 
 
 def answer_of(model: SkyModel, batch: LightingBatch, complete: Completion | None) -> Answers:
@@ -149,6 +160,7 @@ def answer_of(model: SkyModel, batch: LightingBatch, complete: Completion | None
         silent if scale is None else scale.exp().cpu().numpy() * -math.log(1 - _CREDIBLE),
         silent if sunny is None else torch.sigmoid(sunny).cpu().numpy(),
         np.moveaxis(dome.cpu().numpy(), 1, -1).astype(np.float32),
+        model.composes_sun,
     )
 
 
@@ -164,15 +176,16 @@ def score_answers(
     margin = np.concatenate([a.peak_margin for a in answers])
     cone = np.concatenate([a.cone_deg for a in answers])
     predicted = np.concatenate([a.sunny for a in answers])
-    decoded = np.array([d for a in answers for d in _decoding_errors(a)]).reshape(-1, 2)
+    decoded = np.array([d for a in answers for d in decoding_errors(a)]).reshape(-1, 2)
     return SkyScore(
         name=name,
         count=len(angle),
         sunny_count=int(sunny.sum()),
         angle_mean_deg=_mean(angle, sunny),
-        angle_median_deg=float(np.median(angle[sunny])) if sunny.any() else math.nan,
+        angle_median_deg=_median(angle, sunny),
         angle_seen_deg=_mean(angle, sunny & seen),
         angle_hidden_deg=_mean(angle, sunny & ~seen),
+        angle_hidden_median_deg=_median(angle, sunny & ~seen),
         log_peak_error=float(peak.mean()),
         sunny_accuracy=_mean((predicted > 0.5) == sunny, ~np.isnan(predicted)),
         decoding_log_peak=_mean(decoded[:, 0], np.ones(len(decoded), bool)),
@@ -180,6 +193,7 @@ def score_answers(
         inside_90=_mean(angle <= cone, sunny & ~np.isnan(cone)),
         peak_inside_90=_mean(peak <= margin, ~np.isnan(margin)),
         log_sky_rmse=_log_sky_rmse(pairs),
+        composes_sun=any(a.composes_sun for a in answers),
     )
 
 
@@ -215,7 +229,7 @@ def brightest_spot(upper: Float32[np.ndarray, "r w 3"]) -> tuple[float, Float[np
     return math.log(max(float(value[row, column]), 1e-6)), centre / np.linalg.norm(centre)
 
 
-def _decoding_errors(answers: Answers) -> list[tuple[float, float]]:
+def decoding_errors(answers: Answers) -> list[tuple[float, float]]:
     """(log peak, angle) between what was fed to the decoder and what its dome shows."""
     if answers.dome is None:
         return []
@@ -259,7 +273,7 @@ def _constant(known: Sequence[LightingBatch], count: int) -> Answers:
     return Answers(answer, silent, np.full(count, peak), silent, silent, None)
 
 
-def _brightest(batch: LightingBatch) -> Answers:
+def brightest_pixel(batch: LightingBatch) -> Answers:
     """The centroid of the brightest pixels of what was seen of the upper half; peak: clipping."""
     rows = batch.panorama.shape[1] // 2
     directions = pixel_directions(2 * rows)[:rows]
@@ -269,6 +283,10 @@ def _brightest(batch: LightingBatch) -> Answers:
     centre /= np.linalg.norm(centre, axis=1, keepdims=True)
     silent = np.full(len(centre), np.nan)
     return Answers(centre.astype(np.float32), silent, np.zeros(len(centre)), silent, silent, None)
+
+
+def _median(values: np.ndarray, counts: Bool[np.ndarray, " n"]) -> float:
+    return float(np.median(values[counts])) if counts.any() else math.nan
 
 
 def _mean(values: np.ndarray, counts: Bool[np.ndarray, " n"]) -> float:

@@ -32,6 +32,7 @@ from lightsim.synthetic.street import (
     build_participants,
 )
 from lightsim.synthetic.textures import Finish
+from lightsim.training.hdr_skies import Side
 from lightsim.training.procedural_skies import Heaven
 
 HORIZON_AZIMUTHS = 64
@@ -59,14 +60,21 @@ _FIRST_SEED = 100
 class StreetConfig:
     """Which streets are traced, and how finely."""
 
-    street_count: int = 15
-    """Streets; the last `test_count` of them are the test split's."""
-    test_count: int = 3
-    """Streets that are never trained on."""
+    street_count: int = 18
+    """Streets; the last `held_out` of them test, as many before these validate."""
+    held_out: int = 3
+    """Streets of each of these two sides."""
     positions: int = 5
     """Camera positions in each street."""
     rays: int = 40
     """Rays of each pixel over its hemisphere."""
+
+    def side_of(self, street: int) -> Side:
+        """Side of the split of a street by its number."""
+        from_last = self.street_count - 1 - street
+        if from_last < self.held_out:
+            return "test"
+        return "validation" if from_last < 2 * self.held_out else "train"
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,10 +100,10 @@ class StreetView:
 
 def trace_streets(
     config: StreetConfig, height_px: int, seed: int, progress: Progress | None = None
-) -> tuple[list[StreetView], list[bool]]:
-    """Views of all streets, and which of them belong to the test split."""
+) -> tuple[list[StreetView], list[Side]]:
+    """Views of all streets, and on which side of the split each is."""
     views: list[StreetView] = []
-    is_test: list[bool] = []
+    sides: list[Side] = []
     finishes: dict[str, Finish] = {}
     jobs = range(config.street_count)
     for k in (progress or SilentProgress()).track(jobs, "streets"):
@@ -112,8 +120,8 @@ def trace_streets(
             Snapshot(street, poses), plan.world_from_street, height_px, config.rays, rng
         )
         views += [tracer.trace() for _ in range(config.positions)]
-        is_test += [k >= config.street_count - config.test_count] * config.positions
-    return views, is_test
+        sides.extend(config.side_of(k) for _ in range(config.positions))
+    return views, sides
 
 
 class ViewTracer:

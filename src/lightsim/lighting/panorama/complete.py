@@ -1,4 +1,4 @@
-"""The stitched panorama as one complete LDR picture: what the sky network reads."""
+"""The stitched panorama as an LDR picture, with holes (what the sky network reads) or without."""
 
 from __future__ import annotations
 
@@ -19,11 +19,9 @@ if TYPE_CHECKING:
 _LEVELS = (0.08, 0.3)
 
 
-def completed_ldr(
-    panorama: Panorama, weights: Mapping[str, torch.Tensor] | None
-) -> tuple[Float32[np.ndarray, "h w 3"], float]:
-    """The panorama in sRGB, holes filled (`complete_panorama`), and the exposure: a picture's
-    linear value 1, where it clips, is the scene radiance 1 / exposure.
+def exposed_ldr(panorama: Panorama) -> tuple[Float32[np.ndarray, "h w 3"], float]:
+    """The panorama in sRGB, holes black, and the exposure: a picture's linear value 1, where it
+    clips, is the scene radiance 1 / exposure.
 
     Raises:
         InputError: nothing was seen, or all of it is black.
@@ -32,6 +30,18 @@ def completed_ldr(
     ldr = srgb_from_linear(panorama.radiance * np.float32(exposure))
     ldr[panorama.is_clipped] = 1.0
     ldr[~panorama.is_seen] = 0.0
+    return ldr, exposure
+
+
+def completed_ldr(
+    panorama: Panorama, weights: Mapping[str, torch.Tensor] | None
+) -> tuple[Float32[np.ndarray, "h w 3"], float]:
+    """As `exposed_ldr`, holes filled (`complete_panorama`).
+
+    Raises:
+        InputError: as `exposed_ldr`.
+    """
+    ldr, exposure = exposed_ldr(panorama)
     return complete_panorama(ldr, panorama.is_seen, weights), exposure
 
 
@@ -41,7 +51,7 @@ def choose_exposure(panorama: Panorama) -> float:
     their value alone.
 
     Raises:
-        InputError: see `completed_ldr`.
+        InputError: see `exposed_ldr`.
     """
     seen = luminance(panorama.radiance[panorama.is_seen])
     middle = float(np.median(seen)) if seen.size else 0.0

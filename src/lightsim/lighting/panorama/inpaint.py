@@ -50,7 +50,7 @@ def complete_panorama(
     if is_seen.all():
         return ldr.copy()
     small_height = SMOOTH_HEIGHT_PX if weights is None else int(weights["height_px"])
-    small, small_seen = _shrunk(ldr, is_seen, small_height)
+    small, small_seen = shrink_seen(ldr, is_seen, small_height)
     if weights is None:
         filled = fill_by_laplace(small, small_seen)
     else:
@@ -111,7 +111,7 @@ def fill_by_rows(
     return np.where(is_seen[..., None], ldr, means[nearest][:, None]).astype(np.float32)
 
 
-def _shrunk(
+def shrink_seen(
     ldr: Float32[np.ndarray, "h w 3"], is_seen: Bool[np.ndarray, "h w"], height_px: int
 ) -> tuple[Float32[np.ndarray, "h2 w2 3"], Bool[np.ndarray, "h2 w2"]]:
     """The seen pixels averaged as light over larger ones; seen is what was seen by half."""

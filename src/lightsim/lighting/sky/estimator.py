@@ -11,10 +11,9 @@ import torch
 from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
-from lightsim.core.colour import linear_from_srgb, srgb_from_linear
 from lightsim.core.dome import SkyDome, Sun, find_sun, resized
-from lightsim.core.resample import resize_area
 from lightsim.errors import InputError
+from lightsim.lighting.panorama.inpaint import shrink_seen
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.network import SkyNetwork, network_from_tensors
 from lightsim.networks.sky_terms import SkyEncoding, SkyTensors
@@ -28,6 +27,8 @@ _TURNS_OF_WIDTH = (0.0, 5 / 128, 10 / 128)
 @dataclass(frozen=True, eq=False)
 class SkyEstimator:
     """Reads skies off LDR panoramas (sRGB in [0, 1], row 0 up) and makes HDR domes.
+
+    Where nothing was seen it looks at a smooth fill of its own, whatever the panorama shows there.
 
     Args:
         network: trained.
@@ -52,10 +53,10 @@ class SkyEstimator:
         *,
         averages: bool = False,
     ) -> SkyPrediction:
-        """Sun, intensity and latent of a completed panorama of any size.
+        """Sun, intensity and latent of a panorama of any size.
 
         Args:
-            ldr: complete; what was not seen is inpainted.
+            ldr: counts where it was seen.
             seen: what cameras saw of it; None means all.
             averages: mean over small turns and their mirror images: slower by six.
 
@@ -124,8 +125,7 @@ class SkyEstimator:
         rows = self.network.config.height_px
         mask = np.ones((height, width), bool) if seen is None else seen
         if height != rows:
-            ldr = srgb_from_linear(resize_area(linear_from_srgb(ldr), rows, 2 * rows))
-            mask = resize_area(mask[..., None].astype(np.float32), rows, 2 * rows)[..., 0] > 0.5
+            ldr, mask = shrink_seen(ldr, mask, rows)
         image = torch.from_numpy(np.moveaxis(ldr, -1, 0)[None].copy())
         nothing = torch.zeros(1)
         return SkyTensors(

@@ -5,10 +5,9 @@ Paper Sec. 3.2 "Generating HDR sky domes" and appendix "Sky dome estimator archi
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -35,8 +34,12 @@ from lightsim.networks.sky_terms import (
     radiance_of_log,
     sun_maps,
 )
+from lightsim.networks.stored import load_stored, stored_config, stored_tensors
 
+KIND = "lightsim"
 _SRGB_GAMMA = 2.2
+_POSITION = 2
+"""Channels that tell where a pixel is."""
 MOVED_SUN_DEG = 30.0
 """Around a sun that was moved, and where it was, the decoder draws the sky anew."""
 STAYING_SUN_DEG = 6.0
@@ -45,38 +48,19 @@ STAYING_SUN_DEG = 6.0
 
 @dataclass(frozen=True)
 class SkyNetworkConfig:
-    """How the network is built; `small` for the CPU, `full` for a GPU, `paper` for the original."""
+    """How the network is built; as it is for the CPU, `full` for a GPU."""
 
     widths: tuple[int, ...] = (16, 32, 64, 96)
     """Channels of the encoders at strides 2, 4, 8, 16."""
     decoder_widths: tuple[int, ...] = (8, 16, 32, 64)
     """Channels of the decoder at strides 1, 2, 4, 8."""
-    uses_ground: bool = True
-    """Encoders see the lower half too: shadows and lit walls tell of the sun."""
-    heatmap: bool = True
-    """Direction is the mean of a density over pixels, which turns with the panorama."""
-    dual: bool = True
-    """The direction encoder is trained on clear suns alone."""
-    composed_sun: bool = True
-    """The sun is put into the dome; otherwise the decoder must draw it (the paper)."""
     height_px: int = 64
     """Of the panoramas it is trained on; others are resized to it."""
-    fills_unseen: bool = True
-    """Encoders see a smooth fill where no camera looked, whatever the panorama shows there."""
 
     @classmethod
     def full(cls) -> SkyNetworkConfig:
         """About three times the channels, for panoramas twice as high."""
         return cls(widths=(48, 96, 192, 256), decoder_widths=(24, 48, 96, 192), height_px=128)
-
-    @classmethod
-    def paper(cls) -> SkyNetworkConfig:
-        """The paper's form (appendix, "Sky dome estimator architecture") at the small width.
-
-        Encoders see the upper half alone, the direction comes from `FlatHead`, and the decoder
-        draws the sun.
-        """
-        return cls(uses_ground=False, heatmap=False, composed_sun=False, fills_unseen=False)
 
 
 class HeatHead(nn.Module):
@@ -106,45 +90,32 @@ class HeatHead(nn.Module):
         return log_density, functional.normalize(mean, dim=1), log_kappa + correction
 
 
-class FlatHead(nn.Module):
-    """A direction by fully connected layers (paper)."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.layers = nn.Sequential(nn.Linear(width * 16, 128), nn.SiLU(), nn.Linear(128, 4))
-
-    def forward(self, features: list[Tensor], rows: int) -> tuple[None, Tensor, Tensor]:
-        """No density, unit directions, log concentration; `rows` is there to match `HeatHead`."""
-        flat = functional.adaptive_avg_pool2d(features[-1], (2, 8)).flatten(1)
-        value = self.layers(flat)
-        return None, functional.normalize(value[:, :3], dim=1), value[:, 3]
-
-
 class SkyNetwork(nn.Module):
     """LDR panorama -> (sun direction, peak intensity, latent) -> HDR sky dome."""
+
+    composes_sun = True
 
     def __init__(self, config: SkyNetworkConfig, seed: int = 0) -> None:
         super().__init__()
         self.config = config
-        position = 2 if config.heatmap else 3
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            self.direction_encoder = Pyramid(4 + position, config.widths)
-            self.intensity_encoder = Pyramid(4 + position, config.widths)
-            self.latent_encoder = Pyramid(4 + position, config.widths)
+            self.direction_encoder = Pyramid(4 + _POSITION, config.widths)
+            self.intensity_encoder = Pyramid(4 + _POSITION, config.widths)
+            self.latent_encoder = Pyramid(4 + _POSITION, config.widths)
             top = config.widths[-1]
-            self.direction_head = HeatHead(config.widths) if config.heatmap else FlatHead(top)
+            self.direction_head = HeatHead(config.widths)
             self.intensity_head = nn.Sequential(nn.Linear(2 * top, 64), nn.SiLU(), nn.Linear(64, 3))
             self.latent_head = nn.Linear(2 * top, LATENT)
-            self.decoder = UNet(4 + position + 4, 3, config.decoder_widths, LATENT)
-            self.colour_head = (
-                nn.Linear(config.decoder_widths[-1], 3) if config.composed_sun else None
-            )
+            self.decoder = UNet(4 + _POSITION + 4, 3, config.decoder_widths, LATENT)
+            self.colour_head = nn.Linear(config.decoder_widths[-1], 3)
 
     def shown(self, batch: SkyTensors) -> SkyTensors:
-        """The panorama as encoders and decoder see it."""
-        if not self.config.fills_unseen:
-            return batch
+        """The panorama as encoders and decoder see it: a smooth fill where no camera looked.
+
+        What an inpainting network paints there is a function of the same seen pixels and brings
+        no evidence of its own; none is looked at.
+        """
         return batch.shown(filled(batch.panorama, batch.seen), batch.seen)
 
     def encode(self, batch: SkyTensors) -> SkyEncoding:
@@ -154,8 +125,8 @@ class SkyNetwork(nn.Module):
         peak, scale, sunny = self.measure(image)
         return SkyEncoding(direction, log_kappa, peak, scale, sunny, self.latent(image))
 
-    def direct(self, image: Tensor, rows: int) -> tuple[Tensor | None, Tensor, Tensor]:
-        """Log density over the pixels (or None), direction and log concentration."""
+    def direct(self, image: Tensor, rows: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Log density over the pixels, direction and log concentration."""
         return self.direction_head(self.direction_encoder(image), rows)
 
     def measure(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -169,16 +140,8 @@ class SkyNetwork(nn.Module):
 
     def encoder_input(self, batch: SkyTensors) -> Float[Tensor, "n c h w"]:
         """What the encoders take, from a batch that is `shown`."""
-        height = batch.panorama.shape[2]
-        rows = height if self.config.uses_ground else height // 2
-        image = torch.cat([batch.panorama * 2 - 1, batch.seen], dim=1)[:, :, :rows]
-        return torch.cat([image, self._position(image, height)], dim=1)
-
-    def _position(self, image: Tensor, height: int) -> Float[Tensor, "n p r w"]:
-        """Per-pixel direction; without the azimuth where the network turns with its input."""
-        x, y, z = direction_map(height, image.shape[2], image.device).unbind(1)
-        parts = [z, torch.hypot(x, y)] if self.config.heatmap else [x, y, z]
-        return torch.stack(parts, dim=1).expand(len(image), -1, -1, -1)
+        image = torch.cat([batch.panorama * 2 - 1, batch.seen], dim=1)
+        return torch.cat([image, _position(image, batch.panorama.shape[2])], dim=1)
 
     def decode(
         self,
@@ -204,7 +167,7 @@ class SkyNetwork(nn.Module):
             [
                 (ldr * 2 - 1) * kept,
                 kept,
-                self._position(ldr, 2 * rows),
+                _position(ldr, 2 * rows),
                 sun_maps(direction, log_peak, rows),
             ],
             dim=1,
@@ -212,8 +175,6 @@ class SkyNetwork(nn.Module):
         value, mean = self.decoder(image, latent)
         base = log_radiance(ldr**_SRGB_GAMMA) * kept + (1 - kept) * -1.0
         sky = radiance_of_log(base + value)
-        if self.colour_head is None:
-            return sky
         colour = torch.exp(torch.tanh(self.colour_head(mean)))
         colour = colour / luminance_of(colour[:, :, None, None])[:, :, 0, 0]
         return compose_sun(sky, colour, direction, log_peak)
@@ -226,27 +187,22 @@ class SkyNetwork(nn.Module):
         return self.decode(self.shown(batch), direction, log_peak, encoding.latent, kept)
 
 
-def config_from_json(text: str) -> SkyNetworkConfig:
-    """Inverse of the JSON text that `tensors_of` keeps beside the weights."""
-    values = json.loads(text)
-    for name in ("widths", "decoder_widths"):
-        values[name] = tuple(values[name])
-    return SkyNetworkConfig(**values)
+def _position(image: Tensor, height: int) -> Float[Tensor, "n p r w"]:
+    """Elevation of each pixel without its azimuth: the network turns with its input."""
+    x, y, z = direction_map(height, image.shape[2], image.device).unbind(1)
+    return torch.stack([z, torch.hypot(x, y)], dim=1).expand(len(image), -1, -1, -1)
 
 
 def tensors_of(network: SkyNetwork) -> dict[str, Tensor]:
-    """All weights and, as bytes, the config: what `network_from_tensors` needs."""
-    text = json.dumps(asdict(network.config)).encode()
-    return {**network.state_dict(), "config_json": torch.tensor(list(text), dtype=torch.float32)}
+    """All weights and the config: what `network_from_tensors` needs."""
+    return stored_tensors(network, network.config, KIND)
 
 
 def network_from_tensors(tensors: Mapping[str, Tensor]) -> SkyNetwork:
     """The network whose weights (in any precision) and config these are."""
-    text = bytes(int(code) for code in tensors["config_json"].tolist()).decode()
-    network = SkyNetwork(config_from_json(text))
-    weights = {k: v.to(torch.float32) for k, v in tensors.items() if k != "config_json"}
-    network.load_state_dict(weights)
-    return network.eval()
+    network = SkyNetwork(SkyNetworkConfig(**stored_config(tensors)[1]))
+    load_stored(network, tensors)
+    return network
 
 
 def kept_for(

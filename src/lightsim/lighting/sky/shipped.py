@@ -1,4 +1,4 @@
-"""The shipped lighting networks at work: what they say of a panorama, and the domes they draw."""
+"""The shipped lighting networks at work: what they predict of a panorama, and what they draw."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
 from lightsim.core.colour import linear_from_srgb
 from lightsim.core.dome import SkyDome, Sun, irradiance, resized, split_sun
 from lightsim.core.twin import Panorama, SkyEstimate
 from lightsim.errors import InputError
+from lightsim.lighting.panorama.complete import completed_ldr, exposed_ldr
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sun.direction import SunDirection
 
@@ -24,14 +25,14 @@ SKY_WEIGHTS = "sky-small"
 
 
 def predict_sky(panorama: Panorama) -> SkyPrediction:
-    """Sun, peak and latent that the networks read off a panorama, completed by inpainting.
+    """Sun, peak and latent that the estimator reads off what was seen of a panorama.
 
-    `log_peak` is in the panorama's own unit of radiance.
+    It does not look at what is inpainted. `log_peak` is in the panorama's own unit of radiance.
 
     Raises:
         InputError: nothing was seen, or the weights are damaged.
     """
-    ldr, exposure = _completed(panorama)
+    ldr, exposure = exposed_ldr(panorama)
     predicted = _estimator().predict(ldr, panorama.is_seen, averages=True)
     return replace(predicted, log_peak=predicted.log_peak - float(np.log(exposure)))
 
@@ -45,7 +46,8 @@ def decoded_dome(
     """The dome that the decoder draws of a panorama; on demand with its sun elsewhere, or stronger
     (paper, appendix: the same sky latent with other f_dir and f_int).
 
-    `lighting.target_sky.with_edited_sun` does the same on any HDR dome.
+    The decoder draws the upper half; the lower one is the completed panorama's.
+    `lighting.target_sky.with_edited_sun` moves the sun of any HDR dome.
 
     Args:
         panorama: stitched or a picture; the dome has its size, unit and frame.
@@ -62,7 +64,7 @@ def decoded_dome(
             got=sun_factor,
             expected="a finite number above 0",
         )
-    ldr, exposure = _completed(panorama)
+    ldr, exposure = completed_panorama(panorama)
     predicted = _estimator().predict(ldr, panorama.is_seen, averages=True)
     upper = _estimator().decode(
         predicted,
@@ -93,9 +95,8 @@ def decoded_sky(
     """
     dome = resized(decoded_dome(panorama, sun_direction=sun.direction_world), height_px)
     level = irradiance(split_sun(dome)[0], np.array([0.0, 0.0, 1.0]))
-    form = "puts the sun in" if _estimator().network.config.composed_sun else "draws the sun"
     note = (
-        f"the dome is the decoder's ({SKY_WEIGHTS}, which {form}), on its own latent and peak and"
+        f"the dome is the decoder's ({SKY_WEIGHTS}, the sun put in), on its own latent and peak and"
         " the sun found here; no shadow says how strong that sun is"
     )
     return SkyEstimate(
@@ -111,8 +112,12 @@ def decoded_sky(
     )
 
 
-def _completed(panorama: Panorama) -> tuple[np.ndarray, float]:
-    from lightsim.lighting.panorama.complete import completed_ldr
+def completed_panorama(panorama: Panorama) -> tuple[Float32[np.ndarray, "h w 3"], float]:
+    """The panorama in sRGB, inpainted where nothing was seen, and its exposure (`exposed_ldr`).
+
+    Raises:
+        InputError: nothing was seen, or the weights are damaged.
+    """
     from lightsim.store.weights import load_weights
 
     return completed_ldr(panorama, load_weights(INPAINT_WEIGHTS))

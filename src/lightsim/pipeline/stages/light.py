@@ -18,7 +18,7 @@ from lightsim.lighting.panorama.stitch import StitchConfig, stitch_panorama
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.balance import rebalanced, unseen_part
 from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
-from lightsim.lighting.sky.shipped import decoded_sky, predict_sky
+from lightsim.lighting.sky.shipped import completed_panorama, decoded_sky, predict_sky
 from lightsim.lighting.sun.direction import SunDirection
 from lightsim.pipeline.assemble import build_twin
 from lightsim.pipeline.options import SkyModel
@@ -32,7 +32,12 @@ from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.irradiance import IrradianceConfig
 from lightsim.render.transport.matrix import TransportConfig
-from lightsim.store.sky import write_panorama, write_panorama_pictures, write_sky
+from lightsim.store.sky import (
+    write_completed,
+    write_panorama,
+    write_panorama_pictures,
+    write_sky,
+)
 from lightsim.store.twin import write_twin
 
 IRRADIANCE = IrradianceConfig(TransportConfig(sky_rays=32, face_rays=8), 0.25)
@@ -105,6 +110,7 @@ def make_sky(
     geo = work.training_log.geo
     write_sky(folder, sky, None if geo is None else geo.heading_deg)
     write_panorama_pictures(folder, work.panorama)
+    write_completed(folder, completed_panorama(work.panorama)[0])
     return sky.notes
 
 

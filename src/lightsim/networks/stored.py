@@ -1,0 +1,39 @@
+"""Networks as tensors that carry their kind and their config: what a weights file needs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+_CONFIG = "config_json"
+"""A tensor of bytes: half precision holds whole numbers up to 2048."""
+
+
+def stored_tensors(network: nn.Module, config: Any, kind: str) -> dict[str, Tensor]:
+    """All weights and, as bytes, kind and config (a dataclass of numbers and tuples)."""
+    text = json.dumps({"kind": kind, **asdict(config)}).encode()
+    return {**network.state_dict(), _CONFIG: torch.tensor(list(text), dtype=torch.float32)}
+
+
+def stored_config(tensors: Mapping[str, Tensor]) -> tuple[str, dict[str, Any]]:
+    """Kind and config of `stored_tensors`."""
+    values = json.loads(bytes(int(code) for code in tensors[_CONFIG].tolist()))
+    kind = values.pop("kind")
+    return kind, {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+
+
+def is_stored(tensors: Mapping[str, Tensor]) -> bool:
+    """Whether these are `stored_tensors`."""
+    return _CONFIG in tensors
+
+
+def load_stored(network: nn.Module, tensors: Mapping[str, Tensor]) -> None:
+    """The weights, of any precision, into a network of their config; it is set to be used."""
+    weights = {k: v.to(torch.float32) for k, v in tensors.items() if k != _CONFIG}
+    network.load_state_dict(weights)
+    network.eval()
