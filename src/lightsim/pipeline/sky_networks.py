@@ -166,14 +166,17 @@ class _Told:
 
     @property
     def composes_sun(self) -> bool:
+        """As the network's."""
         return self.model.composes_sun
 
     def encode(self, batch: SkyTensors) -> SkyEncoding:
+        """As the network's, with the known sun."""
         return replace(self.model.encode(batch), direction=torch.from_numpy(self.direction))
 
     def dome(
         self, batch: SkyTensors, encoding: SkyEncoding, direction: Tensor, log_peak: Tensor
     ) -> Tensor:
+        """As the network's."""
         return self.model.dome(batch, encoding, direction, log_peak)
 
 
