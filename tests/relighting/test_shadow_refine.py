@@ -66,3 +66,11 @@ def test_light_with_its_own_visibility_is_unchanged(misplaced: RelightInputs) ->
     np.testing.assert_array_equal(again.shaded, source.shaded)
     full = with_sun_visibility(source, sunlight, np.ones_like(source.sun_visibility))
     np.testing.assert_allclose(full.shaded[SKY_ROWS:], source.unshadowed[SKY_ROWS:], rtol=1e-5)
+
+
+def test_a_wide_shadow_that_the_image_does_not_show_is_lifted(rng: np.random.Generator) -> None:
+    """The rendering has a shadow over the whole ground, the picture on its right half alone."""
+    inputs = make_inputs(rng, shadow_right_of(1000))
+    false = replace(inputs, source=light(inputs.buffers, SUN, 0.5, shadow_right_of(0)))
+    error = np.abs(refined(false) - shadow_right_of(70))[SKY_ROWS:]
+    assert error.mean() < 0.05

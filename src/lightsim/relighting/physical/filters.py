@@ -15,19 +15,6 @@ def box_mean(image: Float32[np.ndarray, "h w *c"], radius_px: int) -> Float32[np
     return ndimage.uniform_filter(image, size=width, mode="nearest", axes=(0, 1))
 
 
-def weighted_mean(
-    image: Float32[np.ndarray, "h w *c"], weight: Float32[np.ndarray, "h w"], radius_px: int
-) -> tuple[Float32[np.ndarray, "h w *c"], Float32[np.ndarray, "h w"]]:
-    """Mean of what has weight, and the mean weight, over three passes of a square window."""
-    extra = weight.reshape(weight.shape + (1,) * (image.ndim - 2))
-    total, fraction = image * extra, weight
-    for _ in range(2):
-        total, fraction = box_mean(total, radius_px), box_mean(fraction, radius_px)
-    fraction = np.maximum(fraction, 0.0)
-    below = (fraction + _EPSILON).reshape(extra.shape)
-    return (total / below).astype(np.float32), fraction
-
-
 def guided_filter(
     guide: Float32[np.ndarray, "h w"],
     image: Float32[np.ndarray, "h w"],

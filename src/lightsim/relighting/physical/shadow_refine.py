@@ -17,7 +17,7 @@ from scipy import ndimage
 from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.colour import luminance
 from lightsim.core.dome import Sun
-from lightsim.relighting.physical.filters import box_mean, guided_filter, weighted_mean
+from lightsim.relighting.physical.filters import box_mean, guided_filter
 
 _DARKEST = np.float32(1e-4)
 
@@ -39,11 +39,9 @@ _LARGEST_IMAGE_LOGIT = 4.0
 _SMOOTHNESS_LOGIT = 8.0
 # Radius of the neighbourhood as a fraction of the image width.
 _NEIGHBOURHOOD_FRACTION = 1 / 100
-# Radius, as a fraction of the width, over which base colour is calibrated on the image.
-_CALIBRATION_FRACTION = 1 / 16
 # Width of a strip, as a fraction of the image width, below which a change is taken for noise.
 _SMALLEST_FRACTION = 1 / 240
-# Rounds of calibration, evidence and vote.
+# Rounds of the vote.
 _ITERATIONS = 5
 # Sun light below this fraction of the other light is left as rendered.
 _LEAST_CONTRAST = 0.15
@@ -134,19 +132,14 @@ def _infer(
     """Mean-field inference: `residual` is log(image / unlit model), `step` what sun adds to it."""
     width = residual.shape[1]
     near = max(1, round(width * _NEIGHBOURHOOD_FRACTION))
-    far = max(2, round(width * _CALIBRATION_FRACTION))
     weight = is_open.astype(np.float32)
     guide = np.log(np.maximum(brightness, _DARKEST)).astype(np.float32)
-    visibility = _sigmoid(prior)
+    # From the looks of each pixel on: the vote of a wide false shadow would never leave the prior.
+    own = prior + _image_logit(residual, step)
+    visibility = _sigmoid(own)
     for _ in range(_ITERATIONS):
-        certainty = weight * np.square(2 * visibility - 1)
-        unexplained = residual - visibility[..., None] * step
-        local, fraction = weighted_mean(unexplained, certainty, far)
-        offset = local * (fraction / (fraction + np.float32(0.02)))[..., None]
-        logit = prior + _image_logit(residual - offset, step)
         vote = guided_filter(guide, visibility, weight, near, 0.05)
-        logit += np.float32(_SMOOTHNESS_LOGIT) * (2 * np.clip(vote, 0, 1) - 1)
-        visibility = _sigmoid(logit)
+        visibility = _sigmoid(own + np.float32(_SMOOTHNESS_LOGIT) * (2 * np.clip(vote, 0, 1) - 1))
     soft = guided_filter(guide, visibility, weight, max(1, near // 2), 0.01)
     return np.clip(soft, 0.0, 1.0).astype(np.float32)
 
