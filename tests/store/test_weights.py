@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -68,8 +68,13 @@ def test_all_weights_of_the_package_are_checked_and_have_a_whole_record() -> Non
     for name, steps in (("inpaint-small", 2500), ("sky-small", 9000)):
         record = read_record(WEIGHTS_FOLDER / f"{name}.safetensors")
         assert record.steps == steps
-        # Another split would let skies into the tests that these weights have seen.
-        assert record.split_hash == split_hash(read_split(SPLIT).values())
+        # Another split would let skies into the tests that these weights have seen. They are
+        # older than the validation side, which was part of the test side.
+        sides = [
+            replace(entry, split="test" if entry.split == "validation" else entry.split)
+            for entry in read_split(SPLIT).values()
+        ]
+        assert record.split_hash == split_hash(sides)
 
 
 def test_other_weights_than_the_published_are_refused(tmp_path: Path) -> None:
