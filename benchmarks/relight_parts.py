@@ -30,9 +30,9 @@ from lightsim.relighting.physical.compose import camera_image
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
 from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
 from lightsim.render.image import sky_image
-from lightsim.render.transport.matrix import TransportConfig
 from lightsim.scenario.replay import replay
 from lightsim.simulate.against_truth import TrueSurfaces
+from lightsim.simulate.relighter import RelightConfig
 from lightsim.store.artefact import read_json
 from lightsim.store.exr import read_exr
 from lightsim.store.images import read_srgb8
@@ -61,7 +61,7 @@ class _Street:
         self.log = self.workspace.log_at(1.0)
         self.surfaces = TrueSurfaces(truth / "scene.npz", self.workspace)
         twin = self.workspace.twin.assets
-        transport = TransportConfig()
+        transport = RelightConfig().transport
         self.estimated = FrameRenderer(
             twin.background, self.workspace.unobserved_occluders, transport, 0
         )
