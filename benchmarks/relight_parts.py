@@ -3,8 +3,9 @@
     python benchmarks/relight_parts.py WORK --truth DIR [--cameras front_camera left_camera]
 
 Parts, added in this order: the source sky (base colour is divided anew), camera gains, geometry
-(the true meshes take the twin's base colour), base colour. Scores outside the true sky, mean over
-the frames that have exact buffers; and where the squared error lies, by what happens to the sun.
+with its base colour (light between true surfaces takes that of the twin). Scores outside the true
+sky, mean over the frames that have exact buffers; and where the squared error lies, by what happens
+to the sun.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from lightsim.store.exr import read_exr
 from lightsim.store.images import read_srgb8
 from lightsim.synthetic.reader import true_sky
 
-PARTS = ("estimated", "+ sky", "+ gains", "+ geometry", "+ base colour")
+PARTS = ("estimated", "+ sky", "+ gains", "+ geometry and base colour")
 
 
 @dataclass(frozen=True)
@@ -110,12 +111,10 @@ class _Street:
         traced = seen.true if level >= 3 else seen.estimated
         source, wanted = traced.light(source_sky), traced.light(self.skies[target])
         buffers = traced.buffers
-        if level >= 4:
+        if level >= 3:
             buffers = replace(buffers, base_colour=seen.base_colour)
         elif level >= 1:
-            buffers = _divided_anew(
-                buffers, seen.estimated.light(self.skies["estimated"]), source, level >= 3
-            )
+            buffers = _divided_anew(buffers, seen.estimated.light(self.skies["estimated"]), source)
         srgb8 = seen.frame.load_srgb8()
         inputs = RelightInputs(
             radiance=(linear_from_srgb8(srgb8) / gain).astype(np.float32),
@@ -133,16 +132,9 @@ class _Street:
         return camera_image(relight_physical(inputs, RatioConfig()), gain, 0.0)
 
 
-def _divided_anew(
-    buffers: GBuffers, before: ShadowBuffers, now: ShadowBuffers, is_other_geometry: bool
-) -> GBuffers:
-    """Base colour under another source light, by the frame's median change where both differ."""
-    if is_other_geometry:
-        is_usable = buffers.has_surface
-        factor = np.median((before.shaded + 1e-3)[is_usable], axis=0)
-        factor = factor / np.median((now.shaded + 1e-3)[is_usable], axis=0)
-    else:
-        factor = (before.shaded + 1e-3) / (now.shaded + 1e-3)
+def _divided_anew(buffers: GBuffers, before: ShadowBuffers, now: ShadowBuffers) -> GBuffers:
+    """Base colour of the same radiance under another source light."""
+    factor = (before.shaded + 1e-3) / (now.shaded + 1e-3)
     colour = np.clip(buffers.base_colour * factor, 0.02, 0.95).astype(np.float32)
     return replace(buffers, base_colour=colour)
 
