@@ -33,8 +33,7 @@ _LOG_UNSEEN = np.linspace(-1.2, 1.2, 25)
 _PAIR_FITS = 5
 """Of these at which pairs are asked; what they say changes smoothly between."""
 _PAIR_LOG_STD = 0.15
-"""Of the sun that pairs give, however many there are: gloss, and patches that straddle edges.
-With the true sky and 20,000 pairs the demo street asks for 0.85 times the true sun."""
+"""Of the sun that pairs give, however many there are: gloss, mostly. Not measured alone."""
 _CLOUD_LOG_FACTOR, _CLOUD_LOG_STD = float(np.log(0.15)), 1.5
 """What cloud before the sun leaves of it."""
 _LIGHT_HUE_STD = 0.1

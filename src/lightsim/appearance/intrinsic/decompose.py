@@ -2,7 +2,7 @@
 
 The paper bakes shadows into the base colour and names that its main failure (Sec. 5). Here the
 source light is rendered on the reconstructed surface; what it says about shadows is a prior, and
-the pictures decide (delight_labels).
+the pictures decide (`labels`).
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
 from scipy.spatial import KDTree
 
-from lightsim.appearance.intrinsic.labels import Labels, Observed
+from lightsim.appearance.intrinsic.labels import Labels, Observed, is_at_label_edge
 
 _NEAREST, _AROUND = 6, 32
 _REACH_M = 1.2
@@ -41,14 +41,11 @@ class LabelField:
 
 def label_field(faces: Int64[np.ndarray, " k"], observed: Observed, labels: Labels) -> LabelField:
     """What `refine_visibility` needs of labelled surfels."""
-    surfels, graph = observed.surfels, observed.graph
+    surfels = observed.surfels
     light = np.maximum(observed.light.total(labels.lit), 1e-6)
     log_colour = observed.log_radiance - np.log(light)
-    near = graph.pairs[graph.distance_m < 2.5 * observed.surfel_m]
-    differs = np.abs(labels.lit[near[:, 0]] - labels.lit[near[:, 1]]) > 0.5
     is_unsure = (labels.lit > 0.1) & (labels.lit < 0.9)
-    is_mixed = is_unsure.copy()
-    is_mixed[near[differs].ravel()] = True
+    is_mixed = is_unsure | is_at_label_edge(observed, labels.lit)
     is_firm = ~is_mixed & (surfels.confidence > 0.5)
     colour, is_known = _colour_around(observed, log_colour, is_firm, is_mixed)
     return LabelField(

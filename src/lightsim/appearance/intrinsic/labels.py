@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from math import exp
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Bool, Float32, Float64
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -46,6 +46,8 @@ _STRENGTH = 1.5
 _ROUNDS = 3
 # Greatest energy of a pair, nats: what a change of material costs.
 _MAX_PAIR_ENERGY = 3.0
+# Patches so near to one of the other label, in their own size, straddle the edge.
+_EDGE_SURFELS = 2.5
 # Energy of a shadow's edge itself, nats.
 _EDGE_ENERGY = 0.3
 
@@ -140,6 +142,16 @@ def infer_labels(
     belief += (1 - _PRIOR_WEIGHT) * np.log(prior / (1 - prior))
     lit = 1 / (1 + np.exp(-np.clip(belief, -30, 30)))
     return without_islands(observed, lit, prior, config.island_m2)
+
+
+def is_at_label_edge(observed: Observed, lit: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Patches with a neighbour of the other label: pictures and meshes are blurred there."""
+    graph = observed.graph
+    near = graph.pairs[graph.distance_m < _EDGE_SURFELS * observed.surfel_m]
+    differs = np.abs(lit[near[:, 0]] - lit[near[:, 1]]) > 0.5
+    is_at_edge = np.zeros(len(lit), dtype=bool)
+    is_at_edge[near[differs].ravel()] = True
+    return is_at_edge
 
 
 def without_islands(

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Float64, Int64
 
-from lightsim.appearance.intrinsic.labels import Observed
+from lightsim.appearance.intrinsic.labels import Observed, is_at_label_edge
 from lightsim.appearance.intrinsic.light import SurfaceLight
 
 LOG_SUN = np.linspace(np.log(0.01), np.log(10.0), 47)
@@ -22,8 +22,6 @@ _REMAINDER = 0.02
 _FIRM = 0.8
 """Difference of the probabilities of being lit that makes a pair."""
 _MAX_PAIRS = 6_000
-_EDGE_SURFELS = 2.5
-"""Patches so near to one of the other label, in their own size, straddle the edge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +72,7 @@ def shadow_pairs(
     """
     first, second = observed.graph.pairs.T
     can_differ = observed.light.is_lit_enough
-    is_inside = can_differ & ~_is_at_edge(observed, lit)
+    is_inside = can_differ & ~is_at_label_edge(observed, lit)
     difference = np.where(is_inside[first] & is_inside[second], lit[first] - lit[second], 0.0)
     chosen = np.flatnonzero(np.abs(difference) > _FIRM)
     chosen = chosen[:: max(1, len(chosen) // _MAX_PAIRS)]
@@ -90,16 +88,6 @@ def shadow_pairs(
         observed.light.at(dark),
         block[bright],
     )
-
-
-def _is_at_edge(observed: Observed, lit: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Patches with a neighbour of the other label."""
-    graph = observed.graph
-    near = graph.pairs[graph.distance_m < _EDGE_SURFELS * observed.surfel_m]
-    differs = np.abs(lit[near[:, 0]] - lit[near[:, 1]]) > 0.5
-    is_at_edge = np.zeros(len(lit), dtype=bool)
-    is_at_edge[near[differs].ravel()] = True
-    return is_at_edge
 
 
 def fit_sun_to_pairs(

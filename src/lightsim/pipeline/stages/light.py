@@ -150,7 +150,7 @@ def source_sky(
     )
     if np.isinf(balance.sun_log_std):
         return estimate
-    factors = (
+    on_sun, on_unseen_sky = (
         f"({', '.join(f'{value:.2f}' for value in factor)}), log std {log_std:.2f}"
         for factor, log_std in (
             (balance.sun, balance.sun_log_std),
@@ -159,7 +159,7 @@ def source_sky(
     )
     note = (
         f"{balance.pair_count} lit/shadowed pairs of patches and known materials: sun times"
-        f" {next(factors)}; unseen sky times {next(factors)}"
+        f" {on_sun}; unseen sky times {on_unseen_sky}"
     )
     return rebalanced(
         estimate,

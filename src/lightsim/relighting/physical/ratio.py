@@ -35,8 +35,8 @@ _ENCLOSED_RIM_PX = 3
 # What exceeds this reflectance is a highlight: it follows the sky, not the shading.
 _LARGEST_ALBEDO = 1.0
 # Relative error of a ratio for every e-fold by which it changes the light. More trust in the base
-# colour (0.5 here, 0.2 there) scores 0.1 to 0.4 dB more on streets 0 and 307 under an overcast sky,
-# but takes details from the picture that no mesh and no texture holds.
+# colour scores higher on grainy synthetic pictures, but takes details from the picture that no mesh
+# and no texture holds.
 _SHADING_DEVIATION = 0.35
 # Absolute error of the recorded radiance: noise and 8 bits in the dark.
 _RADIANCE_DEVIATION = 0.004
