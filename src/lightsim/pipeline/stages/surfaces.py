@@ -15,8 +15,7 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import SceneAssets
-from lightsim.geometry.completion.extrude import infer_tall_structures
-from lightsim.geometry.completion.facades import complete_facades
+from lightsim.geometry.completion.buildings import complete_buildings
 from lightsim.geometry.completion.far_field import build_far_field
 from lightsim.geometry.completion.flatten import flatten_walls
 from lightsim.geometry.mesh_scene import mesh_scene
@@ -42,10 +41,11 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
         return ((f, log.cameras[f.camera_name], work.sky_matte(f)) for f in log.frames)
 
     background = meshes.background
-    facades = complete_facades(
+    facades, casters = complete_buildings(
         background,
-        views(),
-        (sweep.load() for sweep in log.sweeps),
+        views,
+        (sweep.load() for sweep in context.progress.track(log.sweeps, "walls and roofs")),
+        fields.ground,
         make_caster=make_embree_caster,
     )
     background = concatenate_meshes([background, simplify_planar(facades)])
@@ -55,12 +55,6 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
         fields.ground,
         fields.path_m,
         make_caster=make_embree_caster,
-    )
-    casters = infer_tall_structures(
-        background,
-        views(),
-        make_caster=make_embree_caster,
-        progress=context.progress,
     )
     background = concatenate_meshes([background, far])
     write_assets(folder, replace(meshes, background=background))

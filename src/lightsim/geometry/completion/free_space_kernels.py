@@ -14,10 +14,8 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def walk_rays(  # noqa: C901 - one loop, compiled
-    origin_cells, directions, ends_cells, is_voting, view, is_free, votes, last_view
-):
-    """Mark the voxels along each ray: free where `is_voting` is False, else one vote a view.
+def walk_rays(origin_cells, directions, ends_cells, is_free):
+    """Mark the voxels along each ray as free.
 
     Lengths are in voxels, the grid fills [0, shape). Every voxel that the ray touches between
     its start and `ends_cells` is visited (Amanatides & Woo 1987).
@@ -54,12 +52,7 @@ def walk_rays(  # noqa: C901 - one loop, compiled
                 t_step[k] = 1.0 / abs(d)
         t = enter
         while t < leave:
-            i, j, l = cell[0], cell[1], cell[2]  # noqa: E741 - third index
-            if not is_voting[r]:
-                is_free[i, j, l] = 1
-            elif last_view[i, j, l] != view:
-                last_view[i, j, l] = view
-                votes[i, j, l] += 1
+            is_free[cell[0], cell[1], cell[2]] = 1
             k = 0
             if t_next[1] < t_next[k]:
                 k = 1

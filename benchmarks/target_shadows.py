@@ -1,0 +1,144 @@
+"""Shadows of the twin under suns it was not recorded under, against those of the true street.
+
+    python benchmarks/target_shadows.py WORK --truth DIR
+
+Suns at eight azimuths and two elevations. A pixel is shadowed where its surface faces away from the
+sun or something stands before it; each geometry is asked at its own surface, as relighting does.
+IoU of the shadows cast onto surfaces that truly face the sun, and what is wrong with the rest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.mesh import TriMesh
+from lightsim.core.sensors import CameraFrame
+from lightsim.pipeline.workspace import Workspace
+from lightsim.render.scene import FrameScene, make_static_scene, place
+from lightsim.scenario.replay import replay
+from lightsim.simulate.against_truth import TrueSurfaces
+
+ELEVATIONS_DEG = (20.0, 45.0)
+AZIMUTHS_DEG = tuple(np.arange(0.0, 360.0, 45.0) + 10.0)
+_EVERY_NTH_PIXEL = 3
+_OFF_SURFACE_M = 0.03
+_GRAZING = 0.05
+"""Cosine between normal and sun below which a surface counts as facing away."""
+
+
+@dataclass
+class Shadows:
+    """Pixels that truly face the sun, by what is true and what the twin says."""
+
+    both: int = 0
+    missing: int = 0
+    false: int = 0
+    seen: int = 0
+
+    def add(self, is_true: np.ndarray, is_made: np.ndarray) -> None:
+        self.both += int((is_true & is_made).sum())
+        self.missing += int((is_true & ~is_made).sum())
+        self.false += int((~is_true & is_made).sum())
+        self.seen += len(is_true)
+
+    @property
+    def iou(self) -> float:
+        return self.both / max(self.both + self.missing + self.false, 1)
+
+    def row(self, name: str) -> str:
+        wrong = (100 * count / max(self.seen, 1) for count in (self.missing, self.false))
+        return f"| {name} | {self.iou:.3f} | " + " | ".join(f"{w:.1f}" for w in wrong) + " |\n"
+
+
+def suns() -> Iterator[tuple[float, np.ndarray]]:
+    """Elevation and direction towards each sun, frame world."""
+    for elevation in ELEVATIONS_DEG:
+        for azimuth in AZIMUTHS_DEG:
+            e, a = np.radians([elevation, azimuth])
+            yield (
+                elevation,
+                np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)]),
+            )
+
+
+def score(
+    workspace: Workspace, truth: Path, background: TriMesh, casters: TriMesh
+) -> dict[float, Shadows]:
+    """Shadows by the sun's elevation, over the frames that have relit truth."""
+    surfaces = TrueSurfaces(truth / "scene.npz", workspace)
+    log = workspace.log_at(1.0)
+    static = make_static_scene([background], [casters] if len(casters.faces) else [])
+    true_static = make_static_scene([surfaces.meshes["background"]])
+    stems = {path.stem for path in (truth / "relit").glob("*/*/*")}
+    result = {elevation: Shadows() for elevation in ELEVATIONS_DEG}
+    for frame in (f for f in log.frames if f.stem in stems):
+        recorded = replay(workspace.twin, "as recorded", (frame,), "recorded", 0)
+        scenes = (
+            place(static, recorded, frame.time_ns),
+            place(true_static, surfaces.scenario, frame.time_ns),
+        )
+        _add_frame(result, log.cameras[frame.camera_name], frame, scenes)
+    return result
+
+
+def _add_frame(
+    result: dict[float, Shadows],
+    camera: PinholeCamera,
+    frame: CameraFrame,
+    scenes: tuple[FrameScene, FrameScene],
+) -> None:
+    uv = camera.pixel_centres()[::_EVERY_NTH_PIXEL, ::_EVERY_NTH_PIXEL].reshape(-1, 2)
+    origins, rays = frame.pixel_rays(camera, uv)
+    places = [_surface(scene, origins, rays) for scene in scenes]
+    is_used = places[0][2] & places[1][2]
+    for elevation, sun in suns():
+        is_made, is_true = (
+            _is_dark(scene, points[is_used], normals[is_used], sun)
+            for scene, (points, normals, _) in zip(scenes, places, strict=True)
+        )
+        faces_sun = places[1][1][is_used] @ sun > _GRAZING
+        result[elevation].add(is_true[faces_sun], is_made[faces_sun])
+
+
+def _surface(
+    scene: FrameScene, origins: np.ndarray, rays: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points just before the seen surfaces, their normals, and which rays meet one."""
+    hits = scene.camera_caster.intersect(origins, rays)
+    normals = np.zeros_like(rays)
+    for index, mesh in enumerate(scene.camera_meshes):
+        rows = np.flatnonzero(hits.is_hit & (hits.mesh_index == index))
+        normals[rows] = mesh.face_normals()[hits.face_index[rows]]
+    normals *= -np.sign((normals * rays).sum(axis=1, keepdims=True))
+    distance = np.where(hits.is_hit, hits.distance_m, 0.0)[:, None]
+    return origins + distance * rays + _OFF_SURFACE_M * normals, normals, hits.is_hit
+
+
+def _is_dark(
+    scene: FrameScene, points: np.ndarray, normals: np.ndarray, sun: np.ndarray
+) -> np.ndarray:
+    is_blocked = scene.caster.is_occluded(points, np.broadcast_to(sun, points.shape).copy())
+    return (normals @ sun <= _GRAZING) | is_blocked
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--truth", type=Path, required=True)
+    options = parser.parse_args()
+    workspace = Workspace(options.work)
+    meshes = workspace.twin.assets.background, workspace.unobserved_occluders
+    sys.stdout.write("| sun's elevation | IoU | missing % | false % |\n|---|---:|---:|---:|\n")
+    for elevation, shadows in score(workspace, options.truth, *meshes).items():
+        sys.stdout.write(shadows.row(f"{elevation:.0f} degrees"))
+
+
+if __name__ == "__main__":
+    main()

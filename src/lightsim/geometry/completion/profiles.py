@@ -1,0 +1,44 @@
+"""The best integer for every column of a row, where steps between neighbours cost."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+
+def best_profile(
+    energy: Float64[np.ndarray, "s t"], step: float, step_per_label: float
+) -> Int64[np.ndarray, " s"]:
+    """The profile of least total energy, exactly (Viterbi 1967, doi:10.1109/TIT.1967.1054010).
+
+    Args:
+        energy: of each column at each label, nats.
+        step: of two neighbours with different labels, nats.
+        step_per_label: the same, for every label between them.
+    """
+    count, labels = energy.shape
+    levels = np.arange(labels)
+    rise = np.abs(levels[:, None] - levels)
+    change = np.where(rise > 0, step + step_per_label * rise, 0.0)
+    best = energy[0]
+    came_from = np.zeros((count, labels), dtype=np.int64)
+    for s in range(1, count):
+        total = best + change
+        came_from[s] = total.argmin(axis=1)
+        best = energy[s] + total[levels, came_from[s]]
+    profile = np.zeros(count, dtype=np.int64)
+    profile[-1] = best.argmin()
+    for s in range(count - 1, 0, -1):
+        profile[s - 1] = came_from[s, profile[s]]
+    return profile
+
+
+def energy_of_filling(
+    against_filled: Float64[np.ndarray, "s c"], against_free: Float64[np.ndarray, "s c"]
+) -> Float64[np.ndarray, "s t"]:
+    """Energy of each number of filled cells, counted from the first: what speaks against these
+    being filled, and against all others being free."""
+    energy = np.zeros((against_filled.shape[0], against_filled.shape[1] + 1))
+    energy[:, 1:] += np.cumsum(against_filled, axis=1)
+    energy[:, :-1] += np.cumsum(against_free[:, ::-1], axis=1)[:, ::-1]
+    return energy

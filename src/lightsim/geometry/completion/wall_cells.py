@@ -1,0 +1,206 @@
+"""What sensors say about the plane of each wall, cell by cell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int8, Int32
+
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.casting import RayCaster
+from lightsim.core.sensors import CameraFrame, LidarSweep
+from lightsim.geometry.completion.silhouettes import (
+    MIN_BASELINE_M,
+    View,
+    classify_matte,
+    spaced_views,
+)
+from lightsim.geometry.completion.walls import Wall
+
+FRONT_M = 0.5
+"""Measured surface up to this far in front of the plane lies on the wall."""
+BEHIND_M = 0.6
+"""The same behind it: panes in their frames."""
+
+# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
+# (docs/benchmarks/reconstruction.md).
+
+# Cells of a wall that are filled or not.
+_CELL_M = 0.25
+
+MAX_HEIGHT_M = 40.0
+"""No building is higher than this above the lowest measured part of its wall."""
+# Views from further away do not count.
+_MAX_VIEW_M = 90.0
+# Walls from further away give no certain return.
+_MAX_BEAM_M = 60.0
+# The highest beams leave gaps between them.
+_BEAM_MARGIN_DEG = 1.5
+# LiDAR returns used to find beams that passed a wall.
+_EVERY_NTH_RETURN = 4
+
+
+@dataclass(eq=False)
+class WallCells:
+    """Cells [s, z] of one wall, from its lowest measured part up, and what is known of them.
+
+    Args:
+        wall: the plane.
+        cell_m: edge of a cell.
+        is_covered: a measured surface lies on the plane.
+        offset_m: of that surface in front of the plane; 0 elsewhere.
+        sky: views that show sky.
+        matter: views that show something, with nothing measured before or behind it.
+        passes: beams that went through and returned from behind.
+        silent: sweeps that had beams for the cell, with nothing before it, and no return from it.
+    """
+
+    wall: Wall
+    cell_m: float
+    is_covered: Bool[np.ndarray, "s z"]
+    offset_m: Float64[np.ndarray, "s z"]
+    sky: Int32[np.ndarray, "s z"]
+    matter: Int32[np.ndarray, "s z"]
+    passes: Int32[np.ndarray, "s z"]
+    silent: Int32[np.ndarray, "s z"]
+
+    @property
+    def s_m(self) -> Float64[np.ndarray, " s"]:
+        """Middle of each column along the wall."""
+        return self.wall.span_m[0] + (np.arange(self.sky.shape[0]) + 0.5) * self.cell_m
+
+    @property
+    def measured_top(self) -> Int32[np.ndarray, " s"]:
+        """Highest measured cell of each column; -1 where nothing was measured."""
+        levels = np.arange(self.sky.shape[1], dtype=np.int32)
+        return np.where(self.is_covered, levels, -1).max(axis=1)
+
+    def centres(self, out_m: float = 0.0) -> Float64[np.ndarray, "s z 3"]:
+        """Middle of each cell in frame world, `out_m` in front of the wall's plane."""
+        z = self.wall.height_m[0] + (np.arange(self.sky.shape[1]) + 0.5) * self.cell_m
+        grid = np.meshgrid(self.s_m, z, indexing="ij")
+        return self.wall.at(grid[0], grid[1], out_m)
+
+
+def gather_cells(
+    walls: Sequence[Wall],
+    caster: RayCaster,
+    silhouettes: Iterable[View],
+    sweeps: Iterable[LidarSweep],
+) -> list[WallCells]:
+    """The evidence of all views and sweeps, wall by wall.
+
+    Args:
+        walls: of the measured background.
+        caster: over the measured background.
+        silhouettes: frames with their camera (of the matte's size) and sky matte.
+        sweeps: beams that went over a wall tell that it ends there.
+
+    Raises:
+        InputError: a matte does not fit its camera.
+    """
+    cells = [_measure(wall, caster) for wall in walls]
+    for frame, camera, matte in spaced_views(silhouettes, MIN_BASELINE_M):
+        kind = classify_matte(camera, matte)
+        for wall_cells in cells:
+            _look(wall_cells, (frame, camera, kind), caster)
+    last = np.full(3, np.inf)
+    for sweep in sweeps:
+        place = sweep.origins_world.mean(axis=0).astype(np.float64)
+        is_apart = not np.linalg.norm(place - last) < MIN_BASELINE_M
+        last = place if is_apart else last
+        for wall_cells in cells:
+            _pass(wall_cells, sweep)
+            if is_apart:
+                _listen(wall_cells, place, _highest_beam_deg(sweep), caster)
+    return cells
+
+
+def _measure(wall: Wall, caster: RayCaster) -> WallCells:
+    """Which cells have a measured surface, by rays square to the plane from just before it."""
+    cell = _CELL_M
+    ns = max(int(np.ceil((wall.span_m[1] - wall.span_m[0]) / cell)), 1)
+    shape = (ns, int(np.ceil(MAX_HEIGHT_M / cell)))
+    cells = WallCells(
+        wall,
+        cell,
+        np.zeros(shape, dtype=bool),
+        np.zeros(shape),
+        *(np.zeros(shape, dtype=np.int32) for _ in range(4)),
+    )
+    start = cells.centres(FRONT_M).reshape(-1, 3)
+    hits = caster.intersect(start, np.broadcast_to(-wall.normal, start.shape).copy())
+    is_near = hits.is_hit & (hits.distance_m < FRONT_M + BEHIND_M)
+    cells.is_covered[:] = is_near.reshape(shape)
+    distance = np.where(is_near, hits.distance_m, FRONT_M).astype(np.float64)
+    cells.offset_m[:] = (FRONT_M - distance).reshape(shape)
+    return cells
+
+
+def _look(
+    cells: WallCells,
+    view: tuple[CameraFrame, PinholeCamera, Int8[np.ndarray, "h w"]],
+    caster: RayCaster,
+) -> None:
+    """What one view shows at the cells without measured surface."""
+    frame, camera, kinds = view
+    eye = frame.world_from_camera.translation_m
+    if (eye - cells.wall.origin_m) @ cells.wall.normal < FRONT_M:
+        return
+    rows = np.flatnonzero(~cells.is_covered.ravel())
+    points = cells.centres().reshape(-1, 3)[rows]
+    distance = np.linalg.norm(points - eye, axis=1)
+    uv, is_inside = frame.project(camera, points)
+    is_inside &= distance < _MAX_VIEW_M
+    rows, points, uv = rows[is_inside], points[is_inside], uv[is_inside]
+    distance = distance[is_inside]
+    kind = kinds[uv[:, 1].astype(np.int64), uv[:, 0].astype(np.int64)]
+    cells.sky.reshape(-1)[rows[kind > 0]] += 1
+    matter = np.flatnonzero(kind < 0)
+    rays = (points[matter] - eye) / distance[matter, None]
+    hits = caster.intersect(np.broadcast_to(eye, rays.shape).copy(), rays)
+    is_open = hits.distance_m > distance[matter] - BEHIND_M
+    cells.matter.reshape(-1)[rows[matter[is_open]]] += 1
+
+
+def _pass(cells: WallCells, sweep: LidarSweep) -> None:
+    """Count the beams of a sweep that crossed the plane and returned from well behind it."""
+    wall, step = cells.wall, _EVERY_NTH_RETURN
+    start = sweep.origins_world[::step].astype(np.float64) - wall.origin_m
+    end = sweep.points_world[::step].astype(np.float64) - wall.origin_m
+    before, after = start @ wall.normal, end @ wall.normal
+    crosses = (before > FRONT_M) & (after < -2 * BEHIND_M)
+    start, end = start[crosses], end[crosses]
+    fraction = (before[crosses] / (before[crosses] - after[crosses]))[:, None]
+    place = start + fraction * (end - start)
+    i = np.floor((place @ wall.along - wall.span_m[0]) / cells.cell_m).astype(np.int64)
+    j = np.floor((place[:, 2] - wall.height_m[0]) / cells.cell_m).astype(np.int64)
+    shape = cells.passes.shape
+    is_inside = (i >= 0) & (i < shape[0]) & (j >= 0) & (j < shape[1])
+    np.add.at(cells.passes, (i[is_inside], j[is_inside]), 1)
+
+
+def _highest_beam_deg(sweep: LidarSweep) -> float:
+    """Elevation up to which the sweep has returns."""
+    way = (sweep.points_world - sweep.origins_world).astype(np.float64)
+    elevation = np.arctan2(way[:, 2], np.linalg.norm(way[:, :2], axis=1))
+    return float(np.degrees(np.percentile(elevation, 99.9))) if len(way) else -90.0
+
+
+def _listen(
+    cells: WallCells, eye: Float64[np.ndarray, "3"], highest_deg: float, caster: RayCaster
+) -> None:
+    """Count a sweep for the open cells that its beams reach: a wall there would have returned."""
+    if (eye - cells.wall.origin_m) @ cells.wall.normal < FRONT_M:
+        return
+    rows = np.flatnonzero(~cells.is_covered.ravel())
+    way = cells.centres().reshape(-1, 3)[rows] - eye
+    distance = np.linalg.norm(way, axis=1)
+    elevation = np.degrees(np.arcsin(way[:, 2] / distance))
+    is_reached = (elevation < highest_deg - _BEAM_MARGIN_DEG) & (distance < _MAX_BEAM_M)
+    rows, rays = rows[is_reached], (way / distance[:, None])[is_reached]
+    hits = caster.intersect(np.broadcast_to(eye, rays.shape).copy(), rays)
+    is_open = hits.distance_m > distance[is_reached] - BEHIND_M
+    cells.silent.reshape(-1)[rows[is_open]] += 1

@@ -1,0 +1,249 @@
+"""A street canyon whose walls a LiDAR saw up to 4 m: buildings come back from the silhouettes."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.fields import GroundMap
+from lightsim.core.frames import RigidTransform
+from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
+from lightsim.core.sensors import CameraFrame, LidarSweep
+from lightsim.errors import FrameMismatchError, InputError
+from lightsim.geometry.completion.buildings import complete_buildings
+from lightsim.geometry.completion.profiles import best_profile, energy_of_filling
+from lightsim.geometry.completion.walls import find_walls
+from lightsim.render.casters.embree import EmbreeCaster
+
+WIDE = PinholeCamera("any", 480, 270, 240.0, 240.0, 240.0, 135.0)
+NARROW = PinholeCamera("any", 480, 200, 480.0, 480.0, 240.0, 100.0)
+SEEN_M, CELL_M = 4.0, 0.25
+# Axis-aligned boxes: low x, low y, high x, high y, height.
+LEFT_HOUSE = (5.0, 8.25, 30.0, 20.0, 10.0)
+RIGHT_HOUSE = (-10.0, -22.0, 25.0, -9.25, 7.0)
+LAMP = (12.0, 5.0, 12.3, 5.3, 8.0)
+# Parts of a wall: low x, high x, low z, high z.
+WINDOW, GATE = (9.0, 11.0, 1.5, 2.5), (20.0, 22.0, 0.0, 10.0)
+GROUND = GroundMap(
+    np.zeros(2), 1.0, np.zeros((2, 2), dtype=np.float32), np.ones((2, 2), dtype=bool)
+)
+Box = tuple[float, float, float, float, float]
+View = tuple[CameraFrame, PinholeCamera, np.ndarray]
+Hole = tuple[float, float, float, float]
+
+
+def _wall(start: np.ndarray, end: np.ndarray, top_m: float, holes: tuple[Hole, ...]) -> TriMesh:
+    """An upright wall in squares of 0.25 m, outside to the right of the way from start to end."""
+    length = float(np.linalg.norm(end - start))
+    along = (end - start) / length
+    s, z = np.meshgrid(np.arange(0, length, CELL_M), np.arange(0, top_m, CELL_M), indexing="ij")
+    x = start[0] + along[0] * (s + CELL_M / 2)
+    keep = np.ones(s.shape, dtype=bool)
+    for x0, x1, z0, z1 in holes:
+        keep &= ~((x > x0) & (x < x1) & (z >= z0) & (z < z1))
+    s, z = s[keep], z[keep]
+    corners = [(0.0, 0.0), (CELL_M, 0.0), (CELL_M, CELL_M), (0.0, CELL_M)]
+    points = np.stack(
+        [np.c_[start + (s + a)[:, None] * along, z + b] for a, b in corners], axis=1
+    ).reshape(-1, 3)
+    return _quads(points)
+
+
+def _quads(points: np.ndarray) -> TriMesh:
+    start = 4 * np.arange(len(points) // 4)[:, None]
+    faces = np.concatenate([start + [[0, 1, 2]], start + [[0, 2, 3]]]).astype(np.int32)
+    black = np.zeros((len(points), 3), np.float32)
+    return TriMesh("world", points.astype(np.float32), faces, black)
+
+
+def _house(box: Box, top_m: float, whole: bool, holes: tuple[Hole, ...] = ()) -> TriMesh:
+    """Walls and roof, or only the walls that the car sees (none that is turned away)."""
+    x0, y0, x1, y1, _ = box
+    ring = [np.array(corner) for corner in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))]
+    walls = list(zip(ring, ring[1:] + ring[:1], strict=True))
+    if not whole:
+        walls = [walls[0 if y0 > 0 else 2], walls[3 if x0 > 0 else 1]]
+    parts = [_wall(*wall, top_m, holes) for wall in walls]
+    if whole:
+        parts.append(_quads(np.array([[*corner, top_m] for corner in ring])))
+    return concatenate_meshes(parts)
+
+
+def _street() -> TriMesh:
+    """Nobody sees the ground behind the houses."""
+    return _quads(np.array([[-40.0, -9.25, 0], [60, -9.25, 0], [60, 8.25, 0], [-40, 8.25, 0]]))
+
+
+def _truth(boxes: list[Box]) -> TriMesh:
+    return concatenate_meshes([_street(), *(_house(b, b[4], True) for b in boxes)])
+
+
+def _seen(boxes: list[Box]) -> TriMesh:
+    parts = [_street()]
+    for box in boxes:
+        holes = (WINDOW,) if box == LEFT_HOUSE else ()
+        parts.append(_house(box, min(SEEN_M, box[4]), False, holes))
+    return concatenate_meshes(parts)
+
+
+def _views(truth: TriMesh, camera: PinholeCamera) -> list[View]:
+    """Four cameras around a car that drives 12 m, with exact sky mattes."""
+    caster = EmbreeCaster([truth])
+    views = []
+    for x_m, k in product(np.arange(-4.0, 9.0, 2.0), range(4)):
+        forward = np.array([np.cos(k * np.pi / 2), np.sin(k * np.pi / 2), 0.0])
+        right = np.array([forward[1], -forward[0], 0.0])
+        rotation = np.stack([right, [0.0, 0.0, -1.0], forward], axis=1)
+        pose = RigidTransform.from_rotation("world", "camera", rotation, np.array([x_m, 0.0, 1.6]))
+        frame = CameraFrame(f"camera{k}", f"{x_m}", 0, pose, lambda: np.zeros((1, 1, 3), "u1"))
+        origins, rays = frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))
+        is_sky = ~caster.intersect(origins, rays).is_hit & (rays[:, 2] > 0)
+        views.append((frame, camera, is_sky.reshape(camera.height_px, -1).astype(np.float32)))
+    return views
+
+
+def _sweep(points: np.ndarray) -> LidarSweep:
+    n = len(points)
+    zero, none = np.zeros(n, np.float32), np.full(n, -1, np.int16)
+    origins = np.tile(np.array([[2.0, 0.0, 1.8]], np.float32), (n, 1))
+    return LidarSweep("0", 0, points.astype(np.float32), origins, zero, zero, none, none)
+
+
+def _complete(
+    seen: TriMesh, views: list[View], sweeps: list[LidarSweep] | None = None
+) -> tuple[TriMesh, TriMesh]:
+    return complete_buildings(seen, lambda: views, sweeps or [], GROUND, make_caster=EmbreeCaster)
+
+
+def _height_m(meshes: tuple[TriMesh, ...], x_m: float, y_m: float) -> float:
+    down = np.array([[0, 0, -1.0]])
+    hits = EmbreeCaster(list(meshes)).intersect(np.array([[x_m, y_m, 90.0]]), down)
+    return 90.0 - float(hits.distance_m[0])
+
+
+def _is_wall(mesh: TriMesh, x_m: float, z_m: float) -> bool:
+    """Whether the left house's front is there, seen from the road."""
+    hits = EmbreeCaster([mesh]).intersect(np.array([[x_m, 0.0, z_m]]), np.array([[0, 1.0, 0]]))
+    return bool(hits.is_hit[0]) and abs(float(hits.distance_m[0]) - LEFT_HOUSE[1]) < 0.1
+
+
+@pytest.fixture(scope="module")
+def canyon() -> tuple[tuple[TriMesh, TriMesh], list[View]]:
+    boxes = [LEFT_HOUSE, RIGHT_HOUSE, LAMP]
+    views = _views(_truth(boxes), WIDE)
+    return _complete(_seen(boxes), views), views
+
+
+def test_roofs_stand_where_the_silhouettes_end(canyon) -> None:
+    meshes, _ = canyon
+    for x_m in np.arange(6.1, 29.0, 1.7):
+        assert _height_m(meshes, float(x_m), 9.0) == pytest.approx(10.0, abs=0.51)
+    for x_m in np.arange(-8.9, 24.0, 1.7):
+        assert _height_m(meshes, float(x_m), -10.0) == pytest.approx(7.0, abs=0.51)
+
+
+def test_houses_have_a_depth_and_the_open_stays_empty(canyon) -> None:
+    meshes, _ = canyon
+    assert _height_m(meshes, 15.0, 12.0) == pytest.approx(10.0, abs=0.51)
+    for x_m, y_m in ((-20.0, 0.0), (15.0, 0.0), (50.0, 5.0), (12.1, 5.1), (-10.0, 10.0)):
+        assert _height_m(meshes, x_m, y_m) == -np.inf
+
+
+def test_windows_close_and_seen_walls_are_not_hidden(canyon) -> None:
+    visible, casting = canyon[0]
+    pane = visible.comes_from(Provenance.INTERPOLATED)
+    assert visible.comes_from(Provenance.INFERRED)[~pane].all()
+    assert visible.face_material is not None
+    assert {visible.materials[k].name for k in visible.face_material[pane]} == {"window"}
+    x = visible.vertices[visible.faces[pane]].reshape(-1, 3)
+    np.testing.assert_allclose(x.min(axis=0)[[0, 2]], WINDOW[::2], atol=0.26)
+    np.testing.assert_allclose(x.max(axis=0)[[0, 2]], WINDOW[1::2], atol=0.26)
+    assert _is_wall(visible, 15.0, 8.0)
+    assert not _is_wall(casting, 15.0, 8.0)
+
+
+def test_gates_that_show_the_sky_stay_open() -> None:
+    ends = np.array([5.0, 8.25]), np.array([30.0, 8.25])
+    truth = concatenate_meshes([_street(), _wall(*ends, 10.0, (GATE,))])
+    seen = concatenate_meshes([_street(), _wall(*ends, SEEN_M, (GATE,))])
+    for mesh in _complete(seen, _views(truth, WIDE)):
+        assert not any(_is_wall(mesh, 21.1, z_m) for z_m in (1.1, 3.1, 6.1, 9.1))
+
+
+def test_no_sky_is_covered(canyon) -> None:
+    meshes, views = canyon
+    caster = EmbreeCaster(list(meshes))
+    for frame, camera, matte in views:
+        origins, rays = frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))
+        covered = caster.intersect(origins, rays).is_hit.reshape(matte.shape)
+        assert (covered & (matte > 0.5)).sum() <= 0.03 * max((matte > 0.5).sum(), 1)
+
+
+def test_shadow_casters_leave_measured_walls_in_the_light(canyon) -> None:
+    """A prism's side walls once lay on the measured wall round the corner and darkened it."""
+    meshes, _ = canyon
+    caster = EmbreeCaster(list(meshes))
+    towards = np.array([-0.5, -0.5, 1.0]) / np.sqrt(1.5)
+    front = [[x, LEFT_HOUSE[1] - 0.02, z] for x in (6.0, 13.0, 17.0, 28.0) for z in (1.0, 3.0)]
+    side = [[LEFT_HOUSE[0] - 0.02, y, z] for y in (9.0, 13.0, 18.0) for z in (1.0, 3.0)]
+    points = np.array(front + side)
+    assert not caster.is_occluded(points, np.tile(towards, (len(points), 1))).any()
+
+
+def test_a_roof_that_no_view_reaches_gets_the_height_of_the_street() -> None:
+    """Narrow cameras see the far house whole and of the near one the ground floor alone."""
+    far = (35.0, 8.25, 60.0, 20.0, 14.0)
+    near = (-2.0, 8.25, 8.0, 20.0, 14.0)
+    views = _views(_truth([near, far]), NARROW)
+    meshes = _complete(_seen([near, far]), views)
+    # One roof moves the prior of 10 m a good way towards 14.
+    assert 11.0 < _height_m(meshes, 3.0, 9.5) < 14.0
+    assert _height_m(meshes, 45.0, 9.5) == pytest.approx(14.0, abs=0.6)
+    visible, casting = meshes
+    assert not _is_wall(visible, 3.0, 9.0)
+    assert _is_wall(casting, 3.0, 9.0) or _height_m((casting,), 3.0, 9.5) > 11.0
+
+
+def test_a_wall_that_beams_pass_over_ends_there() -> None:
+    boxes = [LEFT_HOUSE]
+    blind = [(f, c, np.full_like(m, 0.5)) for f, c, m in _views(_truth(boxes), WIDE)]
+    x, z = np.meshgrid(np.arange(5.0, 60.0, 0.1), np.arange(9.5, 30.0, 0.2))
+    beyond = np.stack([x, np.full_like(x, 20.0), z], axis=-1).reshape(-1, 3)
+    assert _height_m(_complete(_seen(boxes), blind), 15.0, 9.0) > 8.0
+    meshes = _complete(_seen(boxes), blind, [_sweep(beyond)])
+    assert not _is_wall(meshes[0], 15.0, 5.5)
+    assert not _is_wall(meshes[1], 15.0, 5.5)
+
+
+def test_the_best_profile_is_the_best_of_all() -> None:
+    rng = np.random.default_rng(0)
+    energy = energy_of_filling(rng.uniform(0, 2, (5, 3)), rng.uniform(0, 2, (5, 3)))
+    np.testing.assert_allclose(energy[:, 0] >= 0, True)
+
+    def total(profile: tuple[int, ...]) -> float:
+        rise = np.abs(np.diff(profile))
+        return float(energy[np.arange(5), profile].sum() + (0.7 * (rise > 0) + 0.2 * rise).sum())
+
+    best = min(product(range(4), repeat=5), key=total)
+    assert tuple(best_profile(energy, 0.7, 0.2)) == best
+
+
+def test_walls_are_upright_planes() -> None:
+    wall = find_walls(_wall(np.array([-6.0, 10.0]), np.array([18.0, 10.0]), SEEN_M, ()))[0]
+    np.testing.assert_allclose(wall.normal, [0, -1, 0], atol=1e-6)
+    assert wall.span_m[1] - wall.span_m[0] == pytest.approx(24.0, abs=1e-4)
+    np.testing.assert_allclose(wall.at(np.zeros(1), np.ones(1))[0, 1:], [10.0, 1.0], atol=1e-6)
+
+
+def test_wrong_inputs_are_refused_and_nothing_comes_of_nothing(canyon) -> None:
+    _, views = canyon
+    seen = _seen([LEFT_HOUSE])
+    with pytest.raises(FrameMismatchError):
+        _complete(seen.transformed(RigidTransform.identity("actor", "world")), views)
+    frame, camera, matte = views[0]
+    with pytest.raises(InputError, match="differ in size"):
+        _complete(seen, [(frame, camera, matte[:-1])])
+    assert [len(mesh.faces) for mesh in _complete(_street(), views)] == [0, 0]
