@@ -205,7 +205,9 @@ def _log(work: Path, truth: Path | None) -> None:
             reference = sun.direction_world
         if true_dome is not None and true_dome.sun is not None:
             reference = true_dome.sun.direction_world
-        sky = source_sky(workspace, sun, SkyStageConfig(), said, seed=0, progress=SilentProgress())
+        sky, _ = source_sky(
+            workspace, sun, SkyStageConfig(), said, seed=0, progress=SilentProgress()
+        )
         cells = ["-", "-", "-", "-"]
         if true_dome is not None and sky.dome.sun is not None and true_dome.sun is not None:
             report = evaluate_sky(sky, truth=true_dome)

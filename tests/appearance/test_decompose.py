@@ -9,12 +9,13 @@ import pytest
 
 from lightsim.appearance.atlas import choose_resolution, edge_lengths_m, pack, texels_of
 from lightsim.appearance.intrinsic import reflectance
+from lightsim.appearance.intrinsic.balance import balance_light
 from lightsim.appearance.intrinsic.decompose import (
     IntrinsicConfig,
     LidarReturns,
     SurfaceLight,
     decompose,
-    find_balance,
+    observe_patches,
 )
 from lightsim.appearance.intrinsic.light import LightAt, LightBalance
 from lightsim.core.mesh import Texture, TriMesh
@@ -89,7 +90,9 @@ def _balance(
     mesh: TriMesh, light_at: LightAt, freedom: LightFreedom, path: np.ndarray = _NO_PATH
 ) -> LightBalance:
     rng = np.random.default_rng(0)
-    return find_balance(mesh, light_at, freedom, path, IntrinsicConfig(), rng)
+    observed = observe_patches(mesh, light_at, IntrinsicConfig(), rng)
+    assert observed is not None
+    return balance_light(observed, freedom, path, IntrinsicConfig())
 
 
 def _balanced(light_at: LightAt, balance: LightBalance) -> LightAt:

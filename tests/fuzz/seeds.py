@@ -11,6 +11,7 @@ import numpy as np
 
 from datasets.mini_log import write_json, write_mini_log
 from lightsim.core.alignment import Alignment, CameraCorrection, PathCorrection
+from lightsim.core.buildings import Roofline, Wall
 from lightsim.core.dome import Sun, add_sun
 from lightsim.core.fields import GroundMap, SceneFields, TsdfGrid
 from lightsim.core.log import DrivingLog
@@ -31,6 +32,7 @@ from lightsim.store.checkpoint import FolderCheckpointer
 from lightsim.store.fields import write_fields
 from lightsim.store.images import write_png
 from lightsim.store.log import write_log
+from lightsim.store.rooflines import write_rooflines
 from lightsim.store.sky import write_panorama, write_sky
 from lightsim.store.twin import write_twin
 from lightsim.store.weights import WeightsRecord, write_weights
@@ -143,6 +145,7 @@ class _Writers:
 
     def geometry(self, folder: Path) -> Iterable[str]:
         write_assets(folder, self._assets())
+        write_rooflines(folder / "rooflines.npz", [_roofline()])
         return ()
 
     def assets(self, folder: Path) -> Iterable[str]:
@@ -158,6 +161,7 @@ class _Writers:
 
     def sky(self, folder: Path) -> Iterable[str]:
         write_sky(folder, _sky(), 20.0)
+        write_rooflines(folder / "rooflines.npz", [_roofline()])
         return ()
 
     def twin(self, folder: Path) -> Iterable[str]:
@@ -180,6 +184,15 @@ def _fields() -> SceneFields:
 
     ground = GroundMap(np.zeros(2), 1.0, np.zeros((4, 4), np.float32), np.ones((4, 4), bool))
     return SceneFields((grid("world"),), (50.0,), {"a": grid("actor")}, ground, np.zeros((2, 3)))
+
+
+def _roofline() -> Roofline:
+    wall = Wall(np.zeros(3), np.eye(3)[0], np.eye(3)[1], (0.0, 0.5), (0.0, 2.0))
+    column, cells = np.zeros(2), np.array([2, 3])
+    energy = np.zeros((2, 9), np.float32)
+    return Roofline(
+        wall, 0.25, column, energy, cells, cells + 3, np.ones(2, bool), column + 8.0, 0.3
+    )
 
 
 def _mesh(frame: str) -> TriMesh:

@@ -18,6 +18,7 @@ from lightsim.core.reading import LogReading
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.twin import ActorAsset, SceneAssets, SkyEstimate
 from lightsim.errors import LightSimError
+from lightsim.geometry.completion.prisms import roof_casters
 from lightsim.lighting.sky.image_sky import panorama_from_image
 from lightsim.lighting.target_sky import scale_to_source
 from lightsim.pipeline.build import status
@@ -34,6 +35,7 @@ from lightsim.store.checkpoint import FolderCheckpointer
 from lightsim.store.fields import read_fields
 from lightsim.store.images import read_grey8, read_srgb8_alpha
 from lightsim.store.log import read_reading, write_log
+from lightsim.store.rooflines import read_rooflines
 from lightsim.store.sky import read_estimate, read_panorama
 from lightsim.store.twin import read_twin_assets
 from lightsim.store.weights import read_record, read_weights
@@ -134,6 +136,8 @@ def _readers(work: Path) -> tuple[Callable[[], object], ...]:
         lambda: _use_assets(read_assets(work / "geometry")),
         lambda: _use_assets(read_assets(work / "assets")),
         lambda: _use_mesh(read_mesh(work / "assets" / "inferred.npz", "world")),
+        lambda: _use_mesh(roof_casters(read_rooflines(work / "geometry" / "rooflines.npz"))),
+        lambda: _use_mesh(roof_casters(read_rooflines(work / "sky" / "rooflines.npz"))),
         lambda: _require_finite(read_panorama(work / "panorama").radiance),
         lambda: _use_estimate(read_estimate(work / "sky")),
         lambda: _use_twin(work / "twin"),

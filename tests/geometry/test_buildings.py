@@ -11,10 +11,11 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.fields import GroundMap
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
+from lightsim.core.profiles import best_profile, energy_of_filling
 from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.errors import FrameMismatchError, InputError
 from lightsim.geometry.completion.buildings import complete_buildings
-from lightsim.geometry.completion.profiles import best_profile, energy_of_filling
+from lightsim.geometry.completion.prisms import roof_casters
 from lightsim.geometry.completion.walls import find_walls
 from lightsim.render.casters.embree import EmbreeCaster
 
@@ -115,7 +116,10 @@ def _sweep(points: np.ndarray) -> LidarSweep:
 def _complete(
     seen: TriMesh, views: list[View], sweeps: list[LidarSweep] | None = None
 ) -> tuple[TriMesh, TriMesh]:
-    return complete_buildings(seen, lambda: views, sweeps or [], GROUND, make_caster=EmbreeCaster)
+    visible, rooflines = complete_buildings(
+        seen, lambda: views, sweeps or [], GROUND, make_caster=EmbreeCaster
+    )
+    return visible, roof_casters(rooflines)
 
 
 def _height_m(meshes: tuple[TriMesh, ...], x_m: float, y_m: float) -> float:

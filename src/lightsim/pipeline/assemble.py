@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from lightsim.appearance.colour import colour_of_nearest
+from lightsim.core.buildings import Roofline
 from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import TriMesh
 from lightsim.core.twin import DigitalTwin, SceneAssets, SkyEstimate
 from lightsim.errors import FrameMismatchError, InputError
+from lightsim.geometry.completion.prisms import roof_casters
+
+
+def roofs_over(background: TriMesh, rooflines: Sequence[Roofline]) -> TriMesh:
+    """Casters that no image shows, in the colours of the nearest background."""
+    return colour_of_nearest(roof_casters(rooflines), background)
 
 
 def build_twin(log: DrivingLog, assets: SceneAssets, sky: SkyEstimate) -> DigitalTwin:

@@ -7,6 +7,7 @@ import numpy as np
 from lightsim.core.frames import RigidTransform
 from lightsim.errors import ArtefactError
 from lightsim.evaluate.closure import ClosureReport, measure_closure, surface_classes
+from lightsim.pipeline.assemble import roofs_over
 from lightsim.pipeline.source_light import SourceLight
 from lightsim.pipeline.stages.light import IRRADIANCE
 from lightsim.pipeline.workspace import Workspace
@@ -45,7 +46,7 @@ def closure(workspace: Workspace) -> ClosureReport:
     source = SourceLight(
         workspace.training_log,
         workspace.assets,
-        workspace.inferred,
+        roofs_over(workspace.assets.background, workspace.rooflines),
         workspace.sky.dome,
         IRRADIANCE,
         0,

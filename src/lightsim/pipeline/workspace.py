@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float32
 
 from lightsim.core.alignment import Alignment
+from lightsim.core.buildings import Roofline
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.fields import SceneFields
 from lightsim.core.frames import Trajectory
@@ -34,6 +35,7 @@ from lightsim.store.log import (
     read_reading,
     read_source_hashes,
 )
+from lightsim.store.rooflines import read_rooflines
 from lightsim.store.sky import read_estimate, read_panorama
 from lightsim.store.twin import read_twin_assets
 
@@ -296,9 +298,20 @@ class Workspace:
         """Meshes whose colour is the observed radiance under the source sky."""
         return read_assets(self.need("assets"))
 
+    @made_of("geometry")
+    def guessed_rooflines(self) -> list[Roofline]:
+        """How high walls rise, before shadows were asked."""
+        return read_rooflines(self.need("geometry") / "rooflines.npz")
+
+    @made_of("sky")
+    def rooflines(self) -> list[Roofline]:
+        """How high walls rise, as views and shadows have it."""
+        return read_rooflines(self.need("sky") / "rooflines.npz")
+
     @made_of("assets")
     def inferred(self) -> TriMesh:
-        """Roofs and rear walls that no sensor measured but that cast shadows."""
+        """Roofs and rear walls that no sensor measured but that cast shadows, as guessed before
+        the pictures' shadows were asked."""
         return read_mesh(self.need("assets") / "inferred.npz", "world")
 
     @made_of("panorama")

@@ -32,6 +32,7 @@ from lightsim.evaluate.frames import (
     folder_tasks,
     score_frames,
 )
+from lightsim.pipeline.assemble import roofs_over
 from lightsim.pipeline.source_light import SourceLight
 from lightsim.pipeline.stages.light import TwinConfig
 from lightsim.pipeline.workspace import Workspace
@@ -134,7 +135,7 @@ def base_colour(work: Path, truth: Path, progress: Progress) -> BaseColourReport
     source = SourceLight(
         workspace.training_log,
         workspace.assets,
-        workspace.inferred,
+        roofs_over(workspace.assets.background, workspace.rooflines),
         workspace.sky.dome,
         config.irradiance,
         0,

@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int64
 
-from lightsim.appearance.intrinsic.balance import balance_light
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
 from lightsim.appearance.intrinsic.divide import (
     HIGHEST_BASE_COLOUR,
@@ -32,7 +31,7 @@ from lightsim.appearance.intrinsic.labels import (
     predict_reflectance_steps,
     rendered_visibility,
 )
-from lightsim.appearance.intrinsic.light import LightAt, LightBalance, SurfaceLight
+from lightsim.appearance.intrinsic.light import LightAt, SurfaceLight
 from lightsim.appearance.intrinsic.surfels import (
     LidarReturns,
     Surfels,
@@ -43,7 +42,6 @@ from lightsim.appearance.intrinsic.surfels import (
 from lightsim.appearance.intrinsic.texture import DeepShade, VertexLight, texture_without_light
 from lightsim.core.colour import LUMINANCE_WEIGHTS
 from lightsim.core.mesh import Provenance, TriMesh
-from lightsim.core.twin import LightFreedom
 from lightsim.errors import InputError
 
 __all__ = [
@@ -52,7 +50,7 @@ __all__ = [
     "LidarReturns",
     "SurfaceLight",
     "decompose",
-    "find_balance",
+    "observe_patches",
 ]
 
 _LEAST_RADIANCE = 1e-3
@@ -135,31 +133,26 @@ def decompose(
     )
 
 
-def find_balance(
+def observe_patches(
     mesh: TriMesh,
     light_at: LightAt,
-    freedom: LightFreedom,
-    path_world: Float[np.ndarray, "p 3"],
     config: IntrinsicConfig,
     rng: np.random.Generator,
     *,
     returns: LidarReturns | None = None,
-) -> LightBalance:
-    """The sun and the unseen sky that shadows and known materials on a mesh ask for.
+) -> Observed | None:
+    """Patches of a mesh with all that is known of them; None where there are too few.
 
     Args:
-        mesh, light_at, returns: as for `decompose`; frame `world`.
-        freedom: how far the light may be off.
-        path_world: positions of the cameras along the drive.
+        mesh, light_at, returns: as for `decompose`.
     """
     faces = _labelled_faces(mesh)
     if len(faces) == 0:
-        return LightBalance.unchanged()
+        return None
     surfels = make_surfels(mesh, faces, _SURFEL_M, rng)
     if len(surfels) < _LEAST_SURFELS:
-        return LightBalance.unchanged()
-    observed, _ = _observe(surfels, light_at, config, rng, returns)
-    return balance_light(observed, freedom, path_world, config)
+        return None
+    return _observe(surfels, light_at, config, rng, returns)[0]
 
 
 def _labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:

@@ -85,9 +85,11 @@ class Labels:
     prior: Float64[np.ndarray, " n"]
 
 
-def label_shadows(observed: Observed, config: IntrinsicConfig) -> Labels:
-    """Labels under the light as it is."""
-    prior = visibility_prior(observed, config)
+def label_shadows(
+    observed: Observed, config: IntrinsicConfig, prior: Float64[np.ndarray, " n"] | None = None
+) -> Labels:
+    """Labels under the light as it is; `prior` instead of `visibility_prior`."""
+    prior = visibility_prior(observed, config) if prior is None else prior
     messages = np.zeros((len(observed.graph.pairs), 2), np.float32)
     lit = prior
     for _ in range(_ROUNDS):
@@ -97,8 +99,15 @@ def label_shadows(observed: Observed, config: IntrinsicConfig) -> Labels:
 
 def visibility_prior(observed: Observed, config: IntrinsicConfig) -> Float64[np.ndarray, " n"]:
     """Probability that a patch is lit, from the renderings alone."""
-    believed = rendered_visibility(observed.light)
-    smooth = _smoothed(believed, observed.graph, config.edge_error_m)
+    return softened_prior(rendered_visibility(observed.light), observed.graph, config)
+
+
+def softened_prior(
+    believed: Float64[np.ndarray, " n"], graph: Graph, config: IntrinsicConfig
+) -> Float64[np.ndarray, " n"]:
+    """The same from any belief about the visibility of the sun: edges are where they are to within
+    the geometry's error, and there may be casters that nobody saw."""
+    smooth = _smoothed(believed, graph, config.edge_error_m)
     return _LEAST_LIT + (1 - config.unseen_shadow - _LEAST_LIT) * smooth
 
 

@@ -11,9 +11,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
+from lightsim.core.buildings import Wall
 from lightsim.core.laplace import nearest_known
 from lightsim.core.mesh import TriMesh
-from lightsim.geometry.completion.walls import Wall, find_walls
+from lightsim.geometry.completion.walls import find_walls
 
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
 # (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).

@@ -9,13 +9,15 @@ roof steps rarely.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Float64, Int64
 
+from lightsim.core.buildings import Roofline
 from lightsim.core.fields import GroundMap
-from lightsim.geometry.completion.profiles import best_profile, energy_of_filling
+from lightsim.core.profiles import best_profile, energy_of_filling
+from lightsim.geometry.completion.free_space import FreeSpace
 from lightsim.geometry.completion.wall_cells import WallCells
 
 # Height of a building above the ground before anything is seen: between compact low-rise (3 to
@@ -25,52 +27,34 @@ _HEIGHT_M, _LOG_STD = 10.0, 0.5
 _STREET_LOG_STD = 0.3
 # Buildings are about this wide: so often is the prior asked.
 _BUILDING_M = 10.0
-# Lower walls are fences: they tell nothing about buildings.
+# Lower walls are fences: they tell nothing about buildings and have none behind them.
 _MIN_BUILDING_M = 4.0
 # Evidence of one cell in nats: a measured surface; each view, beam or sweep, and all at most.
 # Neighbouring cells see the same pixels, so this is far less than one view alone would tell.
 # Not measured alone.
 _COVERED = 1.0
 _SKY, _MATTER, _PASS, _SILENT = (0.5, 2.0), (0.1, 0.4), (0.5, 2.0), (0.2, 0.5)
-# A step of the roof, and each metre of it.
-_STEP, _STEP_PER_M = 4.0, 0.2
 # The roof is seen where a view shows sky this near above it.
 _SEEN_WITHIN_M = 1.0
+# Buildings are this deep unless free space tells otherwise.
+_DEPTH_M, _DEPTH_STEP_M = 12.0, 0.5
+# Their depth counts from this far behind the wall.
+INSET_M = 0.35
+# Nats of a slice of the prism that is wholly free, and of leaving away one that is not.
+_FREE, _SLICE = 3.0, 0.15
+# A step of the rear wall, and each slice of it.
+_REAR_STEP, _REAR_STEP_PER_SLICE = 2.0, 0.1
 
 
-@dataclass(frozen=True, eq=False)
-class Roofline:
-    """How high one wall rises.
-
-    Args:
-        cells: the wall and its evidence.
-        ground_m: z of the ground before each column.
-        top: number of filled cells of each column, from the wall's lowest part.
-        is_seen: a view shows the sky above the roof.
-    """
-
-    cells: WallCells
-    ground_m: Float64[np.ndarray, " s"]
-    top: Int64[np.ndarray, " s"]
-    is_seen: Bool[np.ndarray, " s"]
-
-    @property
-    def top_m(self) -> Float64[np.ndarray, " s"]:
-        """z of the roof's edge."""
-        return self.cells.wall.height_m[0] + self.top * self.cells.cell_m
-
-    @property
-    def height_m(self) -> Float64[np.ndarray, " s"]:
-        """The roof's edge above the ground."""
-        return self.top_m - self.ground_m
-
-
-def find_rooflines(walls: Sequence[WallCells], ground: GroundMap) -> list[Roofline]:
-    """The most probable height of every column, with the prior that the log's own roofs give."""
-    height, log_std = _HEIGHT_M, _LOG_STD
-    rooflines = [_roofline(cells, ground, height, log_std) for cells in walls]
-    height, log_std = _height_prior(rooflines)
-    return [_roofline(cells, ground, height, log_std) for cells in walls]
+def find_rooflines(
+    walls: Sequence[WallCells], ground: GroundMap, space: FreeSpace
+) -> list[Roofline]:
+    """The most probable height of every column, with the prior that the log's own roofs give, and
+    the depth of the building behind it."""
+    first = [_roofline(cells, ground, _HEIGHT_M, _LOG_STD) for cells in walls]
+    height, log_std = _height_prior(first)
+    found = [_roofline(cells, ground, height, log_std) for cells in walls]
+    return [replace(roofline, depth_m=_depth_m(roofline, space)) for roofline in found]
 
 
 def _height_prior(rooflines: Sequence[Roofline]) -> tuple[float, float]:
@@ -83,10 +67,9 @@ def _height_prior(rooflines: Sequence[Roofline]) -> tuple[float, float]:
     ]
     weight = len(draws) / _STREET_LOG_STD**2
     prior = 1.0 / (_LOG_STD**2 - _STREET_LOG_STD**2)
-    mean = (prior * np.log(_HEIGHT_M) + weight * (np.mean(draws) if draws else 0.0)) / (
-        prior + weight
-    )
-    return float(np.exp(mean)), float(np.sqrt(_STREET_LOG_STD**2 + 1.0 / (prior + weight)))
+    mean = prior * np.log(_HEIGHT_M) + weight * (np.mean(draws) if draws else 0.0)
+    spread = np.sqrt(_STREET_LOG_STD**2 + 1.0 / (prior + weight))
+    return float(np.exp(mean / (prior + weight))), float(spread)
 
 
 def _roofline(cells: WallCells, ground: GroundMap, height_m: float, log_std: float) -> Roofline:
@@ -97,11 +80,27 @@ def _roofline(cells: WallCells, ground: GroundMap, height_m: float, log_std: flo
     tops_m = wall.height_m[0] + cell * np.arange(energy.shape[1]) - ground_m[:, None]
     z_score = np.log(np.maximum(tops_m, cell) / height_m) / log_std
     energy += cell / _BUILDING_M * 0.5 * z_score**2
-    top = best_profile(energy, _STEP, _STEP_PER_M * cell)
+    found = Roofline(
+        wall,
+        cell,
+        ground_m,
+        energy.astype(np.float32),
+        _shown(cells),
+        np.zeros(len(energy), dtype=np.int64),
+        np.zeros(len(energy), dtype=bool),
+        np.zeros(len(energy)),
+        log_std,
+    ).solved()
     reach = max(round(_SEEN_WITHIN_M / cell), 1)
     levels = np.arange(cells.sky.shape[1])
-    is_just_above = (levels >= top[:, None]) & (levels < top[:, None] + reach)
-    return Roofline(cells, ground_m, top, (is_just_above & (cells.sky > 0)).any(axis=1))
+    is_just_above = (levels >= found.top[:, None]) & (levels < found.top[:, None] + reach)
+    return replace(found, is_seen=(is_just_above & (cells.sky > 0)).any(axis=1))
+
+
+def _shown(cells: WallCells) -> Int64[np.ndarray, " s"]:
+    """Cells of each column up to the highest that was measured or that a view shows as matter."""
+    matter = np.where(cells.matter > 0, np.arange(cells.sky.shape[1]), -1).max(axis=1)
+    return np.maximum(np.ceil(cells.front_top), matter).astype(np.int64) + 1
 
 
 def _energy(cells: WallCells) -> Float64[np.ndarray, "s t"]:
@@ -117,3 +116,17 @@ def _energy(cells: WallCells) -> Float64[np.ndarray, "s t"]:
     against_filled[levels <= cells.measured_top[:, None]] = 0.0
     against_free = np.where(cells.is_covered, _COVERED, capped(cells.matter, _MATTER))
     return energy_of_filling(against_filled, against_free)
+
+
+def _depth_m(roofline: Roofline, space: FreeSpace) -> Float64[np.ndarray, " s"]:
+    """Of the prism behind each column, until views looked through where it would be."""
+    inward_m = INSET_M + (np.arange(int(_DEPTH_M / _DEPTH_STEP_M)) + 0.5) * _DEPTH_STEP_M
+    heights = np.linspace(0.1, 0.95, 12)
+    z = roofline.ground_m[:, None] + heights * roofline.height_m[:, None]
+    s = np.broadcast_to(roofline.s_m[:, None], z.shape)
+    wall = roofline.wall
+    places = wall.at(s, z)[:, None] - inward_m[:, None, None] * wall.normal
+    free = space.at(places).mean(axis=2)
+    energy = energy_of_filling(_FREE * free, np.full(free.shape, _SLICE))
+    slices = best_profile(energy, _REAR_STEP, _REAR_STEP_PER_SLICE)
+    return np.where(roofline.height_m < _MIN_BUILDING_M, 0.0, slices * _DEPTH_STEP_M)

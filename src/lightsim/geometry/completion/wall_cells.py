@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int32
 
+from lightsim.core.buildings import Wall
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import RayCaster
 from lightsim.core.sensors import CameraFrame, LidarSweep
@@ -17,7 +18,6 @@ from lightsim.geometry.completion.silhouettes import (
     classify_matte,
     spaced_views,
 )
-from lightsim.geometry.completion.walls import Wall
 
 FRONT_M = 0.5
 """Measured surface up to this far in front of the plane lies on the wall."""
@@ -76,6 +76,13 @@ class WallCells:
         """Highest measured cell of each column; -1 where nothing was measured."""
         levels = np.arange(self.sky.shape[1], dtype=np.int32)
         return np.where(self.is_covered, levels, -1).max(axis=1)
+
+    @property
+    def front_top(self) -> Float64[np.ndarray, " s"]:
+        """The same, and between measured columns what they say."""
+        top = self.measured_top
+        columns, known = np.arange(len(top)), np.flatnonzero(top >= 0)
+        return np.interp(columns, known, top[known]) if len(known) else top.astype(np.float64)
 
     def centres(self, out_m: float = 0.0) -> Float64[np.ndarray, "s z 3"]:
         """Middle of each cell in frame world, `out_m` in front of the wall's plane."""

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from lightsim.core.buildings import Wall
 from lightsim.core.mesh import TriMesh
 
 _SEEDS = 120
@@ -29,35 +28,8 @@ _MIN_WIDTH_M = 2.0
 _MIN_HEIGHT_M = 1.8
 # A wider gap along the plane separates two walls.
 _MAX_GAP_M = 3.0
-# Measured surface over the rectangle it spans; foliage and fences have less.
-_MIN_DENSITY = 0.25
-
-
-@dataclass(frozen=True, eq=False)
-class Wall:
-    """A rectangle of an upright plane that measured faces lie on, frame world.
-
-    Args:
-        origin_m: a point of the plane at height 0 and s = 0.
-        normal: horizontal, away from the building.
-        along: horizontal, in the plane; from left to right seen from outside.
-        span_m: lowest and highest s.
-        height_m: lowest and highest z.
-    """
-
-    origin_m: Float64[np.ndarray, "3"]
-    normal: Float64[np.ndarray, "3"]
-    along: Float64[np.ndarray, "3"]
-    span_m: tuple[float, float]
-    height_m: tuple[float, float]
-
-    def at(
-        self, s: Float64[np.ndarray, "*n"], z: Float64[np.ndarray, "*n"], out_m: float = 0.0
-    ) -> Float64[np.ndarray, "*n 3"]:
-        """World position of (s, z), `out_m` in front of the plane."""
-        up = np.array([0.0, 0.0, 1.0])
-        place = s[..., None] * self.along + z[..., None] * up
-        return self.origin_m + place + out_m * self.normal
+# Measured surface over what its columns of this width span; foliage and fences have less.
+_MIN_DENSITY, _COLUMN_M = 0.25, 1.0
 
 
 def find_walls(mesh: TriMesh) -> list[Wall]:
@@ -153,9 +125,20 @@ def _pieces(
         width, tall = span[1] - span[0], height[1] - height[0]
         measured = float(area[piece].sum())
         is_wall = width >= _MIN_WIDTH_M and tall >= _MIN_HEIGHT_M
-        is_wall &= measured >= max(_MIN_AREA_M2, _MIN_DENSITY * width * tall)
+        is_wall &= measured >= max(_MIN_AREA_M2, _MIN_DENSITY * _spanned_m2(s[piece], z))
         if is_wall:
             walls.append(
                 Wall(origin, np.array([*normal, 0.0]), np.array([*along, 0.0]), span, height)
             )
     return walls
+
+
+def _spanned_m2(s: Float64[np.ndarray, "n 3"], z: Float64[np.ndarray, "n 3"]) -> float:
+    """From the lowest to the highest face of each column: far down a street only the top of a wall
+    may be measured."""
+    column = np.floor((s.mean(axis=1) - s.min()) / _COLUMN_M).astype(np.int64)
+    low = np.full(int(column.max()) + 1, np.inf)
+    high = -low
+    np.minimum.at(low, column, z.min(axis=1))
+    np.maximum.at(high, column, z.max(axis=1))
+    return float(np.maximum(high - low, 0.0).sum() * _COLUMN_M)

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32
 
-from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, decompose, find_balance
+from lightsim.appearance.intrinsic.balance import balance_light
+from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, decompose, observe_patches
+from lightsim.appearance.intrinsic.labels import Observed
+from lightsim.appearance.intrinsic.roofs import carve_roofs
+from lightsim.core.buildings import Roofline
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
+from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import SkyEstimate
 from lightsim.lighting.panorama.stitch import StitchConfig, stitch_panorama
@@ -20,7 +25,7 @@ from lightsim.lighting.sky.balance import rebalanced, unseen_part
 from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
 from lightsim.lighting.sky.shipped import completed_panorama, decoded_sky, predict_sky
 from lightsim.lighting.sun.direction import SunDirection
-from lightsim.pipeline.assemble import build_twin
+from lightsim.pipeline.assemble import build_twin, roofs_over
 from lightsim.pipeline.options import SkyModel
 from lightsim.pipeline.source_light import SourceLight, static_returns
 from lightsim.pipeline.source_sun import SourceSunConfig, find_source_sun
@@ -32,6 +37,7 @@ from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.irradiance import IrradianceConfig
 from lightsim.render.transport.matrix import TransportConfig
+from lightsim.store.rooflines import write_rooflines
 from lightsim.store.sky import (
     write_completed,
     write_panorama,
@@ -44,6 +50,8 @@ IRRADIANCE = IrradianceConfig(TransportConfig(sky_rays=32, face_rays=8), 0.25)
 """Sun, sky and the light of other surfaces as it was seen; what was not seen is grey."""
 LIDAR_RETURNS = 1_500_000
 """LiDAR returns whose intensity is asked."""
+_VEILED = 0.5
+"""Probability of cloud before the sun from which on shadows tell nothing of roofs."""
 
 
 @dataclass(frozen=True)
@@ -105,8 +113,12 @@ def make_sky(
     )
     if config.model == "paper":
         sky = decoded_sky(work.panorama, sun, predicted, config.sky.height_px)
+        rooflines = work.guessed_rooflines
     else:
-        sky = source_sky(work, sun, config, predicted, seed=context.seed, progress=context.progress)
+        sky, rooflines = source_sky(
+            work, sun, config, predicted, seed=context.seed, progress=context.progress
+        )
+    write_rooflines(folder / "rooflines.npz", rooflines)
     geo = work.training_log.geo
     write_sky(folder, sky, None if geo is None else geo.heading_deg)
     write_panorama_pictures(folder, work.panorama)
@@ -122,34 +134,42 @@ def source_sky(
     *,
     seed: int,
     progress: Progress,
-) -> SkyEstimate:
+) -> tuple[SkyEstimate, list[Roofline]]:
     """The dome of a log whose sun was found: first what the sky tells, then with what shadows and
-    materials on its surfaces say of the sun and of the sky that no camera saw."""
+    materials on its surfaces say of the sun and of the sky that no camera saw; and the roofs that
+    cast these shadows."""
     log = work.training_log
     estimate, freedom = estimate_sky(
         work.panorama, sun, config.sky, progress=progress, prediction=prediction
     )
-    source = SourceLight(
-        log,
-        work.assets,
-        work.inferred,
-        estimate.dome,
-        config.irradiance,
-        seed,
-        unseen_part(estimate.dome, freedom),
-    )
-    rng = np.random.default_rng(seed)
-    balance = find_balance(
-        work.assets.background,
-        source.on(RigidTransform.identity("world", "world")),
-        freedom,
-        np.array([frame.world_from_camera.translation_m for frame in log.frames]),
-        config.labels,
-        rng,
-        returns=static_returns(log, LIDAR_RETURNS, rng),
-    )
+    unseen = unseen_part(estimate.dome, freedom)
+
+    def observe(inferred: TriMesh) -> Observed | None:
+        source = SourceLight(
+            log, work.assets, inferred, estimate.dome, config.irradiance, seed, unseen
+        )
+        rng = np.random.default_rng(seed)
+        return observe_patches(
+            work.assets.background,
+            source.on(RigidTransform.identity("world", "world")),
+            config.labels,
+            rng,
+            returns=static_returns(log, LIDAR_RETURNS, rng),
+        )
+
+    rooflines, observed = work.guessed_rooflines, observe(work.inferred)
+    if observed is None:
+        return estimate, rooflines
+    source_sun = estimate.dome.sun
+    if source_sun is not None and freedom.cloud_probability < _VEILED:
+        carved = carve_roofs(rooflines, observed, source_sun.direction_world, config.labels)
+        if any((a.top != b.top).any() for a, b in zip(carved, rooflines, strict=True)):
+            rooflines, observed = carved, observe(roofs_over(work.assets.background, carved))
+    assert observed is not None
+    path_world = np.array([frame.world_from_camera.translation_m for frame in log.frames])
+    balance = balance_light(observed, freedom, path_world, config.labels)
     if np.isinf(balance.sun_log_std):
-        return estimate
+        return estimate, rooflines
     on_sun, on_unseen_sky = (
         f"({', '.join(f'{value:.2f}' for value in factor)}), log std {log_std:.2f}"
         for factor, log_std in (
@@ -158,10 +178,11 @@ def source_sky(
         )
     )
     note = (
-        f"{balance.pair_count} lit/shadowed pairs of patches and known materials: sun times"
-        f" {on_sun}; unseen sky times {on_unseen_sky}"
+        f"{_moved_roofs(work.guessed_rooflines, rooflines)}; {balance.pair_count} lit/shadowed"
+        f" pairs of patches and known materials: sun times {on_sun};"
+        f" unseen sky times {on_unseen_sky}"
     )
-    return rebalanced(
+    balanced = rebalanced(
         estimate,
         freedom,
         balance.sun,
@@ -170,11 +191,26 @@ def source_sky(
         unseen_log_std=balance.unseen_sky_log_std,
         note=note,
     )
+    return balanced, rooflines
+
+
+def _moved_roofs(before: Sequence[Roofline], after: Sequence[Roofline]) -> str:
+    """What shadows changed, for people."""
+    unseen = [~a.is_seen & (a.depth_m > 0) for a in after]
+    width = sum(float(u.sum() * a.cell_m) for u, a in zip(unseen, after, strict=True))
+    if width == 0:
+        return "every roof was seen"
+    steps = [np.abs(a.top_m - b.top_m)[u] for a, b, u in zip(after, before, unseen, strict=True)]
+    return (
+        f"{width:.0f} m of walls whose roof no view reaches; shadows moved it by"
+        f" {np.mean(np.concatenate(steps)):.1f} m in the mean"
+    )
 
 
 def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Context) -> Iterable[str]:
     """Find and remove the source light, mesh by mesh, and write the twin."""
-    assets, inferred, log = work.assets, work.inferred, work.training_log
+    assets, log = work.assets, work.training_log
+    inferred = roofs_over(assets.background, work.rooflines)
     source = SourceLight(log, assets, inferred, work.sky.dome, config.irradiance, context.seed)
     rng = np.random.default_rng(context.seed)
     identity = RigidTransform.identity("world", "world")

@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float32
 
 from lightsim.appearance.build import AssetConfig, build_assets
-from lightsim.appearance.colour import colour_of_nearest
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
@@ -20,10 +19,12 @@ from lightsim.geometry.completion.far_field import build_far_field
 from lightsim.geometry.completion.flatten import flatten_walls
 from lightsim.geometry.mesh_scene import mesh_scene
 from lightsim.geometry.simplify import simplify_planar
+from lightsim.pipeline.assemble import roofs_over
 from lightsim.pipeline.stages.context import Context
 from lightsim.pipeline.workspace import Workspace
 from lightsim.render.casters.embree import make_embree_caster
-from lightsim.store.assets import read_mesh, write_assets, write_mesh
+from lightsim.store.assets import write_assets, write_mesh
+from lightsim.store.rooflines import write_rooflines
 
 
 def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
@@ -41,7 +42,7 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
         return ((f, log.cameras[f.camera_name], work.sky_matte(f)) for f in log.frames)
 
     background = meshes.background
-    facades, casters = complete_buildings(
+    facades, rooflines = complete_buildings(
         background,
         views,
         (sweep.load() for sweep in context.progress.track(log.sweeps, "walls and roofs")),
@@ -58,11 +59,11 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
     )
     background = concatenate_meshes([background, far])
     write_assets(folder, replace(meshes, background=background))
-    write_mesh(folder / "inferred.npz", casters)
+    write_rooflines(folder / "rooflines.npz", rooflines)
     return (
         *meshes.notes,
         f"{len(facades.faces)} faces close windows and raise facades, {len(far.faces)} stand "
-        f"beyond the LiDAR's reach, {len(casters.faces)} only cast shadows: inferred, not measured",
+        f"beyond the LiDAR's reach; {len(rooflines)} walls have a roof: inferred, not measured",
     )
 
 
@@ -84,8 +85,7 @@ def make_assets(
     if config.colour != "texture":
         assets = _vertex_coloured(work, assets, config)
     write_assets(folder, assets)
-    casters = read_mesh(work.need("geometry") / "inferred.npz", "world")
-    write_mesh(folder / "inferred.npz", colour_of_nearest(casters, assets.background))
+    write_mesh(folder / "inferred.npz", roofs_over(assets.background, work.guessed_rooflines))
     return ()
 
 

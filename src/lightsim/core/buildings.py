@@ -1,0 +1,90 @@
+"""Walls of buildings and how high they rise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from lightsim.core.profiles import best_profile
+
+# A step of a roof, and each metre of it, in nats. Not measured alone.
+_STEP, _STEP_PER_M = 4.0, 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Wall:
+    """A rectangle of an upright plane that measured faces lie on, frame world.
+
+    Args:
+        origin_m: a point of the plane at height 0 and s = 0.
+        normal: horizontal, away from the building.
+        along: horizontal, in the plane; from left to right seen from outside.
+        span_m: lowest and highest s.
+        height_m: lowest and highest z.
+    """
+
+    origin_m: Float64[np.ndarray, "3"]
+    normal: Float64[np.ndarray, "3"]
+    along: Float64[np.ndarray, "3"]
+    span_m: tuple[float, float]
+    height_m: tuple[float, float]
+
+    def at(
+        self, s: Float64[np.ndarray, "*n"], z: Float64[np.ndarray, "*n"], out_m: float = 0.0
+    ) -> Float64[np.ndarray, "*n 3"]:
+        """World position of (s, z), `out_m` in front of the plane."""
+        up = np.array([0.0, 0.0, 1.0])
+        place = s[..., None] * self.along + z[..., None] * up
+        return self.origin_m + place + out_m * self.normal
+
+
+@dataclass(frozen=True, eq=False)
+class Roofline:
+    """How high one wall rises, column by column.
+
+    Args:
+        wall: the plane.
+        cell_m: width of a column, and unit of heights along it.
+        ground_m: z of the ground before each column.
+        energy: nats against each number of filled cells, counted from the wall's lowest part.
+        shown: cells of each column up to which something was measured or some view shows matter.
+        top: cells up to the roof.
+        is_seen: a view shows the sky above the roof.
+        depth_m: of the building behind; 0 behind fences.
+        log_std: of the height of a roof that no view reaches.
+    """
+
+    wall: Wall
+    cell_m: float
+    ground_m: Float64[np.ndarray, " s"]
+    energy: Float32[np.ndarray, "s t"]
+    shown: Int64[np.ndarray, " s"]
+    top: Int64[np.ndarray, " s"]
+    is_seen: Bool[np.ndarray, " s"]
+    depth_m: Float64[np.ndarray, " s"]
+    log_std: float
+
+    @property
+    def s_m(self) -> Float64[np.ndarray, " s"]:
+        """Middle of each column along the wall."""
+        return self.wall.span_m[0] + (np.arange(len(self.top)) + 0.5) * self.cell_m
+
+    @property
+    def top_m(self) -> Float64[np.ndarray, " s"]:
+        """z of the roof's edge."""
+        return self.wall.height_m[0] + self.top * self.cell_m
+
+    @property
+    def height_m(self) -> Float64[np.ndarray, " s"]:
+        """The roof's edge above the ground."""
+        return self.top_m - self.ground_m
+
+    def solved(self, further: Float64[np.ndarray, "s t"] | None = None) -> Roofline:
+        """With the most probable profile; `further` energy counts where no view shows the roof."""
+        energy = self.energy.astype(np.float64)
+        if further is not None:
+            energy = energy + np.where(self.is_seen[:, None], 0.0, further)
+        top = best_profile(energy, _STEP, _STEP_PER_M * self.cell_m)
+        return replace(self, top=top if further is None else np.where(self.is_seen, self.top, top))
