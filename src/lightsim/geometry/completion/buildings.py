@@ -72,7 +72,8 @@ def complete_buildings(
 def _visible_parts(cells: WallCells, roofline: Roofline) -> Iterator[TriMesh]:
     """Panes, and the wall above the highest beam as far as a view shows it."""
     offset = _spread_offset(cells)
-    is_pane, is_upper = find_panes(cells), _raised(cells, roofline)
+    is_pane = find_panes(cells)
+    is_upper = _unmeasured(cells, roofline) & ~is_pane
     if is_pane.any():
         pane = _mesh_cells(cells, is_pane, offset, WINDOW)
         yield pane.with_provenance(Provenance.INTERPOLATED)
@@ -81,11 +82,13 @@ def _visible_parts(cells: WallCells, roofline: Roofline) -> Iterator[TriMesh]:
         yield upper.with_provenance(Provenance.INFERRED)
 
 
-def _raised(cells: WallCells, roofline: Roofline) -> Bool[np.ndarray, "s z"]:
-    """Cells above the measured part of the wall, up to its roof, that some view shows."""
+def _unmeasured(cells: WallCells, roofline: Roofline) -> Bool[np.ndarray, "s z"]:
+    """Cells that some view shows: above the measured part of the wall up to its roof, and those
+    within it, far down the street, that nothing contradicts."""
     levels = np.arange(cells.sky.shape[1])
     end = np.minimum(roofline.top, roofline.shown)
-    return (levels > cells.front_top[:, None]) & (levels < end[:, None])
+    is_plain = (cells.matter > 0) & (cells.sky == 0) & (cells.passes == 0) & ~cells.is_covered
+    return (is_plain | (levels > cells.front_top[:, None])) & (levels < end[:, None])
 
 
 def _spread_offset(cells: WallCells) -> Float64[np.ndarray, "s z"]:

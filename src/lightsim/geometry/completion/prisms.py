@@ -15,6 +15,9 @@ from lightsim.geometry.materials import FACADE
 
 _RETREAT_M = 0.15
 """Hidden parts of a wall stand this far behind: they must not shade what was measured of it."""
+_END_INSET_M = 1.0
+"""Side walls keep this far from the ends of their front, where another measured wall may meet it:
+its panes bulge inwards as far as that."""
 
 
 def roof_casters(rooflines: Sequence[Roofline]) -> TriMesh:
@@ -60,8 +63,10 @@ def _prism(roofline: Roofline, run: tuple[int, int]) -> Iterator[Float64[np.ndar
         yield quad((s0, hidden, front), (s1, hidden, front), (s1, high, front), (s0, high, front))
     if roofline.depth_m[first] == 0 or roofline.top[first] == 0:
         return
-    s0 += INSET_M if first == 0 else 0.0
-    s1 -= INSET_M if end == len(roofline.top) else 0.0
+    s0 += _END_INSET_M if first == 0 else 0.0
+    s1 -= _END_INSET_M if end == len(roofline.top) else 0.0
+    if s1 <= s0:
+        return
     rear = inset - float(roofline.depth_m[first])
     yield quad((s0, high, front), (s1, high, front), (s1, high, rear), (s0, high, rear))
     yield quad((s1, low, rear), (s0, low, rear), (s0, high, rear), (s1, high, rear))
