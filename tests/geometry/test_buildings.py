@@ -169,10 +169,11 @@ def test_windows_close_and_seen_walls_are_not_hidden(canyon) -> None:
     assert not _is_wall(casting, 15.0, 8.0)
 
 
-def test_gates_that_show_the_sky_stay_open() -> None:
+def test_gates_that_show_what_lies_behind_stay_open() -> None:
     ends = np.array([5.0, 8.25]), np.array([30.0, 8.25])
-    truth = concatenate_meshes([_street(), _wall(*ends, 10.0, (GATE,))])
-    seen = concatenate_meshes([_street(), _wall(*ends, SEEN_M, (GATE,))])
+    yard = _quads(np.array([[0.0, 8.25, 0], [60, 8.25, 0], [60, 90, 0], [0, 90, 0]]))
+    truth = concatenate_meshes([_street(), yard, _wall(*ends, 10.0, (GATE,))])
+    seen = concatenate_meshes([_street(), yard, _wall(*ends, SEEN_M, (GATE,))])
     for mesh in _complete(seen, _views(truth, WIDE)):
         assert not any(_is_wall(mesh, 21.1, z_m) for z_m in (1.1, 3.1, 6.1, 9.1))
 

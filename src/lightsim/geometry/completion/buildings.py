@@ -84,10 +84,11 @@ def _visible_parts(cells: WallCells, roofline: Roofline) -> Iterator[TriMesh]:
 
 def _unmeasured(cells: WallCells, roofline: Roofline) -> Bool[np.ndarray, "s z"]:
     """Cells that some view shows: above the measured part of the wall up to its roof, and those
-    within it, far down the street, that nothing contradicts."""
+    below it, far down the street, that nothing contradicts."""
     levels = np.arange(cells.sky.shape[1])
     end = np.minimum(roofline.top, roofline.shown)
     is_plain = (cells.matter > 0) & (cells.sky == 0) & (cells.passes == 0) & ~cells.is_covered
+    is_plain &= levels < cells.measured_top[:, None]
     return (is_plain | (levels > cells.front_top[:, None])) & (levels < end[:, None])
 
 

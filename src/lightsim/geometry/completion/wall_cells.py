@@ -168,7 +168,9 @@ def _look(
     matter = np.flatnonzero(kind < 0)
     rays = (points[matter] - eye) / distance[matter, None]
     hits = caster.intersect(np.broadcast_to(eye, rays.shape).copy(), rays)
-    is_open = hits.distance_m > distance[matter] - BEHIND_M
+    # What is measured further behind explains the pixel without the wall.
+    is_open = np.abs(hits.distance_m - distance[matter]) < BEHIND_M
+    is_open |= ~hits.is_hit
     cells.matter.reshape(-1)[rows[matter[is_open]]] += 1
 
 
