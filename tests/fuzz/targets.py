@@ -25,6 +25,7 @@ from lightsim.pipeline.build import status
 from lightsim.pipeline.workspace import FIELD_CONFIG_NAME, FIELD_NAME, Workspace
 from lightsim.progress import SilentProgress
 from lightsim.reconstruct.field.config import config_from_json
+from lightsim.render.casters.embree import make_embree_caster
 from lightsim.simulate import relight as scenarios
 from lightsim.simulate.options import RelightOptions
 from lightsim.simulate.skies import resolve_sky, sky_alone, sun_of_command
@@ -136,8 +137,8 @@ def _readers(work: Path) -> tuple[Callable[[], object], ...]:
         lambda: _use_assets(read_assets(work / "geometry")),
         lambda: _use_assets(read_assets(work / "assets")),
         lambda: _use_mesh(read_mesh(work / "assets" / "inferred.npz", "world")),
-        lambda: _use_mesh(roof_casters(read_rooflines(work / "geometry" / "rooflines.npz"))),
-        lambda: _use_mesh(roof_casters(read_rooflines(work / "sky" / "rooflines.npz"))),
+        lambda: _use_roofs(work / "geometry" / "rooflines.npz"),
+        lambda: _use_roofs(work / "sky" / "rooflines.npz"),
         lambda: _require_finite(read_panorama(work / "panorama").radiance),
         lambda: _use_estimate(read_estimate(work / "sky")),
         lambda: _use_twin(work / "twin"),
@@ -172,6 +173,13 @@ def _use_assets(assets: SceneAssets) -> None:
     for gain in assets.camera_gains.values():
         _require(gain.shape == (3,) and bool((gain > 0).all()), "a camera's gain")
         _require_finite(gain)
+
+
+def _use_roofs(path: Path) -> None:
+    rooflines = read_rooflines(path)
+    empty = np.zeros((0, 3), np.float32)
+    background = TriMesh("world", empty, np.zeros((0, 3), np.int32), empty)
+    _use_mesh(roof_casters(rooflines, background, make_caster=make_embree_caster))
 
 
 def _use_mesh(mesh: TriMesh) -> None:

@@ -119,7 +119,8 @@ def _complete(
     visible, rooflines = complete_buildings(
         seen, lambda: views, sweeps or [], GROUND, make_caster=EmbreeCaster
     )
-    return visible, roof_casters(rooflines)
+    background = concatenate_meshes([seen, visible])
+    return visible, roof_casters(rooflines, background, make_caster=EmbreeCaster)
 
 
 def _height_m(meshes: tuple[TriMesh, ...], x_m: float, y_m: float) -> float:

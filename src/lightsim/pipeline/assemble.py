@@ -13,11 +13,13 @@ from lightsim.core.mesh import TriMesh
 from lightsim.core.twin import DigitalTwin, SceneAssets, SkyEstimate
 from lightsim.errors import FrameMismatchError, InputError
 from lightsim.geometry.completion.prisms import roof_casters
+from lightsim.render.casters.embree import make_embree_caster
 
 
 def roofs_over(background: TriMesh, rooflines: Sequence[Roofline]) -> TriMesh:
     """Casters that no image shows, in the colours of the nearest background."""
-    return colour_of_nearest(roof_casters(rooflines), background)
+    casters = roof_casters(rooflines, background, make_caster=make_embree_caster)
+    return colour_of_nearest(casters, background)
 
 
 def build_twin(log: DrivingLog, assets: SceneAssets, sky: SkyEstimate) -> DigitalTwin:

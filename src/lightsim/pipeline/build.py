@@ -118,14 +118,14 @@ STAGES = (
     ),
     Stage(
         "geometry",
-        9,
+        10,
         ("log", "masks", "alignment", "neural"),
         _no_settings,
         surfaces.make_geometry,
     ),
     Stage(
         "assets",
-        4,
+        5,
         ("log", "masks", "alignment", "fields", "neural", "geometry"),
         _asset_config,
         surfaces.make_assets,

@@ -33,7 +33,8 @@ _MIN_BUILDING_M = 4.0
 # Neighbouring cells see the same pixels, so this is far less than one view alone would tell.
 # Not measured alone.
 _COVERED = 1.0
-_SKY, _MATTER, _PASS, _SILENT = (0.5, 2.0), (0.1, 0.4), (0.5, 2.0), (0.2, 0.5)
+_SKY, _MATTER, _PASS = (0.5, 2.0), (0.1, 0.4), (0.5, 2.0)
+_THROUGH, _SILENT = (0.1, 0.5), (0.2, 0.5)
 # The roof is seen where a view shows sky this near above it.
 _SEEN_WITHIN_M = 1.0
 # Buildings are this deep unless free space tells otherwise.
@@ -110,7 +111,7 @@ def _energy(cells: WallCells) -> Float64[np.ndarray, "s t"]:
         return np.minimum(count * nats[0], nats[1])
 
     against_filled = capped(cells.sky, _SKY) + capped(cells.passes, _PASS)
-    against_filled += capped(cells.silent, _SILENT)
+    against_filled += capped(cells.silent, _SILENT) + capped(cells.through, _THROUGH)
     # Panes mirror the sky and let beams through: what a measured part surrounds is wall.
     levels = np.arange(cells.sky.shape[1])
     against_filled[levels <= cells.measured_top[:, None]] = 0.0

@@ -53,6 +53,7 @@ class WallCells:
         offset_m: of that surface in front of the plane; 0 elsewhere.
         sky: views that show sky.
         matter: views that show something, with nothing measured before or behind it.
+        through: views that show what was measured well behind it.
         passes: beams that went through and returned from behind.
         silent: sweeps that had beams for the cell, with nothing before it, and no return from it.
     """
@@ -63,6 +64,7 @@ class WallCells:
     offset_m: Float64[np.ndarray, "s z"]
     sky: Int32[np.ndarray, "s z"]
     matter: Int32[np.ndarray, "s z"]
+    through: Int32[np.ndarray, "s z"]
     passes: Int32[np.ndarray, "s z"]
     silent: Int32[np.ndarray, "s z"]
 
@@ -135,7 +137,7 @@ def _measure(wall: Wall, caster: RayCaster) -> WallCells:
         cell,
         np.zeros(shape, dtype=bool),
         np.zeros(shape),
-        *(np.zeros(shape, dtype=np.int32) for _ in range(4)),
+        *(np.zeros(shape, dtype=np.int32) for _ in range(5)),
     )
     start = cells.centres(FRONT_M).reshape(-1, 3)
     hits = caster.intersect(start, np.broadcast_to(-wall.normal, start.shape).copy())
@@ -169,9 +171,11 @@ def _look(
     rays = (points[matter] - eye) / distance[matter, None]
     hits = caster.intersect(np.broadcast_to(eye, rays.shape).copy(), rays)
     # What is measured further behind explains the pixel without the wall.
-    is_open = np.abs(hits.distance_m - distance[matter]) < BEHIND_M
-    is_open |= ~hits.is_hit
-    cells.matter.reshape(-1)[rows[matter[is_open]]] += 1
+    is_unexplained = np.abs(hits.distance_m - distance[matter]) < BEHIND_M
+    is_unexplained |= ~hits.is_hit
+    cells.matter.reshape(-1)[rows[matter[is_unexplained]]] += 1
+    is_through = hits.is_hit & (hits.distance_m > distance[matter] + 2 * BEHIND_M)
+    cells.through.reshape(-1)[rows[matter[is_through]]] += 1
 
 
 def _pass(cells: WallCells, sweep: LidarSweep) -> None:
