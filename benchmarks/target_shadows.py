@@ -4,7 +4,9 @@
 
 Suns at eight azimuths and two elevations. A pixel is shadowed where its surface faces away from the
 sun or something stands before it; each geometry is asked at its own surface, as relighting does.
-IoU of the shadows cast onto surfaces that truly face the sun, and what is wrong with the rest.
+IoU of the shadows cast onto surfaces that truly face the sun, and what is wrong with the rest. Then
+how far roofs are off: those that views show, and those that no view shows before and after the
+recorded sun's shadows were asked.
 """
 
 from __future__ import annotations
@@ -21,9 +23,11 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.pipeline.workspace import Workspace
+from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.scene import FrameScene, make_static_scene, place
 from lightsim.scenario.replay import replay
 from lightsim.simulate.against_truth import TrueSurfaces
+from lightsim.synthetic.reader import read_true_meshes
 
 ELEVATIONS_DEG = (20.0, 45.0)
 AZIMUTHS_DEG = tuple(np.arange(0.0, 360.0, 45.0) + 10.0)
@@ -31,6 +35,8 @@ _EVERY_NTH_PIXEL = 3
 _OFF_SURFACE_M = 0.03
 _GRAZING = 0.05
 """Cosine between normal and sun below which a surface counts as facing away."""
+_ABOVE_M, _BEHIND_M, _FENCE_M = 90.0, 1.0, 3.0
+"""Where rays down onto true roofs start, how far behind the wall, and what is no house."""
 
 
 @dataclass
@@ -128,6 +134,30 @@ def _is_dark(
     return (normals @ sun <= _GRAZING) | is_blocked
 
 
+def roof_errors(workspace: Workspace, truth: Path) -> str:
+    """Median, mean and 90 % of how far roofs' edges are off, m, over columns of walls whose true
+    house is higher than a fence."""
+    caster = make_embree_caster([read_true_meshes(truth / "scene.npz")["background"]])
+    lines = ["\n| roofs | m of wall | median m | mean m | 90 % m |\n|---|---:|---:|---:|---:|\n"]
+    for name, rooflines, is_seen in (
+        ("shown by views", workspace.rooflines, True),
+        ("not shown, before shadows", workspace.guessed_rooflines, False),
+        ("not shown, after", workspace.rooflines, False),
+    ):
+        errors = [np.zeros(0)]
+        for roofline in rooflines:
+            start = roofline.wall.at(roofline.s_m, np.full_like(roofline.s_m, _ABOVE_M), -_BEHIND_M)
+            down = np.broadcast_to([0.0, 0.0, -1.0], start.shape).copy()
+            true_m = _ABOVE_M - caster.intersect(start, down).distance_m
+            chosen = (roofline.is_seen == is_seen) & (true_m > roofline.ground_m + _FENCE_M)
+            errors.append(np.abs(roofline.top_m - true_m)[chosen])
+        found = np.concatenate(errors)
+        width = len(found) * rooflines[0].cell_m if rooflines else 0.0
+        figures = (np.median(found), found.mean(), np.percentile(found, 90)) if len(found) else ()
+        lines.append(f"| {name} | {width:.0f} | {' | '.join(f'{f:.2f}' for f in figures)} |\n")
+    return "".join(lines)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("work", type=Path)
@@ -138,6 +168,7 @@ def main() -> None:
     sys.stdout.write("| sun's elevation | IoU | missing % | false % |\n|---|---:|---:|---:|\n")
     for elevation, shadows in score(workspace, options.truth, *meshes).items():
         sys.stdout.write(shadows.row(f"{elevation:.0f} degrees"))
+    sys.stdout.write(roof_errors(workspace, options.truth))
 
 
 if __name__ == "__main__":

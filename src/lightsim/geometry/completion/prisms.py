@@ -111,5 +111,5 @@ def _stands_already(
     start = quad[0] + u * across + v * up - _CLEARANCE_M * normal
     hits = caster.intersect(start, np.broadcast_to(normal, start.shape).copy())
     is_near = hits.is_hit & (hits.distance_m < 2 * _CLEARANCE_M)
-    cosine = np.abs(normals[np.where(is_near, hits.face_index, 0)] @ normal)
-    return bool((is_near & (cosine > _PARALLEL)).mean() > _STANDING)
+    cosine = np.abs(normals[hits.face_index[is_near]] @ normal)
+    return bool((cosine > _PARALLEL).sum() > _STANDING * len(start))
