@@ -15,9 +15,9 @@ from lightsim.appearance.intrinsic.decompose import (
     LidarReturns,
     SurfaceLight,
     decompose,
-    observe_patches,
+    patches_of,
 )
-from lightsim.appearance.intrinsic.light import LightAt, LightBalance
+from lightsim.appearance.intrinsic.light import LightAt, LightBalance, Reflections, SeenPoints
 from lightsim.core.mesh import Texture, TriMesh
 from lightsim.core.twin import LightFreedom
 from lightsim.errors import InputError
@@ -90,19 +90,21 @@ def _balance(
     mesh: TriMesh, light_at: LightAt, freedom: LightFreedom, path: np.ndarray = _NO_PATH
 ) -> LightBalance:
     rng = np.random.default_rng(0)
-    observed = observe_patches(mesh, light_at, IntrinsicConfig(), rng)
-    assert observed is not None
+    patches = patches_of(mesh, IntrinsicConfig(), rng)
+    assert patches is not None
+    observed, _ = patches.under(light_at)
     return balance_light(observed, freedom, path, IntrinsicConfig())
 
 
 def _balanced(light_at: LightAt, balance: LightBalance) -> LightAt:
-    return lambda points, normals: light_at(points, normals).balanced(balance)
+    return lambda seen: light_at(seen).balanced(balance)
 
 
 def test_division_by_the_right_light_leaves_the_base_colour():
     mesh, lit, albedo = _recorded(sun=1.0)
 
-    def light_at(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
+    def light_at(seen: SeenPoints) -> SurfaceLight:
+        points = seen.position
         return _light(points, _is_lit(points) & ~_unknown_shadow(points), sun=1.0)
 
     done = decompose(mesh, light_at, IntrinsicConfig(method="divide"), np.random.default_rng(0))
@@ -115,7 +117,8 @@ def test_division_by_the_right_light_leaves_the_base_colour():
 def test_shadows_vanish_though_rendered_ones_lie_elsewhere_and_the_sun_is_too_strong():
     mesh, lit, albedo = _recorded(sun=1.0)
 
-    def light_at(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
+    def light_at(seen: SeenPoints) -> SurfaceLight:
+        points = seen.position
         return _light(points, _is_lit(points, shift_m=0.4), sun=2.2)
 
     balance = _balance(mesh, light_at, _freedom())
@@ -143,7 +146,8 @@ def test_the_reflectance_of_the_pavement_tells_the_unseen_sky(monkeypatch: pytes
     radiance = albedo[:, None] * (true_sky + lit[:, None] * _SUN)
     mesh = replace(mesh, base_colour=radiance.astype(np.float32))
 
-    def light_at(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
+    def light_at(seen: SeenPoints) -> SurfaceLight:
+        points = seen.position
         light = _light(points, _is_lit(points), sun=1.0)
         return replace(light, unseen_sky=np.full_like(light.sky, 0.5) * light.sky)
 
@@ -158,9 +162,13 @@ def test_the_reflectance_of_the_pavement_tells_the_unseen_sky(monkeypatch: pytes
     assert known.unseen_sky_log_std < 0.8 * open_sky.unseen_sky_log_std
 
 
+def _all_lit(seen: SeenPoints) -> SurfaceLight:
+    return _light(seen.position, np.ones(len(seen.position)), 1.0)
+
+
 def test_few_pairs_leave_the_prior():
     mesh = _ground(cells=40, half_m=1.0)
-    balance = _balance(mesh, lambda p, n: _light(p, np.ones(len(p)), 1.0), _freedom(sun=0.3))
+    balance = _balance(mesh, _all_lit, _freedom(sun=0.3))
     assert balance.pair_count == 0
     np.testing.assert_allclose(balance.sun, 1.0, rtol=0.02)
     np.testing.assert_allclose(balance.unseen_sky, 1.0, rtol=0.01)
@@ -173,7 +181,8 @@ def test_without_hard_shadows_none_are_invented():
     albedo = _albedo(mesh.vertices)
     mesh = replace(mesh, base_colour=(albedo[:, None] * _SKY * 1.5).astype(np.float32))
 
-    def light_at(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
+    def light_at(seen: SeenPoints) -> SurfaceLight:
+        points = seen.position
         return _light(points, _is_lit(points), sun=0.5)
 
     # The sun was read with some certainty, but there may be cloud before it.
@@ -196,7 +205,8 @@ def test_lidar_intensity_keeps_dark_patches_from_becoming_shadows():
         points.astype(np.float32), origins.astype(np.float32), intensity.astype(np.float32)
     )
 
-    def light_at(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
+    def light_at(seen: SeenPoints) -> SurfaceLight:
+        points = seen.position
         return _light(points, _is_lit(points, shift_m=0.4), sun=2.2)
 
     balance = LightBalance(np.full(3, 1 / 2.2), np.ones(3), 0.0, 0.0, 1)
@@ -217,7 +227,7 @@ def test_broken_light_is_refused():
     points = mesh.vertices[:-1].astype(np.float64)
     short = _light(points, np.ones(len(points)), 1.0)
     with pytest.raises(InputError, match="every vertex"):
-        decompose(mesh, lambda p, n: short, IntrinsicConfig(), np.random.default_rng(0))
+        decompose(mesh, lambda _: short, IntrinsicConfig(), np.random.default_rng(0))
     with pytest.raises(InputError, match="negative"):
         replace(short, sky=-short.sky)
 
@@ -245,7 +255,8 @@ def test_a_texture_loses_its_shadows_texel_by_texel_on_coarse_faces():
     radiance = _albedo(mesh.vertices)[:, None] * (_SKY + lit[:, None] * _SUN)
     mesh, points, pixel = _textured(replace(mesh, base_colour=radiance.astype(np.float32)), 0.1)
 
-    def light_at(points: np.ndarray, normals: np.ndarray) -> SurfaceLight:
+    def light_at(seen: SeenPoints) -> SurfaceLight:
+        points = seen.position
         return _light(points, _is_lit(points, shift_m=0.4), sun=1.0)
 
     done = decompose(mesh, light_at, IntrinsicConfig(), np.random.default_rng(0)).mesh
@@ -258,3 +269,38 @@ def test_a_texture_loses_its_shadows_texel_by_texel_on_coarse_faces():
     assert (error > np.log(1.5)).mean() < 0.02
     assert done.confidence is not None
     assert np.median(done.confidence) > 0.9
+
+
+def test_what_surfaces_reflect_is_no_base_colour():
+    """A road seen against the light: half of what cameras saw of it in the shade is reflected. The
+    sun and the base colour come out as if nothing shone, and shadows vanish."""
+    mesh, lit, albedo = _recorded(sun=1.0)
+    shine, sunny = 0.08 * _SKY, 0.03 * _SUN
+    seen = mesh.base_colour + shine + lit[:, None] * sunny
+    mesh = replace(mesh, base_colour=seen.astype(np.float32))
+
+    def light_at(seen: SeenPoints) -> SurfaceLight:
+        found = _light(seen.position, _is_lit(seen.position, shift_m=0.2), sun=1.5)
+        shape = found.sun.shape
+        reflected = Reflections(
+            *(
+                np.broadcast_to(rgb.astype(np.float32), shape).copy()
+                for rgb in (shine, 0 * shine, 1.5 * sunny)
+            )
+        )
+        return replace(found, reflected=reflected)
+
+    balance = _balance(mesh, light_at, _freedom())
+    np.testing.assert_allclose(balance.sun, 1 / 1.5, rtol=0.1)
+    done = decompose(
+        mesh, _balanced(light_at, balance), IntrinsicConfig(), np.random.default_rng(0)
+    )
+    assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.05)
+    assert np.median(done.mesh.base_colour[albedo < 0.2] / 0.12) == pytest.approx(1.0, abs=0.06)
+    blind = decompose(
+        mesh,
+        lambda points: replace(light_at(points).balanced(balance), reflected=None),
+        IntrinsicConfig(),
+        np.random.default_rng(0),
+    )
+    assert np.median(blind.mesh.base_colour[albedo < 0.2] / 0.12) > 1.3

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
-from lightsim.appearance.intrinsic.decompose import observe_patches
+from lightsim.appearance.intrinsic.decompose import patches_of
 from lightsim.appearance.intrinsic.light import SurfaceLight
 from lightsim.appearance.intrinsic.roofs import carve_roofs
 from lightsim.core.buildings import Roofline, Wall
@@ -81,8 +81,9 @@ def _carved(guess_m: float, is_overcast: bool = False, is_seen: bool = False) ->
     radiance = albedo * (_SKY_LIGHT + lit * _SUN_LIGHT * _SUN[2])
     mesh = replace(mesh, base_colour=radiance.astype(np.float32))
     config = IntrinsicConfig()
-    observed = observe_patches(mesh, lambda points, _: _light(points, guess_m), config, rng)
-    assert observed is not None
+    patches = patches_of(mesh, config, rng)
+    assert patches is not None
+    observed, _ = patches.under(lambda seen: _light(seen.position, guess_m))
     guess = _guess(guess_m)
     guess = replace(guess, is_seen=np.full(len(guess.top), is_seen))
     return carve_roofs([guess], observed, _SUN, config)[0]
@@ -105,7 +106,8 @@ def test_no_patch_no_change() -> None:
     """The sun stands before the wall, so nothing can be in its shadow."""
     config = IntrinsicConfig()
     rng = np.random.default_rng(0)
-    observed = observe_patches(_road(), lambda points, _: _light(points, 9.0), config, rng)
-    assert observed is not None
+    patches = patches_of(_road(), config, rng)
+    assert patches is not None
+    observed, _ = patches.under(lambda seen: _light(seen.position, 9.0))
     guess = _guess(9.0)
     assert carve_roofs([guess], observed, -_SUN * [1, 1, -1], config)[0] is guess

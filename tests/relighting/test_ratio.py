@@ -172,3 +172,31 @@ def test_inputs_of_unequal_size_are_named(inputs: RelightInputs) -> None:
     small = replace(small, **{k: v[:4, :4] for k, v in vars(small).items() if v is not None})
     with pytest.raises(InputError, match="buffers"):
         replace(inputs, buffers=small)
+
+
+def test_reflections_are_exchanged_and_the_source_comes_back(rng: np.random.Generator) -> None:
+    """A road that shines against the source's sun, under a sky that it reflects elsewhere."""
+    buffers = geometry(rng)
+    source, target = (light(buffers, None, sky, everywhere_lit()) for sky in (1.0, 0.6))
+    surface = buffers.has_surface[..., None]
+    shine = [surface * rng.uniform(0.0, most, source.shaded.shape) for most in (0.2, 0.3)]
+    source, target = (
+        replace(one, glossy=glossy.astype(np.float32), glossy_sun=np.zeros_like(one.shaded))
+        for one, glossy in zip((source, target), shine, strict=True)
+    )
+    picture = buffers.base_colour * source.shaded + source.reflected
+    wanted = buffers.base_colour * target.shaded + target.reflected
+    nothing = np.zeros_like(picture)
+    size = picture.shape[:2]
+    inputs = RelightInputs(
+        picture, np.zeros(size, bool), (~buffers.has_surface).astype(np.float32), buffers,
+        source, target, nothing,
+    )  # fmt: skip
+    inside = buffers.has_surface
+    # Up to where more is reflected than a picture is believed to hold.
+    is_held = (source.reflected < 0.7 * picture).all(axis=-1) & inside
+    np.testing.assert_allclose(
+        relight_physical(inputs, RatioConfig())[is_held], wanted[is_held], rtol=0.02, atol=2e-3
+    )
+    same = relight_physical(replace(inputs, target=source), RatioConfig())
+    np.testing.assert_allclose(same[inside], picture[inside], rtol=1e-4)

@@ -14,9 +14,9 @@ from lightsim.core.mesh import Material
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.image import scene_image
 from lightsim.render.scene import make_static_scene, without_actors
-from lightsim.render.transport.glossy import specular_lobe
 from lightsim.render.transport.glossy_kernels import reflected_rays
 from lightsim.render.transport.light import light
+from lightsim.render.transport.lobes import specular_lobe
 from lightsim.render.transport.matrix import exact, trace_transport
 from lightsim.render.transport.samples import render_samples
 

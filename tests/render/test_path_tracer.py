@@ -10,7 +10,7 @@ from rendering_scenes import box, camera, constant_sky, look_at, plane, sphere, 
 
 from lightsim.core.dome import SkyDome, split_sun
 from lightsim.core.frames import RigidTransform
-from lightsim.core.mesh import Material, Texture, TriMesh
+from lightsim.core.mesh import Texture, TriMesh
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import FrameMismatchError
@@ -130,18 +130,6 @@ def test_principled_surfaces_keep_energy(tracer):
     shot = Shot(constant_sky((1.0, 1.0, 1.0)), 16, 4)
     (image,) = tracer.shoot(scene, _LENS, _ABOVE, [shot], 0)
     assert 0.8 < image[16:20, 22:26].mean() < 1.05
-
-
-def test_only_smooth_faces_have_a_lobe(tracer):
-    """Rough dielectrics are Lambert's (`core.mesh.MATTE_ROUGHNESS`), face by face."""
-    ground = plane(12.0, 2, 0.3)
-    is_right = ground.vertices[ground.faces][..., 0].mean(axis=1) > 0
-    materials = (Material(0.9, 0.0, "asphalt"), Material(0.3, 0.0, "car paint"))
-    mesh = replace(ground, materials=materials, face_material=is_right.astype(np.uint8))
-    scene = without_actors(make_static_scene([mesh]))
-    (image,) = tracer.shoot(scene, _LENS, _ABOVE, [Shot(constant_sky((1.0, 1.0, 1.0)), 64, 0)], 0)
-    assert image[:, :22].mean() == pytest.approx(0.3, rel=0.01)
-    assert image[:, 26:].mean() > 0.32
 
 
 def test_frames_of_light(tracer):

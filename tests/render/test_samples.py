@@ -71,7 +71,7 @@ def test_coverage_of_an_edge_against_the_sky(count):
     corners = half.vertices - np.array([200.0, 0, 0], np.float32)
     turned = corners @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]], np.float32)
     half = replace(half, vertices=(turned + np.array([x0, 0, 0], np.float32)).astype(np.float32))
-    config = replace(exact(), pixel_samples=count)
+    config = replace(exact(), pixel_samples=count, glossy_rays=0)
     gbuffers, _, out = _render([half], constant_sky((1.0, 1.0, 1.0)), config, _ABOVE, lens)
     exact_fraction = _area_left_of(slope, shift, lens)
     assert out.coverage is not None
@@ -115,7 +115,7 @@ def test_an_anti_aliased_image_is_the_mean_of_a_larger_one():
     fine_lens = camera(64 * 4, 48 * 4, 50.0 * 4)
     scene = without_actors(make_static_scene(_street()))
     fine = render_gbuffers(scene, fine_lens, _VIEW)
-    config = replace(exact(), sky_rays=128)
+    config = replace(exact(), sky_rays=128, glossy_rays=0)
     table = trace_transport(scene, fine, config)
     white = np.full((192, 256, 3), 0.5, np.float32)
     reference = scene_image(fine, light(table, scene, fine, sky, config), white)

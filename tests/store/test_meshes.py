@@ -130,18 +130,6 @@ def test_another_reader_sees_texture_and_materials(
     np.testing.assert_allclose(uv, rich.texture.corner_uv[:6].reshape(-1, 2), atol=1e-3)
 
 
-def test_rough_dielectrics_have_no_lobe_in_the_file(
-    tmp_path: Path, mesh: TriMesh, rng: np.random.Generator
-) -> None:
-    write_glb(tmp_path / "a.glb", _rich(mesh, rng, textured=False))
-    document, _ = _chunks((tmp_path / "a.glb").read_bytes())
-    (name,) = document["extensionsUsed"]
-    assert name == "KHR_materials_specular"
-    assert "extensionsRequired" not in document
-    factors = [m["extensions"][name]["specularFactor"] for m in document["materials"]]
-    assert factors == [1.0, 0.0]
-
-
 def test_another_reader_sees_it_upright(tmp_path: Path, mesh: TriMesh) -> None:
     write_glb(tmp_path / "a.glb", mesh)
     scene = trimesh.load_scene(tmp_path / "a.glb")

@@ -110,12 +110,17 @@ def bake(
     )
     corner = edges.argmax(axis=1).astype(np.int32)
     table = _Table(scene, resolution, corner, first_texels(resolution))
-    samples = _collect(table, views, log, config, sky_matte, progress)
+    samples, towards_camera = _collect(table, views, log, config, sky_matte, progress)
     names = list(log.cameras)
     camera_of_frame = np.array([names.index(f.camera_name) for f in frames], dtype=np.int16)
     gains = _gains(samples, camera_of_frame, len(names), config)
     radiance, is_seen = mean_radiance(samples, gains[camera_of_frame], config.outlier_ratio)
-    return _finish(table, edges, radiance, is_seen), gains
+    meshes = _finish(table, edges, radiance, is_seen)
+    first = scene.first_vertex
+    return [
+        replace(mesh, towards_camera=towards_camera[first[k] : first[k + 1]])
+        for k, mesh in enumerate(meshes)
+    ], gains
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,13 +153,16 @@ def _collect(
     config: AssetConfig,
     sky_matte: SkyMatte | None,
     progress: Progress,
-) -> TexelSamples:
+) -> tuple[TexelSamples, Float32[np.ndarray, "n 3"]]:
+    """Samples of the texels, and the mean direction from each vertex, in its mesh's frame, to the
+    cameras that saw it, weighted as its colours are."""
     scene = table.scene
     shape = (int(table.first[-1]), config.samples_per_texel)
     samples = TexelSamples(
         np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.uint8), np.zeros(shape, np.uint16)
     )
     corners = _Corners.empty(len(scene.vertices))
+    towards_camera = np.zeros((len(scene.vertices), 3), dtype=np.float32)
     images = load_images(views, log)
     for index, (view, image) in enumerate(progress.track(images, "bake the textures", len(views))):
         frame = view.frame
@@ -163,7 +171,8 @@ def _collect(
         ego_vehicle = log.ego_vehicle_masks.get(frame.camera_name)
         pixel_weight = pixel_weights(image, ego_vehicle, alpha, inverse_depth)
         scene.place(frame, MAX_VIEW_M)
-        _project(corners, scene, view, log.cameras[frame.camera_name], config)
+        used = _project(corners, scene, view, log.cameras[frame.camera_name], config)
+        _add_directions(towards_camera, used, corners, scene, view, config)
         step, tolerance = float(DEPTH_STEP_PX), config.occlusion_tolerance_m
         sample_texels(
             view.faces,
@@ -175,7 +184,32 @@ def _collect(
             (image, pixel_weight, inverse_depth, step, tolerance, index),
             (samples.colours, samples.codes, samples.frames),
         )
-    return samples
+    length = np.linalg.norm(towards_camera, axis=1, keepdims=True)
+    return samples, towards_camera / np.where(length > 0, length, 1.0)
+
+
+def _add_directions(
+    total: Float32[np.ndarray, "n 3"],
+    used: Int64[np.ndarray, " k"],
+    corners: _Corners,
+    scene: PlacedScene,
+    view: View,
+    config: AssetConfig,
+) -> None:
+    """Add the directions to a view's camera of the vertices that it sees, by their weights."""
+    height, width = view.inverse_depth.shape
+    column, row = np.floor(corners.uv[used] / DEPTH_STEP_PX).astype(np.int64).T
+    is_inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    is_inside &= corners.depth_m[used] > 0
+    used, row, column = used[is_inside], row[is_inside], column[is_inside]
+    nearest = view.inverse_depth[row, column].astype(np.float32)
+    tolerance = config.occlusion_tolerance_m + 0.01 * corners.depth_m[used]
+    is_seen = (corners.depth_m[used] - tolerance) * nearest < 1.0
+    used = used[is_seen]
+    towards = view.frame.world_from_camera.translation_m - scene.vertices[used]
+    towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-6)
+    own = scene.own_directions(used, towards)
+    total[used] += (corners.weight[used, None] * own).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,8 +236,8 @@ def _project(
     view: View,
     camera: PinholeCamera,
     config: AssetConfig,
-) -> None:
-    """Project a view's vertices and weigh how well they are seen."""
+) -> Int64[np.ndarray, " k"]:
+    """Project a view's vertices and weigh how well they are seen; their numbers."""
     frame = view.frame
     is_used = np.zeros(len(scene.vertices), dtype=bool)
     is_used[scene.faces[view.faces].ravel()] = True
@@ -216,6 +250,7 @@ def _project(
     weight = (sharp / _WEIGHT_UNIT_PX) ** (2 * _SHARPNESS_POWER)
     shade = in_moving_shade(scene, used, frame.time_ns, config.shade_margin_m)
     corners.weight[used] = np.where(shade, _SHADE_WEIGHT * weight, weight)
+    return used
 
 
 def _gains(

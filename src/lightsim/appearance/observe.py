@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float16, Float32, Int32, Int64, UInt8
+from jaxtyping import Bool, Float, Float16, Float32, Float64, Int32, Int64, UInt8
 from scipy import ndimage
 
 from lightsim.appearance.bake_kernels import touching_faces
@@ -91,6 +91,7 @@ class PlacedScene:
         tracks = [track for track in log.actors if track.actor_id in number]
         self._movable = [(track, number[track.actor_id]) for track in tracks if track.is_moving]
         self.moving: list[ActorTrack] = []
+        self._rotations: dict[int, Float64[np.ndarray, "3 3"]] = {}
         self.is_static = np.ones(len(self.vertices), dtype=bool)
         for _, k in self._movable:
             self.is_static[self._vertices_of(k)] = False
@@ -100,6 +101,17 @@ class PlacedScene:
                 fixed.append(self._put(track, number[track.actor_id], track.trajectory.start_ns))
                 self._fixed_numbers.append(number[track.actor_id])
         self._fixed: RayCaster = make_caster(fixed)
+
+    def own_directions(
+        self, rows: Int64[np.ndarray, " n"], directions_world: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, "n 3"]:
+        """Directions at vertices (ascending) in the frames of their own meshes."""
+        own = directions_world.copy()
+        for number, rotation in self._rotations.items():
+            part = self._vertices_of(number)
+            chosen = slice(*np.searchsorted(rows, (part.start, part.stop)))
+            own[chosen] = directions_world[chosen] @ rotation
+        return own
 
     def place(self, frame: CameraFrame, max_view_m: float) -> list[tuple[TriMesh, int]]:
         """Move the actors to a frame's time; the moved meshes and their numbers."""
@@ -128,6 +140,7 @@ class PlacedScene:
         pose = track.world_from_actor(time_ns, _HOLD_S)
         mesh = self.meshes[number].transformed(pose)
         part = self._vertices_of(number)
+        self._rotations[number] = pose.rotation
         self.vertices[part] = mesh.vertices
         self.normals[part] = pose.rotate(self._own_normals[number].astype(np.float64))
         return mesh

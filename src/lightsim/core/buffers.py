@@ -27,6 +27,10 @@ class GBuffers:
     """Index into the frame's list of placed actors, BACKGROUND or NO_SURFACE."""
     offset_world: Float32[np.ndarray, "h w 3"] | None = None
     """Points of the curved surface that the faces' smooth normals tell of; None: the position."""
+    towards_camera_world: Float32[np.ndarray, "h w 3"] | None = None
+    """Unit; 0 without a surface. None: nothing reflects."""
+    material: Float32[np.ndarray, "h w 2"] | None = None
+    """Roughness and metallic. None: nothing reflects."""
 
     @property
     def ray_starts_world(self) -> Float32[np.ndarray, "h w 3"]:
@@ -56,7 +60,9 @@ class ShadowBuffers:
             the mean over that share. None: 1 where the pixel's centre shows a surface, else 0.
         diffuse: radiance of the surfaces by diffuse reflection, mean over the covered share.
             None: base colour times `shaded`.
-        glossy: radiance by reflections, mean over the covered share; no part of S. None: 0.
+        glossy: radiance by specular reflection, mean over the covered share; no part of S.
+            None: 0.
+        glossy_sun: what of `glossy` the sun would give where nothing stands before it. None: 0.
     """
 
     sun_visibility: Float32[np.ndarray, "h w"]
@@ -68,6 +74,17 @@ class ShadowBuffers:
     coverage: Float32[np.ndarray, "h w"] | None = None
     diffuse: Float32[np.ndarray, "h w 3"] | None = None
     glossy: Float32[np.ndarray, "h w 3"] | None = None
+    glossy_sun: Float32[np.ndarray, "h w 3"] | None = None
+
+    @property
+    def reflected_sun(self) -> Float32[np.ndarray, "h w 3"]:
+        """`glossy_sun`, or zeros."""
+        return np.zeros_like(self.shaded) if self.glossy_sun is None else self.glossy_sun
+
+    @property
+    def reflected(self) -> Float32[np.ndarray, "h w 3"]:
+        """`glossy`, or zeros."""
+        return np.zeros_like(self.shaded) if self.glossy is None else self.glossy
 
     @property
     def ratio(self) -> Float32[np.ndarray, "h w 3"]:

@@ -12,8 +12,10 @@ from lightsim.core.frames import RigidTransform
 from lightsim.errors import FrameMismatchError, InputError
 
 MATTE_ROUGHNESS = 0.6
-"""Dielectrics at least this rough reflect diffusely alone: their base colour was found as all of
-the light that they reflect, so a specular lobe on top would count some of it twice."""
+"""Surfaces at least this rough have lobes so wide that what they reflect changes as slowly from
+pixel to pixel as diffuse light does. Their diffuse reflection is Lambert's: towards grazing angles
+the diffuse part of rough materials brightens about as Fresnel's reflection dims it (Burley 2012,
+Sec. 5.3)."""
 
 
 class Provenance(IntEnum):
@@ -36,11 +38,11 @@ class Material:
     """Principled parameters (Burley 2012) of one class of surfaces; base colour lies on the mesh.
 
     Args:
-        roughness: from MATTE_ROUGHNESS on, only metals have a specular lobe.
+        roughness: perceptual; its square is the width of the microfacets' slopes.
         name: the class, such as "car paint", for people: nothing is decided by it.
     """
 
-    roughness: float = 0.9
+    roughness: float = 0.8
     metallic: float = 0.0
     name: str = "matte"
 
@@ -91,6 +93,8 @@ class TriMesh:
             vertices' colour, which is its local mean and serves bounced light.
         confidence: of each vertex's base colour, 0 (guessed) to 1 (observed, light known).
         face_provenance: a `Provenance` for each face; None: all are measured.
+        towards_camera: of each vertex, mean direction to the cameras that gave its colour, unit; 0
+            where none did. None: unknown.
     """
 
     frame: str
@@ -102,6 +106,7 @@ class TriMesh:
     texture: Texture | None = None
     confidence: Float32[np.ndarray, " n"] | None = None
     face_provenance: UInt8[np.ndarray, " m"] | None = None
+    towards_camera: Float32[np.ndarray, "n 3"] | None = None
 
     def __post_init__(self) -> None:
         where = f"mesh in '{self.frame}'"
@@ -164,7 +169,23 @@ class TriMesh:
                 expected=self.frame,
             )
         vertices = transform.apply(self.vertices.astype(np.float64)).astype(np.float32)
-        return replace(self, frame=transform.dst, vertices=vertices)
+        towards = self.towards_camera
+        if towards is not None:
+            towards = transform.rotate(towards.astype(np.float64)).astype(np.float32)
+        return replace(self, frame=transform.dst, vertices=vertices, towards_camera=towards)
+
+    def face_roughness(self) -> Float32[np.ndarray, " m"]:
+        """Roughness of each face's material."""
+        known = np.array([material.roughness for material in self.materials], dtype=np.float32)
+        if self.face_material is None:
+            return np.full(len(self.faces), known[0])
+        return known[self.face_material]
+
+    def vertex_roughness(self) -> Float32[np.ndarray, " n"]:
+        """Of the smoothest face around each vertex; 1 for vertices without a face."""
+        roughness = np.ones(len(self.vertices), dtype=np.float32)
+        np.minimum.at(roughness, self.faces.ravel(), np.repeat(self.face_roughness(), 3))
+        return roughness
 
     def face_normals(self) -> Float[np.ndarray, "m 3"]:
         """Unit normals; zero for degenerate faces."""

@@ -81,19 +81,17 @@ class ClosureReport:
 
 
 def measure_closure(
-    irradiance_over_pi: Float[np.ndarray, "n 3"],
-    base_colour: Float[np.ndarray, "n 3"],
+    predicted: Float[np.ndarray, "n 3"],
     radiance: Float[np.ndarray, "n 3"],
     is_member_by_surface: Mapping[str, Bool[np.ndarray, " n"]],
 ) -> ClosureReport:
-    """Predicted over observed radiance of Lambert surfaces, class by class.
+    """Predicted over observed radiance, class by class.
 
-    The radiance of a Lambert surface is base colour times irradiance / pi, so the quotient is 1
-    where geometry, sky, scales and base colour of a twin agree with its pictures.
+    The quotient is 1 where geometry, sky, scales and base colour of a twin agree with its pictures.
 
     Args:
-        irradiance_over_pi: all light on n surface samples, scene units, linear RGB.
-        base_colour: of the same samples, linear RGB.
+        predicted: base colour times irradiance / pi, and reflections, of n surface samples, scene
+            units, linear RGB.
         radiance: what a camera saw of them, scene units: linear pixel value over camera gain.
             Clipped pixels are the caller's to leave out.
         is_member_by_surface: which samples belong to a class; classes may overlap.
@@ -101,7 +99,7 @@ def measure_closure(
     Raises:
         InputError: no sample is bright enough to be compared.
     """
-    predicted, seen = (x.astype(np.float64) for x in (irradiance_over_pi * base_colour, radiance))
+    predicted, seen = (x.astype(np.float64) for x in (predicted, radiance))
     weights = np.asarray(LUMINANCE_WEIGHTS, np.float64)
     columns = [np.column_stack([x @ weights, x]) for x in (predicted, seen)]
     is_usable = (columns[1] > _DARKEST).all(axis=1) & np.isfinite(columns[0]).all(axis=1)

@@ -18,16 +18,16 @@ from lightsim.core.mesh import Material, TriMesh
 from lightsim.geometry.denoise_kernels import neighbour_faces
 from lightsim.geometry.simplify_kernels import faces_by_vertex
 
-UNKNOWN = Material(0.9, 0.0, "matte")
-ASPHALT = Material(0.9, 0.0, "asphalt")
-PAVEMENT = Material(0.95, 0.0, "pavement")
-FACADE = Material(0.85, 0.0, "facade")
-VEGETATION = Material(0.75, 0.0, "vegetation")
+UNKNOWN = Material(0.8, 0.0, "matte")
+ASPHALT = Material(0.75, 0.0, "asphalt")
+PAVEMENT = Material(0.8, 0.0, "pavement")
+FACADE = Material(0.8, 0.0, "facade")
+VEGETATION = Material(0.7, 0.0, "vegetation")
 CAR_PAINT = Material(0.35, 0.0, "car paint")
 METAL = Material(0.5, 0.6, "metal")
 GLASS = Material(0.05, 0.0, "glass")
 CLOTH = Material(0.95, 0.0, "cloth")
-GROUND = Material(0.95, 0.0, "ground")
+GROUND = Material(0.9, 0.0, "ground")
 _CLASSES = (
     UNKNOWN, ASPHALT, PAVEMENT, FACADE, VEGETATION, CAR_PAINT, METAL, GLASS, CLOTH, GROUND,
 )  # fmt: skip

@@ -118,14 +118,14 @@ STAGES = (
     ),
     Stage(
         "geometry",
-        10,
+        11,
         ("log", "masks", "alignment", "neural"),
         _no_settings,
         surfaces.make_geometry,
     ),
     Stage(
         "assets",
-        5,
+        6,
         ("log", "masks", "alignment", "fields", "neural", "geometry"),
         _asset_config,
         surfaces.make_assets,
@@ -139,14 +139,14 @@ STAGES = (
     ),
     Stage(
         "sky",
-        10,
+        11,
         ("log", "alignment", "geometry", "assets", "panorama"),
         lambda o: light.SkyStageConfig(SourceSunConfig(gps=o.gps), model=o.sky_model),
         light.make_sky,
     ),
     Stage(
         "twin",
-        5,
+        6,
         ("log", "alignment", "assets", "sky"),
         lambda o: light.TwinConfig(),
         light.make_twin,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lightsim.appearance.intrinsic.light import SeenPoints
 from lightsim.core.frames import RigidTransform
 from lightsim.errors import ArtefactError
 from lightsim.evaluate.closure import ClosureReport, measure_closure, surface_classes
@@ -42,7 +43,7 @@ def closure(workspace: Workspace) -> ClosureReport:
     rows = np.flatnonzero(is_usable)
     rng = np.random.default_rng(0)
     rows = rng.choice(rows, min(_SAMPLES, len(rows)), replace=False)
-    normals = seen.vertex_normals()[rows]
+    vertices = SeenPoints.vertices_of(seen).at(rows)
     source = SourceLight(
         workspace.training_log,
         workspace.assets,
@@ -52,11 +53,10 @@ def closure(workspace: Workspace) -> ClosureReport:
         0,
     )
     light_at = source.on(RigidTransform.identity("world", "world"))
-    light = light_at(seen.vertices[rows], normals).floored()
-    visibility = light.visibility[:, 1]
-    return measure_closure(
-        light.total(visibility),
-        twin.base_colour[rows],
-        seen.base_colour[rows],
-        surface_classes(normals, visibility),
-    )
+    light = light_at(vertices).floored()
+    visibility = light.visibility[:, 1].astype(np.float64)
+    predicted = light.total(visibility) * twin.base_colour[rows]
+    if light.reflected is not None:
+        predicted = predicted + light.reflected.total(visibility)
+    classes = surface_classes(vertices.normal, visibility)
+    return measure_closure(predicted, seen.base_colour[rows], classes)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Float32
 
-from lightsim.appearance.intrinsic.light import LightAt, SurfaceLight
+from lightsim.appearance.intrinsic.light import LightAt, Reflections, SeenPoints, SurfaceLight
 from lightsim.appearance.intrinsic.surfels import LidarReturns
 from lightsim.core.dome import SkyDome
 from lightsim.core.frames import RigidTransform
@@ -19,6 +18,7 @@ from lightsim.render.composite import CompositeCaster
 from lightsim.render.frame_renderer import parked_actor_meshes
 from lightsim.render.scene import FrameScene, make_static_scene, without_actors
 from lightsim.render.transport.irradiance import IrradianceConfig, irradiance_at
+from lightsim.render.transport.lobes import Lobes, normal_reflectance
 from lightsim.render.transport.matrix import static_face_table
 from lightsim.render.transport.sun import sun_visibility, unshadowed_sun
 
@@ -50,23 +50,28 @@ class SourceLight:
     def on(self, world_from_mesh: RigidTransform) -> LightAt:
         """Light at points of a mesh at a pose."""
 
-        def light_at(
-            points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
-        ) -> SurfaceLight:
-            return self._at(
-                world_from_mesh.apply(points).astype(np.float32),
-                world_from_mesh.rotate(normals).astype(np.float32),
+        def light_at(points: SeenPoints) -> SurfaceLight:
+            placed, normals, towards = (
+                np.asarray(vectors).astype(np.float32)
+                for vectors in (
+                    world_from_mesh.apply(points.position),
+                    world_from_mesh.rotate(points.normal),
+                    world_from_mesh.rotate(points.towards_camera),
+                )
             )
+            is_seen = towards.any(axis=1)
+            f0 = normal_reflectance(np.zeros_like(placed), np.zeros(len(placed), np.float32))
+            f0[~is_seen] = 0.0
+            roughness = np.asarray(points.roughness).astype(np.float32)
+            return self._at(Lobes(placed, normals, towards, roughness, f0))
 
         return light_at
 
-    def _at(
-        self, points_world: Float32[np.ndarray, "n 3"], normals_world: Float32[np.ndarray, "n 3"]
-    ) -> SurfaceLight:
+    def _at(self, lobes: Lobes) -> SurfaceLight:
+        points_world, normals_world = lobes.ray_starts_world, lobes.normal_world
         config, dome = self._config, self._dome
         found = irradiance_at(
-            points_world,
-            normals_world,
+            lobes,
             self._all,
             dome,
             config,
@@ -88,6 +93,7 @@ class SourceLight:
             found.sky,
             found.sky_part,
             found.bounce,
+            Reflections(found.reflected, found.reflected_part, found.reflected_sun),
         )
 
 

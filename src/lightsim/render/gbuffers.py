@@ -36,8 +36,14 @@ def render_gbuffers(
         FrameMismatchError: the pose does not map `camera` to `world`.
     """
     height, width = camera.height_px, camera.width_px
-    lifted = np.zeros((height, width, 3), dtype=np.float32)
-    out = replace(_empty(height, width), offset_world=lifted)
+    lifted, towards = (np.zeros((height, width, 3), dtype=np.float32) for _ in range(2))
+    material = np.zeros((height, width, 2), dtype=np.float32)
+    out = replace(
+        _empty(height, width),
+        offset_world=lifted,
+        towards_camera_world=towards,
+        material=material,
+    )
     centres = camera.pixel_centres()
     band = max(1, BAND_RAYS // width)
     for start in range(0, height, band):
@@ -49,6 +55,8 @@ def render_gbuffers(
         out.normal_world.reshape(-1, 3)[index] = seen.normal_world
         out.base_colour.reshape(-1, 3)[index] = seen.base_colour
         lifted.reshape(-1, 3)[index] = seen.offset_world
+        towards.reshape(-1, 3)[index] = seen.towards_camera
+        material.reshape(-1, 2)[index] = surface_material(scene, seen.hits)
         out.actor_index.reshape(-1)[index] = scene.actor_index[seen.hits.mesh_index]
     return out
 
@@ -112,6 +120,21 @@ def see(
         colour,
         (-towards).astype(np.float32),
     )
+
+
+def surface_material(scene: FrameScene, hits: RayHits) -> Float32[np.ndarray, "n 2"]:
+    """Roughness and metallic of faces that cameras see."""
+    values = np.zeros((len(hits.face_index), 2), dtype=np.float32)
+    order = np.argsort(hits.mesh_index, kind="stable")
+    bounds = np.searchsorted(hits.mesh_index[order], np.arange(len(scene.camera_meshes) + 1))
+    for k, mesh in enumerate(scene.camera_meshes):
+        rows = order[bounds[k] : bounds[k + 1]]
+        known = np.array([(m.roughness, m.metallic) for m in mesh.materials], dtype=np.float32)
+        if mesh.face_material is None:
+            values[rows] = known[0]
+        else:
+            values[rows] = known[mesh.face_material[hits.face_index[rows]]]
+    return values
 
 
 def _rays(

@@ -37,7 +37,7 @@ from lightsim.store.scenario import write_scenario
 
 _RECORD = "render.json"
 _SKY_RECORD = "sky.json"
-_SCHEMA = 5
+_SCHEMA = 6
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,8 @@ def write_mesh(path: Path, mesh: TriMesh) -> None:
         arrays["face_provenance"] = mesh.face_provenance
     if mesh.confidence is not None:
         arrays["confidence"] = mesh.confidence
+    if mesh.towards_camera is not None:
+        arrays["towards_camera"] = mesh.towards_camera.astype(np.float16)
     if mesh.texture is not None:
         arrays["texture"] = np.minimum(mesh.texture.image, _HALF_MAX).astype(np.float16)
         arrays["corner_uv"] = mesh.texture.corner_uv
@@ -69,8 +71,20 @@ def read_mesh(path: Path, frame: str) -> TriMesh:
         if len(faces) and int(provenance.max()) >= len(Provenance):
             raise ArtefactError("a face has no provenance", where=path, remedy="Build again.")
     colour = arrays.take("base_colour", "f4", "n 3")
+    towards = None
+    if "towards_camera" in arrays:
+        towards = arrays.take("towards_camera", "f2", "n 3").astype(np.float32)
     return TriMesh(
-        frame, vertices, faces, colour, materials, face_material, texture, confidence, provenance
+        frame,
+        vertices,
+        faces,
+        colour,
+        materials,
+        face_material,
+        texture,
+        confidence,
+        provenance,
+        towards,
     )
 
 

@@ -5,8 +5,6 @@ jump, one without texture a vertex for each provenance of the faces around it. A
 own (names start with "_", as glTF asks) say which vertex a corner was, and carry its colour,
 confidence and provenance, so that `meshes.read_glb` joins the mesh again.
 
-Matte materials have no specular lobe (KHR_materials_specular, which viewers may ignore).
-
 Reference: Khronos glTF 2.0 specification (registry.khronos.org/glTF/specs/2.0).
 """
 
@@ -22,12 +20,11 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int, Int32, Int64, Shaped, UInt8
 
 from lightsim.core.colour import srgb8_from_linear
-from lightsim.core.mesh import MATTE_ROUGHNESS, Material, Provenance, TriMesh
+from lightsim.core.mesh import Material, Provenance, TriMesh
 from lightsim.store.gltf import BINARY_CHUNK, GLB_MAGIC, JSON_CHUNK
 
 VERTEX_NUMBER, VERTEX_COLOUR, CONFIDENCE = "_VERTEX", "_BASE_COLOUR", "_CONFIDENCE"
 PROVENANCE = "_PROVENANCE"
-_SPECULAR = "KHR_materials_specular"
 _FLOAT, _UNSIGNED_INT = 5126, 5125
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
 _LINEAR, _CLAMP_TO_EDGE = 9729, 33071
@@ -116,14 +113,12 @@ def _document(mesh: TriMesh, gltf_from_mesh: Float64[np.ndarray, "4 4"]) -> dict
             {"name": mesh.frame, "mesh": 0},
         ],
         "materials": [_material(material, texture) for material in mesh.materials],
-        "extensionsUsed": [_SPECULAR],
         "accessors": [],
         "bufferViews": [],
     }
 
 
 def _material(material: Material, texture: dict[str, Any]) -> dict[str, Any]:
-    is_matte = material.roughness >= MATTE_ROUGHNESS
     return {
         "name": material.name,
         "pbrMetallicRoughness": {
@@ -132,7 +127,6 @@ def _material(material: Material, texture: dict[str, Any]) -> dict[str, Any]:
             "metallicFactor": float(material.metallic),
             **texture,
         },
-        "extensions": {_SPECULAR: {"specularFactor": 0.0 if is_matte else 1.0}},
         "doubleSided": True,
     }
 

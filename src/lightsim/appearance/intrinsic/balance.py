@@ -58,12 +58,14 @@ def balance_light(
         path_world: positions of the cameras, for what lies under and beside their way.
     """
     prior = visibility_prior(observed, config)
+    own = observed
     block = space_blocks(observed.surfels.position, _BLOCK_M)
     classes = list(class_members(observed.surfels, path_world))
     found, lit = LightBalance.unchanged(), prior
     messages = np.zeros((len(observed.graph.pairs), 2), np.float32)
     for turn in range(_TURNS + 1):
         if turn:
+            observed = own.reflecting(found, lit)
             lit = infer_labels(observed, found, prior, config, messages)
         pairs = shadow_pairs(observed, lit, block)
         members = [ClassRadiance.of(kind, rows, observed, lit) for kind, rows in classes]

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
 from lightsim.appearance.intrinsic.divide import (
@@ -31,8 +31,9 @@ from lightsim.appearance.intrinsic.labels import (
     predict_reflectance_steps,
     rendered_visibility,
 )
-from lightsim.appearance.intrinsic.light import LightAt, SurfaceLight
+from lightsim.appearance.intrinsic.light import LightAt, SeenPoints, SurfaceLight
 from lightsim.appearance.intrinsic.surfels import (
+    Graph,
     LidarReturns,
     Surfels,
     connect,
@@ -48,12 +49,12 @@ __all__ = [
     "Decomposition",
     "IntrinsicConfig",
     "LidarReturns",
+    "Patches",
     "SurfaceLight",
     "decompose",
-    "observe_patches",
+    "patches_of",
 ]
 
-_LEAST_RADIANCE = 1e-3
 _REFLECTANCE_REACH_M = 0.3
 _WEIGHTS = LUMINANCE_WEIGHTS.astype(np.float64)
 _LEAST_SURFELS = 50
@@ -106,8 +107,8 @@ def decompose(
     """
     if len(mesh.vertices) == 0:
         return Decomposition(mesh, np.zeros(0, np.float32), ())
-    normals = mesh.vertex_normals()
-    light = light_at(mesh.vertices, normals).floored()
+    vertices = SeenPoints.vertices_of(mesh)
+    light = light_at(vertices).floored()
     if len(light.sun) != len(mesh.vertices):
         raise InputError(
             "the light must be given for every vertex",
@@ -116,15 +117,15 @@ def decompose(
         )
     if config.method == "divide":
         return _divided(mesh, light)
-    faces = _labelled_faces(mesh)
-    surfels = make_surfels(mesh, faces, _SURFEL_M, rng)
-    if len(surfels) < _LEAST_SURFELS:
+    faces = labelled_faces(mesh)
+    patches = Patches.of(mesh, faces, config, rng, returns)
+    if patches is None:
         return _finished(mesh, VertexLight(light, light.visibility[:, 1]), None, config)
-    observed, reflectance_gain = _observe(surfels, light_at, config, rng, returns)
+    observed, reflectance_gain = patches.under(light_at)
     labels = label_shadows(observed, config)
     field = label_field(faces, observed, labels)
-    del surfels, observed  # Larger than all that is left to do.
-    found = VertexLight(light, _visibility(mesh, normals, light, field))
+    del patches, observed  # Larger than all that is left to do.
+    found = VertexLight(light, _visibility(mesh, vertices.normal, light, field))
     note = f"LiDAR intensity predicts base colour with exponent {reflectance_gain:.2f}"
     notes = () if returns is None else (note,)
     done = _finished(mesh, found, field, config)
@@ -133,29 +134,64 @@ def decompose(
     )
 
 
-def observe_patches(
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """Patches of a mesh and what LiDAR says of them; light comes with `under`.
+
+    Args:
+        log_reflectance: of each patch as LiDAR intensity tells it; None where nobody looked.
+    """
+
+    surfels: Surfels
+    graph: Graph
+    log_reflectance: Float64[np.ndarray, " n"] | None
+
+    @staticmethod
+    def of(
+        mesh: TriMesh,
+        faces: Int64[np.ndarray, " k"],
+        config: IntrinsicConfig,
+        rng: np.random.Generator,
+        returns: LidarReturns | None = None,
+    ) -> Patches | None:
+        """Of some faces; None where there are too few."""
+        surfels = make_surfels(mesh, faces, _SURFEL_M, rng)
+        if len(surfels) < _LEAST_SURFELS:
+            return None
+        log_reflectance = None
+        if returns is not None and len(returns.intensity):
+            log_reflectance = lidar_log_reflectance(surfels, returns, _REFLECTANCE_REACH_M)
+        return Patches(surfels, connect(surfels, config.reach_m, rng), log_reflectance)
+
+    def under(self, light_at: LightAt) -> tuple[Observed, float]:
+        """What is known of the patches under a light, and the gain from LiDAR intensity to base
+        colour."""
+        light = light_at(self.surfels.points).floored()
+        step, gain = np.zeros(len(self.graph.pairs), np.float32), 0.0
+        observed = Observed.of(self.surfels, self.graph, step, light, _SURFEL_M)
+        if self.log_reflectance is not None:
+            step, gain = predict_reflectance_steps(
+                self.graph, observed.log_radiance, self.log_reflectance, light.visibility
+            )
+        return replace(observed, reflectance_step=step), gain
+
+
+def patches_of(
     mesh: TriMesh,
-    light_at: LightAt,
     config: IntrinsicConfig,
     rng: np.random.Generator,
     *,
     returns: LidarReturns | None = None,
-) -> Observed | None:
-    """Patches of a mesh with all that is known of them; None where there are too few.
+) -> Patches | None:
+    """Patches of all faces on which pictures say where shadows lie; None where there are too few.
 
     Args:
-        mesh, light_at, returns: as for `decompose`.
+        mesh, returns: as for `decompose`.
     """
-    faces = _labelled_faces(mesh)
-    if len(faces) == 0:
-        return None
-    surfels = make_surfels(mesh, faces, _SURFEL_M, rng)
-    if len(surfels) < _LEAST_SURFELS:
-        return None
-    return _observe(surfels, light_at, config, rng, returns)[0]
+    return Patches.of(mesh, labelled_faces(mesh), config, rng, returns)
 
 
-def _labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:
+def labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:
     """Faces on which the pictures say where shadows lie: not those of the background proxy, on
     which shadows fall where they happen to, and which is larger than all that was measured."""
     return np.flatnonzero(~mesh.comes_from(Provenance.BACKGROUND_PROXY))
@@ -163,17 +199,21 @@ def _labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:
 
 def _visibility(
     mesh: TriMesh,
-    normals: Float32[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
     light: SurfaceLight,
     field: LabelField,
 ) -> Float32[np.ndarray, " n"]:
     """Of the sun at each vertex: as labels have it, or as rendered where there are none."""
+    reflected = light.reflected
+    none = np.zeros_like(light.sun)
     seen = ShadedPoints(
         mesh.vertices,
-        normals,
+        normals.astype(np.float32),
         mesh.base_colour,
         light.diffuse.astype(np.float32),
         light.sun,
+        none if reflected is None else reflected.rest,
+        none if reflected is None else reflected.sun,
     )
     visibility = rendered_visibility(light).astype(np.float32)
     is_labelled = np.zeros(len(visibility), dtype=bool)
@@ -183,33 +223,14 @@ def _visibility(
     return visibility
 
 
-def _observe(
-    surfels: Surfels,
-    light_at: LightAt,
-    config: IntrinsicConfig,
-    rng: np.random.Generator,
-    returns: LidarReturns | None,
-) -> tuple[Observed, float]:
-    """What is known of the surfels, and the gain from LiDAR intensity to base colour."""
-    graph = connect(surfels, config.reach_m, rng)
-    light = light_at(surfels.position, surfels.normal).floored()
-    log_radiance = np.log(np.maximum(surfels.radiance, _LEAST_RADIANCE))
-    step, gain = np.zeros(len(graph.pairs), np.float32), 0.0
-    if returns is not None and len(returns.intensity):
-        log_reflectance = lidar_log_reflectance(surfels, returns, _REFLECTANCE_REACH_M)
-        step, gain = predict_reflectance_steps(
-            graph, log_radiance, log_reflectance, light.visibility
-        )
-    return Observed(surfels, graph, log_radiance, step, light, _SURFEL_M), gain
-
-
 def _finished(
     mesh: TriMesh, found: VertexLight, field: LabelField | None, config: IntrinsicConfig
 ) -> Decomposition:
     """Radiance over light; confidence falls where the sun's fraction hangs on an unsure label."""
     visibility = found.visibility.astype(np.float64)
     total = np.maximum(found.light.total(visibility), 1e-6)
-    colour = np.clip(mesh.base_colour / total, LOWEST_BASE_COLOUR, HIGHEST_BASE_COLOUR)
+    colour = found.light.base_colour(mesh.base_colour, visibility)
+    colour = np.clip(colour, LOWEST_BASE_COLOUR, HIGHEST_BASE_COLOUR)
     fraction = found.light.sun.sum(axis=1) / total.sum(axis=1)
     unsure = 4 * visibility * (1 - visibility) * np.minimum(fraction, 1.0)
     seen = np.ones(len(unsure)) if mesh.confidence is None else mesh.confidence

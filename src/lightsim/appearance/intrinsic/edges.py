@@ -108,13 +108,16 @@ def _around(
 
 @dataclass(frozen=True, eq=False)
 class ShadedPoints:
-    """Points of the surface with what was seen, and the light without and of the sun there."""
+    """Points of the surface with what was seen, the light without and of the sun there, and what
+    they reflect of both."""
 
     points: Float32[np.ndarray, "n 3"]
     normals: Float32[np.ndarray, "n 3"]
     radiance: Float32[np.ndarray, "n 3"]
     diffuse: Float32[np.ndarray, "n 3"]
     direct: Float32[np.ndarray, "n 3"]
+    reflected: Float32[np.ndarray, "n 3"]
+    reflected_sun: Float32[np.ndarray, "n 3"]
 
     def __len__(self) -> int:
         return len(self.points)
@@ -127,6 +130,8 @@ class ShadedPoints:
             self.radiance[rows],
             self.diffuse[rows],
             self.direct[rows],
+            self.reflected[rows],
+            self.reflected_sun[rows],
         )
 
 
@@ -152,8 +157,10 @@ def _refine(field: LabelField, seen: ShadedPoints) -> Float64[np.ndarray, " n"]:
     colour = fraction * field.is_known[index]
     colour = (colour[:, :, None] * field.log_colour[index]).sum(axis=1)
     colour = np.exp(colour / np.maximum(known, 1e-9)[:, None])
-    wanted = ((seen.radiance / colour - seen.diffuse) * seen.direct).sum(axis=1)
-    found = wanted / np.maximum((seen.direct**2).sum(axis=1), 1e-12)
+    diffuse = seen.diffuse + seen.reflected / colour
+    direct = seen.direct + seen.reflected_sun / colour
+    wanted = ((seen.radiance / colour - diffuse) * direct).sum(axis=1)
+    found = wanted / np.maximum((direct**2).sum(axis=1), 1e-12)
     is_edge = (lit > _MIXED) & (lit < 1 - _MIXED) & (known > 0.3)
     is_edge |= field.is_mixed[index].any(axis=1) & (known > 0.3)
     return np.where(is_edge, np.clip(found, 0.0, 1.0), lit)

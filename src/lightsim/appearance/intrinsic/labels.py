@@ -9,7 +9,7 @@ about shadows than about light, because what no sensor saw can only add shadows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp
 
 import numpy as np
@@ -48,6 +48,10 @@ _ROUNDS = 3
 _MAX_PAIR_ENERGY = 3.0
 # Patches so near to one of the other label, in their own size, straddle the edge.
 _EDGE_SURFELS = 2.5
+# Reach of the base colours that reflections are compared with, and their limits.
+_COLOUR_REACH_M = 1.0
+_COLOURS = (0.05, 0.9)
+_LEAST_RADIANCE = 1e-3
 # Energy of a shadow's edge itself, nats.
 _EDGE_ENERGY = 0.3
 
@@ -59,17 +63,46 @@ class Observed:
     Args:
         log_radiance: natural logarithm.
         reflectance_step: for each pair of the graph, log of base colour of the second over the
-        first,
-            as LiDAR intensity predicts it; 0 where that says nothing.
-        light: of the source sky at each surfel.
+            first, as LiDAR intensity predicts it; 0 where that says nothing.
+        own_light: of the source sky at each surfel.
+        light: the same with reflections as light (`SurfaceLight.on_lambert`), so that log radiance
+            is log base colour and log light.
     """
 
     surfels: Surfels
     graph: Graph
     log_radiance: Float64[np.ndarray, "n 3"]
     reflectance_step: Float32[np.ndarray, " e"]
+    own_light: SurfaceLight
     light: SurfaceLight
     surfel_m: float
+
+    @staticmethod
+    def of(
+        surfels: Surfels,
+        graph: Graph,
+        reflectance_step: Float32[np.ndarray, " e"],
+        own_light: SurfaceLight,
+        surfel_m: float,
+    ) -> Observed:
+        """Surfels under a light that is taken as it is."""
+        log_radiance = np.log(np.maximum(surfels.radiance, _LEAST_RADIANCE))
+        observed = Observed(
+            surfels, graph, log_radiance, reflectance_step, own_light, own_light, surfel_m
+        )
+        return observed.reflecting(LightBalance.unchanged(), rendered_visibility(own_light))
+
+    def reflecting(self, balance: LightBalance, visibility: Float64[np.ndarray, " n"]) -> Observed:
+        """With reflections on the base colours that a balance and a visibility of the sun ask for,
+        smoothed, since they hold a wrong visibility's shadows. The light stays unbalanced."""
+        if self.own_light.reflected is None:
+            return self
+        balanced = self.own_light.balanced(balance)
+        colour = np.clip(balanced.base_colour(self.surfels.radiance, visibility), *_COLOURS)
+        smooth = [
+            np.exp(smoothed(np.log(channel), self.graph, _COLOUR_REACH_M)) for channel in colour.T
+        ]
+        return replace(self, light=self.own_light.on_lambert(np.stack(smooth, axis=1)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +140,7 @@ def softened_prior(
 ) -> Float64[np.ndarray, " n"]:
     """The same from any belief about the visibility of the sun: edges are where they are to within
     the geometry's error, and there may be casters that nobody saw."""
-    smooth = _smoothed(believed, graph, config.edge_error_m)
+    smooth = smoothed(believed, graph, config.edge_error_m)
     return _LEAST_LIT + (1 - config.unseen_shadow - _LEAST_LIT) * smooth
 
 
@@ -117,7 +150,7 @@ def rendered_visibility(light: SurfaceLight) -> Float64[np.ndarray, " n"]:
     return _TRUST_INFERRED * inferred + (1 - _TRUST_INFERRED) * measured
 
 
-def _smoothed(
+def smoothed(
     values: Float64[np.ndarray, " n"], graph: Graph, radius_m: float
 ) -> Float64[np.ndarray, " n"]:
     """Mean over the neighbourhood, by a Gaussian of the distance."""

@@ -9,11 +9,13 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
 from scipy.spatial import KDTree
 
+from lightsim.appearance.intrinsic.light import SeenPoints
 from lightsim.core.mesh import TriMesh
 
 _NEAR, _FAR = 8, 5
 """Nearest patches that each is compared with, and random ones, to see past thin things."""
 _MIN_RETURNS = 3
+_COLUMNS = 14
 _CHUNK, _CHUNK_SURFELS = 1 << 17, 1 << 14
 """Samples and surfels looked at together: some 50 MB of intermediate results, whatever the log."""
 _RANGE_EDGES_M = (0.0, 4.0, 6.0, 8.0, 11.0, 15.0, 20.0, 27.0, 36.0, 50.0, 70.0, 1e9)
@@ -30,6 +32,8 @@ class Surfels:
         radiance: mean observed linear RGB.
         area_m2: surface that each stands for.
         confidence: 0 (colour filled in) to 1 (seen).
+        towards_camera: mean direction to the cameras, unit; 0 where no camera saw the patch.
+        roughness: of the material.
     """
 
     position: Float64[np.ndarray, "n 3"]
@@ -37,9 +41,16 @@ class Surfels:
     radiance: Float64[np.ndarray, "n 3"]
     area_m2: Float64[np.ndarray, " n"]
     confidence: Float64[np.ndarray, " n"]
+    towards_camera: Float64[np.ndarray, "n 3"]
+    roughness: Float64[np.ndarray, " n"]
 
     def __len__(self) -> int:
         return len(self.position)
+
+    @property
+    def points(self) -> SeenPoints:
+        """The patches' centres."""
+        return SeenPoints(self.position, self.normal, self.towards_camera, self.roughness)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,19 +84,19 @@ class _Cells:
     Args:
         key: of the cell and the side, ascending, each once.
         count: of samples.
-        sums: of position, normal, colour and confidence.
+        sums: of position, normal, colour, confidence, direction to the cameras and roughness.
     """
 
     key: Int64[np.ndarray, " c"]
     count: Int64[np.ndarray, " c"]
-    sums: Float64[np.ndarray, "c 10"]
+    sums: Float64[np.ndarray, "c 14"]
 
     @staticmethod
     def joined(parts: Sequence[_Cells]) -> _Cells:
         """Of parts that may have cells in common."""
         key, index = np.unique(np.concatenate([part.key for part in parts]), return_inverse=True)
         count = np.zeros(len(key), np.int64)
-        sums = np.zeros((len(key), 10))
+        sums = np.zeros((len(key), _COLUMNS))
         start = 0
         for part in parts:
             rows = index[start : start + len(part.key)]
@@ -103,14 +114,14 @@ def make_surfels(
     Colour is the mean over the patch of the texture where there is one, else of the vertices.
     """
     spacing = size_m / 2.5
-    normals = mesh.vertex_normals()
+    vertices = SeenPoints.vertices_of(mesh)
     corners = mesh.vertices[mesh.faces[faces]].reshape(-1, 3)
     low = np.floor(corners.min(axis=0, initial=np.inf).astype(np.float64) / size_m)
     size = np.floor(corners.max(axis=0, initial=-np.inf).astype(np.float64) / size_m) - low + 1
     del corners
-    parts = [_Cells(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 10)))]
+    parts = [_Cells(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, _COLUMNS)))]
     for samples in sample_surface(mesh, faces, spacing, rng):
-        values = _values_at(mesh, normals, samples)
+        values = _values_at(mesh, vertices, samples)
         cell = np.clip(np.floor(values[:, :3] / size_m) - low, 0, size - 1).astype(np.int64)
         place = (*cell.T, _side(values[:, 3:6]))
         key = np.ravel_multi_index(place, (*size.astype(np.int64), 6))
@@ -121,23 +132,27 @@ def make_surfels(
     is_good = length[:, 0] > 0.3
     normal = mean[is_good, 3:6] / length[is_good]
     area = cells.count[is_good] * spacing**2
-    return Surfels(mean[is_good, :3], normal, mean[is_good, 6:9], area, mean[is_good, 9])
+    mean = mean[is_good]
+    towards = mean[:, 10:13] / np.maximum(np.linalg.norm(mean[:, 10:13], axis=1), 1e-9)[:, None]
+    return Surfels(mean[:, :3], normal, mean[:, 6:9], area, mean[:, 9], towards, mean[:, 13])
 
 
 def _values_at(
-    mesh: TriMesh, normals: Float32[np.ndarray, "v 3"], samples: Samples
-) -> Float64[np.ndarray, "n 10"]:
-    """Position, normal, colour and confidence."""
+    mesh: TriMesh, vertices: SeenPoints, samples: Samples
+) -> Float64[np.ndarray, "n 14"]:
+    """Position, normal, colour, confidence, direction to the cameras and roughness."""
     corners = mesh.faces[samples.face]
     weight = samples.barycentric[:, :, None]
     seen = np.ones((len(corners), 1))
     if mesh.confidence is not None:
         seen = (weight[:, :, 0] * mesh.confidence[corners]).sum(axis=1, keepdims=True)
     colour = mesh.colour_at(samples.face, samples.barycentric)
-    position, normal = (
-        (weight * vectors[corners]).sum(axis=1) for vectors in (mesh.vertices, normals)
+    position, normal, towards = (
+        (weight * vectors[corners]).sum(axis=1)
+        for vectors in (mesh.vertices, vertices.normal, vertices.towards_camera)
     )
-    return np.concatenate([position, normal, colour, seen], axis=1)
+    roughness = (weight[:, :, 0] * vertices.roughness[corners]).sum(axis=1, keepdims=True)
+    return np.concatenate([position, normal, colour, seen, towards, roughness], axis=1)
 
 
 def _side(normal: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
@@ -146,7 +161,7 @@ def _side(normal: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
     return 2 * axis + (np.take_along_axis(normal, axis[:, None], 1)[:, 0] < 0)
 
 
-def _summed(keys: Int64[np.ndarray, " n"], values: Float64[np.ndarray, "n 10"]) -> _Cells:
+def _summed(keys: Int64[np.ndarray, " n"], values: Float64[np.ndarray, "n 14"]) -> _Cells:
     key, index, count = np.unique(keys, return_inverse=True, return_counts=True)
     sums = [np.bincount(index, column, minlength=len(key)) for column in values.T]
     return _Cells(key, count.astype(np.int64), np.stack(sums, axis=1))

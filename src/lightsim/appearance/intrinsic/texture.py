@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from lightsim.appearance.atlas import texel_parts
 from lightsim.appearance.intrinsic.edges import LabelField, ShadedPoints, refine_visibility
-from lightsim.appearance.intrinsic.light import SurfaceLight
+from lightsim.appearance.intrinsic.light import SurfaceLight, diffuse_part
 from lightsim.core.mesh import Texture, TriMesh
 
 _CHUNK = 1 << 17
@@ -72,11 +72,15 @@ def texture_without_light(
         limits: least and greatest base colour.
         shade: at the vertices; None trusts every quotient.
     """
+    reflected = found.light.reflected
+    none = np.zeros_like(found.light.sun)
     attributes = _VertexAttributes(
         mesh.vertices,
         mesh.vertex_normals(),
         found.light.diffuse.astype(np.float32),
         found.light.sun,
+        none if reflected is None else reflected.rest,
+        none if reflected is None else reflected.sun,
         found.visibility,
     )
     is_edge = np.zeros(len(mesh.faces), dtype=bool)
@@ -89,8 +93,10 @@ def texture_without_light(
         rows = np.flatnonzero(is_edge[face])
         if field is not None and len(rows):
             visibility[rows] = refine_visibility(field, seen.at(rows))
-        light = seen.diffuse + np.clip(visibility, 0.0, 1.0)[:, None] * seen.direct
-        colour = np.clip(seen.radiance / np.maximum(light, 1e-6), *limits)
+        open_part = np.clip(visibility, 0.0, 1.0)[:, None]
+        light = seen.diffuse + open_part * seen.direct
+        diffuse = diffuse_part(seen.radiance, seen.reflected + open_part * seen.reflected_sun)
+        colour = np.clip(diffuse / np.maximum(light, 1e-6), *limits)
         if shade is not None:
             colour = shade.between(mesh.faces[face], barycentric).blended(colour)
         image[pixel] = colour
@@ -105,6 +111,8 @@ class _VertexAttributes:
     normals: Float32[np.ndarray, "n 3"]
     diffuse: Float32[np.ndarray, "n 3"]
     direct: Float32[np.ndarray, "n 3"]
+    reflected: Float32[np.ndarray, "n 3"]
+    reflected_sun: Float32[np.ndarray, "n 3"]
     visibility: Float32[np.ndarray, " n"]
 
     def between(
@@ -115,13 +123,20 @@ class _VertexAttributes:
     ) -> tuple[ShadedPoints, Float32[np.ndarray, " t"]]:
         """Points inside triangles, and the visibility between the corners'."""
         weights = barycentric[:, :, None]
-        points, normals, diffuse, direct = (
+        points, normals, diffuse, direct, *reflected = (
             (weights * values[corners]).sum(axis=1)
-            for values in (self.points, self.normals, self.diffuse, self.direct)
+            for values in (
+                self.points,
+                self.normals,
+                self.diffuse,
+                self.direct,
+                self.reflected,
+                self.reflected_sun,
+            )
         )
         visibility = (barycentric * self.visibility[corners]).sum(axis=1)
         light = np.maximum(diffuse, 1e-6), np.maximum(direct, 0.0)
-        return ShadedPoints(points, normals, radiance, *light), visibility
+        return ShadedPoints(points, normals, radiance, *light, *reflected), visibility
 
 
 def edge_faces(mesh: TriMesh, field: LabelField) -> Bool[np.ndarray, " k"]:

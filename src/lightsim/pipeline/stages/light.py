@@ -10,15 +10,16 @@ import numpy as np
 from jaxtyping import Float32
 
 from lightsim.appearance.intrinsic.balance import balance_light
-from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, decompose, observe_patches
+from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, decompose, patches_of
 from lightsim.appearance.intrinsic.labels import Observed
+from lightsim.appearance.intrinsic.light import LightBalance
 from lightsim.appearance.intrinsic.roofs import carve_roofs
 from lightsim.core.buildings import Roofline
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
-from lightsim.core.twin import SkyEstimate
+from lightsim.core.twin import LightFreedom, SkyEstimate
 from lightsim.lighting.panorama.stitch import StitchConfig, stitch_panorama
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.balance import rebalanced, unseen_part
@@ -138,50 +139,31 @@ def source_sky(
     """The dome of a log whose sun was found: first what the sky tells, then with what shadows and
     materials on its surfaces say of the sun and of the sky that no camera saw; and the roofs that
     cast these shadows."""
-    log = work.training_log
     estimate, freedom = estimate_sky(
         work.panorama, sun, config.sky, progress=progress, prediction=prediction
     )
+    log, rng = work.training_log, np.random.default_rng(seed)
+    returns = static_returns(log, LIDAR_RETURNS, rng)
+    patches = patches_of(work.assets.background, config.labels, rng, returns=returns)
+    if patches is None:
+        return estimate, work.guessed_rooflines
     unseen = unseen_part(estimate.dome, freedom)
 
-    def observe(inferred: TriMesh) -> Observed | None:
+    def observe(inferred: TriMesh) -> Observed:
         source = SourceLight(
             log, work.assets, inferred, estimate.dome, config.irradiance, seed, unseen
         )
-        rng = np.random.default_rng(seed)
-        return observe_patches(
-            work.assets.background,
-            source.on(RigidTransform.identity("world", "world")),
-            config.labels,
-            rng,
-            returns=static_returns(log, LIDAR_RETURNS, rng),
-        )
+        return patches.under(source.on(RigidTransform.identity("world", "world")))[0]
 
-    rooflines, observed = work.guessed_rooflines, observe(work.inferred)
-    if observed is None:
-        return estimate, rooflines
-    source_sun = estimate.dome.sun
-    if source_sun is not None and freedom.cloud_probability < _VEILED:
-        carved = carve_roofs(rooflines, observed, source_sun.direction_world, config.labels)
-        if any((a.top != b.top).any() for a, b in zip(carved, rooflines, strict=True)):
-            rooflines, observed = carved, observe(roofs_over(work.assets.background, carved))
-    assert observed is not None
+    observed, rooflines = observe(work.inferred), work.guessed_rooflines
+    carved = _carved(rooflines, observed, estimate, freedom, config)
+    if any((a.top != b.top).any() for a, b in zip(carved, rooflines, strict=True)):
+        rooflines, observed = carved, observe(roofs_over(work.assets.background, carved))
     path_world = np.array([frame.world_from_camera.translation_m for frame in log.frames])
     balance = balance_light(observed, freedom, path_world, config.labels)
     if np.isinf(balance.sun_log_std):
         return estimate, rooflines
-    on_sun, on_unseen_sky = (
-        f"({', '.join(f'{value:.2f}' for value in factor)}), log std {log_std:.2f}"
-        for factor, log_std in (
-            (balance.sun, balance.sun_log_std),
-            (balance.unseen_sky, balance.unseen_sky_log_std),
-        )
-    )
-    note = (
-        f"{_moved_roofs(work.guessed_rooflines, rooflines)}; {balance.pair_count} lit/shadowed"
-        f" pairs of patches and known materials: sun times {on_sun};"
-        f" unseen sky times {on_unseen_sky}"
-    )
+    note = f"{_moved_roofs(work.guessed_rooflines, rooflines)}; {_balance_note(balance)}"
     balanced = rebalanced(
         estimate,
         freedom,
@@ -192,6 +174,35 @@ def source_sky(
         note=note,
     )
     return balanced, rooflines
+
+
+def _carved(
+    rooflines: list[Roofline],
+    observed: Observed,
+    estimate: SkyEstimate,
+    freedom: LightFreedom,
+    config: SkyStageConfig,
+) -> list[Roofline]:
+    """The rooflines with what their shadows say, if the sun casts any."""
+    sun = estimate.dome.sun
+    if sun is None or freedom.cloud_probability >= _VEILED:
+        return rooflines
+    return carve_roofs(rooflines, observed, sun.direction_world, config.labels)
+
+
+def _balance_note(balance: LightBalance) -> str:
+    """Factors and spreads, for people."""
+    on_sun, on_unseen_sky = (
+        f"({', '.join(f'{value:.2f}' for value in factor)}), log std {log_std:.2f}"
+        for factor, log_std in (
+            (balance.sun, balance.sun_log_std),
+            (balance.unseen_sky, balance.unseen_sky_log_std),
+        )
+    )
+    return (
+        f"{balance.pair_count} lit/shadowed pairs of patches and known materials:"
+        f" sun times {on_sun}; unseen sky times {on_unseen_sky}"
+    )
 
 
 def _moved_roofs(before: Sequence[Roofline], after: Sequence[Roofline]) -> str:

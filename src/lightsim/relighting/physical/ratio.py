@@ -34,6 +34,8 @@ _ENCLOSED_RIM_PX = 3
 
 # What exceeds this reflectance is a highlight: it follows the sky, not the shading.
 _LARGEST_ALBEDO = 1.0
+# Of a pixel's radiance, the most that may be reflection.
+_MOST_REFLECTED = 0.7
 # Relative error of a ratio for every e-fold by which it changes the light. More trust in the base
 # colour scores higher on grainy synthetic pictures, but takes details from the picture that no mesh
 # and no texture holds.
@@ -120,7 +122,8 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
     is_surface &= ~_is_enclosed(foreground, inputs.source, is_surface, config)
     ratio = _light_ratio(source, target, is_surface, config)
     foreground = denoised_where_amplified(foreground, ratio.max(axis=-1))
-    relit = _relit_surface(foreground, ratio, inputs, source, target, is_surface, config)
+    diffuse, reflected = _exchanged_reflections(foreground, source, target, is_surface)
+    relit = _relit_surface(diffuse, ratio, inputs, source, target, is_surface, config) + reflected
     return composite(relit, inputs.target_sky, inputs.sky_matte)
 
 
@@ -190,6 +193,22 @@ def _light_ratio(
     tiny = np.float32(1e-8)
     log_ratio = np.log(lit[1] + tiny) - np.log(lit[0] + tiny)
     return np.exp(fill_holes(log_ratio.astype(np.float32), is_surface)).astype(np.float32)
+
+
+def _exchanged_reflections(
+    foreground: Float32[np.ndarray, "h w 3"],
+    source: ShadowBuffers,
+    target: ShadowBuffers,
+    is_surface: Bool[np.ndarray, "h w"],
+) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:
+    """The picture without what its surfaces reflect of the source, and what they reflect of the
+    target. Where the model reflects more than the picture can hold, part of it is believed, and the
+    same part of the target's."""
+    held = np.where(is_surface[..., None], source.reflected, 0.0)
+    most = np.float32(_MOST_REFLECTED) * foreground
+    part = np.where(held > most, most / np.maximum(held, np.float32(1e-9)), 1.0)
+    reflected = np.where(is_surface[..., None], part * target.reflected, 0.0)
+    return (foreground - part * held).astype(np.float32), reflected.astype(np.float32)
 
 
 def _relit_surface(

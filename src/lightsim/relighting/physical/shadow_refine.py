@@ -61,16 +61,18 @@ def refine_sun_visibility(
         shadows: the rendered light of the image's own sky.
         is_usable: pixels with a surface that are neither sky nor clipped.
     """
-    sunlight = unoccluded_sun(buffers, shadows, sun)
-    ambient = np.maximum(shadows.sky + shadows.bounce, _DARKEST)
+    colour = np.maximum(buffers.base_colour, np.float32(0.02))
+    # Reflections count as light that a diffuse surface of this colour would need.
+    by_sun = shadows.sun_visibility[..., None] * shadows.reflected_sun
+    sunlight = unoccluded_sun(buffers, shadows, sun) + shadows.reflected_sun / colour
+    ambient = shadows.sky + shadows.bounce + (shadows.reflected - by_sun) / colour
+    ambient = np.maximum(ambient, _DARKEST)
     contrast = luminance(sunlight) / luminance(ambient)
     is_open = is_usable & buffers.has_surface & (contrast > _LEAST_CONTRAST)
     if not is_open.any():
         return shadows.sun_visibility
     prior = _prior_logit(shadows.sun_visibility, buffers, is_open)
-    residual = np.log(np.maximum(radiance, _DARKEST)) - np.log(
-        np.maximum(buffers.base_colour, np.float32(0.02)) * ambient
-    )
+    residual = np.log(np.maximum(radiance, _DARKEST)) - np.log(colour * ambient)
     step = np.log1p(sunlight / ambient)
     visibility = _infer(residual, step, prior, luminance(radiance), is_open)
     fraction = is_open * _changed_fraction(visibility, shadows.sun_visibility)
@@ -114,8 +116,13 @@ def with_sun_visibility(
     direct = np.where(is_same[..., None], shadows.direct_sun, sunlight * visibility[..., None])
     direct = direct.astype(np.float32)
     shaded = np.where(is_same[..., None], shadows.shaded, direct + shadows.sky + shadows.bounce)
+    glossy = shadows.glossy
+    if glossy is not None:
+        change = (visibility - shadows.sun_visibility)[..., None]
+        glossy = np.maximum(glossy + change * shadows.reflected_sun, 0.0).astype(np.float32)
     return replace(
         shadows,
+        glossy=glossy,
         sun_visibility=visibility,
         direct_sun=direct,
         shaded=shaded.astype(np.float32),

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Float32
 
-from lightsim.core.mesh import MATTE_ROUGHNESS, TriMesh
+from lightsim.core.mesh import TriMesh
 from lightsim.mitsuba_scene import bitmap, make_mesh
 
 _SPECULAR = 0.5
@@ -31,7 +31,6 @@ class CornerMesh:
         colour: of the vertices.
         roughness: of each face.
         metallic: of each face.
-        specular: of each face: 0.5 reflects 4 % at normal incidence, 0 nothing (metals apart).
     """
 
     vertices: Float32[np.ndarray, "c 3"]
@@ -41,7 +40,6 @@ class CornerMesh:
     texture: Float32[np.ndarray, "h w 3"] | None
     roughness: Float32[np.ndarray, " m"]
     metallic: Float32[np.ndarray, " m"]
-    specular: Float32[np.ndarray, " m"]
 
 
 def corner_mesh(mesh: TriMesh, vertex_normals: Float32[np.ndarray, "n 3"]) -> CornerMesh:
@@ -69,7 +67,6 @@ def corner_mesh(mesh: TriMesh, vertex_normals: Float32[np.ndarray, "n 3"]) -> Co
         image,
         roughness,
         np.array([m.metallic for m in mesh.materials], dtype=np.float32)[kind],
-        np.where(roughness < MATTE_ROUGHNESS, _SPECULAR, 0.0).astype(np.float32),
     )
 
 
@@ -90,7 +87,6 @@ def mitsuba_mesh(mi: Any, name: str, mesh: CornerMesh, is_principled: bool) -> A
         "vertex_color": mesh.colour,
         "face_roughness": mesh.roughness,
         "face_metallic": mesh.metallic,
-        "face_lobe": _has_lobe(mesh).astype(np.float32),
     }
     return make_mesh(mi, name, parameters, _bsdf(mi, mesh, is_principled), attributes)
 
@@ -100,20 +96,14 @@ def _bsdf(mi: Any, mesh: CornerMesh, is_principled: bool) -> Any:
     if mesh.texture is not None:
         colour = bitmap(mi, mesh.texture, "clamp")
     inner: dict[str, Any] = {"type": "diffuse", "reflectance": colour}
-    if is_principled and _has_lobe(mesh).any():
-        principled = {
+    if is_principled:
+        # Its diffuse lobe brightens towards grazing angles (Burley 2012), on rough faces by some
+        # 10 %, where the light transport matrix has Lambert's.
+        inner = {
             "type": "principled",
             "base_color": colour,
             "roughness": {"type": "mesh_attribute", "name": "face_roughness"},
             "metallic": {"type": "mesh_attribute", "name": "face_metallic"},
             "specular": _SPECULAR,
         }
-        lobe = {"type": "mesh_attribute", "name": "face_lobe"}
-        inner = {"type": "blendbsdf", "weight": lobe, "matte": inner, "glossy": principled}
     return mi.load_dict({"type": "twosided", "material": inner})
-
-
-def _has_lobe(mesh: CornerMesh) -> Bool[np.ndarray, " m"]:
-    """Faces with a specular lobe; the others are Lambert's: Mitsuba's own diffuse lobe for rough
-    surfaces (Burley 2012) reflects more than the base colour at grazing angles."""
-    return (mesh.specular > 0) | (mesh.metallic > 0)

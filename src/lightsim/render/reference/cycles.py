@@ -223,6 +223,6 @@ def _sun_request(sun: Sun | None) -> dict[str, Any] | None:
 
 
 def _arrays(mesh: CornerMesh) -> dict[str, Any]:
-    names = ("vertices", "normals", "uv", "colour", "texture", "roughness", "metallic", "specular")
+    names = ("vertices", "normals", "uv", "colour", "texture", "roughness", "metallic")
     arrays = {name: getattr(mesh, name) for name in names}
     return {name: array for name, array in arrays.items() if array is not None}

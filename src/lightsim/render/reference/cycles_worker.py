@@ -173,7 +173,7 @@ def _mesh(bpy: Any, name: str, arrays: Any) -> Any:
     colour = np.concatenate([arrays["colour"], np.ones((corners, 1), np.float32)], axis=1)
     attribute = mesh.attributes.new("colour", "FLOAT_COLOR", "CORNER")
     attribute.data.foreach_set("color", colour.ravel())
-    for key in ("roughness", "metallic", "specular"):
+    for key in ("roughness", "metallic"):
         attribute = mesh.attributes.new(key, "FLOAT", "FACE")
         attribute.data.foreach_set("value", arrays[key])
     return mesh
@@ -207,7 +207,7 @@ def _material(bpy: Any, name: str, texture: np.ndarray | None) -> Any:
     principled = nodes.new("ShaderNodeBsdfPrincipled")
     principled.name = "principled"
     links.new(principled.inputs["Base Color"], source)
-    inputs = {"roughness": "Roughness", "metallic": "Metallic", "specular": "Specular IOR Level"}
+    inputs = {"roughness": "Roughness", "metallic": "Metallic"}
     for key, name_of_input in inputs.items():
         links.new(principled.inputs[name_of_input], _attribute(nodes, key, "Fac"))
     for key in ("diffuse", "white"):

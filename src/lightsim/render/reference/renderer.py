@@ -37,9 +37,9 @@ class Shot:
         dome: the sky. Its sun (`core.dome.split_sun`) shines as a disc of its own.
         samples: paths per pixel.
         bounces: reflections from surface to surface before the light; 0 is direct light alone.
-        surfaces: "principled" with roughness and metallic, Lambert where dielectrics are rough
-            (`core.mesh.MATTE_ROUGHNESS`); "diffuse": Lambert everywhere, or "white": diffuse, and
-            the surface that the camera sees is white, so that the picture is irradiance / pi.
+        surfaces: "principled" with roughness and metallic; "diffuse": Lambert everywhere, or
+            "white": diffuse, and the surface that the camera sees is white, so that the picture is
+            irradiance / pi.
         has_sky: whether the dome without its sun gives light.
         has_sun: whether its sun does.
         is_antialiased: averages over the pixel; otherwise all paths go through its centre.

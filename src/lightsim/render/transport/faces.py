@@ -46,7 +46,8 @@ class TransportConfig:
     pixel_samples: int = 1
     """Points of every pixel that are looked at, a square number; 1 takes the centre."""
     glossy_rays: int = 8
-    """Rays for reflections of each pixel smoother than MATTE_ROUGHNESS; 0 leaves them out."""
+    """Rays over the specular lobe of each traced pixel, or of each pixel smoother than
+    MATTE_ROUGHNESS where samples are looked at; 0 leaves reflections out."""
     device: str = "cpu"
     """Where the sums over pixel rays are taken: "cpu" (numba), or a device of torch."""
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float32
 
 from lightsim.core.casting import RayCaster
 from lightsim.core.dome import SkyDome
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import FaceSamples, FaceTable, hashed_shifts
 from lightsim.render.transport.light import face_radiosity, light_points, table_sums
+from lightsim.render.transport.lobes import Lobes, sun_in_lobes
 from lightsim.render.transport.matrix import TransportConfig, static_face_table, trace_points
 from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
 
@@ -42,6 +43,10 @@ class PointIrradiance:
         sky: the part of the open sky.
         sky_part: of `sky`, that of the part of the dome that was asked for; zero without one.
         bounce: the part of other surfaces.
+        reflected: radiance that the points' specular lobes send, of sky and other surfaces; zero
+            without lobes.
+        reflected_part: of `reflected`, that of the part of the dome that was asked for.
+        reflected_sun: the same of the sun, without visibility.
     """
 
     sun_visibility: Float32[np.ndarray, " n"]
@@ -50,6 +55,9 @@ class PointIrradiance:
     sky: Float32[np.ndarray, "n 3"]
     sky_part: Float32[np.ndarray, "n 3"]
     bounce: Float32[np.ndarray, "n 3"]
+    reflected: Float32[np.ndarray, "n 3"]
+    reflected_part: Float32[np.ndarray, "n 3"]
+    reflected_sun: Float32[np.ndarray, "n 3"]
 
     @property
     def irradiance_over_pi(self) -> Float32[np.ndarray, "n 3"]:
@@ -61,13 +69,12 @@ class PointIrradiance:
         """Darkness, to be filled in."""
         one, two = (np.zeros(count, dtype=np.float32) for _ in range(2))
         return PointIrradiance(
-            one, two, *(np.zeros((count, 3), dtype=np.float32) for _ in range(4))
+            one, two, *(np.zeros((count, 3), dtype=np.float32) for _ in range(7))
         )
 
 
 def irradiance_at(
-    points_world: Float[np.ndarray, "n 3"],
-    normals_world: Float[np.ndarray, "n 3"],
+    surface: Lobes,
     scene: FrameScene,
     dome: SkyDome,
     config: IrradianceConfig | None = None,
@@ -75,13 +82,14 @@ def irradiance_at(
     faces: FaceTable | None = None,
     part_of_dome: SkyDome | None = None,
 ) -> PointIrradiance:
-    """Light of a dome on surface points with unit normals, in frame `world`.
+    """Light of a dome on surface points, in frame `world`.
 
     Scenes without actors come from `render.scene.without_actors`.
 
     Args:
         faces: what an earlier call with the same scene, rays and seed has traced already
             (`static_face_table`); it grows, which makes many small calls cheap.
+        surface: with lobes (`Lobes.none_on` for none); no ray is traced where none reflects.
         part_of_dome: a dome without sun whose light is wanted besides.
     """
     config = config or IrradianceConfig()
@@ -91,12 +99,12 @@ def irradiance_at(
     cells = prepare_sky(dome)
     part_cells = None if part_of_dome is None else prepare_sky(part_of_dome)
     table = static_face_table(scene, rays, seed) if faces is None else faces
-    found = PointIrradiance.zeros(len(points_world))
-    for start in range(0, len(points_world), _TILE_POINTS):
+    found = PointIrradiance.zeros(len(surface))
+    for start in range(0, len(surface), _TILE_POINTS):
         part = slice(start, start + _TILE_POINTS)
-        numbers = np.arange(start, min(start + _TILE_POINTS, len(points_world)), dtype=np.int64)
+        numbers = np.arange(start, min(start + _TILE_POINTS, len(surface)), dtype=np.int64)
         tile = _tile(
-            (points_world[part].astype(np.float32), normals_world[part].astype(np.float32)),
+            surface.at(part),
             hashed_shifts(numbers, seed),
             scene,
             (cells, part_cells, table),
@@ -108,22 +116,37 @@ def irradiance_at(
 
 
 def _tile(
-    surface: tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]],
+    surface: Lobes,
     shifts: Float32[np.ndarray, "n 2"],
     scene: FrameScene,
     shared: tuple[EnvironmentCells, EnvironmentCells | None, FaceTable],
     config: IrradianceConfig,
 ) -> PointIrradiance:
-    points, normals = surface
+    points, normals = surface.ray_starts_world, surface.normal_world
     cells, part_cells, face_table = shared
-    table = trace_points(scene, points, normals, shifts, config.transport, face_table)
+    table = trace_points(scene, surface, shifts, config.transport, face_table)
     radiosity = _radiosity(table.faces, scene.caster, cells, config.unseen_albedo)
     lit = light_points(table, radiosity, scene, points, normals, cells, config.transport)
-    sky_part = np.zeros_like(lit.sky)
+    sky_part, reflected, reflected_part, reflected_sun = (np.zeros_like(lit.sky) for _ in range(4))
+    if table.reflections is not None:
+        reflected = table.reflections.light(cells, radiosity)
+        if cells.sun is not None:
+            reflected_sun = sun_in_lobes(surface, cells.sun)
     if part_cells is not None:
-        sky_part = table_sums(table, part_cells, np.zeros_like(radiosity))[:, :3]
+        dark = np.zeros_like(radiosity)
+        sky_part = table_sums(table, part_cells, dark)[:, :3]
+        if table.reflections is not None:
+            reflected_part = table.reflections.light(part_cells, dark)
     return PointIrradiance(
-        lit.sun_visibility, table.sky_view_factor, lit.direct_sun, lit.sky, sky_part, lit.bounce
+        lit.sun_visibility,
+        table.sky_view_factor,
+        lit.direct_sun,
+        lit.sky,
+        sky_part,
+        lit.bounce,
+        reflected,
+        reflected_part,
+        reflected_sun,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float32
@@ -12,6 +12,7 @@ from lightsim.core.casting import RayCaster
 from lightsim.core.dome import SkyDome, Sun
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import FaceSamples
+from lightsim.render.transport.lobes import pixel_lobes, sun_in_lobes
 from lightsim.render.transport.matrix import PointTransport, TransportConfig, TransportMatrix
 from lightsim.render.transport.resolve import resolve
 from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
@@ -45,7 +46,7 @@ def light(
 
     Args:
         table: from `trace_transport` with the same scene, buffers and config; with samples, the
-            light is the mean over each pixel's surfaces, and reflections are added.
+            light is the mean over each pixel's surfaces.
         sky: a dome, or the result of `prepare_sky`, which saves time for many frames.
     """
     cells = prepare_sky(sky) if isinstance(sky, SkyDome) else sky
@@ -54,9 +55,42 @@ def light(
     images = np.zeros((gbuffers.depth_z_m.size, 9), dtype=np.float32)
     table.upsampling.add(sums, images, table.pixel)
     images = images.reshape(*gbuffers.depth_z_m.shape, 9)
+    reflected = _reflected(table, cells, radiosity, gbuffers)
     if table.detail is None:
-        return _at_centres(images, scene, gbuffers, cells, config)
-    return resolve(table.detail, scene, gbuffers, (cells, radiosity, sums, images), config)
+        shadows = _at_centres(images, scene, gbuffers, cells, config)
+    else:
+        shadows = resolve(table.detail, scene, gbuffers, (cells, radiosity, sums, images), config)
+    return shadows if reflected is None else _with_reflections(shadows, *reflected)
+
+
+def _reflected(
+    table: TransportMatrix,
+    cells: EnvironmentCells,
+    radiosity: Float32[np.ndarray, "f 3"],
+    gbuffers: GBuffers,
+) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]] | None:
+    """Radiance that wide lobes reflect at pixel centres: of sky and surfaces, and of the sun where
+    nothing stands before it. None where no lobe was traced."""
+    if table.points.reflections is None:
+        return None
+    shape = gbuffers.depth_z_m.shape
+    rest = np.zeros((gbuffers.depth_z_m.size, 3), dtype=np.float32)
+    table.upsampling.add(table.points.reflections.light(cells, radiosity), rest, table.pixel)
+    sun = np.zeros_like(rest)
+    if cells.sun is not None:
+        # The highlight of a smooth surface covers few pixels; on a measured body, whose normals err
+        # by degrees, it would cover many. Where samples are looked at, it is theirs.
+        lobes = pixel_lobes(gbuffers, table.pixel, is_matte_alone=True)
+        assert lobes is not None
+        sun[table.pixel] = sun_in_lobes(lobes, cells.sun)
+    return rest.reshape(*shape, 3), sun.reshape(*shape, 3)
+
+
+def _with_reflections(
+    shadows: ShadowBuffers, rest: Float32[np.ndarray, "h w 3"], sun: Float32[np.ndarray, "h w 3"]
+) -> ShadowBuffers:
+    glossy = shadows.reflected + rest + shadows.sun_visibility[..., None] * sun
+    return replace(shadows, glossy=glossy, glossy_sun=sun)
 
 
 def _at_centres(

@@ -2,9 +2,9 @@
 
 For every traced pixel N cosine-distributed rays are stored as the sky cell they point at and the
 surface face they meet, if any; for every face met, M rays of its own. A sky then costs sums of
-table look-ups and a few sun rays (`render.transport.light`). Diffuse surfaces, one bounce or two;
-reflections of smooth surfaces are traced by `render.transport.glossy`. This is precomputed radiance
-transfer (Sloan et al. 2002, doi:10.1145/566654.566612) with cells of the sky as its basis.
+table look-ups and a few sun rays (`render.transport.light`). One bounce between surfaces, or more;
+further rays over the points' specular lobes (`render.transport.lobes`). This is precomputed
+radiance transfer (Sloan et al. 2002, doi:10.1145/566654.566612) with cells of the sky as its basis.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from lightsim.render.transport.faces import (
     pixel_shifts,
 )
 from lightsim.render.transport.glossy import (
-    GlossyTable,
     ReflectionSmoothing,
     diffuse_fraction,
     reflection_smoothing,
     trace_glossy,
 )
+from lightsim.render.transport.lobes import Lobes, LobeTable, pixel_lobes, trace_lobes
 from lightsim.render.transport.matrix_torch import TorchTransport
 from lightsim.render.transport.samples import PixelSamples
 from lightsim.render.transport.sides import OPEN, SideFinder
@@ -53,13 +53,15 @@ class PointTransport:
         sky_cells: the cell that each ray points at.
         face_rows: row in `faces` of the face it meets, or OPEN.
         faces: what the rays meet.
-        bag: the rays on another device, where that is to sum them.
+        on_device: the rays on another device, where that is to sum them.
+        reflections: further rays of the same points, over their specular lobes.
     """
 
     sky_cells: UInt16[np.ndarray, "n k"]
     face_rows: Int32[np.ndarray, "n k"]
     faces: FaceSamples
     on_device: TorchTransport | None = None
+    reflections: LobeTable | None = None
 
     @property
     def sky_view_factor(self) -> Float32[np.ndarray, " n"]:
@@ -84,7 +86,7 @@ class SampleTable:
     edge_upsampling: BilateralUpsampling
     base_colour: Float32[np.ndarray, "h w 3"]
     edge_colour: Float32[np.ndarray, "e 3"]
-    glossy: tuple[GlossyTable, ReflectionSmoothing] | None
+    glossy: tuple[LobeTable, ReflectionSmoothing] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,18 +134,21 @@ def trace_transport(
     shifts = pixel_shifts(rows, columns, config.shading_step_px, seed)
     finder = SideFinder(scene.caster)
     cells, sides = _trace(finder, positions, normals, shifts, config)
-    glossy = None
+    glossy = reflections = None
     if samples is not None and len(samples.glossy.rows):
         glossy = trace_glossy(finder, samples, config, seed)
+    traced_pixel = rows * gbuffers.has_surface.shape[1] + columns
+    lobes = pixel_lobes(gbuffers, traced_pixel, is_matte_alone=samples is not None)
+    if lobes is not None and config.glossy_rays:
+        reflections = trace_lobes(finder, lobes, shifts, config.glossy_rays)
     static = face_table or static_face_table(scene, config)
-    faces = _compact(
-        [sides] if glossy is None else [sides, glossy.face_rows], scene, static, config
-    )
+    met = [sides, *(table.face_rows for table in (glossy, reflections) if table is not None)]
+    faces = _compact(met, scene, static, config)
     on_device = None
     if config.device != "cpu":
         cell_count = 2 * SKY_CELL_ROWS**2
         on_device = TorchTransport(cells, sides, cell_count, config.device)
-    points = PointTransport(cells, sides, faces, on_device)
+    points = PointTransport(cells, sides, faces, on_device, reflections)
     has_surface = gbuffers.has_surface
     traced = TracedPixels(
         index, np.concatenate([positions, normals], axis=1), int(has_surface.shape[1])
@@ -175,7 +180,7 @@ def _detail(
     samples: PixelSamples,
     gbuffers: GBuffers,
     traced: TracedPixels,
-    glossy: GlossyTable | None,
+    glossy: LobeTable | None,
     config: TransportConfig,
 ) -> SampleTable:
     edge = samples.edge
@@ -188,7 +193,7 @@ def _detail(
     )
     if glossy is None:
         return SampleTable(samples, upsampling, samples.base_colour, edge.base_colour, None)
-    kept = samples.glossy.base_colour * diffuse_fraction(samples.glossy, glossy)
+    kept = samples.glossy.base_colour * diffuse_fraction(samples, glossy)
     lost = kept - samples.glossy.base_colour
     colour = samples.add_means(
         samples.base_colour.copy(), samples.glossy.rows, lost, samples.fraction
@@ -203,17 +208,21 @@ def _detail(
 
 def trace_points(
     scene: FrameScene,
-    points_world: Float32[np.ndarray, "n 3"],
-    normals_world: Float32[np.ndarray, "n 3"],
+    surface: Lobes,
     shifts: Float32[np.ndarray, "n 2"],
     config: TransportConfig,
     face_table: FaceTable | None = None,
 ) -> PointTransport:
-    """Trace the rays of surface points; `shifts` in [0, 1) turn each point's ray pattern."""
+    """Trace the rays of surface points, and those over their specular lobes where any reflects;
+    `shifts` in [0, 1) turn each point's ray pattern."""
     finder = SideFinder(scene.caster)
-    cells, sides = _trace(finder, points_world, normals_world, shifts, config)
-    faces = _compact([sides], scene, face_table or static_face_table(scene, config), config)
-    return PointTransport(cells, sides, faces)
+    cells, sides = _trace(finder, surface.ray_starts_world, surface.normal_world, shifts, config)
+    met, reflections = [sides], None
+    if config.glossy_rays and surface.f0.any():
+        reflections = trace_lobes(finder, surface, shifts, config.glossy_rays)
+        met.append(reflections.face_rows)
+    faces = _compact(met, scene, face_table or static_face_table(scene, config), config)
+    return PointTransport(cells, sides, faces, None, reflections)
 
 
 def _trace(

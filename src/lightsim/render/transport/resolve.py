@@ -10,7 +10,8 @@ from lightsim.core.dome import Sun
 from lightsim.render.casters.embree import offset_origins
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import TransportConfig, hashed_shifts
-from lightsim.render.transport.glossy import reflected_sun
+from lightsim.render.transport.glossy import glossy_lobes
+from lightsim.render.transport.lobes import sun_in_lobes
 from lightsim.render.transport.matrix import SampleTable
 from lightsim.render.transport.samples import PixelSamples
 from lightsim.render.transport.sky import EnvironmentCells
@@ -135,21 +136,15 @@ def _glossy(
     visible: Float32[np.ndarray, " n"],
     fraction: Float32[np.ndarray, " p"],
 ) -> Float32[np.ndarray, "h w 3"] | None:
-    """Mean radiance that the samples reflect; None where reflections are left out."""
-    from lightsim.render.transport.glossy_kernels import reflected_light
-
+    """Mean radiance that smooth samples reflect; None where there are none."""
     if detail.glossy is None:
         return None
     table, smoothing = detail.glossy
     samples = detail.samples
     points = samples.glossy
-    assert cells.smooth is not None
-    rays = np.empty((len(points.rows), 3), dtype=np.float32)
-    reflected_light(
-        table.directions_uv, table.face_rows, table.weights, table.f0, cells.smooth, radiosity, rays
-    )
+    rays = table.light(cells, radiosity)
     image = smoothing(samples.add_means(samples.black, points.rows, rays, fraction))
     if cells.sun is not None:
-        sun = reflected_sun(points, table.f0, cells.sun) * visible[points.rows, None]
+        sun = sun_in_lobes(glossy_lobes(samples), cells.sun) * visible[points.rows, None]
         samples.add_means(image, points.rows, sun, fraction)
     return image

@@ -9,11 +9,10 @@ from jaxtyping import Bool, Float, Float32, Int32, Int64, UInt8
 
 from lightsim.core.buffers import GBuffers
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.casting import RayHits
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import MATTE_ROUGHNESS
 from lightsim.core.sensors import CameraFrame
-from lightsim.render.gbuffers import BAND_RAYS, SeenSurfaces, see
+from lightsim.render.gbuffers import BAND_RAYS, SeenSurfaces, see, surface_material
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import TransportConfig
 
@@ -154,7 +153,7 @@ class _Gathered:
         if self._per_pixel > 1:
             is_edge = (count > 0) & (count < self._per_pixel)
             is_edge[local[_is_unlike(scene, seen, band.start + local, self._gbuffers)]] = True
-        roughness, metallic = surface_material(scene, seen.hits)
+        roughness, metallic = surface_material(scene, seen.hits).T
         is_glossy = (roughness < MATTE_ROUGHNESS) & (config.glossy_rays > 0)
         for found, chosen in ((self._edges, is_edge[local]), (self._glossy, is_glossy)):
             points = _points(seen, np.flatnonzero(chosen), roughness, metallic)
@@ -203,23 +202,6 @@ def _is_unlike(
     bent = np.einsum("nc,nc->n", seen.normal_world, normal) < _SAME_NORMAL
     other = scene.actor_index[seen.hits.mesh_index] != gbuffers.actor_index.reshape(-1)[pixel]
     return far | bent | other
-
-
-def surface_material(
-    scene: FrameScene, hits: RayHits
-) -> tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
-    """Roughness and metallic of faces that cameras see."""
-    values = np.zeros((len(hits.face_index), 2), dtype=np.float32)
-    order = np.argsort(hits.mesh_index, kind="stable")
-    bounds = np.searchsorted(hits.mesh_index[order], np.arange(len(scene.camera_meshes) + 1))
-    for k, mesh in enumerate(scene.camera_meshes):
-        rows = order[bounds[k] : bounds[k + 1]]
-        known = np.array([(m.roughness, m.metallic) for m in mesh.materials], dtype=np.float32)
-        if mesh.face_material is None:
-            values[rows] = known[0]
-        else:
-            values[rows] = known[mesh.face_material[hits.face_index[rows]]]
-    return values[:, 0], values[:, 1]
 
 
 def _points(
