@@ -128,6 +128,7 @@ class _Street:
             target_sky=sky_image(self.skies[target], self.log.cameras[name], seen.frame),
             source_sun=source_sky.sun,
             target_sun=self.skies[target].sun,
+            found_visibility=None if level >= 3 else traced.found_visibility(source_sky.sun),
         )
         return camera_image(relight_physical(inputs, RatioConfig()), gain, 0.0)
 

@@ -267,6 +267,10 @@ def test_a_texture_loses_its_shadows_texel_by_texel_on_coarse_faces():
     error = np.abs(np.log(colour / _albedo(points)[:, None])).mean(axis=1)
     assert np.median(error) < 0.05
     assert (error > np.log(1.5)).mean() < 0.02
+    assert done.sun_visibility is not None
+    assert done.sun_visibility.texel is not None
+    found = done.sun_visibility.texel.reshape(-1)[pixel] > 127
+    assert (found == (_is_lit(points) & ~_unknown_shadow(points))).mean() > 0.98
     assert done.confidence is not None
     assert np.median(done.confidence) > 0.9
 

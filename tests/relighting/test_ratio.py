@@ -9,6 +9,7 @@ import pytest
 from tests.relighting.scene import (
     HEIGHT_PX,
     SKY_ROWS,
+    WALL_ROWS,
     WIDTH_PX,
     everywhere_lit,
     geometry,
@@ -200,3 +201,23 @@ def test_reflections_are_exchanged_and_the_source_comes_back(rng: np.random.Gene
     )
     same = relight_physical(replace(inputs, target=source), RatioConfig())
     np.testing.assert_allclose(same[inside], picture[inside], rtol=1e-4)
+
+
+def test_the_visibility_that_all_pictures_show_takes_the_rendered_ones_place(
+    inputs: RelightInputs,
+) -> None:
+    """Rendered without its shadow, the source leaves a dark ghost; the found one does not. Where
+    nothing was found, the rendering holds."""
+    sunny = light(inputs.buffers, SUN, 0.5, everywhere_lit())
+    wanted = inputs.buffers.base_colour * inputs.target.shaded
+    found = shadow_right_of(70)
+    found[:, :40] = np.nan
+    shaded = np.s_[WALL_ROWS:, 75:]
+    errors = []
+    for believed in (found, None):
+        wrong = replace(inputs, source=sunny, found_visibility=believed)
+        relit = relight_physical(wrong, RatioConfig(darkest_fraction=0.0))
+        errors.append(np.abs(np.log(relit[shaded] / wanted[shaded])).mean())
+        np.testing.assert_allclose(relit[WALL_ROWS:, :60], wanted[WALL_ROWS:, :60], rtol=0.05)
+    assert errors[0] < 0.02
+    assert errors[1] > 3 * errors[0]

@@ -11,16 +11,18 @@ from rendering_scenes import box, camera, look_at, mesh, plane, sphere, sun_sky
 from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.buffers import BACKGROUND, NO_SURFACE
 from lightsim.core.frames import RigidTransform, Trajectory
-from lightsim.core.mesh import TriMesh
-from lightsim.core.scenario import ActorPlacement, Scenario
+from lightsim.core.mesh import SunVisibility, TriMesh
+from lightsim.core.scenario import ActorPlacement, Scenario, ScenarioFrame
+from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import ActorAsset
 from lightsim.errors import FrameMismatchError
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.composite import CompositeCaster
+from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import FrameScene, make_static_scene, place, without_actors
 from lightsim.render.transport.light import light
-from lightsim.render.transport.matrix import exact, trace_transport
+from lightsim.render.transport.matrix import TransportConfig, exact, trace_transport
 
 _ABOVE = look_at((0.0, 0.0, 30.0), (0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0))
 
@@ -147,3 +149,31 @@ def test_an_empty_scene_is_all_sky():
     )
     np.testing.assert_array_equal(out.shaded, 0)
     np.testing.assert_array_equal(out.ratio, 1)
+
+
+def test_the_found_visibility_holds_but_for_the_shadows_of_what_moves() -> None:
+    """Ground whose pictures showed a shadow that no mesh casts, and a car that drives there."""
+    ground = plane(10.0, 80)
+    is_lit = ground.vertices[:, 0] > 0
+    ground = replace(
+        ground, sun_visibility=SunVisibility(np.where(is_lit, 255, 0).astype(np.uint8))
+    )
+    car = _placement("car", 4.0, 0)
+    frame = CameraFrame("test", "00", 0, _ABOVE, lambda: np.zeros((96, 96, 3), np.uint8))
+    config = TransportConfig(sky_rays=1, face_rays=0, glossy_rays=0)
+    renderer = FrameRenderer(ground, plane(cells=0), config, 0)
+    scenario = Scenario("s", (ScenarioFrame.of(frame, "rendered"),), (car,))
+    sky = sun_sky(np.pi, 45.0)
+    traced = renderer.trace(scenario, frame, camera(96, 96, 250.0))
+    found = traced.found_visibility(sky.sun)
+    assert found is not None
+    buffers = traced.buffers
+    is_ground = buffers.actor_index == BACKGROUND
+    assert np.isnan(found[~is_ground]).all()
+    x, y = buffers.position_world[..., 0], buffers.position_world[..., 1]
+    # The car stands at x 2 to 4 and y -2 to 2, 1 m tall; the sun at 45 degrees beyond it.
+    in_car_shade = (x > 4.1) & (x < 4.9) & (np.abs(y) < 1.9)
+    assert (is_ground & in_car_shade).sum() > 100
+    assert (found[is_ground & in_car_shade] == 0).all()
+    assert (found[is_ground & (x > 0.3) & (x < 1.8)] > 0.99).all()
+    assert (found[is_ground & (x < -0.3)] == 0).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,11 @@ from lightsim.core.alignment import Alignment
 from lightsim.core.dome import SkyDome
 from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog
-from lightsim.core.mesh import TriMesh
+from lightsim.core.mesh import SunVisibility, Texture, TriMesh
 from lightsim.core.twin import ActorAsset, DigitalTwin, SceneAssets, SkyEstimate
 from lightsim.errors import ArtefactError
 from lightsim.store.alignment import read_alignment, write_alignment
+from lightsim.store.arrays import save_arrays
 from lightsim.store.artefact import read_json, write_json
 from lightsim.store.assets import read_assets, write_assets
 from lightsim.store.twin import empty_mesh, read_twin_assets, write_twin
@@ -99,3 +101,33 @@ def test_the_alignment_of_hostile_ids_comes_back(tmp_path: Path) -> None:
     assert list(back) == list(HOSTILE)
     for actor_id, matrices in actors.items():
         np.testing.assert_array_equal(back[actor_id], matrices)
+
+
+def test_the_visibility_of_the_sun_comes_back_and_belongs_to_its_mesh(tmp_path: Path) -> None:
+    """Of a car that was always parked; one that drove has none."""
+    texel = np.arange(35, dtype=np.uint8).reshape(5, 7)
+    texture = Texture(np.full((5, 7, 3), 0.5, np.float32), np.zeros((1, 3, 2), np.float32) + 2.5)
+    found = SunVisibility(np.array([0, 128, 255], np.uint8), texel)
+    background = replace(_triangle("world"), texture=texture, sun_visibility=found)
+    parked = replace(_triangle("actor"), sun_visibility=SunVisibility(found.vertex))
+    actors = {
+        name: ActorAsset(name, ActorKind.CAR, mesh)
+        for name, mesh in (("parked", parked), ("driving", _triangle("actor")))
+    }
+    assets = SceneAssets(background, actors, {"front_camera": np.ones(3, np.float32)})
+    (tmp_path / "twin").mkdir()
+    write_twin(tmp_path / "twin", _twin(assets), empty_mesh())
+    back, _ = read_twin_assets(tmp_path / "twin")
+    assert back.background.sun_visibility is not None
+    np.testing.assert_array_equal(back.background.sun_visibility.vertex, found.vertex)
+    np.testing.assert_array_equal(back.background.sun_visibility.texel, texel)
+    middle = np.full((1, 3), 1 / 3)
+    face = np.zeros(1, np.int64)
+    np.testing.assert_allclose(back.background.sun_visibility_at(face, middle), texel[2, 2] / 255)
+    np.testing.assert_allclose(
+        back.actors["parked"].mesh.sun_visibility_at(face, middle), 383 / 3 / 255, rtol=1e-5
+    )
+    assert np.isnan(back.actors["driving"].mesh.sun_visibility_at(face, middle)).all()
+    save_arrays(tmp_path / "twin" / "background.sun.npz", {"vertex": found.vertex[:2]})
+    with pytest.raises(ArtefactError, match="another mesh"):
+        read_twin_assets(tmp_path / "twin")

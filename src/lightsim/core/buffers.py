@@ -31,6 +31,9 @@ class GBuffers:
     """Unit; 0 without a surface. None: nothing reflects."""
     material: Float32[np.ndarray, "h w 2"] | None = None
     """Roughness and metallic. None: nothing reflects."""
+    found_visibility: Float32[np.ndarray, "h w"] | None = None
+    """Fraction of the recorded sun that the twin found to reach the surfaces, moving actors left
+    out; NaN where it found none. None: nowhere."""
 
     @property
     def ray_starts_world(self) -> Float32[np.ndarray, "h w 3"]:

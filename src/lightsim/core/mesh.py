@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int, Int32, UInt8
+from jaxtyping import Bool, Float, Float32, Float64, Int, Int32, Shaped, UInt8
 
 from lightsim.core.frames import RigidTransform
 from lightsim.errors import FrameMismatchError, InputError
@@ -65,7 +65,16 @@ class Texture:
         self, face: Int[np.ndarray, " n"], barycentric: Float[np.ndarray, "n 3"]
     ) -> Float32[np.ndarray, "n 3"]:
         """Bilinear colour at points of faces."""
-        height, width = self.image.shape[:2]
+        return self.look_up_in(self.image, face, barycentric)
+
+    def look_up_in(
+        self,
+        image: Shaped[np.ndarray, "h w c"],
+        face: Int[np.ndarray, " n"],
+        barycentric: Float[np.ndarray, "n 3"],
+    ) -> Float32[np.ndarray, "n c"]:
+        """The same in another image of these texels."""
+        height, width = image.shape[:2]
         uv = (barycentric[:, :, None] * self.corner_uv[face]).sum(axis=1)
         x = np.clip(uv[:, 0] - 0.5, 0, width - 1)
         y = np.clip(uv[:, 1] - 0.5, 0, height - 1)
@@ -73,10 +82,22 @@ class Texture:
         i = np.minimum(y.astype(np.int64), max(height - 2, 0))
         fx, fy = (x - j).astype(np.float32)[:, None], (y - i).astype(np.float32)[:, None]
         i1, j1 = np.minimum(i + 1, height - 1), np.minimum(j + 1, width - 1)
-        image = self.image
         top = (1 - fx) * image[i, j] + fx * image[i, j1]
         low = (1 - fx) * image[i1, j] + fx * image[i1, j1]
         return (1 - fy) * top + fy * low
+
+
+@dataclass(frozen=True, eq=False)
+class SunVisibility:
+    """Fraction of the recorded sun's disc that reached a mesh, in 255ths.
+
+    Args:
+        vertex: at the vertices.
+        texel: at the texels of the mesh's texture; None without one.
+    """
+
+    vertex: UInt8[np.ndarray, " n"]
+    texel: UInt8[np.ndarray, "h w"] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +116,7 @@ class TriMesh:
         face_provenance: a `Provenance` for each face; None: all are measured.
         towards_camera: of each vertex, mean direction to the cameras that gave its colour, unit; 0
             where none did. None: unknown.
+        sun_visibility: as the pictures show it; None: unknown, or it changed as the mesh moved.
     """
 
     frame: str
@@ -107,6 +129,7 @@ class TriMesh:
     confidence: Float32[np.ndarray, " n"] | None = None
     face_provenance: UInt8[np.ndarray, " m"] | None = None
     towards_camera: Float32[np.ndarray, "n 3"] | None = None
+    sun_visibility: SunVisibility | None = None
 
     def __post_init__(self) -> None:
         where = f"mesh in '{self.frame}'"
@@ -159,6 +182,19 @@ class TriMesh:
             return self.texture.look_up(face, barycentric)
         corners = self.base_colour[self.faces[face]]
         return (barycentric[:, :, None] * corners).sum(axis=1).astype(np.float32)
+
+    def sun_visibility_at(
+        self, face: Int[np.ndarray, " n"], barycentric: Float[np.ndarray, "n 3"]
+    ) -> Float32[np.ndarray, " n"]:
+        """Found visibility of the recorded sun at points of faces; NaN where it is unknown."""
+        found = self.sun_visibility
+        if found is None:
+            return np.full(len(face), np.nan, np.float32)
+        if self.texture is not None and found.texel is not None:
+            values = self.texture.look_up_in(found.texel[..., None], face, barycentric)[:, 0]
+        else:
+            values = (barycentric * found.vertex[self.faces[face]]).sum(axis=1)
+        return (values / 255.0).astype(np.float32)
 
     def transformed(self, transform: RigidTransform) -> TriMesh:
         """The same mesh in frame `transform.dst`."""

@@ -146,7 +146,7 @@ STAGES = (
     ),
     Stage(
         "twin",
-        6,
+        7,
         ("log", "alignment", "assets", "sky"),
         lambda o: light.TwinConfig(),
         light.make_twin,

@@ -8,7 +8,7 @@ from jaxtyping import Float32
 from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import MakeCaster
-from lightsim.core.dome import SkyDome
+from lightsim.core.dome import SkyDome, Sun
 from lightsim.core.equirect import sample_bilinear
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
@@ -29,6 +29,7 @@ from lightsim.render.transport.matrix import (
 )
 from lightsim.render.transport.samples import render_samples
 from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
+from lightsim.render.transport.sun import sun_visibility
 
 
 def parked_actor_meshes(log: DrivingLog, assets: SceneAssets) -> list[TriMesh]:
@@ -74,6 +75,28 @@ class TransportFrame:
             self._last = None
             self._last = (sky, light(self._table, self._scene, self.buffers, sky, self._config))
         return self._last[1]
+
+    def found_visibility(self, sun: Sun | None) -> Float32[np.ndarray, "h w"] | None:
+        """Visibility of the recorded sun as the twin found it in the pictures, behind the moving
+        actors' shadows; NaN where it found none. None: nowhere.
+
+        Args:
+            sun: under which the log was recorded.
+        """
+        buffers = self.buffers
+        if buffers.found_visibility is None or sun is None:
+            return None
+        # What never moves casts its shadow in the visibility already.
+        moving = [mesh for mesh in self._scene.actors if mesh.sun_visibility is None]
+        rows = np.flatnonzero(np.isfinite(buffers.found_visibility))
+        points = buffers.ray_starts_world.reshape(-1, 3)[rows]
+        normals = buffers.normal_world.reshape(-1, 3)[rows]
+        found = buffers.found_visibility.copy()
+        # Zero behind the surface's own horizon, too.
+        found.reshape(-1)[rows] *= sun_visibility(
+            make_embree_caster(moving), points, normals, sun, self._config
+        )
+        return found
 
     def image(self, sky: EnvironmentCells) -> Float32[np.ndarray, "h w 3"]:
         """Radiance: anti-aliased and with reflections where the renderer looks at samples of

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,11 +38,14 @@ def render_gbuffers(
     height, width = camera.height_px, camera.width_px
     lifted, towards = (np.zeros((height, width, 3), dtype=np.float32) for _ in range(2))
     material = np.zeros((height, width, 2), dtype=np.float32)
+    found = np.full((height, width), np.nan, dtype=np.float32)
+    is_found = any(mesh.sun_visibility is not None for mesh in scene.camera_meshes)
     out = replace(
         _empty(height, width),
         offset_world=lifted,
         towards_camera_world=towards,
         material=material,
+        found_visibility=found if is_found else None,
     )
     centres = camera.pixel_centres()
     band = max(1, BAND_RAYS // width)
@@ -57,6 +60,8 @@ def render_gbuffers(
         lifted.reshape(-1, 3)[index] = seen.offset_world
         towards.reshape(-1, 3)[index] = seen.towards_camera
         material.reshape(-1, 2)[index] = surface_material(scene, seen.hits)
+        if is_found:
+            found.reshape(-1)[index] = _found_visibility(scene, seen.hits)
         out.actor_index.reshape(-1)[index] = scene.actor_index[seen.hits.mesh_index]
     return out
 
@@ -125,16 +130,33 @@ def see(
 def surface_material(scene: FrameScene, hits: RayHits) -> Float32[np.ndarray, "n 2"]:
     """Roughness and metallic of faces that cameras see."""
     values = np.zeros((len(hits.face_index), 2), dtype=np.float32)
-    order = np.argsort(hits.mesh_index, kind="stable")
-    bounds = np.searchsorted(hits.mesh_index[order], np.arange(len(scene.camera_meshes) + 1))
-    for k, mesh in enumerate(scene.camera_meshes):
-        rows = order[bounds[k] : bounds[k + 1]]
+    for mesh, rows in _rows_by_mesh(scene, hits):
         known = np.array([(m.roughness, m.metallic) for m in mesh.materials], dtype=np.float32)
         if mesh.face_material is None:
             values[rows] = known[0]
         else:
             values[rows] = known[mesh.face_material[hits.face_index[rows]]]
     return values
+
+
+def _found_visibility(scene: FrameScene, hits: RayHits) -> Float32[np.ndarray, " n"]:
+    """See `core.mesh.TriMesh.sun_visibility`."""
+    values = np.full(len(hits.face_index), np.nan, dtype=np.float32)
+    for mesh, rows in _rows_by_mesh(scene, hits):
+        values[rows] = mesh.sun_visibility_at(hits.face_index[rows], hits.barycentric[rows])
+    return values
+
+
+def _rows_by_mesh(
+    scene: FrameScene, hits: RayHits
+) -> Iterator[tuple[TriMesh, Int64[np.ndarray, " k"]]]:
+    """The hits on each mesh that has any."""
+    meshes = scene.camera_meshes
+    order = np.argsort(hits.mesh_index, kind="stable")
+    bounds = np.searchsorted(hits.mesh_index[order], np.arange(len(meshes) + 1))
+    for k, mesh in enumerate(meshes):
+        if bounds[k + 1] > bounds[k]:
+            yield mesh, order[bounds[k] : bounds[k + 1]]
 
 
 def _rays(

@@ -105,16 +105,18 @@ class Relighter:
         camera = self.log.cameras[frame.camera_name]
         traced = self._renderer.trace(scenario, frame, camera)
         source = traced.light(self._source)
+        found = traced.found_visibility(self._source.sun)
         source_srgb8 = frame.load_srgb8()
         for target in targets:
             light = (source, traced.light(target.cells))
-            yield self._relit(frame, traced.buffers, light, source_srgb8, target)
+            yield self._relit(frame, traced.buffers, light, found, source_srgb8, target)
 
     def _relit(
         self,
         frame: CameraFrame,
         buffers: GBuffers,
         light: tuple[ShadowBuffers, ShadowBuffers],
+        found_visibility: Float32[np.ndarray, "h w"] | None,
         source_srgb8: UInt8[np.ndarray, "h w 3"],
         target: RelightTarget,
     ) -> RelitFrame:
@@ -133,6 +135,7 @@ class Relighter:
             target_sky=sky_image(target.sky.behind or target.sky.dome, camera, frame),
             source_sun=self._source.sun,
             target_sun=target.cells.sun,
+            found_visibility=found_visibility,
         )
         radiance = METHODS[self._options.method](inputs, self._config.ratio)
         ego_vehicle = self.log.ego_vehicle_masks.get(frame.camera_name)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from lightsim.core.actors import ActorKind
-from lightsim.core.mesh import TriMesh
+from lightsim.core.mesh import SunVisibility, TriMesh
 from lightsim.core.twin import ActorAsset, DigitalTwin, SceneAssets
+from lightsim.errors import ArtefactError
+from lightsim.store.arrays import ArrayFile, save_arrays
 from lightsim.store.artefact import json_ready, write_json
 from lightsim.store.assets import read_gains
 from lightsim.store.entries import Entries
@@ -18,14 +21,15 @@ from lightsim.store.names import file_names, inside
 
 def write_twin(folder: Path, twin: DigitalTwin, inferred: TriMesh) -> None:
     """twin.json, background.glb, inferred.glb and actors/<actor_id>.glb (store/names.py where the
-    id is no file name; twin.json names the file of each actor)."""
-    write_glb(folder / "background.glb", twin.assets.background)
+    id is no file name; twin.json names the file of each actor), and for each of these meshes on
+    which the recorded sun's visibility was found, the same name .sun.npz."""
+    _write_mesh(folder / "background.glb", twin.assets.background)
     if len(inferred.faces):
         write_glb(folder / "inferred.glb", inferred)
     (folder / "actors").mkdir(exist_ok=True)
     files = {a: f"actors/{name}.glb" for a, name in file_names(twin.assets.actors).items()}
     for actor_id, actor in twin.assets.actors.items():
-        write_glb(inside(folder, files[actor_id]), actor.mesh)
+        _write_mesh(inside(folder, files[actor_id]), actor.mesh)
     tracks = {track.actor_id: track for track in twin.log.actors}
     write_json(
         folder / "twin.json",
@@ -64,15 +68,43 @@ def read_twin_assets(folder: Path) -> tuple[SceneAssets, TriMesh]:
     actors: dict[str, ActorAsset] = {}
     for entry in value.objects("actors"):
         actor_id = entry.text("actor_id")
-        mesh = read_glb(inside(folder, entry.text("mesh")), "actor")
+        mesh = _read_mesh(inside(folder, entry.text("mesh")), "actor")
         kind = entry.member("kind", ActorKind)
         actors[actor_id] = ActorAsset(actor_id, kind, mesh, entry.text("label"))
-    background = read_glb(inside(folder, value.text("background")), "world")
+    background = _read_mesh(inside(folder, value.text("background")), "world")
     inferred = empty_mesh()
     if not value.is_null("inferred"):
         inferred = read_glb(inside(folder, value.text("inferred")), "world")
     notes = value.texts("notes") if "notes" in value else ()
     return SceneAssets(background, actors, read_gains(value), notes), inferred
+
+
+def _write_mesh(path: Path, mesh: TriMesh) -> None:
+    """One mesh, and what a viewer has no use for beside it."""
+    write_glb(path, mesh)
+    found = mesh.sun_visibility
+    if found is not None:
+        arrays = {"vertex": found.vertex}
+        if found.texel is not None:
+            arrays["texel"] = found.texel
+        save_arrays(path.with_suffix(".sun.npz"), arrays)
+
+
+def _read_mesh(path: Path, frame: str) -> TriMesh:
+    mesh = read_glb(path, frame)
+    beside = path.with_suffix(".sun.npz")
+    if not beside.exists():
+        return mesh
+    arrays = ArrayFile(beside)
+    vertex = arrays.take("vertex", "u1", "n")
+    texel = arrays.take("texel", "u1", "h w") if "texel" in arrays else None
+    size = None if mesh.texture is None else mesh.texture.image.shape[:2]
+    is_other = len(vertex) != len(mesh.vertices) or (texel is not None and texel.shape != size)
+    if is_other:
+        raise ArtefactError(
+            "the sun's visibility belongs to another mesh", where=beside, remedy="Build again."
+        )
+    return replace(mesh, sun_visibility=SunVisibility(vertex, texel))
 
 
 def empty_mesh() -> TriMesh:

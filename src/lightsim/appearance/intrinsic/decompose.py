@@ -40,9 +40,14 @@ from lightsim.appearance.intrinsic.surfels import (
     lidar_log_reflectance,
     make_surfels,
 )
-from lightsim.appearance.intrinsic.texture import DeepShade, VertexLight, texture_without_light
+from lightsim.appearance.intrinsic.texture import (
+    DeepShade,
+    VertexLight,
+    in_255ths,
+    texture_without_light,
+)
 from lightsim.core.colour import LUMINANCE_WEIGHTS
-from lightsim.core.mesh import Provenance, TriMesh
+from lightsim.core.mesh import Provenance, SunVisibility, TriMesh
 from lightsim.errors import InputError
 
 __all__ = [
@@ -236,15 +241,16 @@ def _finished(
     seen = np.ones(len(unsure)) if mesh.confidence is None else mesh.confidence
     open_sky = float(np.percentile(found.light.diffuse @ _WEIGHTS, 95))
     shade = _deep_shade(mesh, colour, total @ _WEIGHTS / max(open_sky, 1e-9), seen > 0, config)
-    texture = mesh.texture
+    texture, texel = mesh.texture, None
     if texture is not None:
         limits = (LOWEST_BASE_COLOUR, HIGHEST_BASE_COLOUR)
-        texture = texture_without_light(mesh, texture, found, field, limits, shade)
+        texture, texel = texture_without_light(mesh, texture, found, field, limits, shade)
     done = replace(
         mesh,
         base_colour=shade.blended(colour).astype(np.float32),
         confidence=(seen * (1 - 0.8 * unsure) * (0.2 + 0.8 * shade.trust)).astype(np.float32),
         texture=texture,
+        sun_visibility=SunVisibility(in_255ths(found.visibility), texel),
     )
     return Decomposition(done, found.visibility, ())
 
@@ -271,5 +277,6 @@ def _divided(mesh: TriMesh, light: SurfaceLight) -> Decomposition:
     done = base_colour_from_radiance(mesh, total.astype(np.float32))
     if mesh.texture is not None:
         limits = (LOWEST_BASE_COLOUR, HIGHEST_BASE_COLOUR)
-        done = replace(done, texture=texture_without_light(mesh, mesh.texture, found, None, limits))
+        texture, _ = texture_without_light(mesh, mesh.texture, found, None, limits)
+        done = replace(done, texture=texture)
     return Decomposition(done, found.visibility, ("divided by the rendered light",))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int32
+from jaxtyping import Bool, Float, Float32, Float64, Int32, UInt8
 from scipy.spatial import KDTree
 
 from lightsim.appearance.atlas import texel_parts
@@ -61,8 +61,8 @@ def texture_without_light(
     field: LabelField | None,
     limits: tuple[float, float],
     shade: DeepShade | None = None,
-) -> Texture:
-    """The texture of radiance divided by the light at each texel.
+) -> tuple[Texture, UInt8[np.ndarray, "h w"]]:
+    """The texture of radiance divided by the light at each texel, and the sun's visibility there.
 
     Light is interpolated between the vertices. On faces near a shadow's edge visibility is found
     for each texel; without `field` it is interpolated as well.
@@ -87,12 +87,14 @@ def texture_without_light(
     if field is not None:
         is_edge[field.faces] = edge_faces(mesh, field)
     image = texture.image.reshape(-1, 3).copy()
+    found_visibility = np.zeros(len(image), dtype=np.uint8)
     for texels in texel_parts(texture, _CHUNK):
         face, pixel, barycentric = texels.face, texels.pixel, texels.barycentric
         seen, visibility = attributes.between(mesh.faces[face], barycentric, image[pixel])
         rows = np.flatnonzero(is_edge[face])
         if field is not None and len(rows):
             visibility[rows] = refine_visibility(field, seen.at(rows))
+        found_visibility[pixel] = in_255ths(visibility)
         open_part = np.clip(visibility, 0.0, 1.0)[:, None]
         light = seen.diffuse + open_part * seen.direct
         diffuse = diffuse_part(seen.radiance, seen.reflected + open_part * seen.reflected_sun)
@@ -100,7 +102,13 @@ def texture_without_light(
         if shade is not None:
             colour = shade.between(mesh.faces[face], barycentric).blended(colour)
         image[pixel] = colour
-    return Texture(image.reshape(texture.image.shape), texture.corner_uv)
+    shape = texture.image.shape
+    return Texture(image.reshape(shape), texture.corner_uv), found_visibility.reshape(shape[:2])
+
+
+def in_255ths(visibility: Float[np.ndarray, " n"]) -> UInt8[np.ndarray, " n"]:
+    """Of a fraction in [0, 1]."""
+    return np.rint(255 * np.clip(visibility, 0.0, 1.0)).astype(np.uint8)
 
 
 @dataclass(frozen=True, eq=False)

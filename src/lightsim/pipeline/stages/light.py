@@ -237,8 +237,10 @@ def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Contex
     for actor in context.progress.track(assets.actors.values(), "base colour", len(assets.actors)):
         trajectory = tracks[actor.actor_id].trajectory
         pose = trajectory.at(int(trajectory.times_ns[len(trajectory) // 2]))
-        done = decompose(actor.mesh, source.on(pose), config.intrinsic, rng)
-        actors[actor.actor_id] = replace(actor, mesh=done.mesh)
+        mesh = decompose(actor.mesh, source.on(pose), config.intrinsic, rng).mesh
+        if tracks[actor.actor_id].is_moving:
+            mesh = replace(mesh, sun_visibility=None)
+        actors[actor.actor_id] = replace(actor, mesh=mesh)
     if len(inferred.faces):
         found = decompose(inferred, source.on(identity), config.intrinsic, rng)
         inferred = found.mesh

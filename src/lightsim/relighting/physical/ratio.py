@@ -60,6 +60,8 @@ class RelightInputs:
         target_sky: the target dome along the pixels' rays, sun included.
         source_sun: the sun of the source sky; without it, its shadows are taken as rendered.
         target_sun: the sun of the target sky, if it has one.
+        found_visibility: of the source's sun, as all pictures together show it; NaN where they
+            show none, and the rendered one holds.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]
@@ -71,6 +73,7 @@ class RelightInputs:
     target_sky: Float32[np.ndarray, "h w 3"]
     source_sun: Sun | None = None
     target_sun: Sun | None = None
+    found_visibility: Float32[np.ndarray, "h w"] | None = None
 
     def __post_init__(self) -> None:
         size = self.radiance.shape[:2]
@@ -133,14 +136,19 @@ def _refined(inputs: RelightInputs) -> tuple[ShadowBuffers, ShadowBuffers]:
     if sun is None or sun.direction_world[2] <= 0:
         return inputs.source, inputs.target
     rendered = inputs.source.sun_visibility
+    sunlight = unoccluded_sun(inputs.buffers, inputs.source, sun)
+    believed = inputs.source
+    if inputs.found_visibility is not None:
+        is_found = np.isfinite(inputs.found_visibility) & inputs.buffers.has_surface
+        visibility = np.where(is_found, inputs.found_visibility, rendered).astype(np.float32)
+        believed = with_sun_visibility(inputs.source, sunlight, visibility)
     visibility = refine_sun_visibility(
         inputs.radiance,
         inputs.buffers,
-        inputs.source,
+        believed,
         sun,
         inputs.sky_matte < 0.5,
     )
-    sunlight = unoccluded_sun(inputs.buffers, inputs.source, sun)
     source = with_sun_visibility(inputs.source, sunlight, visibility)
     if inputs.target_sun is None:
         return source, inputs.target
