@@ -133,10 +133,9 @@ def held_out_frames(
 ) -> FramesReport:
     """Novel-view images of the twin at held-out frames, against the camera.
 
-    The twin's observed radiance is rendered through each held-out camera, inferred upper facades
-    included; beside it stands the trivial baseline, the nearest training image of the same
-    camera, and `with_field` the neural field itself, volume-rendered. The region `masked` leaves
-    out sky and ego vehicle.
+    The twin's observed radiance is rendered through each held-out camera; beside it stands the
+    trivial baseline, the nearest training image of the same camera, and `with_field` the neural
+    field itself, volume-rendered. The region `masked` leaves out sky and ego vehicle.
 
     Raises:
         InputError: the build held nothing out.
@@ -150,9 +149,7 @@ def held_out_frames(
             remedy="Build with --hold-out 8 or another number.",
         )
     assets, dome = workspace.assets, workspace.sky.dome
-    renderer = FrameRenderer(
-        assets.background, workspace.inferred, TransportConfig(), 0, inferred_is_visible=True
-    )
+    renderer = FrameRenderer(assets.background, workspace.inferred, TransportConfig(), 0)
     scenario = replay(DigitalTwin(log, assets, workspace.sky), "held-out", log.frames)
 
     def render(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:

@@ -23,6 +23,7 @@ from lightsim.geometry.completion.free_space import find_free_space
 from lightsim.geometry.completion.panes import find_panes
 from lightsim.geometry.completion.rooflines import find_rooflines
 from lightsim.geometry.completion.silhouettes import View
+from lightsim.geometry.completion.uprights import raise_uprights
 from lightsim.geometry.completion.wall_cells import MAX_HEIGHT_M, WallCells, gather_cells
 from lightsim.geometry.completion.walls import find_walls
 from lightsim.geometry.materials import FACADE
@@ -41,12 +42,13 @@ def complete_buildings(
     *,
     make_caster: MakeCaster,
 ) -> tuple[TriMesh, list[Roofline]]:
-    """What views show of buildings beyond what was measured (panes interpolated, raised walls
-    inferred; frame world, black), and how high their walls rise.
+    """What views show of buildings, and of other things that stand upright, beyond what was
+    measured (panes interpolated, the rest inferred; frame world, black), and how high walls rise.
 
     Args:
         background: measured static surfaces, frame world, outward faces counter-clockwise.
-        silhouettes: gives frames with their camera (of the matte's size) and sky matte, twice.
+        silhouettes: gives frames with their camera (of the matte's size) and sky matte, any number
+            of times.
         sweeps: beams that went over a wall tell that it ends there.
         ground: heights count from it.
         make_caster: builds the ray caster.
@@ -57,16 +59,19 @@ def complete_buildings(
     """
     check_world([background])
     walls = find_walls(background)
-    nothing = np.zeros((0, 3), dtype=np.float32)
-    empty = TriMesh("world", nothing, np.zeros((0, 3), dtype=np.int32), nothing, (FACADE,))
-    if not walls:
-        return empty, []
-    caster = make_caster([background])
-    cells = gather_cells(walls, caster, silhouettes(), sweeps)
-    space = find_free_space(background, silhouettes(), caster, MAX_HEIGHT_M)
-    rooflines = find_rooflines(cells, ground, space)
-    parts = [part for pair in zip(cells, rooflines, strict=True) for part in _visible_parts(*pair)]
-    return (concatenate_meshes(parts) if parts else empty), rooflines
+    parts: list[TriMesh] = []
+    rooflines: list[Roofline] = []
+    if walls:
+        caster = make_caster([background])
+        cells = gather_cells(walls, caster, silhouettes(), sweeps)
+        space = find_free_space(background, silhouettes(), caster, MAX_HEIGHT_M)
+        rooflines = find_rooflines(cells, ground, space)
+        for pair in zip(cells, rooflines, strict=True):
+            parts.extend(_visible_parts(*pair))
+    # Raised walls explain what views show above things that stand before them.
+    raised = concatenate_meshes([background, *parts])
+    uprights = raise_uprights(raised, silhouettes, ground, make_caster([raised]))
+    return concatenate_meshes([*parts, uprights]), rooflines
 
 
 def _visible_parts(cells: WallCells, roofline: Roofline) -> Iterator[TriMesh]:

@@ -1,0 +1,212 @@
+"""What stands on measured surfaces and raised walls: masts, billboards, crowns above the beams.
+
+The LiDAR's highest channel cuts them off; pictures go on to show them. Over the top of each
+measured column of space, points are followed upward as long as views show matter there that nothing
+measured explains, with sky on both sides near by, and no sky (visual hull, Laurentini 1994,
+doi:10.1109/34.273735, of what stands on measured surfaces). Matter without sky beside it may lie
+anywhere behind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int8, Int64
+
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.casting import RayCaster
+from lightsim.core.fields import GroundMap
+from lightsim.core.mesh import Material, Provenance, TriMesh
+from lightsim.core.sensors import CameraFrame
+from lightsim.geometry.completion.silhouettes import (
+    MIN_BASELINE_M,
+    View,
+    classify_matte,
+    spaced_views,
+)
+
+MATERIAL = Material(0.8, 0.0, "upright")
+
+# Chosen while looking at log 002; what they bring there is measured (docs/benchmarks/
+# reconstruction.md).
+
+# Edge of a column and of its cells.
+_CELL_M = 0.25
+# Things that end lower over the ground end where they were measured: cars, people, hedges.
+_LEAST_HEIGHT_M = 2.0
+# Of a column, the greatest that is added.
+_MOST_ADDED_M = 12.0
+# Views from further away do not count.
+_MAX_VIEW_M = 60.0
+# A point this near behind or before a measured surface lies on it.
+_SURFACE_M = 0.6
+# Things that stand free have sky on both sides, no further apart than this: the largest usual
+# billboards are 48 feet wide.
+_WIDTH_M = 16.0
+# Log-odds of a cell by one view that shows matter, or sky; and of all views of one kind at most.
+_MATTER, _SKY, _MOST = 1.0, -2.0, 6.0
+# Views that must show matter in the lowest cell: what a single one shows may be anywhere behind.
+_LEAST_VIEWS = 3
+
+
+@dataclass(eq=False)
+class _Columns:
+    """Columns of space that measured surface ends in.
+
+    Args:
+        cell: in x and y, unique.
+        place_m: x and y of the measured surface's uppermost part, and its top.
+        matter, sky: views that show each cell above as such.
+    """
+
+    cell: Int64[np.ndarray, "n 2"]
+    place_m: Float64[np.ndarray, "n 3"]
+    matter: Int64[np.ndarray, "n z"]
+    sky: Int64[np.ndarray, "n z"]
+
+    def some(self, chosen: Bool[np.ndarray, " n"]) -> _Columns:
+        return _Columns(
+            self.cell[chosen], self.place_m[chosen], self.matter[chosen], self.sky[chosen]
+        )
+
+
+def raise_uprights(
+    background: TriMesh,
+    silhouettes: Callable[[], Iterable[View]],
+    ground: GroundMap,
+    caster: RayCaster,
+) -> TriMesh:
+    """The cells on top of measured columns that views show, as their open sides; inferred, black.
+
+    Args:
+        background: measured static surfaces, and walls as far as they were raised, frame world.
+        silhouettes: gives frames with their camera (of the matte's size) and sky matte, twice.
+        ground: heights count from it.
+        caster: over the background.
+
+    Raises:
+        InputError: a matte does not fit its camera.
+    """
+    columns = _find_columns(background, ground)
+    levels = round(_MOST_ADDED_M / _CELL_M)
+    # Most columns end in their first cells, where the background explains the pictures.
+    for first, last in ((0, 2), (2, levels)):
+        for frame, camera, matte in spaced_views(silhouettes(), MIN_BASELINE_M):
+            kinds = classify_matte(camera, matte)
+            _look(columns, (first, last), (frame, camera, kinds), caster)
+        is_alive = (_height(columns, last) == last) & (columns.matter[:, 0] >= _LEAST_VIEWS)
+        columns = columns.some(is_alive if last < levels else columns.matter[:, 0] > 0)
+    return _boxes(columns, _height(columns, levels))
+
+
+def _find_columns(background: TriMesh, ground: GroundMap) -> _Columns:
+    centres = background.vertices[background.faces].mean(axis=1).astype(np.float64)
+    cell, row = np.unique(
+        np.floor(centres[:, :2] / _CELL_M).astype(np.int64), axis=0, return_inverse=True
+    )
+    row = row.reshape(-1)
+    top = np.full(len(cell), -np.inf)
+    np.maximum.at(top, row, centres[:, 2])
+    is_upper = centres[:, 2] > top[row] - 2 * _CELL_M
+    count = np.maximum(np.bincount(row[is_upper], minlength=len(cell)), 1)
+    place = [np.bincount(row[is_upper], centres[is_upper, k], len(cell)) / count for k in (0, 1)]
+    is_high = top - ground.look_up(np.stack(place, axis=1)) > _LEAST_HEIGHT_M
+    shape = (int(is_high.sum()), round(_MOST_ADDED_M / _CELL_M))
+    places = np.stack([*place, top], axis=1)[is_high]
+    return _Columns(cell[is_high], places, np.zeros(shape, np.int64), np.zeros(shape, np.int64))
+
+
+def _look(
+    columns: _Columns,
+    levels: tuple[int, int],
+    view: tuple[CameraFrame, PinholeCamera, Int8[np.ndarray, "h w"]],
+    caster: RayCaster,
+) -> None:
+    """What one view shows at some levels of the columns; what is hidden says nothing, nor does
+    matter that is measured behind or that has no sky beside it."""
+    frame, camera, kinds = view
+    eye = frame.world_from_camera.translation_m
+    near = np.flatnonzero(np.linalg.norm(columns.place_m[:, :2] - eye[:2], axis=1) < _MAX_VIEW_M)
+    height = (np.arange(*levels) + 0.5) * _CELL_M
+    points = np.repeat(columns.place_m[near][:, None], len(height), axis=1)
+    points[..., 2] += height
+    rows, level = np.divmod(np.arange(points[..., 0].size), len(height))
+    points = points.reshape(-1, 3)
+    uv, is_inside = frame.project(camera, points)
+    rows, level, points, uv = (a[is_inside] for a in (near[rows], level, points, uv))
+    level = level + levels[0]
+    pixel = uv[:, 1].astype(np.int64), uv[:, 0].astype(np.int64)
+    kind = kinds[pixel]
+    np.add.at(columns.sky, (rows[kind > 0], level[kind > 0]), 1)
+    reach_px = _WIDTH_M * camera.fx / np.linalg.norm(points - eye, axis=1)
+    matter = np.flatnonzero((kind < 0) & (_free_width_px(kinds)[pixel] < reach_px))
+    way = points[matter] - eye
+    distance = np.linalg.norm(way, axis=1)
+    hits = caster.intersect(np.broadcast_to(eye, way.shape).copy(), way / distance[:, None])
+    is_unexplained = ~hits.is_hit | (np.abs(hits.distance_m - distance) < _SURFACE_M)
+    shown = matter[is_unexplained]
+    np.add.at(columns.matter, (rows[shown], level[shown]), 1)
+
+
+def _free_width_px(kinds: Int8[np.ndarray, "h w"]) -> Int64[np.ndarray, "h w"]:
+    """Distance along the row between the next sky on the left and on the right."""
+    width = kinds.shape[1]
+    column = np.arange(width)
+    is_sky = kinds > 0
+    left = np.maximum.accumulate(np.where(is_sky, column, -width), axis=1)
+    right = np.minimum.accumulate(np.where(is_sky, column, 2 * width)[:, ::-1], axis=1)[:, ::-1]
+    return right - left
+
+
+def _height(columns: _Columns, levels: int) -> Int64[np.ndarray, " n"]:
+    """Cells of each column that are filled: the most probable number."""
+    odds = np.minimum(_MATTER * columns.matter, _MOST) + np.maximum(_SKY * columns.sky, -_MOST)
+    # A cell that no view tells of ends the column.
+    odds = np.where(odds == 0, -0.5, odds)[:, :levels]
+    total = np.cumsum(odds, axis=1)
+    best = total.argmax(axis=1)
+    return np.where(total[np.arange(len(total)), best] > 0, best + 1, 0)
+
+
+def _boxes(columns: _Columns, height: Int64[np.ndarray, " n"]) -> TriMesh:
+    """Sides of the filled cells that lie open, two triangles each, corners shared."""
+    first = np.floor(columns.place_m[:, 2] / _CELL_M).astype(np.int64)
+    repeated = np.repeat(np.arange(len(height)), height + 1)
+    start = np.repeat(np.cumsum(height + 1) - (height + 1), height + 1)
+    level = np.arange(len(repeated)) - start
+    is_filled = height[repeated] > 0
+    cells = np.concatenate([columns.cell[repeated], (first[repeated] + level)[:, None]], axis=1)[
+        is_filled
+    ]
+    nothing = np.zeros((0, 3), dtype=np.float32)
+    if not len(cells):
+        return TriMesh("world", nothing, np.zeros((0, 3), np.int32), nothing, (MATERIAL,))
+    low = cells.min(axis=0) - 1
+    shape = tuple((cells.max(axis=0) - low + 2).tolist())
+    is_in = np.zeros(shape, dtype=bool)
+    is_in[tuple((cells - low).T)] = True
+    quads = [
+        _open_sides(is_in, axis, is_upper=is_upper) for axis in range(3) for is_upper in (0, 1)
+    ]
+    corners, index = np.unique(np.concatenate(quads).reshape(-1, 3), axis=0, return_inverse=True)
+    index = index.reshape(-1, 4).astype(np.int32)
+    faces = np.concatenate([index[:, [0, 1, 2]], index[:, [0, 2, 3]]])
+    vertices = ((corners + low) * _CELL_M).astype(np.float32)
+    mesh = TriMesh("world", vertices, faces, np.zeros_like(vertices), (MATERIAL,))
+    return mesh.with_provenance(Provenance.INFERRED)
+
+
+def _open_sides(
+    is_in: Bool[np.ndarray, "x y z"], axis: int, *, is_upper: int
+) -> Int64[np.ndarray, "q 4 3"]:
+    """Corners of the sides of filled cells towards empty ones, counter-clockwise from outside."""
+    neighbour = np.roll(is_in, -1 if is_upper else 1, axis=axis)
+    cell = np.argwhere(is_in & ~neighbour)
+    u, v = [(1, 2), (2, 0), (0, 1)][axis]
+    steps = np.zeros((4, 3), dtype=np.int64)
+    steps[:, axis] = is_upper
+    order = [(0, 0), (1, 0), (1, 1), (0, 1)] if is_upper else [(0, 0), (0, 1), (1, 1), (1, 0)]
+    steps[:, [u, v]] = order
+    return cell[:, None] + steps

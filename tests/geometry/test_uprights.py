@@ -1,0 +1,64 @@
+"""Masts and boards whose feet a LiDAR saw rise as far as pictures show them, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from tests.geometry.test_buildings import GROUND, WIDE, Box, View, _house, _street, _views
+
+from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
+from lightsim.geometry.completion.uprights import raise_uprights
+from lightsim.render.casters.embree import EmbreeCaster
+
+_MAST: Box = (14.0, 4.0, 14.5, 4.5, 8.0)
+_BOARD: Box = (-20.0, -4.0, -19.75, 2.0, 9.0)
+_BUSH: Box = (4.0, 5.0, 6.0, 6.0, 3.0)
+_HALL: Box = (-5.0, 8.25, 25.0, 20.0, 14.0)
+
+
+def _raised(true: Sequence[Box], seen: Sequence[Box], measured: Sequence[Box]) -> TriMesh:
+    """What rises on `measured` boxes in a street of `true` ones; `seen` stops beams."""
+    truth = concatenate_meshes([_street(), *(_house(b, b[4], True) for b in true)])
+    parts = [_street(), *(_house(b, b[4], True) for b in (*seen, *measured))]
+    background = concatenate_meshes(parts)
+    views = _views(truth, WIDE)
+
+    def silhouettes() -> list[View]:
+        return views
+
+    return raise_uprights(background, silhouettes, GROUND, EmbreeCaster([background]))
+
+
+def _cut(box: Box, height_m: float) -> Box:
+    return (*box[:4], height_m)
+
+
+@pytest.mark.parametrize(("box", "seen_m"), [(_MAST, 3.0), (_BOARD, 4.0)])
+def test_what_the_highest_beam_cut_off_rises_to_its_top(box: Box, seen_m: float) -> None:
+    mesh = _raised([box], [], [_cut(box, seen_m)])
+    assert mesh.comes_from(Provenance.INFERRED).all()
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    assert high[2] == pytest.approx(box[4], abs=0.6)
+    np.testing.assert_allclose(low[:2], box[:2], atol=0.3)
+    np.testing.assert_allclose(high[:2], box[2:4], atol=0.3)
+    # Closed but for cells that touch at an edge, and outward: the volume is positive.
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    volume = np.einsum("nc,nc->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+    wanted = (box[2] - box[0]) * (box[3] - box[1]) * (box[4] - seen_m)
+    assert 0.5 * wanted < volume < 2.5 * wanted
+
+
+def test_a_bush_before_a_hall_stays_a_bush() -> None:
+    """Its own top is all that was measured; above it every view shows the hall, whose upper part
+    no beam reached."""
+    mesh = _raised([_BUSH, _HALL], [_cut(_HALL, 4.0)], [_BUSH])
+    x, y = mesh.vertices[:, :2].T
+    over_bush = (x > 3.5) & (x < 6.5) & (y > 4.5) & (y < 6.5)
+    assert not over_bush.any()
+
+
+def test_nothing_rises_where_views_show_sky() -> None:
+    assert len(_raised([_cut(_MAST, 3.0)], [], [_cut(_MAST, 3.0)]).faces) == 0
+    assert len(_raised([], [], []).faces) == 0
