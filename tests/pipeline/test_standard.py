@@ -123,7 +123,14 @@ def test_the_twin_agrees_with_the_truth(built_street: Any, tmp_path: Path) -> No
     told = networks["lightsim (shipped), with GPS"]
     assert told["angle_mean_deg"] == pytest.approx(0.0, abs=0.01)
     assert told["decoding_angle_deg"] < 2.0
-    rows = {row["surface"]: row for row in evaluated("closure", work, out)["rows"]}
+    closed = evaluated("closure", work, out)
+    rows = {row["surface"]: row for row in closed["rows"]}
+    lit_as_found = [
+        row["scores"]["psnr_db"]
+        for row in closed["frames"]["rows"]
+        if (row["method"], row["region"]) == ("lit as found", "masked")
+    ]
+    assert np.mean(lit_as_found) > psnr_db["twin"] - 1.5
     assert rows["all"]["median"] == pytest.approx(1.0, abs=0.05)
     for surface in ("ground, lit", "facades, lit"):
         assert rows[surface]["median"] == pytest.approx(1.0, abs=0.1), surface

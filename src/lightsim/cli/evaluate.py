@@ -152,7 +152,7 @@ class EvaluateClosure:
         from lightsim.pipeline.closure import closure
         from lightsim.pipeline.workspace import Workspace
 
-        show(closure(Workspace(self.work)), self.out)
+        show(closure(Workspace(self.work), terminal_progress()), self.out)
 
 
 Evaluate = (

@@ -17,6 +17,7 @@ from lightsim.evaluate.base_colour import (
     LIT_ABOVE,
     SHADOW_BELOW,
 )
+from lightsim.evaluate.frames import FramesReport
 
 _DARKEST = 0.004
 """Radiance, scene units: one step of an 8-bit picture. Below it a quotient is noise."""
@@ -44,9 +45,14 @@ class ClosureRow:
 
 @dataclass(frozen=True)
 class ClosureReport:
-    """A row for every class that has samples, in the order given."""
+    """A row for every class that has samples, in the order given.
+
+    Args:
+        frames: held-out frames under the source sky, where any were held out.
+    """
 
     rows: tuple[ClosureRow, ...]
+    frames: FramesReport | None = None
 
     def row(self, surface: str) -> ClosureRow:
         """One row.
@@ -73,11 +79,15 @@ class ClosureReport:
             values = (row.median, row.percentile_10, row.percentile_90, *row.median_rgb)
             cells = " | ".join(f"{value:.3f}" for value in values)
             lines.append(f"| {row.surface} | {row.count} | {cells} |")
+        if self.frames is not None:
+            lines += ["", self.frames.to_table()]
         return "\n".join(lines)
 
     def to_json(self) -> str:
         """All rows, the percentiles and the medians of each channel included."""
-        return json.dumps(asdict(self), indent=2)
+        frames = None if self.frames is None else json.loads(self.frames.to_json())
+        rows = [asdict(row) for row in self.rows]
+        return json.dumps({"rows": rows, "frames": frames}, indent=2)
 
 
 def measure_closure(

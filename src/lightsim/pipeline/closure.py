@@ -2,26 +2,44 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
+from jaxtyping import UInt8
 
 from lightsim.appearance.intrinsic.light import SeenPoints
+from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.frames import RigidTransform
+from lightsim.core.sensors import CameraFrame
+from lightsim.core.twin import DigitalTwin
 from lightsim.errors import ArtefactError
 from lightsim.evaluate.closure import ClosureReport, measure_closure, surface_classes
+from lightsim.evaluate.frames import FramesReport, score_frames
 from lightsim.pipeline.assemble import roofs_over
+from lightsim.pipeline.measures import QUICK, held_out_tasks
 from lightsim.pipeline.source_light import SourceLight
 from lightsim.pipeline.stages.light import IRRADIANCE
 from lightsim.pipeline.workspace import Workspace
+from lightsim.progress import Progress, SilentProgress
+from lightsim.relighting.physical.shadow_refine import unoccluded_sun, with_sun_visibility
+from lightsim.render.frame_renderer import FrameRenderer
+from lightsim.render.image import scene_image, sky_image
+from lightsim.render.transport.matrix import TransportConfig
+from lightsim.scenario.replay import replay
 
 _SAMPLES = 100_000
 _LEAST_CONFIDENCE = 0.5
 """Below it the colour was filled in, not seen."""
+_BOUNCES = 4
 _CLIPPED = 0.9
 """Mean radiance, scene units, from which on some of the pictures were clipped."""
 
 
-def closure(workspace: Workspace) -> ClosureReport:
-    """Base colour x the twin's light over the radiance that the cameras saw of the static scene.
+def closure(workspace: Workspace, progress: Progress | None = None) -> ClosureReport:
+    """Base colour x the twin's light over the radiance that the cameras saw of the static scene;
+    and held-out frames rendered from base colours under the source sky, beside those that show the
+    radiance that was seen.
 
     The light is the one of the twin's sky, with the sun's visibility as rendered. Samples are
     vertices that were seen and not clipped, evenly drawn; "lit" and "shadowed" are so by rendering.
@@ -59,4 +77,42 @@ def closure(workspace: Workspace) -> ClosureReport:
     if light.reflected is not None:
         predicted = predicted + light.reflected.total(visibility)
     classes = surface_classes(vertices.normal, visibility)
-    return measure_closure(predicted, seen.base_colour[rows], classes)
+    report = measure_closure(predicted, seen.base_colour[rows], classes)
+    if not workspace.held_out:
+        return report
+    return replace(report, frames=source_frames(workspace, progress or SilentProgress()))
+
+
+def source_frames(workspace: Workspace, progress: Progress) -> FramesReport:
+    """Held-out frames from base colour, light and reflections of the source sky: with the sun's
+    visibility as rendered ("lit again"), as the twin keeps it ("lit as found"), and beside these the
+    twin's observed radiance."""
+    log, twin, assets, dome = workspace.log, workspace.twin, workspace.assets, workspace.sky.dome
+    transport = TransportConfig(bounces=_BOUNCES)
+    lit = FrameRenderer(twin.assets.background, workspace.unobserved_occluders, transport, 0)
+    seen = FrameRenderer(assets.background, workspace.inferred, transport, 0)
+    lit_scenario = replay(twin, "source", log.frames)
+    seen_scenario = replay(DigitalTwin(log, assets, workspace.sky), "source", log.frames)
+    sky = lit.prepare(dome)
+
+    def show(method: str, frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
+        camera = log.cameras[frame.camera_name]
+        behind = sky_image(dome, camera, frame)
+        if method == "radiance texture":
+            buffers = seen.geometry(seen_scenario, frame, camera)
+            radiance = np.where(buffers.has_surface[..., None], buffers.base_colour, behind)
+        else:
+            traced = lit.trace(lit_scenario, frame, camera)
+            light = traced.light(sky)
+            found = traced.found_visibility(sky.sun)
+            if method == "lit as found" and found is not None and sky.sun is not None:
+                sunlight = unoccluded_sun(traced.buffers, light, sky.sun)
+                visibility = np.where(np.isfinite(found), found, light.sun_visibility)
+                light = with_sun_visibility(light, sunlight, visibility)
+            radiance = scene_image(traced.buffers, light, behind)
+        return srgb8_from_linear(radiance * assets.camera_gains[frame.camera_name])
+
+    methods = {
+        name: partial(show, name) for name in ("lit again", "lit as found", "radiance texture")
+    }
+    return score_frames(held_out_tasks(workspace, methods), QUICK, progress=progress)

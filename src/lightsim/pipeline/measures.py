@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -48,6 +48,8 @@ from lightsim.store.artefact import read_json, write_json
 from lightsim.synthetic.reader import read_true_meshes, true_sky
 
 LoadMask = Bool[np.ndarray, "h w"]
+Show = Callable[[CameraFrame], UInt8[np.ndarray, "h w 3"]]
+"""A picture of a frame, as its camera would have taken it."""
 MEASURES_NAME = "measures.json"
 QUICK = FramesConfig(with_lpips=False, with_exposure=False)
 """Scores that a build can afford: raw PSNR and SSIM."""
@@ -159,33 +161,38 @@ def held_out_frames(
         radiance = np.where(buffers.has_surface[..., None], buffers.base_colour, sky)
         return srgb8_from_linear(radiance * assets.camera_gains[frame.camera_name])
 
+    def nearest(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
+        others = [f for f in log.frames_of(frame.camera_name) if f.stem not in held_out]
+        return min(others, key=lambda f: abs(f.time_ns - frame.time_ns)).load_srgb8()
+
+    methods: dict[str, Show] = {"twin": render, "nearest image": nearest}
+    if with_field:
+        methods["field"] = _field_renderer(workspace)
+    tasks = held_out_tasks(workspace, methods)
+    return score_frames(tasks, config or FramesConfig(), progress=progress)
+
+
+def held_out_tasks(workspace: Workspace, methods: Mapping[str, Show]) -> list[FrameTask]:
+    """Held-out frames beside what methods make of them; valid is what is neither sky nor ego
+    vehicle."""
+
     def is_valid(frame: CameraFrame) -> LoadMask:
         valid = workspace.sky_matte(frame) < 0.5
         ego_vehicle = workspace.recorded_log.ego_vehicle_masks.get(frame.camera_name)
         return valid if ego_vehicle is None else valid & ~ego_vehicle
 
-    extra = {"field": _field_renderer(workspace)} if with_field else {}
-    tasks = []
-    for frame in log.frames:
-        if frame.stem not in held_out:
-            continue
-        others = [f for f in log.frames_of(frame.camera_name) if f.stem not in held_out]
-        nearest = min(others, key=lambda f, t=frame.time_ns: abs(f.time_ns - t))
-        tasks.append(
-            FrameTask(
-                frame.camera_name,
-                frame.camera_name,
-                frame.stem,
-                frame.load_srgb8,
-                {
-                    "twin": partial(render, frame),
-                    "nearest image": nearest.load_srgb8,
-                    **{name: partial(show, frame) for name, show in extra.items()},
-                },
-                partial(is_valid, frame),
-            )
+    return [
+        FrameTask(
+            frame.camera_name,
+            frame.camera_name,
+            frame.stem,
+            frame.load_srgb8,
+            {name: partial(show, frame) for name, show in methods.items()},
+            partial(is_valid, frame),
         )
-    return score_frames(tasks, config or FramesConfig(), progress=progress)
+        for frame in workspace.log.frames
+        if frame.stem in workspace.held_out
+    ]
 
 
 def _field_renderer(
