@@ -85,8 +85,8 @@ def closure(workspace: Workspace, progress: Progress | None = None) -> ClosureRe
 
 def source_frames(workspace: Workspace, progress: Progress) -> FramesReport:
     """Held-out frames from base colour, light and reflections of the source sky: with the sun's
-    visibility as rendered ("lit again"), as the twin keeps it ("lit as found"), and beside these the
-    twin's observed radiance."""
+    visibility as rendered ("lit again") and as the twin keeps it ("lit as found"); and the twin's
+    observed radiance."""
     log, twin, assets, dome = workspace.log, workspace.twin, workspace.assets, workspace.sky.dome
     transport = TransportConfig(bounces=_BOUNCES)
     lit = FrameRenderer(twin.assets.background, workspace.unobserved_occluders, transport, 0)
