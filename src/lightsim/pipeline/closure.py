@@ -12,17 +12,16 @@ from lightsim.appearance.intrinsic.light import SeenPoints
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.frames import RigidTransform
 from lightsim.core.sensors import CameraFrame
-from lightsim.core.twin import DigitalTwin
 from lightsim.errors import ArtefactError
 from lightsim.evaluate.closure import ClosureReport, measure_closure, surface_classes
 from lightsim.evaluate.frames import FramesReport, score_frames
 from lightsim.pipeline.assemble import roofs_over
-from lightsim.pipeline.measures import QUICK, held_out_tasks
+from lightsim.pipeline.measures import QUICK, held_out_tasks, observed_radiance
 from lightsim.pipeline.source_light import SourceLight
 from lightsim.pipeline.stages.light import IRRADIANCE
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress, SilentProgress
-from lightsim.relighting.physical.shadow_refine import unoccluded_sun, with_sun_visibility
+from lightsim.relighting.physical.shadow_refine import with_found_visibility
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.image import scene_image, sky_image
 from lightsim.render.transport.matrix import TransportConfig
@@ -74,8 +73,7 @@ def closure(workspace: Workspace, progress: Progress | None = None) -> ClosureRe
     light = light_at(vertices).floored()
     visibility = light.visibility[:, 1].astype(np.float64)
     predicted = light.total(visibility) * twin.base_colour[rows]
-    if light.reflected is not None:
-        predicted = predicted + light.reflected.total(visibility)
+    predicted += light.reflections.total(visibility)
     classes = surface_classes(vertices.normal, visibility)
     report = measure_closure(predicted, seen.base_colour[rows], classes)
     if not workspace.held_out:
@@ -87,32 +85,25 @@ def source_frames(workspace: Workspace, progress: Progress) -> FramesReport:
     """Held-out frames from base colour, light and reflections of the source sky: with the sun's
     visibility as rendered ("lit again") and as the twin keeps it ("lit as found"); and the twin's
     observed radiance."""
-    log, twin, assets, dome = workspace.log, workspace.twin, workspace.assets, workspace.sky.dome
+    log, twin, dome = workspace.log, workspace.twin, workspace.sky.dome
     transport = TransportConfig(bounces=_BOUNCES)
-    lit = FrameRenderer(twin.assets.background, workspace.unobserved_occluders, transport, 0)
-    seen = FrameRenderer(assets.background, workspace.inferred, transport, 0)
-    lit_scenario = replay(twin, "source", log.frames)
-    seen_scenario = replay(DigitalTwin(log, assets, workspace.sky), "source", log.frames)
-    sky = lit.prepare(dome)
+    renderer = FrameRenderer(twin.assets.background, workspace.unobserved_occluders, transport, 0)
+    scenario = replay(twin, "source", log.frames)
+    sky = renderer.prepare(dome)
 
-    def show(method: str, frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
+    def lit(frame: CameraFrame, *, is_as_found: bool) -> UInt8[np.ndarray, "h w 3"]:
         camera = log.cameras[frame.camera_name]
-        behind = sky_image(dome, camera, frame)
-        if method == "radiance texture":
-            buffers = seen.geometry(seen_scenario, frame, camera)
-            radiance = np.where(buffers.has_surface[..., None], buffers.base_colour, behind)
-        else:
-            traced = lit.trace(lit_scenario, frame, camera)
-            light = traced.light(sky)
+        traced = renderer.trace(scenario, frame, camera)
+        light = traced.light(sky)
+        if is_as_found and sky.sun is not None:
             found = traced.found_visibility(sky.sun)
-            if method == "lit as found" and found is not None and sky.sun is not None:
-                sunlight = unoccluded_sun(traced.buffers, light, sky.sun)
-                visibility = np.where(np.isfinite(found), found, light.sun_visibility)
-                light = with_sun_visibility(light, sunlight, visibility)
-            radiance = scene_image(traced.buffers, light, behind)
-        return srgb8_from_linear(radiance * assets.camera_gains[frame.camera_name])
+            light = with_found_visibility(light, traced.buffers, sky.sun, found)
+        radiance = scene_image(traced.buffers, light, sky_image(dome, camera, frame))
+        return srgb8_from_linear(radiance * twin.assets.camera_gains[frame.camera_name])
 
     methods = {
-        name: partial(show, name) for name in ("lit again", "lit as found", "radiance texture")
+        "lit again": partial(lit, is_as_found=False),
+        "lit as found": partial(lit, is_as_found=True),
+        "radiance texture": observed_radiance(workspace),
     }
     return score_frames(held_out_tasks(workspace, methods), QUICK, progress=progress)

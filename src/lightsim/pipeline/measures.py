@@ -150,7 +150,24 @@ def held_out_frames(
             where=workspace.root,
             remedy="Build with --hold-out 8 or another number.",
         )
-    assets, dome = workspace.assets, workspace.sky.dome
+
+    def nearest(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
+        others = [f for f in log.frames_of(frame.camera_name) if f.stem not in held_out]
+        return min(others, key=lambda f: abs(f.time_ns - frame.time_ns)).load_srgb8()
+
+    methods: dict[str, Show] = {
+        "twin": observed_radiance(workspace),
+        "nearest image": nearest,
+    }
+    if with_field:
+        methods["field"] = _field_renderer(workspace)
+    tasks = held_out_tasks(workspace, methods)
+    return score_frames(tasks, config or FramesConfig(), progress=progress)
+
+
+def observed_radiance(workspace: Workspace) -> Show:
+    """Pictures of the twin as it was seen, its estimated sky behind."""
+    log, assets, dome = workspace.log, workspace.assets, workspace.sky.dome
     renderer = FrameRenderer(assets.background, workspace.inferred, TransportConfig(), 0)
     scenario = replay(DigitalTwin(log, assets, workspace.sky), "held-out", log.frames)
 
@@ -161,15 +178,7 @@ def held_out_frames(
         radiance = np.where(buffers.has_surface[..., None], buffers.base_colour, sky)
         return srgb8_from_linear(radiance * assets.camera_gains[frame.camera_name])
 
-    def nearest(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
-        others = [f for f in log.frames_of(frame.camera_name) if f.stem not in held_out]
-        return min(others, key=lambda f: abs(f.time_ns - frame.time_ns)).load_srgb8()
-
-    methods: dict[str, Show] = {"twin": render, "nearest image": nearest}
-    if with_field:
-        methods["field"] = _field_renderer(workspace)
-    tasks = held_out_tasks(workspace, methods)
-    return score_frames(tasks, config or FramesConfig(), progress=progress)
+    return render
 
 
 def held_out_tasks(workspace: Workspace, methods: Mapping[str, Show]) -> list[FrameTask]:

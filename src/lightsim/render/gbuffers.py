@@ -130,7 +130,8 @@ def see(
 def surface_material(scene: FrameScene, hits: RayHits) -> Float32[np.ndarray, "n 2"]:
     """Roughness and metallic of faces that cameras see."""
     values = np.zeros((len(hits.face_index), 2), dtype=np.float32)
-    for mesh, rows in _rows_by_mesh(scene, hits):
+    for k, rows in _rows_by_mesh(scene, hits):
+        mesh = scene.camera_meshes[k]
         known = np.array([(m.roughness, m.metallic) for m in mesh.materials], dtype=np.float32)
         if mesh.face_material is None:
             values[rows] = known[0]
@@ -142,21 +143,22 @@ def surface_material(scene: FrameScene, hits: RayHits) -> Float32[np.ndarray, "n
 def _found_visibility(scene: FrameScene, hits: RayHits) -> Float32[np.ndarray, " n"]:
     """See `core.mesh.TriMesh.sun_visibility`."""
     values = np.full(len(hits.face_index), np.nan, dtype=np.float32)
-    for mesh, rows in _rows_by_mesh(scene, hits):
+    for k, rows in _rows_by_mesh(scene, hits):
+        mesh = scene.camera_meshes[k]
         values[rows] = mesh.sun_visibility_at(hits.face_index[rows], hits.barycentric[rows])
     return values
 
 
 def _rows_by_mesh(
     scene: FrameScene, hits: RayHits
-) -> Iterator[tuple[TriMesh, Int64[np.ndarray, " k"]]]:
-    """The hits on each mesh that has any."""
-    meshes = scene.camera_meshes
+) -> Iterator[tuple[int, Int64[np.ndarray, " k"]]]:
+    """Numbers of the meshes that cameras see and their hits, of those that have any."""
+    count = len(scene.camera_meshes)
     order = np.argsort(hits.mesh_index, kind="stable")
-    bounds = np.searchsorted(hits.mesh_index[order], np.arange(len(meshes) + 1))
-    for k, mesh in enumerate(meshes):
+    bounds = np.searchsorted(hits.mesh_index[order], np.arange(count + 1))
+    for k in range(count):
         if bounds[k + 1] > bounds[k]:
-            yield mesh, order[bounds[k] : bounds[k + 1]]
+            yield k, order[bounds[k] : bounds[k + 1]]
 
 
 def _rays(
@@ -198,12 +200,8 @@ def _surface(
     normal = np.zeros((len(hits.distance_m), 3), dtype=np.float32)
     terminator_offset = np.zeros_like(normal)
     colour = np.zeros_like(normal)
-    order = np.argsort(hits.mesh_index, kind="stable")
-    bounds = np.searchsorted(hits.mesh_index[order], np.arange(len(meshes) + 1))
-    for k, mesh in enumerate(meshes):
-        rows = order[bounds[k] : bounds[k + 1]]
-        if len(rows) == 0:
-            continue
+    for k, rows in _rows_by_mesh(scene, hits):
+        mesh = meshes[k]
         face, barycentric = hits.face_index[rows], hits.barycentric[rows]
         colour[rows] = mesh.colour_at(face, barycentric)
         found = np.empty((2, len(rows), 3), dtype=np.float32)

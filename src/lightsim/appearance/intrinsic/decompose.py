@@ -122,7 +122,7 @@ def decompose(
         )
     if config.method == "divide":
         return _divided(mesh, light)
-    faces = labelled_faces(mesh)
+    faces = _labelled_faces(mesh)
     patches = Patches.of(mesh, faces, config, rng, returns)
     if patches is None:
         return _finished(mesh, VertexLight(light, light.visibility[:, 1]), None, config)
@@ -193,10 +193,10 @@ def patches_of(
     Args:
         mesh, returns: as for `decompose`.
     """
-    return Patches.of(mesh, labelled_faces(mesh), config, rng, returns)
+    return Patches.of(mesh, _labelled_faces(mesh), config, rng, returns)
 
 
-def labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:
+def _labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:
     """Faces on which the pictures say where shadows lie: not those of the background proxy, on
     which shadows fall where they happen to, and which is larger than all that was measured."""
     return np.flatnonzero(~mesh.comes_from(Provenance.BACKGROUND_PROXY))
@@ -209,16 +209,15 @@ def _visibility(
     field: LabelField,
 ) -> Float32[np.ndarray, " n"]:
     """Of the sun at each vertex: as labels have it, or as rendered where there are none."""
-    reflected = light.reflected
-    none = np.zeros_like(light.sun)
+    reflected = light.reflections
     seen = ShadedPoints(
         mesh.vertices,
         normals.astype(np.float32),
         mesh.base_colour,
         light.diffuse.astype(np.float32),
         light.sun,
-        none if reflected is None else reflected.rest,
-        none if reflected is None else reflected.sun,
+        reflected.rest,
+        reflected.sun,
     )
     visibility = rendered_visibility(light).astype(np.float32)
     is_labelled = np.zeros(len(visibility), dtype=bool)

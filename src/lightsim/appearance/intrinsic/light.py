@@ -122,6 +122,14 @@ class SurfaceLight:
             )
 
     @property
+    def reflections(self) -> Reflections:
+        """`reflected`, or zeros."""
+        if self.reflected is not None:
+            return self.reflected
+        none = np.zeros_like(self.sun)
+        return Reflections(none, none, none)
+
+    @property
     def diffuse(self) -> Float64[np.ndarray, "n 3"]:
         """All light but the direct sun."""
         return (self.sky + self.bounce).astype(np.float64)

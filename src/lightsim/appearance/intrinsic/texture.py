@@ -72,15 +72,14 @@ def texture_without_light(
         limits: least and greatest base colour.
         shade: at the vertices; None trusts every quotient.
     """
-    reflected = found.light.reflected
-    none = np.zeros_like(found.light.sun)
+    reflected = found.light.reflections
     attributes = _VertexAttributes(
         mesh.vertices,
         mesh.vertex_normals(),
         found.light.diffuse.astype(np.float32),
         found.light.sun,
-        none if reflected is None else reflected.rest,
-        none if reflected is None else reflected.sun,
+        reflected.rest,
+        reflected.sun,
         found.visibility,
     )
     is_edge = np.zeros(len(mesh.faces), dtype=bool)

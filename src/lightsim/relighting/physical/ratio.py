@@ -23,6 +23,7 @@ from lightsim.relighting.physical.matte import composite, foreground_radiance
 from lightsim.relighting.physical.shadow_refine import (
     refine_sun_visibility,
     unoccluded_sun,
+    with_found_visibility,
     with_sun_visibility,
 )
 
@@ -136,12 +137,7 @@ def _refined(inputs: RelightInputs) -> tuple[ShadowBuffers, ShadowBuffers]:
     if sun is None or sun.direction_world[2] <= 0:
         return inputs.source, inputs.target
     rendered = inputs.source.sun_visibility
-    sunlight = unoccluded_sun(inputs.buffers, inputs.source, sun)
-    believed = inputs.source
-    if inputs.found_visibility is not None:
-        is_found = np.isfinite(inputs.found_visibility) & inputs.buffers.has_surface
-        visibility = np.where(is_found, inputs.found_visibility, rendered).astype(np.float32)
-        believed = with_sun_visibility(inputs.source, sunlight, visibility)
+    believed = with_found_visibility(inputs.source, inputs.buffers, sun, inputs.found_visibility)
     visibility = refine_sun_visibility(
         inputs.radiance,
         inputs.buffers,
@@ -149,6 +145,7 @@ def _refined(inputs: RelightInputs) -> tuple[ShadowBuffers, ShadowBuffers]:
         sun,
         inputs.sky_matte < 0.5,
     )
+    sunlight = unoccluded_sun(inputs.buffers, inputs.source, sun)
     source = with_sun_visibility(inputs.source, sunlight, visibility)
     if inputs.target_sun is None:
         return source, inputs.target

@@ -106,6 +106,21 @@ def unoccluded_sun(
     return np.where(is_lit, rendered, computed).astype(np.float32)
 
 
+def with_found_visibility(
+    shadows: ShadowBuffers,
+    buffers: GBuffers,
+    sun: Sun,
+    found: Float32[np.ndarray, "h w"] | None,
+) -> ShadowBuffers:
+    """The source's light with the sun visibility that all pictures together show; as rendered where
+    they show none (NaN), and everywhere if `found` is None."""
+    if found is None:
+        return shadows
+    is_found = np.isfinite(found) & buffers.has_surface
+    visibility = np.where(is_found, found, shadows.sun_visibility).astype(np.float32)
+    return with_sun_visibility(shadows, unoccluded_sun(buffers, shadows, sun), visibility)
+
+
 def with_sun_visibility(
     shadows: ShadowBuffers,
     sunlight: Float32[np.ndarray, "h w 3"],
