@@ -9,12 +9,9 @@ import pytest
 from tests.relighting.scene import SKY_ROWS, light, shadow_right_of
 from tests.relighting.test_ratio import SUN, make_inputs
 
+from lightsim.core.found_visibility import unoccluded_sun, with_sun_visibility
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
-from lightsim.relighting.physical.shadow_refine import (
-    refine_sun_visibility,
-    unoccluded_sun,
-    with_sun_visibility,
-)
+from lightsim.relighting.physical.shadow_refine import refine_sun_visibility
 
 
 @pytest.fixture

@@ -177,3 +177,26 @@ def test_the_found_visibility_holds_but_for_the_shadows_of_what_moves() -> None:
     assert (found[is_ground & in_car_shade] == 0).all()
     assert (found[is_ground & (x > 0.3) & (x < 1.8)] > 0.99).all()
     assert (found[is_ground & (x < -0.3)] == 0).all()
+
+
+def test_the_recorded_sun_is_rendered_as_found_and_another_is_not() -> None:
+    """A renderer that knows the recorded sun shades what the pictures showed in shade."""
+    ground = plane(10.0, 80)
+    is_lit = ground.vertices[:, 0] > 0
+    found = SunVisibility(np.where(is_lit, 255, 0).astype(np.uint8))
+    ground = replace(ground, sun_visibility=found)
+    frame = CameraFrame("test", "00", 0, _ABOVE, lambda: np.zeros((96, 96, 3), np.uint8))
+    recorded, other = sun_sky(np.pi, 45.0), sun_sky(np.pi, 50.0)
+    config = TransportConfig(sky_rays=1, face_rays=0, glossy_rays=2)
+    renderer = FrameRenderer(
+        ground, plane(cells=0), config, 0, is_sampled=True, recorded_sun=recorded.sun
+    )
+    traced = renderer.trace(Scenario("s", (), ()), frame, camera(96, 96, 250.0))
+    x = traced.buffers.position_world[..., 0]
+    for sky, in_shade in ((recorded, 0.0), (other, 1.0)):
+        prepared = renderer.prepare(sky)
+        visibility, image = traced.light(prepared).sun_visibility, traced.image(prepared)
+        assert (visibility[x > 0.3] > 0.99).all()
+        np.testing.assert_allclose(visibility[x < -0.3], in_shade, atol=0.01)
+        brightness = image[x < -0.3].mean() / image[x > 0.3].mean()
+        assert abs(brightness - in_shade) < 0.05

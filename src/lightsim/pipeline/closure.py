@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from jaxtyping import UInt8
 
 from lightsim.appearance.intrinsic.light import SeenPoints
 from lightsim.core.colour import srgb8_from_linear
+from lightsim.core.found_visibility import with_found_visibility
 from lightsim.core.frames import RigidTransform
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import ArtefactError
@@ -21,8 +22,7 @@ from lightsim.pipeline.source_light import SourceLight
 from lightsim.pipeline.stages.light import IRRADIANCE
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress, SilentProgress
-from lightsim.relighting.physical.shadow_refine import with_found_visibility
-from lightsim.render.frame_renderer import FrameRenderer
+from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
 from lightsim.render.image import scene_image, sky_image
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.scenario.replay import replay
@@ -91,9 +91,12 @@ def source_frames(workspace: Workspace, progress: Progress) -> FramesReport:
     scenario = replay(twin, "source", log.frames)
     sky = renderer.prepare(dome)
 
+    @lru_cache(maxsize=1)
+    def trace(frame: CameraFrame) -> TransportFrame:
+        return renderer.trace(scenario, frame, log.cameras[frame.camera_name])
+
     def lit(frame: CameraFrame, *, is_as_found: bool) -> UInt8[np.ndarray, "h w 3"]:
-        camera = log.cameras[frame.camera_name]
-        traced = renderer.trace(scenario, frame, camera)
+        camera, traced = log.cameras[frame.camera_name], trace(frame)
         light = traced.light(sky)
         if is_as_found and sky.sun is not None:
             found = traced.found_visibility(sky.sun)

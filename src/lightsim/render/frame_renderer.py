@@ -10,10 +10,12 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import MakeCaster
 from lightsim.core.dome import SkyDome, Sun
 from lightsim.core.equirect import sample_bilinear
+from lightsim.core.found_visibility import with_found_visibility
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
+from lightsim.core.solar import angle_between_deg
 from lightsim.core.twin import SceneAssets
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.gbuffers import render_gbuffers, with_ambient_occlusion
@@ -52,6 +54,8 @@ class TransportFrame:
         scene: the scene at the frame's time.
         table: its rays.
         config: of the rays.
+        recorded_sun: light of this sun takes its visibility as the twin found it; None: every
+            sun's is rendered.
     """
 
     def __init__(
@@ -61,19 +65,25 @@ class TransportFrame:
         scene: FrameScene,
         table: TransportMatrix,
         config: TransportConfig,
+        recorded_sun: Sun | None = None,
     ) -> None:
         self.buffers = buffers
         self._view = view
         self._scene = scene
         self._table = table
         self._config = config
+        self._recorded_sun = recorded_sun
         self._last: tuple[SkyDome | EnvironmentCells, ShadowBuffers] | None = None
 
     def light(self, sky: SkyDome | EnvironmentCells) -> ShadowBuffers:
         """Irradiance / pi of the pixels under a sky; that of the last sky object is kept."""
         if self._last is None or self._last[0] is not sky:
             self._last = None
-            self._last = (sky, light(self._table, self._scene, self.buffers, sky, self._config))
+            lit = light(self._table, self._scene, self.buffers, sky, self._config)
+            if sky.sun is not None and _is_same_sun(sky.sun, self._recorded_sun):
+                found = self.found_visibility(sky.sun)
+                lit = with_found_visibility(lit, self.buffers, sky.sun, found)
+            self._last = (sky, lit)
         return self._last[1]
 
     def found_visibility(self, sun: Sun | None) -> Float32[np.ndarray, "h w"] | None:
@@ -102,6 +112,14 @@ class TransportFrame:
         """Radiance: anti-aliased and with reflections where the renderer looks at samples of
         pixels; the sky behind."""
         return scene_image(self.buffers, self.light(sky), visible_sky(sky, *self._view))
+
+
+def _is_same_sun(sun: Sun, recorded: Sun | None) -> bool:
+    """Whether a sun stands where the recorded one stood, to a tenth of its disc."""
+    if recorded is None:
+        return False
+    angle_deg = angle_between_deg(sun.direction_world, recorded.direction_world)
+    return angle_deg < 0.1 * recorded.angular_radius_deg
 
 
 def visible_sky(
@@ -133,9 +151,10 @@ class FrameRenderer:
         inferred_is_visible: bool = False,
         make_caster: MakeCaster = make_embree_caster,
         is_sampled: bool = False,
+        recorded_sun: Sun | None = None,
     ) -> None:
         """`is_sampled`: light is the mean over `transport.pixel_samples` points of each pixel,
-        with reflections."""
+        with reflections. `recorded_sun`: its shadows fall where the twin found them."""
         shadow_only = [inferred] if len(inferred.faces) else []
         self._static = make_static_scene(
             [background],
@@ -147,6 +166,7 @@ class FrameRenderer:
         self._is_sampled = is_sampled
         self._transport = transport
         self._seed = seed
+        self._recorded_sun = recorded_sun
         self._faces: FaceTable | None = None
 
     def prepare(self, sky: SkyDome, behind: SkyDome | None = None) -> EnvironmentCells:
@@ -177,4 +197,5 @@ class FrameRenderer:
         )
         table = trace_transport(scene, buffers, config, self._seed, self._faces, samples)
         buffers = with_ambient_occlusion(buffers, table.ambient_occlusion)
-        return TransportFrame((frame, camera), buffers, scene, table, config)
+        view = (frame, camera)
+        return TransportFrame(view, buffers, scene, table, config, self._recorded_sun)

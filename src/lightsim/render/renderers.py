@@ -10,7 +10,7 @@ from jaxtyping import Float32
 
 from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.dome import SkyDome
+from lightsim.core.dome import SkyDome, Sun
 from lightsim.core.mesh import TriMesh
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
@@ -80,12 +80,20 @@ def _transport(choice: RendererChoice) -> TransportConfig:
 
 
 def make_renderer(
-    choice: RendererChoice, background: TriMesh, inferred: TriMesh, seed: int, *, has_images: bool
+    choice: RendererChoice,
+    background: TriMesh,
+    inferred: TriMesh,
+    seed: int,
+    *,
+    has_images: bool,
+    recorded_sun: Sun | None = None,
 ) -> Renderer:
     """The renderer that the user chose.
 
     Args:
         has_images: whether images are asked for, which takes rays for reflections.
+        recorded_sun: where light transport renders this sun, its shadows fall as the twin found
+            them in the pictures; the reference renderers trace them.
 
     Raises:
         InputError: its backend is not available here.
@@ -96,7 +104,10 @@ def make_renderer(
 
         check_installed()
         noisy = replace(choice, denoise=False)
-        return _Denoised(make_renderer(noisy, background, inferred, seed, has_images=True))
+        renderer = make_renderer(
+            noisy, background, inferred, seed, has_images=True, recorded_sun=recorded_sun
+        )
+        return _Denoised(renderer)
     if choice.renderer != "transport":
         return _reference(choice, background, inferred, seed)
     config = _transport(choice)
@@ -107,7 +118,13 @@ def make_renderer(
         config = replace(config, device="cuda")
     make_caster = choose_caster(backend)
     return FrameRenderer(
-        background, inferred, config, seed, make_caster=make_caster, is_sampled=True
+        background,
+        inferred,
+        config,
+        seed,
+        make_caster=make_caster,
+        is_sampled=True,
+        recorded_sun=recorded_sun,
     )
 
 

@@ -37,7 +37,7 @@ from lightsim.store.scenario import write_scenario
 
 _RECORD = "render.json"
 _SKY_RECORD = "sky.json"
-_SCHEMA = 6
+_SCHEMA = 7
 
 
 @dataclass(frozen=True)
@@ -156,6 +156,7 @@ def _render(
             workspace.unobserved_occluders,
             options.seed,
             has_images="image" in options.what,
+            recorded_sun=workspace.sky.dome.sun,
         )
         # Not before: a renderer that is not installed must leave no claim behind.
         _claim(layout, settings, skies)

@@ -15,17 +15,17 @@ from jaxtyping import Bool, Float32
 
 from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.dome import Sun
+from lightsim.core.found_visibility import (
+    unoccluded_sun,
+    with_found_visibility,
+    with_sun_visibility,
+)
 from lightsim.core.solar import angle_between_deg
 from lightsim.errors import InputError
 from lightsim.relighting.physical.denoise import denoised_where_amplified
 from lightsim.relighting.physical.filters import fill_holes
 from lightsim.relighting.physical.matte import composite, foreground_radiance
-from lightsim.relighting.physical.shadow_refine import (
-    refine_sun_visibility,
-    unoccluded_sun,
-    with_found_visibility,
-    with_sun_visibility,
-)
+from lightsim.relighting.physical.shadow_refine import refine_sun_visibility
 
 _ENCLOSED_RIM_PX = 3
 

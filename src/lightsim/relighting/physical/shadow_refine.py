@@ -8,8 +8,6 @@ how blue the pixel is for its surface, and by its neighbours up to the next imag
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Bool, Float32
 from scipy import ndimage
@@ -17,6 +15,7 @@ from scipy import ndimage
 from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.colour import luminance
 from lightsim.core.dome import Sun
+from lightsim.core.found_visibility import unoccluded_sun
 from lightsim.relighting.physical.filters import box_mean, guided_filter
 
 _DARKEST = np.float32(1e-4)
@@ -91,57 +90,6 @@ def _changed_fraction(
     is_changed = ndimage.binary_opening(is_changed, np.ones((smallest, smallest)))
     grown = np.asarray(ndimage.binary_dilation(is_changed, np.ones((3, 3))))
     return np.clip(3 * box_mean(grown.astype(np.float32), smallest), 0.0, 1.0)
-
-
-def unoccluded_sun(
-    buffers: GBuffers, shadows: ShadowBuffers, sun: Sun
-) -> Float32[np.ndarray, "h w 3"]:
-    """Sun light over pi without visibility; from the rendered light itself where it is lit."""
-    direction = sun.direction_world.astype(np.float32)
-    cosine = np.maximum(buffers.normal_world @ direction, 0.0)[..., None]
-    computed = cosine * (sun.irradiance / np.float32(np.pi))
-    visibility = shadows.sun_visibility[..., None]
-    is_lit = visibility > 0.5
-    rendered = shadows.direct_sun / np.where(is_lit, visibility, 1.0)
-    return np.where(is_lit, rendered, computed).astype(np.float32)
-
-
-def with_found_visibility(
-    shadows: ShadowBuffers,
-    buffers: GBuffers,
-    sun: Sun,
-    found: Float32[np.ndarray, "h w"] | None,
-) -> ShadowBuffers:
-    """The source's light with the sun visibility that all pictures together show; as rendered where
-    they show none (NaN), and everywhere if `found` is None."""
-    if found is None:
-        return shadows
-    is_found = np.isfinite(found) & buffers.has_surface
-    visibility = np.where(is_found, found, shadows.sun_visibility).astype(np.float32)
-    return with_sun_visibility(shadows, unoccluded_sun(buffers, shadows, sun), visibility)
-
-
-def with_sun_visibility(
-    shadows: ShadowBuffers,
-    sunlight: Float32[np.ndarray, "h w 3"],
-    visibility: Float32[np.ndarray, "h w"],
-) -> ShadowBuffers:
-    """The same light with another sun visibility; pixels where it is unchanged stay exact."""
-    is_same = visibility == shadows.sun_visibility
-    direct = np.where(is_same[..., None], shadows.direct_sun, sunlight * visibility[..., None])
-    direct = direct.astype(np.float32)
-    shaded = np.where(is_same[..., None], shadows.shaded, direct + shadows.sky + shadows.bounce)
-    glossy = shadows.glossy
-    if glossy is not None:
-        change = (visibility - shadows.sun_visibility)[..., None]
-        glossy = np.maximum(glossy + change * shadows.reflected_sun, 0.0).astype(np.float32)
-    return replace(
-        shadows,
-        glossy=glossy,
-        sun_visibility=visibility,
-        direct_sun=direct,
-        shaded=shaded.astype(np.float32),
-    )
 
 
 def _infer(

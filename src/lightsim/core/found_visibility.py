@@ -1,0 +1,71 @@
+"""Light with another visibility of the sun than the rendered one.
+
+The twin keeps what all pictures together show of the recorded sun's shadows, which no geometry
+renders to the pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.dome import Sun
+
+
+def unoccluded_sun(
+    buffers: GBuffers, shadows: ShadowBuffers, sun: Sun
+) -> Float32[np.ndarray, "h w 3"]:
+    """Sun light over pi without visibility; from the rendered light itself where it is lit."""
+    direction = sun.direction_world.astype(np.float32)
+    cosine = np.maximum(buffers.normal_world @ direction, 0.0)[..., None]
+    computed = cosine * (sun.irradiance / np.float32(np.pi))
+    visibility = shadows.sun_visibility[..., None]
+    is_lit = visibility > 0.5
+    rendered = shadows.direct_sun / np.where(is_lit, visibility, 1.0)
+    return np.where(is_lit, rendered, computed).astype(np.float32)
+
+
+def with_found_visibility(
+    shadows: ShadowBuffers,
+    buffers: GBuffers,
+    sun: Sun,
+    found: Float32[np.ndarray, "h w"] | None,
+) -> ShadowBuffers:
+    """The source's light with the sun visibility that all pictures together show; as rendered where
+    they show none (NaN), and everywhere if `found` is None."""
+    if found is None:
+        return shadows
+    is_found = np.isfinite(found) & buffers.has_surface
+    visibility = np.where(is_found, found, shadows.sun_visibility).astype(np.float32)
+    return with_sun_visibility(shadows, unoccluded_sun(buffers, shadows, sun), visibility)
+
+
+def with_sun_visibility(
+    shadows: ShadowBuffers,
+    sunlight: Float32[np.ndarray, "h w 3"],
+    visibility: Float32[np.ndarray, "h w"],
+) -> ShadowBuffers:
+    """The same light with another sun visibility; pixels where it is unchanged stay exact."""
+    is_same = visibility == shadows.sun_visibility
+    direct = np.where(is_same[..., None], shadows.direct_sun, sunlight * visibility[..., None])
+    direct = direct.astype(np.float32)
+    shaded = np.where(is_same[..., None], shadows.shaded, direct + shadows.sky + shadows.bounce)
+    diffuse, glossy = shadows.diffuse, shadows.glossy
+    if diffuse is not None:
+        # The colour that the samples of the pixel showed stays.
+        brighter = shaded / np.maximum(shadows.shaded, np.float32(1e-9))
+        diffuse = np.where(is_same[..., None], diffuse, diffuse * brighter).astype(np.float32)
+    if glossy is not None:
+        change = (visibility - shadows.sun_visibility)[..., None]
+        glossy = np.maximum(glossy + change * shadows.reflected_sun, 0.0).astype(np.float32)
+    return replace(
+        shadows,
+        diffuse=diffuse,
+        glossy=glossy,
+        sun_visibility=visibility,
+        direct_sun=direct,
+        shaded=shaded.astype(np.float32),
+    )
