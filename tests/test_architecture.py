@@ -15,13 +15,13 @@ PACKAGE = Path(__file__).resolve().parents[1] / "src" / "lightsim"
 FLOORS = (
     "cli", "api", "simulate", "pipeline", "training", "evaluate", "view", "relighting", "baselines",
     "render", "scenario", "lighting", "appearance", "geometry", "reconstruct", "align", "masks",
-    "synthetic", "datasets", "networks", "store", "mitsuba_scene", "core", "arguments", "progress",
-    "optional", "errors", "version",
+    "synthetic", "datasets", "networks", "store", "mitsuba_scene", "denoise", "core", "arguments",
+    "progress", "optional", "errors", "version",
 )  # fmt: skip
 """Packages and modules of the top level, from the top down: an import only ever leads down.
 
-`mitsuba_scene` stands alone below the stages: render, synthetic and lighting, which may not know
-each other, all build Mitsuba scenes."""
+`mitsuba_scene` and `denoise` stand below the stages: render, synthetic and lighting, which may not
+know each other, build Mitsuba scenes and clean what they show."""
 STAGES = {
     "datasets", "synthetic", "masks", "align", "reconstruct", "geometry", "appearance", "lighting",
     "scenario", "render", "relighting", "baselines", "evaluate", "view",

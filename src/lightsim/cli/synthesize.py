@@ -20,6 +20,9 @@ class Synthesize:
     """Another seed, another street."""
     size: Literal["small", "medium", "full"] = "small"
     """Image size and number of frames."""
+    denoise: bool = False
+    """Pictures without the grain of few light paths, as a good camera takes them
+    (pip install 'lightsim[denoise]')."""
     verbose: Verbose = False
     """Show the trace of an error."""
 
@@ -27,6 +30,12 @@ class Synthesize:
         """Make the street."""
         from lightsim.synthetic import synthesize as make_street
 
-        make_street(self.out, seed=self.seed, size=self.size, progress=terminal_progress())
+        make_street(
+            self.out,
+            seed=self.seed,
+            size=self.size,
+            progress=terminal_progress(),
+            is_denoised=self.denoise,
+        )
         say(f"log:   {self.out / 'log'}")
         say(f"truth: {self.out / 'truth'}")

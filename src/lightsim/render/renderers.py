@@ -100,7 +100,7 @@ def make_renderer(
         MissingDependencyError: its package is not installed.
     """
     if choice.denoise and has_images:
-        from lightsim.render.reference.denoise import check_installed
+        from lightsim.denoise import check_installed
 
         check_installed()
         noisy = replace(choice, denoise=False)
@@ -182,7 +182,7 @@ class _DenoisedFrame:
 
     def image(self, sky: Any) -> Float32[np.ndarray, "h w 3"]:
         """Traced radiance, denoised with base colour and normals as guides."""
-        from lightsim.render.reference.denoise import denoise
+        from lightsim.denoise import denoise
 
         buffers = self.buffers
         return denoise(self.traced.image(sky), buffers.base_colour, buffers.normal_world)

@@ -11,6 +11,7 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from lightsim.core.frames import RigidTransform
+from lightsim.denoise import check_installed
 from lightsim.progress import Progress
 from lightsim.store.atomic import whole_file
 from lightsim.store.images import write_exr
@@ -50,14 +51,22 @@ class _Shot:
     index: int
     samples: int
     seed: int
+    has_sensor_noise: bool
+    """Of the log; the truth has none."""
 
 
-def synthesize(out: Path, *, seed: int, size: Size, progress: Progress) -> None:
+def synthesize(
+    out: Path, *, seed: int, size: Size, progress: Progress, is_denoised: bool = False
+) -> None:
     """Write OUT/log (PandaSet's layout) and OUT/truth; finished files are kept, so that an
     interrupted run can be started again.
 
+    Args:
+        is_denoised: the pictures, of log and truth, have no grain of few light paths.
+
     Raises:
         InputError: the seed is negative, or OUT cannot be written to.
+        MissingDependencyError: denoising needs the extra `denoise`.
     """
     config = config_of(size)
     plan = plan_street(seed)
@@ -67,7 +76,9 @@ def synthesize(out: Path, *, seed: int, size: Size, progress: Progress) -> None:
     log.mkdir(parents=True, exist_ok=True)
     truth.mkdir(parents=True, exist_ok=True)
     write_rig(log, plan, config, cameras)
-    write_truth_json(truth / "truth.json", street, config, cameras, size)
+    command = f"lightsim synthesize --seed {seed} --size {size}"
+    command += " --denoise" if is_denoised else ""
+    write_truth_json(truth / "truth.json", street, config, cameras, command)
     _missing(truth / "scene.npz", lambda path: write_geometry(path, street))
     _write_sweeps(log, street, config, progress)
     skies = [build_sky(spec, plan) for spec in sky_specs(plan)]
@@ -76,7 +87,7 @@ def synthesize(out: Path, *, seed: int, size: Size, progress: Progress) -> None:
     _write_buffers(truth, street, config, cameras, skies[0], progress)
     for number, sky in enumerate(skies):
         shots = _shots(out, sky, number, config, cameras)
-        _render(street, config, sky, shots, progress)
+        _render(street, config, sky, shots, progress, is_denoised=is_denoised)
 
 
 def _missing(path: Path, write: Callable[[Path], None]) -> None:
@@ -139,6 +150,7 @@ def _shots(
                 k,
                 config.samples if is_source else config.truth_samples,
                 (number * 1000 + k) * len(cameras) + i,
+                is_source,
             )
             if not shot.path.exists():
                 shots.append(shot)
@@ -146,10 +158,18 @@ def _shots(
 
 
 def _render(
-    street: Street, config: StreetConfig, sky: Sky, shots: list[_Shot], progress: Progress
+    street: Street,
+    config: StreetConfig,
+    sky: Sky,
+    shots: list[_Shot],
+    progress: Progress,
+    *,
+    is_denoised: bool,
 ) -> None:
     if not shots:
         return
+    if is_denoised:
+        check_installed()
     tracer = PathTracer(
         [part.transformed(street.plan.world_from_street) for part in street.background],
         [Placed(_key(i), actor.parts) for i, actor in enumerate(street.participants)],
@@ -162,8 +182,17 @@ def _render(
         time_s = SWEEP_S * shot.index + mounted.time_offset_s
         tracer.place(actor_poses_at(street, time_s))
         pose = camera_pose(street.plan, config, mounted, time_s)
-        radiance = tracer.render(mounted.camera, mounted.margin_px, pose, shot.samples, shot.seed)
-        rng = np.random.default_rng([street.plan.seed, 9, shot.seed])
+        radiance = tracer.render(
+            mounted.camera,
+            mounted.margin_px,
+            pose,
+            shot.samples,
+            shot.seed,
+            is_denoised=is_denoised,
+        )
+        rng = None
+        if shot.has_sensor_noise:
+            rng = np.random.default_rng([street.plan.seed, 9, shot.seed])
         shot.path.parent.mkdir(parents=True, exist_ok=True)
         _write_jpeg(shot.path, camera_isp(radiance, mounted.gain, rng))
 

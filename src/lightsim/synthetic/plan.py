@@ -47,7 +47,7 @@ class StreetConfig:
     """Cameras with these buffers; empty is all."""
     samples: int = 24
     """Paths a pixel."""
-    truth_samples: int = 24
+    truth_samples: int = 64
     """Paths a pixel of relit images."""
     ego_speed_m_s: float = 13.0
     """1.3 m a frame."""

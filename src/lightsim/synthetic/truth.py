@@ -88,9 +88,10 @@ def compute_buffers(
 
 
 def write_truth_json(
-    path: Path, street: Street, config: StreetConfig, cameras: Sequence[MountedCamera], size: str
+    path: Path, street: Street, config: StreetConfig, cameras: Sequence[MountedCamera], command: str
 ) -> None:
-    """Gains, place, time, sun, actors in the order of `actor_index`, and how it was made."""
+    """Gains, place, time, sun, actors in the order of `actor_index`, and the command that made
+    it."""
     plan = street.plan
     geometric = azimuth_elevation(
         plan.enu_from_world.rotate(plan.world_from_street.rotate(np.array([1.0, 0.0, 0.0])))
@@ -99,7 +100,7 @@ def write_truth_json(
         path,
         {
             "version": 1,
-            "command": f"lightsim synthesize --seed {plan.seed} --size {size}",
+            "command": command,
             "seed": plan.seed,
             "camera_gains": {m.camera.name: m.gain.tolist() for m in cameras},
             "latitude_deg": plan.latitude_deg,
