@@ -17,7 +17,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim.pipeline.workspace import Workspace
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.reference.cycles import Cycles
-from lightsim.render.reference.denoise import denoise
+from lightsim.denoise import denoise
 from lightsim.render.reference.path_tracer import PathTracer
 from lightsim.render.reference.renderer import Shot
 from lightsim.render.scene import FrameScene, StaticScene, make_static_scene, place

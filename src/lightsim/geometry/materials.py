@@ -26,10 +26,11 @@ VEGETATION = Material(0.7, 0.0, "vegetation")
 CAR_PAINT = Material(0.35, 0.0, "car paint")
 METAL = Material(0.5, 0.6, "metal")
 GLASS = Material(0.05, 0.0, "glass")
+TYRE = Material(0.9, 0.0, "tyre")
 CLOTH = Material(0.95, 0.0, "cloth")
 GROUND = Material(0.9, 0.0, "ground")
 _CLASSES = (
-    UNKNOWN, ASPHALT, PAVEMENT, FACADE, VEGETATION, CAR_PAINT, METAL, GLASS, CLOTH, GROUND,
+    UNKNOWN, ASPHALT, PAVEMENT, FACADE, VEGETATION, CAR_PAINT, METAL, GLASS, TYRE, CLOTH, GROUND,
 )  # fmt: skip
 _WORDS = (
     (ASPHALT, ("road", "lane", "stop line", "asphalt", "driveable", "parking")),

@@ -6,22 +6,20 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Bool, Float32, Float64, UInt8
 
 from lightsim.core.actors import ActorTrack
 from lightsim.core.casting import MakeCaster
-from lightsim.core.fields import SceneFields
+from lightsim.core.fields import SceneFields, TsdfGrid
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.twin import ActorAsset, SceneAssets
 from lightsim.errors import InputError
-from lightsim.geometry.actors.complete import (
-    PROXY_VOXEL_M,
-    actor_surface,
-    ground_patches,
-    trim_ground,
-)
-from lightsim.geometry.actors.evidence import ActorEvidence
-from lightsim.geometry.materials import GLASS, classify_background, material_of_actor
+from lightsim.geometry.actors.body import Body
+from lightsim.geometry.actors.returns import returns_of_actors
+from lightsim.geometry.actors.shape import actor_surface
+from lightsim.geometry.completion.ground import ground_patches, trim_ground
+from lightsim.geometry.materials import GLASS, TYRE, classify_background, material_of_actor
 from lightsim.geometry.simplify import denoise, simplify
 from lightsim.geometry.surface import background_levels, drop_floaters
 from lightsim.progress import Progress
@@ -44,6 +42,9 @@ _MAX_MOVE_VOXELS = 0.2
 _ERROR_VOXELS = 0.1
 # Simplification makes no edge longer than this many samples of a level.
 _EDGE_VOXELS = 6.0
+# The same along the outlines of panes and tyres.
+_PANE_EDGE_VOXELS = 1.5
+_PANE, _TYRE = 1, 2
 
 
 def mesh_scene(
@@ -58,26 +59,58 @@ def mesh_scene(
     background = mesh_background(fields, make_caster, smooth_planes)
     background = classify_background(background, log, fields.ground)
     actors, notes = {}, list(fields.notes)
+    returns = returns_of_actors(log)
     for track in progress.track(log.actors, "mesh the actors", len(log.actors)):
         grid = fields.actors.get(track.actor_id)
-        voxel_m = PROXY_VOXEL_M if grid is None else grid.voxel_m
-        surface, evidence = actor_surface(track, grid)
-        mesh = _with_face_classes(_refined(surface, voxel_m), track, evidence)
+        mesh = _actor_mesh(track, grid, returns.get(track.actor_id))
         actors[track.actor_id] = ActorAsset(track.actor_id, track.kind, mesh, track.label)
         if grid is None:
             notes.append(f"actor {track.actor_id} ({track.label}): default shape, too few returns")
     return SceneAssets(background, actors, {}, tuple(notes))
 
 
-def _with_face_classes(mesh: TriMesh, track: ActorTrack, evidence: ActorEvidence) -> TriMesh:
-    """Provenance of each face, and its material: body and, on closed cabins, window panes."""
-    body = material_of_actor(track.kind)
-    centres = mesh.vertices[mesh.faces].mean(axis=1).astype(np.float64)
-    mesh = replace(mesh, face_provenance=evidence.provenance(centres))
-    is_glass = evidence.is_glass(centres)
-    if not is_glass.any():
-        return replace(mesh, materials=(body,))
-    return replace(mesh, materials=(body, GLASS), face_material=is_glass.astype(np.uint8))
+def _actor_mesh(
+    track: ActorTrack, grid: TsdfGrid | None, returns: Float32[np.ndarray, "n 3"] | None
+) -> TriMesh:
+    """An actor's surface; faces know their provenance and material: paint, panes and tyres."""
+    surface, evidence = actor_surface(track, grid, returns)
+    paint, body, voxel_m = material_of_actor(track.kind), evidence.body, evidence.voxel_m
+    if body is None:
+        mesh = _refined(surface, voxel_m)
+        provenance = evidence.provenance(_centres(mesh), np.zeros(len(mesh.faces), dtype=bool))
+        return replace(mesh, face_provenance=provenance, materials=(paint,))
+    # Short edges keep the outline of the panes.
+    edges = np.full(len(surface.vertices), _EDGE_VOXELS * voxel_m)
+    edges[_is_between_parts(surface, _part(surface, body))] = _PANE_EDGE_VOXELS * voxel_m
+    mesh = simplify(surface, np.full(len(edges), _ERROR_VOXELS * voxel_m), edges)
+    part = _part(mesh, body)
+    return replace(
+        mesh,
+        face_provenance=evidence.provenance(_centres(mesh), part == _PANE),
+        materials=(paint, GLASS, TYRE),
+        face_material=part,
+    )
+
+
+def _part(mesh: TriMesh, body: Body) -> UInt8[np.ndarray, " m"]:
+    """0 for paint, `_PANE` or `_TYRE`, face by face."""
+    centres = _centres(mesh)
+    is_tyre, is_pane = body.is_tyre(centres), body.is_pane(centres, mesh.face_normals())
+    return np.select([is_tyre, is_pane], [_TYRE, _PANE], 0).astype(np.uint8)
+
+
+def _is_between_parts(mesh: TriMesh, part: UInt8[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:
+    """Vertices whose faces belong to different parts."""
+    low = np.full(len(mesh.vertices), 255, dtype=np.uint8)
+    high = np.zeros(len(mesh.vertices), dtype=np.uint8)
+    for corner in mesh.faces.T:
+        np.minimum.at(low, corner, part)
+        np.maximum.at(high, corner, part)
+    return low != high
+
+
+def _centres(mesh: TriMesh) -> Float64[np.ndarray, "m 3"]:
+    return mesh.vertices[mesh.faces].mean(axis=1).astype(np.float64)
 
 
 def mesh_background(

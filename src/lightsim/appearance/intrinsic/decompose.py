@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
 
+from lightsim.appearance.intrinsic.bodies import colours_of_unseen
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
 from lightsim.appearance.intrinsic.divide import (
     HIGHEST_BASE_COLOUR,
@@ -98,6 +99,7 @@ def decompose(
     rng: np.random.Generator,
     *,
     returns: LidarReturns | None = None,
+    is_symmetric: bool = False,
 ) -> Decomposition:
     """The mesh with base colour in place of the radiance that it must hold.
 
@@ -106,6 +108,7 @@ def decompose(
             `confidence`, where there is one, says which vertices were seen.
         light_at: the source light at points of the mesh's frame.
         returns: LiDAR, whose intensity knows no shadows.
+        is_symmetric: one half mirrors the other, which tells the colours that nobody saw.
 
     Raises:
         InputError: the light is negative or not finite, or not one per point.
@@ -125,7 +128,8 @@ def decompose(
     faces = _labelled_faces(mesh)
     patches = Patches.of(mesh, faces, config, rng, returns)
     if patches is None:
-        return _finished(mesh, VertexLight(light, light.visibility[:, 1]), None, config)
+        found = VertexLight(light, light.visibility[:, 1])
+        return _finished(mesh, found, None, config, is_symmetric=is_symmetric)
     observed, reflectance_gain = patches.under(light_at)
     labels = label_shadows(observed, config)
     field = label_field(faces, observed, labels)
@@ -133,7 +137,7 @@ def decompose(
     found = VertexLight(light, _visibility(mesh, vertices.normal, light, field))
     note = f"LiDAR intensity predicts base colour with exponent {reflectance_gain:.2f}"
     notes = () if returns is None else (note,)
-    done = _finished(mesh, found, field, config)
+    done = _finished(mesh, found, field, config, is_symmetric=is_symmetric)
     return replace(
         done, notes=notes, lidar_exponent=None if returns is None else float(reflectance_gain)
     )
@@ -228,7 +232,12 @@ def _visibility(
 
 
 def _finished(
-    mesh: TriMesh, found: VertexLight, field: LabelField | None, config: IntrinsicConfig
+    mesh: TriMesh,
+    found: VertexLight,
+    field: LabelField | None,
+    config: IntrinsicConfig,
+    *,
+    is_symmetric: bool,
 ) -> Decomposition:
     """Radiance over light; confidence falls where the sun's fraction hangs on an unsure label."""
     visibility = found.visibility.astype(np.float64)
@@ -240,6 +249,11 @@ def _finished(
     seen = np.ones(len(unsure)) if mesh.confidence is None else mesh.confidence
     open_sky = float(np.percentile(found.light.diffuse @ _WEIGHTS, 95))
     shade = _deep_shade(mesh, colour, total @ _WEIGHTS / max(open_sky, 1e-9), seen > 0, config)
+    if is_symmetric:
+        is_known = (shade.trust >= 1.0) & (seen > 0)
+        # The quotient of a colour that was filled in and of its own light says nothing.
+        trust = np.where(seen > 0, shade.trust, 0.0)
+        shade = DeepShade(trust, colours_of_unseen(mesh, shade.blended(colour), is_known))
     texture, texel = mesh.texture, None
     if texture is not None:
         limits = (LOWEST_BASE_COLOUR, HIGHEST_BASE_COLOUR)

@@ -237,7 +237,13 @@ def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Contex
     for actor in context.progress.track(assets.actors.values(), "base colour", len(assets.actors)):
         trajectory = tracks[actor.actor_id].trajectory
         pose = trajectory.at(int(trajectory.times_ns[len(trajectory) // 2]))
-        mesh = decompose(actor.mesh, source.on(pose), config.intrinsic, rng).mesh
+        mesh = decompose(
+            actor.mesh,
+            source.on(pose),
+            config.intrinsic,
+            rng,
+            is_symmetric=actor.kind.is_vehicle,
+        ).mesh
         if tracks[actor.actor_id].is_moving:
             mesh = replace(mesh, sun_visibility=None)
         actors[actor.actor_id] = replace(actor, mesh=mesh)

@@ -1,4 +1,4 @@
-"""What no ray has seen: the other half of vehicles, default shapes, ground in blind spots."""
+"""Ground in blind spots: under parked cars, behind them, under the ego vehicle."""
 
 from __future__ import annotations
 
@@ -6,25 +6,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
 from scipy import ndimage
 
-from lightsim.core.actors import ActorTrack
 from lightsim.core.casting import MakeCaster
-from lightsim.core.fields import BLOCK, GroundMap, TsdfGrid
+from lightsim.core.fields import GroundMap
 from lightsim.core.laplace import fill_smoothly
 from lightsim.core.mesh import Provenance, TriMesh
-from lightsim.geometry.actors.cabin import close_cabin
-from lightsim.geometry.actors.evidence import ActorEvidence
-from lightsim.geometry.actors.proxy import proxy_distance_m
 from lightsim.geometry.simplify import simplify_planar
-from lightsim.geometry.surface import (
-    border_vertices,
-    extract_surface,
-    keep_faces,
-    make_mesh,
-    path_distance_m,
-)
+from lightsim.geometry.surface import border_vertices, keep_faces, make_mesh, path_distance_m
 
-PROXY_VOXEL_M = 0.12
-_PADDING_M = 0.2
 _SINK_M = 0.003
 _MIN_UP = 0.5
 _FINE_M = 0.8
@@ -34,10 +22,6 @@ _COARSE_EDGE_M = 0.75
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
 # (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
 
-# Evidence from a vehicle's mirrored half counts this much.
-_MIRROR_WEIGHT = 0.2
-# Evidence of the box's default shape, decisive only where no ray has been.
-_PRIOR_WEIGHT = 0.03
 # Grid on which holes in the ground are found and closed.
 _GROUND_CELL_M = 0.25
 # Holes are closed up to this distance from the path.
@@ -48,82 +32,6 @@ _GROUND_BAND_M = 0.35
 _GROUND_REACH_M = 40.0
 # Rounds of taking the ground's open edges away before its holes are closed.
 _GROUND_TRIM_ROUNDS = 2
-
-
-def actor_surface(track: ActorTrack, grid: TsdfGrid | None) -> tuple[TriMesh, ActorEvidence]:
-    """A closed mesh in frame `actor`, and what each part of it rests on.
-
-    Vehicles seen from one side borrow the mirrored half; the default shape of the kind decides
-    where nothing was seen; cabins are closed. Without a grid the mesh is the default shape.
-    """
-    if grid is None:
-        grid = _empty_grid(track)
-    sdf, seen = _dense(grid)
-    weight = seen
-    if track.kind.is_vehicle:
-        sdf, weight = mirrored(sdf, seen, _MIRROR_WEIGHT)
-    steps = np.stack(np.meshgrid(*[np.arange(n) for n in sdf.shape], indexing="ij"), axis=-1)
-    low = grid.origin_m + grid.voxel_m * BLOCK * grid.block_coords.min(axis=0)
-    prior = proxy_distance_m(track.kind, track.size_lwh_m, low + grid.voxel_m * steps)
-    prior = np.clip(prior, -grid.truncation_m, grid.truncation_m)
-    total = weight + _PRIOR_WEIGHT
-    measured = ((sdf * weight + prior * _PRIOR_WEIGHT) / total).astype(np.float32)
-    closed = close_cabin(track.kind, measured, low, grid.voxel_m, track.size_lwh_m)
-    mesh = extract_surface(_from_dense(grid, closed, total.astype(np.float32)))
-    filled = measured - closed
-    return mesh, ActorEvidence(low, grid.voxel_m, seen, weight - seen, _PRIOR_WEIGHT, filled)
-
-
-def mirrored(
-    sdf: Float32[np.ndarray, "x y z"], weight: Float32[np.ndarray, "x y z"], fraction: float
-) -> tuple[Float32[np.ndarray, "x y z"], Float32[np.ndarray, "x y z"]]:
-    """A field and its mirror image about the middle of axis 1, the image weighing `fraction`."""
-    other_weight = fraction * weight[:, ::-1]
-    total = weight + other_weight
-    mixed = sdf * weight + sdf[:, ::-1] * other_weight
-    mixed = np.where(total > 0, mixed / np.where(total > 0, total, 1), 0)
-    return mixed.astype(np.float32), total.astype(np.float32)
-
-
-def _empty_grid(track: ActorTrack) -> TsdfGrid:
-    voxel = PROXY_VOXEL_M
-    extent = track.size_lwh_m + 2 * _PADDING_M
-    shape = np.ceil(extent / (voxel * BLOCK)).astype(np.int64)
-    coords = np.argwhere(np.ones(tuple(shape.tolist()), dtype=bool)).astype(np.int32)
-    origin = -voxel * (BLOCK * shape - 1) / 2
-    empty = np.zeros((len(coords), BLOCK, BLOCK, BLOCK), dtype=np.float32)
-    return TsdfGrid("actor", origin, voxel, 3 * voxel, coords, empty, empty)
-
-
-def _dense(
-    grid: TsdfGrid,
-) -> tuple[Float32[np.ndarray, "x y z"], Float32[np.ndarray, "x y z"]]:
-    local = grid.block_coords - grid.block_coords.min(axis=0)
-    shape = tuple((BLOCK * (local.max(axis=0) + 1)).tolist())
-    sdf, weight = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.float32)
-    for block, corner in enumerate((BLOCK * local).tolist()):
-        where = tuple(slice(c, c + BLOCK) for c in corner)
-        sdf[where], weight[where] = grid.sdf_m[block], grid.weight[block]
-    return sdf, weight
-
-
-def _from_dense(
-    grid: TsdfGrid, sdf: Float32[np.ndarray, "x y z"], weight: Float32[np.ndarray, "x y z"]
-) -> TsdfGrid:
-    low = grid.block_coords.min(axis=0)
-    wheres = [
-        tuple(slice(c, c + BLOCK) for c in corner)
-        for corner in (BLOCK * (grid.block_coords - low)).tolist()
-    ]
-    return TsdfGrid(
-        grid.frame,
-        grid.origin_m,
-        grid.voxel_m,
-        grid.truncation_m,
-        grid.block_coords,
-        np.stack([sdf[w] for w in wheres]),
-        np.stack([weight[w] for w in wheres]),
-    )
 
 
 def trim_ground(mesh: TriMesh, ground: GroundMap, path_m: Float[np.ndarray, "k 3"]) -> TriMesh:

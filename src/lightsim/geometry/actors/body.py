@@ -1,0 +1,198 @@
+"""A vehicle's body as a side profile, a plan and a cross section: some twenty proportions.
+
+The profile runs over hood, windshield, roof and rear window to the tail; towards its ends the body
+narrows in plan, and above the belt line it leans in. What cars have in common stays out of the
+parameters: rounded edges, four wheels, symmetry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64
+
+_ROUNDING_M = 0.07
+_TAPERED = 0.18
+"""Part of the length over which the plan narrows, at either end."""
+_TUCK = 0.05
+"""By which part the body is narrower at its bottom than at the belt line."""
+_NOSE = 0.02
+"""How far the ends lie back above and below the bumpers, over the length."""
+_WHEEL_WIDTH_M = 0.22
+_TYRE_M = 0.04
+"""Measured tyres stand out or back by no more."""
+_PILLAR_M = 0.08
+"""Paint that frames a pane."""
+_SILL = 0.6
+"""Side windows begin at this height over the box's, or at the belt line if that is higher."""
+
+
+class Proportions(NamedTuple):
+    """Lengths from the front over the box's length, heights from the ground over its height, widths
+    over its width."""
+
+    front: float = 0.005
+    rear: float = 0.995
+    hood_height: float = 0.47
+    cowl: float = 0.26
+    cowl_height: float = 0.64
+    roof_front: float = 0.42
+    roof_rear: float = 0.70
+    deck: float = 0.86
+    deck_height: float = 0.68
+    tail_height: float = 0.64
+    belt_height: float = 0.62
+    roof_height: float = 0.985
+    clearance: float = 0.14
+    width: float = 0.98
+    roof_width: float = 0.76
+    front_width: float = 0.85
+    rear_width: float = 0.88
+    front_wheel: float = 0.195
+    rear_wheel: float = 0.79
+    wheel_radius: float = 0.22
+
+
+SEDAN = Proportions()
+HATCHBACK = SEDAN._replace(
+    cowl=0.24, roof_front=0.40, roof_rear=0.88, deck=0.965, deck_height=0.62, tail_height=0.55
+)
+VAN = HATCHBACK._replace(
+    cowl=0.14, cowl_height=0.58, roof_front=0.30, roof_rear=0.94, deck=0.98, roof_width=0.84
+)
+PICKUP = SEDAN._replace(
+    cowl_height=0.62, roof_front=0.38, roof_rear=0.58, deck=0.63, deck_height=0.58,
+    tail_height=0.57, belt_height=0.6,
+)  # fmt: skip
+BOX = VAN._replace(
+    hood_height=0.36, cowl=0.02, cowl_height=0.42, roof_front=0.06, roof_rear=0.98, deck=0.99,
+    deck_height=0.45, tail_height=0.35, belt_height=0.42, roof_width=0.97, front_width=0.96,
+    rear_width=0.98, clearance=0.12, wheel_radius=0.15,
+)  # fmt: skip
+DEVIATION = Proportions(
+    front=0.01, rear=0.01, hood_height=0.06, cowl=0.05, cowl_height=0.05, roof_front=0.05,
+    roof_rear=0.07, deck=0.05, deck_height=0.06, tail_height=0.07, belt_height=0.03,
+    roof_height=0.015, clearance=0.03, width=0.03, roof_width=0.06, front_width=0.06,
+    rear_width=0.06, front_wheel=0.02, rear_wheel=0.02, wheel_radius=0.02,
+)  # fmt: skip
+"""Of vehicles from the proportions of their type, one standard deviation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A body in frame `actor`: x ahead, y left, z up, the origin in the middle of its box."""
+
+    proportions: Proportions
+    size_lwh_m: Float[np.ndarray, "3"]
+    panes_to: float = 1.0
+    """Behind this part of the length the sides have no windows."""
+
+    def distance_m(self, points_actor: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n"]:
+        """Signed distance, negative inside; approximate away from the surface."""
+        x, y, z = np.moveaxis(points_actor, -1, 0)
+        side = self._profile_distance_m(x, z)
+        across = np.abs(y) - self._half_width_m(x, z)
+        # The edge between side and top is round (a rounded intersection of both).
+        beyond = np.hypot(np.maximum(side + _ROUNDING_M, 0), np.maximum(across + _ROUNDING_M, 0))
+        hull = np.minimum(np.maximum(side, across), -_ROUNDING_M) + beyond
+        return np.minimum(hull, self._wheel_distance_m(x, y, z))
+
+    def is_tyre(self, points_actor: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Points of the surface that belong to a wheel."""
+        return self._wheel_distance_m(*points_actor.T) < _TYRE_M
+
+    def is_pane(
+        self, points_actor: Float64[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
+    ) -> Bool[np.ndarray, " n"]:
+        """Points of the surface that are glass: the cabin's, but for roof and pillars."""
+        p, (x, y, z) = self.proportions, points_actor.T
+        _, _, hood_end, cowl, roof_front, _, roof_rear, deck = self._profile()[:8]
+        is_above_hood = (x < cowl[0]) & (x > deck[0]) & (x > self._ahead_m(self.panes_to))
+        is_side = is_above_hood & (z > self._height_m(max(p.belt_height, _SILL)))
+        is_side &= self._profile_distance_m(x, z) < -_PILLAR_M
+        # Where the profile leans from the cowl to the roof, and from the roof to the deck.
+        is_screen = (z > cowl[1]) & (x > roof_front[0]) & (x < hood_end[0])
+        if self.panes_to >= p.deck:
+            is_screen |= (z > deck[1]) & (x < roof_rear[0]) & (x > deck[0] - _PILLAR_M)
+        is_screen &= np.abs(y) < self._half_width_m(x, z) - _PILLAR_M
+        is_screen &= z < self._height_m(p.roof_height) - _PILLAR_M
+        return np.where(np.abs(normals[:, 1]) > 0.7, is_side, is_screen)
+
+    def _ahead_m(self, fraction: float) -> float:
+        return (0.5 - fraction) * float(self.size_lwh_m[0])
+
+    def _height_m(self, fraction: float) -> float:
+        return (fraction - 0.5) * float(self.size_lwh_m[2])
+
+    def _profile(self) -> Float64[np.ndarray, "k 2"]:
+        """Corners (x, z) from the chin over the roof to the rear end's bottom."""
+        p = self.proportions
+        ends = (p.front, p.rear)
+        hood, tail = p.front + _NOSE, p.rear - 0.5 * _NOSE
+        roof_edge = p.roof_height - 0.03
+        corners = (
+            (ends[0] + _NOSE, p.clearance),
+            (ends[0], 0.6 * p.hood_height),
+            (hood, p.hood_height),
+            (max(p.cowl, hood + 0.005), p.cowl_height),
+            (max(p.roof_front, p.cowl + 0.02), roof_edge),
+            (0.5 * (p.roof_front + p.roof_rear), p.roof_height),
+            (p.roof_rear, roof_edge),
+            (min(max(p.deck, p.roof_rear + 0.005), tail - 0.003), p.deck_height),
+            (tail, min(p.tail_height, p.deck_height)),
+            (ends[1], 0.6 * min(p.tail_height, p.deck_height)),
+            (ends[1] - _NOSE, p.clearance),
+        )
+        fraction = np.array(corners)
+        length, height = float(self.size_lwh_m[0]), float(self.size_lwh_m[2])
+        return np.stack([(0.5 - fraction[:, 0]) * length, (fraction[:, 1] - 0.5) * height], axis=1)
+
+    def _profile_distance_m(
+        self, x: Float64[np.ndarray, "*n"], z: Float64[np.ndarray, "*n"]
+    ) -> Float64[np.ndarray, "*n"]:
+        """Signed distance to the closed profile."""
+        corners = self._profile()
+        nearest = np.full(x.shape, np.inf)
+        is_inside = np.zeros(x.shape, dtype=bool)
+        for (ax, az), (bx, bz) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            ex, ez = bx - ax, bz - az
+            px, pz = x - ax, z - az
+            along = np.clip((px * ex + pz * ez) / (ex * ex + ez * ez), 0.0, 1.0)
+            nearest = np.minimum(nearest, (px - along * ex) ** 2 + (pz - along * ez) ** 2)
+            if ez != 0:
+                crosses = (az > z) != (bz > z)
+                is_inside ^= crosses & (px < ex * pz / ez)
+        distance = np.sqrt(nearest)
+        return np.where(is_inside, -distance, distance)
+
+    def _half_width_m(
+        self, x: Float64[np.ndarray, "*n"], z: Float64[np.ndarray, "*n"]
+    ) -> Float64[np.ndarray, "*n"]:
+        p = self.proportions
+        u = 0.5 - x / self.size_lwh_m[0]
+        v = 0.5 + z / self.size_lwh_m[2]
+        ahead = np.clip(1 - (u - p.front) / _TAPERED, 0, 1) ** 2
+        behind = np.clip(1 - (p.rear - u) / _TAPERED, 0, 1) ** 2
+        plan = 1 - (1 - p.front_width) * ahead - (1 - p.rear_width) * behind
+        rise = np.clip((v - p.belt_height) / max(p.roof_height - p.belt_height, 0.05), 0, 1.2)
+        drop = np.clip((p.belt_height - v) / p.belt_height, 0, 1)
+        section = 1 - (1 - p.roof_width) * rise - _TUCK * drop**2
+        return 0.5 * self.size_lwh_m[1] * p.width * plan * section
+
+    def _wheel_distance_m(
+        self,
+        x: Float64[np.ndarray, "*n"],
+        y: Float64[np.ndarray, "*n"],
+        z: Float64[np.ndarray, "*n"],
+    ) -> Float64[np.ndarray, "*n"]:
+        p = self.proportions
+        width, height = float(self.size_lwh_m[1]), float(self.size_lwh_m[2])
+        radius = p.wheel_radius * height
+        middle = 0.5 * width * p.width - 0.5 * _WHEEL_WIDTH_M
+        across = np.abs(np.abs(y) - middle) - 0.5 * _WHEEL_WIDTH_M
+        axles = [self._ahead_m(u) for u in (p.front_wheel, p.rear_wheel)]
+        z_axle = -0.5 * height + radius
+        radial = np.minimum(*(np.hypot(x - a, z - z_axle) for a in axles)) - radius
+        return np.maximum(radial, across)

@@ -1,0 +1,63 @@
+"""What LiDAR saw of each actor: its returns, gathered over the log in the actor's own frame."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.core.actors import ActorTrack
+from lightsim.core.log import DrivingLog
+from lightsim.core.sensors import SWEEP_HOLD_S, LidarSweep
+
+_MARGIN_M = 0.1
+"""Labelled boxes are grown by this."""
+_FLOOR_M = 0.12
+"""Returns lower than this above a box's underside may be the ground's."""
+_MOST_SWEEPS = 40
+_MOST_RETURNS = 4000
+"""Of one actor."""
+
+
+def returns_of_actors(log: DrivingLog) -> dict[str, Float32[np.ndarray, "_ 3"]]:
+    """Returns by actor, frame `actor`; actors without any are left out.
+
+    At most 40 sweeps are looked at, and 4,000 returns of each actor kept, evenly drawn.
+    """
+    found: dict[str, list[Float32[np.ndarray, "_ 3"]]] = defaultdict(list)
+    for lazy in log.sweeps[:: max(1, len(log.sweeps) // _MOST_SWEEPS)]:
+        sweep = lazy.load()
+        for track in log.actors:
+            if track.kind.is_vehicle and track.is_present(sweep.time_ns, SWEEP_HOLD_S):
+                points = _within(track, sweep)
+                if len(points):
+                    found[track.actor_id].append(points)
+    rng = np.random.default_rng(0)
+    gathered = {actor_id: np.concatenate(parts) for actor_id, parts in found.items()}
+    return {
+        actor_id: points[np.sort(rng.choice(len(points), _MOST_RETURNS, replace=False))]
+        if len(points) > _MOST_RETURNS
+        else points
+        for actor_id, points in gathered.items()
+    }
+
+
+def _within(track: ActorTrack, sweep: LidarSweep) -> Float32[np.ndarray, "_ 3"]:
+    """A sweep's returns inside an actor's box, where it stood when the beam met it."""
+    centre = track.world_from_actor(sweep.time_ns, SWEEP_HOLD_S).translation_m
+    # It may move by a few metres while the sweep lasts.
+    reach = float(np.linalg.norm(track.size_lwh_m)) / 2 + 3.0
+    offset = np.abs(sweep.points_world[:, :2] - centre[:2].astype(np.float32))
+    near = np.flatnonzero((offset < reach).all(axis=1))
+    if len(near) == 0:
+        return np.zeros((0, 3), dtype=np.float32)
+    time_ns = sweep.time_ns + int(float(np.median(sweep.time_offset_s[near])) * 1e9)
+    if not track.is_present(time_ns, SWEEP_HOLD_S):
+        time_ns = sweep.time_ns
+    actor_from_world = track.world_from_actor(time_ns, SWEEP_HOLD_S).inverse()
+    points = actor_from_world.apply(sweep.points_world[near].astype(np.float64))
+    half = track.size_lwh_m / 2
+    is_inside = (np.abs(points) <= half + _MARGIN_M).all(axis=1)
+    is_inside &= points[:, 2] > _FLOOR_M - half[2]
+    return points[is_inside].astype(np.float32)

@@ -1,0 +1,44 @@
+"""Colours of a vehicle's unseen parts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from lightsim.appearance.intrinsic.bodies import colours_of_unseen
+from lightsim.core.mesh import Material, TriMesh
+
+
+def test_the_unseen_side_takes_the_other_sides_colours_part_by_part() -> None:
+    """Two side walls along x at y = +-1: red ahead, blue behind, the upper half a dark pane."""
+    x, z = np.meshgrid(np.linspace(-2, 2, 21), np.linspace(0, 1, 11), indexing="ij")
+    walls = [np.stack([x.ravel(), np.full(x.size, y), z.ravel()], axis=1) for y in (1.0, -1.0)]
+    cell = np.arange(20)[:, None] * 11 + np.arange(10)
+    a = cell.ravel()
+    faces = np.concatenate([np.stack([a, a + 11, a + 1], 1), np.stack([a + 1, a + 11, a + 12], 1)])
+    vertices = np.concatenate(walls).astype(np.float32)
+    mesh = TriMesh(
+        "actor",
+        vertices,
+        np.concatenate([faces, faces + x.size]).astype(np.int32),
+        np.zeros_like(vertices),
+    )
+    is_pane = mesh.vertices[mesh.faces][:, :, 2].min(axis=1) > 0.49
+    mesh = replace(
+        mesh,
+        materials=(Material(0.3, 0.0, "paint"), Material(0.05, 0.0, "pane")),
+        face_material=is_pane.astype(np.uint8),
+    )
+    is_glass = vertices[:, 2] > 0.49
+    paint = np.where(vertices[:, :1] > 0, [[0.8, 0.1, 0.1]], [[0.1, 0.1, 0.8]])
+    true = np.where(is_glass[:, None], 0.03, paint)
+    is_seen = vertices[:, 1] > 0
+    wrong = np.where(is_seen[:, None], true, 0.5)
+    filled = colours_of_unseen(mesh, wrong, is_seen)
+    np.testing.assert_array_equal(filled[is_seen], true[is_seen])
+    clear = ~is_seen & (np.abs(vertices[:, 0]) > 0.5)
+    np.testing.assert_allclose(filled[clear], true[clear], atol=0.02)
+    np.testing.assert_allclose(filled[~is_seen & is_glass], 0.03, atol=1e-6)
+    nothing = colours_of_unseen(mesh, wrong, np.zeros(len(vertices), dtype=bool))
+    np.testing.assert_array_equal(nothing, wrong)
