@@ -14,10 +14,10 @@ import numpy as np
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.dome import SkyDome
 from lightsim.core.frames import RigidTransform
+from lightsim.denoise import denoise
 from lightsim.pipeline.workspace import Workspace
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.reference.cycles import Cycles
-from lightsim.denoise import denoise
 from lightsim.render.reference.path_tracer import PathTracer
 from lightsim.render.reference.renderer import Shot
 from lightsim.render.scene import FrameScene, StaticScene, make_static_scene, place

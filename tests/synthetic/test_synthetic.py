@@ -181,7 +181,7 @@ def test_shipped_street_is_small_and_says_how_it_was_made() -> None:
     folder = shipped_street()
     assert sum(p.stat().st_size for p in folder.rglob("*") if p.is_file()) <= _MAX_BYTES
     truth = json.loads((folder / "truth" / "truth.json").read_text())
-    assert truth["command"] == "lightsim synthesize --seed 0 --size small"
+    assert truth["command"] == "lightsim synthesize --seed 0 --size small --denoise"
     actors = build_participants(plan_street(0), StreetConfig().ego_speed_m_s)
     assert truth["actors"] == [actor.actor_id for actor in actors]
 
@@ -240,7 +240,8 @@ def test_a_finished_street_is_kept_and_a_lost_sweep_is_made_again(tmp_path: Path
     lost.unlink()
     kept = {p: p.read_bytes() for p in folder.rglob("*") if p.suffix in (".jpg", ".gz", ".npz")}
     truth = json.loads((folder / "truth" / "truth.json").read_text())
-    synthesize(folder, seed=0, size="small", progress=SilentProgress())
+    progress = SilentProgress()
+    synthesize(folder, seed=0, size="small", progress=progress, is_denoised=True)
     assert all(path.read_bytes() == data for path, data in kept.items())
     assert json.loads((folder / "truth" / "truth.json").read_text()) == truth
     again, shipped = (

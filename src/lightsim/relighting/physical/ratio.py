@@ -31,7 +31,7 @@ _ENCLOSED_RIM_PX = 3
 
 
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
-# (docs/benchmarks/first-light.md, docs/benchmarks/relighting.md).
+# (docs/benchmarks/relighting.md).
 
 # What exceeds this reflectance is a highlight: it follows the sky, not the shading.
 _LARGEST_ALBEDO = 1.0

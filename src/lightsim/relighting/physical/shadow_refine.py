@@ -22,7 +22,7 @@ _DARKEST = np.float32(1e-4)
 
 
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
-# (docs/benchmarks/first-light.md, docs/benchmarks/relighting.md).
+# (docs/benchmarks/relighting.md).
 
 # Distance from a rendered shadow edge over which it gains the trust of one logit.
 _GEOMETRY_ERROR_M = 0.2
