@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lightsim.appearance.intrinsic.bodies import colours_of_unseen
+from lightsim.appearance.intrinsic.bodies import body_colours
 from lightsim.core.mesh import Material, TriMesh
 
 
@@ -35,10 +35,13 @@ def test_the_unseen_side_takes_the_other_sides_colours_part_by_part() -> None:
     true = np.where(is_glass[:, None], 0.03, paint)
     is_seen = vertices[:, 1] > 0
     wrong = np.where(is_seen[:, None], true, 0.5)
-    filled = colours_of_unseen(mesh, wrong, is_seen)
-    np.testing.assert_array_equal(filled[is_seen], true[is_seen])
+    reflecting = is_seen & is_glass & (vertices[:, 0] > 0)
+    filled, is_filled = body_colours(mesh, np.where(reflecting[:, None], 0.4, wrong), is_seen)
+    np.testing.assert_array_equal(is_filled, ~is_seen | is_glass)
+    np.testing.assert_allclose(filled[is_seen], true[is_seen], atol=1e-6)
     clear = ~is_seen & (np.abs(vertices[:, 0]) > 0.5)
     np.testing.assert_allclose(filled[clear], true[clear], atol=0.02)
     np.testing.assert_allclose(filled[~is_seen & is_glass], 0.03, atol=1e-6)
-    nothing = colours_of_unseen(mesh, wrong, np.zeros(len(vertices), dtype=bool))
+    nothing, is_filled = body_colours(mesh, wrong, np.zeros(len(vertices), dtype=bool))
     np.testing.assert_array_equal(nothing, wrong)
+    assert not is_filled.any()

@@ -146,7 +146,7 @@ STAGES = (
     ),
     Stage(
         "twin",
-        8,
+        9,
         ("log", "alignment", "assets", "sky"),
         lambda o: light.TwinConfig(),
         light.make_twin,

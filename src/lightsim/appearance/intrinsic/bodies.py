@@ -1,4 +1,4 @@
-"""Colours of a vehicle where no camera saw it: its other half's, part by part."""
+"""Colours of a vehicle where no camera saw it: its other half's, part by part; and its panes'."""
 
 from __future__ import annotations
 
@@ -10,24 +10,36 @@ from lightsim.core.mesh import TriMesh
 _NEIGHBOURS = 6
 _REACH_M = 0.5
 """Further from all that was seen, a part has one colour: the median of what was seen of it."""
+_MIRROR_ROUGHNESS = 0.2
+"""Smoother parts are panes."""
+_PANE_PERCENTILE = 20
+"""Of what was seen in panes: little of it is light that others reflect."""
 
 
-def colours_of_unseen(
+def body_colours(
     mesh: TriMesh, colour: Float64[np.ndarray, "n 3"], is_seen: Bool[np.ndarray, " n"]
-) -> Float64[np.ndarray, "n 3"]:
-    """Base colours of a body that is its own mirror image about y = 0, frame `actor`.
+) -> tuple[Float64[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+    """Base colours of a body that is its own mirror image about y = 0, frame `actor`, and which
+    vertices have another than the given one.
 
     Vertices that were not seen take the colour of what was seen nearest on the same part (paint,
-    panes, tyres), or on its mirror image; a part of which nothing was seen keeps its colour.
+    panes, tyres), or on its mirror image; a part of which nothing was seen keeps its colour. Panes
+    have one dark colour: what else is seen in them is a reflection, or stands behind.
     """
     from scipy.spatial import KDTree
 
-    result = colour.copy()
+    result, is_filled = colour.copy(), np.zeros(len(colour), dtype=bool)
     part = _part_of_vertices(mesh)
     for number in np.unique(part):
-        seen = np.flatnonzero((part == number) & is_seen)
-        unseen = np.flatnonzero((part == number) & ~is_seen)
-        if len(seen) == 0 or len(unseen) == 0:
+        members = part == number
+        seen, unseen = np.flatnonzero(members & is_seen), np.flatnonzero(members & ~is_seen)
+        if len(seen) == 0:
+            continue
+        if mesh.materials and mesh.materials[number].roughness < _MIRROR_ROUGHNESS:
+            result[members] = np.percentile(colour[seen], _PANE_PERCENTILE, axis=0)
+            is_filled |= members
+            continue
+        if len(unseen) == 0:
             continue
         points = mesh.vertices[seen].astype(np.float64)
         both = np.concatenate([points, points * np.array([1.0, -1.0, 1.0])])
@@ -39,7 +51,8 @@ def colours_of_unseen(
         near = (fraction[..., None] * found[index]).sum(axis=1) / fraction.sum(axis=1)[:, None]
         trust = np.exp(-np.square(distance[:, :1] / _REACH_M))
         result[unseen] = trust * near + (1 - trust) * np.median(colour[seen], axis=0)
-    return result
+        is_filled[unseen] = True
+    return result, is_filled
 
 
 def _part_of_vertices(mesh: TriMesh) -> UInt8[np.ndarray, " n"]:

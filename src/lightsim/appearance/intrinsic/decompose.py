@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
 
-from lightsim.appearance.intrinsic.bodies import colours_of_unseen
+from lightsim.appearance.intrinsic.bodies import body_colours
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
 from lightsim.appearance.intrinsic.divide import (
     HIGHEST_BASE_COLOUR,
@@ -252,8 +252,8 @@ def _finished(
     if is_symmetric:
         is_known = (shade.trust >= 1.0) & (seen > 0)
         # The quotient of a colour that was filled in and of its own light says nothing.
-        trust = np.where(seen > 0, shade.trust, 0.0)
-        shade = DeepShade(trust, colours_of_unseen(mesh, shade.blended(colour), is_known))
+        fill, is_filled = body_colours(mesh, shade.blended(colour), is_known)
+        shade = DeepShade(np.where(is_filled, 0.0, shade.trust), fill)
     texture, texel = mesh.texture, None
     if texture is not None:
         limits = (LOWEST_BASE_COLOUR, HIGHEST_BASE_COLOUR)
