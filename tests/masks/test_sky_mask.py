@@ -11,7 +11,8 @@ import pytest
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.errors import InputError
-from lightsim.masks.sky import estimate_sky_matte
+from lightsim.masks.sky import _before_colours, _gather, estimate_sky_matte
+from lightsim.masks.sky_regions import ColourCounts
 
 CAMERA = PinholeCamera("front", 480, 270, 240.0, 240.0, 240.0, 135.0)
 # Looks along world +y from 1.6 m: camera x is world x, camera y is world -z.
@@ -63,6 +64,29 @@ def test_sky_above_a_street(rng: np.random.Generator, sky: str) -> None:
     assert matte.max() <= 1.0
     is_found = matte > 0.5
     assert (is_found & is_sky).sum() / (is_found | is_sky).sum() > 0.98
+
+
+def test_a_pale_gable_is_no_cloud_where_the_log_has_none(rng: np.random.Generator) -> None:
+    """High in a corner, behind the wall's roof, where no beam reaches: one picture cannot tell.
+    A wall of its colour stands in the street."""
+    image, is_sky = draw_street(rng, "blue")
+    pale = [205, 190, 180]
+    image[170:] = 140
+    image[90:155, 20:180] = np.clip(pale + rng.normal(0, 5.0, (65, 160, 3)), 0, 255)
+    points = wall_returns(np.linspace(-20, -3.4, 200), 20.0)
+    evidence = _gather(image, CAMERA, POSE, points, None)
+    labels, _, _, first = _before_colours(evidence)
+    colours = ColourCounts.of(labels, evidence, first, 3.5)
+    with_gable, _ = draw_street(rng, "blue")
+    with_gable[170:] = 140
+    with_gable[:30, 60:150] = np.clip(pale + rng.normal(0, 5.0, (30, 90, 3)), 0, 255)
+    matte = estimate_sky_matte(with_gable, CAMERA, POSE, points, None, colours)
+    assert (matte[2:27, 64:146] < 0.5).mean() > 0.9
+    clear = is_sky.copy()
+    clear[:34, 56:154] = False
+    assert (matte[clear] > 0.5).mean() > 0.98
+    alone = estimate_sky_matte(with_gable, CAMERA, POSE, points, None)
+    assert alone[2:27, 64:146].mean() > 0.5
 
 
 def test_a_plain_white_wall_is_not_sky(rng: np.random.Generator) -> None:

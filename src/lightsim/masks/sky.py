@@ -8,12 +8,12 @@ regions that meet without an edge; a matting step at full resolution gives soft 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
@@ -23,12 +23,14 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
 from lightsim.masks.sky_matting import refine_matte
 from lightsim.masks.sky_regions import (
+    ColourCounts,
     ImageEvidence,
+    RegionGraph,
     keep_open_sky,
     region_graph,
     region_log_odds,
     spread_log_odds,
-    with_image_colours,
+    with_colours,
 )
 from lightsim.progress import Progress
 
@@ -58,6 +60,10 @@ _SMOOTHING = 1.5
 _BORDER_PX = 3
 # Image fraction of the smallest sky that does not touch the top of the image.
 _MIN_SKY_FRACTION = 0.0015
+# Log-odds from which on colours of sky are learnt from one image, and from a whole log.
+_LIKELY_SKY, _SURELY_SKY = 1.5, 3.5
+# Frames of each camera from which colours are learnt.
+_COLOUR_FRAMES = 4
 # `sky_mattes` gathers the high returns of every n-th sweep: older viewpoints see higher.
 _SWEEP_STEP = 6
 
@@ -68,6 +74,7 @@ def estimate_sky_matte(
     world_from_camera: RigidTransform,
     lidar_points_world: Float[np.ndarray, "n 3"],
     ego_vehicle_mask: Bool[np.ndarray, "h w"] | None,
+    log_colours: ColourCounts | None = None,
 ) -> Float32[np.ndarray, "h w"]:
     """Fraction of each pixel that is sky: 1 sky, 0 anything else.
 
@@ -80,6 +87,8 @@ def estimate_sky_matte(
         world_from_camera: the camera's pose; world z is up.
         lidar_points_world: returns around the time of the image; may be empty.
         ego_vehicle_mask: True where the camera sees the ego vehicle.
+        log_colours: of sky and anything else, learnt from a whole log; None learns from the
+            image, which cannot tell a pale gable in its corner from a cloud.
 
     Raises:
         InputError: image and camera differ in size.
@@ -95,11 +104,9 @@ def estimate_sky_matte(
     evidence = _gather(srgb8, camera, world_from_camera, lidar_points_world, ego_vehicle_mask)
     if not (evidence.elevation_deg > _HORIZON_DEG).any():
         return np.zeros((height, width), np.float32)
-    labels = _segment(evidence.lab)
-    graph = region_graph(labels, evidence.lab, _EDGE_CONTRAST)
-    own = region_log_odds(labels, evidence)
-    first = spread_log_odds(graph, own, _SMOOTHING)
-    own = with_image_colours(labels, evidence, own, first)
+    labels, graph, own, first = _before_colours(evidence)
+    own_colours = ColourCounts.of(labels, evidence, first, _LIKELY_SKY)
+    own = with_colours(labels, evidence, own, own_colours, log_colours)
     sky = spread_log_odds(graph, own, _SMOOTHING)
     min_px = int(_MIN_SKY_FRACTION * labels.size)
     probability = keep_open_sky(labels, sky, evidence, max(min_px, 1))
@@ -107,10 +114,12 @@ def estimate_sky_matte(
 
 
 def sky_mattes(
-    log: DrivingLog, progress: Progress
+    log: DrivingLog, frames: Sequence[CameraFrame], progress: Progress
 ) -> Iterator[tuple[CameraFrame, Float32[np.ndarray, "h w"]]]:
-    """Each frame of the log with its matte; few in memory at a time."""
+    """Some frames of the log with their mattes, few in memory at a time; what they know of colours
+    is all of the log's."""
     points_world = gather_high_points(log)
+    colours = learn_colours(log, points_world)
 
     def matte_of(frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
         return estimate_sky_matte(
@@ -119,17 +128,46 @@ def sky_mattes(
             frame.world_from_camera,
             points_world,
             log.ego_vehicle_masks.get(frame.camera_name),
+            colours,
         )
 
     # Array operations leave Python's lock, so threads do share the work.
     with ThreadPoolExecutor(_WORKERS) as pool:
         ahead: deque[Future[Float32[np.ndarray, "h w"]]] = deque()
-        coming = iter(log.frames)
-        for frame in progress.track(log.frames, "sky mattes", len(log.frames)):
+        coming = iter(frames)
+        for frame in progress.track(frames, "sky mattes", len(frames)):
             ahead.extend(
                 pool.submit(matte_of, f) for f in islice(coming, _WORKERS - len(ahead) + 1)
             )
             yield frame, ahead.popleft().result()
+
+
+def learn_colours(log: DrivingLog, points_world: Float[np.ndarray, "n 3"]) -> ColourCounts | None:
+    """Colours of what is surely sky, and of what is surely none, in some frames of each camera;
+    None where a log shows too little of either."""
+    total: ColourCounts | None = None
+    for name, camera in log.cameras.items():
+        frames = log.frames_of(name)
+        for frame in frames[:: max(1, len(frames) // _COLOUR_FRAMES)]:
+            ego_vehicle = log.ego_vehicle_masks.get(name)
+            evidence = _gather(
+                frame.load_srgb8(), camera, frame.world_from_camera, points_world, ego_vehicle
+            )
+            if (evidence.elevation_deg > _HORIZON_DEG).any():
+                labels, _, _, first = _before_colours(evidence)
+                counts = ColourCounts.of(labels, evidence, first, _SURELY_SKY)
+                total = counts if total is None else total + counts
+    return total if total is not None and total.are_enough else None
+
+
+def _before_colours(
+    evidence: ImageEvidence,
+) -> tuple[Int[np.ndarray, "h w"], RegionGraph, Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Regions, how they agree, and their log-odds: their own, and after neighbours agreed."""
+    labels = _segment(evidence.lab)
+    graph = region_graph(labels, evidence.lab, _EDGE_CONTRAST)
+    own = region_log_odds(labels, evidence)
+    return labels, graph, own, spread_log_odds(graph, own, _SMOOTHING)
 
 
 def gather_high_points(log: DrivingLog) -> Float32[np.ndarray, "n 3"]:

@@ -11,6 +11,8 @@ _CERTAIN = 8.0
 """Log-odds that no neighbour can turn."""
 _HISTOGRAM_SHAPE = (20, 24, 24)
 """Cells of the colour histogram along L*, a* and b*."""
+_LEAST_COLOURS = 200
+"""Pixels of sky, and of anything else, from which colours are learnt."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,20 +160,67 @@ def _under_hits(has_hit: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     return np.logical_or.accumulate(recent >= 4, axis=0)
 
 
-def with_image_colours(
+@dataclass(frozen=True, eq=False)
+class ColourCounts:
+    """How often a colour was seen in what is surely sky, and in what is surely none."""
+
+    sky: Float[np.ndarray, " c"]
+    ground: Float[np.ndarray, " c"]
+
+    @staticmethod
+    def of(
+        labels: Int[np.ndarray, "h w"],
+        evidence: ImageEvidence,
+        first: Float[np.ndarray, " n"],
+        least_log_odds: float,
+    ) -> ColourCounts:
+        """Of one image.
+
+        Args:
+            first: log-odds of the regions before colours were learnt.
+            least_log_odds: from which on a region is surely sky.
+        """
+        bins = _colour_bins(evidence.lab)
+        is_sky = (first > least_log_odds)[labels] & ~evidence.has_hit
+        is_ground = (first < -1.5)[labels] & (evidence.elevation_deg > -10.0)
+        size = int(np.prod(_HISTOGRAM_SHAPE))
+        sky, ground = (
+            np.bincount(bins[chosen], minlength=size).astype(np.float64)
+            for chosen in (is_sky, is_ground)
+        )
+        return ColourCounts(sky, ground)
+
+    def __add__(self, other: ColourCounts) -> ColourCounts:
+        return ColourCounts(self.sky + other.sky, self.ground + other.ground)
+
+    @property
+    def are_enough(self) -> bool:
+        """Whether both kinds were seen."""
+        return bool(min(self.sky.sum(), self.ground.sum()) >= _LEAST_COLOURS)
+
+    def log_ratio(self) -> Float[np.ndarray, " c"]:
+        """Of sky against anything else, by colour."""
+        sky, ground = (_density(counts) for counts in (self.sky, self.ground))
+        return np.clip(np.log(sky / ground), -2.5, 2.5)
+
+
+def with_colours(
     labels: Int[np.ndarray, "h w"],
     evidence: ImageEvidence,
     own: Float[np.ndarray, " n"],
-    first: Float[np.ndarray, " n"],
+    of_image: ColourCounts,
+    of_log: ColourCounts | None,
 ) -> Float[np.ndarray, " n"]:
-    """`own` plus what the image's own sky and ground colours say, learnt from `first`."""
-    is_sky = (first > 1.5)[labels] & ~evidence.has_hit
-    is_ground = (first < -1.5)[labels] & (evidence.elevation_deg > -10.0)
-    if is_sky.sum() < 200 or is_ground.sum() < 200:
-        return own
+    """`own` plus what the colours of sky and ground say.
+
+    The image's own sky speaks for a colour, the whole log's against it: panes mirror the colours of
+    a sky that is elsewhere.
+    """
     bins = _colour_bins(evidence.lab)
-    sky, ground = (_histogram(bins, chosen) for chosen in (is_sky, is_ground))
-    ratio = np.clip(np.log(sky[bins] / ground[bins]), -2.5, 2.5)
+    ratio = of_image.log_ratio()[bins] if of_image.are_enough else np.zeros(bins.shape)
+    if of_log is not None and of_log.are_enough:
+        against = of_log.log_ratio()[bins]
+        ratio = np.where(against < 0, np.minimum(against, ratio), ratio)
     odds = own + _RegionMean(labels)(ratio)
     is_certain = own <= -_CERTAIN + 1e-6
     return np.clip(np.where(is_certain, -_CERTAIN, odds), -_CERTAIN, _CERTAIN)
@@ -185,14 +234,11 @@ def _colour_bins(lab: Float32[np.ndarray, "h w 3"]) -> Int[np.ndarray, "h w"]:
     return (lightness * _HISTOGRAM_SHAPE[1] + green_red) * _HISTOGRAM_SHAPE[2] + blue_yellow
 
 
-def _histogram(
-    bins: Int[np.ndarray, "h w"], chosen: Bool[np.ndarray, "h w"]
-) -> Float[np.ndarray, " c"]:
-    """Smoothed colour density of the chosen pixels, with a floor for unseen colours."""
+def _density(counts: Float[np.ndarray, " c"]) -> Float[np.ndarray, " c"]:
+    """Smoothed, with a floor for unseen colours."""
     from scipy.ndimage import gaussian_filter
 
-    counts = np.bincount(bins[chosen], minlength=int(np.prod(_HISTOGRAM_SHAPE)))
-    density = counts.reshape(_HISTOGRAM_SHAPE) / max(int(counts.sum()), 1)
+    density = counts.reshape(_HISTOGRAM_SHAPE) / max(float(counts.sum()), 1.0)
     smooth = np.asarray(gaussian_filter(density, 1.0, mode="constant"))
     return smooth.ravel() + 1e-4
 

@@ -78,8 +78,8 @@ def _write_mattes(log: DrivingLog, folder: Path, context: Context) -> None:
 
     for camera in log.cameras:
         (folder / camera).mkdir(exist_ok=True)
-    wanted = log.with_frames(tuple(f for f in log.frames if not path_of(f).exists()))
-    for frame, matte in sky_mattes(wanted, context.progress):
+    wanted = [frame for frame in log.frames if not path_of(frame).exists()]
+    for frame, matte in sky_mattes(log, wanted, context.progress):
         write_png(path_of(frame), np.round(matte * 255).astype(np.uint8))
 
 
