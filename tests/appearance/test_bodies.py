@@ -30,7 +30,7 @@ def test_the_unseen_side_takes_the_other_sides_colours_part_by_part() -> None:
         materials=(Material(0.3, 0.0, "paint"), Material(0.05, 0.0, "pane")),
         face_material=is_pane.astype(np.uint8),
     )
-    is_glass = vertices[:, 2] > 0.49
+    is_glass = vertices[:, 2] > 0.51
     paint = np.where(vertices[:, :1] > 0, [[0.8, 0.1, 0.1]], [[0.1, 0.1, 0.8]])
     true = np.where(is_glass[:, None], 0.03, paint)
     is_seen = vertices[:, 1] > 0

@@ -56,9 +56,11 @@ def body_colours(
 
 
 def _part_of_vertices(mesh: TriMesh) -> UInt8[np.ndarray, " n"]:
-    """Of each vertex, the highest material index among its faces."""
-    part = np.zeros(len(mesh.vertices), dtype=np.uint8)
-    if mesh.face_material is not None:
-        for corner in mesh.faces.T:
-            np.maximum.at(part, corner, mesh.face_material)
+    """Of each vertex, the lowest material index among its faces: a pane's dark colour must not
+    bleed over the large faces of the paint around it."""
+    if mesh.face_material is None:
+        return np.zeros(len(mesh.vertices), dtype=np.uint8)
+    part = np.full(len(mesh.vertices), mesh.face_material.max(initial=0), dtype=np.uint8)
+    for corner in mesh.faces.T:
+        np.minimum.at(part, corner, mesh.face_material)
     return part
