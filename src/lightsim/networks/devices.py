@@ -89,5 +89,7 @@ def joined_processes(device: torch.device) -> Generator[Processes]:
     distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
     try:
         yield Processes(distributed.get_rank(), distributed.get_world_size())
+        # One that leaves while the other still writes takes its connection away, and aborts.
+        distributed.barrier()
     finally:
         distributed.destroy_process_group()
