@@ -68,4 +68,6 @@ def with_sun_visibility(
         sun_visibility=visibility,
         direct_sun=direct,
         shaded=shaded.astype(np.float32),
+        # Sunlight of a half-lit pixel is known roughly: the ratio S stays at most 1.
+        unshadowed=np.maximum(shadows.unshadowed, direct + shadows.sky),
     )
