@@ -308,3 +308,55 @@ def test_what_surfaces_reflect_is_no_base_colour():
         np.random.default_rng(0),
     )
     assert np.median(blind.mesh.base_colour[albedo < 0.2] / 0.12) > 1.3
+
+
+def test_dark_panes_amid_light_stay_dark():
+    mesh = _ground()
+    x, y = mesh.vertices[:, 0], mesh.vertices[:, 1]
+    is_pane = (np.abs((x % 3.0) - 1.5) < 0.6) & (np.abs((y % 3.0) - 1.5) < 0.7)
+    albedo = np.where(is_pane, 0.05, 0.3)
+    noise = np.exp(0.03 * np.random.default_rng(1).normal(size=(len(albedo), 1)))
+    radiance = (albedo[:, None] * (_SKY + 4.0 * _SUN) * noise).astype(np.float32)
+
+    def light_at(seen: SeenPoints) -> SurfaceLight:
+        return _light(seen.position, np.ones(len(seen.position)), sun=4.0)
+
+    recorded = replace(mesh, base_colour=radiance)
+    done = decompose(recorded, light_at, IntrinsicConfig(), np.random.default_rng(0))
+    assert np.quantile(done.visibility[is_pane], 0.05) > 0.8
+    assert np.median(done.mesh.base_colour[is_pane]) == pytest.approx(0.05, rel=0.2)
+
+
+def test_shaded_pavement_is_no_dark_asphalt_in_the_sun():
+    mesh = _ground()
+    rng = np.random.default_rng(1)
+    noise = np.exp(0.03 * rng.normal(size=(len(mesh.vertices), 1)))
+    recorded = replace(mesh, base_colour=(0.13 * _SKY * noise).astype(np.float32))
+    origins = np.stack([np.linspace(-9, 9, 40), np.zeros(40), np.full(40, 1.8)], axis=1)
+    origins = origins.astype(np.float32)
+    ends = np.column_stack([origins[:, :2], np.zeros(40, np.float32)])
+    returns = LidarReturns(ends, origins, np.full(40, 0.1, np.float32))
+
+    def light_at(seen: SeenPoints) -> SurfaceLight:
+        return _light(seen.position, np.ones(len(seen.position)), sun=5.0)
+
+    done = decompose(recorded, light_at, IntrinsicConfig(), rng, returns=returns)
+    assert np.median(done.mesh.base_colour @ np.full(3, 1 / 3)) == pytest.approx(0.13, rel=0.15)
+
+
+def test_light_of_patches_is_asked_for_above_a_bent_surface():
+    flat = _ground(cells=400, half_m=5.0)
+    x = flat.vertices[:, 0]
+    height = (0.04 * np.sin(x * 2 * np.pi / 0.4)).astype(np.float32)
+    mesh = replace(flat, vertices=flat.vertices + height[:, None] * np.array([0, 0, 1], np.float32))
+    heights: list[np.ndarray] = []
+
+    def light_at(seen: SeenPoints) -> SurfaceLight:
+        surface = 0.04 * np.sin(seen.position[:, 0] * 2 * np.pi / 0.4)
+        heights.append(seen.position[:, 2] - surface)
+        return _light(seen.position, np.ones(len(seen.position)), sun=1.0)
+
+    patches = patches_of(mesh, IntrinsicConfig(), np.random.default_rng(0))
+    assert patches is not None
+    patches.under(light_at)
+    assert (heights[0] > 0).mean() > 0.99

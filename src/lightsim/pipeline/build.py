@@ -139,14 +139,14 @@ STAGES = (
     ),
     Stage(
         "sky",
-        11,
+        12,
         ("log", "alignment", "geometry", "assets", "panorama"),
         lambda o: light.SkyStageConfig(SourceSunConfig(gps=o.gps), model=o.sky_model),
         light.make_sky,
     ),
     Stage(
         "twin",
-        10,
+        11,
         ("log", "alignment", "assets", "sky"),
         lambda o: light.TwinConfig(),
         light.make_twin,

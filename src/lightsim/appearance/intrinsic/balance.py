@@ -68,7 +68,7 @@ def balance_light(
             observed = own.reflecting(found, lit)
             lit = infer_labels(observed, found, prior, config, messages)
         pairs = shadow_pairs(observed, lit, block)
-        members = [ClassRadiance.of(kind, rows, observed, lit) for kind, rows in classes]
+        members = [ClassRadiance.of(c.kind, c.rows, observed, lit) for c in classes]
         found = solve_balance(pairs, members, freedom)
     return found
 

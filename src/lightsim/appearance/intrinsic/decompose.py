@@ -33,6 +33,7 @@ from lightsim.appearance.intrinsic.labels import (
     rendered_visibility,
 )
 from lightsim.appearance.intrinsic.light import LightAt, SeenPoints, SurfaceLight
+from lightsim.appearance.intrinsic.reflectance import Members, materials_of
 from lightsim.appearance.intrinsic.surfels import (
     Graph,
     LidarReturns,
@@ -70,8 +71,8 @@ _LEAST_SURFELS = 50
 # (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test). The bench
 # benchmarks/bench_decompose.py varies those that are still settings.
 
-# Size of the patches that carry labels.
-_SURFEL_M = 0.25
+# Size of the patches that carry labels, and how far above their centres light is asked for.
+_SURFEL_M, _LIFT_M = 0.25, 0.08
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,11 +150,13 @@ class Patches:
 
     Args:
         log_reflectance: of each patch as LiDAR intensity tells it; None where nobody looked.
+        materials: patches whose class of material is known.
     """
 
     surfels: Surfels
     graph: Graph
     log_reflectance: Float64[np.ndarray, " n"] | None
+    materials: tuple[Members, ...]
 
     @staticmethod
     def of(
@@ -167,21 +170,23 @@ class Patches:
         surfels = make_surfels(mesh, faces, _SURFEL_M, rng)
         if len(surfels) < _LEAST_SURFELS:
             return None
-        log_reflectance = None
+        log_reflectance, materials = None, ()
         if returns is not None and len(returns.intensity):
             log_reflectance = lidar_log_reflectance(surfels, returns, _REFLECTANCE_REACH_M)
-        return Patches(surfels, connect(surfels, config.reach_m, rng), log_reflectance)
+            materials = materials_of(surfels, returns.origins)
+        graph = connect(surfels, config.reach_m, rng)
+        return Patches(surfels, graph, log_reflectance, materials)
 
     def under(self, light_at: LightAt) -> tuple[Observed, float]:
         """What is known of the patches under a light, and the gain from LiDAR intensity to base
         colour."""
-        light = light_at(self.surfels.points).floored()
-        step, gain = np.zeros(len(self.graph.pairs), np.float32), 0.0
-        observed = Observed.of(self.surfels, self.graph, step, light, _SURFEL_M)
-        if self.log_reflectance is not None:
-            step, gain = predict_reflectance_steps(
-                self.graph, observed.log_radiance, self.log_reflectance, light.visibility
-            )
+        light = light_at(self.surfels.points(_LIFT_M)).floored()
+        observed = Observed.of(self.surfels, self.graph, self.materials, light, _SURFEL_M)
+        if self.log_reflectance is None:
+            return observed, 0.0
+        step, gain = predict_reflectance_steps(
+            self.graph, observed.log_radiance, self.log_reflectance, light.visibility
+        )
         return replace(observed, reflectance_step=step), gain
 
 

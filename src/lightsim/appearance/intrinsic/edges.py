@@ -12,7 +12,9 @@ from lightsim.appearance.intrinsic.labels import Labels, Observed, is_at_label_e
 
 _NEAREST, _AROUND = 6, 32
 _REACH_M = 1.2
-_MIXED = 0.03
+_SURE = 0.03
+_NEAR_SHADOW = 0.75
+"""Prior of being lit below which a rendered shadow is near."""
 _CHUNK = 1 << 15
 """Points looked at together: some 30 MB of intermediate results, whatever the log."""
 
@@ -26,7 +28,7 @@ class LabelField:
         lit: probability that the sun reaches each surfel.
         log_colour: log base colour of the firmly labelled surface around each surfel.
         is_known: whether there is such a surface.
-        is_mixed: whether lit and shadowed surface meet at the surfel.
+        is_mixed: whether lit and shadowed surface meet at the surfel, or may.
     """
 
     faces: Int64[np.ndarray, " k"]
@@ -44,7 +46,8 @@ def label_field(faces: Int64[np.ndarray, " k"], observed: Observed, labels: Labe
     surfels = observed.surfels
     light = np.maximum(observed.light.total(labels.lit), 1e-6)
     log_colour = observed.log_radiance - np.log(light)
-    is_unsure = (labels.lit > 0.1) & (labels.lit < 0.9)
+    # What is merely dark amid light (panes, tyres) is unsure, too: a shadow must be near.
+    is_unsure = (labels.lit > _SURE) & (labels.lit < 1 - _SURE) & (labels.prior < _NEAR_SHADOW)
     is_mixed = is_unsure | is_at_label_edge(observed, labels.lit)
     is_firm = ~is_mixed & (surfels.confidence > 0.5)
     colour, is_known = _colour_around(observed, log_colour, is_firm, is_mixed)
@@ -161,6 +164,5 @@ def _refine(field: LabelField, seen: ShadedPoints) -> Float64[np.ndarray, " n"]:
     direct = seen.direct + seen.reflected_sun / colour
     wanted = ((seen.radiance / colour - diffuse) * direct).sum(axis=1)
     found = wanted / np.maximum((direct**2).sum(axis=1), 1e-12)
-    is_edge = (lit > _MIXED) & (lit < 1 - _MIXED) & (known > 0.3)
-    is_edge |= field.is_mixed[index].any(axis=1) & (known > 0.3)
+    is_edge = field.is_mixed[index].any(axis=1) & (known > 0.3)
     return np.where(is_edge, np.clip(found, 0.0, 1.0), lit)

@@ -4,11 +4,13 @@ A shadow's edge is where the log of the radiance steps, in all channels, by what
 predicts, and where LiDAR intensity does not step; a change of material is where it does. Both
 are pairwise statements between patches of one surface, so the labels form a Markov random field.
 Rendered visibility is its prior: firm inside, open near the rendered shadow's edges, and firmer
-about shadows than about light, because what no sensor saw can only add shadows.
+about shadows than about light, because what no sensor saw can only add shadows. Base colours that
+pavement and walls cannot have speak against a label, too.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import exp
 
@@ -19,7 +21,9 @@ from scipy.sparse.csgraph import connected_components
 
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
 from lightsim.appearance.intrinsic.light import LightBalance, SurfaceLight
+from lightsim.appearance.intrinsic.reflectance import Members
 from lightsim.appearance.intrinsic.surfels import Graph, Surfels
+from lightsim.core.colour import LUMINANCE_WEIGHTS
 
 _SWEEPS, _DAMPING = 16, 0.2
 _CHUNK_PAIRS = 1 << 16
@@ -64,6 +68,7 @@ class Observed:
         log_radiance: natural logarithm.
         reflectance_step: for each pair of the graph, log of base colour of the second over the
             first, as LiDAR intensity predicts it; 0 where that says nothing.
+        materials: surfels whose class of material is known.
         own_light: of the source sky at each surfel.
         light: the same with reflections as light (`SurfaceLight.on_lambert`), so that log radiance
             is log base colour and log light.
@@ -73,6 +78,7 @@ class Observed:
     graph: Graph
     log_radiance: Float64[np.ndarray, "n 3"]
     reflectance_step: Float32[np.ndarray, " e"]
+    materials: Sequence[Members]
     own_light: SurfaceLight
     light: SurfaceLight
     surfel_m: float
@@ -81,14 +87,15 @@ class Observed:
     def of(
         surfels: Surfels,
         graph: Graph,
-        reflectance_step: Float32[np.ndarray, " e"],
+        materials: Sequence[Members],
         own_light: SurfaceLight,
         surfel_m: float,
     ) -> Observed:
-        """Surfels under a light that is taken as it is."""
+        """Surfels under a light that is taken as it is; LiDAR says nothing yet."""
         log_radiance = np.log(np.maximum(surfels.radiance, _LEAST_RADIANCE))
+        step = np.zeros(len(graph.pairs), np.float32)
         observed = Observed(
-            surfels, graph, log_radiance, reflectance_step, own_light, own_light, surfel_m
+            surfels, graph, log_radiance, step, materials, own_light, own_light, surfel_m
         )
         return observed.reflecting(LightBalance.unchanged(), rendered_visibility(own_light))
 
@@ -178,12 +185,32 @@ def infer_labels(
     from lightsim.appearance.intrinsic.kernels import propagate
 
     energy = pair_energies(observed, balance, config)
-    unary = _PRIOR_WEIGHT * np.log(prior / (1 - prior))
-    belief = np.empty(len(unary))
-    propagate(unary, observed.graph.pairs, energy, messages, belief, _SWEEPS, _DAMPING)
-    belief += (1 - _PRIOR_WEIGHT) * np.log(prior / (1 - prior))
+    own = np.log(prior / (1 - prior)) + _material_log_odds(observed, balance, config)
+    belief = np.empty(len(own))
+    propagate(
+        _PRIOR_WEIGHT * own, observed.graph.pairs, energy, messages, belief, _SWEEPS, _DAMPING
+    )
+    belief += (1 - _PRIOR_WEIGHT) * own
     lit = 1 / (1 + np.exp(-np.clip(belief, -30, 30)))
     return without_islands(observed, lit, prior, config.island_m2)
+
+
+def _material_log_odds(
+    observed: Observed, balance: LightBalance, config: IntrinsicConfig
+) -> Float64[np.ndarray, " n"]:
+    """Of lit against shadowed, from the base colours that each makes of known materials; 0 in deep
+    shade, where the quotient says nothing."""
+    weights = LUMINANCE_WEIGHTS.astype(np.float64)
+    light = observed.light.balanced(balance)
+    shade = np.maximum(light.diffuse @ weights, 1e-6)
+    sun, radiance = light.sun @ weights, np.exp(observed.log_radiance) @ weights
+    least = config.deep_shade[0] * np.percentile(shade, 95)
+    odds = np.zeros(len(shade))
+    for members in observed.materials:
+        kind, rows = members.kind, members.rows[shade[members.rows] > least]
+        if_lit = radiance[rows] / (shade[rows] + sun[rows])
+        odds[rows] = kind.log_density(if_lit) - kind.log_density(radiance[rows] / shade[rows])
+    return odds
 
 
 def is_at_label_edge(observed: Observed, lit: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:

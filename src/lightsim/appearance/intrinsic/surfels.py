@@ -47,10 +47,11 @@ class Surfels:
     def __len__(self) -> int:
         return len(self.position)
 
-    @property
-    def points(self) -> SeenPoints:
-        """The patches' centres."""
-        return SeenPoints(self.position, self.normal, self.towards_camera, self.roughness)
+    def points(self, lift_m: float) -> SeenPoints:
+        """Places to ask for light, above the patches' centres: the mean of a bent patch lies below
+        its surface, where it is dark."""
+        lifted = self.position + lift_m * self.normal
+        return SeenPoints(lifted, self.normal, self.towards_camera, self.roughness)
 
 
 @dataclass(frozen=True, eq=False)
