@@ -12,7 +12,7 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.errors import InputError
 from lightsim.masks.sky import _before_colours, _gather, estimate_sky_matte
-from lightsim.masks.sky_regions import ColourCounts
+from lightsim.masks.sky_regions import ColourCounts, colour_bins
 
 CAMERA = PinholeCamera("front", 480, 270, 240.0, 240.0, 240.0, 135.0)
 # Looks along world +y from 1.6 m: camera x is world x, camera y is world -z.
@@ -76,7 +76,7 @@ def test_a_pale_gable_is_no_cloud_where_the_log_has_none(rng: np.random.Generato
     points = wall_returns(np.linspace(-20, -3.4, 200), 20.0)
     evidence = _gather(image, CAMERA, POSE, points, None)
     labels, _, _, first = _before_colours(evidence)
-    colours = ColourCounts.of(labels, evidence, first, 3.5)
+    colours = ColourCounts.of(evidence, first[labels] > 3.5, evidence.has_hit)
     with_gable, _ = draw_street(rng, "blue")
     with_gable[170:] = 140
     with_gable[:30, 60:150] = np.clip(pale + rng.normal(0, 5.0, (30, 90, 3)), 0, 255)
@@ -87,6 +87,20 @@ def test_a_pale_gable_is_no_cloud_where_the_log_has_none(rng: np.random.Generato
     assert (matte[clear] > 0.5).mean() > 0.98
     alone = estimate_sky_matte(with_gable, CAMERA, POSE, points, None)
     assert alone[2:27, 64:146].mean() > 0.5
+
+
+def test_colours_of_clouds_are_not_learnt_as_those_of_walls(rng: np.random.Generator) -> None:
+    """A cloud that a picture takes for a wall speaks for no wall: no beam returned from it."""
+    image, _ = draw_street(rng, "blue")
+    image[90:155, 20:180] = 140
+    image[20:60, 200:300] = 250
+    points = wall_returns(np.linspace(-20, -3.4, 200), 20.0)
+    evidence = _gather(image, CAMERA, POSE, points, None)
+    labels, _, _, first = _before_colours(evidence)
+    colours = ColourCounts.of(evidence, first[labels] > 3.5, evidence.has_hit)
+    is_cloud = (evidence.lab[..., 0] > 95) & (evidence.elevation_deg > 5)
+    assert is_cloud.sum() > 500
+    assert (colours.log_ratio()[colour_bins(evidence.lab)][is_cloud] > -0.5).all()
 
 
 def test_a_plain_white_wall_is_not_sky(rng: np.random.Generator) -> None:

@@ -62,6 +62,8 @@ _BORDER_PX = 3
 _MIN_SKY_FRACTION = 0.0015
 # Log-odds from which on colours of sky are learnt from one image, and from a whole log.
 _LIKELY_SKY, _SURELY_SKY = 1.5, 3.5
+# The same of anything else, up to which one image's are learnt; a log's are those of returns.
+_LIKELY_NONE = -1.5
 # Frames of each camera from which colours are learnt.
 _COLOUR_FRAMES = 4
 # `sky_mattes` gathers the high returns of every n-th sweep: older viewpoints see higher.
@@ -105,7 +107,8 @@ def estimate_sky_matte(
     if not (evidence.elevation_deg > _HORIZON_DEG).any():
         return np.zeros((height, width), np.float32)
     labels, graph, own, first = _before_colours(evidence)
-    own_colours = ColourCounts.of(labels, evidence, first, _LIKELY_SKY)
+    likely = first[labels]
+    own_colours = ColourCounts.of(evidence, likely > _LIKELY_SKY, likely < _LIKELY_NONE)
     own = with_colours(labels, evidence, own, own_colours, log_colours)
     sky = spread_log_odds(graph, own, _SMOOTHING)
     min_px = int(_MIN_SKY_FRACTION * labels.size)
@@ -143,8 +146,9 @@ def sky_mattes(
 
 
 def learn_colours(log: DrivingLog, points_world: Float[np.ndarray, "n 3"]) -> ColourCounts | None:
-    """Colours of what is surely sky, and of what is surely none, in some frames of each camera;
-    None where a log shows too little of either."""
+    """Colours of what is surely sky, and of what is surely none (what returned a beam: regions
+    alone would count bright clouds to it), in some frames of each camera; None where a log shows
+    too little of either."""
     total: ColourCounts | None = None
     for name, camera in log.cameras.items():
         frames = log.frames_of(name)
@@ -155,7 +159,8 @@ def learn_colours(log: DrivingLog, points_world: Float[np.ndarray, "n 3"]) -> Co
             )
             if (evidence.elevation_deg > _HORIZON_DEG).any():
                 labels, _, _, first = _before_colours(evidence)
-                counts = ColourCounts.of(labels, evidence, first, _SURELY_SKY)
+                is_sky = first[labels] > _SURELY_SKY
+                counts = ColourCounts.of(evidence, is_sky, evidence.has_hit)
                 total = counts if total is None else total + counts
     return total if total is not None and total.are_enough else None
 

@@ -11,6 +11,8 @@ _CERTAIN = 8.0
 """Log-odds that no neighbour can turn."""
 _HISTOGRAM_SHAPE = (20, 24, 24)
 """Cells of the colour histogram along L*, a* and b*."""
+_LOWEST_DEG = -10.0
+"""Elevation below which nothing can be taken for sky."""
 _LEAST_COLOURS = 200
 """Pixels of sky, and of anything else, from which colours are learnt."""
 
@@ -169,20 +171,13 @@ class ColourCounts:
 
     @staticmethod
     def of(
-        labels: Int[np.ndarray, "h w"],
-        evidence: ImageEvidence,
-        first: Float[np.ndarray, " n"],
-        least_log_odds: float,
+        evidence: ImageEvidence, is_sky: Bool[np.ndarray, "h w"], is_ground: Bool[np.ndarray, "h w"]
     ) -> ColourCounts:
-        """Of one image.
-
-        Args:
-            first: log-odds of the regions before colours were learnt.
-            least_log_odds: from which on a region is surely sky.
-        """
-        bins = _colour_bins(evidence.lab)
-        is_sky = (first > least_log_odds)[labels] & ~evidence.has_hit
-        is_ground = (first < -1.5)[labels] & (evidence.elevation_deg > -10.0)
+        """Of some pixels of one image: of the sky those without a return, and of the rest those
+        that are not far below the horizon."""
+        bins = colour_bins(evidence.lab)
+        is_sky = is_sky & ~evidence.has_hit
+        is_ground = is_ground & (evidence.elevation_deg > _LOWEST_DEG)
         size = int(np.prod(_HISTOGRAM_SHAPE))
         sky, ground = (
             np.bincount(bins[chosen], minlength=size).astype(np.float64)
@@ -216,7 +211,7 @@ def with_colours(
     The image's own sky speaks for a colour, the whole log's against it: panes mirror the colours of
     a sky that is elsewhere.
     """
-    bins = _colour_bins(evidence.lab)
+    bins = colour_bins(evidence.lab)
     ratio = of_image.log_ratio()[bins] if of_image.are_enough else np.zeros(bins.shape)
     if of_log is not None and of_log.are_enough:
         against = of_log.log_ratio()[bins]
@@ -226,7 +221,7 @@ def with_colours(
     return np.clip(np.where(is_certain, -_CERTAIN, odds), -_CERTAIN, _CERTAIN)
 
 
-def _colour_bins(lab: Float32[np.ndarray, "h w 3"]) -> Int[np.ndarray, "h w"]:
+def colour_bins(lab: Float32[np.ndarray, "h w 3"]) -> Int[np.ndarray, "h w"]:
     """Flat index of each pixel's cell in the colour histogram, 5 units wide per axis."""
     lightness = np.clip(lab[..., 0] / 5.0, 0, _HISTOGRAM_SHAPE[0] - 1).astype(np.int64)
     green_red = np.clip(lab[..., 1] / 5.0 + 12.0, 0, _HISTOGRAM_SHAPE[1] - 1).astype(np.int64)

@@ -47,8 +47,9 @@ from lightsim.store.sky import (
 )
 from lightsim.store.twin import write_twin
 
-IRRADIANCE = IrradianceConfig(TransportConfig(sky_rays=32, face_rays=8), 0.25)
-"""Sun, sky and the light of other surfaces as it was seen; what was not seen is grey."""
+IRRADIANCE = IrradianceConfig(TransportConfig(sky_rays=32, face_rays=8, glossy_rays=64), 0.25)
+"""Sun, sky and the light of other surfaces as it was seen; what was not seen is grey. Few rays for
+reflections leave coloured clouds on shaded asphalt, whose own radiance is small."""
 LIDAR_RETURNS = 1_500_000
 """LiDAR returns whose intensity is asked."""
 _VEILED = 0.5
