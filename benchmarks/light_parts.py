@@ -20,8 +20,7 @@ from unittest import mock
 
 import numpy as np
 
-from lightsim.appearance.intrinsic import balance
-from lightsim.appearance.intrinsic.decompose import decompose
+from lightsim.appearance.intrinsic import balance, decompose
 from lightsim.core.colour import LUMINANCE_WEIGHTS
 from lightsim.core.dome import SkyDome
 from lightsim.core.frames import RigidTransform
@@ -98,6 +97,11 @@ def _without(part: str, work: Workspace, sun: SunDirection) -> tuple[SkyDome, Tr
             balance.class_members if part != "class priors" else lambda *_: (),
         ),
         mock.patch.object(
+            decompose,
+            "materials_of",
+            decompose.materials_of if part != "class priors" else lambda *_: (),
+        ),
+        mock.patch.object(
             balance,
             "infer_labels",
             balance.infer_labels if part != "soft visibility" else lambda o, f, prior, *_: prior,
@@ -111,17 +115,17 @@ def _without(part: str, work: Workspace, sun: SunDirection) -> tuple[SkyDome, Tr
             seed=0,
             progress=SilentProgress(),
         )
-    background, log = work.assets.background, work.training_log
-    casters = roofs_over(background, rooflines)
-    source = SourceLight(log, work.assets, casters, estimate.dome, irradiance, 0)
-    rng = np.random.default_rng(0)
-    done = decompose(
-        background,
-        source.on(RigidTransform.identity("world", "world")),
-        config.intrinsic,
-        rng,
-        returns=static_returns(log, LIDAR_RETURNS, rng),
-    )
+        background, log = work.assets.background, work.training_log
+        casters = roofs_over(background, rooflines)
+        source = SourceLight(log, work.assets, casters, estimate.dome, irradiance, 0)
+        rng = np.random.default_rng(0)
+        done = decompose.decompose(
+            background,
+            source.on(RigidTransform.identity("world", "world")),
+            config.intrinsic,
+            rng,
+            returns=static_returns(log, LIDAR_RETURNS, rng),
+        )
     return estimate.dome, done.mesh
 
 
