@@ -61,8 +61,7 @@ def _count(work: Workspace, truth: Path) -> dict[tuple[str, str], np.ndarray]:
         found = traced.found_visibility(sky.sun)
         if found is None:
             continue
-        shape = found.shape
-        lit = read_exr(path).reshape(shape) > 0.5
+        lit = read_exr(path).reshape(found.shape) > 0.5
         normal = read_exr(truth / "normal_world" / name / path.name)
         faces = normal @ sun.direction_world.astype(np.float32) > _FACING
         is_shown = faces & np.isfinite(found) & traced.buffers.has_surface
@@ -73,11 +72,9 @@ def _count(work: Workspace, truth: Path) -> dict[tuple[str, str], np.ndarray]:
         ):
             rows = is_shown & members
             for method, visibility in (("found", found), ("rendered", rendered)):
-                is_lit = visibility[rows] > 0.5
-                kind = 2 * ~lit[rows] + (lit[rows] != is_lit)
-                # 0 lit in both, 1 missed, 2 in none, 3 false.
-                each = np.bincount(kind, minlength=4)
-                counts[surface, method] += each[[0, 1, 3, 2]]
+                true, made = lit[rows], visibility[rows] > 0.5
+                kinds = (true & made, true & ~made, ~true & made, ~true & ~made)
+                counts[surface, method] += [int(kind.sum()) for kind in kinds]
     return counts
 
 

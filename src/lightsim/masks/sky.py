@@ -107,8 +107,8 @@ def estimate_sky_matte(
     if not (evidence.elevation_deg > _HORIZON_DEG).any():
         return np.zeros((height, width), np.float32)
     labels, graph, own, first = _before_colours(evidence)
-    likely = first[labels]
-    own_colours = ColourCounts.of(evidence, likely > _LIKELY_SKY, likely < _LIKELY_NONE)
+    odds = first[labels]
+    own_colours = ColourCounts.of(evidence, odds > _LIKELY_SKY, odds < _LIKELY_NONE)
     own = with_colours(labels, evidence, own, own_colours, log_colours)
     sky = spread_log_odds(graph, own, _SMOOTHING)
     min_px = int(_MIN_SKY_FRACTION * labels.size)

@@ -108,7 +108,7 @@ def decompose(
         mesh: `base_colour` is the mean observed radiance (assets.build.build_assets);
             `confidence`, where there is one, says which vertices were seen.
         light_at: the source light at points of the mesh's frame.
-        returns: LiDAR, whose intensity knows no shadows.
+        returns: LiDAR, whose intensity knows no shadows, and whose path tells pavement.
         is_symmetric: one half mirrors the other, which tells the colours that nobody saw.
 
     Raises:
