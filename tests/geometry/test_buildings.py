@@ -11,7 +11,7 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.fields import GroundMap
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
-from lightsim.core.profiles import best_profile, energy_of_filling
+from lightsim.core.profiles import best_profile, energy_of_filling, least_energies
 from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.errors import FrameMismatchError, InputError
 from lightsim.geometry.completion.buildings import complete_buildings
@@ -224,6 +224,27 @@ def test_a_wall_that_beams_pass_over_ends_there() -> None:
     assert not _is_wall(meshes[1], 15.0, 5.5)
 
 
+@pytest.mark.parametrize("side", [-1, 1])
+def test_the_side_of_a_tall_neighbour_is_not_the_low_house(side: int) -> None:
+    """Both share the plane of their fronts. Above the low one views show the other's side, which
+    no beam reached: the low one once rose as high."""
+    low = (6.0, 8.25, 18.0, 20.0, SEEN_M)
+    tall = (18.0, 8.25, 30.0, 20.0, 14.0)
+    boxes = [(-b[2], *b[1:2], -b[0], *b[3:]) if side < 0 else b for b in (low, tall)]
+    views = _views(_truth(boxes), WIDE)
+    # Beams end 17 degrees above the horizon: only the tall house returns those above the low one.
+    above = _sweep(np.array([[2.0, 60.0, 1.8 + 60.0 * np.tan(np.radians(17.0))]] * 100))
+    fronts = [
+        _wall(np.array([x0, y0]), np.array([x1, y0]), min(top_m, 10.0), ())
+        for x0, y0, x1, _, top_m in boxes
+    ]
+    meshes = _complete(concatenate_meshes([_street(), *fronts]), views, [above])
+    for x_m in np.arange(7.0, 17.5, 1.5):
+        assert _height_m(meshes, side * float(x_m), 9.5) == pytest.approx(SEEN_M, abs=0.6)
+    for x_m in (19.0, 22.0, 25.0, 29.0):
+        assert _height_m(meshes, side * x_m, 9.5) == pytest.approx(14.0, abs=0.6)
+
+
 def test_the_best_profile_is_the_best_of_all() -> None:
     rng = np.random.default_rng(0)
     energy = energy_of_filling(rng.uniform(0, 2, (5, 3)), rng.uniform(0, 2, (5, 3)))
@@ -233,8 +254,13 @@ def test_the_best_profile_is_the_best_of_all() -> None:
         rise = np.abs(np.diff(profile))
         return float(energy[np.arange(5), profile].sum() + (0.7 * (rise > 0) + 0.2 * rise).sum())
 
-    best = min(product(range(4), repeat=5), key=total)
-    assert tuple(best_profile(energy, 0.7, 0.2)) == best
+    profiles = list(product(range(4), repeat=5))
+    assert tuple(best_profile(energy, 0.7, 0.2)) == min(profiles, key=total)
+    least = least_energies(energy, 0.7, 0.2)
+    for s, label in product(range(5), range(4)):
+        with_it = min(total(p) for p in profiles if p[s] == label)
+        without = min(total(p) for p in profiles if p[s] == 0)
+        assert least[s, label] - least[s, 0] == pytest.approx(with_it - without)
 
 
 def test_walls_are_upright_planes() -> None:

@@ -39,3 +39,15 @@ def test_a_picture_without_noise_stays():
     clean = _wall(None)
     done = denoised_where_amplified(clean, np.full(clean.shape[:2], 8.0, np.float32))
     np.testing.assert_allclose(done, clean, atol=1e-6)
+
+
+@pytest.mark.parametrize("where", [np.s_[30:32, 40:41], np.s_[:, 79:], np.s_[:1, :]])
+def test_a_narrow_part_takes_its_surroundings_with_it(rng: np.random.Generator, where):
+    """A part of one column once stopped relighting: the filter wants an area."""
+    noisy = _wall(rng)
+    factor = np.ones(noisy.shape[:2], np.float32)
+    factor[where] = 4.0
+    done = denoised_where_amplified(noisy, factor)
+    is_changed = (done != noisy).any(axis=2)
+    assert is_changed[where].any()
+    assert not is_changed[factor == 1].any()

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
+from scipy.special import expit
 
-from lightsim.core.profiles import best_profile
+from lightsim.core.profiles import best_profile, least_energies
 
 # A step of a roof, and each metre of it, in nats. Not measured alone.
 _STEP, _STEP_PER_M = 4.0, 0.2
@@ -80,6 +81,15 @@ class Roofline:
     def height_m(self) -> Float64[np.ndarray, " s"]:
         """The roof's edge above the ground."""
         return self.top_m - self.ground_m
+
+    def filled(self) -> Float64[np.ndarray, "s c"]:
+        """Probability of each cell to lie below the roof: best profile with it against best profile
+        without it."""
+        energy = self.energy.astype(np.float64)
+        least = least_energies(energy, _STEP, _STEP_PER_M * self.cell_m)
+        free = np.minimum.accumulate(least, axis=1)[:, :-1]
+        filled = np.minimum.accumulate(least[:, ::-1], axis=1)[:, ::-1][:, 1:]
+        return np.asarray(expit(free - filled))
 
     def solved(self, further: Float64[np.ndarray, "s t"] | None = None) -> Roofline:
         """With the most probable profile; `further` energy counts where no view shows the roof."""

@@ -18,8 +18,7 @@ def best_profile(
     """
     count, labels = energy.shape
     levels = np.arange(labels)
-    rise = np.abs(levels[:, None] - levels)
-    change = np.where(rise > 0, step + step_per_label * rise, 0.0)
+    change = _change(labels, step, step_per_label)
     best = energy[0]
     came_from = np.zeros((count, labels), dtype=np.int64)
     for s in range(1, count):
@@ -31,6 +30,29 @@ def best_profile(
     for s in range(count - 1, 0, -1):
         profile[s - 1] = came_from[s, profile[s]]
     return profile
+
+
+def least_energies(
+    energy: Float64[np.ndarray, "s t"], step: float, step_per_label: float
+) -> Float64[np.ndarray, "s t"]:
+    """Of all profiles with this label in this column, the least total energy, up to a constant of
+    each column: min-marginals. The arguments are those of `best_profile`."""
+    change = _change(energy.shape[1], step, step_per_label)
+    before, after = np.zeros_like(energy), np.zeros_like(energy)
+    for s in range(1, len(energy)):
+        before[s] = (before[s - 1] + energy[s - 1] + change).min(axis=1)
+        before[s] -= before[s].min()
+    for s in range(len(energy) - 2, -1, -1):
+        after[s] = (after[s + 1] + energy[s + 1] + change).min(axis=1)
+        after[s] -= after[s].min()
+    return energy + before + after
+
+
+def _change(labels: int, step: float, step_per_label: float) -> Float64[np.ndarray, "t t"]:
+    """Energy of every pair of neighbours' labels."""
+    levels = np.arange(labels)
+    rise = np.abs(levels[:, None] - levels)
+    return np.where(rise > 0, step + step_per_label * rise, 0.0)
 
 
 def energy_of_filling(

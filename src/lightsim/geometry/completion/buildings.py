@@ -20,6 +20,7 @@ from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
 from lightsim.core.sensors import LidarSweep
 from lightsim.geometry.completion.free_space import find_free_space
+from lightsim.geometry.completion.neighbours import raised_to_neighbours
 from lightsim.geometry.completion.panes import find_panes
 from lightsim.geometry.completion.rooflines import find_rooflines
 from lightsim.geometry.completion.silhouettes import View
@@ -66,7 +67,7 @@ def complete_buildings(
         cells = gather_cells(walls, caster, silhouettes(), sweeps)
         space = find_free_space(background, silhouettes(), caster, MAX_HEIGHT_M)
         rooflines = find_rooflines(cells, ground, space)
-        for pair in zip(cells, rooflines, strict=True):
+        for pair in zip(cells, raised_to_neighbours(rooflines), strict=True):
             parts.extend(_visible_parts(*pair))
     # Raised walls explain what views show above things that stand before them.
     raised = concatenate_meshes([background, *parts])

@@ -11,7 +11,7 @@ from jaxtyping import Float, Float64, Shaped
 from lightsim.core.buildings import Roofline
 from lightsim.core.casting import MakeCaster, RayCaster
 from lightsim.core.mesh import Provenance, TriMesh
-from lightsim.geometry.completion.rooflines import INSET_M
+from lightsim.geometry.completion.neighbours import INSET_M
 from lightsim.geometry.materials import FACADE
 
 _RETREAT_M = 0.15

@@ -42,6 +42,19 @@ _BEAM_MARGIN_DEG = 1.5
 _EVERY_NTH_RETURN = 4
 
 
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """Open cells of a wall where one view shows something that nothing measured explains.
+
+    Args:
+        eye_m: the camera, frame world.
+        rows: of the flattened cells.
+    """
+
+    eye_m: Float64[np.ndarray, "3"]
+    rows: Int32[np.ndarray, " n"]
+
+
 @dataclass(eq=False)
 class WallCells:
     """Cells [s, z] of one wall, from its lowest measured part up, and what is known of them.
@@ -56,6 +69,7 @@ class WallCells:
         through: views that show what was measured well behind it.
         passes: beams that went through and returned from behind.
         silent: sweeps that had beams for the cell, with nothing before it, and no return from it.
+        sights: the views that `matter` counts.
     """
 
     wall: Wall
@@ -67,6 +81,7 @@ class WallCells:
     through: Int32[np.ndarray, "s z"]
     passes: Int32[np.ndarray, "s z"]
     silent: Int32[np.ndarray, "s z"]
+    sights: list[Sight]
 
     @property
     def s_m(self) -> Float64[np.ndarray, " s"]:
@@ -132,13 +147,8 @@ def _measure(wall: Wall, caster: RayCaster) -> WallCells:
     cell = _CELL_M
     ns = max(int(np.ceil((wall.span_m[1] - wall.span_m[0]) / cell)), 1)
     shape = (ns, int(np.ceil(MAX_HEIGHT_M / cell)))
-    cells = WallCells(
-        wall,
-        cell,
-        np.zeros(shape, dtype=bool),
-        np.zeros(shape),
-        *(np.zeros(shape, dtype=np.int32) for _ in range(5)),
-    )
+    counts = [np.zeros(shape, dtype=np.int32) for _ in range(5)]
+    cells = WallCells(wall, cell, np.zeros(shape, dtype=bool), np.zeros(shape), *counts, sights=[])
     start = cells.centres(FRONT_M).reshape(-1, 3)
     hits = caster.intersect(start, np.broadcast_to(-wall.normal, start.shape).copy())
     is_near = hits.is_hit & (hits.distance_m < FRONT_M + BEHIND_M)
@@ -173,7 +183,9 @@ def _look(
     # What is measured further behind explains the pixel without the wall.
     is_unexplained = np.abs(hits.distance_m - distance[matter]) < BEHIND_M
     is_unexplained |= ~hits.is_hit
-    cells.matter.reshape(-1)[rows[matter[is_unexplained]]] += 1
+    shown = rows[matter[is_unexplained]]
+    cells.matter.reshape(-1)[shown] += 1
+    cells.sights.append(Sight(eye, shown.astype(np.int32)))
     is_through = hits.is_hit & (hits.distance_m > distance[matter] + 2 * BEHIND_M)
     cells.through.reshape(-1)[rows[matter[is_through]]] += 1
 

@@ -8,7 +8,7 @@ noise that the picture itself shows, a clean picture stays as it is.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Int64
 from scipy import ndimage
 
 _PATCH_PX, _REACH_PX = 5, 5
@@ -40,7 +40,7 @@ def denoised_where_amplified(
     sigma = noise_std(root)
     if sigma == 0:
         return radiance
-    part = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+    part = _around(rows, columns)
     smooth = denoise_nl_means(
         root[part],
         patch_size=_PATCH_PX,
@@ -53,6 +53,15 @@ def denoised_where_amplified(
     result = radiance.copy()
     result[part] += weight[part] * (np.square(smooth) - radiance[part])
     return result
+
+
+def _around(rows: Int64[np.ndarray, " r"], columns: Int64[np.ndarray, " c"]) -> tuple[slice, slice]:
+    """The part of the picture that they span, and as far around it as the filter looks."""
+    margin = _PATCH_PX // 2 + _REACH_PX
+    first = (max(int(found[0]) - margin, 0) for found in (rows, columns))
+    last = (int(found[-1]) + margin + 1 for found in (rows, columns))
+    across, along = (slice(*ends) for ends in zip(first, last, strict=True))
+    return across, along
 
 
 def noise_std(image: Float32[np.ndarray, "h w c"]) -> float:
