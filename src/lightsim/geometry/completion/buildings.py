@@ -31,6 +31,10 @@ from lightsim.geometry.materials import FACADE
 
 WINDOW = Material(0.1, 0.0, "window")
 _OFFSET_LIMIT_M = 0.3
+_HOUSE_REACH_M = 2.0
+"""Columns this near tell how far out a house stands. Not measured alone."""
+_LEVEL_WEIGHT = 0.1
+"""Of the house's level against what was measured, as a fraction of the cells around."""
 _OVERLAP_M = 0.03
 """Fillings reach one cell behind the measured wall around them, this deep."""
 
@@ -99,14 +103,31 @@ def _unmeasured(cells: WallCells, roofline: Roofline) -> Bool[np.ndarray, "s z"]
 
 
 def _spread_offset(cells: WallCells) -> Float64[np.ndarray, "s z"]:
-    """How far before the plane the measured wall around each cell lies: reveals and ledges."""
+    """How far before the plane the wall lies: as measured around each cell (reveals and ledges),
+    and else as its house stands there."""
     from scipy.ndimage import gaussian_filter
 
     is_used = cells.is_covered & (np.abs(cells.offset_m) < _OFFSET_LIMIT_M)
+    level = _house_level_m(cells.offset_m, is_used, round(_HOUSE_REACH_M / cells.cell_m))[:, None]
     spread = 1.0 / cells.cell_m
-    total = np.asarray(gaussian_filter(np.where(is_used, cells.offset_m, 0.0), spread))
+    beside = np.where(is_used, cells.offset_m - level, 0.0)
+    total = np.asarray(gaussian_filter(beside, spread))
     fraction = np.asarray(gaussian_filter(is_used.astype(np.float64), spread))
-    return total / np.maximum(fraction, 0.02)
+    return level + total / (fraction + _LEVEL_WEIGHT)
+
+
+def _house_level_m(
+    offset_m: Float64[np.ndarray, "s z"], is_used: Bool[np.ndarray, "s z"], reach: int
+) -> Float64[np.ndarray, " s"]:
+    """Upper quartile of what was measured in the columns around each: houses of one plane are set
+    back by a few centimetres, an upright wall keeps its way out, and panes lie behind it."""
+    known = np.flatnonzero(is_used.any(axis=1))
+    if len(known) == 0:
+        return np.zeros(len(offset_m))
+    measured = np.where(is_used, offset_m, np.nan)
+    level = [np.nanpercentile(measured[max(k - reach, 0) : k + reach + 1], 75) for k in known]
+    nearest = np.abs(np.arange(len(offset_m))[:, None] - known).argmin(axis=1)
+    return np.array(level)[nearest]
 
 
 def _mesh_cells(

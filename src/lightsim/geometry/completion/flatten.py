@@ -1,15 +1,18 @@
-"""Walls without the bumps that beams through glass and grazing beams leave on them.
+"""Walls as sharp as the returns on them, without the bumps that beams through glass leave.
 
-A wall is smooth over a metre or two; what stands out of it by a few centimetres is noise, and a
-sun that grazes the wall draws long ragged shadows of it.
+A field of coarse samples rounds off panes behind their frames and ledges, which cast the small
+shadows of a facade; the returns know them to a centimetre. A wall is smooth over a metre or two;
+what stands out of it by a few centimetres is noise, and a sun that grazes the wall draws long
+ragged shadows of it.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float, Float64, Int64
 
 from lightsim.core.buildings import Wall
 from lightsim.core.laplace import nearest_known
@@ -19,6 +22,12 @@ from lightsim.geometry.completion.walls import find_walls
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
 # (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
 
+# A vertex follows the median of so many returns, if as many as the second lie this near.
+_RETURNS, _LEAST_RETURNS, _RETURNS_M = 8, 4, 0.15
+# By no more than this.
+_MOST_MOVED_M = 0.3
+# Feet of walls are left to the ground.
+_FOOT_M = 0.15
 # Cells in which the wall's surface is measured, in samples of the level.
 _CELL_VOXELS = 2.0
 # The smooth wall is the median over this many cells to either side; then, in turn, what stands
@@ -38,20 +47,83 @@ _MAX_DISTANCE_M = 0.35
 _MIN_COSINE = 0.3
 
 
-def flatten_walls(mesh: TriMesh, voxel_m: float) -> TriMesh:
-    """The mesh with vertices near smooth walls moved onto them, along the wall's normal.
+def flatten_walls(
+    mesh: TriMesh, voxel_m: float, returns_world: Float[np.ndarray, "r 3"]
+) -> TriMesh:
+    """The mesh with vertices near walls moved along the wall's normal, onto what was measured.
 
-    Each wall is a height field over its plane, smoothed by a running median (Tukey 1977): it
-    follows bowed walls and drops bumps. What stands out by more is a layer of its own, smoothed
-    over less: panes in their frames, ledges.
+    First onto the returns around them, where there are enough. Then each wall is a height field
+    over its plane, smoothed by a running median (Tukey 1977): it follows bowed walls and drops
+    bumps. What stands out by more is a layer of its own, smoothed over less: panes in their frames,
+    ledges.
+
+    Args:
+        mesh: one level of the background, frame world.
+        voxel_m: distance between the level's samples.
+        returns_world: of LiDAR beams, from static surfaces, metres.
     """
     if len(mesh.faces) == 0:
         return mesh
+    walls = find_walls(mesh)
+    mesh = _onto_returns(mesh, walls, returns_world)
     points = mesh.vertices.astype(np.float64)
     normals = mesh.vertex_normals().astype(np.float64)
-    for wall in find_walls(mesh):
+    for wall in walls:
         _flatten(points, normals, wall, voxel_m)
     return replace(mesh, vertices=points.astype(np.float32))
+
+
+def _onto_returns(
+    mesh: TriMesh, walls: Sequence[Wall], returns_world: Float[np.ndarray, "r 3"]
+) -> TriMesh:
+    """Every vertex of a wall at the median of the returns around it, once: medians keep edges."""
+    from scipy.spatial import KDTree
+
+    points = mesh.vertices.astype(np.float64)
+    normals = mesh.vertex_normals().astype(np.float64)
+    is_done = np.zeros(len(points), dtype=bool)
+    for wall in walls:
+        seen = _on_wall(wall, returns_world, _RETURNS_M)
+        if len(seen.rows) < _RETURNS:
+            continue
+        own = _on_wall(wall, points, -_FOOT_M)
+        chosen = ~is_done[own.rows] & (normals[own.rows] @ wall.normal > -_MIN_COSINE)
+        rows = own.rows[chosen]
+        tree = KDTree(seen.place_m)
+        index = np.asarray(
+            tree.query(own.place_m[chosen], _RETURNS, distance_upper_bound=_RETURNS_M)[1]
+        )
+        has_enough = (index < len(seen.rows)).sum(axis=1) >= _LEAST_RETURNS
+        around = np.append(seen.out_m, np.nan)[index[has_enough]]
+        way = np.nanmedian(around, axis=1) - own.out_m[chosen][has_enough]
+        is_near = np.abs(way) < _MOST_MOVED_M
+        moved = rows[has_enough][is_near]
+        points[moved] += way[is_near, None] * wall.normal
+        is_done[moved] = True
+    return replace(mesh, vertices=points.astype(np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class _OnWall:
+    """Points near a wall's plane: their rows, place along it and up, and way out of it."""
+
+    rows: Int64[np.ndarray, " n"]
+    place_m: Float64[np.ndarray, "n 2"]
+    out_m: Float64[np.ndarray, " n"]
+
+
+def _on_wall(wall: Wall, points: Float[np.ndarray, "n 3"], around_m: float) -> _OnWall:
+    """Those in front of or behind the wall's rectangle, and up to `around_m` past its low edge and
+    its ends (less, if negative: past the low edge alone)."""
+    ends, z = max(around_m, 0.0), points[:, 2]
+    # In the points' own precision: there may be millions.
+    out = points @ wall.normal.astype(points.dtype) - wall.origin_m @ wall.normal
+    is_on = (np.abs(out) < _MAX_DISTANCE_M) & (z <= wall.height_m[1] + ends)
+    rows = np.flatnonzero(is_on & (z >= wall.height_m[0] - around_m))
+    offset = points[rows].astype(np.float64) - wall.origin_m
+    place = np.stack([offset @ wall.along, points[rows, 2]], axis=1)
+    is_between = (place[:, 0] >= wall.span_m[0] - ends) & (place[:, 0] <= wall.span_m[1] + ends)
+    return _OnWall(rows[is_between], place[is_between], (offset @ wall.normal)[is_between])
 
 
 def _flatten(

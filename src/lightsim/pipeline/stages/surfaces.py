@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,22 +21,27 @@ from lightsim.geometry.completion.flatten import flatten_walls
 from lightsim.geometry.mesh_scene import mesh_scene
 from lightsim.geometry.simplify import simplify_planar
 from lightsim.pipeline.assemble import roofs_over
+from lightsim.pipeline.source_light import static_returns
 from lightsim.pipeline.stages.context import Context
 from lightsim.pipeline.workspace import Workspace
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.store.assets import write_assets, write_mesh
 from lightsim.store.rooflines import write_rooflines
 
+_WALL_RETURNS = 3_000_000
+"""LiDAR returns that walls are drawn onto, at most."""
+
 
 def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
     """Everything that has a shape, before it has a colour; casters of shadows apart."""
     log, fields = work.training_log, work.fields
+    returns = static_returns(log, _WALL_RETURNS, np.random.default_rng(context.seed))
     meshes = mesh_scene(
         log,
         fields,
         make_caster=make_embree_caster,
         progress=context.progress,
-        smooth_planes=flatten_walls,
+        smooth_planes=partial(flatten_walls, returns_world=returns.points),
     )
 
     def views() -> Iterable[tuple[CameraFrame, PinholeCamera, Float32[np.ndarray, "h w"]]]:
