@@ -245,6 +245,17 @@ def test_the_side_of_a_tall_neighbour_is_not_the_low_house(side: int) -> None:
         assert _height_m(meshes, side * x_m, 9.5) == pytest.approx(14.0, abs=0.6)
 
 
+def test_a_wall_that_single_beams_reach_goes_on() -> None:
+    """High beams lie metres apart: too few for a mesh, but the wall between them is not silent.
+    Log 002 once lost the front of a hall above its densest beams."""
+    boxes = [LEFT_HOUSE]
+    blind = [(f, c, np.full_like(m, 0.5)) for f, c, m in _views(_truth(boxes), WIDE)]
+    x, z = np.meshgrid(np.arange(5.1, 30.0, 0.2), [5.0, 6.5, 8.0])
+    on_wall = np.stack([x, np.full_like(x, LEFT_HOUSE[1]), z], axis=-1).reshape(-1, 3)
+    beams = _sweep(np.repeat(on_wall, 4, axis=0))
+    assert _height_m(_complete(_seen(boxes), blind, [beams]), 15.0, 9.0) > 8.0
+
+
 def test_the_best_profile_is_the_best_of_all() -> None:
     rng = np.random.default_rng(0)
     energy = energy_of_filling(rng.uniform(0, 2, (5, 3)), rng.uniform(0, 2, (5, 3)))

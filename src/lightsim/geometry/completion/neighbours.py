@@ -72,28 +72,25 @@ def _behind(
 def unexplained(
     cells: Sequence[WallCells], rooflines: Sequence[Roofline]
 ) -> list[Float64[np.ndarray, "s z"]]:
-    """Of what views show as matter at each cell, how much speaks for the cell's own wall.
+    """Of what views show as matter at each cell, how much speaks for the cell's own column.
 
-    The likelihood ratio of that wall against none there, given how probably each ray meets another
-    house (or another part of the same) further on, over that of a ray that meets none; mean over
-    the views, and one without a view.
+    The likelihood ratio of a wall against none there, given how probably each ray meets what stands
+    behind other columns of the wall further on, over that of a ray that meets none; mean over the
+    views, and one without a view. Other walls do not count: of two in a row, each would explain
+    what the views show of the other, and the front one could vanish.
     """
     plan = PrismPlan.of(rooflines)
     corner = np.append(plan.low_m, 0.0)
-    widths = [len(r.top) for r in rooflines]
-    filled = np.zeros((len(rooflines), max(widths), rooflines[0].energy.shape[1] - 1))
-    for k, roofline in enumerate(rooflines):
-        filled[k, : widths[k]] = roofline.filled()
-    base = np.array([r.wall.height_m[0] for r in rooflines])
     found = []
-    for wall_cells in cells:
+    for wall_cells, roofline, column in zip(cells, rooflines, plan.column, strict=True):
         points = wall_cells.centres().reshape(-1, 3) - corner
+        prism = (column, roofline.filled(), roofline.wall.height_m[0])
+        sizes = (_PLAN_M, wall_cells.cell_m)
         total = np.zeros(len(points))
         for sight in wall_cells.sights:
             met = np.zeros(len(sight.rows))
-            sizes = (_PLAN_M, wall_cells.cell_m)
             eye = sight.eye_m - corner
-            most_filled(eye, points[sight.rows], plan.column, filled, base, sizes, _BEHIND_M, met)
+            most_filled(eye, points[sight.rows], *prism, sizes, _BEHIND_M, met)
             by_others = _UNKNOWN_MATTER + (1.0 - _UNKNOWN_MATTER) * met
             total[sight.rows] += np.log(by_others) / np.log(_UNKNOWN_MATTER)
         shape = wall_cells.matter.shape

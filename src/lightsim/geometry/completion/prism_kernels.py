@@ -1,4 +1,4 @@
-"""Compiled walk of viewing rays over the prisms of houses.
+"""Compiled walk of viewing rays over the prisms behind a wall.
 
 `no_type_check` keeps the tests' run-time type checker out of compiled code.
 """
@@ -16,10 +16,10 @@ from numba import njit
 def most_filled(eye, points, column, filled, base_m, sizes_m, reach_m, out):
     """The most probable matter that each ray meets behind its point.
 
-    `column` [wall, x, y] names the column of each wall whose prism stands on a cell of the plan, -1
-    for none; `filled` [wall, column, level] is the probability that it reaches that level above
-    `base_m` [wall]. `eye` and `points` count from the plan's lowest corner. `sizes_m` are the edges
-    of a cell of the plan and of a level; `reach_m` are the first and last metre behind the point.
+    `column` [x, y] names the column of the wall whose prism stands on a cell of the plan, -1 for
+    none; `filled` [column, level] is the probability that it reaches that level above `base_m`.
+    `eye` and `points` count from the plan's lowest corner. `sizes_m` are the edges of a cell of the
+    plan and of a level; `reach_m` are the first and last metre behind the point.
     """
     plan_m, level_m = sizes_m
     for r in range(points.shape[0]):
@@ -31,10 +31,8 @@ def most_filled(eye, points, column, filled, base_m, sizes_m, reach_m, out):
             place = eye + t / distance * across
             t += plan_m / 2
             i, j = math.floor(place[0] / plan_m), math.floor(place[1] / plan_m)
-            if i < 0 or j < 0 or i >= column.shape[1] or j >= column.shape[2]:
+            if i < 0 or j < 0 or i >= column.shape[0] or j >= column.shape[1]:
                 break
-            for w in range(column.shape[0]):
-                c = column[w, i, j]
-                level = math.floor((place[2] - base_m[w]) / level_m)
-                if c >= 0 and level < filled.shape[2]:
-                    out[r] = max(out[r], filled[w, c, max(level, 0)])
+            level = math.floor((place[2] - base_m) / level_m)
+            if column[i, j] >= 0 and level < filled.shape[1]:
+                out[r] = max(out[r], filled[column[i, j], max(level, 0)])

@@ -3,8 +3,8 @@
 A column of the wall is matter up to its roof and free above: an upright prism. Every cell of it
 says so for or against (measured surface, sky, matter, beams that passed); the height of a building
 has a prior, which matters where no view reaches the roof, as with every house near the road; and a
-roof steps rarely. Matter that another house explains says little (`neighbours`), so all walls are
-solved together, round by round.
+roof steps rarely. Matter that another house of the row explains says little (`neighbours`), so
+walls are solved round by round.
 """
 
 from __future__ import annotations
@@ -40,8 +40,6 @@ _THROUGH, _SILENT = (0.1, 0.5), (0.2, 0.5)
 # The roof is seen where a view shows sky this near above it.
 _SEEN_WITHIN_M = 1.0
 # Rounds in which houses explain for each other what views show, and how far each follows the last.
-# Converged on five streets; with other starts, damping and order two of them end 0.2 m worse in the
-# mean (benchmarks/target_shadows.py).
 _ROUNDS, _DAMPING = 8, 0.5
 _DEPTH_STEP_M = 0.5
 # Nats of a slice of the prism that is wholly free, and of leaving away one that is not.

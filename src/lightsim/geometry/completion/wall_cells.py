@@ -6,7 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int8, Int32
+from jaxtyping import Bool, Float64, Int8, Int32, Int64
+from scipy.ndimage import maximum_filter
 
 from lightsim.core.buildings import Wall
 from lightsim.core.camera import PinholeCamera
@@ -38,6 +39,8 @@ _MAX_VIEW_M = 90.0
 _MAX_BEAM_M = 60.0
 # The highest beams leave gaps between them.
 _BEAM_MARGIN_DEG = 1.5
+# Beams this far apart: a single return tells of the wall around it, where a mesh needs several.
+_RETURN_REACH_M = 1.0
 # LiDAR returns used to find beams that passed a wall.
 _EVERY_NTH_RETURN = 4
 
@@ -68,7 +71,8 @@ class WallCells:
         matter: views that show something, with nothing measured before or behind it.
         through: views that show what was measured well behind it.
         passes: beams that went through and returned from behind.
-        silent: sweeps that had beams for the cell, with nothing before it, and no return from it.
+        silent: sweeps that had beams for the cell, with nothing before it; none where any sweep had
+            a return near by.
         sights: the views that `matter` counts.
     """
 
@@ -101,6 +105,16 @@ class WallCells:
         columns, known = np.arange(len(top)), np.flatnonzero(top >= 0)
         return np.interp(columns, known, top[known]) if len(known) else top.astype(np.float64)
 
+    def index_of(
+        self, places: Float64[np.ndarray, "n 3"]
+    ) -> tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]]:
+        """Cells of places that count from the plane's origin, without those beside all cells."""
+        i = np.floor((places @ self.wall.along - self.wall.span_m[0]) / self.cell_m)
+        j = np.floor((places[:, 2] - self.wall.height_m[0]) / self.cell_m)
+        shape = self.sky.shape
+        is_inside = (i >= 0) & (i < shape[0]) & (j >= 0) & (j < shape[1])
+        return i[is_inside].astype(np.int64), j[is_inside].astype(np.int64)
+
     def centres(self, out_m: float = 0.0) -> Float64[np.ndarray, "s z 3"]:
         """Middle of each cell in frame world, `out_m` in front of the wall's plane."""
         z = self.wall.height_m[0] + (np.arange(self.sky.shape[1]) + 0.5) * self.cell_m
@@ -130,15 +144,21 @@ def gather_cells(
         kind = classify_matte(camera, matte)
         for wall_cells in cells:
             _look(wall_cells, (frame, camera, kind), caster)
+    returns = [np.zeros_like(wall_cells.is_covered) for wall_cells in cells]
     last = np.full(3, np.inf)
     for sweep in sweeps:
         place = sweep.origins_world.mean(axis=0).astype(np.float64)
         is_apart = not np.linalg.norm(place - last) < MIN_BASELINE_M
         last = place if is_apart else last
-        for wall_cells in cells:
+        for wall_cells, has_return in zip(cells, returns, strict=True):
             _pass(wall_cells, sweep)
+            _mark_returns(wall_cells, sweep, has_return)
             if is_apart:
                 _listen(wall_cells, place, _highest_beam_deg(sweep), caster)
+    for wall_cells, has_return in zip(cells, returns, strict=True):
+        reach = round(_RETURN_REACH_M / wall_cells.cell_m)
+        is_near = np.asarray(maximum_filter(has_return, 2 * reach + 1), dtype=bool)
+        wall_cells.silent[is_near] = 0
     return cells
 
 
@@ -200,11 +220,14 @@ def _pass(cells: WallCells, sweep: LidarSweep) -> None:
     start, end = start[crosses], end[crosses]
     fraction = (before[crosses] / (before[crosses] - after[crosses]))[:, None]
     place = start + fraction * (end - start)
-    i = np.floor((place @ wall.along - wall.span_m[0]) / cells.cell_m).astype(np.int64)
-    j = np.floor((place[:, 2] - wall.height_m[0]) / cells.cell_m).astype(np.int64)
-    shape = cells.passes.shape
-    is_inside = (i >= 0) & (i < shape[0]) & (j >= 0) & (j < shape[1])
-    np.add.at(cells.passes, (i[is_inside], j[is_inside]), 1)
+    np.add.at(cells.passes, cells.index_of(place), 1)
+
+
+def _mark_returns(cells: WallCells, sweep: LidarSweep, has_return: Bool[np.ndarray, "s z"]) -> None:
+    """Mark cells that a beam ended on."""
+    points = sweep.points_world[::_EVERY_NTH_RETURN].astype(np.float64) - cells.wall.origin_m
+    out = points @ cells.wall.normal
+    has_return[cells.index_of(points[(out > -BEHIND_M) & (out < FRONT_M)])] = True
 
 
 def _highest_beam_deg(sweep: LidarSweep) -> float:
