@@ -43,7 +43,7 @@ PARTS = ("estimated", "+ sky", "+ gains", "+ geometry and base colour")
 
 
 @dataclass(frozen=True)
-class _Frame:
+class TracedFrame:
     """A frame with both its traced geometries and its truth."""
 
     frame: CameraFrame
@@ -54,7 +54,7 @@ class _Frame:
     is_surface: np.ndarray
 
 
-class _Street:
+class Street:
     """A built twin beside its truth."""
 
     def __init__(self, work: Path, truth: Path) -> None:
@@ -82,7 +82,7 @@ class _Street:
     def targets(self) -> list[str]:
         return [name for name in self.skies if name not in ("source", "estimated")]
 
-    def frame(self, camera_name: str, stem: str) -> _Frame:
+    def frame(self, camera_name: str, stem: str) -> TracedFrame:
         frame = next(f for f in self.log.frames_of(camera_name) if f.stem == stem)
         camera = self.log.cameras[camera_name]
         scenario = replay(self.workspace.twin, "as recorded", (frame,), "recorded", 0)
@@ -91,7 +91,7 @@ class _Street:
             return read_exr(self.truth / what / camera_name / f"{stem}.exr")
 
         true = self.true.trace(self.surfaces.scenario, frame, camera)
-        return _Frame(
+        return TracedFrame(
             frame,
             self.estimated.trace(scenario, frame, camera),
             true,
@@ -100,7 +100,7 @@ class _Street:
             true.buffers.has_surface,
         )
 
-    def relit(self, seen: _Frame, part: str, target: str) -> np.ndarray:
+    def relit(self, seen: TracedFrame, part: str, target: str) -> np.ndarray:
         """The frame under a target sky with the truth in all parts up to `part`."""
         level = PARTS.index(part)
         name = seen.frame.camera_name
@@ -146,7 +146,9 @@ def _with_colour(mesh: TriMesh, coloured: TriMesh) -> TriMesh:
     return replace(mesh, base_colour=coloured.base_colour[nearest])
 
 
-def _error_classes(seen: _Frame, wanted: ShadowBuffers, has_sun: bool) -> Mapping[str, np.ndarray]:
+def _error_classes(
+    seen: TracedFrame, wanted: ShadowBuffers, has_sun: bool
+) -> Mapping[str, np.ndarray]:
     """Surfaces by the true visibility of the sun under the source and under the target sky."""
     lit, after = seen.visibility > 0.5, wanted.sun_visibility > 0.5
     classes = {"lit": lit & seen.is_surface, "shadowed": ~lit & seen.is_surface}
@@ -165,7 +167,7 @@ def main() -> None:
     parser.add_argument("--truth", type=Path, required=True)
     parser.add_argument("--cameras", nargs="*")
     options = parser.parse_args()
-    street = _Street(options.work, options.truth)
+    street = Street(options.work, options.truth)
     scores: dict[tuple[str, str], list[float]] = defaultdict(list)
     shares: dict[tuple[str, str, str], list[tuple[float, float, float]]] = defaultdict(list)
     for path in sorted((options.truth / "base_colour").glob("*/*.exr")):

@@ -1,0 +1,91 @@
+"""What is wrong with each pixel of a relit frame, and what it costs.
+
+    python benchmarks/relight_faults.py WORK --truth DIR
+
+Pixels of the frames that have exact buffers, each counted with the first fault that it has: the
+target sun's shadow, the source sun's visibility, depth (0.3 m or 2 %), normal (20 degrees), and
+then by what it shows. Share of the surface, share of the squared error and root of its mean (sRGB,
+0 to 1); Markdown.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from relight_parts import Street, TracedFrame
+
+from lightsim.core.dome import SkyDome
+from lightsim.store.images import read_srgb8
+
+_DEPTH_M, _DEPTH_FRACTION = 0.3, 0.02
+_LEAST_COSINE = float(np.cos(np.radians(20.0)))
+_LEVEL, _UPRIGHT = 0.9, 0.3
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--truth", type=Path, required=True)
+    options = parser.parse_args()
+    street = Street(options.work, options.truth)
+    counts: dict[tuple[str, str], np.ndarray] = defaultdict(lambda: np.zeros(2))
+    for path in sorted((options.truth / "base_colour").glob("*/*.exr")):
+        seen = street.frame(path.parent.name, path.stem)
+        for target in street.targets():
+            file = options.truth / "relit" / target / path.parent.name / f"{path.stem}.jpg"
+            made = street.relit(seen, "estimated", target) / 255
+            square = np.square(made - read_srgb8(file) / 255).mean(axis=-1)
+            left = seen.is_surface.copy()
+            for fault, members in _faults(street, seen, street.skies[target]):
+                counts[target, fault] += [(left & members).sum(), square[left & members].sum()]
+                left &= ~members
+    sys.stdout.write(_table(counts))
+
+
+def _faults(street: Street, seen: TracedFrame, target: SkyDome) -> Iterator[tuple[str, np.ndarray]]:
+    """In the order in which they are told."""
+    estimated, true = seen.estimated.buffers, seen.true.buffers
+    off = np.abs(
+        np.where(estimated.has_surface, estimated.depth_z_m, 1e6)
+        - np.where(true.has_surface, true.depth_z_m, 0.0)
+    )
+    is_elsewhere = off > np.maximum(_DEPTH_M, _DEPTH_FRACTION * true.depth_z_m)
+    if target.sun is not None:
+        is_lit, lit_here = (
+            traced.light(target).sun_visibility > 0.5 for traced in (seen.true, seen.estimated)
+        )
+        yield "false target shadow", is_lit & ~lit_here & ~is_elsewhere
+        yield "missing target shadow", ~is_lit & lit_here & ~is_elsewhere
+    source = street.skies["estimated"]
+    visibility = seen.estimated.light(source).sun_visibility
+    found = seen.estimated.found_visibility(source.sun)
+    if found is not None:
+        # Where none was found, relighting takes the rendered one.
+        visibility = np.where(np.isfinite(found), found, visibility)
+    yield "source visibility", (visibility > 0.5) != (seen.visibility > 0.5)
+    yield "depth", is_elsewhere
+    cosine = (estimated.normal_world * true.normal_world).sum(axis=-1)
+    yield "normal", cosine < _LEAST_COSINE
+    yield "none, ground", true.normal_world[..., 2] > _LEVEL
+    yield "none, upright", np.abs(true.normal_world[..., 2]) < _UPRIGHT
+    yield "none, other", np.ones_like(is_elsewhere)
+
+
+def _table(counts: dict[tuple[str, str], np.ndarray]) -> str:
+    lines = ["| target | fault | surface | squared error | rms |", "|---|---|---:|---:|---:|"]
+    for (target, fault), (area, error) in counts.items():
+        total = np.sum([found for (name, _), found in counts.items() if name == target], axis=0)
+        lines.append(
+            f"| {target} | {fault} | {area / total[0]:.3f} | {error / total[1]:.3f} |"
+            f" {np.sqrt(error / max(area, 1)):.3f} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main()
