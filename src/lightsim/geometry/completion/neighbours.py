@@ -31,34 +31,32 @@ _STANDS_BEHIND_M = (0.75, 1.5)
 
 @dataclass(frozen=True, eq=False)
 class PrismPlan:
-    """Where the prisms behind walls stand.
+    """Where the prisms behind one wall stand.
 
     Args:
         low_m: lowest corner, frame world.
-        column: of each wall, the column whose prism stands on a cell; -1 for none.
+        column: whose prism stands on a cell; -1 for none.
     """
 
     low_m: Float64[np.ndarray, "2"]
-    column: Int16[np.ndarray, "wall x y"]
+    column: Int16[np.ndarray, "x y"]
 
     @classmethod
-    def of(cls, rooflines: Sequence[Roofline]) -> PrismPlan:
-        """All prisms as deep as houses are."""
-        inward = np.arange(INSET_M, INSET_M + HOUSE_DEPTH_M, _PLAN_M / 2)
-        places = [_behind(roofline, inward) for roofline in rooflines]
-        corners = np.concatenate([place.reshape(-1, 2) for place in places])
-        low = corners.min(axis=0)
-        shape = np.floor((corners.max(axis=0) - low) / _PLAN_M).astype(np.int64) + 1
-        column = np.full((len(places), *shape), -1, dtype=np.int16)
-        for k, place in enumerate(places):
-            i, j = np.floor((place - low) / _PLAN_M).astype(np.int64).transpose(2, 0, 1)
-            column[k, i, j] = np.arange(len(place))[:, None]
+    def of(cls, roofline: Roofline) -> PrismPlan:
+        """As deep as houses are."""
+        places = _behind(roofline, np.arange(INSET_M, INSET_M + HOUSE_DEPTH_M, _PLAN_M / 2))
+        low = places.reshape(-1, 2).min(axis=0)
+        cells = np.floor((places - low) / _PLAN_M).astype(np.int64)
+        column = np.full(cells.reshape(-1, 2).max(axis=0) + 1, -1, dtype=np.int16)
+        column[cells[..., 0], cells[..., 1]] = np.arange(len(places))[:, None]
         return cls(low, column)
 
-    def at(self, places: Float64[np.ndarray, "*n 2"]) -> Int16[np.ndarray, "wall *n"]:
-        """Columns that stand at places inside the plan."""
+    def at(self, places: Float64[np.ndarray, "*n 2"]) -> Int16[np.ndarray, "*n"]:
+        """Columns that stand at places."""
         cells = np.floor((places - self.low_m) / _PLAN_M).astype(np.int64)
-        return self.column[:, cells[..., 0], cells[..., 1]]
+        is_inside = np.all((cells >= 0) & (cells < self.column.shape), axis=-1)
+        i, j = np.moveaxis(np.where(is_inside[..., None], cells, 0), -1, 0)
+        return np.where(is_inside, self.column[i, j], np.int16(-1))
 
 
 def _behind(
@@ -79,12 +77,12 @@ def unexplained(
     views, and one without a view. Other walls do not count: of two in a row, each would explain
     what the views show of the other, and the front one could vanish.
     """
-    plan = PrismPlan.of(rooflines)
-    corner = np.append(plan.low_m, 0.0)
     found = []
-    for wall_cells, roofline, column in zip(cells, rooflines, plan.column, strict=True):
+    for wall_cells, roofline in zip(cells, rooflines, strict=True):
+        plan = PrismPlan.of(roofline)
+        corner = np.append(plan.low_m, 0.0)
         points = wall_cells.centres().reshape(-1, 3) - corner
-        prism = (column, roofline.filled(), roofline.wall.height_m[0])
+        prism = (plan.column, roofline.filled(), roofline.wall.height_m[0])
         sizes = (_PLAN_M, wall_cells.cell_m)
         total = np.zeros(len(points))
         for sight in wall_cells.sights:
@@ -104,17 +102,16 @@ def unexplained(
 def raised_to_neighbours(rooflines: Sequence[Roofline]) -> list[Roofline]:
     """Walls as high as the highest house that stands right behind them: two walls of one house may
     know its height unequally well."""
-    plan = PrismPlan.of(rooflines)
-    tops = np.full((len(rooflines), max(len(r.top) for r in rooflines) + 1), -np.inf)
-    for k, roofline in enumerate(rooflines):
-        tops[k, : len(roofline.top)] = np.where(roofline.depth_m > 0, roofline.top_m, -np.inf)
+    houses = [(PrismPlan.of(r), np.where(r.depth_m > 0, r.top_m, -np.inf)) for r in rooflines]
     raised = []
     for roofline in rooflines:
-        column = plan.at(_behind(roofline, np.array(_STANDS_BEHIND_M)))
-        # Column -1 is the last one, which has no height.
-        behind_m = tops[np.arange(len(rooflines))[:, None, None], column].max(axis=(0, 2))
-        above = (np.maximum(behind_m, roofline.top_m) - roofline.top_m) / roofline.cell_m
+        places = _behind(roofline, np.array(_STANDS_BEHIND_M))
+        highest = roofline.top_m
+        for plan, top_m in houses:
+            column = plan.at(places)
+            behind_m = np.where(column >= 0, top_m[column], -np.inf).max(axis=1)
+            highest = np.maximum(highest, behind_m)
+        above = np.round((highest - roofline.top_m) / roofline.cell_m).astype(np.int64)
         limit = roofline.energy.shape[1] - 1
-        top = np.minimum(roofline.top + np.round(above).astype(np.int64), limit)
-        raised.append(replace(roofline, top=top))
+        raised.append(replace(roofline, top=np.minimum(roofline.top + above, limit)))
     return raised
