@@ -72,10 +72,10 @@ def unexplained(
 ) -> list[Float64[np.ndarray, "s z"]]:
     """Of what views show as matter at each cell, how much speaks for the cell's own column.
 
-    The likelihood ratio of a wall against none there, given how probably each ray meets what stands
-    behind other columns of the wall further on, over that of a ray that meets none; mean over the
-    views, and one without a view. Other walls do not count: of two in a row, each would explain
-    what the views show of the other, and the front one could vanish.
+    The log-likelihood ratio of matter there against none, given how probably each ray meets what
+    stands behind other columns of the wall further on, over that of a ray that meets nothing; mean
+    over the views, and one without a view. Other walls do not count: of two in a row, each would
+    explain what the views show of the other, and the front one could vanish.
     """
     found = []
     for wall_cells, roofline in zip(cells, rooflines, strict=True):
