@@ -41,6 +41,7 @@ _THROUGH, _SILENT = (0.1, 0.5), (0.2, 0.5)
 _SEEN_WITHIN_M = 1.0
 # Rounds in which houses explain for each other what views show, and how far each follows the last.
 _ROUNDS, _DAMPING = 8, 0.5
+# Slices in which the depth of a building is looked for.
 _DEPTH_STEP_M = 0.5
 # Nats of a slice of the prism that is wholly free, and of leaving away one that is not.
 _FREE, _SLICE = 3.0, 0.15

@@ -151,8 +151,7 @@ def gather_cells(
         is_apart = not np.linalg.norm(place - last) < MIN_BASELINE_M
         last = place if is_apart else last
         for wall_cells, has_return in zip(cells, returns, strict=True):
-            _pass(wall_cells, sweep)
-            _mark_returns(wall_cells, sweep, has_return)
+            _pass(wall_cells, sweep, has_return)
             if is_apart:
                 _listen(wall_cells, place, _highest_beam_deg(sweep), caster)
     for wall_cells, has_return in zip(cells, returns, strict=True):
@@ -210,24 +209,19 @@ def _look(
     cells.through.reshape(-1)[rows[matter[is_through]]] += 1
 
 
-def _pass(cells: WallCells, sweep: LidarSweep) -> None:
-    """Count the beams of a sweep that crossed the plane and returned from well behind it."""
+def _pass(cells: WallCells, sweep: LidarSweep, has_return: Bool[np.ndarray, "s z"]) -> None:
+    """Count the beams of a sweep that crossed the plane and returned from well behind it, and mark
+    the cells that one ended on."""
     wall, step = cells.wall, _EVERY_NTH_RETURN
     start = sweep.origins_world[::step].astype(np.float64) - wall.origin_m
     end = sweep.points_world[::step].astype(np.float64) - wall.origin_m
     before, after = start @ wall.normal, end @ wall.normal
+    has_return[cells.index_of(end[(after > -BEHIND_M) & (after < FRONT_M)])] = True
     crosses = (before > FRONT_M) & (after < -2 * BEHIND_M)
     start, end = start[crosses], end[crosses]
     fraction = (before[crosses] / (before[crosses] - after[crosses]))[:, None]
     place = start + fraction * (end - start)
     np.add.at(cells.passes, cells.index_of(place), 1)
-
-
-def _mark_returns(cells: WallCells, sweep: LidarSweep, has_return: Bool[np.ndarray, "s z"]) -> None:
-    """Mark cells that a beam ended on."""
-    points = sweep.points_world[::_EVERY_NTH_RETURN].astype(np.float64) - cells.wall.origin_m
-    out = points @ cells.wall.normal
-    has_return[cells.index_of(points[(out > -BEHIND_M) & (out < FRONT_M)])] = True
 
 
 def _highest_beam_deg(sweep: LidarSweep) -> float:
