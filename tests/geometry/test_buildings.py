@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from lightsim.core.buildings import Roofline, Wall
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.fields import GroundMap
 from lightsim.core.frames import RigidTransform
@@ -15,6 +16,7 @@ from lightsim.core.profiles import best_profile, energy_of_filling, least_energi
 from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.errors import FrameMismatchError, InputError
 from lightsim.geometry.completion.buildings import complete_buildings
+from lightsim.geometry.completion.neighbours import raised_to_neighbours
 from lightsim.geometry.completion.prisms import roof_casters
 from lightsim.geometry.completion.walls import find_walls
 from lightsim.render.casters.embree import EmbreeCaster
@@ -243,6 +245,29 @@ def test_the_side_of_a_tall_neighbour_is_not_the_low_house(side: int) -> None:
         assert _height_m(meshes, side * float(x_m), 9.5) == pytest.approx(SEEN_M, abs=0.6)
     for x_m in (19.0, 22.0, 25.0, 29.0):
         assert _height_m(meshes, side * x_m, 9.5) == pytest.approx(14.0, abs=0.6)
+
+
+def _roofline(wall: Wall, top: np.ndarray, depth_m: float) -> Roofline:
+    flat, no = np.zeros(len(top)), np.zeros(len(top), dtype=bool)
+    energy = np.zeros((len(top), 61), np.float32)
+    return Roofline(wall, 0.5, flat, energy, top, top, no, np.where(top > 0, depth_m, 0.0), 0.3)
+
+
+def test_walls_rise_to_the_house_behind_them_and_gaps_stay_open() -> None:
+    """A row of fronts with a gap; the side wall of its right house knows that this is 15 m tall.
+    The gap once got a wall that hung over the beams, as prisms behind any wall were 12 m deep."""
+    north, east = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    front = Wall(np.zeros(3), -north, east, (0.0, 30.0), (0.0, 10.0))
+    top = np.full(60, 20)
+    top[16:24] = 0
+    side = Wall(np.array([12.0, 0.0, 0.0]), -east, -north, (-12.0, 0.0), (0.0, 10.0))
+    facing = Wall(np.array([8.0, 0.0, 0.0]), east, north, (0.0, 12.0), (0.0, 10.0))
+    behind = [_roofline(side, np.full(24, 30), 6.0), _roofline(facing, np.full(24, 20), 6.0)]
+    raised = raised_to_neighbours([_roofline(front, top, 8.0), *behind])[0]
+    np.testing.assert_array_equal(raised.top[:16], 20)
+    np.testing.assert_array_equal(raised.top[16:24], 0)
+    np.testing.assert_array_equal(raised.top[26:35], 30)
+    np.testing.assert_array_equal(raised.top[38:], 20)
 
 
 def test_a_wall_that_single_beams_reach_goes_on() -> None:

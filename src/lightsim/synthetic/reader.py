@@ -14,13 +14,18 @@ from lightsim.store.images import read_hdr
 
 
 def read_true_meshes(path: Path) -> dict[str, TriMesh]:
-    """Background (frame `world`) and actors (frame `actor`) of a synthetic log's scene.npz."""
+    """Background (frame `world`) and actors (frame `actor`) of a synthetic log's scene.npz.
+
+    No two faces share a vertex: the street's edges are sharp, and vertex normals those of the
+    faces.
+    """
     arrays = load_arrays(path)
     meshes = {}
     for name in dict.fromkeys(key.split("/")[0] for key in arrays):
-        vertices = arrays[f"{name}/vertices"].astype(np.float32)
+        corners = arrays[f"{name}/vertices"].astype(np.float32)[arrays[f"{name}/faces"]]
+        vertices = corners.reshape(-1, 3)
         frame = "world" if name == "background" else "actor"
-        faces = arrays[f"{name}/faces"].astype(np.int32)
+        faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
         meshes[name] = TriMesh(frame, vertices, faces, np.full_like(vertices, 0.5))
     return meshes
 

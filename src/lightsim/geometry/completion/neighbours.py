@@ -42,13 +42,17 @@ class PrismPlan:
     column: Int16[np.ndarray, "x y"]
 
     @classmethod
-    def of(cls, roofline: Roofline) -> PrismPlan:
-        """As deep as houses are."""
-        places = _behind(roofline, np.arange(INSET_M, INSET_M + HOUSE_DEPTH_M, _PLAN_M / 2))
+    def of(cls, roofline: Roofline, depth_m: Float64[np.ndarray, " s"] | None = None) -> PrismPlan:
+        """Of this depth behind each column; None: as deep as houses are."""
+        inward_m = np.arange(0.0, HOUSE_DEPTH_M, _PLAN_M / 2)
+        places = _behind(roofline, INSET_M + inward_m)
         low = places.reshape(-1, 2).min(axis=0)
         cells = np.floor((places - low) / _PLAN_M).astype(np.int64)
+        owner = np.broadcast_to(np.arange(len(places))[:, None], cells.shape[:2])
+        stands = inward_m < (HOUSE_DEPTH_M if depth_m is None else depth_m[:, None])
+        stands = np.broadcast_to(stands, owner.shape)
         column = np.full(cells.reshape(-1, 2).max(axis=0) + 1, -1, dtype=np.int16)
-        column[cells[..., 0], cells[..., 1]] = np.arange(len(places))[:, None]
+        column[cells[stands, 0], cells[stands, 1]] = owner[stands]
         return cls(low, column)
 
     def at(self, places: Float64[np.ndarray, "*n 2"]) -> Int16[np.ndarray, "*n"]:
@@ -101,8 +105,8 @@ def unexplained(
 
 def raised_to_neighbours(rooflines: Sequence[Roofline]) -> list[Roofline]:
     """Walls as high as the highest house that stands right behind them: two walls of one house may
-    know its height unequally well."""
-    houses = [(PrismPlan.of(r), np.where(r.depth_m > 0, r.top_m, -np.inf)) for r in rooflines]
+    know its height unequally well. Where no wall stands, in the gap beside a house, none is."""
+    houses = [(PrismPlan.of(r, r.depth_m), r.top_m) for r in rooflines]
     raised = []
     for roofline in rooflines:
         places = _behind(roofline, np.array(_STANDS_BEHIND_M))
@@ -112,6 +116,7 @@ def raised_to_neighbours(rooflines: Sequence[Roofline]) -> list[Roofline]:
             behind_m = np.where(column >= 0, top_m[column], -np.inf).max(axis=1)
             highest = np.maximum(highest, behind_m)
         above = np.round((highest - roofline.top_m) / roofline.cell_m).astype(np.int64)
+        above[roofline.top == 0] = 0
         limit = roofline.energy.shape[1] - 1
         raised.append(replace(roofline, top=np.minimum(roofline.top + above, limit)))
     return raised
