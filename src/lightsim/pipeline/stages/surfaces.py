@@ -18,6 +18,8 @@ from lightsim.core.twin import SceneAssets
 from lightsim.geometry.completion.buildings import complete_buildings
 from lightsim.geometry.completion.far_field import build_far_field
 from lightsim.geometry.completion.flatten import flatten_walls
+from lightsim.geometry.completion.pole_meshes import with_poles
+from lightsim.geometry.completion.poles import find_poles, raise_poles
 from lightsim.geometry.mesh_scene import mesh_scene
 from lightsim.geometry.simplify import simplify_planar
 from lightsim.pipeline.assemble import roofs_over
@@ -47,7 +49,9 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
     def views() -> Iterable[tuple[CameraFrame, PinholeCamera, Float32[np.ndarray, "h w"]]]:
         return ((f, log.cameras[f.camera_name], work.sky_matte(f)) for f in log.frames)
 
-    background = meshes.background
+    poles = find_poles(returns.points, returns.origins, fields.ground, fields.path_m)
+    poles = raise_poles(poles, views)
+    background = with_poles(meshes.background, poles)
     facades, rooflines = complete_buildings(
         background,
         views,
@@ -70,6 +74,7 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
         *meshes.notes,
         f"{len(facades.faces)} faces close windows and raise facades, {len(far.faces)} stand "
         f"beyond the LiDAR's reach; {len(rooflines)} walls have a roof: inferred, not measured",
+        f"{len(poles)} poles, posts and trunks stand as rods",
     )
 
 
