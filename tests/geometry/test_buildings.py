@@ -118,8 +118,9 @@ def _sweep(points: np.ndarray) -> LidarSweep:
 def _complete(
     seen: TriMesh, views: list[View], sweeps: list[LidarSweep] | None = None
 ) -> tuple[TriMesh, TriMesh]:
+    returns = np.concatenate([s.points_world for s in sweeps or []] + [np.zeros((0, 3), "f4")])
     visible, rooflines = complete_buildings(
-        seen, lambda: views, sweeps or [], GROUND, make_caster=EmbreeCaster
+        seen, lambda: views, sweeps or [], GROUND, returns, make_caster=EmbreeCaster
     )
     background = concatenate_meshes([seen, visible])
     return visible, roof_casters(rooflines, background, make_caster=EmbreeCaster)

@@ -12,13 +12,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float32, Float64
 
 from lightsim.core.buildings import Roofline
 from lightsim.core.casting import MakeCaster, check_world
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
 from lightsim.core.sensors import LidarSweep
+from lightsim.geometry.completion.far_walls import find_far_walls
 from lightsim.geometry.completion.free_space import find_free_space
 from lightsim.geometry.completion.neighbours import raised_to_neighbours
 from lightsim.geometry.completion.panes import find_panes
@@ -44,6 +45,7 @@ def complete_buildings(
     silhouettes: Callable[[], Iterable[View]],
     sweeps: Iterable[LidarSweep],
     ground: GroundMap,
+    returns_world: Float32[np.ndarray, "n 3"],
     *,
     make_caster: MakeCaster,
 ) -> tuple[TriMesh, list[Roofline]]:
@@ -56,6 +58,7 @@ def complete_buildings(
             of times.
         sweeps: beams that went over a wall tell that it ends there.
         ground: heights count from it.
+        returns_world: of what stands still; walls go on where they lie on their planes.
         make_caster: builds the ray caster.
 
     Raises:
@@ -68,7 +71,8 @@ def complete_buildings(
     rooflines: list[Roofline] = []
     if walls:
         caster = make_caster([background])
-        cells = gather_cells(walls, caster, silhouettes(), sweeps)
+        far_walls = find_far_walls(walls, returns_world, ground, caster)
+        cells = gather_cells(walls, caster, silhouettes(), sweeps, far_walls)
         space = find_free_space(background, silhouettes(), caster, MAX_HEIGHT_M)
         rooflines = find_rooflines(cells, ground, space)
         for pair in zip(cells, raised_to_neighbours(rooflines), strict=True):
@@ -97,6 +101,8 @@ def _unmeasured(cells: WallCells, roofline: Roofline) -> Bool[np.ndarray, "s z"]
     below it, far down the street, that nothing contradicts."""
     levels = np.arange(cells.sky.shape[1])
     end = np.minimum(roofline.top, roofline.shown)
+    if cells.is_far:
+        return ~cells.is_covered & (cells.sky == 0) & (levels < end[:, None])
     is_plain = (cells.matter > 0) & (cells.sky == 0) & (cells.passes == 0) & ~cells.is_covered
     is_plain &= levels < cells.measured_top[:, None]
     return (is_plain | (levels > cells.front_top[:, None])) & (levels < end[:, None])

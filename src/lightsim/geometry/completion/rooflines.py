@@ -135,7 +135,7 @@ def _energy(cells: WallCells, own: Float64[np.ndarray, "s z"]) -> Float64[np.nda
     against_filled[levels <= cells.measured_top[:, None]] = 0.0
     # What the wall's measured part reaches is its own.
     weight = np.where(levels <= cells.front_top[:, None], 1.0, own)
-    against_free = np.where(cells.is_covered, _COVERED, weight * capped(cells.matter, _MATTER))
+    against_free = np.where(cells.is_met, _COVERED, weight * capped(cells.matter, _MATTER))
     return energy_of_filling(against_filled, against_free)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int32, Int64
@@ -74,6 +74,8 @@ class WallCells:
         silent: sweeps that had beams for the cell, with nothing before it; none where any sweep had
             a return near by.
         sights: the views that `matter` counts.
+        is_met: covered, or of a far wall with a return.
+        is_far: returns alone tell of the wall.
     """
 
     wall: Wall
@@ -86,6 +88,8 @@ class WallCells:
     passes: Int32[np.ndarray, "s z"]
     silent: Int32[np.ndarray, "s z"]
     sights: list[Sight]
+    is_met: Bool[np.ndarray, "s z"]
+    is_far: bool = False
 
     @property
     def s_m(self) -> Float64[np.ndarray, " s"]:
@@ -96,7 +100,7 @@ class WallCells:
     def measured_top(self) -> Int32[np.ndarray, " s"]:
         """Highest measured cell of each column; -1 where nothing was measured."""
         levels = np.arange(self.sky.shape[1], dtype=np.int32)
-        return np.where(self.is_covered, levels, -1).max(axis=1)
+        return np.where(self.is_met, levels, -1).max(axis=1)
 
     @property
     def front_top(self) -> Float64[np.ndarray, " s"]:
@@ -127,6 +131,7 @@ def gather_cells(
     caster: RayCaster,
     silhouettes: Iterable[View],
     sweeps: Iterable[LidarSweep],
+    far_walls: Sequence[Wall] = (),
 ) -> list[WallCells]:
     """The evidence of all views and sweeps, wall by wall.
 
@@ -135,11 +140,13 @@ def gather_cells(
         caster: over the measured background.
         silhouettes: frames with their camera (of the matte's size) and sky matte.
         sweeps: beams that went over a wall tell that it ends there.
+        far_walls: known from returns alone; they come last.
 
     Raises:
         InputError: a matte does not fit its camera.
     """
     cells = [_measure(wall, caster) for wall in walls]
+    cells += [replace(_measure(wall, caster), is_far=True) for wall in far_walls]
     for frame, camera, matte in spaced_views(silhouettes, MIN_BASELINE_M):
         kind = classify_matte(camera, matte)
         for wall_cells in cells:
@@ -158,6 +165,8 @@ def gather_cells(
         reach = round(_RETURN_REACH_M / wall_cells.cell_m)
         is_near = np.asarray(maximum_filter(has_return, 2 * reach + 1), dtype=bool)
         wall_cells.silent[is_near] = 0
+        if wall_cells.is_far:
+            wall_cells.is_met |= has_return
     return cells
 
 
@@ -167,11 +176,12 @@ def _measure(wall: Wall, caster: RayCaster) -> WallCells:
     ns = max(int(np.ceil((wall.span_m[1] - wall.span_m[0]) / cell)), 1)
     shape = (ns, int(np.ceil(MAX_HEIGHT_M / cell)))
     counts = [np.zeros(shape, dtype=np.int32) for _ in range(5)]
-    cells = WallCells(wall, cell, np.zeros(shape, dtype=bool), np.zeros(shape), *counts, sights=[])
+    no, nothing = np.zeros(shape, dtype=bool), np.zeros(shape)
+    cells = WallCells(wall, cell, no, nothing, *counts, sights=[], is_met=no.copy())
     start = cells.centres(FRONT_M).reshape(-1, 3)
     hits = caster.intersect(start, np.broadcast_to(-wall.normal, start.shape).copy())
     is_near = hits.is_hit & (hits.distance_m < FRONT_M + BEHIND_M)
-    cells.is_covered[:] = is_near.reshape(shape)
+    cells.is_covered[:] = cells.is_met[:] = is_near.reshape(shape)
     distance = np.where(is_near, hits.distance_m, FRONT_M).astype(np.float64)
     cells.offset_m[:] = (FRONT_M - distance).reshape(shape)
     return cells

@@ -57,6 +57,7 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
         views,
         (sweep.load() for sweep in context.progress.track(log.sweeps, "walls and roofs")),
         fields.ground,
+        returns.points,
         make_caster=make_embree_caster,
     )
     background = concatenate_meshes([background, simplify_planar(facades)])
