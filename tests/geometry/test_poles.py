@@ -84,7 +84,7 @@ def _near(poles: list[Pole], place: tuple[float, float, float, float]) -> Pole:
     return next(p for p in poles if np.linalg.norm(p.foot_m[:2] - place[:2]) < 0.1)
 
 
-def test_rods_are_found_and_nothing_else(scan) -> None:
+def test_rods_are_found_and_nothing_else(scan: tuple[np.ndarray, np.ndarray]) -> None:
     poles = find_poles(*scan, GROUND, PATH_M)
     assert len(poles) == 3
     for place in (POST, BOLLARD, TRUNK):
@@ -97,7 +97,9 @@ def test_rods_are_found_and_nothing_else(scan) -> None:
 
 
 @pytest.mark.parametrize("is_before_sky", [True, False])
-def test_views_carry_a_post_on_above_the_beams(scan, is_before_sky: bool) -> None:
+def test_views_carry_a_post_on_above_the_beams(
+    scan: tuple[np.ndarray, np.ndarray], is_before_sky: bool
+) -> None:
     """Before the sky the matte shows it; before a house its colour does."""
     poles = find_poles(*scan, GROUND, PATH_M)
     views = []

@@ -8,7 +8,12 @@ import pytest
 from lightsim.core.colour import linear_from_srgb8
 from lightsim.errors import InputError
 from lightsim.relighting.physical.compose import camera_image
-from lightsim.relighting.physical.filters import box_mean, fill_holes, guided_filter
+from lightsim.relighting.physical.filters import (
+    box_mean,
+    fill_holes,
+    guided_filter,
+    median_smoothed,
+)
 from lightsim.relighting.physical.matte import foreground_radiance
 
 
@@ -61,3 +66,22 @@ def test_unmixing_recovers_the_foreground() -> None:
     image = (1 - matte[..., None]) * twig + matte[..., None] * sky
     found = foreground_radiance(image.astype(np.float32), matte)
     np.testing.assert_allclose(found[:, :5], np.broadcast_to(twig, (12, 5, 3)), atol=1e-5)
+
+
+@pytest.mark.parametrize("width", [480, 1000])
+def test_medians_drop_thin_details_and_keep_large_edges(width: int) -> None:
+    image = np.zeros((120, width, 3), np.float32)
+    image[:, width // 2 :] = 1.0
+    image[:, width // 4] = 5.0
+    image[60, :] += 2.0
+    smooth = median_smoothed(image, 9 / 480)
+    assert smooth.shape == image.shape
+    step = -(-width // 480)
+    away = np.abs(np.arange(width) - width // 2) > 2 * step
+    truth = (np.arange(width) >= width // 2).astype(np.float32)
+    inner = smooth[20:-20, 20:-20]
+    np.testing.assert_allclose(
+        inner[:, away[20:-20]],
+        np.broadcast_to(truth[20:-20, None], inner.shape)[:, away[20:-20]],
+        atol=1e-6,
+    )

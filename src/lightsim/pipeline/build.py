@@ -118,7 +118,7 @@ STAGES = (
     ),
     Stage(
         "geometry",
-        18,
+        19,
         ("log", "masks", "alignment", "neural"),
         _no_settings,
         surfaces.make_geometry,

@@ -7,6 +7,8 @@ from jaxtyping import Bool, Float32
 from scipy import ndimage
 
 _EPSILON = np.float32(1e-6)
+_MEDIAN_AT_PX = 480
+"""Images wider than this are made smaller before their medians are taken."""
 
 
 def box_mean(image: Float32[np.ndarray, "h w *c"], radius_px: int) -> Float32[np.ndarray, "h w *c"]:
@@ -36,6 +38,27 @@ def guided_filter(
     slope = box_mean(slope * weight, radius_px) / fraction
     offset = box_mean(offset * weight, radius_px) / fraction
     return (slope * guide + offset).astype(np.float32)
+
+
+def median_smoothed(
+    image: Float32[np.ndarray, "h w c"], width_fraction: float
+) -> Float32[np.ndarray, "h w c"]:
+    """Median over squares of this fraction of the image's width: thin details go, edges of what is
+    larger stay. Wide images are filtered at a fraction of their size and brought up linearly."""
+    height, width, channels = image.shape
+    step = -(-width // _MEDIAN_AT_PX)
+    padded = np.pad(image, ((0, -height % step), (0, -width % step), (0, 0)), mode="edge")
+    rows, columns = padded.shape[0] // step, padded.shape[1] // step
+    small = padded.reshape(rows, step, columns, step, channels).mean(axis=(1, 3))
+    size = 2 * round(width_fraction * columns / 2) + 1
+    calm = np.stack(
+        [ndimage.median_filter(small[..., c], size, mode="nearest") for c in range(channels)],
+        axis=-1,
+    )
+    if step == 1:
+        return calm
+    up = ndimage.zoom(calm, (step, step, 1), order=1, mode="nearest", grid_mode=True)
+    return np.ascontiguousarray(up[:height, :width]).astype(np.float32)
 
 
 def fill_holes(

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.buffers import BACKGROUND, GBuffers, ShadowBuffers
 from lightsim.core.dome import Sun
 from lightsim.core.found_visibility import (
     unoccluded_sun,
@@ -23,7 +23,7 @@ from lightsim.core.found_visibility import (
 from lightsim.core.solar import angle_between_deg
 from lightsim.errors import InputError
 from lightsim.relighting.physical.denoise import denoised_where_amplified
-from lightsim.relighting.physical.filters import fill_holes
+from lightsim.relighting.physical.filters import fill_holes, median_smoothed
 from lightsim.relighting.physical.matte import composite, foreground_radiance
 from lightsim.relighting.physical.shadow_refine import refine_sun_visibility
 
@@ -33,7 +33,7 @@ _ENCLOSED_RIM_PX = 3
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
 # (docs/benchmarks/relighting.md).
 
-# What exceeds this reflectance is a highlight: it follows the sky, not the shading.
+# No surface reflects more.
 _LARGEST_ALBEDO = 1.0
 # Of a pixel's radiance, the most that may be reflection.
 _MOST_REFLECTED = 0.7
@@ -43,6 +43,12 @@ _MOST_REFLECTED = 0.7
 _SHADING_DEVIATION = 0.35
 # Absolute error of the recorded radiance: noise and 8 bits in the dark.
 _RADIANCE_DEVIATION = 0.004
+# Smoothing of the light's change on upright static surfaces, and of what the base colour corrects,
+# as fractions of the picture's width: reveals, ledges and leaves of measured meshes are rough
+# guesses that say less than the picture's own details.
+_LIGHT_DETAIL, _CORRECTION_DETAIL = 8 / 480, 4 / 480
+# Level surfaces have no relief; on them thin shadows are known.
+_LEVEL = 0.8
 # Up to this angle between the suns, found shadow edges hold for the target as well.
 _SAME_SUN_DEG = 2.0
 
@@ -124,10 +130,11 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
     )
     is_surface = inputs.buffers.has_surface & (inputs.sky_matte < 0.5)
     is_surface &= ~_is_enclosed(foreground, inputs.source, is_surface, config)
-    ratio = _light_ratio(source, target, is_surface, config)
+    log_ratio = _log_light_ratio(source, target, is_surface, config)
+    ratio = np.exp(_without_relief(log_ratio, inputs.buffers))
     foreground = denoised_where_amplified(foreground, ratio.max(axis=-1))
     diffuse, reflected = _exchanged_reflections(foreground, source, target, is_surface)
-    relit = _relit_surface(diffuse, ratio, inputs, source, target, is_surface, config) + reflected
+    relit = _relit_surface(diffuse, ratio, inputs, target, is_surface, config) + reflected
     return composite(relit, inputs.target_sky, inputs.sky_matte)
 
 
@@ -178,26 +185,37 @@ def _is_enclosed(
     )
 
 
-def _light_ratio(
+def _without_relief(
+    log_ratio: Float32[np.ndarray, "h w 3"], buffers: GBuffers
+) -> Float32[np.ndarray, "h w 3"]:
+    """The light's change without thin details where the mesh only guesses them."""
+    is_level = np.abs(buffers.normal_world[..., 2]) > _LEVEL
+    is_rough = (buffers.actor_index == BACKGROUND) & ~is_level
+    calm = median_smoothed(log_ratio, _LIGHT_DETAIL)
+    return np.where(is_rough[..., None], calm, log_ratio)
+
+
+def _log_light_ratio(
     source: ShadowBuffers,
     target: ShadowBuffers,
     is_surface: Bool[np.ndarray, "h w"],
     config: RatioConfig,
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Target over source light; where no mesh is, that of the surroundings (1 if there are none).
+    """Log of target over source light; where no mesh is, that of the surroundings (0 if there are
+    none).
 
     Both get the same fraction of their own median added, so that a pixel in the dark under both
     keeps its radiance instead of an arbitrary quotient.
     """
     if not is_surface.any():
-        return np.ones_like(source.shaded)
+        return np.zeros_like(source.shaded)
     lit = [
         light.shaded + np.float32(config.darkest_fraction) * _median_light(light.shaded, is_surface)
         for light in (source, target)
     ]
     tiny = np.float32(1e-8)
     log_ratio = np.log(lit[1] + tiny) - np.log(lit[0] + tiny)
-    return np.exp(fill_holes(log_ratio.astype(np.float32), is_surface)).astype(np.float32)
+    return fill_holes(log_ratio.astype(np.float32), is_surface)
 
 
 def _exchanged_reflections(
@@ -220,14 +238,13 @@ def _relit_surface(
     foreground: Float32[np.ndarray, "h w 3"],
     ratio: Float32[np.ndarray, "h w 3"],
     inputs: RelightInputs,
-    source: ShadowBuffers,
     target: ShadowBuffers,
     is_surface: Bool[np.ndarray, "h w"],
     config: RatioConfig,
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Ratio and base colour combined by the inverse of their variances, pixel by pixel."""
-    diffuse, highlight = _split_highlight(foreground, source, is_surface, config)
-    by_ratio = diffuse * ratio + highlight * _sky_ratio(source, target, is_surface)
+    """Ratio and base colour combined by the inverse of their variances. Where the picture tells
+    anything, what the base colour changes is smooth: details come from the picture."""
+    by_ratio = foreground * ratio
     by_model = inputs.buffers.base_colour * target.shaded
     change = np.abs(np.log(np.maximum(ratio, np.float32(1e-8))))
     variance_ratio = np.square(by_ratio * change * np.float32(_SHADING_DEVIATION))
@@ -237,29 +254,13 @@ def _relit_surface(
     weight = np.where(
         is_surface[..., None], variance_model / (variance_model + variance_ratio), 1.0
     )
-    return (weight * by_ratio + (1 - weight) * by_model).astype(np.float32)
-
-
-def _split_highlight(
-    radiance: Float32[np.ndarray, "h w 3"],
-    source: ShadowBuffers,
-    is_surface: Bool[np.ndarray, "h w"],
-    config: RatioConfig,
-) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:
-    """What a diffuse surface can reflect, and the rest."""
-    floor = np.float32(config.darkest_fraction) * _median_light(source.shaded, is_surface)
-    most = np.float32(_LARGEST_ALBEDO) * (source.shaded + floor)
-    diffuse = np.where(is_surface[..., None], np.minimum(radiance, most), radiance)
-    return diffuse.astype(np.float32), (radiance - diffuse).astype(np.float32)
-
-
-def _sky_ratio(
-    source: ShadowBuffers, target: ShadowBuffers, is_surface: Bool[np.ndarray, "h w"]
-) -> Float32[np.ndarray, "3"]:
-    """Change of the light of the sky alone, per channel; 1 where the source has none."""
-    before = _median_light(source.sky, is_surface)
-    after = _median_light(target.sky, is_surface)
-    return np.where(before > 0, after / np.where(before > 0, before, 1.0), 1.0).astype(np.float32)
+    mixed = weight * by_ratio + (1 - weight) * by_model
+    floor = np.float32(config.darkest_fraction) * _median_light(target.shaded, is_surface) + 1e-8
+    correction = np.log(np.maximum(mixed, 0) + floor) - np.log(np.maximum(by_ratio, 0) + floor)
+    smooth = median_smoothed(correction.astype(np.float32), _CORRECTION_DETAIL)
+    detailed = (np.maximum(by_ratio, 0) + floor) * np.exp(smooth) - floor
+    is_told = is_surface & ~inputs.is_clipped
+    return np.where(is_told[..., None], np.maximum(detailed, 0), mixed).astype(np.float32)
 
 
 def _median_light(
