@@ -244,7 +244,7 @@ def _stands_free(
     met, through = int((is_aimed & is_met).sum()), int((is_aimed & is_past).sum())
     is_own = is_met & (np.abs(beside) < near)
     is_wider = is_met & (np.abs(beside) > near) & (np.abs(beside) < far)
-    is_thin = is_wider.sum() < _MOST_BESIDE * is_own.sum()
+    is_thin = bool(is_wider.sum() < _MOST_BESIDE * is_own.sum())
     return is_thin and min(passes) >= _LEAST_PASSES and met >= _LEAST_SOLID * (met + through)
 
 
