@@ -1,8 +1,8 @@
 """Poles, posts and trunks: upright rods that beams draw, and that a grid of samples breaks up.
 
 A column of space is a rod where returns lie close together, level above level, with nothing around
-them. What is measured of it becomes one tapering cylinder; mattes that show it before the sky carry
-it on above the highest beam.
+them. What is measured of it becomes one tapering cylinder; pictures carry it on above the highest
+beam.
 """
 
 from __future__ import annotations
