@@ -33,8 +33,6 @@ _ENCLOSED_RIM_PX = 3
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
 # (docs/benchmarks/relighting.md).
 
-# No surface reflects more.
-_LARGEST_ALBEDO = 1.0
 # Of a pixel's radiance, the most that may be reflection.
 _MOST_REFLECTED = 0.7
 # Relative error of a ratio for every e-fold by which it changes the light. More trust in the base
@@ -179,7 +177,7 @@ def _is_enclosed(
 
     least = np.float32(config.darkest_fraction) * _median_light(source.shaded, is_surface)
     is_dark = (source.shaded <= 0.25 * least).all(axis=-1)
-    is_bright = (foreground > least * np.float32(_LARGEST_ALBEDO)).any(axis=-1)
+    is_bright = (foreground > least).any(axis=-1)
     return np.asarray(
         binary_dilation(is_surface & is_dark & is_bright, iterations=_ENCLOSED_RIM_PX)
     )
