@@ -233,6 +233,10 @@ def test_faces_know_where_they_come_from(work: Path) -> None:
     assert np.median(distance_m[proxy]) > 20.0
     assert background.comes_from(Provenance.INTERPOLATED).any()
     assert workspace.inferred.comes_from(Provenance.INFERRED).all()
+    street, unseen = workspace.twin.assets.background, workspace.unobserved_occluders
+    nearest = KDTree(street.vertices).query(unseen.vertices)[1]
+    # No light is taken out of what no camera saw: the file rounds, no more.
+    assert np.allclose(unseen.base_colour, street.base_colour[nearest], atol=0.01)
     vehicles = [a.mesh for a in meshes.actors.values() if a.kind.is_vehicle]
     assert any(
         mesh.comes_from(Provenance.MIRRORED).any() and mesh.comes_from(Provenance.MEASURED).any()

@@ -6,10 +6,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float64, Int64
 
 from lightsim.core.frames import RigidTransform, Trajectory
+from lightsim.core.sensors import SWEEP_HOLD_S, LidarSweep
 from lightsim.errors import InputError
+
+_SWEPT_M = 3.0
+"""An actor moves by less while a sweep lasts."""
 
 
 class ActorKind(StrEnum):
@@ -103,6 +107,32 @@ class ActorTrack:
         self, points_world: Float[np.ndarray, "n 3"], time_ns: int, margin_m: float = 0.0
     ) -> Bool[np.ndarray, " n"]:
         """Which points lie inside the box (grown by `margin_m`) at a time."""
-        actor_from_world = self.world_from_actor(time_ns).inverse()
-        points_actor = actor_from_world.apply(points_world)
-        return np.all(np.abs(points_actor) <= self.size_lwh_m / 2 + margin_m, axis=1)
+        pose = self.world_from_actor(time_ns)
+        half = self.size_lwh_m / 2 + margin_m
+        near = _beside(points_world, pose, float(np.linalg.norm(half)))
+        is_inside = np.zeros(len(points_world), dtype=bool)
+        points_actor = pose.inverse().apply(points_world[near])
+        is_inside[near] = (np.abs(points_actor) <= half).all(axis=1)
+        return is_inside
+
+    def returns_beside(
+        self, sweep: LidarSweep
+    ) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, "k 3"]]:
+        """Returns of a sweep around the actor: their numbers, and where they lie in frame `actor`
+        at the time when beams met it. The actor is present at the sweep's time."""
+        pose = self.world_from_actor(sweep.time_ns, SWEEP_HOLD_S)
+        reach_m = float(np.linalg.norm(self.size_lwh_m)) / 2 + _SWEPT_M
+        near = _beside(sweep.points_world, pose, reach_m)
+        if len(near):
+            time_ns = sweep.time_ns + int(float(np.median(sweep.time_offset_s[near])) * 1e9)
+            if self.is_present(time_ns, SWEEP_HOLD_S):
+                pose = self.world_from_actor(time_ns, SWEEP_HOLD_S)
+        return near, pose.inverse().apply(sweep.points_world[near].astype(np.float64))
+
+
+def _beside(
+    points_world: Float[np.ndarray, "n 3"], pose: RigidTransform, reach_m: float
+) -> Int64[np.ndarray, " k"]:
+    """Points less than `reach_m` from a pose along x and y: most of a sweep lies elsewhere."""
+    offset = points_world[:, :2] - pose.translation_m[:2].astype(points_world.dtype)
+    return np.flatnonzero((np.abs(offset) < reach_m).all(axis=1))

@@ -146,7 +146,7 @@ STAGES = (
     ),
     Stage(
         "twin",
-        11,
+        12,
         ("log", "alignment", "assets", "sky"),
         lambda o: light.TwinConfig(),
         light.make_twin,

@@ -127,9 +127,18 @@ def _from_path(
     """Distance in plan from the nearest place of the path, and how far below it."""
     from scipy.spatial import KDTree
 
-    path = np.unique(np.round(path_world.astype(np.float64), 1), axis=0)
+    path = _distinct_places(path_world)
     distance, nearest = KDTree(path[:, :2]).query(surfels.position[:, :2])
     return distance, path[nearest, 2] - surfels.position[:, 2]
+
+
+def _distinct_places(path_world: Float[np.ndarray, "p 3"]) -> Float64[np.ndarray, "q 3"]:
+    """Each decimetre of space once: there is one place for every return of the log."""
+    cells = np.round(path_world.astype(np.float64) * 10).astype(np.int64)
+    low = cells.min(axis=0)
+    size = cells.max(axis=0) - low + 1
+    keys = np.ravel_multi_index(tuple((cells - low).T), tuple(size))
+    return cells[np.unique(keys, return_index=True)[1]] / 10
 
 
 def _is_pavement(surfels: Surfels, below_m: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:

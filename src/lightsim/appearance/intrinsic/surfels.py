@@ -253,7 +253,7 @@ def connect(surfels: Surfels, reach_m: float, rng: np.random.Generator) -> Graph
         keys.append(_keys_of_one_surface(surfels, pairs, reach_m))
     joined = np.concatenate(keys)
     keys.clear()
-    return _graph(surfels, np.unique(joined))
+    return _graph(surfels, _distinct(joined))
 
 
 def _graph(surfels: Surfels, keys: Int64[np.ndarray, " e"]) -> Graph:
@@ -306,7 +306,7 @@ def _keys_of_one_surface(
     """Those pairs whose surfels lie on one surface, as smaller index x count + larger index; each
     once: unique integers take a tenth of the memory of unique rows."""
     low, high = pairs.min(axis=1), pairs.max(axis=1)
-    key = np.unique((low * len(surfels) + high)[low != high])
+    key = _distinct((low * len(surfels) + high)[low != high])
     low, high = np.divmod(key, len(surfels))
     delta = surfels.position[high] - surfels.position[low]
     distance = np.linalg.norm(delta, axis=1)
@@ -314,3 +314,9 @@ def _keys_of_one_surface(
     lift = np.maximum(*(np.abs((delta * surfels.normal[i]).sum(axis=1)) for i in (low, high)))
     keep = (turn > 0.85) & (lift < 0.08 + 0.12 * distance) & (distance < 1.5 * reach_m)
     return key[keep]
+
+
+def _distinct(keys: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " k"]:
+    """Ascending, each once. NumPy 2.4 hashes integers in `unique`, which takes 80 times as long."""
+    ordered = np.sort(keys)
+    return ordered[np.diff(ordered, prepend=-1) > 0]

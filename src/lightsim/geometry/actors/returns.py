@@ -45,18 +45,7 @@ def returns_of_actors(log: DrivingLog) -> dict[str, Float32[np.ndarray, "_ 3"]]:
 
 def _within(track: ActorTrack, sweep: LidarSweep) -> Float32[np.ndarray, "_ 3"]:
     """A sweep's returns inside an actor's box, where it stood when the beam met it."""
-    centre = track.world_from_actor(sweep.time_ns, SWEEP_HOLD_S).translation_m
-    # It may move by a few metres while the sweep lasts.
-    reach = float(np.linalg.norm(track.size_lwh_m)) / 2 + 3.0
-    offset = np.abs(sweep.points_world[:, :2] - centre[:2].astype(np.float32))
-    near = np.flatnonzero((offset < reach).all(axis=1))
-    if len(near) == 0:
-        return np.zeros((0, 3), dtype=np.float32)
-    time_ns = sweep.time_ns + int(float(np.median(sweep.time_offset_s[near])) * 1e9)
-    if not track.is_present(time_ns, SWEEP_HOLD_S):
-        time_ns = sweep.time_ns
-    actor_from_world = track.world_from_actor(time_ns, SWEEP_HOLD_S).inverse()
-    points = actor_from_world.apply(sweep.points_world[near].astype(np.float64))
+    _, points = track.returns_beside(sweep)
     half = track.size_lwh_m / 2
     is_inside = (np.abs(points) <= half + _MARGIN_M).all(axis=1)
     is_inside &= points[:, 2] > _FLOOR_M - half[2]

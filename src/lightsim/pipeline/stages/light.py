@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
+from lightsim.appearance.colour import colour_of_nearest
 from lightsim.appearance.intrinsic.balance import balance_light
 from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, decompose, patches_of
 from lightsim.appearance.intrinsic.labels import Observed
@@ -248,9 +249,8 @@ def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Contex
         if tracks[actor.actor_id].is_moving:
             mesh = replace(mesh, sun_visibility=None)
         actors[actor.actor_id] = replace(actor, mesh=mesh)
-    if len(inferred.faces):
-        found = decompose(inferred, source.on(identity), config.intrinsic, rng)
-        inferred = found.mesh
+    # No picture shows a shadow on what nobody saw.
+    inferred = colour_of_nearest(inferred, street.mesh)
     assets = replace(assets, background=street.mesh, actors=actors)
     write_twin(folder, build_twin(work.log, assets, work.sky), inferred)
     return street.notes

@@ -98,23 +98,10 @@ def _time_slices(
 def label_points(actors: tuple[ActorTrack, ...], sweep: LidarSweep) -> Int64[np.ndarray, " n"]:
     """0 for the static scene, i + 1 for returns inside the box of actor i at their own time."""
     labels = np.zeros(len(sweep.points_world), dtype=np.int64)
-    xy = sweep.points_world[:, :2]
     for index, actor in enumerate(actors):
-        if not actor.is_present(sweep.time_ns, SWEEP_HOLD_S):
-            continue
-        centre = actor.world_from_actor(sweep.time_ns, SWEEP_HOLD_S).translation_m
-        reach = float(np.linalg.norm(actor.size_lwh_m)) / 2 + 3.0
-        near = np.flatnonzero((np.abs(xy - centre[:2].astype(np.float32)) < reach).all(axis=1))
-        if len(near) == 0:
-            continue
-        time_ns = sweep.time_ns + int(float(np.median(sweep.time_offset_s[near])) * 1e9)
-        if not actor.is_present(time_ns, SWEEP_HOLD_S):
-            time_ns = sweep.time_ns
-        actor_from_world = actor.world_from_actor(time_ns, SWEEP_HOLD_S).inverse()
-        inside = is_inside_box(
-            actor_from_world.apply(sweep.points_world[near].astype(np.float64)), actor
-        )
-        labels[near[inside]] = index + 1
+        if actor.is_present(sweep.time_ns, SWEEP_HOLD_S):
+            near, points_actor = actor.returns_beside(sweep)
+            labels[near[is_inside_box(points_actor, actor)]] = index + 1
     return labels
 
 

@@ -164,7 +164,8 @@ class FaceTable:
         for k, mesh in enumerate(self._meshes):
             low, high = self._first_face[k], self._first_face[k + 1]
             rows = np.flatnonzero((faces >= low) & (faces < high))
-            yield mesh, rows, faces[rows] - low
+            if len(rows):
+                yield mesh, rows, faces[rows] - low
 
     def _mean_colour(self, sides: Int64[np.ndarray, " f"]) -> Float32[np.ndarray, "f 3"]:
         """Mean base colour of the sides' faces: of the texture, which has shades that its mean at

@@ -90,12 +90,13 @@ def face_points(corners, shifts, count, points):
                 )
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 @no_type_check
 def mean_texels(image, corner_uv, shifts, count, out):
-    """Mean colour of each triangle of a texture, over `count` points spread evenly over it."""
+    """Mean colour of each triangle of a texture, over `count` points spread evenly over it; of
+    many small meshes, as in `face_normals`."""
     height, width = image.shape[0], image.shape[1]
-    for f in prange(corner_uv.shape[0]):
+    for f in range(corner_uv.shape[0]):
         total = np.zeros(3)
         for k in range(count):
             u = (shifts[f, 0] + (k + 1) * _GOLDEN_2D[0]) % 1.0
@@ -296,11 +297,12 @@ def renumber(numbers, new):
                 numbers[i, k] = new[numbers[i, k]]
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 @no_type_check
 def face_normals(vertices, faces, out):
-    """Normals of faces, not of unit length."""
-    for f in prange(len(faces)):
+    """Normals of faces, not of unit length. Meshes are many and small: waking threads for each
+    costs more than the work."""
+    for f in range(len(faces)):
         a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
         out[f, 0] = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
         out[f, 1] = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
