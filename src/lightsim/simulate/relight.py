@@ -40,7 +40,7 @@ from lightsim.store.lock import LOCK_NAME, locked
 from lightsim.store.mp4 import Mp4Writer
 from lightsim.store.scenario import write_scenario
 
-_SCHEMA = 6
+_SCHEMA = 7
 _STAGE = "relight"
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from lightsim.core.buffers import BACKGROUND, GBuffers, ShadowBuffers
+from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.dome import Sun
 from lightsim.core.found_visibility import (
     unoccluded_sun,
@@ -41,11 +41,12 @@ _MOST_REFLECTED = 0.7
 _SHADING_DEVIATION = 0.35
 # Absolute error of the recorded radiance: noise and 8 bits in the dark.
 _RADIANCE_DEVIATION = 0.004
-# Smoothing of the light's change on upright static surfaces, and of what the base colour corrects,
-# as fractions of the picture's width: reveals, ledges and leaves of measured meshes are rough
-# guesses that say less than the picture's own details.
-_LIGHT_DETAIL, _CORRECTION_DETAIL = 8 / 480, 4 / 480
-# Level surfaces have no relief; on them thin shadows are known.
+# Widths of the medians, as fractions of the picture's, over the light's change on upright and on
+# level surfaces, over reflections, and over what the base colour corrects: reveals, ledges, leaves
+# and panes of meshes are rough guesses that say less than the picture's own details. Level surfaces
+# have no relief; on them thin shadows are known.
+_UPRIGHT_DETAIL, _LEVEL_DETAIL = 14 / 480, 5 / 480
+_REFLECTION_DETAIL, _CORRECTION_DETAIL = 6 / 480, 4 / 480
 _LEVEL = 0.8
 # Up to this angle between the suns, found shadow edges hold for the target as well.
 _SAME_SUN_DEG = 2.0
@@ -186,11 +187,10 @@ def _is_enclosed(
 def _without_relief(
     log_ratio: Float32[np.ndarray, "h w 3"], buffers: GBuffers
 ) -> Float32[np.ndarray, "h w 3"]:
-    """The light's change without thin details where the mesh only guesses them."""
+    """The light's change without thin details, which meshes only guess."""
     is_level = np.abs(buffers.normal_world[..., 2]) > _LEVEL
-    is_rough = (buffers.actor_index == BACKGROUND) & ~is_level
-    calm = median_smoothed(log_ratio, _LIGHT_DETAIL)
-    return np.where(is_rough[..., None], calm, log_ratio)
+    level, upright = (median_smoothed(log_ratio, d) for d in (_LEVEL_DETAIL, _UPRIGHT_DETAIL))
+    return np.where(is_level[..., None], level, upright)
 
 
 def _log_light_ratio(
@@ -225,10 +225,13 @@ def _exchanged_reflections(
     """The picture without what its surfaces reflect of the source, and what they reflect of the
     target. Where the model reflects more than the picture can hold, part of it is believed, and the
     same part of the target's."""
-    held = np.where(is_surface[..., None], source.reflected, 0.0)
+    before, after = (
+        median_smoothed(light.reflected, _REFLECTION_DETAIL) for light in (source, target)
+    )
+    held = np.where(is_surface[..., None], before, 0.0)
     most = np.float32(_MOST_REFLECTED) * foreground
     part = np.where(held > most, most / np.maximum(held, np.float32(1e-9)), 1.0)
-    reflected = np.where(is_surface[..., None], part * target.reflected, 0.0)
+    reflected = np.where(is_surface[..., None], part * after, 0.0)
     return (foreground - part * held).astype(np.float32), reflected.astype(np.float32)
 
 
