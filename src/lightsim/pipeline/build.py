@@ -118,7 +118,7 @@ STAGES = (
     ),
     Stage(
         "geometry",
-        19,
+        20,
         ("log", "masks", "alignment", "neural"),
         _no_settings,
         surfaces.make_geometry,
@@ -146,7 +146,7 @@ STAGES = (
     ),
     Stage(
         "twin",
-        11,
+        12,
         ("log", "alignment", "assets", "sky"),
         lambda o: light.TwinConfig(),
         light.make_twin,

@@ -49,7 +49,7 @@ from lightsim.appearance.intrinsic.texture import (
     texture_without_light,
 )
 from lightsim.core.colour import LUMINANCE_WEIGHTS
-from lightsim.core.mesh import Provenance, SunVisibility, TriMesh
+from lightsim.core.mesh import MIRROR_ROUGHNESS, Provenance, SunVisibility, TriMesh
 from lightsim.errors import InputError
 
 __all__ = [
@@ -207,8 +207,10 @@ def patches_of(
 
 def _labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:
     """Faces on which the pictures say where shadows lie: not those of the background proxy, on
-    which shadows fall where they happen to, and which is larger than all that was measured."""
-    return np.flatnonzero(~mesh.comes_from(Provenance.BACKGROUND_PROXY))
+    which shadows fall where they happen to, and which is larger than all that was measured; nor
+    panes, which are dark in any light."""
+    is_told = ~mesh.comes_from(Provenance.BACKGROUND_PROXY)
+    return np.flatnonzero(is_told & (mesh.face_roughness() >= MIRROR_ROUGHNESS))
 
 
 def _visibility(
