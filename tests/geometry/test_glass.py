@@ -48,7 +48,7 @@ def _is_pane(x: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 def _is_shadow(x: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Of a roof's edge, slanting across the wall, and of a pole."""
-    return (z > 1.0 + 0.3 * x) | (np.abs(x - z - 9.0) < 0.3)
+    return (z > 1.0 + 0.3 * x) | (np.abs(x - z - 9.0) < 0.2)
 
 
 def _frames(is_dark, gain: float = 1.0) -> Iterator[tuple[CameraFrame, PinholeCamera]]:

@@ -47,6 +47,18 @@ _USUAL = 0.7
 _DARKEST = 2e-3
 # Most that brightness (log) and missing returns (fraction) say of one cell.
 _DARK, _MISSING = (-1.0, 1.5), (-1.0, 1.0)
+# Evidence from which on a cell is glass rather than wall, half way between what they show; and by
+# which it must differ across each side of a pane, as a fraction of the pane's own.
+_BETWEEN, _LEAST_STEP = 0.45, 0.4
+# Strips on both sides of an edge that are compared, in cells, and the part that must be known.
+_STRIP, _LEAST_KNOWN = 2, 0.6
+# Panes' least and greatest width and height.
+_WIDTHS_M, _HEIGHTS_M = (0.5, 4.0), (0.75, 3.0)
+_ROUNDS = 4
+# Returns that tell how deep a pane lies in its frame, and between which depths.
+_LEAST_ON_FRAME, _RECESS_M = 8, (0.03, 0.35)
+# Percentile of these returns: rectangles may hold some of the wall, too.
+_DEEPEST = 25
 
 
 @dataclass(frozen=True)
@@ -226,18 +238,20 @@ def _missing(
     offset_m: Float64[np.ndarray, "s z"], place: Float64[np.ndarray, "m 2"]
 ) -> tuple[Float64[np.ndarray, "s z"], Bool[np.ndarray, "s z"]]:
     """Fraction of the returns that the wall around gives and a cell does not, and where the wall
-    around gives any."""
-    from scipy.ndimage import gaussian_filter, uniform_filter
+    around gives any, above and below."""
+    from scipy.ndimage import gaussian_filter, minimum_filter, uniform_filter1d
 
     cell = np.floor(place).astype(np.int64)
     is_inside = ((cell >= 0) & (cell < offset_m.shape)).all(axis=1)
     count = np.zeros(offset_m.shape)
     np.add.at(count, tuple(cell[is_inside].T), 1.0)
     size = [2 * round(reach / _CELL_M) + 1 for reach in _BEAMS_M]
-    around = np.asarray(uniform_filter(count, size))
+    around = uniform_filter1d(uniform_filter1d(count, size[0], axis=0), size[1], axis=1)
     own = np.asarray(gaussian_filter(count, 0.7))
     missing = _USUAL - own / np.maximum(around, _LEAST_RETURNS)
-    return np.clip(missing, *_MISSING), around > _LEAST_RETURNS
+    # Above the highest beam nothing is missing.
+    is_met = np.asarray(minimum_filter(around, (1, size[1]))) > _LEAST_RETURNS
+    return np.clip(missing, *_MISSING), is_met
 
 
 def _is_closed(offset_m: Float64[np.ndarray, "s z"]) -> Bool[np.ndarray, "s z"]:
@@ -250,20 +264,6 @@ def _is_closed(offset_m: Float64[np.ndarray, "s z"]) -> Bool[np.ndarray, "s z"]:
     return closed[reach:-reach, reach:-reach]
 
 
-# Evidence from which on a cell is glass rather than wall, half way between what they show; and by
-# which it must differ across each side of a pane, as a fraction of the pane's own.
-_BETWEEN, _LEAST_STEP = 0.4, 0.4
-# Strips on both sides of an edge that are compared, in cells, and the part that must be known.
-_STRIP, _LEAST_KNOWN = 2, 0.6
-# Panes' least and greatest width and height.
-_WIDTHS_M, _HEIGHTS_M = (0.5, 4.0), (0.75, 3.0)
-_ROUNDS = 4
-# Returns that tell how deep a pane lies in its frame, and between which depths.
-_LEAST_ON_FRAME, _RECESS_M = 8, (0.03, 0.35)
-# Percentile of these returns: rectangles may hold some of the wall, too.
-_DEEPEST = 25
-
-
 def _panes(
     facade: _Facade, out_m: Float64[np.ndarray, " m"], place: Float64[np.ndarray, "m 2"]
 ) -> list[Pane]:
@@ -271,10 +271,7 @@ def _panes(
     boxes = find_rectangles(facade.evidence, facade.is_known)
     level = [_level_m(facade.offset_m, box) for box in boxes]
     recess = np.array(
-        [
-            _recess_m(out_m, place, box, around)
-            for box, around in zip(boxes, level, strict=True)
-        ]
+        [_recess_m(out_m, place, box, around) for box, around in zip(boxes, level, strict=True)]
     )
     # Panes of one wall lie equally deep: what beams tell of some holds for the others.
     usual = float(np.nanmedian(recess)) if np.isfinite(recess).any() else _RECESS_M[0]
@@ -323,8 +320,9 @@ def find_rectangles(
 def _level_m(offset_m: Float64[np.ndarray, "s z"], box: tuple[int, int, int, int]) -> float:
     """Of the wall around a rectangle, before the plane."""
     i, j, width, height = box
-    outer = slice(max(i - _STRIP, 0), i + width + _STRIP), slice(
-        max(j - _STRIP, 0), j + height + _STRIP
+    outer = (
+        slice(max(i - _STRIP, 0), i + width + _STRIP),
+        slice(max(j - _STRIP, 0), j + height + _STRIP),
     )
     ring = offset_m.copy()
     ring[i : i + width, j : j + height] = np.nan
