@@ -178,3 +178,10 @@ def test_panes_are_guessed_only_in_walls_that_are() -> None:
 def test_without_panes_nothing_changes() -> None:
     mesh = _facade()
     assert glaze(mesh, []) is mesh
+
+
+def test_a_pane_is_found_once_though_two_planes_lie_close() -> None:
+    near = Wall(WALL.origin_m + 0.2 * WALL.normal, WALL.normal, WALL.along, (0.0, 16.0), (0.0, 6.0))
+    caster = EmbreeCaster([_facade()])
+    panes = find_glass([WALL, near], lambda: _frames(_is_pane), _returns(_is_pane, 0.1), caster)
+    assert len(panes) == len(PANES)

@@ -117,8 +117,20 @@ def find_glass(
         evidence = np.where(is_shown, dark, 0.0) + np.where(is_met, missing, 0.0)
         is_known = (is_shown | is_met) & _is_closed(offset)
         facade = _Facade(wall, offset, np.where(is_known, evidence, 0.0), is_known)
-        panes += _panes(facade, out, place)
+        panes += [pane for pane in _panes(facade, out, place) if not _is_among(pane, panes)]
     return panes
+
+
+def _is_among(pane: Pane, others: Sequence[Pane]) -> bool:
+    """Whether a pane's middle lies in one of another wall: planes may lie close together."""
+    middle = pane.wall.at(np.array(np.mean(pane.span_m)), np.array(np.mean(pane.height_m)))
+    for other in others:
+        way = middle - other.wall.origin_m
+        is_in = other.span_m[0] < way @ other.wall.along < other.span_m[1]
+        is_in &= other.height_m[0] < middle[2] < other.height_m[1]
+        if is_in and abs(way @ other.wall.normal) < _BEHIND_M:
+            return True
+    return False
 
 
 def _offsets(wall: Wall, caster: RayCaster) -> Float64[np.ndarray, "s z"]:
