@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from lightsim.appearance.intrinsic.bodies import body_colours
+from lightsim.appearance.intrinsic.panes import pane_colours, pane_vertices
 from lightsim.core.mesh import Material, TriMesh
 
 
@@ -45,3 +46,36 @@ def test_the_unseen_side_takes_the_other_sides_colours_part_by_part() -> None:
     nothing, is_filled = body_colours(mesh, wrong, np.zeros(len(vertices), dtype=bool))
     np.testing.assert_array_equal(nothing, wrong)
     assert not is_filled.any()
+
+
+def test_each_pane_of_a_wall_has_its_own_dark_colour() -> None:
+    """A wall with three panes: a dark one half of which mirrors the sky, a curtain, one unseen."""
+    square = np.array([[0, 0, 0], [0.2, 0, 0], [0.2, 0, 1], [0, 0, 1]], np.float32)
+    strips = np.array([[0, 0, 0], [0.4, 0, 0], [2, 0, 0], [2.4, 0, 0], [4, 0, 0], [9, 0, 0]])
+    vertices = (square + strips[:, None]).reshape(-1, 3).astype(np.float32)
+    # The second strip shares an edge with the first, and the fourth with the third.
+    joined = np.array([[4, 7], [12, 15]])
+    vertices[joined] = vertices[[[1, 2], [9, 10]]]
+    index = np.arange(24)
+    index[joined] = [[1, 2], [9, 10]]
+    quads = index.reshape(6, 4)
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int32)
+    is_glass = np.tile([True, True, True, True, True, False], 2)
+    mesh = TriMesh(
+        "world",
+        vertices,
+        faces,
+        np.zeros_like(vertices),
+        (Material(0.8), Material(0.05, 0.0, "glass")),
+        is_glass.astype(np.uint8),
+    )
+    is_pane = pane_vertices(mesh)
+    np.testing.assert_array_equal(np.flatnonzero(~is_pane), [4, 7, 12, 15, *range(20, 24)])
+    colour = np.repeat([[0.05], [0.4], [0.3], [0.3], [0.9], [0.6]], 4, axis=0) * np.ones(3)
+    is_seen = np.repeat([True, True, True, True, False, True], 4)
+    found = pane_colours(mesh, colour, is_pane, is_seen)[:, 0]
+    np.testing.assert_allclose(found[[0, 3, 5, 6]], 0.05)
+    np.testing.assert_allclose(found[[8, 13]], 0.3)
+    # Of the unseen one, the percentile over all panes.
+    np.testing.assert_allclose(found[16:20], 0.05, atol=0.05)
+    np.testing.assert_array_equal(found[20:], 0.6)

@@ -160,12 +160,12 @@ def test_houses_have_a_depth_and_the_open_stays_empty(canyon) -> None:
         assert _height_m(meshes, x_m, y_m) == -np.inf
 
 
-def test_windows_close_and_seen_walls_are_not_hidden(canyon) -> None:
+def test_holes_close_and_seen_walls_are_not_hidden(canyon) -> None:
     visible, casting = canyon[0]
     pane = visible.comes_from(Provenance.INTERPOLATED)
     assert visible.comes_from(Provenance.INFERRED)[~pane].all()
     assert visible.face_material is not None
-    assert {visible.materials[k].name for k in visible.face_material[pane]} == {"window"}
+    assert {visible.materials[k].name for k in visible.face_material[pane]} == {"facade"}
     x = visible.vertices[visible.faces[pane]].reshape(-1, 3)
     np.testing.assert_allclose(x.min(axis=0)[[0, 2]], WINDOW[::2], atol=0.26)
     np.testing.assert_allclose(x.max(axis=0)[[0, 2]], WINDOW[1::2], atol=0.26)

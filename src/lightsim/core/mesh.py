@@ -16,6 +16,8 @@ MATTE_ROUGHNESS = 0.6
 pixel to pixel as diffuse light does. Their diffuse reflection is Lambert's: towards grazing angles
 the diffuse part of rough materials brightens about as Fresnel's reflection dims it (Burley 2012,
 Sec. 5.3)."""
+MIRROR_ROUGHNESS = 0.2
+"""Smoother surfaces are panes: what they show is a reflection, or stands behind them."""
 
 
 class Provenance(IntEnum):

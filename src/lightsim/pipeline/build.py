@@ -118,7 +118,7 @@ STAGES = (
     ),
     Stage(
         "geometry",
-        19,
+        20,
         ("log", "masks", "alignment", "neural"),
         _no_settings,
         surfaces.make_geometry,

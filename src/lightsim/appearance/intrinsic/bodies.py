@@ -5,15 +5,12 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
-from lightsim.core.mesh import TriMesh
+from lightsim.appearance.intrinsic.panes import PANE_PERCENTILE
+from lightsim.core.mesh import MIRROR_ROUGHNESS, TriMesh
 
 _NEIGHBOURS = 6
 _REACH_M = 0.5
 """Further from all that was seen, a part has one colour: the median of what was seen of it."""
-_MIRROR_ROUGHNESS = 0.2
-"""Smoother parts are panes."""
-_PANE_PERCENTILE = 20
-"""Of what was seen in panes: little of it is light that others reflect."""
 
 
 def body_colours(
@@ -35,8 +32,8 @@ def body_colours(
         seen, unseen = np.flatnonzero(members & is_seen), np.flatnonzero(members & ~is_seen)
         if len(seen) == 0:
             continue
-        if mesh.materials and mesh.materials[number].roughness < _MIRROR_ROUGHNESS:
-            result[members] = np.percentile(colour[seen], _PANE_PERCENTILE, axis=0)
+        if mesh.materials and mesh.materials[number].roughness < MIRROR_ROUGHNESS:
+            result[members] = np.percentile(colour[seen], PANE_PERCENTILE, axis=0)
             is_filled |= members
             continue
         if len(unseen) == 0:

@@ -1,10 +1,10 @@
-"""Buildings behind measured walls: panes closed, walls raised, and how high all of it rises.
+"""Buildings behind measured walls: holes closed, walls raised, and how high all of it rises.
 
 Beams pass through glass and end at the LiDAR's highest channel. What is missing of a building is
-closed on the planes of its measured walls; each wall is the front of an upright prism. What some
-view shows of it belongs to the visible mesh and gets its texture from the images; what no view
-shows (roofs, rear walls, the tops of houses near the road) casts shadows and is kept apart
-(`prisms`).
+closed on the planes of its measured walls (`glass` tells which of it is glass); each wall is the
+front of an upright prism. What some view shows of it belongs to the visible mesh and gets its
+texture from the images; what no view shows (roofs, rear walls, the tops of houses near the road)
+casts shadows and is kept apart (`prisms`).
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ from lightsim.geometry.completion.wall_cells import MAX_HEIGHT_M, WallCells, gat
 from lightsim.geometry.completion.walls import find_walls
 from lightsim.geometry.materials import FACADE
 
-WINDOW = Material(0.1, 0.0, "window")
 _OFFSET_LIMIT_M = 0.3
 _HOUSE_REACH_M = 2.0
 """Columns this near tell how far out a house stands. Not measured alone."""
@@ -50,7 +49,7 @@ def complete_buildings(
     make_caster: MakeCaster,
 ) -> tuple[TriMesh, list[Roofline]]:
     """What views show of buildings, and of other things that stand upright, beyond what was
-    measured (panes interpolated, the rest inferred; frame world, black), and how high walls rise.
+    measured (holes interpolated, the rest inferred; frame world, black), and how high walls rise.
 
     Args:
         background: measured static surfaces, frame world, outward faces counter-clockwise.
@@ -89,7 +88,7 @@ def _visible_parts(cells: WallCells, roofline: Roofline) -> Iterator[TriMesh]:
     is_pane = find_panes(cells)
     is_upper = _unmeasured(cells, roofline) & ~is_pane
     if is_pane.any():
-        pane = _mesh_cells(cells, is_pane, offset, WINDOW)
+        pane = _mesh_cells(cells, is_pane, offset, FACADE)
         yield pane.with_provenance(Provenance.INTERPOLATED)
     if is_upper.any():
         upper = _mesh_cells(cells, is_upper, offset, FACADE)

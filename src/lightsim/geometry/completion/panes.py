@@ -1,4 +1,5 @@
-"""Holes of walls that measured wall surrounds: panes that beams went through."""
+"""Holes of walls that measured wall surrounds, mostly windows that beams went through; which of
+them are panes of glass is told by `glass`."""
 
 from __future__ import annotations
 

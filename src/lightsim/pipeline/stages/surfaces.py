@@ -18,8 +18,11 @@ from lightsim.core.twin import SceneAssets
 from lightsim.geometry.completion.buildings import complete_buildings
 from lightsim.geometry.completion.far_field import build_far_field
 from lightsim.geometry.completion.flatten import flatten_walls
+from lightsim.geometry.completion.glass import find_glass
+from lightsim.geometry.completion.glazing import glaze
 from lightsim.geometry.completion.pole_meshes import with_poles
 from lightsim.geometry.completion.poles import find_poles, raise_poles
+from lightsim.geometry.completion.walls import find_walls
 from lightsim.geometry.mesh_scene import mesh_scene
 from lightsim.geometry.simplify import simplify_planar
 from lightsim.pipeline.assemble import roofs_over
@@ -60,7 +63,15 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
         returns.points,
         make_caster=make_embree_caster,
     )
+    walls = find_walls(background)
     background = concatenate_meshes([background, simplify_planar(facades)])
+    panes = find_glass(
+        walls,
+        lambda: ((frame, log.cameras[frame.camera_name]) for frame in log.frames),
+        returns.points,
+        make_embree_caster([background]),
+    )
+    background = glaze(background, panes)
     far = build_far_field(
         background,
         views(),
@@ -75,6 +86,7 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
         *meshes.notes,
         f"{len(facades.faces)} faces close windows and raise facades, {len(far.faces)} stand "
         f"beyond the LiDAR's reach; {len(rooflines)} walls have a roof: inferred, not measured",
+        f"{len(panes)} panes of glass are set into walls",
         f"{len(poles)} poles, posts and trunks stand as rods",
     )
 

@@ -1,0 +1,174 @@
+"""Panes of glass set into walls: the wall cut open, the pane at its frame's depth, reveals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
+from lightsim.geometry.completion.glass import Pane
+from lightsim.geometry.materials import FACADE, GLASS
+from lightsim.geometry.surface import keep_faces, make_mesh
+
+# Surface this far before and behind a wall is replaced by its panes.
+_FRONT_M, _BEHIND_M = 0.2, 0.7
+# Panes are larger than their holes by this much: no gap shows what lies behind.
+_OVERLAP_M = 0.02
+# Edges of a pane's faces: each has its own patch of texture, as fine as those of the wall.
+_EDGE_M = 0.25
+# Corners nearer to a line than this lie on it.
+_ON_LINE_M = 1e-4
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+def glaze(mesh: TriMesh, panes: Sequence[Pane]) -> TriMesh:
+    """The surface with panes in place of what was there; frame world, black, without texture.
+
+    A pane is interpolated between measured surface, or inferred where the wall around it is.
+    """
+    if not panes:
+        return mesh
+    is_inferred = mesh.comes_from(Provenance.INFERRED)
+    faces = _Faces(mesh)
+    glass: list[TriMesh] = []
+    for pane in panes:
+        replaced = faces.cut_open(pane)
+        is_guess = len(replaced) > 0 and is_inferred[replaced].mean() > 0.5
+        source = Provenance.INFERRED if is_guess else Provenance.INTERPOLATED
+        glass.append(_pane_mesh(pane).with_provenance(source))
+    return concatenate_meshes([faces.joined(), *glass])
+
+
+class _Faces:
+    """A mesh whose faces are split and dropped.
+
+    Each face keeps the number of the one that it is a part of, `row`.
+    """
+
+    def __init__(self, mesh: TriMesh) -> None:
+        self._mesh = mesh
+        self._vertices = mesh.vertices.astype(np.float64)
+        self._faces = mesh.faces.astype(np.int64)
+        self._row = np.arange(len(mesh.faces))
+
+    def joined(self) -> TriMesh:
+        """What is left."""
+        mesh, row = self._mesh, self._row
+        material, provenance = mesh.face_material, mesh.face_provenance
+        left = replace(
+            mesh,
+            vertices=self._vertices.astype(np.float32),
+            faces=self._faces.astype(np.int32),
+            base_colour=np.zeros((len(self._vertices), 3), dtype=np.float32),
+            face_material=None if material is None else material[row],
+            face_provenance=None if provenance is None else provenance[row],
+        )
+        return keep_faces(left, np.ones(len(row), dtype=bool))
+
+    def cut_open(self, pane: Pane) -> Int64[np.ndarray, " k"]:
+        """Drop the wall within a pane's rectangle; the rows of what is dropped."""
+        wall = pane.wall
+        along = float(wall.origin_m @ wall.along)
+        edges = [(wall.along, along + s) for s in pane.span_m]
+        edges += [(_UP, z) for z in pane.height_m]
+        near = self._touching(pane)
+        faces, row = self._faces[near], self._row[near]
+        for axis, at_m in edges:
+            faces, row = self._split(faces, row, axis, at_m)
+        s, z, out = _local(self._vertices[faces].mean(axis=1), pane)
+        is_in = (s > pane.span_m[0]) & (s < pane.span_m[1]) & (out > -_BEHIND_M) & (out < _FRONT_M)
+        is_in &= (z > pane.height_m[0]) & (z < pane.height_m[1])
+        self._faces = np.concatenate([np.delete(self._faces, near, axis=0), faces[~is_in]])
+        self._row = np.concatenate([np.delete(self._row, near), row[~is_in]])
+        return row[is_in]
+
+    def _touching(self, pane: Pane) -> Int64[np.ndarray, " k"]:
+        """Faces near the wall whose box in its plane meets the pane's."""
+        limits = (pane.span_m, pane.height_m, (-_BEHIND_M, _FRONT_M))
+        is_touching = np.ones(len(self._faces), dtype=bool)
+        for values, (low, high) in zip(_local(self._vertices, pane), limits, strict=True):
+            # No face touches that has all corners beyond one side.
+            is_touching &= (values > low)[self._faces].any(axis=1)
+            is_touching &= (values < high)[self._faces].any(axis=1)
+        return np.flatnonzero(is_touching)
+
+    def _split(
+        self,
+        faces: Int64[np.ndarray, "n 3"],
+        row: Int64[np.ndarray, " n"],
+        axis: Float64[np.ndarray, "3"],
+        at_m: float,
+    ) -> tuple[Int64[np.ndarray, "m 3"], Int64[np.ndarray, " m"]]:
+        """Faces cut where `points @ axis == at_m`: each that crosses becomes three; their rows."""
+        side = self._vertices[faces] @ axis - at_m
+        is_crossing = (side.max(axis=1) > _ON_LINE_M) & (side.min(axis=1) < -_ON_LINE_M)
+        side = side[is_crossing]
+        # The corner that lies alone on its side comes first.
+        is_above = side > 0
+        is_alone = np.where(is_above.sum(axis=1, keepdims=True) == 1, is_above, ~is_above)
+        turn = (is_alone.argmax(axis=1)[:, None] + np.arange(3)) % 3
+        a, b, c = np.take_along_axis(faces[is_crossing], turn, axis=1).T
+        side = np.take_along_axis(side, turn, axis=1)
+        part = side[:, :1] / (side[:, :1] - side[:, 1:])
+        points = self._vertices
+        cuts = [
+            points[a] + part[:, [k]] * (points[other] - points[a]) for k, other in enumerate((b, c))
+        ]
+        on_b = len(points) + np.arange(len(side))
+        on_c = on_b + len(side)
+        self._vertices = np.concatenate([points, *cuts])
+        made = [
+            np.stack(corners, axis=1)
+            for corners in ((a, on_b, on_c), (on_b, b, c), (on_b, c, on_c))
+        ]
+        rows = np.concatenate([row[~is_crossing], np.tile(row[is_crossing], 3)])
+        return np.concatenate([faces[~is_crossing], *made]), rows
+
+
+def _local(
+    points: Float64[np.ndarray, "n 3"], pane: Pane
+) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+    """Place along the wall, height, and distance before the wall around the pane."""
+    way = points - pane.wall.origin_m
+    return way @ pane.wall.along, points[:, 2], way @ pane.wall.normal - pane.wall_m
+
+
+def _pane_mesh(pane: Pane) -> TriMesh:
+    """The pane, and the four reveals that join it to the wall; seen from before the wall."""
+    wall, grown = pane.wall, np.array([-_OVERLAP_M, _OVERLAP_M])
+    width, height = np.ptp(pane.span_m) * wall.along, np.ptp(pane.height_m) * _UP
+    deep = (pane.wall_m - pane.out_m) * wall.normal
+    (s0, s1), (z0, z1) = pane.span_m, pane.height_m
+    left_low, right_low, left_high = (
+        wall.at(np.array(s), np.array(z), pane.out_m) for s, z in ((s0, z0), (s1, z0), (s0, z1))
+    )
+    across, up = np.array(pane.span_m) + grown, np.array(pane.height_m) + grown
+    corner = wall.at(across[:1], up[:1], pane.out_m)[0]
+    reveals = [
+        _grid(left_low, height, deep, FACADE),
+        _grid(right_low, deep, height, FACADE),
+        _grid(left_low, deep, width, FACADE),
+        _grid(left_high, width, deep, FACADE),
+    ]
+    glass = _grid(corner, np.ptp(across) * wall.along, np.ptp(up) * _UP, GLASS)
+    return concatenate_meshes([glass, *reveals])
+
+
+def _grid(
+    corner: Float64[np.ndarray, "3"],
+    first: Float64[np.ndarray, "3"],
+    second: Float64[np.ndarray, "3"],
+    material: Material,
+) -> TriMesh:
+    """A parallelogram of cells; seen from where the cross product of its edges points to."""
+    count = [max(1, int(np.ceil(np.linalg.norm(edge) / _EDGE_M))) for edge in (first, second)]
+    i, j = (k.reshape(-1, 1) for k in np.indices((count[0] + 1, count[1] + 1)))
+    points = corner + i / count[0] * first + j / count[1] * second
+    across = count[1] + 1
+    start = (np.arange(count[0])[:, None] * across + np.arange(count[1])).reshape(-1)
+    quad = [start, start + across, start + across + 1, start + 1]
+    faces = [np.stack([quad[k] for k in corners], axis=1) for corners in ((0, 1, 2), (0, 2, 3))]
+    return replace(make_mesh("world", points, np.concatenate(faces)), materials=(material,))

@@ -1,0 +1,187 @@
+"""A facade across the street: dark mirrors in it are panes, blank walls and shadows are not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from lightsim.core.buildings import Wall
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.frames import RigidTransform
+from lightsim.core.mesh import Provenance, TriMesh
+from lightsim.core.sensors import CameraFrame
+from lightsim.geometry.completion.glass import Pane, find_glass, find_rectangles
+from lightsim.geometry.completion.glazing import glaze
+from lightsim.geometry.materials import FACADE, GLASS
+from lightsim.render.casters.embree import EmbreeCaster
+
+CAMERA = PinholeCamera("left", 480, 270, 240.0, 240.0, 240.0, 135.0)
+# The wall stands at y = 8, looks to -y and reaches from x = 0 to 16 and up to 6 m.
+WALL = Wall(
+    np.array([0.0, 8.0, 0.0]),
+    np.array([0.0, -1.0, 0.0]),
+    np.array([1.0, 0.0, 0.0]),
+    (0.0, 16.0),
+    (0.0, 6.0),
+)
+# Low and high x, low and high z.
+PANES = ((2.0, 3.5, 1.0, 2.5), (6.0, 7.5, 1.0, 2.5), (10.0, 13.0, 0.75, 3.0))
+WHITE, DARK = 180, 60
+
+
+def _facade() -> TriMesh:
+    """The wall in squares of 0.5 m."""
+    x, z = (k.ravel() for k in np.meshgrid(np.arange(33) / 2, np.arange(13) / 2, indexing="ij"))
+    points = np.stack([x, np.full_like(x, 8.0), z], axis=1).astype(np.float32)
+    start = (np.arange(32)[:, None] * 13 + np.arange(12)).ravel()
+    quad = np.stack([start, start + 13, start + 14, start + 1], axis=1)
+    faces = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]]).astype(np.int32)
+    return TriMesh("world", points, faces, np.zeros_like(points), (FACADE,))
+
+
+def _is_pane(x: np.ndarray, z: np.ndarray) -> np.ndarray:
+    inside = [(x > a) & (x < b) & (z > c) & (z < d) for a, b, c, d in PANES]
+    return np.logical_or.reduce(inside)
+
+
+def _is_shadow(x: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Of a roof's edge, slanting across the wall, and of a pole."""
+    return (z > 1.0 + 0.3 * x) | (np.abs(x - z - 9.0) < 0.2)
+
+
+def _frames(is_dark, gain: float = 1.0) -> Iterator[tuple[CameraFrame, PinholeCamera]]:
+    """A camera that looks at the wall and drives along it."""
+    rotation = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
+    for number, x_m in enumerate(np.arange(1.0, 15.0, 2.0)):
+        pose = RigidTransform.from_rotation("world", "camera", rotation, np.array([x_m, 0, 1.6]))
+        frame = CameraFrame("left", f"{number}", number, pose, lambda: np.zeros((1, 1, 3), "u1"))
+        origins, rays = frame.pixel_rays(CAMERA, CAMERA.pixel_centres().reshape(-1, 2))
+        place = origins + ((8.0 - origins[:, 1]) / rays[:, 1])[:, None] * rays
+        dark = is_dark(place[:, 0], place[:, 2])
+        image = gain * np.where(dark, DARK, WHITE)[:, None] * np.ones(3)
+        image = image.astype(np.uint8).reshape(CAMERA.height_px, -1, 3)
+        yield CameraFrame("left", frame.stem, number, pose, lambda image=image: image), CAMERA
+
+
+def _returns(is_missing=None, recess_m: float | None = None) -> np.ndarray:
+    """Beams on the wall; in panes none, or only their bars send some back."""
+    x, z = (k.ravel() for k in np.meshgrid(np.arange(0, 16, 0.05), np.arange(0, 4, 0.1)))
+    y = np.full_like(x, 8.0)
+    if is_missing is not None:
+        missing = is_missing(x, z)
+        is_bar = np.zeros_like(missing)
+        if recess_m is not None:
+            is_bar = missing & (np.abs(x % 1.5 - 0.75) < 0.06)
+            y[is_bar] += recess_m
+        x, y, z = (k[~missing | is_bar] for k in (x, y, z))
+    return np.stack([x, y, z], axis=1).astype(np.float32)
+
+
+def _nothing(x: np.ndarray, z: np.ndarray) -> np.ndarray:
+    return np.zeros(x.shape, dtype=bool)
+
+
+def _found(is_dark, returns: np.ndarray, gain: float = 1.0) -> list[Pane]:
+    caster = EmbreeCaster([_facade()])
+    return find_glass([WALL], lambda: _frames(is_dark, gain), returns, caster)
+
+
+def _fits(pane: Pane, wanted: tuple[float, float, float, float]) -> bool:
+    ends = np.array([*pane.span_m, *pane.height_m])
+    return bool(np.abs(ends - wanted).max() < 0.2)
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.5])
+def test_dark_rectangles_without_returns_are_panes_at_their_frames_depth(gain: float) -> None:
+    panes = _found(_is_pane, _returns(_is_pane, 0.15), gain)
+    assert len(panes) == len(PANES)
+    for wanted in PANES:
+        assert sum(_fits(pane, wanted) for pane in panes) == 1
+    for pane in panes:
+        assert abs(pane.wall_m) < 0.01
+        assert abs(pane.out_m + 0.15) < 0.02
+
+
+def test_beams_alone_tell_panes() -> None:
+    panes = _found(_nothing, _returns(_is_pane))
+    assert sum(_fits(pane, PANES[2]) for pane in panes) == 1
+    assert all(any(_fits(pane, wanted) for wanted in PANES) for pane in panes)
+
+
+@pytest.mark.parametrize("is_dark", [_nothing, _is_shadow])
+def test_blank_walls_and_slanting_shadows_are_no_panes(is_dark) -> None:
+    assert _found(is_dark, _returns()) == []
+
+
+def test_rectangles_have_an_edge_on_every_side() -> None:
+    evidence = np.zeros((60, 40))
+    evidence[20:30, 10:22] = 1.0
+    evidence[45:] = 1.0
+    known = np.ones_like(evidence, dtype=bool)
+    assert find_rectangles(evidence, known) == [(20, 10, 10, 12)]
+    assert find_rectangles(np.zeros_like(evidence), known) == []
+
+
+def _pane(recess_m: float) -> Pane:
+    return Pane(WALL, (2.1, 3.6), (1.1, 2.4), 0.0, -recess_m)
+
+
+def _toward_wall(slant: float) -> tuple[EmbreeCaster, np.ndarray, np.ndarray, TriMesh]:
+    mesh = glaze(_facade(), [_pane(0.15)])
+    x, z = np.meshgrid(np.arange(0.513, 15.5, 0.071), np.arange(0.507, 5.5, 0.071))
+    start = np.stack([x.ravel() - 7 * slant, np.full(x.size, 1.0), z.ravel()], axis=1)
+    rays = np.broadcast_to(np.array([slant, 1.0, 0.0]) / np.hypot(slant, 1.0), start.shape)
+    return EmbreeCaster([mesh]), start, rays.copy(), mesh
+
+
+def test_a_pane_closes_its_hole_at_its_depth() -> None:
+    caster, start, rays, mesh = _toward_wall(0.0)
+    hits = caster.intersect(start, rays)
+    assert hits.is_hit.all()
+    x, z = start[:, 0], start[:, 2]
+    is_pane = (x > 2.1) & (x < 3.6) & (z > 1.1) & (z < 2.4)
+    assert mesh.face_material is not None
+    material = [mesh.materials[k] for k in mesh.face_material[hits.face_index]]
+    assert [m == GLASS for m in material] == is_pane.tolist()
+    depth = np.where(is_pane, 7.15, 7.0)
+    np.testing.assert_allclose(hits.distance_m, depth, atol=1e-4)
+    # Wall and pane look out of the house.
+    assert (mesh.face_normals()[hits.face_index] @ WALL.normal > 0.99).all()
+
+
+@pytest.mark.parametrize("slant", [-2.0, 2.0])
+def test_no_ray_passes_beside_a_pane(slant: float) -> None:
+    caster, start, rays, mesh = _toward_wall(slant)
+    hits = caster.intersect(start, rays)
+    is_inner = np.abs(start[:, 0] + 7 * slant - 8.0) < 6.0
+    assert hits.is_hit[is_inner].all()
+    facing = (mesh.face_normals()[hits.face_index] * rays).sum(axis=1)
+    assert (facing[is_inner] < 0).all()
+
+
+def test_panes_are_guessed_only_in_walls_that_are() -> None:
+    for wall, pane in (
+        (Provenance.MEASURED, Provenance.INTERPOLATED),
+        (Provenance.INFERRED, Provenance.INFERRED),
+    ):
+        mesh = glaze(_facade().with_provenance(wall), [_pane(0.05)])
+        assert mesh.face_material is not None
+        is_glass = mesh.face_material == mesh.materials.index(GLASS)
+        assert mesh.comes_from(pane)[is_glass].all()
+        area = mesh.face_areas_m2()[mesh.comes_from(wall) & ~is_glass].sum()
+        reveals = 2 * (1.5 + 1.3) * 0.05 if wall == pane else 0.0
+        assert area == pytest.approx(16 * 6 - 1.5 * 1.3 + reveals, rel=1e-5)
+
+
+def test_without_panes_nothing_changes() -> None:
+    mesh = _facade()
+    assert glaze(mesh, []) is mesh
+
+
+def test_a_pane_is_found_once_though_two_planes_lie_close() -> None:
+    near = Wall(WALL.origin_m + 0.2 * WALL.normal, WALL.normal, WALL.along, (0.0, 16.0), (0.0, 6.0))
+    caster = EmbreeCaster([_facade()])
+    panes = find_glass([WALL, near], lambda: _frames(_is_pane), _returns(_is_pane, 0.1), caster)
+    assert len(panes) == len(PANES)
