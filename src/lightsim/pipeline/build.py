@@ -146,7 +146,7 @@ STAGES = (
     ),
     Stage(
         "twin",
-        12,
+        13,
         ("log", "alignment", "assets", "sky"),
         lambda o: light.TwinConfig(),
         light.make_twin,
