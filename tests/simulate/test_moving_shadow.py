@@ -44,7 +44,8 @@ def relit(work: TinyWorkspace, sky: SkyDome, number: int) -> tuple[np.ndarray, n
     """Radiance and 8-bit picture of one frame under another sky."""
     relighter = Relighter(work, work.log, RelightConfig(), RelightOptions(name="tiny"))
     target = relighter.target(TargetSky(sky, {}))
-    (found,) = relighter.relit(work.log.frames[number], scenario_of(work), [target])
+    scenario = scenario_of(work)
+    (found,) = relighter.relit(scenario.frames[number], scenario, [target])
     return found.radiance, found.image_srgb8
 
 

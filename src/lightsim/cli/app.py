@@ -21,6 +21,7 @@ from lightsim.cli.doctor import Doctor
 from lightsim.cli.evaluate import EvaluateGroup
 from lightsim.cli.relight import Relight
 from lightsim.cli.render import Render
+from lightsim.cli.simulate import Simulate
 from lightsim.cli.sky import SkyGroup
 from lightsim.cli.status import Status
 from lightsim.cli.synthesize import Synthesize
@@ -35,6 +36,7 @@ def _command(name: str) -> object:
 Command = (
     Annotated[Build, _command("build")]
     | Annotated[Relight, _command("relight")]
+    | Annotated[Simulate, _command("simulate")]
     | Annotated[Render, _command("render")]
     | Annotated[SkyGroup, _command("sky")]
     | Annotated[EvaluateGroup, _command("evaluate")]

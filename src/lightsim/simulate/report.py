@@ -31,12 +31,11 @@ def report_frames(scenario: Scenario) -> tuple[CameraFrame, ...]:
 
 def write_report_strip(folder: Path, result: RelitFrame) -> None:
     """The page's picture of one relit frame."""
-    parts = [
-        result.source_srgb8,
-        result.image_srgb8,
-        ratio_grey(result.source.ratio),
-        ratio_grey(result.target.ratio),
-    ]
+    parts = [result.frame.load_srgb8()]
+    if result.source.is_edited.any():
+        parts.append(result.source.srgb8)
+    if result.lights is not None:
+        parts += [result.image_srgb8, *(ratio_grey(light.ratio) for light in result.lights)]
     path = _strip_of(folder, result.frame)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_png(path, strip([reduced(p, 480) for p in parts]))
@@ -53,7 +52,7 @@ def write_relight_report(path: Path, folder: Path, scenario: Scenario, target: T
     for frame in report_frames(scenario):
         caption = (
             f"{frame.camera_name}, frame {frame.stem}: recorded | relit | "
-            "shadow ratio source | target"
+            "shadow ratio source | target (edited under the source sky second, if it is)"
         )
         figures.append(Figure(caption, read_srgb8(_strip_of(folder, frame)), is_wide=True))
     facts = [[key, _text(value)] for key, value in target.facts.items()]
