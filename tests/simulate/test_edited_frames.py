@@ -33,6 +33,7 @@ from lightsim.render.transport.matrix import TransportConfig
 from lightsim.scenario.apply import apply_edits
 from lightsim.scenario.edits import Edit, Insert, Move, Remove, Waypoint
 from lightsim.scenario.ground import StandingGround
+from lightsim.simulate.labels import actor_labels, amodal_mask
 from lightsim.simulate.options import RelightOptions
 from lightsim.simulate.relighter import RelightConfig, Relighter, RelitFrame
 from lightsim.simulate.skies import TargetSky
@@ -158,3 +159,22 @@ def test_frames_without_edits_are_the_recorded_bytes_and_cost_no_ray(
         assert not found.source.is_edited.any()
     with pytest.raises(AssertionError, match="a ray was traced"):
         simulated(work, BOX_GONE)
+
+
+def test_labels_tell_how_much_of_an_actor_is_hidden() -> None:
+    """A box of the same size right over the other hides it; alone, all of it is seen."""
+    work = photographed(SUNNY)
+    x, y, z = driving_box()[1].world_from_actor(work.log.frames[1].time_ns).translation_m
+    above = Waypoint(x_m=x, y_m=y, z_m=z + 2.0, yaw_deg=0.0)
+    scenario = edited(work, (Insert("edit 1", "box", "roof", (above,)),))
+    placements = {p.track.actor_id: p for p in scenario.placements}
+    frame = scenario.frames[1]
+    shown = {name: amodal_mask(p, frame, LENS) for name, p in placements.items()}
+    assert (shown["car"] <= shown["roof"]).all()
+    origin, directions = rays(frame)
+    wanted = meets_box(np.broadcast_to(origin, directions.shape), directions, frame)
+    assert (shown["car"] == wanted).all()
+    labels = actor_labels(scenario, frame, LENS, np.where(shown["roof"], 1, -1).astype(np.int32))
+    assert [label["visibility"] for label in labels] == [0.0, 1.0]
+    assert labels[0]["visible_box"] is None
+    assert labels[1]["amodal_box"] == labels[1]["visible_box"]

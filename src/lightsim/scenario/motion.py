@@ -15,6 +15,8 @@ from lightsim.scenario.ground import StandingGround
 _STEP_S = 0.05
 # Where wheels touch the ground, as fractions of length and width from the middle of the box.
 _WHEELBASE, _TRACK = 0.3, 0.4
+# People and files give times to the millisecond.
+_ROUNDED_S = 1e-3
 # Slower than this the path of a wobbling waypoint says nothing about the heading.
 _STANDS_M_S = 0.05
 
@@ -127,7 +129,7 @@ def _sampled(
         return times_ns, *_standing(waypoints[0], len(times_ns))
     keys_s = np.array([w.time_s for w in waypoints])
     last_s = (end_ns - start_ns) / 1e9
-    if keys_s[0] < 0 or keys_s[-1] > last_s + 1e-6:
+    if keys_s[0] < 0 or keys_s[-1] > last_s + _ROUNDED_S:
         raise InputError(
             "the trajectory leaves the log's time",
             where=where,

@@ -95,7 +95,7 @@ def _barrier() -> list[Part]:
     )
     strips = [np.stack([e[i], e[i + 1], e[-2 - i], e[-1 - i]]) for e in ends for i in range(3)]
     caps = np.stack([s if k >= 3 else s[::-1] for k, s in enumerate(strips)])
-    skin = np.concatenate([around[:, ::-1], caps])
+    skin = np.concatenate([around, caps])
     return [quads("concrete", skin, skin[..., :2])]
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int32
 
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.scenario import ActorPlacement, Scenario
@@ -17,9 +17,6 @@ from lightsim.simulate.relighter import RelitFrame
 from lightsim.store.artefact import write_json
 from lightsim.store.exr import write_exr
 from lightsim.store.images import write_png16
-
-_NOBODY = 0
-"""In masks: actor numbers count from 1."""
 
 
 def write_labels(folder: Path, scenario: Scenario, result: RelitFrame) -> None:
@@ -33,25 +30,35 @@ def write_labels(folder: Path, scenario: Scenario, result: RelitFrame) -> None:
     write_png16(stem.with_name(f"{frame.stem}.actor.png"), shown.astype(np.uint16))
     write_exr(stem.with_name(f"{frame.stem}.depth.exr"), buffers.depth_z_m)
     camera = scenario.cameras[frame.camera_name]
-    actors = [
-        _label(scenario, placement, buffers.actor_index, frame, camera)
-        for placement in scenario.placements_at(frame.time_ns)
-    ]
     write_json(
         stem.with_name(f"{frame.stem}.json"),
         {
             "camera": frame.camera_name,
             "frame": frame.stem,
             "edited_pixels": int(result.source.is_edited.sum()),
-            "actors": [label for label in actors if label["amodal_px"]],
+            "actors": actor_labels(scenario, frame, camera, buffers.actor_index),
         },
     )
+
+
+def actor_labels(
+    scenario: Scenario,
+    frame: CameraFrame,
+    camera: PinholeCamera,
+    actor_index: Int32[np.ndarray, "h w"],
+) -> list[dict[str, Any]]:
+    """What the actors show that have a shape and would be in the picture; see `_label`."""
+    labels = [
+        _label(scenario, placement, actor_index, frame, camera)
+        for placement in scenario.placements_at(frame.time_ns)
+    ]
+    return [label for label in labels if label["amodal_px"]]
 
 
 def _label(
     scenario: Scenario,
     placement: ActorPlacement,
-    actor_index: np.ndarray,
+    actor_index: Int32[np.ndarray, "h w"],
     frame: CameraFrame,
     camera: PinholeCamera,
 ) -> dict[str, Any]:

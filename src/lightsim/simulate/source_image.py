@@ -24,9 +24,12 @@ from lightsim.render.frame_renderer import (
     visible_sky,
 )
 from lightsim.render.transport.sky import EnvironmentCells
+from lightsim.render.window import Window, seen_through, window_around
 
 _PIXEL_SAMPLES = 4
 """Of rendered actors; their edges are sampled more finely by their coverage."""
+_MARGIN_PX = 4
+"""Around new actors: what is behind them is known from there."""
 _REACH_M = 3.0
 """Farther than this from an actor, what it takes of the sky's light is not seen."""
 
@@ -98,6 +101,7 @@ class SourceImages:
         gone, new = changed
         sun = self._sky.sun
         ones = np.ones_like(image.sky_matte)
+        covered = traced.coverage(_numbers(scenario, new))
         light = before.light(self._sky)
         inputs = EditInputs(
             recorded=RelightInputs(
@@ -116,9 +120,9 @@ class SourceImages:
             light=traced.light(self._sky),
             found_visibility=traced.found_visibility(sun),
             sky=visible_sky(self._sky, frame, camera),
-            rendered=self.rendered(frame, scenario).image(self._sky) if new else None,
+            rendered=self._render_around(covered, frame, scenario),
             gone=before.coverage(_numbers(self._recorded, gone)),
-            new=traced.coverage(_numbers(scenario, new)),
+            new=covered,
             past_gone=ones if sun is None else before.sun_past(gone, sun, SHADOW_ERROR_M),
             past_new=ones if sun is None else before.sun_past(new, sun),
             is_fixed=self._ego_vehicle(camera),
@@ -154,6 +158,16 @@ class SourceImages:
             np.where(traced.buffers.has_surface, 0.0, 1.0).astype(np.float32),
             ~fixed[..., 0],
         )
+
+    def _render_around(
+        self, covered: Float32[np.ndarray, "h w"], frame: CameraFrame, scenario: Scenario
+    ) -> tuple[Window, Float32[np.ndarray, "_ _ 3"]] | None:
+        """The edited street around what is new in it, anti-aliased; None where nothing is."""
+        if not covered.any():
+            return None
+        window = window_around(covered > 0, _MARGIN_PX)
+        view, camera = seen_through(frame, self._log.cameras[frame.camera_name], window)
+        return window, self._pictures.trace(scenario, view, camera).image(self._sky)
 
     def _recorded_image(self, frame: CameraFrame) -> SourceImage:
         camera = self._log.cameras[frame.camera_name]

@@ -55,7 +55,8 @@ class EditInputs:
         light: its light.
         found_visibility: see `RelightInputs`, of the edited street.
         sky: the source sky along the pixels' rays.
-        rendered: radiance of the edited street, anti-aliased; None where nobody is new.
+        rendered: radiance of the edited street, anti-aliased, in a window (rows, columns) around
+            what is new; None where nobody is.
         gone: fraction of each pixel that shows actors which are not there any more.
         new: fraction that shows actors which were not there.
         past_gone: fraction of the sun's disc that actors which are gone left open, at most.
@@ -69,7 +70,7 @@ class EditInputs:
     light: ShadowBuffers
     found_visibility: Float32[np.ndarray, "h w"] | None
     sky: Float32[np.ndarray, "h w 3"]
-    rendered: Float32[np.ndarray, "h w 3"] | None
+    rendered: tuple[tuple[slice, slice], Float32[np.ndarray, "_ _ 3"]] | None
     gone: Float32[np.ndarray, "h w"]
     new: Float32[np.ndarray, "h w"]
     past_gone: Float32[np.ndarray, "h w"]
@@ -109,7 +110,8 @@ def edited_image(inputs: EditInputs) -> EditedImage:
     new = np.where(inputs.is_fixed, 0.0, inputs.new).astype(np.float32)
     radiance = background
     if inputs.rendered is not None:
-        radiance = _with_new_actors(background, inputs.rendered, new)
+        window, rendered = inputs.rendered
+        radiance[window] = _with_new_actors(background[window], rendered, new[window])
     is_edited = ((change > 0) | (hidden > 0) | (new > 0)) & ~inputs.is_fixed
     kept = (1 - hidden) * (1 - new)
     sky = recorded.sky_matte * kept + (1 - new) * hidden * ~inputs.buffers.has_surface
