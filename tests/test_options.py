@@ -11,7 +11,7 @@ from lightsim.api import BuildOptions, LogReading, RelightOptions
 from lightsim.cli import main
 from lightsim.errors import InputError
 from lightsim.render.options import RendererChoice
-from lightsim.simulate.options import RenderOptions
+from lightsim.simulation.options import RenderOptions
 
 READING = LogReading(source="log")
 BUILD = BuildOptions(reading=READING)
@@ -58,7 +58,7 @@ def test_names_and_skies_are_read_from_the_command_line(monkeypatch: pytest.Monk
         given.append(options)
         return []
 
-    monkeypatch.setattr("lightsim.simulate.relight.relight", relight)
+    monkeypatch.setattr("lightsim.simulation.relight.relight", relight)
     main(["relight", "w", "--name", "n", "--sky", "sun:10,20", "a.hdr", "--cameras", "left, right"])
     assert given == [
         RelightOptions(name="n", sky=("sun:10,20", "a.hdr"), cameras=("left", "right"))

@@ -14,9 +14,9 @@ from lightsim.pipeline import build as pipeline
 from lightsim.pipeline.options import BuildOptions
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress, SilentProgress
-from lightsim.simulate import relight as scenarios
-from lightsim.simulate.options import RelightOptions, SimulateOptions
-from lightsim.simulate.simulate import simulate as simulate_scenario
+from lightsim.simulation import relight as scenarios
+from lightsim.simulation.edited import simulate as simulate_scenario
+from lightsim.simulation.options import RelightOptions, SimulateOptions
 
 
 def load_log(reading: LogReading) -> DrivingLog:

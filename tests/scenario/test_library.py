@@ -15,7 +15,7 @@ from lightsim.core.twin import ActorAsset
 from lightsim.errors import InputError
 from lightsim.scenario.asset_library import AssetLibrary, add_model
 from lightsim.scenario.models import Front, read_model
-from lightsim.simulate.built_in_assets import built_in_assets
+from lightsim.simulation.built_in_assets import built_in_assets
 from lightsim.store.meshes import write_glb
 
 

@@ -21,7 +21,7 @@ class Actors:
 
     def run(self) -> None:
         """The table, and where the page with the pictures is."""
-        from lightsim.simulate.harvest import COLUMNS, table_row, write_actors_page
+        from lightsim.simulation.harvest import COLUMNS, table_row, write_actors_page
 
         page, start_ns, summaries = write_actors_page(self.work)
         rows = [[str(cell) for cell in table_row(s, start_ns)] for s in summaries]

@@ -20,9 +20,9 @@ from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
 from lightsim.render.image import sky_image
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.render.transport.sky import EnvironmentCells
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.skies import TargetSky
-from lightsim.simulate.source_image import SourceImage, SourceImages
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.skies import TargetSky
+from lightsim.simulation.source_image import SourceImage, SourceImages
 
 
 @dataclass(frozen=True)

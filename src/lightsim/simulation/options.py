@@ -18,7 +18,7 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
 from lightsim.relighting.options import Method
 from lightsim.render.options import RendererChoice
-from lightsim.simulate.shard import Shard
+from lightsim.simulation.shard import Shard
 from lightsim.store.names import is_harmless
 
 GEOMETRY = ("depth", "position", "normal", "albedo", "actor", "ao")

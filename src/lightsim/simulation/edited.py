@@ -18,9 +18,9 @@ from lightsim.scenario.asset_library import AssetLibrary, default_folder
 from lightsim.scenario.conflicts import find_conflicts
 from lightsim.scenario.edits import Insert, ScenarioRequest, read_scenario_request
 from lightsim.scenario.ground import StandingGround
-from lightsim.simulate.built_in_assets import built_in_assets
-from lightsim.simulate.options import SimulateOptions
-from lightsim.simulate.relight import make_frames, opened_for, replayed
+from lightsim.simulation.built_in_assets import built_in_assets
+from lightsim.simulation.options import SimulateOptions
+from lightsim.simulation.relight import make_frames, opened_for, replayed
 
 _LOGGER = logging.getLogger(__name__)
 

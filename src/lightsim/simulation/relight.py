@@ -25,11 +25,11 @@ from lightsim.errors import ArtefactError, InputError
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.scenario.replay import replay
-from lightsim.simulate.labels import write_labels
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relighter import RelightConfig, Relighter, RelitFrame
-from lightsim.simulate.report import report_frames, write_relight_report, write_report_strip
-from lightsim.simulate.skies import TargetSky, made_from_sky, resolve_sky
+from lightsim.simulation.labels import write_labels
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relighter import RelightConfig, Relighter, RelitFrame
+from lightsim.simulation.report import report_frames, write_relight_report, write_report_strip
+from lightsim.simulation.skies import TargetSky, made_from_sky, resolve_sky
 from lightsim.store.artefact import (
     RECORD_NAME,
     ArtefactKey,

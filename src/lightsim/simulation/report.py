@@ -9,8 +9,8 @@ from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.evaluate.frames import FramesReport
 from lightsim.pipeline.workspace import Workspace
-from lightsim.simulate.relighter import RelitFrame
-from lightsim.simulate.skies import TargetSky
+from lightsim.simulation.relighter import RelitFrame
+from lightsim.simulation.skies import TargetSky
 from lightsim.store.images import read_srgb8, write_png
 from lightsim.view.figures import (
     dome_preview,
