@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.render.rendering_scenes import constant_sky, sun_sky
+from scipy.ndimage import binary_dilation
+from tests.render.rendering_scenes import constant_sky, look_at, plane, sun_sky
 from tests.tiny_world import (
     BOX_LWH_M,
     GAIN,
+    GROUND,
     LENS,
     NOTHING,
     TinyWorkspace,
@@ -25,6 +28,7 @@ from tests.tiny_world import (
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.dome import SkyDome
 from lightsim.core.fields import GroundMap
+from lightsim.core.mesh import SunVisibility
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.evaluate.metrics import psnr
@@ -37,6 +41,7 @@ from lightsim.simulation.labels import actor_labels, amodal_mask
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relighter import RelightConfig, Relighter, RelitFrame
 from lightsim.simulation.skies import TargetSky
+from lightsim.simulation.source_image import reaches_into
 
 SUNNY = sun_sky(np.radians(30.0), 35.0, 0.15)
 OVERCAST = constant_sky((0.6, 0.6, 0.6))
@@ -178,3 +183,44 @@ def test_labels_tell_how_much_of_an_actor_is_hidden() -> None:
     assert [label["visibility"] for label in labels] == [0.0, 1.0]
     assert labels[0]["visible_box"] is None
     assert labels[1]["amodal_box"] == labels[1]["visible_box"]
+
+
+def test_the_shadow_of_a_parked_box_that_is_gone_is_not_believed() -> None:
+    """The twin found shade all over the ground. Where the box stood before the sun, nobody knows
+    what is there without it; everywhere else the shade stays."""
+    sun = SUNNY.sun
+    assert sun is not None
+    ground = plane(60.0, 1, GROUND)
+    ground = replace(ground, sun_visibility=SunVisibility(np.zeros(len(ground.vertices), np.uint8)))
+    work = tiny_world(SUNNY, background=ground)
+    (recorded,) = scenario_of(work).placements
+    mesh = recorded.asset.mesh
+    seen = SunVisibility(np.full(len(mesh.vertices), 255, np.uint8))
+    parked = replace(
+        recorded, asset=replace(recorded.asset, mesh=replace(mesh, sun_visibility=seen))
+    )
+    scenario = replace(scenario_of(work), placements=(), vacated=(parked,))
+    renderer = FrameRenderer(ground, NOTHING, TransportConfig(), 0)
+    frame = scenario.frames[1]
+    found = renderer.trace(scenario, frame, LENS).found_visibility(sun)
+    assert found is not None
+    assert np.isnan(found[in_shadow(frame, sun.direction_world)]).all()
+    far = ~binary_dilation(shows_box_or_shadow(frame, SUNNY), iterations=4)
+    assert (found[far] == 0).all()
+
+
+def test_what_may_be_left_out_is_neither_seen_nor_shades_anything() -> None:
+    """Cameras all around, that look anywhere: where the box or its shadow shows, it is told."""
+    rng = np.random.default_rng(3)
+    work = tiny_world(SUNNY)
+    (placement,) = scenario_of(work).placements
+    sun = SUNNY.sun
+    assert sun is not None
+    told = 0
+    for _ in range(200):
+        view = look_at(rng.uniform(-25, 25, 3) + [0, 0, 28], rng.uniform(-60, 60, 3) * [1, 1, 0])
+        frame = replace(work.log.frames[1], world_from_camera=view)
+        may = reaches_into(placement, frame, LENS, sun.direction_world.astype(np.float32))
+        assert may or not shows_box_or_shadow(frame, SUNNY).any()
+        told += not may
+    assert told > 20

@@ -123,7 +123,7 @@ class TransportFrame:
         )
         if self._scene.vacated:
             # Nobody saw these places without the parked actor's shadow: they are as rendered.
-            caster = make_embree_caster([grown(m, SHADOW_ERROR_M) for m in self._scene.vacated])
+            caster = make_embree_caster(grown(self._scene.vacated, SHADOW_ERROR_M))
             past = sun_visibility(caster, points, normals, sun, self._config)
             found.reshape(-1)[rows[past < 1]] = np.nan
         return found
@@ -138,7 +138,7 @@ class TransportFrame:
         meshes = placed_meshes(placements, self._view[0].time_ns)
         if not meshes:
             return past
-        caster = make_embree_caster([grown(m, grown_m) for m in meshes] if grown_m else meshes)
+        caster = make_embree_caster(grown(meshes, grown_m) if grown_m else meshes)
         direction = sun.direction_world.astype(np.float32)
         faces_sun = buffers.has_surface & (buffers.normal_world @ direction > 0)
         points, normals = (a[faces_sun] for a in (buffers.ray_starts_world, buffers.normal_world))

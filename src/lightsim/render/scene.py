@@ -147,11 +147,13 @@ def placed_meshes(placements: Sequence[ActorPlacement], time_ns: int) -> tuple[T
     return tuple(p.asset.mesh.transformed(p.world_from_actor(time_ns)) for p in placements)
 
 
-def grown(mesh: TriMesh, by_m: float) -> TriMesh:
-    """The mesh with its surface moved outwards: casts the shadows that something of about this
-    shape may cast."""
-    vertices = mesh.vertices + np.float32(by_m) * mesh.vertex_normals()
-    return replace(mesh, vertices=vertices)
+def grown(meshes: Sequence[TriMesh], by_m: float) -> list[TriMesh]:
+    """Meshes, and the same with their surfaces moved outwards: together they cast all shadows that
+    something of about these shapes may cast (moved faces alone tear at sharp edges)."""
+    moved = [
+        replace(m, vertices=m.vertices + np.float32(by_m) * m.vertex_normals()) for m in meshes
+    ]
+    return [*meshes, *moved]
 
 
 def without_actors(static: StaticScene) -> FrameScene:

@@ -16,12 +16,13 @@ from lightsim.render.scene import placed_meshes
 from lightsim.simulation.relighter import RelitFrame
 from lightsim.store.artefact import write_json
 from lightsim.store.exr import write_exr
-from lightsim.store.images import write_png16
+from lightsim.store.images import write_png, write_png16
 
 
 def write_labels(folder: Path, scenario: Scenario, result: RelitFrame) -> None:
-    """labels/<camera>/<frame>.json, .actor.png (16 bit: the actor's number + 1, 0 nobody) and
-    .depth.exr (metres along the optical axis, inf without a surface)."""
+    """labels/<camera>/<frame>.json, .actor.png (16 bit: the actor's number + 1, 0 nobody),
+    .depth.exr (metres along the optical axis, inf without a surface) and .edited.png (white where
+    the picture differs from the recorded one under the same sky)."""
     assert result.traced is not None
     frame, buffers = result.frame, result.traced.buffers
     stem = folder / "labels" / frame.camera_name / frame.stem
@@ -29,13 +30,14 @@ def write_labels(folder: Path, scenario: Scenario, result: RelitFrame) -> None:
     shown = np.maximum(buffers.actor_index, -1) + 1
     write_png16(stem.with_name(f"{frame.stem}.actor.png"), shown.astype(np.uint16))
     write_exr(stem.with_name(f"{frame.stem}.depth.exr"), buffers.depth_z_m)
+    is_edited = result.source.is_edited
+    write_png(stem.with_name(f"{frame.stem}.edited.png"), np.uint8(255) * is_edited)
     camera = scenario.cameras[frame.camera_name]
     write_json(
         stem.with_name(f"{frame.stem}.json"),
         {
             "camera": frame.camera_name,
             "frame": frame.stem,
-            "edited_pixels": int(result.source.is_edited.sum()),
             "actors": actor_labels(scenario, frame, camera, buffers.actor_index),
         },
     )
