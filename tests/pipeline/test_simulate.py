@@ -12,6 +12,7 @@ from tests.conftest import BuiltStreet
 
 from lightsim import cli
 from lightsim.pipeline.workspace import Workspace
+from lightsim.scenario.edits import read_scenario_request
 from lightsim.simulation.built_in_assets import built_in_assets
 from lightsim.store.images import read_srgb8
 from lightsim.store.scenario import read_scenario
@@ -110,8 +111,11 @@ def test_another_ego_path_is_rendered_from_the_twin(
 def test_an_impossible_street_is_told_and_with_strict_refused(
     built_street: BuiltStreet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    at = ahead_of_ego(built_street.work, 12.0)
-    twice = [{"do": "insert", "asset": "van", "id": name, "at": at} for name in ("a", "b")]
+    """One of the two is an actor of a twin, as another log's would be."""
+    work = built_street.work
+    at, other = ahead_of_ego(work, 12.0), next(iter(Workspace(work).twin.assets.actors))
+    assets = {"a": "van", "b": f"{work}#{other}"}
+    twice = [{"do": "insert", "asset": assets[name], "id": name, "at": at} for name in assets]
     path = request(tmp_path, "twice", twice)
     with pytest.raises(SystemExit) as stopped:
         cli.main(["simulate", str(built_street.work), str(path), "--strict", *ONE_FRAME])
@@ -119,3 +123,25 @@ def test_an_impossible_street_is_told_and_with_strict_refused(
     told = capsys.readouterr().err
     assert "'a' and 'b' are in one place: frame 00" in told
     assert not (built_street.work / "scenarios/twice").exists()
+
+
+def test_what_can_be_edited_and_inserted_is_listed(
+    built_street: BuiltStreet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    work, library = built_street.work, str(tmp_path / "library")
+    cli.main(["actors", str(work)])
+    told, twin = capsys.readouterr().out, Workspace(work).twin
+    assert all(track.actor_id in told for track in twin.log.actors)
+    page = (work / "actors.html").read_text()
+    assert all(track.actor_id in page for track in twin.log.actors)
+    assert "data:image/jpeg" in page
+
+    cli.main(["assets", "harvest", str(work), "--library", library, "--least-seen", "0"])
+    cli.main(["assets", "list", "--library", library])
+    told = capsys.readouterr().out
+    assert f"{len(twin.assets.actors)} actors" in told
+    assert "cone" in told
+
+    out = tmp_path / "stalled.json"
+    cli.main(["scenario", "stalled", str(work), "--out", str(out), "--ahead-m", "15"])
+    assert len(read_scenario_request(out).edits) == 4

@@ -142,8 +142,9 @@ class Relighter:
             radiance = source.radiance
             if not target.sky.is_source:
                 own = source.radiance * target.level_ratio
-                radiance = np.where(source.is_edited[..., None], traced.image(target.cells), own)
-            image = self._developed(frame, radiance.astype(np.float32))
+                made = np.where(source.is_edited[..., None], traced.image(target.cells), own)
+                radiance = made.astype(np.float32)
+            image = self._developed(frame, radiance)
             yield RelitFrame(frame, image, radiance, traced, None, source)
 
     def _developed(

@@ -34,8 +34,10 @@ def write_report_strip(folder: Path, result: RelitFrame) -> None:
     parts = [result.frame.load_srgb8()]
     if result.source.is_edited.any():
         parts.append(result.source.srgb8)
+    if result.image_srgb8 is not result.source.srgb8:
+        parts.append(result.image_srgb8)
     if result.lights is not None:
-        parts += [result.image_srgb8, *(ratio_grey(light.ratio) for light in result.lights)]
+        parts += [ratio_grey(light.ratio) for light in result.lights]
     path = _strip_of(folder, result.frame)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_png(path, strip([reduced(p, 480) for p in parts]))
@@ -51,8 +53,8 @@ def write_relight_report(path: Path, folder: Path, scenario: Scenario, target: T
     figures = []
     for frame in report_frames(scenario):
         caption = (
-            f"{frame.camera_name}, frame {frame.stem}: recorded | relit | "
-            "shadow ratio source | target (edited under the source sky second, if it is)"
+            f"{frame.camera_name}, frame {frame.stem}: recorded | edited, where it is | relit | "
+            "shadow ratio source | target"
         )
         figures.append(Figure(caption, read_srgb8(_strip_of(folder, frame)), is_wide=True))
     facts = [[key, _text(value)] for key, value in target.facts.items()]

@@ -53,6 +53,10 @@ class SourceImage:
     is_edited: Bool[np.ndarray, "h w"]
 
 
+_Changed = tuple[tuple[ActorPlacement, ...], tuple[ActorPlacement, ...]]
+"""Actors that are gone and actors that are new."""
+
+
 class SourceImages:
     """Makes source images of one workspace.
 
@@ -95,15 +99,34 @@ class SourceImages:
         if changed is None:
             return image
         assert traced is not None
+        edited = edited_image(self._inputs(frame, scenario, traced, image, changed))
+        gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
+        made = srgb8_from_linear(edited.radiance * gain)
+        return SourceImage(
+            np.where(edited.is_edited[..., None], made, image.srgb8),
+            edited.radiance,
+            edited.is_clipped,
+            edited.sky_matte,
+            edited.is_edited,
+        )
+
+    def _inputs(
+        self,
+        frame: CameraFrame,
+        scenario: Scenario,
+        traced: TransportFrame,
+        image: SourceImage,
+        changed: _Changed,
+    ) -> EditInputs:
+        """The frame in the log and in the scenario, under the source sky."""
         assert self._recorded is not None
         camera = self._log.cameras[frame.camera_name]
         before = self._renderer.trace(self._recorded, frame, camera)
-        gone, new = changed
-        sun = self._sky.sun
-        ones = np.ones_like(image.sky_matte)
-        covered = traced.coverage(_numbers(scenario, new))
+        (gone, new), sun = changed, self._sky.sun
         light = before.light(self._sky)
-        inputs = EditInputs(
+        everything = np.ones_like(image.sky_matte)
+        covered = traced.coverage(_numbers(scenario, new))
+        return EditInputs(
             recorded=RelightInputs(
                 radiance=image.radiance,
                 is_clipped=image.is_clipped,
@@ -123,21 +146,10 @@ class SourceImages:
             rendered=self._render_around(covered, frame, scenario),
             gone=before.coverage(_numbers(self._recorded, gone)),
             new=covered,
-            past_gone=ones if sun is None else before.sun_past(gone, sun, SHADOW_ERROR_M),
-            past_new=ones if sun is None else before.sun_past(new, sun),
+            past_gone=before.sun_past(gone, sun, SHADOW_ERROR_M) if sun else everything,
+            past_new=before.sun_past(new, sun) if sun else everything,
             is_fixed=self._ego_vehicle(camera),
             focal_px=camera.fx,
-        )
-        edited = edited_image(inputs)
-        gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
-        return SourceImage(
-            np.where(
-                edited.is_edited[..., None], srgb8_from_linear(edited.radiance * gain), image.srgb8
-            ),
-            edited.radiance,
-            edited.is_clipped,
-            edited.sky_matte,
-            edited.is_edited,
         )
 
     def rendered(self, frame: CameraFrame, scenario: Scenario) -> TransportFrame:
@@ -186,9 +198,7 @@ class SourceImages:
         nowhere = np.zeros((camera.height_px, camera.width_px), dtype=bool)
         return self._log.ego_vehicle_masks.get(camera.name, nowhere)
 
-    def _changed(
-        self, frame: CameraFrame, scenario: Scenario
-    ) -> tuple[tuple[ActorPlacement, ...], tuple[ActorPlacement, ...]] | None:
+    def _changed(self, frame: CameraFrame, scenario: Scenario) -> _Changed | None:
         """Actors of the log that are not there and actors that were not, where the camera may see
         the difference."""
         if self._recorded is None:

@@ -28,9 +28,11 @@ from lightsim.relighting.physical.shadow_refine import refine_sun_visibility
 # Chosen while looking at log 002 and the street of seed 0.
 
 # Relative change of light that no one sees, and from which on it counts in full: below the first
-# the recorded pixel stays, bit by bit. Rays that meet another actor far away change the light of
-# single points by 1/32 at most.
-_UNSEEN_CHANGE, _SEEN_CHANGE = 0.01, 0.04
+# the recorded pixel stays, bit by bit.
+_UNSEEN_CHANGE, _SEEN_CHANGE = 0.02, 0.06
+# A single ray in 32 that meets another actor far away changes the light of one point: what does
+# not change its surroundings, within this fraction of the picture's width, is noise.
+_STEADY_WIDTH = 1 / 100
 # A recorded actor reaches this far beyond its reconstruction (mirrors, what the mesh lacks), and
 # its outline in the picture is this soft.
 _OUTLINE_M, _OUTLINE_PX = 0.12, 1.5
@@ -193,6 +195,9 @@ def _change(
     """0 where the light of a surface is what it was, to 1 where its change is seen."""
     ratio = (after.shaded + _DARKEST) / (before.shaded + _DARKEST)
     change = np.abs(np.log(ratio)).max(axis=-1)
+    radius = max(1, round(_STEADY_WIDTH * change.shape[1]))
+    # Twice the mean: at the edge of a shadow half of the surroundings change.
+    change = np.minimum(change, 2 * box_mean(change, radius))
     fraction = np.clip((change - _UNSEEN_CHANGE) / (_SEEN_CHANGE - _UNSEEN_CHANGE), 0.0, 1.0)
     is_surface = recorded.buffers.has_surface & (recorded.sky_matte < 0.5)
     return np.where(is_surface & (hidden < 1), fraction, 0.0).astype(np.float32)
