@@ -205,7 +205,7 @@ def test_the_shadow_of_a_parked_box_that_is_gone_is_not_believed() -> None:
     found = renderer.trace(scenario, frame, LENS).found_visibility(sun)
     assert found is not None
     assert np.isnan(found[in_shadow(frame, sun.direction_world)]).all()
-    far = ~binary_dilation(shows_box_or_shadow(frame, SUNNY), iterations=4)
+    far = np.logical_not(binary_dilation(shows_box_or_shadow(frame, SUNNY), iterations=4))
     assert (found[far] == 0).all()
 
 
