@@ -151,15 +151,15 @@ class SimulateOptions(RelightOptions):
         """
         if self.sky:
             return replace(self, name=self.name or name)
-        return replace(
-            self,
-            name=self.name or name,
-            sky=(sky.sky,),
-            sky_yaw_deg=sky.yaw_deg,
-            sky_scale=sky.scale,
-            move_sun=sky.move_sun,
-            sun_factor=sky.sun_factor,
-        )
+        of_file = {
+            "sky_yaw_deg": sky.yaw_deg,
+            "sky_scale": sky.scale,
+            "move_sun": sky.move_sun,
+            "sun_factor": sky.sun_factor,
+        }
+        plain = {key: getattr(SimulateOptions, key) for key in of_file}
+        given = {key: getattr(self, key) for key in of_file if getattr(self, key) != plain[key]}
+        return replace(self, name=self.name or name, sky=(sky.sky,), **(of_file | given))
 
 
 @dataclass(frozen=True, kw_only=True)
