@@ -24,8 +24,8 @@ from lightsim.pipeline.source_light import SourceLight, static_returns
 from lightsim.pipeline.stages.light import LIDAR_RETURNS, TwinConfig
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import SilentProgress
-from lightsim.simulate.against_truth import base_colours_of
-from lightsim.simulate.skies import SkyChoice, resolve_sky
+from lightsim.simulation.against_truth import base_colours_of
+from lightsim.simulation.skies import SkyChoice, resolve_sky
 
 DEFAULT = IntrinsicConfig()
 VARIANTS: dict[str, IntrinsicConfig] = {

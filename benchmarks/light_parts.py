@@ -39,7 +39,7 @@ from lightsim.pipeline.stages.light import (
 )
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import SilentProgress
-from lightsim.simulate.against_truth import base_colours_of
+from lightsim.simulation.against_truth import base_colours_of
 from lightsim.synthetic.reader import true_sky
 
 PARTS = ("observed bounce", "class priors", "soft visibility", "gloss")

@@ -13,10 +13,10 @@ from lightsim import errors
 
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "lightsim"
 FLOORS = (
-    "cli", "api", "simulate", "pipeline", "training", "evaluate", "view", "relighting", "baselines",
-    "render", "scenario", "lighting", "appearance", "geometry", "reconstruct", "align", "masks",
-    "synthetic", "datasets", "networks", "store", "mitsuba_scene", "denoise", "core", "arguments",
-    "progress", "optional", "errors", "version",
+    "cli", "api", "simulation", "pipeline", "training", "evaluate", "view", "relighting",
+    "baselines", "render", "scenario", "lighting", "appearance", "geometry", "reconstruct", "align",
+    "masks", "synthetic", "datasets", "networks", "store", "mitsuba_scene", "denoise", "core",
+    "arguments", "progress", "optional", "errors", "version",
 )  # fmt: skip
 """Packages and modules of the top level, from the top down: an import only ever leads down.
 
@@ -26,7 +26,7 @@ STAGES = {
     "datasets", "synthetic", "masks", "align", "reconstruct", "geometry", "appearance", "lighting",
     "scenario", "render", "relighting", "baselines", "evaluate", "view",
 }  # fmt: skip
-"""They meet in pipeline/ and simulate/ alone, through the types of core."""
+"""They meet in pipeline/ and simulation/ alone, through the types of core."""
 ERRORS = {
     name for name, kind in vars(errors).items()
     if isinstance(kind, type) and issubclass(kind, errors.LightSimError)

@@ -9,9 +9,10 @@ import pytest
 
 from lightsim.api import BuildOptions, LogReading, RelightOptions
 from lightsim.cli import main
+from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
 from lightsim.render.options import RendererChoice
-from lightsim.simulate.options import RenderOptions
+from lightsim.simulation.options import RenderOptions, SimulateOptions
 
 READING = LogReading(source="log")
 BUILD = BuildOptions(reading=READING)
@@ -58,8 +59,23 @@ def test_names_and_skies_are_read_from_the_command_line(monkeypatch: pytest.Monk
         given.append(options)
         return []
 
-    monkeypatch.setattr("lightsim.simulate.relight.relight", relight)
+    monkeypatch.setattr("lightsim.simulation.relight.relight", relight)
     main(["relight", "w", "--name", "n", "--sky", "sun:10,20", "a.hdr", "--cameras", "left, right"])
     assert given == [
         RelightOptions(name="n", sky=("sun:10,20", "a.hdr"), cameras=("left", "right"))
     ]
+
+
+def test_a_scenarios_name_and_sky_stand_in_for_options_that_were_not_given() -> None:
+    asked = SkyChoice("sun:120,30", yaw_deg=10.0, sun_factor=0.5)
+    found = SimulateOptions(sky_yaw_deg=20.0).completed("street", asked)
+    assert (found.name, found.sky, found.sky_yaw_deg, found.sun_factor) == (
+        "street",
+        ("sun:120,30",),
+        20.0,
+        0.5,
+    )
+    other = SimulateOptions(name="mine", sky=("source",)).completed("street", asked)
+    assert (other.name, other.sky, other.sun_factor) == ("mine", ("source",), 1.0)
+    with pytest.raises(InputError, match="--name"):
+        SimulateOptions().completed("../street", asked)

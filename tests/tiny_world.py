@@ -109,7 +109,7 @@ def with_pictures(work: TinyWorkspace, pictures: Mapping[str, np.ndarray]) -> Ti
 
 
 def scenario_of(work: TinyWorkspace) -> Scenario:
-    return replay(work.twin, "tiny", work.log.frames)
+    return replay(work.twin, "tiny", work.log.frames, "recorded")
 
 
 def rendered(work: TinyWorkspace, frame: CameraFrame, sky: SkyDome) -> tuple[GBuffers, Any]:

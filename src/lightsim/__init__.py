@@ -15,21 +15,25 @@ if TYPE_CHECKING:
         BuildOptions,
         LogReading,
         RelightOptions,
+        SimulateOptions,
         build_twin,
         load_log,
         load_twin,
         relight,
+        simulate,
     )
 
 __all__ = [
     "BuildOptions",
     "LogReading",
     "RelightOptions",
+    "SimulateOptions",
     "__version__",
     "build_twin",
     "load_log",
     "load_twin",
     "relight",
+    "simulate",
 ]
 
 

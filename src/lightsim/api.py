@@ -14,8 +14,9 @@ from lightsim.pipeline import build as pipeline
 from lightsim.pipeline.options import BuildOptions
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress, SilentProgress
-from lightsim.simulate import relight as scenarios
-from lightsim.simulate.options import RelightOptions
+from lightsim.simulation import relight as scenarios
+from lightsim.simulation.edited import simulate as simulate_scenario
+from lightsim.simulation.options import RelightOptions, SimulateOptions
 
 
 def load_log(reading: LogReading) -> DrivingLog:
@@ -48,3 +49,15 @@ def relight(
 ) -> list[Path]:
     """Relight the log of a work folder; returns the folder of the result under each sky."""
     return scenarios.relight(Path(work), options, progress or SilentProgress())
+
+
+def simulate(
+    work: Path | str,
+    scenario: Path | str,
+    options: SimulateOptions | None = None,
+    *,
+    progress: Progress | None = None,
+) -> list[Path]:
+    """Make the frames of a SCENARIO.json; returns the folder of the result under each sky."""
+    asked = options or SimulateOptions()
+    return simulate_scenario(Path(work), Path(scenario), asked, progress or SilentProgress())

@@ -15,7 +15,7 @@ import lightsim.pipeline.stages as stages_package
 from lightsim.core.reading import LogReading
 from lightsim.pipeline.build import STAGES, artefact_keys
 from lightsim.pipeline.options import PRESETS, BuildOptions, Preset, SkyModel
-from lightsim.simulate.relighter import RelightConfig
+from lightsim.simulation.relighter import RelightConfig
 from lightsim.store.artefact import ArtefactKey, json_ready
 
 

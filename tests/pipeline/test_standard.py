@@ -15,7 +15,7 @@ from lightsim.evaluate.metrics import psnr
 from lightsim.pipeline.build import status
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import SilentProgress
-from lightsim.simulate.against_truth import base_colours_of
+from lightsim.simulation.against_truth import base_colours_of
 from lightsim.store.images import read_exr, read_srgb8
 from lightsim.synthetic import shipped_street
 

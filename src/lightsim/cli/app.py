@@ -15,12 +15,16 @@ from typing import Annotated
 
 import tyro
 
+from lightsim.cli.actors import Actors
+from lightsim.cli.assets import AssetsGroup
 from lightsim.cli.build import Build
 from lightsim.cli.demo import Demo
 from lightsim.cli.doctor import Doctor
 from lightsim.cli.evaluate import EvaluateGroup
 from lightsim.cli.relight import Relight
 from lightsim.cli.render import Render
+from lightsim.cli.scenario import ScenarioGroup
+from lightsim.cli.simulate import Simulate
 from lightsim.cli.sky import SkyGroup
 from lightsim.cli.status import Status
 from lightsim.cli.synthesize import Synthesize
@@ -35,6 +39,10 @@ def _command(name: str) -> object:
 Command = (
     Annotated[Build, _command("build")]
     | Annotated[Relight, _command("relight")]
+    | Annotated[Simulate, _command("simulate")]
+    | Annotated[ScenarioGroup, _command("scenario")]
+    | Annotated[Actors, _command("actors")]
+    | Annotated[AssetsGroup, _command("assets")]
     | Annotated[Render, _command("render")]
     | Annotated[SkyGroup, _command("sky")]
     | Annotated[EvaluateGroup, _command("evaluate")]
@@ -62,6 +70,10 @@ def main(argv: Sequence[str] | None = None) -> None:
         if isinstance(command, EvaluateGroup):
             command = command.measure
         elif isinstance(command, SkyGroup):
+            command = command.do
+        elif isinstance(command, ScenarioGroup):
+            command = command.scene
+        elif isinstance(command, AssetsGroup):
             command = command.do
         elif isinstance(command, TrainGroup):
             command = command.what

@@ -24,6 +24,6 @@ class Demo:
 
     def run(self) -> None:
         """Build, relight and measure the shipped street."""
-        from lightsim.simulate.demo import run_demo
+        from lightsim.simulation.demo import run_demo
 
         say(f"open: {run_demo(self.out, self.seed, terminal_progress(), is_full=self.full)}")

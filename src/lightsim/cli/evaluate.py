@@ -50,7 +50,7 @@ class EvaluateRelight:
 
     def run(self) -> None:
         """Measure relit frames."""
-        from lightsim.simulate.against_truth import relit_frames
+        from lightsim.simulation.against_truth import relit_frames
 
         report = relit_frames(self.work, self.truth, terminal_progress())
         show(report, self.out)
@@ -130,7 +130,7 @@ class EvaluateBaseColour:
 
     def run(self) -> None:
         """Measure base colour."""
-        from lightsim.simulate.against_truth import base_colour
+        from lightsim.simulation.against_truth import base_colour
 
         report = base_colour(self.work, self.truth, terminal_progress())
         show(report, self.out)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, Literal, get_args
+
+import numpy as np
 
 from lightsim.core.actors import ActorTrack
 from lightsim.core.camera import PinholeCamera
@@ -68,6 +70,10 @@ class Scenario:
         edits: what differs from the log, as SCENARIO.json spells it; placements and ego have it
             already.
         seed: of all random numbers.
+        removed: ids of tracks that are not there; they keep their numbers.
+        vacated: where actors stood in the log that stand elsewhere here, or nowhere: the shadows
+            that pictures show of them are gone.
+        notes: what is odd about it, such as two actors in one place.
     """
 
     name: str
@@ -79,6 +85,9 @@ class Scenario:
     sky: SkyChoice | None = None
     edits: tuple[Mapping[str, Any], ...] = ()
     seed: int = 0
+    removed: frozenset[str] = frozenset()
+    vacated: tuple[ActorPlacement, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.tracks:
@@ -95,4 +104,37 @@ class Scenario:
 
     def tracks_at(self, time_ns: int) -> tuple[ActorTrack, ...]:
         """All actors present at a time."""
-        return tuple(track for track in self.tracks if track.is_present(time_ns))
+        there = (t for t in self.tracks if t.actor_id not in self.removed)
+        return tuple(track for track in there if track.is_present(time_ns))
+
+
+def placed_elsewhere(
+    recorded: Sequence[ActorPlacement], placements: Sequence[ActorPlacement]
+) -> tuple[ActorPlacement, ...]:
+    """Those of the recorded placements whose actors are gone or follow another track now."""
+    tracks = {p.track.actor_id: p.track for p in placements}
+    return tuple(
+        p
+        for p in recorded
+        if p.track.actor_id not in tracks or not _is_same(p.track, tracks[p.track.actor_id])
+    )
+
+
+def _is_same(a: ActorTrack, b: ActorTrack) -> bool:
+    if a is b:
+        return True
+    one, other = a.trajectory, b.trajectory
+    is_same = np.array_equal(one.times_ns, other.times_ns)
+    return is_same and np.array_equal(one.matrices, other.matrices)
+
+
+def changed_placements(
+    recorded: Scenario, scenario: Scenario, time_ns: int
+) -> tuple[tuple[ActorPlacement, ...], tuple[ActorPlacement, ...]] | None:
+    """Who stood somewhere in the recorded scenario at a time and does not in the other one, and the
+    other way round; None where nothing differs."""
+    before, after = recorded.placements_at(time_ns), scenario.placements_at(time_ns)
+    kept = {id(p) for p in before} & {id(p) for p in after}
+    gone = tuple(p for p in before if id(p) not in kept)
+    new = tuple(p for p in after if id(p) not in kept)
+    return (gone, new) if gone or new else None

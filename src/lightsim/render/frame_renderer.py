@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
+from copy import copy
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float32
 
@@ -13,14 +17,22 @@ from lightsim.core.equirect import sample_bilinear
 from lightsim.core.found_visibility import with_found_visibility
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
-from lightsim.core.scenario import Scenario
+from lightsim.core.scenario import ActorPlacement, Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.solar import angle_between_deg
 from lightsim.core.twin import SceneAssets
 from lightsim.render.casters.embree import make_embree_caster
+from lightsim.render.coverage import actor_coverage
 from lightsim.render.gbuffers import render_gbuffers, with_ambient_occlusion
 from lightsim.render.image import scene_image
-from lightsim.render.scene import FrameScene, make_static_scene, place
+from lightsim.render.scene import (
+    FrameScene,
+    grown,
+    make_static_scene,
+    place,
+    placed_meshes,
+    without_actors,
+)
 from lightsim.render.transport.faces import FaceTable
 from lightsim.render.transport.light import light
 from lightsim.render.transport.matrix import (
@@ -32,6 +44,9 @@ from lightsim.render.transport.matrix import (
 from lightsim.render.transport.samples import render_samples
 from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
 from lightsim.render.transport.sun import sun_visibility
+
+SHADOW_ERROR_M = 0.25
+"""Shadows that pictures show lie this close to where a reconstructed actor casts them."""
 
 
 def parked_actor_meshes(log: DrivingLog, assets: SceneAssets) -> list[TriMesh]:
@@ -106,7 +121,33 @@ class TransportFrame:
         found.reshape(-1)[rows] *= sun_visibility(
             make_embree_caster(moving), points, normals, sun, self._config
         )
+        if self._scene.vacated:
+            # Nobody saw these places without the parked actor's shadow: they are as rendered.
+            caster = make_embree_caster(grown(self._scene.vacated, SHADOW_ERROR_M))
+            past = sun_visibility(caster, points, normals, sun, self._config)
+            found.reshape(-1)[rows[past < 1]] = np.nan
         return found
+
+    def sun_past(
+        self, placements: Sequence[ActorPlacement], sun: Sun, grown_m: float = 0.0
+    ) -> Float32[np.ndarray, "h w"]:
+        """Fraction of the sun's disc that the surfaces would see if only these actors stood before
+        it; 1 where there is no surface, or where it turns away from the sun."""
+        buffers = self.buffers
+        past = np.ones(buffers.depth_z_m.shape, dtype=np.float32)
+        meshes = placed_meshes(placements, self._view[0].time_ns)
+        if not meshes:
+            return past
+        caster = make_embree_caster(grown(meshes, grown_m) if grown_m else meshes)
+        direction = sun.direction_world.astype(np.float32)
+        faces_sun = buffers.has_surface & (buffers.normal_world @ direction > 0)
+        points, normals = (a[faces_sun] for a in (buffers.ray_starts_world, buffers.normal_world))
+        past[faces_sun] = sun_visibility(caster, points, normals, sun, self._config)
+        return past
+
+    def coverage(self, numbers: Collection[int]) -> Float32[np.ndarray, "h w"]:
+        """Fraction of each pixel that shows one of these actors, by their numbers."""
+        return actor_coverage(self._scene, *self._view, self.buffers, numbers)
 
     def image(self, sky: EnvironmentCells) -> Float32[np.ndarray, "h w 3"]:
         """Radiance: anti-aliased and with reflections where the renderer looks at samples of
@@ -167,7 +208,15 @@ class FrameRenderer:
         self._transport = transport
         self._seed = seed
         self._recorded_sun = recorded_sun
-        self._faces: FaceTable | None = None
+        self._faces: FaceTable = static_face_table(without_actors(self._static), transport, seed)
+
+    def sampled(self, pixel_samples: int, recorded_sun: Sun | None) -> FrameRenderer:
+        """A renderer of anti-aliased images of the same twin, which shares all that is static."""
+        other = copy(self)
+        other._is_sampled = True
+        other._transport = replace(self._transport, pixel_samples=pixel_samples)
+        other._recorded_sun = recorded_sun
+        return other
 
     def prepare(self, sky: SkyDome, behind: SkyDome | None = None) -> EnvironmentCells:
         """A sky made ready once for many frames; see `prepare_sky`."""
@@ -188,8 +237,6 @@ class FrameRenderer:
         """Geometry and the light transport matrix of a frame: all that does not depend on the
         sky."""
         scene = self.scene(scenario, frame.time_ns)
-        if self._faces is None:
-            self._faces = static_face_table(scene, self._transport, self._seed)
         buffers = render_gbuffers(scene, camera, frame)
         config = self._transport
         samples = (

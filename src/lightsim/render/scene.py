@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float32, Int32
@@ -11,7 +11,7 @@ from jaxtyping import Float32, Int32
 from lightsim.core.buffers import BACKGROUND
 from lightsim.core.casting import MakeCaster, RayCaster
 from lightsim.core.mesh import TriMesh
-from lightsim.core.scenario import Scenario
+from lightsim.core.scenario import ActorPlacement, Scenario
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.composite import CompositeCaster
 
@@ -51,6 +51,8 @@ class FrameScene:
         actor_caster: over `actors`.
         actor_normals: vertex normals of `actors`.
         actor_numbers: of `actors` in the scenario.
+        vacated: parked actors of the log that are not there: their shadows lie in the visibility
+            that was found in the pictures.
     """
 
     static: StaticScene
@@ -58,6 +60,7 @@ class FrameScene:
     actor_caster: RayCaster
     actor_normals: tuple[Float32[np.ndarray, "_ 3"], ...]
     actor_numbers: tuple[int, ...]
+    vacated: tuple[TriMesh, ...] = ()
 
     @property
     def meshes(self) -> tuple[TriMesh, ...]:
@@ -127,14 +130,30 @@ def place(
 ) -> FrameScene:
     """The static scene with the scenario's actors where they are at `time_ns`."""
     placements = scenario.placements_at(time_ns)
-    actors = tuple(p.asset.mesh.transformed(p.world_from_actor(time_ns)) for p in placements)
+    actors = placed_meshes(placements, time_ns)
+    left = [p for p in scenario.vacated if p.track.is_present(time_ns)]
     return FrameScene(
         static,
         actors,
         make_caster(actors),
         tuple(mesh.vertex_normals() for mesh in actors),
         tuple(scenario.number_by_actor[p.track.actor_id] for p in placements),
+        tuple(m for m in placed_meshes(left, time_ns) if m.sun_visibility is not None),
     )
+
+
+def placed_meshes(placements: Sequence[ActorPlacement], time_ns: int) -> tuple[TriMesh, ...]:
+    """Meshes of actors in frame `world` where they stand at a time."""
+    return tuple(p.asset.mesh.transformed(p.world_from_actor(time_ns)) for p in placements)
+
+
+def grown(meshes: Sequence[TriMesh], by_m: float) -> list[TriMesh]:
+    """Meshes, and the same with their surfaces moved outwards: together they cast all shadows that
+    something of about these shapes may cast (moved faces alone tear at sharp edges)."""
+    moved = [
+        replace(m, vertices=m.vertices + np.float32(by_m) * m.vertex_normals()) for m in meshes
+    ]
+    return [*meshes, *moved]
 
 
 def without_actors(static: StaticScene) -> FrameScene:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from lightsim.errors import ArtefactError
+from lightsim.errors import ArtefactError, LightSimError
 from lightsim.store.artefact import read_json
 
 _REMEDY = "Build again."
@@ -24,11 +24,19 @@ class Entries:
     """A JSON object of a file, `where`.
 
     Raises:
-        ArtefactError: from every method: an entry is missing or of another type.
+        ArtefactError, or the `error` that is given: from every method: an entry is missing or of
+            another type.
     """
 
-    def __init__(self, value: Any, where: object) -> None:
-        self._where = where
+    def __init__(
+        self,
+        value: Any,
+        where: object,
+        error: type[LightSimError] = ArtefactError,
+        remedy: str = _REMEDY,
+    ) -> None:
+        self.where = where
+        self._kind, self._remedy = error, remedy
         if not isinstance(value, dict):
             raise self._error("not a JSON object", value)
         self._value: dict[str, Any] = value
@@ -48,6 +56,17 @@ class Entries:
     def flag(self, key: str) -> bool:
         """An entry that is true or false."""
         return self._checked(key, bool, "true or false")
+
+    def allow(self, keys: Sequence[str]) -> None:
+        """Refuse entries of other names: a misspelt one would do nothing."""
+        unknown = [key for key in self._value if key not in keys]
+        if unknown:
+            raise self._kind(
+                f"there is no entry '{unknown[0]:.{_SHOWN}}'",
+                where=self.where,
+                expected=f"some of {', '.join(keys)}",
+                remedy=self._remedy,
+            )
 
     def text(self, key: str) -> str:
         """An entry that is a text, possibly empty."""
@@ -102,19 +121,22 @@ class Entries:
 
     def object(self, key: str) -> Entries:
         """An entry that is an object itself; its errors name the way to it."""
-        return Entries(self._entry(key), f"{self._where}, '{key}'")
+        return self._inner(self._entry(key), f"'{key}'")
 
     def objects(self, key: str) -> tuple[Entries, ...]:
         """An entry that is a list of objects; their errors name the place in it."""
         values = self._checked(key, list, "a list")
-        return tuple(Entries(v, f"{self._where}, '{key}'[{i}]") for i, v in enumerate(values))
+        return tuple(self._inner(v, f"'{key}'[{i}]") for i, v in enumerate(values))
+
+    def _inner(self, value: Any, name: str) -> Entries:
+        return Entries(value, f"{self.where}, {name}", self._kind, self._remedy)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._value)
 
     def _entry(self, key: str) -> Any:
         if key not in self._value:
-            raise ArtefactError(f"'{key}' is missing", where=self._where, remedy=_REMEDY)
+            raise self._kind(f"'{key}' is missing", where=self.where, remedy=self._remedy)
         return self._value[key]
 
     def _checked(self, key: str, kind: type, words: str) -> Any:
@@ -123,9 +145,9 @@ class Entries:
             raise self._error(f"'{key}' is not {words}", value)
         return value
 
-    def _error(self, what: str, got: Any) -> ArtefactError:
+    def _error(self, what: str, got: Any) -> LightSimError:
         shown = f"{type(got).__name__} {got!r:.{_SHOWN}}"
-        return ArtefactError(what, where=self._where, got=shown, remedy=_REMEDY)
+        return self._kind(what, where=self.where, got=shown, remedy=self._remedy)
 
 
 def _is_nested(value: Any, shape: tuple[int | None, ...]) -> bool:

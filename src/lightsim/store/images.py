@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float, Float32, UInt8, UInt16
 
 from lightsim.core.resample import resize_area
 from lightsim.errors import InputError
@@ -100,6 +100,11 @@ def read_grey8(path: Path) -> UInt8[np.ndarray, "h w"]:
 def write_png(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> None:
     """Write a PNG of 8-bit grey [h, w], sRGB [h, w, 3], or sRGB with alpha last [h, w, 4]."""
     _write_pil(path, picture, "PNG", compress_level=4)
+
+
+def write_png16(path: Path, numbers: UInt16[np.ndarray, "h w"]) -> None:
+    """Write a PNG of whole numbers, 16 bit grey: a mask of ids."""
+    _write_pil(path, numbers, "PNG", compress_level=4)
 
 
 def write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"]) -> None:
@@ -361,7 +366,12 @@ def _pillow_errors() -> Generator[None]:
         raise ValueError(f"{error}"[:200]) from error
 
 
-def _write_pil(path: Path, pixels: UInt8[np.ndarray, "h w *c"], kind: str, **options: int) -> None:
+def _write_pil(
+    path: Path,
+    pixels: UInt8[np.ndarray, "h w *c"] | UInt16[np.ndarray, "h w"],
+    kind: str,
+    **options: int,
+) -> None:
     from PIL import Image
 
     if not pixels.size or (pixels.ndim == 3 and pixels.shape[2] not in (3, 4)):

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, get_args
 
 from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform, Trajectory
-from lightsim.core.scenario import ActorPlacement, FrameSource, Scenario, ScenarioFrame
+from lightsim.core.scenario import (
+    ActorPlacement,
+    FrameSource,
+    Scenario,
+    ScenarioFrame,
+    placed_elsewhere,
+)
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.sky_choice import SkyChoice
-from lightsim.core.twin import DigitalTwin
+from lightsim.core.twin import ActorAsset, DigitalTwin
 from lightsim.errors import ArtefactError
 from lightsim.store.artefact import write_json
 from lightsim.store.entries import Entries
@@ -37,6 +44,7 @@ def write_scenario(folder: Path, scenario: Scenario, **found: Any) -> None:
             "sun_factor": None if sky is None else sky.sun_factor,
             "edits": scenario.edits,
             "seed": scenario.seed,
+            "notes": scenario.notes,
             **found,
             "cameras": scenario.cameras,
             "ego": None if ego is None else _poses(ego),
@@ -66,6 +74,7 @@ def _actor(scenario: Scenario, track: ActorTrack) -> dict[str, Any]:
     return {
         **_box(scenario, track),
         "is_moving": track.is_moving,
+        "is_removed": track.actor_id in scenario.removed,
         "asset": assets[0] if assets else None,
         **_poses(track.trajectory),
     }
@@ -88,8 +97,13 @@ def _frame(scenario: Scenario, frame: ScenarioFrame) -> dict[str, Any]:
     }
 
 
-def read_scenario(folder: Path, twin: DigitalTwin) -> Scenario:
+def read_scenario(
+    folder: Path, twin: DigitalTwin, inserted: Mapping[str, ActorAsset] = MappingProxyType({})
+) -> Scenario:
     """The scenario of FOLDER/scenario.json; assets and recorded images are those of `twin`.
+
+    Args:
+        inserted: assets that are not the twin's, by the name that the file gives them.
 
     Raises:
         ArtefactError: the file is missing or broken, or names what the twin does not have.
@@ -97,19 +111,26 @@ def read_scenario(folder: Path, twin: DigitalTwin) -> Scenario:
     value = Entries.of_file(folder / SCENARIO_NAME)
     if value.number("version") != _VERSION:
         raise _unknown(folder, "version of scenario.json", f"{value.number('version'):g}")
-    tracks = tuple(_read_track(actor) for actor in value.objects("actors"))
+    actors = value.objects("actors")
+    tracks = tuple(_read_track(actor) for actor in actors)
+    placements = tuple(_read_placements(actors, tracks, {**twin.assets.actors, **inserted}, folder))
+    of_log = (ActorPlacement(twin.assets.actors[t.actor_id], t) for t in twin.log.actors
+              if t.actor_id in twin.assets.actors)  # fmt: skip
     recorded = {(f.camera_name, f.stem): f for f in twin.log.frames}
     cameras = value.object("cameras")
     return Scenario(
         value.text("name"),
         tuple(_read_frame(frame, recorded, folder) for frame in value.objects("frames")),
-        tuple(_read_placements(value.objects("actors"), tracks, twin, folder)),
+        placements,
         tracks,
         {name: _read_camera(cameras.object(name)) for name in cameras},
         None if value.is_null("ego") else _read_poses(value.object("ego"), "ego"),
         _read_sky(value),
         tuple(edit.mapping() for edit in value.objects("edits")),
         int(value.whole_numbers("seed", ())),
+        frozenset(t.actor_id for a, t in zip(actors, tracks, strict=True) if a.flag("is_removed")),
+        placed_elsewhere(tuple(of_log), placements),
+        value.texts("notes"),
     )
 
 
@@ -159,16 +180,19 @@ def _read_track(value: Entries) -> ActorTrack:
 
 
 def _read_placements(
-    actors: tuple[Entries, ...], tracks: tuple[ActorTrack, ...], twin: DigitalTwin, folder: Path
+    actors: tuple[Entries, ...],
+    tracks: tuple[ActorTrack, ...],
+    assets: Mapping[str, ActorAsset],
+    folder: Path,
 ) -> list[ActorPlacement]:
     placements = []
     for value, track in zip(actors, tracks, strict=True):
         if value.is_null("asset"):
             continue
         asset = value.text("asset")
-        if asset not in twin.assets.actors:
+        if asset not in assets:
             raise _unknown(folder, "asset in the twin", asset)
-        placements.append(ActorPlacement(twin.assets.actors[asset], track))
+        placements.append(ActorPlacement(assets[asset], track))
     return placements
 
 

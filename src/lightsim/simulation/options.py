@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import ClassVar, get_args
 
 from lightsim.arguments import Names
@@ -17,7 +18,7 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
 from lightsim.relighting.options import Method
 from lightsim.render.options import RendererChoice
-from lightsim.simulate.shard import Shard
+from lightsim.simulation.shard import Shard
 from lightsim.store.names import is_harmless
 
 GEOMETRY = ("depth", "position", "normal", "albedo", "actor", "ao")
@@ -101,11 +102,18 @@ class RelightOptions(FrameOptions):
     """Exposure of the output, in stops."""
     linear: bool = False
     """Write linear EXR frames as well."""
+    labels: bool = False
+    """Write masks, depth and visibility of the actors beside every frame, which takes room."""
     overwrite: bool = False
     """Replace a result of this name that was made with another sky or other settings."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        self._check_name()
+        check_choice("--method", self.method, get_args(Method))
+        check_number("--exposure-ev", self.exposure_ev, -MAX_EXPOSURE_EV, MAX_EXPOSURE_EV)
+
+    def _check_name(self) -> None:
         if not is_harmless(self.name):
             raise InputError(
                 "the name is not fit for a folder",
@@ -113,8 +121,45 @@ class RelightOptions(FrameOptions):
                 got=repr(self.name[:40]),
                 expected="letters, digits and . _ -, a letter or digit first",
             )
-        check_choice("--method", self.method, get_args(Method))
-        check_number("--exposure-ev", self.exposure_ev, -MAX_EXPOSURE_EV, MAX_EXPOSURE_EV)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulateOptions(RelightOptions):
+    """What `lightsim simulate` is asked for; name and sky are SCENARIO.json's where none is given
+    here."""
+
+    name: str = ""
+    """Name of the result: WORK/scenarios/NAME; by default the one in SCENARIO.json."""
+    sky: tuple[str, ...] = ()
+    """Skies instead of the one in SCENARIO.json; each frame is traced once for all of them."""
+    strict: bool = False
+    """Refuse a scenario in which actors overlap or stand in walls or off the ground, instead of
+    saying so."""
+    library: Path | None = None
+    """Folder of the asset library; by default the user's own."""
+
+    def __post_init__(self) -> None:
+        # What is not given yet is checked when `completed` gives it.
+        if self.name and self.sky:
+            super().__post_init__()
+
+    def completed(self, name: str, sky: SkyChoice) -> SimulateOptions:
+        """With the name and the sky of SCENARIO.json, where none was given.
+
+        Raises:
+            InputError: an option is out of range.
+        """
+        if self.sky:
+            return replace(self, name=self.name or name)
+        of_file = {
+            "sky_yaw_deg": sky.yaw_deg,
+            "sky_scale": sky.scale,
+            "move_sun": sky.move_sun,
+            "sun_factor": sky.sun_factor,
+        }
+        plain = {key: getattr(SimulateOptions, key) for key in of_file}
+        given = {key: getattr(self, key) for key in of_file if getattr(self, key) != plain[key]}
+        return replace(self, name=self.name or name, sky=(sky.sky,), **(of_file | given))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,8 +37,8 @@ from lightsim.evaluate.frames import FramesConfig
 from lightsim.evaluate.geometry import GeometryConfig
 from lightsim.pipeline import measures
 from lightsim.progress import SilentProgress
-from lightsim.simulate import against_truth
-from lightsim.simulate.options import RelightOptions
+from lightsim.simulation import against_truth
+from lightsim.simulation.options import RelightOptions
 from lightsim.store.images import write_exr, write_png
 
 QUICK = FramesConfig(with_lpips=False, with_exposure=False)

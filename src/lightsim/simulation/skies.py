@@ -46,11 +46,13 @@ class TargetSky:
     Args:
         dome: gives the light.
         behind: what cameras see of a file that shows a place of its own; None is the dome.
+        is_source: it is the sky under which the log was recorded.
     """
 
     dome: SkyDome
     facts: dict[str, Any]
     behind: SkyDome | None = None
+    is_source: bool = False
 
 
 def made_from_sky(choice: SkyChoice) -> dict[str, Any]:
@@ -89,7 +91,9 @@ def resolve_sky(choice: SkyChoice, workspace: Workspace) -> TargetSky:
     if choice.path is not None:
         behind, hidden = without_scenery(dome, picture_matte)
         facts["scenery_fraction"] = hidden
-    return TargetSky(dome, facts | _light_facts(dome), behind)
+    is_source = choice.sky == "source" and not choice.yaw_deg and not choice.has_edited_sun
+    is_source = is_source and factor == 1.0
+    return TargetSky(dome, facts | _light_facts(dome), behind, is_source)
 
 
 def picture_matte(

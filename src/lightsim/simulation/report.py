@@ -9,8 +9,8 @@ from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.evaluate.frames import FramesReport
 from lightsim.pipeline.workspace import Workspace
-from lightsim.simulate.relighter import RelitFrame
-from lightsim.simulate.skies import TargetSky
+from lightsim.simulation.relighter import RelitFrame
+from lightsim.simulation.skies import TargetSky
 from lightsim.store.images import read_srgb8, write_png
 from lightsim.view.figures import (
     dome_preview,
@@ -31,12 +31,13 @@ def report_frames(scenario: Scenario) -> tuple[CameraFrame, ...]:
 
 def write_report_strip(folder: Path, result: RelitFrame) -> None:
     """The page's picture of one relit frame."""
-    parts = [
-        result.source_srgb8,
-        result.image_srgb8,
-        ratio_grey(result.source.ratio),
-        ratio_grey(result.target.ratio),
-    ]
+    parts = [result.frame.load_srgb8()]
+    if result.source.is_edited.any():
+        parts.append(result.source.srgb8)
+    if result.image_srgb8 is not result.source.srgb8:
+        parts.append(result.image_srgb8)
+    if result.lights is not None:
+        parts += [ratio_grey(light.ratio) for light in result.lights]
     path = _strip_of(folder, result.frame)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_png(path, strip([reduced(p, 480) for p in parts]))
@@ -52,7 +53,7 @@ def write_relight_report(path: Path, folder: Path, scenario: Scenario, target: T
     figures = []
     for frame in report_frames(scenario):
         caption = (
-            f"{frame.camera_name}, frame {frame.stem}: recorded | relit | "
+            f"{frame.camera_name}, frame {frame.stem}: recorded | edited, where it is | relit | "
             "shadow ratio source | target"
         )
         figures.append(Figure(caption, read_srgb8(_strip_of(folder, frame)), is_wide=True))

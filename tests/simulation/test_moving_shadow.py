@@ -23,9 +23,9 @@ from tests.tiny_world import (
 from lightsim.core.colour import luminance, srgb8_from_linear
 from lightsim.core.dome import SkyDome
 from lightsim.evaluate.metrics import psnr
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relighter import RelightConfig, Relighter
-from lightsim.simulate.skies import TargetSky
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relighter import RelightConfig, Relighter
+from lightsim.simulation.skies import TargetSky
 
 SKY = 0.15
 PIXEL_M = 0.32
@@ -44,7 +44,8 @@ def relit(work: TinyWorkspace, sky: SkyDome, number: int) -> tuple[np.ndarray, n
     """Radiance and 8-bit picture of one frame under another sky."""
     relighter = Relighter(work, work.log, RelightConfig(), RelightOptions(name="tiny"))
     target = relighter.target(TargetSky(sky, {}))
-    (found,) = relighter.relit(work.log.frames[number], scenario_of(work), [target])
+    scenario = scenario_of(work)
+    (found,) = relighter.relit(scenario.frames[number], scenario, [target])
     return found.radiance, found.image_srgb8
 
 

@@ -25,10 +25,10 @@ from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.render.renderers import Renderer, TracedFrame, make_renderer, renderer_settings
 from lightsim.scenario.replay import replay
-from lightsim.simulate.options import GEOMETRY, LIGHT, RenderOptions
-from lightsim.simulate.relight import select_frames
-from lightsim.simulate.shard import Shard
-from lightsim.simulate.skies import made_from_sky, resolve_sky
+from lightsim.simulation.options import GEOMETRY, LIGHT, RenderOptions
+from lightsim.simulation.relight import select_frames
+from lightsim.simulation.shard import Shard
+from lightsim.simulation.skies import made_from_sky, resolve_sky
 from lightsim.store.artefact import hash_names, json_ready, read_json, write_json
 from lightsim.store.atomic import sweep_partials
 from lightsim.store.exr import read_mark, write_exr

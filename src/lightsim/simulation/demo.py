@@ -8,8 +8,8 @@ from lightsim.core.reading import LogReading
 from lightsim.pipeline.build import build
 from lightsim.pipeline.options import BuildOptions
 from lightsim.progress import Progress
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relight import relight
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relight import relight
 from lightsim.synthetic import shipped_street
 
 DEMO_SKIES = ("sun:100,25", "sun:265,12")
@@ -38,8 +38,8 @@ def run_demo(out: Path, seed: int, progress: Progress, *, is_full: bool = False)
     )
     folders = relight(work, options, progress)
     from lightsim.pipeline.measures import QUICK
-    from lightsim.simulate.against_truth import relit_frames
-    from lightsim.simulate.report import write_demo_report
+    from lightsim.simulation.against_truth import relit_frames
+    from lightsim.simulation.report import write_demo_report
 
     report = relit_frames(work, street / "truth", progress, QUICK)
     return write_demo_report(out / "index.html", work, folders, report)

@@ -7,9 +7,11 @@ on where it stopped.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -23,10 +25,11 @@ from lightsim.errors import ArtefactError, InputError
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.scenario.replay import replay
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relighter import RelightConfig, Relighter, RelitFrame
-from lightsim.simulate.report import report_frames, write_relight_report, write_report_strip
-from lightsim.simulate.skies import TargetSky, made_from_sky, resolve_sky
+from lightsim.simulation.labels import write_labels
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relighter import RelightConfig, Relighter, RelitFrame
+from lightsim.simulation.report import report_frames, write_relight_report, write_report_strip
+from lightsim.simulation.skies import TargetSky, made_from_sky, resolve_sky
 from lightsim.store.artefact import (
     RECORD_NAME,
     ArtefactKey,
@@ -42,6 +45,7 @@ from lightsim.store.scenario import write_scenario
 
 _SCHEMA = 7
 _STAGE = "relight"
+_OPTIONAL = ("labels", "edits", "assets")
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,29 +71,59 @@ def relight(work: Path, options: RelightOptions, progress: Progress) -> list[Pat
         InputError: a sky, a camera or a frame range is wrong, or the name holds a scenario of
             other settings.
     """
+    with opened_for(work, options) as workspace:
+        return make_frames(workspace, replayed(workspace, options), options, progress)
+
+
+@contextmanager
+def opened_for(work: Path, options: RelightOptions) -> Generator[Workspace]:
+    """The work folder, while nobody else writes there or makes a scenario of the same name."""
     workspace = Workspace(work, is_stale_allowed=options.allow_stale)
     workspace.need("twin")
-    base = work / "scenarios" / options.name
+    scenarios = work / "scenarios"
     with locked(work / LOCK_NAME, is_shared=True):
-        base.parent.mkdir(exist_ok=True)
-        with locked(base.parent / f".{options.name}{LOCK_NAME}"):
-            return _relight(workspace, base, options, progress)
+        scenarios.mkdir(exist_ok=True)
+        with locked(scenarios / f".{options.name}{LOCK_NAME}"):
+            yield workspace
 
 
-def _relight(
-    workspace: Workspace, base: Path, options: RelightOptions, progress: Progress
-) -> list[Path]:
-    config = RelightConfig()
-    scale = options.image_scale or workspace.reading.image_scale
-    log = workspace.log_at(scale)
+def replayed(workspace: Workspace, options: RelightOptions) -> Scenario:
+    """The log as it was, in the frames that are asked for."""
+    log = workspace.log_at(_scale(workspace, options))
     frames = select_frames(log, options.cameras, options.frames)
     twin = replace(workspace.twin, log=log)
-    scenario = replay(twin, options.name, frames, "recorded", options.seed)
+    return replay(twin, options.name, frames, "recorded", options.seed)
+
+
+def _scale(workspace: Workspace, options: RelightOptions) -> float:
+    return options.image_scale or workspace.reading.image_scale
+
+
+def make_frames(
+    workspace: Workspace,
+    scenario: Scenario,
+    options: RelightOptions,
+    progress: Progress,
+    recorded: Scenario | None = None,
+    made_of: Mapping[str, Any] = MappingProxyType({}),
+) -> list[Path]:
+    """Frames, films and reports of a scenario under each sky that is asked for.
+
+    Args:
+        recorded: the log as it was, where the scenario has edits.
+        made_of: what decides the frames besides the options.
+
+    Returns:
+        The folders, in the order of the skies.
+    """
+    config = RelightConfig()
+    scale = _scale(workspace, options)
+    base = workspace.root / "scenarios" / options.name
     skies = options.sky_by_name
     folders = [base] if len(skies) == 1 else [base / name for name in skies]
     jobs = []
     for folder, choice in zip(folders, skies.values(), strict=True):
-        settings = _settings(options, choice, scale)
+        settings = {**_settings(options, choice, scale), **made_of}
         if not options.overwrite:
             _refuse_other_settings(folder, {**settings, "seed": options.seed})
         made_from = {**settings, "config": json_ready(config)}
@@ -101,8 +135,9 @@ def _relight(
     attempts = [(job, open_attempt(job.folder, job.artefact_key)) for job in jobs]
     pending = [(job, partial) for job, partial in attempts if partial is not None]
     if pending:
-        relighter = Relighter(workspace, log, config, options)
-        _write_frames(relighter, pending, progress, is_linear_written=options.linear)
+        log = workspace.log_at(scale)
+        relighter = Relighter(workspace, log, config, options, recorded)
+        _write_frames(relighter, pending, progress, options)
     for job in jobs:
         make_artefact(job.folder, job.artefact_key, lambda p, job=job: _finish(p, job, progress))
     return folders
@@ -118,6 +153,7 @@ def _settings(options: RelightOptions, sky: SkyChoice, image_scale: float) -> di
         "frames": options.frames,
         "image_scale": image_scale,
         "linear": options.linear,
+        **({"labels": True} if options.labels else {}),
     }
 
 
@@ -158,13 +194,14 @@ def _refuse_other_settings(folder: Path, settings: Mapping[str, Any]) -> None:
         return
     was = {**record["config"], "seed": record.get("seed")}
     now = json_ready(settings)
-    differing = [key for key in now if was.get(key) != now[key]]
+    # What an older record, or a scenario without edits, does not name is not asked for.
+    differing = [key for key in {**now, **dict.fromkeys(_OPTIONAL)} if was.get(key) != now.get(key)]
     if differing:
         raise InputError(
             "a scenario of this name was made with other settings",
             where=folder,
             got=", ".join(f"{key} = {was.get(key)}" for key in differing),
-            expected=", ".join(f"{key} = {now[key]}" for key in differing),
+            expected=", ".join(f"{key} = {now.get(key)}" for key in differing),
             remedy="Choose another --name, or give --overwrite.",
         )
 
@@ -189,8 +226,7 @@ def _write_frames(
     relighter: Relighter,
     jobs: Sequence[tuple[_Job, Path]],
     progress: Progress,
-    *,
-    is_linear_written: bool,
+    options: RelightOptions,
 ) -> None:
     """Every frame that a job lacks, traced once for all jobs."""
     targets = [relighter.target(job.sky) for job, _ in jobs]
@@ -205,7 +241,9 @@ def _write_frames(
             folder = jobs[number][1]
             if frame in shown:
                 write_report_strip(folder, result)
-            _write_frame(folder, result, is_linear_written=is_linear_written)
+            if options.labels:
+                write_labels(folder, scenario, result)
+            _write_frame(folder, result, is_linear_written=options.linear)
 
 
 def _picture(folder: Path, frame: CameraFrame) -> Path:

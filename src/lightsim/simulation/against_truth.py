@@ -41,8 +41,8 @@ from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.matrix import TransportConfig
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relight import relight
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relight import relight
 from lightsim.store.exr import read_exr
 from lightsim.synthetic.reader import read_true_meshes
 

@@ -1,0 +1,117 @@
+"""`lightsim assets`: what can be inserted into a street."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from lightsim.cli.options import Verbose, say
+from lightsim.core.actors import ActorKind
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssetsList:
+    """Show the assets that scenarios can name."""
+
+    library: Path | None = None
+    """Folder of the library; by default the user's own."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """A line an asset."""
+        from lightsim.simulation.edited import asset_library
+
+        for info in asset_library(self.library).infos():
+            size = " x ".join(f"{side:.2f}" for side in info.size_lwh_m)
+            score = "" if info.score is None else f", seen {100 * info.score:.0f} %"
+            say(f"{info.name:24} {info.kind:12} {size} m, {info.faces} faces, {info.origin}{score}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssetsAdd:
+    """Take a CAD file into the library."""
+
+    model: tyro.conf.Positional[Path]
+    """A .glb, .gltf or .obj file."""
+    name: str = ""
+    """By which scenarios name it; by default the file's."""
+    front: Literal["auto", "+x", "-x", "+z", "-z"] = "auto"
+    """Where the model looks in its file, whose y is up; auto: along its length, the lower end."""
+    metres_per_unit: float = 1.0
+    """0.01 for a model in centimetres."""
+    length_m: float | None = None
+    """Scale it to this length."""
+    kind: ActorKind | None = None
+    """What it is; by default guessed by name and size."""
+    library: Path | None = None
+    """Folder of the library; by default the user's own."""
+    overwrite: bool = False
+    """Replace an asset of this name."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Store the model."""
+        from lightsim.scenario.asset_library import add_model
+        from lightsim.simulation.edited import asset_library
+
+        info = add_model(
+            asset_library(self.library),
+            self.model,
+            self.name or self.model.stem,
+            front=self.front,
+            metres_per_unit=self.metres_per_unit,
+            length_m=self.length_m,
+            kind=self.kind,
+            is_replacing=self.overwrite,
+        )
+        size = " x ".join(f"{side:.2f}" for side in info.size_lwh_m)
+        say(f"{info.name}: {info.kind}, {size} m, {info.faces} faces")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssetsHarvest:
+    """Take reconstructed actors of a log into the library, the best seen ones first."""
+
+    work: tyro.conf.Positional[Path]
+    """Work folder of a finished build."""
+    least_seen: float = 0.3
+    """Fraction of an actor's surface that sensors must have seen."""
+    prefix: str = ""
+    """Of the names; by default the name of the work folder."""
+    library: Path | None = None
+    """Folder of the library; by default the user's own."""
+    overwrite: bool = False
+    """Replace assets of these names."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Store the actors."""
+        from lightsim.simulation.edited import asset_library
+        from lightsim.simulation.harvest import harvest
+
+        prefix = self.prefix or self.work.resolve().name
+        library = asset_library(self.library)
+        found = harvest(self.work, library, prefix, self.least_seen, is_replacing=self.overwrite)
+        for info in found:
+            say(f"{info.name}: {info.kind}, seen {100 * (info.score or 0):.0f} %")
+        say(f"{len(found)} actors: {library.folder}")
+
+
+Assets = (
+    Annotated[AssetsList, tyro.conf.subcommand("list")]
+    | Annotated[AssetsAdd, tyro.conf.subcommand("add")]
+    | Annotated[AssetsHarvest, tyro.conf.subcommand("harvest")]
+)
+
+
+@dataclass(frozen=True)
+class AssetsGroup:
+    """The asset library: list it, add CAD files, harvest actors of logs."""
+
+    do: tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[Assets]]

@@ -1,0 +1,35 @@
+"""`lightsim simulate`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from lightsim.cli.options import Verbose, say
+from lightsim.progress import terminal_progress
+from lightsim.simulation.options import SimulateOptions
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Remove, move and insert actors, drive elsewhere, under any sky."""
+
+    work: tyro.conf.Positional[Path]
+    """Work folder of a finished build."""
+    scenario: tyro.conf.Positional[Path]
+    """SCENARIO.json: what differs from the log (docs/scenarios.md)."""
+    options: Annotated[SimulateOptions, tyro.conf.arg(name="")]
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Simulate, and say where the frames are."""
+        from lightsim.simulation.edited import simulate
+
+        for folder in simulate(self.work, self.scenario, self.options, terminal_progress()):
+            say(f"frames: {folder / 'frames'}")
+            say(f"video:  {folder / 'video'}")
+            say(f"report: {folder / 'report.html'}")

@@ -1,0 +1,261 @@
+"""The source image of an edited street: I'_src of the paper's augmented reality representation.
+
+What did not change keeps the recorded pixels. Where the light changed, they are multiplied by its
+ratio (quotient images, as in `ratio.py`); where another surface is seen, the twin is rendered: what
+was hidden with the colours of the real pixels around it, what is put in by its own (differential
+rendering, Debevec 1998, doi:10.1145/280814.280864). Paper, Sec. 4 and A.2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float32
+
+from lightsim.core.buffers import BACKGROUND, GBuffers, ShadowBuffers
+from lightsim.core.colour import luminance
+from lightsim.core.dome import Sun
+from lightsim.core.found_visibility import (
+    unoccluded_sun,
+    with_found_visibility,
+    with_sun_visibility,
+)
+from lightsim.relighting.physical.filters import box_mean, fill_holes, median_smoothed
+from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
+from lightsim.relighting.physical.shadow_refine import refine_sun_visibility
+
+# Chosen while looking at log 002 and the street of seed 0.
+
+# Relative change of light that no one sees, and from which on it counts in full: below the first
+# the recorded pixel stays, bit by bit.
+_UNSEEN_CHANGE, _SEEN_CHANGE = 0.02, 0.06
+# A single ray in 32 that meets another actor far away changes the light of one point: what does
+# not change its surroundings, within this fraction of the picture's width, is noise.
+_STEADY_WIDTH = 1 / 100
+# A recorded actor reaches this far beyond its reconstruction (mirrors, what the mesh lacks), and
+# its outline in the picture is this soft.
+_OUTLINE_M, _OUTLINE_PX = 0.12, 1.5
+# Between these factors on the light without the sun, the twin takes the picture's place: under
+# vehicles and right beside them.
+_CONTACT_RISE = (1.3, 2.0)
+# Width of the windows, as a fraction of the picture's, over which rendered colours are compared
+# with recorded ones; and by which factor they differ at most.
+_MATCH_WIDTH, _MATCH_LIMIT = 12 / 480, 3.0
+# With the colours of its surroundings, the twin's base colour is known better than alone.
+_MATCHED = RatioConfig(are_shadows_refined=False, base_colour_deviation=0.1)
+_DARKEST = np.float32(1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class EditInputs:
+    """One frame before and after edits, both under the source sky.
+
+    Args:
+        recorded: the picture, with geometry and light of the log; `target` is not looked at.
+        buffers: geometry of the edited street.
+        light: its light.
+        found_visibility: see `RelightInputs`, of the edited street.
+        sky: the source sky along the pixels' rays.
+        rendered: radiance of the edited street, anti-aliased, in a window (rows, columns) around
+            what is new; None where nobody is.
+        gone: fraction of each pixel that shows actors which are not there any more.
+        new: fraction that shows actors which were not there.
+        past_gone: fraction of the sun's disc that actors which are gone left open, at most.
+        past_new: the same of actors that were not there.
+        is_fixed: pixels that stay whatever happens: the ego vehicle's own.
+        focal_px: focal length of the camera.
+    """
+
+    recorded: RelightInputs
+    buffers: GBuffers
+    light: ShadowBuffers
+    found_visibility: Float32[np.ndarray, "h w"] | None
+    sky: Float32[np.ndarray, "h w 3"]
+    rendered: tuple[tuple[slice, slice], Float32[np.ndarray, "_ _ 3"]] | None
+    gone: Float32[np.ndarray, "h w"]
+    new: Float32[np.ndarray, "h w"]
+    past_gone: Float32[np.ndarray, "h w"]
+    past_new: Float32[np.ndarray, "h w"]
+    is_fixed: Bool[np.ndarray, "h w"]
+    focal_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class EditedImage:
+    """The picture that the camera would have taken.
+
+    Args:
+        radiance: linear, scene units; where not `is_edited`, that of the recorded picture.
+        is_edited: pixels that differ.
+        is_clipped: at least one channel is saturated in the recorded picture, which is still seen.
+        sky_matte: fraction of sky.
+    """
+
+    radiance: Float32[np.ndarray, "h w 3"]
+    is_edited: Bool[np.ndarray, "h w"]
+    is_clipped: Bool[np.ndarray, "h w"]
+    sky_matte: Float32[np.ndarray, "h w"]
+
+
+def edited_image(inputs: EditInputs) -> EditedImage:
+    """The frame with its edits, under the sky under which it was recorded."""
+    recorded = inputs.recorded
+    before, after = _light_before_and_after(inputs)
+    hidden = np.maximum(_grown_outline(inputs), _contact(before, after, inputs))
+    match = _colour_match(inputs, before, hidden)
+    change = _change(before, after, recorded, hidden)
+    relit = _with_light_exchanged(inputs, before, after, match)
+    picture = recorded.radiance
+    background = picture + change[..., None] * (relit - picture)
+    background += hidden[..., None] * (match * _twin_radiance(inputs, after) - background)
+    new = np.where(inputs.is_fixed, 0.0, inputs.new).astype(np.float32)
+    radiance = background
+    if inputs.rendered is not None:
+        window, rendered = inputs.rendered
+        radiance[window] = _with_new_actors(background[window], rendered, new[window])
+    is_edited = ((change > 0) | (hidden > 0) | (new > 0)) & ~inputs.is_fixed
+    kept = (1 - hidden) * (1 - new)
+    sky = recorded.sky_matte * kept + (1 - new) * hidden * ~inputs.buffers.has_surface
+    return EditedImage(
+        np.where(is_edited[..., None], radiance, picture).astype(np.float32),
+        is_edited,
+        recorded.is_clipped & (kept > 0.5),
+        np.where(is_edited, sky, recorded.sky_matte).astype(np.float32),
+    )
+
+
+def _light_before_and_after(inputs: EditInputs) -> tuple[ShadowBuffers, ShadowBuffers]:
+    """The light of both streets with the shadow edges that the picture shows.
+
+    Around the shadow of an actor that is gone the picture tells nothing of the light after it; all
+    around, its shadows stay, and those of new actors fall into what sun it shows.
+    """
+    recorded, sun = inputs.recorded, inputs.recorded.source_sun
+    if sun is None or sun.direction_world[2] <= 0:
+        return recorded.source, inputs.light
+    believed = with_found_visibility(
+        recorded.source, recorded.buffers, sun, recorded.found_visibility
+    )
+    shown = refine_sun_visibility(
+        recorded.radiance, recorded.buffers, believed, sun, recorded.sky_matte < 0.5
+    )
+    after = with_found_visibility(inputs.light, inputs.buffers, sun, inputs.found_visibility)
+    is_told = inputs.past_gone == 1
+    visibility = np.where(is_told, shown * inputs.past_new, after.sun_visibility)
+    return (
+        _with_visibility(recorded.source, recorded.buffers, sun, shown),
+        _with_visibility(inputs.light, inputs.buffers, sun, visibility.astype(np.float32)),
+    )
+
+
+def _with_visibility(
+    light: ShadowBuffers, buffers: GBuffers, sun: Sun, visibility: Float32[np.ndarray, "h w"]
+) -> ShadowBuffers:
+    return with_sun_visibility(light, unoccluded_sun(buffers, light, sun), visibility)
+
+
+def _grown_outline(inputs: EditInputs) -> Float32[np.ndarray, "h w"]:
+    """How much of each pixel an actor hid that is gone: its reconstruction, grown by what it may
+    lack, soft at the edge."""
+    from scipy.ndimage import distance_transform_edt
+
+    is_inside = inputs.gone > 0.5
+    if not is_inside.any():
+        return np.where(inputs.is_fixed, 0.0, inputs.gone).astype(np.float32)
+    found = distance_transform_edt(~is_inside, return_indices=True)
+    assert isinstance(found, tuple)
+    distance_px, nearest = found
+    depth_z_m = inputs.recorded.buffers.depth_z_m[tuple(nearest)]
+    reach_px = inputs.focal_px * _OUTLINE_M / depth_z_m + _OUTLINE_PX
+    hidden = np.clip((reach_px - distance_px) / _OUTLINE_PX + 1, 0.0, 1.0)
+    return np.where(inputs.is_fixed, 0.0, hidden).astype(np.float32)
+
+
+def _contact(
+    before: ShadowBuffers, after: ShadowBuffers, inputs: EditInputs
+) -> Float32[np.ndarray, "h w"]:
+    """1 where an actor that is gone stood so close that hardly any light of the sky arrived: the
+    picture shows too little there to be made brighter."""
+    if not (inputs.past_gone < 1).any() and not (inputs.gone > 0).any():
+        return np.zeros_like(inputs.gone)
+    light = [luminance(x.sky + x.bounce) + _DARKEST for x in (before, after)]
+    low, high = _CONTACT_RISE
+    contact = np.clip((light[1] / light[0] - low) / (high - low), 0.0, 1.0)
+    is_kept = inputs.is_fixed | (inputs.recorded.buffers.actor_index != BACKGROUND)
+    return np.where(is_kept, 0.0, contact).astype(np.float32)
+
+
+def _change(
+    before: ShadowBuffers,
+    after: ShadowBuffers,
+    recorded: RelightInputs,
+    hidden: Float32[np.ndarray, "h w"],
+) -> Float32[np.ndarray, "h w"]:
+    """0 where the light of a surface is what it was, to 1 where its change is seen."""
+    ratio = (after.shaded + _DARKEST) / (before.shaded + _DARKEST)
+    change = np.abs(np.log(ratio)).max(axis=-1)
+    radius = max(1, round(_STEADY_WIDTH * change.shape[1]))
+    # Twice the mean: at the edge of a shadow half of the surroundings change.
+    change = np.minimum(change, 2 * box_mean(change, radius))
+    fraction = np.clip((change - _UNSEEN_CHANGE) / (_SEEN_CHANGE - _UNSEEN_CHANGE), 0.0, 1.0)
+    is_surface = recorded.buffers.has_surface & (recorded.sky_matte < 0.5)
+    return np.where(is_surface & (hidden < 1), fraction, 0.0).astype(np.float32)
+
+
+def _colour_match(
+    inputs: EditInputs, before: ShadowBuffers, hidden: Float32[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "h w 3"]:
+    """Recorded over rendered radiance, smooth; where an actor or its shadow is gone, that of the
+    pixels around."""
+    recorded = inputs.recorded
+    rendered = recorded.buffers.base_colour * before.shaded + before.reflected
+    is_known = recorded.buffers.has_surface & (recorded.sky_matte < 0.02) & ~recorded.is_clipped
+    is_known &= (hidden == 0) & (inputs.past_gone == 1) & ~inputs.is_fixed
+    if not is_known.any():
+        return np.ones_like(rendered)
+    log_match = np.log(recorded.radiance + _DARKEST) - np.log(rendered + _DARKEST)
+    limit = np.float32(np.log(_MATCH_LIMIT))
+    filled = fill_holes(np.clip(log_match, -limit, limit).astype(np.float32), is_known)
+    radius = max(1, round(_MATCH_WIDTH * recorded.radiance.shape[1] / 2))
+    smooth = box_mean(median_smoothed(filled, _MATCH_WIDTH), radius)
+    return np.exp(smooth).astype(np.float32)
+
+
+def _with_light_exchanged(
+    inputs: EditInputs,
+    before: ShadowBuffers,
+    after: ShadowBuffers,
+    match: Float32[np.ndarray, "h w 3"],
+) -> Float32[np.ndarray, "h w 3"]:
+    """The recorded surfaces under the light of the edited street."""
+    recorded = inputs.recorded
+    colour = np.clip(recorded.buffers.base_colour * match, 0.0, 1.0)
+    exchanged = replace(
+        recorded,
+        buffers=replace(recorded.buffers, base_colour=colour),
+        source=before,
+        target=after,
+        target_sky=recorded.radiance,
+    )
+    return relight_physical(exchanged, _MATCHED)
+
+
+def _twin_radiance(inputs: EditInputs, light: ShadowBuffers) -> Float32[np.ndarray, "h w 3"]:
+    """What the twin shows where the picture shows nothing."""
+    surface = inputs.buffers.base_colour * light.shaded + light.reflected
+    return np.where(inputs.buffers.has_surface[..., None], surface, inputs.sky)
+
+
+def _with_new_actors(
+    background: Float32[np.ndarray, "h w 3"],
+    rendered: Float32[np.ndarray, "h w 3"],
+    new: Float32[np.ndarray, "h w"],
+) -> Float32[np.ndarray, "h w 3"]:
+    """Rendered actors over the background; at their edges the part of the rendered radiance that
+    is background is taken out first."""
+    is_mixed = (new > 0) & (new < 1)
+    behind = fill_holes(rendered, new == 0)
+    cover = new[..., None]
+    actor = np.where(is_mixed[..., None], rendered - (1 - cover) * behind, cover * rendered)
+    return (np.maximum(actor, 0.0) + (1 - cover) * background).astype(np.float32)

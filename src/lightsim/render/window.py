@@ -1,0 +1,55 @@
+"""A part of a picture as a picture of its own, so that nothing is traced beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.sensors import CameraFrame
+
+Window = tuple[slice, slice]
+"""Rows and columns."""
+
+
+@dataclass(frozen=True, eq=False)
+class WindowFrame(CameraFrame):
+    """A frame seen through a window of its picture: rays are those of the whole picture's pixels,
+    whose rows know their time where the shutter rolls."""
+
+    whole: PinholeCamera = field(kw_only=True)
+    corner_px: tuple[int, int] = field(kw_only=True)
+
+    def pixel_rays(
+        self, camera: PinholeCamera, uv: Float[np.ndarray, "n 2"]
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+        """Of the window's (u, v)."""
+        return super().pixel_rays(self.whole, uv + np.array(self.corner_px))
+
+
+def window_around(mask: Bool[np.ndarray, "h w"], margin_px: int) -> Window:
+    """The smallest window that holds the mask and a margin; the mask holds a pixel."""
+    spans = []
+    for axis, size in ((1, mask.shape[0]), (0, mask.shape[1])):
+        found = np.flatnonzero(mask.any(axis=axis))
+        low, high = int(found[0]) - margin_px, int(found[-1]) + 1 + margin_px
+        spans.append(slice(max(0, low), min(size, high)))
+    return spans[0], spans[1]
+
+
+def seen_through(
+    frame: CameraFrame, camera: PinholeCamera, window: Window
+) -> tuple[WindowFrame, PinholeCamera]:
+    """The frame and the camera of a window of its picture."""
+    rows, columns = window
+    values = {f.name: getattr(frame, f.name) for f in fields(CameraFrame)}
+    part = replace(
+        camera,
+        width_px=columns.stop - columns.start,
+        height_px=rows.stop - rows.start,
+        cx=camera.cx - columns.start,
+        cy=camera.cy - rows.start,
+    )
+    return WindowFrame(**values, whole=camera, corner_px=(columns.start, rows.start)), part

@@ -1,0 +1,235 @@
+"""Edits applied to the replayed log: another scenario of the same twin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+
+import numpy as np
+
+from lightsim.core.actors import ActorKind, ActorTrack
+from lightsim.core.frames import Trajectory
+from lightsim.core.log import DrivingLog
+from lightsim.core.scenario import (
+    ActorPlacement,
+    Scenario,
+    ScenarioFrame,
+    changed_placements,
+    placed_elsewhere,
+)
+from lightsim.core.twin import ActorAsset
+from lightsim.errors import InputError
+from lightsim.scenario.edits import EVERY_ACTOR, Edit, Ego, Insert, Move, Remove
+from lightsim.scenario.ground import StandingGround
+from lightsim.scenario.motion import moved_along, set_on_ground, shifted
+
+AssetSource = Callable[[str], ActorAsset]
+"""The asset that a user's words name; its mesh lies in the middle of its own box.
+
+Raises InputError where there is none."""
+_SHOWN = 12
+# The ego vehicle's box, where only the ground under its wheels matters.
+_EGO_BODY = (ActorKind.CAR, np.array([4.5, 1.8, 1.5]))
+# Cameras fire between the poses of the path's ends.
+_HOLD_S = 0.1
+# The part of a motion below which a recorded track counts as standing.
+_STANDS_M = 0.3
+
+
+@dataclass
+class _Cast:
+    """Who is there, while edits are made."""
+
+    tracks: list[ActorTrack]
+    placements: list[ActorPlacement]
+    removed: set[str] = field(default_factory=set[str])
+
+    def track(self, actor_id: str, where: str) -> ActorTrack:
+        """An actor that is there.
+
+        Raises:
+            InputError: nobody has this id, or it was removed before.
+        """
+        by_id = {t.actor_id: t for t in self.tracks if t.actor_id not in self.removed}
+        if actor_id in by_id:
+            return by_id[actor_id]
+        near = get_close_matches(actor_id, by_id, n=1, cutoff=0.5)
+        listed = [*near, *(a for a in by_id if a not in near)][:_SHOWN]
+        more = len(by_id) - len(listed)
+        raise InputError(
+            "there is no such actor",
+            where=where,
+            got=repr(actor_id)[:80],
+            expected=f"one of {', '.join(listed)}" + (f" and {more} more" if more > 0 else ""),
+            remedy="lightsim actors WORK lists them.",
+        )
+
+    def put(self, track: ActorTrack, asset: ActorAsset | None) -> None:
+        """A new actor, or another track for one that is there."""
+        numbers = {t.actor_id: n for n, t in enumerate(self.tracks)}
+        if track.actor_id in numbers:
+            self.tracks[numbers[track.actor_id]] = track
+        else:
+            self.tracks.append(track)
+        self.placements = [p for p in self.placements if p.track.actor_id != track.actor_id]
+        if asset is not None:
+            self.placements.append(ActorPlacement(asset, track))
+
+    def remove(self, actor_ids: Sequence[str]) -> None:
+        """They keep their numbers."""
+        self.removed |= set(actor_ids)
+        self.placements = [p for p in self.placements if p.track.actor_id not in self.removed]
+
+
+def apply_edits(
+    recorded: Scenario,
+    edits: Sequence[Edit],
+    assets: AssetSource,
+    ground: StandingGround,
+    log: DrivingLog,
+) -> Scenario:
+    """The replayed log with edits, made one after the other.
+
+    Placements that no edit touches are the same objects as before: that is how it is known later
+    which parts of which frames stay as the cameras recorded them.
+
+    Raises:
+        InputError: an actor or asset is unknown, or a trajectory leaves the log's time; the message
+            names the edit.
+    """
+    cast = _Cast(list(recorded.tracks), list(recorded.placements))
+    times_ns = [frame.time_ns for frame in log.frames]
+    span_ns = min(times_ns), max(times_ns)
+    ego = recorded.ego
+    for edit in edits:
+        if isinstance(edit, Remove):
+            _remove(cast, edit)
+        elif isinstance(edit, Move):
+            _move(cast, edit, ground, span_ns)
+        elif isinstance(edit, Insert):
+            _insert(cast, edit, assets, ground, span_ns)
+        else:
+            ego = _driven(edit, ego, log, ground, span_ns)
+    frames = recorded.frames
+    if ego is not None and recorded.ego is not None and ego is not recorded.ego:
+        frames = tuple(_seen_from(frame, recorded.ego, ego) for frame in frames)
+    edited = replace(
+        recorded,
+        placements=tuple(cast.placements),
+        tracks=tuple(cast.tracks),
+        ego=ego,
+        frames=frames,
+        removed=frozenset(cast.removed),
+        vacated=placed_elsewhere(recorded.placements, cast.placements),
+    )
+    return replace(edited, frames=tuple(_with_source(f, recorded, edited) for f in frames))
+
+
+def _remove(cast: _Cast, edit: Remove) -> None:
+    if edit.actor in EVERY_ACTOR:
+        there = [t for t in cast.tracks if edit.actor == "all" or t.is_moving]
+        cast.remove([t.actor_id for t in there])
+    else:
+        cast.remove([cast.track(edit.actor, edit.where).actor_id])
+
+
+def _move(cast: _Cast, edit: Move, ground: StandingGround, span_ns: tuple[int, int]) -> None:
+    track = cast.track(edit.actor, edit.where)
+    asset = next((p.asset for p in cast.placements if p.track is track), None)
+    if asset is None:
+        raise InputError(
+            "the actor was not reconstructed and has no shape to show elsewhere",
+            where=edit.where,
+            got=edit.actor,
+            remedy="Remove it, and insert another actor or a model in its place.",
+        )
+    body = (track.kind, track.size_lwh_m)
+    if edit.offset_m is not None:
+        path = shifted(track.trajectory, edit.offset_m)
+        if edit.offset_m[2] == 0:
+            path = set_on_ground(path, body, ground)
+    else:
+        path = moved_along(edit.waypoints, span_ns, body, ground, edit.where)
+    # What the pictures showed of the sun on it held for its own place.
+    free = replace(asset, mesh=replace(asset.mesh, sun_visibility=None))
+    cast.put(replace(track, trajectory=path, is_moving=_is_moving(path)), free)
+
+
+def _insert(
+    cast: _Cast,
+    edit: Insert,
+    assets: AssetSource,
+    ground: StandingGround,
+    span_ns: tuple[int, int],
+) -> None:
+    if edit.actor_id in {track.actor_id for track in cast.tracks}:
+        raise InputError(
+            "an actor of this id is there already",
+            where=edit.where,
+            got=edit.actor_id,
+            expected="an 'id' of its own",
+        )
+    try:
+        asset = assets(edit.asset)
+    except InputError as error:
+        raise InputError(
+            error.what,
+            where=f"{edit.where}, asset '{edit.asset}'",
+            got=error.got,
+            expected=error.expected,
+            remedy=error.remedy or "lightsim assets list shows what there is.",
+        ) from error
+    size = np.ptp(asset.mesh.vertices.astype(np.float64), axis=0)
+    path = moved_along(edit.waypoints, span_ns, (asset.kind, size), ground, edit.where)
+    free = replace(asset, mesh=replace(asset.mesh, sun_visibility=None))
+    track = ActorTrack(edit.actor_id, asset.kind, size, path, _is_moving(path), asset.label)
+    cast.put(track, free)
+
+
+def _is_moving(path: Trajectory) -> bool:
+    return bool(np.ptp(path.positions_m, axis=0).max() > _STANDS_M)
+
+
+def _driven(
+    edit: Ego,
+    ego: Trajectory | None,
+    log: DrivingLog,
+    ground: StandingGround,
+    span_ns: tuple[int, int],
+) -> Trajectory:
+    """Another path of the ego vehicle, as high over the ground as the recorded one."""
+    path = log.ego if ego is None else ego
+    if edit.offset_m is not None:
+        return shifted(path, edit.offset_m)
+    driven = moved_along(edit.waypoints, span_ns, _EGO_BODY, ground, edit.where)
+    if edit.waypoints[0].z_m is None:
+        over = path.positions_m[:, 2] - ground.height_m(path.positions_m[:, :2])
+        up_m = float(np.median(over))
+    else:
+        up_m = 0.0
+    bottom = shifted(driven, (0.0, 0.0, up_m - float(_EGO_BODY[1][2]) / 2))
+    return Trajectory("world", "ego", bottom.times_ns, bottom.matrices)
+
+
+def _seen_from(frame: ScenarioFrame, recorded: Trajectory, ego: Trajectory) -> ScenarioFrame:
+    """The frame of the same camera on the ego vehicle's new path; all rows at once, since the
+    motion during readout is that of the recorded drive."""
+    where = f"frame {frame.camera_name}/{frame.stem}"
+    if not ego.covers(frame.time_ns, _HOLD_S):
+        raise InputError(
+            "the ego's trajectory does not reach this frame",
+            where=where,
+            expected="a path over all chosen frames",
+            remedy="Give a longer path, or choose --frames.",
+        )
+    was = recorded.at(frame.time_ns, _HOLD_S)
+    now = ego.at(frame.time_ns, _HOLD_S)
+    pose = now @ was.inverse() @ frame.world_from_camera
+    return replace(frame, world_from_camera=pose, shutter=None, source="rendered")
+
+
+def _with_source(frame: ScenarioFrame, recorded: Scenario, edited: Scenario) -> ScenarioFrame:
+    if frame.source == "rendered" or not changed_placements(recorded, edited, frame.time_ns):
+        return frame
+    return replace(frame, source="composite")

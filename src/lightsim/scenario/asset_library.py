@@ -1,0 +1,222 @@
+"""Where inserted actors come from: files, the library folder, other work folders, built-in shapes.
+
+An asset is named by a file (`models/van.glb`), by a name in the library (`hatchback`, `cone`), or
+by an actor of another twin (`OTHER_WORK#actor_id`).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from lightsim.core.actors import ActorKind
+from lightsim.core.mesh import TriMesh
+from lightsim.core.twin import ActorAsset
+from lightsim.errors import InputError, LightSimError
+from lightsim.scenario.models import Front, centred, guessed_kind, read_model
+from lightsim.store.artefact import hash_file, hash_names, read_record, write_json
+from lightsim.store.entries import Entries
+from lightsim.store.meshes import read_glb, write_glb
+from lightsim.store.names import is_harmless
+from lightsim.store.reading import is_file
+from lightsim.store.twin import read_twin_assets
+
+_INFO = ".json"
+_REMEDY = "lightsim assets list shows what there is; lightsim assets add takes files in."
+
+
+def default_folder() -> Path:
+    """The user's own library: $XDG_DATA_HOME/lightsim/assets, by default below ~/.local/share."""
+    data = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
+    return Path(data) / "lightsim" / "assets"
+
+
+@dataclass(frozen=True)
+class AssetInfo:
+    """A line of `lightsim assets list`.
+
+    Args:
+        name: by which scenarios name it.
+        kind: of actor.
+        size_lwh_m: of its box.
+        faces: triangles.
+        origin: where it came from, in words.
+        score: how much of it was seen, 0 to 1; None where it is no harvest.
+    """
+
+    name: str
+    kind: ActorKind
+    size_lwh_m: tuple[float, float, float]
+    faces: int
+    origin: str
+    score: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class AssetLibrary:
+    """A folder of assets, NAME.glb and NAME.json each, and the shapes that ship with LightSim.
+
+    Args:
+        folder: need not exist.
+        built_in: shapes by name.
+        beside: relative file names are looked for here first: the folder of SCENARIO.json.
+    """
+
+    folder: Path
+    built_in: Mapping[str, ActorAsset]
+    beside: Path = Path()
+
+    def load(self, words: str) -> ActorAsset:
+        """The asset that a user's words name.
+
+        Raises:
+            InputError: there is none, or its file is damaged.
+        """
+        if "#" in words:
+            return self._of_work(*words.rsplit("#", 1))
+        path = self._file(words)
+        if path is not None:
+            mesh = read_model(path)
+            return ActorAsset(path.stem, guessed_kind(path.stem, mesh), mesh)
+        if is_harmless(words) and is_file(self.folder / f"{words}.glb"):
+            return self._stored(words)
+        if words in self.built_in:
+            return self.built_in[words]
+        names = ", ".join(info.name for info in self.infos())
+        raise InputError(
+            "there is no such asset", got=repr(words)[:80],
+            expected=f"a .glb, .gltf or .obj file, WORK#actor_id, or one of {names}",
+            remedy=_REMEDY,
+        )  # fmt: skip
+
+    def key(self, words: str) -> str:
+        """What decides the asset's shape; moving or renaming its file does not."""
+        if "#" in words:
+            work, actor_id = words.rsplit("#", 1)
+            record = read_record(Path(work) / "twin")
+            return hash_names({"twin": None if record is None else record["key"], "id": actor_id})
+        path = self._file(words) or self.folder / f"{words}.glb"
+        return hash_file(path) if is_file(path) else words
+
+    def infos(self) -> Iterator[AssetInfo]:
+        """All assets with a name: stored ones, then built-in ones."""
+        for path in sorted(self.folder.glob(f"*{_INFO}")):
+            yield _read_info(path)
+        for name, asset in self.built_in.items():
+            yield _info(name, asset, "ships with LightSim")
+
+    def add(
+        self,
+        name: str,
+        asset: ActorAsset,
+        origin: str,
+        score: float | None = None,
+        *,
+        is_replacing: bool = False,
+    ) -> AssetInfo:
+        """Store an asset.
+
+        Raises:
+            InputError: the name is no file name, or is taken.
+        """
+        if not is_harmless(name):
+            raise InputError(
+                "the name is not fit for a file",
+                where=name[:80],
+                expected="letters, digits and . _ -, a letter or digit first",
+            )
+        if is_file(self.folder / f"{name}.glb") and not is_replacing:
+            raise InputError(
+                "an asset of this name is there", where=self.folder, got=name,
+                remedy="Choose another --name, or give --overwrite.",
+            )  # fmt: skip
+        self.folder.mkdir(parents=True, exist_ok=True)
+        info = _info(name, asset, origin, score)
+        write_glb(self.folder / f"{name}.glb", asset.mesh)
+        write_json(self.folder / f"{name}{_INFO}", {**vars(info), "label": asset.label})
+        return info
+
+    def _stored(self, name: str) -> ActorAsset:
+        info = Entries.of_file(self.folder / f"{name}{_INFO}")
+        mesh = read_glb(self.folder / f"{name}.glb", "actor")
+        return ActorAsset(name, info.member("kind", ActorKind), mesh, info.text("label"))
+
+    def _file(self, words: str) -> Path | None:
+        places = (self.beside / words, Path(words)) if Path(words).suffix else ()
+        return next((place for place in places if is_file(place)), None)
+
+    def _of_work(self, work: str, actor_id: str) -> ActorAsset:
+        try:
+            assets, _ = read_twin_assets(Path(work) / "twin")
+        except LightSimError as error:
+            raise InputError(
+                f"the other twin cannot be read: {error.what}",
+                where=work,
+                remedy="Give the work folder of a finished build before the #.",
+            ) from error
+        if actor_id not in assets.actors:
+            raise InputError(
+                "there is no such actor in the other twin",
+                where=work,
+                got=repr(actor_id)[:80],
+                expected=f"one of {', '.join(list(assets.actors)[:12])} ...",
+                remedy=f"lightsim actors {work} lists them.",
+            )
+        asset = assets.actors[actor_id]
+        return replace(asset, mesh=centred(asset.mesh))
+
+
+def add_model(
+    library: AssetLibrary,
+    path: Path,
+    name: str,
+    *,
+    front: Front = "auto",
+    metres_per_unit: float = 1.0,
+    length_m: float | None = None,
+    kind: ActorKind | None = None,
+    is_replacing: bool = False,
+) -> AssetInfo:
+    """Take a CAD file into the library.
+
+    Args:
+        front: where the model looks, in its file's axes.
+        length_m: scale it to this length.
+
+    Raises:
+        InputError: the file cannot be read, or the name is taken.
+    """
+    mesh = read_model(path, front, metres_per_unit)
+    if length_m is not None:
+        factor = np.float32(length_m / np.ptp(mesh.vertices[:, 0]))
+        mesh = replace(mesh, vertices=mesh.vertices * factor)
+    asset = ActorAsset(name, kind or guessed_kind(path.stem, mesh), mesh)
+    return library.add(name, asset, path.name, is_replacing=is_replacing)
+
+
+def _info(name: str, asset: ActorAsset, origin: str, score: float | None = None) -> AssetInfo:
+    length, width, height = (float(x) for x in _size(asset.mesh))
+    return AssetInfo(
+        name, asset.kind, (length, width, height), len(asset.mesh.faces), origin, score
+    )
+
+
+def _size(mesh: TriMesh) -> np.ndarray:
+    return np.ptp(mesh.vertices.astype(np.float64), axis=0)
+
+
+def _read_info(path: Path) -> AssetInfo:
+    entries = Entries.of_file(path)
+    length, width, height = entries.numbers("size_lwh_m", (3,)).tolist()
+    return AssetInfo(
+        entries.text("name"),
+        entries.member("kind", ActorKind),
+        (length, width, height),
+        int(entries.number("faces")),
+        entries.text("origin"),
+        None if entries.is_null("score") else entries.number("score"),
+    )

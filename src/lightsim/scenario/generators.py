@@ -1,0 +1,231 @@
+"""Common scenes as edits, laid out along the ego vehicle's own path: cut-ins, road works and more.
+
+Each function returns edits as SCENARIO.json spells them, so that they can be looked at, changed by
+hand and mixed. Places are found by the distance along the recorded path and the offset from it,
+left positive; beyond its end the path goes on straight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+from lightsim.core.frames import Trajectory
+from lightsim.core.log import DrivingLog
+from lightsim.errors import InputError
+
+_STEP_S = 0.2
+_BRAKING_M_S2 = 7.0
+"""A full stop on dry road."""
+_CHANGE_S = 3.0
+"""A brisk lane change; a shorter log shows the middle of it."""
+_SLOWEST_M_S = 2.0
+"""Other traffic drives at least so fast where the ego stands."""
+_MIN_STEP_M = 0.05
+
+Edits = list[dict[str, Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class EgoLane:
+    """The recorded drive as a lane.
+
+    Args:
+        path: world_from_ego.
+        start_ns, end_ns: first and last picture of the log.
+        width_m: of a lane.
+    """
+
+    path: Trajectory
+    start_ns: int
+    end_ns: int
+    width_m: float = 3.5
+
+    @classmethod
+    def of(cls, log: DrivingLog, width_m: float = 3.5) -> EgoLane:
+        """The lane of a log's drive."""
+        times_ns = [frame.time_ns for frame in log.frames]
+        return cls(log.ego, min(times_ns), max(times_ns), width_m)
+
+    @property
+    def duration_s(self) -> float:
+        """Of the log's pictures."""
+        return (self.end_ns - self.start_ns) / 1e9
+
+    def times_s(self) -> Float64[np.ndarray, " n"]:
+        """From the first picture to the last, 0.2 s apart or a little less."""
+        return np.linspace(
+            0.0, self.duration_s, max(2, int(np.ceil(self.duration_s / _STEP_S)) + 1)
+        )
+
+    def ego_m(self, times_s: Float[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+        """How far along the path the ego vehicle is."""
+        keys_s = (self.path.times_ns - self.start_ns) / 1e9
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(self._steps, axis=1))])
+        return np.interp(times_s, keys_s, along)
+
+    @property
+    def speed_m_s(self) -> float:
+        """Of the ego vehicle, mean over the log."""
+        ends = self.ego_m(np.array([0.0, self.duration_s]))
+        return float(np.diff(ends)[0] / max(self.duration_s, 1e-3))
+
+    @property
+    def _steps(self) -> Float64[np.ndarray, "_ 2"]:
+        return np.diff(self.path.positions_m[:, :2], axis=0)
+
+    @cached_property
+    def _line(self) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, "k 2"]]:
+        """Distances and points of the path where it moves, with long straight ends."""
+        points = self.path.positions_m[:, :2]
+        kept = [points[0]]
+        for point in points[1:]:
+            if np.linalg.norm(point - kept[-1]) > _MIN_STEP_M:
+                kept.append(point)
+        first, last = (self.path.matrices[i, :2, 0] for i in (0, -1))
+        line = np.array([kept[0] - 100.0 * first, *kept, kept[-1] + 1000.0 * last])
+        length = np.linalg.norm(np.diff(line, axis=0), axis=1)
+        return np.concatenate([[0.0], np.cumsum(length)]) - length[0], line
+
+    def place(
+        self, along_m: Float[np.ndarray, " n"], left_m: Float[np.ndarray, " n"]
+    ) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, " n"]]:
+        """(x, y) and heading in degrees, frame `world`."""
+        distance, line = self._line
+        xy = np.column_stack([np.interp(along_m, distance, line[:, k]) for k in (0, 1)])
+        # Over a car's length: the recorded positions of a slow drive jitter by centimetres.
+        ends = [
+            np.column_stack([np.interp(along_m + s, distance, line[:, k]) for k in (0, 1)])
+            for s in (-2.5, 2.5)
+        ]
+        ahead = ends[1] - ends[0]
+        ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+        left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+        return xy + left_m[:, None] * left, np.degrees(np.arctan2(ahead[:, 1], ahead[:, 0]))
+
+    def standing(self, along_m: float, left_m: float, turned_deg: float = 0.0) -> dict[str, float]:
+        """'at' of an insertion."""
+        xy, yaw_deg = self.place(np.array([along_m]), np.array([left_m]))
+        x_m, y_m = (round(float(v), 3) for v in xy[0])
+        return {"x_m": x_m, "y_m": y_m, "yaw_deg": round(float(yaw_deg[0]) + turned_deg, 2)}
+
+    def driving(
+        self,
+        along_m: Callable[[Float64[np.ndarray, " n"]], Float64[np.ndarray, " n"]],
+        left_m: Callable[[Float64[np.ndarray, " n"]], Float64[np.ndarray, " n"]],
+    ) -> list[dict[str, float]]:
+        """'trajectory' of an insertion, from its places over time."""
+        times_s = self.times_s()
+        along, left = along_m(times_s), left_m(times_s)
+        xy, lane_deg = self.place(along, left)
+        drift = np.gradient(left, times_s) / np.maximum(np.abs(np.gradient(along, times_s)), 0.5)
+        yaw_deg = lane_deg + np.degrees(np.arctan(drift))
+        rows = np.column_stack([times_s, xy, yaw_deg])
+        keys = ("time_s", "x_m", "y_m", "yaw_deg")
+        return [dict(zip(keys, np.round(row, 4).tolist(), strict=True)) for row in rows]
+
+
+def cut_in(lane: EgoLane, asset: str, gap_m: float = 10.0, from_left: bool = True) -> Edits:
+    """A car of the neighbouring lane changes into the ego's, `gap_m` ahead of it (centre to
+    centre), around the middle of the log."""
+    side = lane.width_m * (1.0 if from_left else -1.0)
+    return [_changing(lane, asset, gap_m, side, 0.0)]
+
+
+def lane_change(lane: EgoLane, asset: str, gap_m: float = 15.0, to_left: bool = True) -> Edits:
+    """The car ahead leaves the ego's lane."""
+    side = lane.width_m * (1.0 if to_left else -1.0)
+    return [_changing(lane, asset, gap_m, 0.0, side)]
+
+
+def _changing(
+    lane: EgoLane, asset: str, gap_m: float, start_m: float, end_m: float
+) -> dict[str, Any]:
+    speed = max(lane.speed_m_s, _SLOWEST_M_S)
+    first_m = float(lane.ego_m(np.zeros(1))[0]) + gap_m
+
+    def left_m(times_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+        part = np.clip((times_s - lane.duration_s / 2) / _CHANGE_S + 0.5, 0.0, 1.0)
+        return start_m + (end_m - start_m) * part * part * (3 - 2 * part)
+
+    path = lane.driving(lambda t: first_m + speed * t, left_m)
+    return {"do": "insert", "asset": asset, "trajectory": path}
+
+
+def hard_brake(lane: EgoLane, asset: str, gap_m: float = 15.0, after_s: float = 0.5) -> Edits:
+    """The car ahead drives as fast as the ego on average and then stops as hard as it can."""
+    speed = max(lane.speed_m_s, _SLOWEST_M_S)
+    first_m = float(lane.ego_m(np.zeros(1))[0]) + gap_m
+
+    def along_m(times_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+        braking_s = np.clip(times_s - after_s, 0.0, speed / _BRAKING_M_S2)
+        driven = speed * (np.minimum(times_s, after_s) + braking_s)
+        return first_m + driven - 0.5 * _BRAKING_M_S2 * braking_s**2
+
+    return [{"do": "insert", "asset": asset, "trajectory": lane.driving(along_m, np.zeros_like)}]
+
+
+def stalled(lane: EgoLane, asset: str, ahead_m: float = 20.0, left_m: float = 0.0) -> Edits:
+    """A vehicle stands in the ego's lane, a little turned, with three cones behind it."""
+    here = float(lane.ego_m(np.array([lane.duration_s]))[0]) + ahead_m
+    cones = [
+        {"do": "insert", "asset": "cone", "at": lane.standing(here - back, left_m + side)}
+        for back, side in ((4.5, 0.9), (7.0, 0.3), (9.5, -0.3))
+    ]
+    return [{"do": "insert", "asset": asset, "at": lane.standing(here, left_m, 8.0)}, *cones]
+
+
+def construction(
+    lane: EgoLane, ahead_m: float = 8.0, length_m: float = 24.0, from_left: bool = False
+) -> Edits:
+    """Road works that close half of the lane: cones along a taper, barriers behind it, a sign.
+
+    The taper's cones stand 2 m apart and move in by half a lane over the first half of the zone.
+    """
+    side = 1.0 if from_left else -1.0
+    first = float(lane.ego_m(np.array([lane.duration_s]))[0]) + ahead_m
+    outer, inner = 0.75 * lane.width_m, 0.25 * lane.width_m
+    taper_m = length_m / 2
+    edits: Edits = [
+        {"do": "insert", "asset": "sign", "at": lane.standing(first - 3.0, side * outer, 180.0)}
+    ]
+    for along in np.arange(0.0, taper_m, 2.0).tolist():
+        across = side * (outer + (inner - outer) * along / taper_m)
+        edits.append({"do": "insert", "asset": "cone", "at": lane.standing(first + along, across)})
+    for along in np.arange(taper_m + 2.0, length_m, 3.2).tolist():
+        at = lane.standing(first + along, side * (inner + 0.4))
+        edits.append({"do": "insert", "asset": "barrier", "at": at})
+    return edits
+
+
+def parked_row(
+    lane: EgoLane,
+    assets: tuple[str, ...],
+    count: int = 5,
+    left_m: float = -4.0,
+    spacing_m: float = 6.5,
+    ahead_m: float = 6.0,
+) -> Edits:
+    """Vehicles parked along the road, in turn of the assets.
+
+    Raises:
+        InputError: there is no asset, or nothing to park.
+    """
+    if not assets or count < 1:
+        raise InputError(
+            "nothing is parked", got=count, expected="assets, and a count of 1 or more"
+        )
+    first = float(lane.ego_m(np.zeros(1))[0]) + ahead_m
+    return [
+        {
+            "do": "insert",
+            "asset": assets[k % len(assets)],
+            "at": lane.standing(first + k * spacing_m, left_m),
+        }
+        for k in range(count)
+    ]

@@ -1,0 +1,1 @@
+"""Twin, scenario and skies to frames, films and labels. `lightsim.simulate` is the function."""

@@ -1,0 +1,162 @@
+"""The shapes that ship with LightSim: cars, a truck, a person, and what stands on road works."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+
+import numpy as np
+
+from lightsim.core.actors import ActorKind
+from lightsim.core.mesh import Material, TriMesh
+from lightsim.core.twin import ActorAsset
+from lightsim.synthetic.participants import CAR_SHAPES, build_car, build_walker
+from lightsim.synthetic.shapes import Part, box, merge_parts, quads, tube
+
+_PAINT = Material(0.3, 0.0, "car paint")
+_PLASTIC = Material(0.5, 0.0, "plastic")
+_LOOKS: Mapping[str, tuple[tuple[float, float, float], Material]] = {
+    "white": ((0.72, 0.72, 0.71), _PAINT),
+    "black": ((0.035, 0.037, 0.04), _PAINT),
+    "grey": ((0.40, 0.41, 0.42), _PAINT),
+    "red": ((0.42, 0.035, 0.03), _PAINT),
+    "car_glass": ((0.03, 0.034, 0.036), Material(0.1, 0.0, "glass")),
+    "rubber": ((0.035, 0.035, 0.036), Material(0.7, 0.0, "rubber")),
+    "steel": ((0.42, 0.43, 0.44), Material(0.4, 0.5, "metal")),
+    "lamp": ((0.70, 0.71, 0.72), Material(0.12, 0.0, "glass")),
+    "tail": ((0.42, 0.02, 0.02), Material(0.12, 0.0, "glass")),
+    "plate": ((0.75, 0.75, 0.72), _PLASTIC),
+    "skin": ((0.48, 0.30, 0.22), Material(0.6, 0.0, "skin")),
+    "cloth": ((0.10, 0.14, 0.28), Material(0.9, 0.0, "cloth")),
+    "orange": ((0.80, 0.16, 0.02), _PLASTIC),
+    "stripe": ((0.80, 0.80, 0.78), Material(0.4, 0.0, "reflective foil")),
+    "concrete": ((0.46, 0.45, 0.42), Material(0.9, 0.0, "concrete")),
+    "sign_red": ((0.55, 0.04, 0.04), Material(0.35, 0.0, "reflective foil")),
+}
+"""Linear base colour and material of each look that a part names."""
+_CREASE_DEG = 35.0
+"""Faces that meet at less than this are one curved surface."""
+
+
+@cache
+def built_in_assets() -> Mapping[str, ActorAsset]:
+    """By name; each lies in the middle of its own box, x ahead."""
+    sedan, hatchback, suv, van = CAR_SHAPES
+    shapes: dict[str, tuple[ActorKind, Sequence[Part]]] = {
+        "car": (ActorKind.CAR, build_car(sedan, "grey")[0]),
+        "car-red": (ActorKind.CAR, build_car(hatchback, "red")[0]),
+        "car-black": (ActorKind.CAR, build_car(suv, "black")[0]),
+        "van": (ActorKind.CAR, build_car(van, "white")[0]),
+        "truck": (ActorKind.TRUCK, _truck()),
+        "person": (ActorKind.PEDESTRIAN, build_walker("cloth", "black")[0]),
+        "cone": (ActorKind.CONE, _cone()),
+        "barrel": (ActorKind.BARRIER, _barrel()),
+        "barrier": (ActorKind.BARRIER, _barrier()),
+        "sign": (ActorKind.SIGN, _sign()),
+    }
+    return {
+        name: ActorAsset(name, kind, _mesh(merge_parts(parts)))
+        for name, (kind, parts) in shapes.items()
+    }
+
+
+def _cone() -> list[Part]:
+    """A traffic cone of 0.75 m (MUTCD, Sec. 6F.64: 0.7 m and more on roads) with two collars."""
+    heights = (0.03, 0.36, 0.46, 0.54, 0.64, 0.75)
+    looks = ("orange", "stripe", "orange", "stripe", "orange")
+    radii = [0.15 - 0.12 * h / 0.75 for h in heights]
+    cone = [
+        tube(look, (0, 0, low), (0, 0, high), (r0, r1), 24)
+        for look, low, high, r0, r1 in zip(
+            looks, heights, heights[1:], radii, radii[1:], strict=False
+        )
+    ]
+    return [box("rubber", (-0.18, -0.18, 0.0), (0.18, 0.18, 0.03)), *cone]
+
+
+def _barrel() -> list[Part]:
+    """A channelising drum of 0.92 m (MUTCD, Sec. 6F.67)."""
+    heights = np.linspace(0.08, 0.92, 6)
+    looks = ("orange", "stripe", "orange", "stripe", "orange")
+    drum = [
+        tube(look, (0, 0, low), (0, 0, high), (0.25, 0.25), 28)
+        for look, low, high in zip(looks, heights[:-1].tolist(), heights[1:].tolist(), strict=True)
+    ]
+    return [tube("rubber", (0, 0, 0), (0, 0, 0.08), (0.34, 0.31), 28), *drum]
+
+
+def _barrier() -> list[Part]:
+    """A concrete (Jersey) barrier of 3 m: slopes of 55 and 84 degrees (FHWA profile)."""
+    profile = np.array([[0.30, 0.0], [0.30, 0.08], [0.12, 0.33], [0.075, 0.81]])
+    outline = np.concatenate([profile, profile[::-1] * [-1, 1]])
+    ends = [np.insert(outline, 0, x, axis=1) for x in (-1.5, 1.5)]
+    around = np.stack(
+        [ends[0], np.roll(ends[0], -1, axis=0), np.roll(ends[1], -1, axis=0), ends[1]], axis=1
+    )
+    strips = [np.stack([e[i], e[i + 1], e[-2 - i], e[-1 - i]]) for e in ends for i in range(3)]
+    caps = np.stack([s if k >= 3 else s[::-1] for k, s in enumerate(strips)])
+    skin = np.concatenate([around, caps])
+    return [quads("concrete", skin, skin[..., :2])]
+
+
+def _sign() -> list[Part]:
+    """A round sign of 0.6 m on a pole, its face ahead."""
+    return [
+        tube("steel", (0, 0, 0), (0, 0, 2.5), (0.03, 0.03), 14),
+        tube("sign_red", (0.03, 0, 2.3), (0.05, 0, 2.3), (0.3, 0.3), 36),
+        tube("stripe", (0.05, 0, 2.3), (0.055, 0, 2.3), (0.22, 0.22), 36),
+    ]
+
+
+def _truck() -> list[Part]:
+    """A box truck of 7.5 m: cab, box, chassis, three pairs of wheels."""
+    parts = [
+        box("white", (-3.75, -1.2, 1.0), (1.6, 1.2, 3.4)),
+        box("grey", (1.75, -1.1, 0.55), (3.65, 1.1, 2.55)),
+        box("car_glass", (2.9, -1.02, 1.6), (3.68, 1.02, 2.35)),
+        box("car_glass", (2.1, -1.12, 1.6), (3.3, 1.12, 2.3)),
+        box("black", (-3.7, -0.5, 0.6), (3.5, 0.5, 1.0)),
+        box("plate", (3.6, -0.26, 0.6), (3.7, 0.26, 0.72)),
+    ]
+    for side in (-1.0, 1.0):
+        a, b = sorted((side * 0.7, side * 1.0))
+        parts += [
+            box("lamp", (3.6, a, 0.8), (3.69, b, 1.0)),
+            box("tail", (-3.78, a, 0.8), (-3.7, b, 1.0)),
+        ]
+        for x in (2.6, -2.4):
+            inner, outer = (x, side * 0.82, 0.45), (x, side * 1.12, 0.45)
+            parts.append(tube("rubber", inner, outer, (0.45, 0.45), 24))
+            parts.append(tube("steel", outer, (x, side * 1.13, 0.45), (0.26, 0.22), 16))
+    return parts
+
+
+def _mesh(parts: Sequence[Part]) -> TriMesh:
+    """Parts as one mesh around the middle of its box; curved surfaces are shaded smoothly."""
+    smooth = [_smooth(part) for part in parts]
+    vertices = np.concatenate([v for v, _ in smooth])
+    offsets = np.cumsum([0] + [len(v) for v, _ in smooth[:-1]])
+    faces = np.concatenate([f + o for (_, f), o in zip(smooth, offsets, strict=True)])
+    looks = [_LOOKS[part.material] for part in parts]
+    colour = np.repeat([rgb for rgb, _ in looks], [len(v) for v, _ in smooth], axis=0)
+    materials = tuple(dict.fromkeys(material for _, material in looks))
+    number = [materials.index(material) for _, material in looks]
+    return TriMesh(
+        "actor",
+        (vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2).astype(np.float32),
+        faces.astype(np.int32),
+        colour.astype(np.float32),
+        materials,
+        np.repeat(number, [len(f) for _, f in smooth]).astype(np.uint8),
+    )
+
+
+def _smooth(part: Part) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of a part whose vertices are split along creases alone."""
+    from trimesh import Trimesh
+    from trimesh.graph import smooth_shade
+
+    mesh = Trimesh(part.vertices, part.faces, process=True)
+    mesh.update_faces(mesh.nondegenerate_faces())
+    shaded = smooth_shade(mesh, angle=np.radians(_CREASE_DEG))
+    return np.asarray(shaded.vertices), np.asarray(shaded.faces)

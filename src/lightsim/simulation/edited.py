@@ -1,0 +1,91 @@
+"""`lightsim simulate`: the log with edits, under any sky."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from lightsim.core.scenario import Scenario
+from lightsim.errors import InputError
+from lightsim.pipeline.workspace import Workspace
+from lightsim.progress import Progress
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.scenario.apply import apply_edits
+from lightsim.scenario.asset_library import AssetLibrary, default_folder
+from lightsim.scenario.conflicts import find_conflicts
+from lightsim.scenario.edits import Insert, ScenarioRequest, read_scenario_request
+from lightsim.scenario.ground import StandingGround
+from lightsim.simulation.built_in_assets import built_in_assets
+from lightsim.simulation.options import SimulateOptions
+from lightsim.simulation.relight import make_frames, opened_for, replayed
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def simulate(work: Path, request: Path, options: SimulateOptions, progress: Progress) -> list[Path]:
+    """Make the frames of SCENARIO.json from the twin of a work folder.
+
+    Returns:
+        WORK/scenarios/NAME for one sky; for several WORK/scenarios/NAME/<sky> of each, in order.
+
+    Raises:
+        ArtefactError: as `relight`.
+        InputError: as `relight`; or the scenario is wrong: an unknown actor or asset, a trajectory
+            outside the log's time; with `strict`, actors in one place, in walls or off the ground.
+    """
+    asked = read_scenario_request(request)
+    options = options.completed(asked.name, asked.sky)
+    with opened_for(work, options) as workspace:
+        recorded = replayed(workspace, options)
+        if not asked.edits:
+            return make_frames(workspace, recorded, options, progress)
+        library = asset_library(options.library, request.parent)
+        scenario = edited_scenario(workspace, recorded, asked, library, strict=options.strict)
+        made_of: dict[str, Any] = {"edits": asked.spelt}
+        named = sorted({edit.asset for edit in asked.edits if isinstance(edit, Insert)})
+        if named:
+            made_of["assets"] = {words: library.key(words) for words in named}
+        return make_frames(workspace, scenario, options, progress, recorded, made_of)
+
+
+def asset_library(folder: Path | None, beside: Path = Path()) -> AssetLibrary:
+    """The library in a folder (by default the user's own), with what ships with LightSim."""
+    return AssetLibrary(folder or default_folder(), built_in_assets(), beside)
+
+
+def edited_scenario(
+    workspace: Workspace,
+    recorded: Scenario,
+    asked: ScenarioRequest,
+    library: AssetLibrary,
+    *,
+    strict: bool = False,
+) -> Scenario:
+    """The replayed log with the edits of SCENARIO.json; what is odd about it is in its notes.
+
+    Raises:
+        InputError: as `simulate`.
+    """
+    background = make_embree_caster([workspace.twin.assets.background])
+    ground = StandingGround(workspace.fields.ground, background)
+    scenario = apply_edits(recorded, asked.edits, library.load, ground, workspace.log)
+    before = {id(track) for track in recorded.tracks}
+    edited = [track for track in scenario.tracks if id(track) not in before]
+    conflicts = find_conflicts(scenario, edited, ground)
+    _tell(conflicts, asked.source, strict=strict)
+    return replace(scenario, edits=asked.spelt, notes=conflicts)
+
+
+def _tell(conflicts: Sequence[str], source: Path, *, strict: bool) -> None:
+    if conflicts and strict:
+        raise InputError(
+            "the scenario is not possible",
+            where=source,
+            got="; ".join(conflicts),
+            remedy="Mend it, or leave --strict out to have it all the same.",
+        )
+    for conflict in conflicts:
+        _LOGGER.warning("%s: %s", source, conflict)

@@ -1,0 +1,182 @@
+"""Single frames of a twin under one target sky, and what is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from lightsim.core.buffers import ShadowBuffers
+from lightsim.core.log import DrivingLog
+from lightsim.core.scenario import Scenario, ScenarioFrame
+from lightsim.core.sensors import CameraFrame
+from lightsim.pipeline.workspace import Workspace
+from lightsim.relighting.methods import METHODS
+from lightsim.relighting.physical.compose import camera_image
+from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs
+from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
+from lightsim.render.image import sky_image
+from lightsim.render.transport.matrix import TransportConfig
+from lightsim.render.transport.sky import EnvironmentCells
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.skies import TargetSky
+from lightsim.simulation.source_image import SourceImage, SourceImages
+
+
+@dataclass(frozen=True)
+class RelightConfig:
+    """How frames are relit: settings that no option of the command names."""
+
+    transport: TransportConfig = field(default_factory=lambda: TransportConfig(bounces=2))
+    """Light of source and target sky on the twin."""
+    ratio: RatioConfig = field(default_factory=RatioConfig)
+    """From the two lights to the relit pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class RelitFrame:
+    """One frame as it was asked for, and what it was made of.
+
+    Args:
+        frame: of the scenario.
+        image_srgb8: as the camera would have recorded it.
+        radiance: linear, scene units, before gain and exposure.
+        traced: the frame in the scenario; None where nothing had to be traced.
+        lights: of the source sky and of the target; None where pixels kept their light.
+        source: the frame under the source sky.
+    """
+
+    frame: CameraFrame
+    image_srgb8: UInt8[np.ndarray, "h w 3"]
+    radiance: Float32[np.ndarray, "h w 3"]
+    traced: TransportFrame | None
+    lights: tuple[ShadowBuffers, ShadowBuffers] | None
+    source: SourceImage
+
+
+@dataclass(frozen=True, eq=False)
+class RelightTarget:
+    """A target sky made ready for many frames.
+
+    Args:
+        sky: as it was resolved.
+        cells: for sums of light.
+        level_ratio: light on level ground in the open, target over source.
+    """
+
+    sky: TargetSky
+    cells: EnvironmentCells
+    level_ratio: Float32[np.ndarray, "3"]
+
+
+class Relighter:
+    """Relights single frames of one workspace; a frame is traced once for all target skies."""
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        log: DrivingLog,
+        config: RelightConfig,
+        options: RelightOptions,
+        recorded: Scenario | None = None,
+    ) -> None:
+        """`recorded`: the log as it was, where scenarios have edits."""
+        self.log = log
+        self._options = options
+        self._workspace = workspace
+        self._config = config
+        self._renderer = FrameRenderer(
+            workspace.twin.assets.background,
+            workspace.unobserved_occluders,
+            config.transport,
+            options.seed,
+        )
+        self._source = self._renderer.prepare(workspace.sky.dome)
+        self._images = SourceImages(workspace, log, recorded, self._renderer, self._source)
+
+    def target(self, sky: TargetSky) -> RelightTarget:
+        """A target sky made ready."""
+        level = [d.horizontal_irradiance() for d in (self._workspace.sky.dome, sky.dome)]
+        ratio = (level[1] / np.maximum(level[0], 1e-9)).astype(np.float32)
+        return RelightTarget(sky, self._renderer.prepare(sky.dome, sky.behind), ratio)
+
+    def relit(
+        self, frame: ScenarioFrame, scenario: Scenario, targets: Sequence[RelightTarget]
+    ) -> Iterator[RelitFrame]:
+        """One frame under each target sky, in their order.
+
+        Under the source's own sky the source image is the answer; a frame without edits is not
+        traced for it.
+        """
+        if frame.source == "rendered":
+            yield from self._rendered(frame, scenario, targets)
+            return
+        camera = self.log.cameras[frame.camera_name]
+        is_needed = self._options.labels or not all(t.sky.is_source for t in targets)
+        is_needed |= self._images.is_edited(frame, scenario)
+        traced = self._renderer.trace(scenario, frame, camera) if is_needed else None
+        source = self._images.of(frame, scenario, traced)
+        own_light = None
+        for target in targets:
+            if target.sky.is_source:
+                image = source.srgb8
+                if self._options.exposure_ev:
+                    image = self._developed(frame, source.radiance)
+                yield RelitFrame(frame, image, source.radiance, traced, None, source)
+                continue
+            assert traced is not None
+            own_light = own_light or traced.light(self._source)
+            yield self._relit(
+                frame, traced, source, (own_light, traced.light(target.cells)), target
+            )
+
+    def _rendered(
+        self, frame: ScenarioFrame, scenario: Scenario, targets: Sequence[RelightTarget]
+    ) -> Iterator[RelitFrame]:
+        """A frame from where no camera stood."""
+        traced = self._images.rendered(frame, scenario)
+        source = self._images.of_rendered(frame, traced)
+        for target in targets:
+            radiance = source.radiance
+            if not target.sky.is_source:
+                own = source.radiance * target.level_ratio
+                made = np.where(source.is_edited[..., None], traced.image(target.cells), own)
+                radiance = made.astype(np.float32)
+            image = self._developed(frame, radiance)
+            yield RelitFrame(frame, image, radiance, traced, None, source)
+
+    def _developed(
+        self, frame: CameraFrame, radiance: Float32[np.ndarray, "h w 3"]
+    ) -> UInt8[np.ndarray, "h w 3"]:
+        gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
+        return camera_image(radiance, gain, self._options.exposure_ev)
+
+    def _relit(
+        self,
+        frame: ScenarioFrame,
+        traced: TransportFrame,
+        source: SourceImage,
+        lights: tuple[ShadowBuffers, ShadowBuffers],
+        target: RelightTarget,
+    ) -> RelitFrame:
+        camera = self.log.cameras[frame.camera_name]
+        inputs = RelightInputs(
+            radiance=source.radiance,
+            is_clipped=source.is_clipped,
+            sky_matte=source.sky_matte,
+            buffers=traced.buffers,
+            source=lights[0],
+            target=lights[1],
+            target_sky=sky_image(target.sky.behind or target.sky.dome, camera, frame),
+            source_sun=self._source.sun,
+            target_sun=target.cells.sun,
+            found_visibility=traced.found_visibility(self._source.sun),
+        )
+        radiance = METHODS[self._options.method](inputs, self._config.ratio)
+        ego_vehicle = self.log.ego_vehicle_masks.get(frame.camera_name)
+        if ego_vehicle is not None:
+            # It moves with the camera and has no mesh: lit as a level surface in the open.
+            radiance[ego_vehicle] = inputs.radiance[ego_vehicle] * target.level_ratio
+        return RelitFrame(frame, self._developed(frame, radiance), radiance, traced, lights, source)

@@ -1,0 +1,250 @@
+"""What a frame shows under the source sky before it is relit: the recorded picture, the picture
+with edits in it, or the twin from a place where no camera stood."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, UInt8
+
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.colour import linear_from_srgb8, srgb8_from_linear
+from lightsim.core.log import DrivingLog
+from lightsim.core.resample import resize_area
+from lightsim.core.scenario import ActorPlacement, Scenario, changed_placements
+from lightsim.core.sensors import CameraFrame
+from lightsim.pipeline.workspace import Workspace
+from lightsim.relighting.physical.edited import EditInputs, edited_image
+from lightsim.relighting.physical.ratio import RelightInputs
+from lightsim.render.frame_renderer import (
+    SHADOW_ERROR_M,
+    FrameRenderer,
+    TransportFrame,
+    visible_sky,
+)
+from lightsim.render.transport.sky import EnvironmentCells
+from lightsim.render.window import Window, seen_through, window_around
+
+_PIXEL_SAMPLES = 4
+"""Of rendered actors; their edges are sampled more finely by their coverage."""
+_MARGIN_PX = 4
+"""Around new actors: what is behind them is known from there."""
+_REACH_M = 3.0
+"""Farther than this from an actor, what it takes of the sky's light is not seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class SourceImage:
+    """One frame under the source sky.
+
+    Args:
+        srgb8: as its camera would have recorded it; the recorded bytes where nothing is edited.
+        radiance: the same, linear, scene units.
+        is_clipped: at least one channel is saturated.
+        sky_matte: fraction of each pixel that is sky.
+        is_edited: pixels that differ from the recorded picture.
+    """
+
+    srgb8: UInt8[np.ndarray, "h w 3"]
+    radiance: Float32[np.ndarray, "h w 3"]
+    is_clipped: Bool[np.ndarray, "h w"]
+    sky_matte: Float32[np.ndarray, "h w"]
+    is_edited: Bool[np.ndarray, "h w"]
+
+
+_Changed = tuple[tuple[ActorPlacement, ...], tuple[ActorPlacement, ...]]
+"""Actors that are gone and actors that are new."""
+
+
+class SourceImages:
+    """Makes source images of one workspace.
+
+    Args:
+        recorded: the log as it was, from which scenarios were made by edits; None: there are none.
+        renderer: of the frames.
+        sky: the source's, made ready by it.
+    """
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        log: DrivingLog,
+        recorded: Scenario | None,
+        renderer: FrameRenderer,
+        sky: EnvironmentCells,
+    ) -> None:
+        self._workspace = workspace
+        self._log = log
+        self._recorded = recorded
+        self._renderer = renderer
+        self._sky = sky
+        self._pictures = renderer.sampled(_PIXEL_SAMPLES, sky.sun)
+
+    def is_edited(self, frame: CameraFrame, scenario: Scenario) -> bool:
+        """Whether edits may change the picture: actors that come or go stand in it, or close to
+        what it shows, or between that and the sun."""
+        return self._changed(frame, scenario) is not None
+
+    def of(
+        self, frame: CameraFrame, scenario: Scenario, traced: TransportFrame | None
+    ) -> SourceImage:
+        """The source image of a frame.
+
+        Args:
+            traced: the frame in the scenario; None where `is_edited` says that it is not needed.
+        """
+        image = self._recorded_image(frame)
+        changed = self._changed(frame, scenario)
+        if changed is None:
+            return image
+        assert traced is not None
+        edited = edited_image(self._inputs(frame, scenario, traced, image, changed))
+        gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
+        made = srgb8_from_linear(edited.radiance * gain)
+        return SourceImage(
+            np.where(edited.is_edited[..., None], made, image.srgb8),
+            edited.radiance,
+            edited.is_clipped,
+            edited.sky_matte,
+            edited.is_edited,
+        )
+
+    def _inputs(
+        self,
+        frame: CameraFrame,
+        scenario: Scenario,
+        traced: TransportFrame,
+        image: SourceImage,
+        changed: _Changed,
+    ) -> EditInputs:
+        """The frame in the log and in the scenario, under the source sky."""
+        assert self._recorded is not None
+        camera = self._log.cameras[frame.camera_name]
+        before = self._renderer.trace(self._recorded, frame, camera)
+        (gone, new), sun = changed, self._sky.sun
+        light = before.light(self._sky)
+        everything = np.ones_like(image.sky_matte)
+        covered = traced.coverage(_numbers(scenario, new))
+        return EditInputs(
+            recorded=RelightInputs(
+                radiance=image.radiance,
+                is_clipped=image.is_clipped,
+                sky_matte=image.sky_matte,
+                buffers=before.buffers,
+                source=light,
+                target=light,
+                target_sky=image.radiance,
+                source_sun=sun,
+                target_sun=sun,
+                found_visibility=before.found_visibility(sun),
+            ),
+            buffers=traced.buffers,
+            light=traced.light(self._sky),
+            found_visibility=traced.found_visibility(sun),
+            sky=visible_sky(self._sky, frame, camera),
+            rendered=self._render_around(covered, frame, scenario),
+            gone=before.coverage(_numbers(self._recorded, gone)),
+            new=covered,
+            past_gone=before.sun_past(gone, sun, SHADOW_ERROR_M) if sun else everything,
+            past_new=before.sun_past(new, sun) if sun else everything,
+            is_fixed=self._ego_vehicle(camera),
+            focal_px=camera.fx,
+        )
+
+    def rendered(self, frame: CameraFrame, scenario: Scenario) -> TransportFrame:
+        """All of a frame from the twin, anti-aliased."""
+        return self._pictures.trace(scenario, frame, self._log.cameras[frame.camera_name])
+
+    def of_rendered(self, frame: CameraFrame, traced: TransportFrame) -> SourceImage:
+        """The source image of a frame that `rendered` traced: all from the twin, but for the ego
+        vehicle's own parts, which move with the camera."""
+        recorded = self._recorded_image(frame)
+        fixed = self._ego_vehicle(self._log.cameras[frame.camera_name])[..., None]
+        radiance = np.where(fixed, recorded.radiance, traced.image(self._sky))
+        gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
+        return SourceImage(
+            np.where(fixed, recorded.srgb8, srgb8_from_linear(radiance * gain)),
+            radiance.astype(np.float32),
+            recorded.is_clipped & fixed[..., 0],
+            np.where(traced.buffers.has_surface, 0.0, 1.0).astype(np.float32),
+            ~fixed[..., 0],
+        )
+
+    def _render_around(
+        self, covered: Float32[np.ndarray, "h w"], frame: CameraFrame, scenario: Scenario
+    ) -> tuple[Window, Float32[np.ndarray, "_ _ 3"]] | None:
+        """The edited street around what is new in it, anti-aliased; None where nothing is."""
+        if not covered.any():
+            return None
+        window = window_around(covered > 0, _MARGIN_PX)
+        view, camera = seen_through(frame, self._log.cameras[frame.camera_name], window)
+        return window, self._pictures.trace(scenario, view, camera).image(self._sky)
+
+    def _recorded_image(self, frame: CameraFrame) -> SourceImage:
+        camera = self._log.cameras[frame.camera_name]
+        srgb8 = frame.load_srgb8()
+        gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
+        matte = self._workspace.sky_matte(frame)[..., None]
+        return SourceImage(
+            srgb8,
+            (linear_from_srgb8(srgb8) / gain).astype(np.float32),
+            np.any(srgb8 >= 254, axis=-1),
+            resize_area(matte, camera.height_px, camera.width_px)[..., 0],
+            np.zeros(srgb8.shape[:2], dtype=bool),
+        )
+
+    def _ego_vehicle(self, camera: PinholeCamera) -> Bool[np.ndarray, "h w"]:
+        nowhere = np.zeros((camera.height_px, camera.width_px), dtype=bool)
+        return self._log.ego_vehicle_masks.get(camera.name, nowhere)
+
+    def _changed(self, frame: CameraFrame, scenario: Scenario) -> _Changed | None:
+        """Actors of the log that are not there and actors that were not, where the camera may see
+        the difference."""
+        if self._recorded is None:
+            return None
+        changed = changed_placements(self._recorded, scenario, frame.time_ns)
+        if changed is None:
+            return None
+        camera = self._log.cameras[frame.camera_name]
+        is_near = any(
+            reaches_into(p, frame, camera, self._sun_direction) for part in changed for p in part
+        )
+        return changed if is_near else None
+
+    @property
+    def _sun_direction(self) -> Float32[np.ndarray, "3"] | None:
+        sun = self._sky.sun
+        if sun is None or sun.direction_world[2] <= 0:
+            return None
+        return sun.direction_world.astype(np.float32)
+
+
+def _numbers(scenario: Scenario, placements: tuple[ActorPlacement, ...]) -> list[int]:
+    return [scenario.number_by_actor[p.track.actor_id] for p in placements]
+
+
+def reaches_into(
+    placement: ActorPlacement,
+    frame: CameraFrame,
+    camera: PinholeCamera,
+    sun_direction: Float32[np.ndarray, "3"] | None,
+) -> bool:
+    """Whether an actor, its surroundings or its shadow on the ground may be in the picture.
+
+    False is certain: the convex hull of the points lies behind the camera or beside its view.
+    """
+    pose = placement.world_from_actor(frame.time_ns)
+    half = placement.track.size_lwh_m / 2
+    corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+    points = pose.apply(corners * (half + _REACH_M))
+    if sun_direction is not None:
+        # Down to the lowest ground within reach.
+        top = pose.apply(corners * (half + SHADOW_ERROR_M))
+        length_m = (top[:, 2] - points[:, 2].min()) / sun_direction[2]
+        points = np.concatenate([points, top - length_m[:, None] * sun_direction])
+    x, y, z = frame.world_from_camera.inverse().apply(points).T
+    left, right = -camera.cx / camera.fx, (camera.width_px - camera.cx) / camera.fx
+    up, down = -camera.cy / camera.fy, (camera.height_px - camera.cy) / camera.fy
+    sides = (z, x - left * z, right * z - x, y - up * z, down * z - y)
+    return not any((side < 0).all() for side in sides)
