@@ -156,13 +156,13 @@ def _centres(wall: Wall, out_m: Float64[np.ndarray, "s z"]) -> Float64[np.ndarra
 
 def _look(
     walls: Sequence[Wall],
-    offsets: Sequence[Float64[np.ndarray, "s z"]],
+    offsets: Sequence[Float64[np.ndarray, "_ _"]],
     frames: Iterable[tuple[CameraFrame, PinholeCamera]],
     caster: RayCaster,
-) -> list[list[Float16[np.ndarray, "s z"]]]:
+) -> list[list[Float16[np.ndarray, "_ _"]]]:
     """Of each wall, log luminance of its cells against the wall around in each view; NaN where the
     view does not show them."""
-    looks: list[list[Float16[np.ndarray, "s z"]]] = [[] for _ in walls]
+    looks: list[list[Float16[np.ndarray, "_ _"]]] = [[] for _ in walls]
     points = [
         _centres(wall, np.where(np.isfinite(offset), offset, _typical(offset)))
         for wall, offset in zip(walls, offsets, strict=True)
