@@ -130,6 +130,24 @@ def test_ground_beside_a_moving_actor_takes_other_views() -> None:
     np.testing.assert_allclose(srgb8_from_linear(colour[beside]), 60, atol=1)
 
 
+def test_ground_never_seen_without_an_actor_takes_the_colour_around() -> None:
+    """One image, dark under the car and right beside it."""
+    track, lid = _box_track()
+    camera = PinholeCamera("a", 160, 160, 120.0, 120.0, 80.0, 80.0)
+    pose = RigidTransform.from_rotation("world", "camera", DOWN, np.array([0.0, 0.0, 5.0]))
+    image = np.full((160, 160, 3), 60, np.uint8)
+    half = track.size_lwh_m[:2] / 2 + 0.2
+    dark = (np.abs(np.arange(160) + 0.5 - 80) / 24 < h for h in half)
+    image[np.ix_(*dark)] = 20
+    frames = (CameraFrame("a", "0", 0, pose, lambda: image),)
+    log = replace(_log((track,), None), cameras={"a": camera}, frames=frames)
+    (ground, _), _ = _bake(log, plane_mesh(8.0, 0.1), {"box": lid})
+    points, colour = _texels(ground)
+    under = (np.abs(points[:, :2]) < half - 0.1).all(axis=1)
+    assert under.sum() > 100
+    np.testing.assert_allclose(srgb8_from_linear(colour[under]), 60, atol=3)
+
+
 def test_vertex_colour_is_the_local_mean_of_the_texture() -> None:
     plane = plane_mesh(8.0, 0.4)
     (ground,), _ = _bake(_log((), None), plane, {})

@@ -248,8 +248,11 @@ def _project(
     corners.depth_m[used] = (points - pose.translation_m) @ pose.rotation[:, 2]
     sharp = pixels_per_metre(scene.vertices[used], scene.normals[used], pose, camera)
     weight = (sharp / _WEIGHT_UNIT_PX) ** (2 * _SHARPNESS_POWER)
-    shade = in_moving_shade(scene, used, frame.time_ns, config.shade_margin_m)
-    corners.weight[used] = np.where(shade, _SHADE_WEIGHT * weight, weight)
+    shade, contact = (
+        in_moving_shade(scene, used, frame.time_ns, margin_m)
+        for margin_m in (config.shade_margin_m, config.contact_margin_m)
+    )
+    corners.weight[used] = weight * np.where(contact, 0.0, np.where(shade, _SHADE_WEIGHT, 1.0))
     return used
 
 

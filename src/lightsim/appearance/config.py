@@ -25,6 +25,9 @@ class AssetConfig:
     """A surface this far in front of a texel does not hide it (plus 1 % of the depth)."""
     shade_margin_m: float = 1.0
     """The static scene this near a moving actor may lie in its shade and counts little."""
+    contact_margin_m: float = 0.25
+    """This near it hardly any light arrives: what was never seen without the actor takes the colour
+    of what lies around."""
     outlier_ratio: float = 1.4
     """Views that differ from a texel's median brightness by more than this are ignored."""
     has_camera_gains: bool = True
