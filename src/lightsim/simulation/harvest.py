@@ -143,7 +143,7 @@ def write_actors_page(work: Path) -> tuple[Path, int, list[ActorSummary]]:
 COLUMNS = ("id", "kind", "motion", "from s", "to s", "nearest m", "seen %", "shape")
 
 
-def table_row(summary: ActorSummary, start_ns: int) -> list[str | float]:
+def table_row(summary: ActorSummary, start_ns: int) -> list[str | float | int]:
     """Cells of one actor under COLUMNS."""
     track = summary.track
     ends = (track.trajectory.start_ns, track.trajectory.end_ns)
