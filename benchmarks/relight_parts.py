@@ -4,8 +4,8 @@
 
 Parts, added in this order: the source sky (base colour is divided anew), camera gains, geometry
 with its base colour (light between true surfaces takes that of the twin). Scores outside the true
-sky, mean over the frames that have exact buffers; and where the squared error lies, by what happens
-to the sun.
+sky, PSNR and LPIPS, mean over the frames that have exact buffers; and where the squared error lies,
+by what happens to the sun.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.colour import linear_from_srgb8
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
-from lightsim.evaluate.metrics import psnr
+from lightsim.evaluate.lpips import lpips_features, lpips_of_features
+from lightsim.evaluate.metrics import fill_invalid, psnr
 from lightsim.pipeline.workspace import Workspace
 from lightsim.relighting.physical.compose import camera_image
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
@@ -161,6 +162,13 @@ def _error_classes(
     }
 
 
+def _scores(made: np.ndarray, truth: np.ndarray, is_valid: np.ndarray) -> tuple[float, float]:
+    """PSNR and LPIPS over the valid pixels."""
+    filled = lpips_features(fill_invalid(made, truth, is_valid).astype(np.float32))
+    distance = lpips_of_features(filled, lpips_features(truth), is_valid)
+    return psnr(made, truth, is_valid), distance
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("work", type=Path)
@@ -168,7 +176,7 @@ def main() -> None:
     parser.add_argument("--cameras", nargs="*")
     options = parser.parse_args()
     street = Street(options.work, options.truth)
-    scores: dict[tuple[str, str], list[float]] = defaultdict(list)
+    scores: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
     shares: dict[tuple[str, str, str], list[tuple[float, float, float]]] = defaultdict(list)
     for path in sorted((options.truth / "base_colour").glob("*/*.exr")):
         if options.cameras and path.parent.name not in options.cameras:
@@ -180,12 +188,12 @@ def main() -> None:
             truth = (read_srgb8(file) / 255).astype(np.float32)
             for name, baseline in BASELINES.items():
                 made = np.clip(baseline(source, truth, seen.is_surface), 0.0, 1.0)
-                scores[target, name].append(psnr(made, truth, seen.is_surface))
+                scores[target, name].append(_scores(made, truth, seen.is_surface))
             sky = street.skies[target]
             classes = _error_classes(seen, seen.true.light(sky), sky.sun is not None)
             for part in PARTS:
                 made = (street.relit(seen, part, target) / 255).astype(np.float32)
-                scores[target, part].append(psnr(made, truth, seen.is_surface))
+                scores[target, part].append(_scores(made, truth, seen.is_surface))
                 error = made.astype(float) - truth
                 square, bias = (error**2).mean(axis=-1), error.mean(axis=-1)
                 total = square[seen.is_surface].sum()
@@ -203,13 +211,14 @@ def main() -> None:
 
 def _tables(
     targets: Sequence[str],
-    scores: Mapping[tuple[str, str], Sequence[float]],
+    scores: Mapping[tuple[str, str], Sequence[tuple[float, float]]],
     shares: Mapping[tuple[str, str, str], Sequence[tuple[float, float, float]]],
 ) -> str:
     names = [*BASELINES, *PARTS]
     lines = ["| target | " + " | ".join(names) + " |", "|---|" + "---:|" * len(names)]
     for target in targets:
-        row = " | ".join(f"{np.mean(scores[target, name]):.2f}" for name in names)
+        means = [np.mean(scores[target, name], axis=0) for name in names]
+        row = " | ".join(f"{psnr_db:.2f} / {lpips:.3f}" for psnr_db, lpips in means)
         lines.append(f"| {target} | {row} |")
     lines += ["", "Fraction of surface / of squared error / bias (sRGB, 0 to 1)", ""]
     lines += ["| target | sun | " + " | ".join(PARTS) + " |", "|---|---|" + "---:|" * len(PARTS)]
