@@ -21,10 +21,10 @@ class Actors:
 
     def run(self) -> None:
         """The table, and where the page with the pictures is."""
-        from lightsim.simulation.harvest import COLUMNS, table_row, write_actors_page
+        from lightsim.simulation.harvest import COLUMNS, write_actors_page
 
-        page, start_ns, summaries = write_actors_page(self.work)
-        rows = [[str(cell) for cell in table_row(s, start_ns)] for s in summaries]
+        page, table = write_actors_page(self.work)
+        rows = [[str(cell) for cell in row] for row in table]
         widths = [max(map(len, column)) for column in zip(COLUMNS, *rows, strict=True)]
         for row in (COLUMNS, *rows):
             say("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)))

@@ -112,11 +112,11 @@ def crop(summary: ActorSummary) -> UInt8[np.ndarray, "h w 3"] | None:
     return frame.load_srgb8()[rows, max(0, left - wider) : right + wider]
 
 
-def write_actors_page(work: Path) -> tuple[Path, int, list[ActorSummary]]:
+def write_actors_page(work: Path) -> tuple[Path, list[list[str | float | int]]]:
     """WORK/actors.html: a table of the actors that edits can name, and a picture of each.
 
     Returns:
-        The page, the time of the first picture, and the actors.
+        The page, and the table's rows under COLUMNS.
 
     Raises:
         ArtefactError: the twin has not been built.
@@ -137,7 +137,7 @@ def write_actors_page(work: Path) -> tuple[Path, int, list[ActorSummary]]:
         Section("Pictures", figures=figures),
     ]
     write_report(work / _PAGE, "Actors", sections, subtitle=f"lightsim actors, {work.name}")
-    return work / _PAGE, start_ns, summaries
+    return work / _PAGE, rows
 
 
 COLUMNS = ("id", "kind", "motion", "from s", "to s", "nearest m", "seen %", "shape")

@@ -73,7 +73,7 @@ _LEAST_SURFELS = 50
 # benchmarks/bench_decompose.py varies those that are still settings.
 
 # Of what a pane of a building shows diffusely, the part that is believed to be its own curtain or
-# room: chosen by the base colour of true panes (street 77: log RMSE 0.70 at 1, 0.52 at 0.3).
+# room: chosen by the base colour of true panes of street 77.
 _PANE_TRUST = 0.3
 
 # Size of the patches that carry labels, and how far above their centres light is asked for.
