@@ -47,6 +47,14 @@ class PathCorrection:
         )
         return turned + self.pivot_world + self._between(self.shifts_m, times_ns)
 
+    def undone(
+        self, points_world: Float[np.ndarray, "m 3"], times_ns: Int64[np.ndarray, " m"]
+    ) -> Float[np.ndarray, "m 3"]:
+        """Where points that were located at the given times lie in the world as recorded: what
+        `transformed` brings back."""
+        shifted = points_world - self.pivot_world - self._between(self.shifts_m, times_ns)
+        return turned_by(shifted, -self._between(self.rotations_rad, times_ns)) + self.pivot_world
+
     def at(self, time_ns: int) -> RigidTransform:
         """The motion of the world as recorded at a time, `world_from_world`."""
         times = np.array([time_ns], dtype=np.int64)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int64
-from scipy.spatial.transform import Rotation
+from jaxtyping import Float, Float64, Int64
+from scipy.spatial.transform import Rotation, Slerp
 
 from lightsim.errors import FrameMismatchError, InputError, OutOfRangeError
 
@@ -259,3 +259,17 @@ class Trajectory:
         rotation = before[:3, :3] @ rotation_from_vector(fraction * turn)
         translation = (1 - fraction) * before[:3, 3] + fraction * after[:3, 3]
         return RigidTransform.from_rotation(self.dst, self.src, rotation, translation)
+
+    def held_at(self, times_ns: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, "m 4 4"]:
+        """Interpolated poses of many times; beyond an end, the pose of that end."""
+        if len(self) == 1:
+            return np.repeat(self.matrices, len(times_ns), axis=0)
+        # Seconds from the start: nanoseconds since 1970 exceed the precision of a float.
+        knots_s = (self.times_ns - self.start_ns) * 1e-9
+        seconds = np.clip((times_ns - self.start_ns) * 1e-9, 0.0, knots_s[-1])
+        poses = np.tile(np.eye(4), (len(times_ns), 1, 1))
+        turns = Slerp(knots_s, Rotation.from_matrix(self.matrices[:, :3, :3]))
+        poses[:, :3, :3] = turns(seconds).as_matrix()
+        for axis in range(3):
+            poses[:, axis, 3] = np.interp(seconds, knots_s, self.matrices[:, axis, 3])
+        return poses

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
-import io
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,6 +14,7 @@ from jaxtyping import Float
 from lightsim.core.actors import ActorKind
 from lightsim.core.frames import RigidTransform, quaternion_from_matrix
 from lightsim.store.atomic import whole_file
+from lightsim.store.pandaset_tables import cuboid_table, pose_entry, write_table
 from lightsim.synthetic.lidar import Returns, actor_poses
 from lightsim.synthetic.plan import StreetConfig, StreetPlan
 from lightsim.synthetic.rig import (
@@ -64,12 +63,12 @@ def write_rig(
             {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx - 0.5, "cy": camera.cy - 0.5},
         )
         poses = [camera_pose(plan, config, mounted, t) for t in times]
-        write_json(target / "poses.json", [_pose_json(pose) for pose in poses])
+        write_json(target / "poses.json", [pose_entry(pose) for pose in poses])
         write_json(target / "timestamps.json", [clock.utc_s(t) for t in times])
     times = [SWEEP_S * k for k in range(count)]
     egos = [_world_from_ego(plan, config, t) for t in times]
     lidar = _ego_from_pandar64()
-    write_json(folder / "lidar" / "poses.json", [_pose_json(ego @ lidar) for ego in egos])
+    write_json(folder / "lidar" / "poses.json", [pose_entry(ego @ lidar) for ego in egos])
     for name in ("lidar", "meta"):
         write_json(folder / name / "timestamps.json", [clock.utc_s(t) for t in times])
     write_json(folder / "meta" / "gps.json", _gps(plan, config, times))
@@ -85,16 +84,11 @@ def camera_pose(
 
 def write_sweep(path: Path, returns: Returns, end_utc_s: float) -> None:
     """Columns x y z i t d as PandaSet has them; all points are the roof LiDAR's (d = 0)."""
-    import pandas as pd
-
     x, y, z = returns.points_world.T
     times = np.round((end_utc_s + returns.offset_s) * 1e4) / 1e4
     device = np.zeros(len(x), dtype=np.int64)
-    frame = pd.DataFrame(
-        {"x": x, "y": y, "z": z, "i": returns.intensity, "t": times, "d": device},
-        index=pd.RangeIndex(len(x), name="index"),
-    )
-    _write_pickle(path, frame)
+    columns = {"x": x, "y": y, "z": z, "i": returns.intensity, "t": times, "d": device}
+    write_table(path, columns, "index")
 
 
 def write_cuboids(path: Path, street: Street, config: StreetConfig, time_s: float) -> None:
@@ -102,8 +96,6 @@ def write_cuboids(path: Path, street: Street, config: StreetConfig, time_s: floa
 
     PandaSet's box has its width along x and its length along y, hence yaw = heading - 90 degrees.
     """
-    import pandas as pd
-
     rows = []
     poses = actor_poses(street, time_s, config.ego_speed_m_s)
     for actor, (pose, _) in zip(street.participants, poses, strict=True):
@@ -132,15 +124,7 @@ def write_cuboids(path: Path, street: Street, config: StreetConfig, time_s: floa
                 "attributes.pedestrian_age": "Adult" if actor.kind.is_person else None,
             }
         )
-    _write_pickle(path, pd.DataFrame(rows))
-
-
-def _write_pickle(path: Path, frame: Any) -> None:
-    buffer = io.BytesIO()
-    frame.to_pickle(buffer)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as temporary:
-        temporary.write_bytes(gzip.compress(buffer.getvalue(), 9, mtime=0))
+    write_table(path, cuboid_table(rows))
 
 
 def _world_from_ego(plan: StreetPlan, config: StreetConfig, time_s: float) -> RigidTransform:
@@ -151,12 +135,6 @@ def _ego_from_pandar64() -> RigidTransform:
     rotation = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     height = np.array([0.0, 0.0, LIDAR_HEIGHT_M])
     return RigidTransform.from_rotation("ego", "pandar64", rotation, height)
-
-
-def _pose_json(pose: RigidTransform) -> dict[str, dict[str, float]]:
-    position = dict(zip("xyz", pose.translation_m.tolist(), strict=True))
-    heading = dict(zip("wxyz", quaternion_from_matrix(pose.rotation).tolist(), strict=True))
-    return {"position": position, "heading": heading}
 
 
 def _gps(

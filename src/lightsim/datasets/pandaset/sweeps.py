@@ -49,7 +49,7 @@ def load_sweep(source: SweepSource) -> LidarSweep:
         InputError: the file is damaged, empty, or its times are not those of the sweep, or its
             points lie elsewhere.
     """
-    table, is_good = _read_points(source)
+    table, is_good = read_rows(source.path)
     classes = _read_classes(source, len(is_good))[is_good]
     points = np.stack([table[k][is_good] for k in ("x", "y", "z")], axis=1)
     times_ns, device = _times_and_device(table, is_good, source)
@@ -98,7 +98,7 @@ def measure_timing(source: SweepSource) -> ScanTiming:
     Raises:
         InputError: as `load_sweep`.
     """
-    table, is_good = _read_points(source)
+    table, is_good = read_rows(source.path)
     times_ns, device = _times_and_device(table, is_good, source)
     is_roof = device == _ROOF
     if not is_roof.any():
@@ -121,13 +121,18 @@ def _bins(points_ego: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
     return (np.floor((azimuth / (2 * np.pi) + 0.5) * _N_BINS)).astype(np.int64) % _N_BINS
 
 
-def _read_points(source: SweepSource) -> tuple[Table, Bool[np.ndarray, " n"]]:
-    table = read_table(source.path, _COLUMNS)
+def read_rows(path: Path) -> tuple[Table, Bool[np.ndarray, " n"]]:
+    """The rows of a sweep's file as they are stored, and which of them `load_sweep` takes.
+
+    Raises:
+        InputError: the file is damaged, or no row is valid.
+    """
+    table = read_table(path, _COLUMNS)
     for name in _COLUMNS:
         if table[name].dtype.kind not in "fiu":
             raise InputError(
                 f"the column '{name}' holds no numbers",
-                where=source.path,
+                where=path,
                 got=table[name].dtype,
                 expected=f"numbers in {', '.join(_COLUMNS)}",
             )
@@ -140,14 +145,14 @@ def _read_points(source: SweepSource) -> tuple[Table, Bool[np.ndarray, " n"]]:
     if not is_good.any():
         raise InputError(
             "the sweep has no valid point",
-            where=source.path,
+            where=path,
             got=f"{n} rows",
             remedy="Remove the file: missing sweeps are survived.",
         )
     if not is_good.all():
         _LOGGER.warning(
             "%s: dropped %d of %d points that are not finite or far beyond any LiDAR's range",
-            source.path, int(n - is_good.sum()), n,
+            path, int(n - is_good.sum()), n,
         )  # fmt: skip
     return table, is_good
 

@@ -1,0 +1,1 @@
+"""LiDAR sweeps of an edited log: which beams meet something else now, and what comes back."""

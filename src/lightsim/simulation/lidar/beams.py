@@ -1,0 +1,115 @@
+"""The beams of a sweep: those that came back, and those that did not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64, Shaped
+
+from lightsim.core.frames import Trajectory
+from lightsim.core.sensors import LidarSweep
+
+NO_ROW = -1
+"""Of a beam that did not come back."""
+
+
+@dataclass(frozen=True, eq=False)
+class Beams:
+    """Rays of LiDARs in frame `world`, each at its own time.
+
+    Args:
+        origins_world: where the sensor stood, metres.
+        directions_world: unit.
+        times_ns: when it was measured.
+        device: which LiDAR, by the log's own number.
+        range_m: distance of the return; inf where none came back.
+        row: of the return in its sweep, NO_ROW where none came back.
+    """
+
+    origins_world: Float64[np.ndarray, "n 3"]
+    directions_world: Float64[np.ndarray, "n 3"]
+    times_ns: Int64[np.ndarray, " n"]
+    device: Int64[np.ndarray, " n"]
+    range_m: Float64[np.ndarray, " n"]
+    row: Int64[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.times_ns)
+
+    @property
+    def is_returned(self) -> Bool[np.ndarray, " n"]:
+        """Beams that came back."""
+        return self.row != NO_ROW
+
+    def at(self, distance_m: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
+        """Points at a distance along each beam, frame `world`."""
+        return self.origins_world + distance_m[:, None] * self.directions_world
+
+    def chosen(self, rows: Shaped[np.ndarray, " k"]) -> Beams:
+        """Some of the beams, by a mask or by their numbers."""
+        return Beams(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    def moved(self, motion: Float64[np.ndarray, "n 4 4"]) -> Beams:
+        """Each beam carried along by its own rigid motion of the world."""
+        rotation = motion[:, :3, :3]
+        origins = np.einsum("nij,nj->ni", rotation, self.origins_world) + motion[:, :3, 3]
+        directions = np.einsum("nij,nj->ni", rotation, self.directions_world)
+        return Beams(origins, directions, self.times_ns, self.device, self.range_m, self.row)
+
+
+def joined(parts: Sequence[Beams]) -> Beams:
+    """All beams of all parts, of one or more."""
+    return Beams(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Beams)))
+
+
+def returned_beams(sweep: LidarSweep, device: Int64[np.ndarray, " n"]) -> Beams:
+    """The beams of a sweep's returns, in its order."""
+    along = sweep.points_world.astype(np.float64) - sweep.origins_world
+    range_m = np.linalg.norm(along, axis=1)
+    offset_ns = np.rint(sweep.time_offset_s.astype(np.float64) * 1e9).astype(np.int64)
+    return Beams(
+        sweep.origins_world.astype(np.float64),
+        along / np.maximum(range_m, 1e-9)[:, None],
+        sweep.time_ns + offset_ns,
+        device,
+        range_m,
+        np.arange(len(range_m)),
+    )
+
+
+def unreturned_beams(
+    directions_ego: Float64[np.ndarray, "n 3"],
+    times_ns: Int64[np.ndarray, " n"],
+    returned: Beams,
+    ego: Trajectory,
+) -> Beams:
+    """Beams that did not come back, from their directions in frame `ego`.
+
+    Args:
+        returned: those of the same LiDAR and sweep that did: they tell where it stood.
+        ego: `world_from_ego`.
+    """
+    rotation = ego.held_at(times_ns)[:, :3, :3]
+    order = np.argsort(returned.times_ns, kind="stable")
+    knots, start_ns = returned.times_ns[order], int(returned.times_ns.min())
+    origins = [
+        np.interp(times_ns - start_ns, knots - start_ns, returned.origins_world[order, axis])
+        for axis in range(3)
+    ]
+    count = len(times_ns)
+    return Beams(
+        np.stack(origins, axis=1),
+        np.einsum("nij,nj->ni", rotation, directions_ego),
+        times_ns,
+        np.full(count, returned.device[0], dtype=np.int64),
+        np.full(count, np.inf),
+        np.full(count, NO_ROW, dtype=np.int64),
+    )
+
+
+def in_ego(beams: Beams, ego: Trajectory) -> Float64[np.ndarray, "n 3"]:
+    """Directions in frame `ego` at each beam's own time."""
+    rotation = ego.held_at(beams.times_ns)[:, :3, :3]
+    return np.einsum("nji,nj->ni", rotation, beams.directions_world)

@@ -1,0 +1,204 @@
+"""Where a LiDAR looked and nothing came back.
+
+A log stores returns alone. What is put before the sky, or laid bare behind a removed actor, is met
+by beams that did not return; their directions follow from those that did.
+
+A spinning LiDAR has lasers at fixed elevations (rings) which fire at equal steps of azimuth: gaps
+in a ring are filled step by step. One that looks ahead repeats its raster from sweep to sweep, as
+the PandarGT does (returns of two sweeps of sequence 002 lie 0.02 degrees apart, neighbours of one
+sweep 0.09): its gaps are filled from other sweeps, as far as any of them had a return there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import find_peaks
+from scipy.spatial import KDTree
+
+_SPINS_RAD = np.radians(300.0)
+"""A LiDAR whose returns of one sweep span more than this turns round."""
+_BIN_RAD = np.radians(0.01)
+_BLUR_BINS = 3
+"""Returns scatter by 0.03 degrees about their ring, where they are stored in steps of 4 mm."""
+_LEAST_GAP_BINS = 8
+"""Half of the least distance of two rings: the Pandar64's finest are 0.167 degrees apart."""
+_LEAST_PEAK = 0.02
+"""Of the strongest ring: one that looks into the sky returns seldom."""
+_NEAR_RING_RAD = np.radians(0.5)
+"""Returns farther from every ring are not of a ring: coordinates in steps of 4 mm turn a beam of
+1 m by 0.2 degrees."""
+_END = 0.005
+"""Of a sweep's returns lie beyond what counts as its start, and its end: single ones are early."""
+_SAME_BEAM = 0.7
+"""Of the raster's step: two sweeps' returns nearer than that are of one beam."""
+
+
+@dataclass(frozen=True, eq=False)
+class ScanDirections:
+    """Directions of one LiDAR in one sweep.
+
+    Args:
+        azimuth_rad: counter-clockwise from ahead, frame `ego`.
+        elevation_rad: above the plane of frame `ego`.
+        times_ns: when each was measured.
+    """
+
+    azimuth_rad: Float64[np.ndarray, " n"]
+    elevation_rad: Float64[np.ndarray, " n"]
+    times_ns: Int64[np.ndarray, " n"]
+
+    @classmethod
+    def of(
+        cls, directions_ego: Float64[np.ndarray, "n 3"], times_ns: Int64[np.ndarray, " n"]
+    ) -> ScanDirections:
+        """From unit vectors."""
+        azimuth = np.arctan2(directions_ego[:, 1], directions_ego[:, 0])
+        return cls(azimuth, np.arcsin(np.clip(directions_ego[:, 2], -1.0, 1.0)), times_ns)
+
+    @property
+    def vectors(self) -> Float64[np.ndarray, "n 3"]:
+        """Unit vectors, frame `ego`."""
+        flat = np.cos(self.elevation_rad)
+        parts = (np.cos(self.azimuth_rad) * flat, np.sin(self.azimuth_rad) * flat)
+        return np.stack([*parts, np.sin(self.elevation_rad)], axis=1)
+
+    def chosen(self, mask: Bool[np.ndarray, " n"]) -> ScanDirections:
+        """Those of a mask."""
+        return ScanDirections(self.azimuth_rad[mask], self.elevation_rad[mask], self.times_ns[mask])
+
+    @property
+    def is_spinning(self) -> bool:
+        """Whether they surround the sensor."""
+        used = np.histogram(self.azimuth_rad, 72, (-np.pi, np.pi))[0] > 0
+        return bool(used.mean() * 2 * np.pi > _SPINS_RAD)
+
+
+def find_rings(sweeps: Sequence[ScanDirections]) -> Float64[np.ndarray, " k"]:
+    """Elevations of the lasers of a spinning LiDAR, ascending: where returns of several sweeps
+    pile up."""
+    elevation = np.concatenate([s.elevation_rad for s in sweeps])
+    edges = np.arange(elevation.min() - 1e-3, elevation.max() + 1e-3, _BIN_RAD)
+    counts = gaussian_filter1d(np.histogram(elevation, edges)[0].astype(np.float64), _BLUR_BINS)
+    peaks = find_peaks(counts, prominence=_LEAST_PEAK * counts.max(), distance=_LEAST_GAP_BINS)[0]
+    return edges[peaks] + _BIN_RAD / 2
+
+
+def missing_in_rings(found: ScanDirections, rings_rad: Float64[np.ndarray, " k"]) -> ScanDirections:
+    """Where a spinning LiDAR fired and nothing came back.
+
+    Along a ring azimuth advances by equal steps. Before a ring's first and after its last return
+    the steps go on to the ends of the sweep; a ring without returns fires as the fullest.
+    """
+    ring = np.argmin(np.abs(found.elevation_rad[:, None] - rings_rad), axis=1)
+    is_near = np.abs(found.elevation_rad - rings_rad[ring]) < _NEAR_RING_RAD
+    turned = _turned(found)
+    in_ring = [_in_order(found, turned, is_near & (ring == k)) for k in range(len(rings_rad))]
+    steps = np.concatenate([np.diff(angle) for angle, _ in in_ring])
+    # Most returns have a neighbour; equal angles are returns of two lasers taken for one.
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
+    ends = np.quantile(turned.angle_rad, (_END, 1.0 - _END)).tolist()
+    gaps = [_gaps(fired, step, ends, turned.rate) for fired in in_ring]
+    counts = [len(a[0]) + len(b[0]) for a, b in zip(in_ring, gaps, strict=True)]
+    whole = int(np.argmax(counts))
+    every = tuple(np.concatenate(both) for both in zip(in_ring[whole], gaps[whole], strict=True))
+    gaps = [every if not len(fired[0]) else gap for fired, gap in zip(in_ring, gaps, strict=True)]
+    elevation = [np.full(len(gap[0]), level) for gap, level in zip(gaps, rings_rad, strict=True)]
+    return ScanDirections(
+        turned.sign * np.concatenate([gap[0] for gap in gaps]),
+        np.concatenate(elevation),
+        np.concatenate([gap[1] for gap in gaps]),
+    )
+
+
+def missing_in_raster(found: ScanDirections, others: Sequence[ScanDirections]) -> ScanDirections:
+    """Where a LiDAR that looks ahead fired and nothing came back: directions of other sweeps with
+    no return of this one within the raster's step.
+
+    Args:
+        others: of the same LiDAR in other sweeps, the most alike first.
+    """
+    have = found.vectors
+    nearest = KDTree(have).query(have, k=2, workers=1)[0][:, 1]
+    least = _SAME_BEAM * float(np.median(nearest))
+    start_ns = int(found.times_ns.min())
+    parts = [found.chosen(np.zeros(len(have), dtype=bool))]
+    for other in others:
+        is_new = KDTree(have).query(other.vectors, k=1, workers=1)[0] > least
+        new = other.chosen(is_new)
+        times_ns = new.times_ns - int(other.times_ns.min()) + start_ns
+        parts.append(ScanDirections(new.azimuth_rad, new.elevation_rad, times_ns))
+        have = np.concatenate([have, new.vectors])
+    return ScanDirections(
+        np.concatenate([p.azimuth_rad for p in parts]),
+        np.concatenate([p.elevation_rad for p in parts]),
+        np.concatenate([p.times_ns for p in parts]),
+    )
+
+
+_Fired = tuple[Float64[np.ndarray, " n"], Int64[np.ndarray, " n"]]
+"""Angles turned, ascending, and times."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Turned:
+    """How far a spinning LiDAR had turned when each direction was measured.
+
+    Args:
+        angle_rad: growing beyond a full turn.
+        rate: radians a nanosecond.
+        sign: of the turn, 1 counter-clockwise.
+    """
+
+    angle_rad: Float64[np.ndarray, " n"]
+    rate: float
+    sign: float
+
+
+def _turned(found: ScanDirections) -> _Turned:
+    """From azimuths, the full turns by the times, which may be stored in coarse steps."""
+    order = np.argsort(found.times_ns, kind="stable")
+    since_ns = (found.times_ns - found.times_ns[order[0]]).astype(np.float64)
+    in_time = np.unwrap(found.azimuth_rad[order])
+    rate, start = np.polyfit(since_ns[order], in_time, 1).tolist()
+    turns = np.rint((start + rate * since_ns - found.azimuth_rad) / (2 * np.pi))
+    sign = float(np.sign(rate)) or 1.0
+    return _Turned(sign * (found.azimuth_rad + 2 * np.pi * turns), abs(rate), sign)
+
+
+def _in_order(found: ScanDirections, turned: _Turned, mask: Bool[np.ndarray, " n"]) -> _Fired:
+    """The returns of one ring as its laser fired."""
+    angle, times_ns = turned.angle_rad[mask], found.times_ns[mask]
+    order = np.argsort(angle, kind="stable")
+    return angle[order], times_ns[order]
+
+
+def _gaps(fired: _Fired, step: float, ends: Sequence[float], rate: float) -> _Fired:
+    """The firings of a ring between its returns, and from the sweep's start to its end."""
+    angle, times_ns = fired
+    if not len(angle) or not np.isfinite(step):
+        return np.empty(0), np.empty(0, dtype=np.int64)
+    head = step * np.arange(max(0, round((angle[0] - ends[0]) / step)), 0, -1)
+    tail = step * np.arange(1, 1 + max(0, round((ends[1] - angle[-1]) / step)))
+    missing = np.maximum(np.rint(np.diff(angle) / step).astype(np.int64) - 1, 0)
+    before = np.repeat(np.arange(len(missing)), missing)
+    number = np.arange(len(before)) - np.repeat(np.cumsum(missing) - missing, missing) + 1
+    fraction = number / (missing[before] + 1)
+    # Nanoseconds since 1970 exceed a float; their differences do not.
+    passed = (fraction * np.diff(times_ns)[before]).astype(np.int64)
+    return (
+        np.concatenate(
+            [angle[0] - head, angle[before] + fraction * np.diff(angle)[before], angle[-1] + tail]
+        ),
+        np.concatenate(
+            [
+                times_ns[0] - (head / rate).astype(np.int64),
+                times_ns[before] + passed,
+                times_ns[-1] + (tail / rate).astype(np.int64),
+            ]
+        ),
+    )

@@ -1,0 +1,76 @@
+"""Files of PandaSet's layout as any of its readers takes them: tables and poses."""
+
+from __future__ import annotations
+
+import gzip
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Shaped
+
+from lightsim.core.frames import RigidTransform, quaternion_from_matrix
+from lightsim.store.atomic import whole_file
+
+CUBOID_COLUMNS = (
+    "uuid", "label", "yaw", "stationary", "camera_used",
+    "position.x", "position.y", "position.z", "dimensions.x", "dimensions.y", "dimensions.z",
+    "attributes.object_motion", "cuboids.sibling_id", "cuboids.sensor_id",
+    "attributes.rider_status", "attributes.pedestrian_behavior", "attributes.pedestrian_age",
+)  # fmt: skip
+"""In PandaSet's order."""
+
+
+_CUBOID_TYPES = {
+    "yaw": np.float64, "stationary": np.bool_,
+    "camera_used": np.int64, "cuboids.sensor_id": np.int64,
+    **{f"{what}.{axis}": np.float64 for what in ("position", "dimensions") for axis in "xyz"},
+}  # fmt: skip
+"""Of the columns that are not text; a missing text is NaN, as in PandaSet."""
+
+
+def cuboid_table(
+    rows: Sequence[Mapping[str, Any]], names: Sequence[str] = CUBOID_COLUMNS
+) -> dict[str, Shaped[np.ndarray, " n"]]:
+    """Columns of a file of boxes, of PandaSet's types; a missing text may be None."""
+    table: dict[str, np.ndarray] = {}
+    for name in names:
+        values = [row.get(name) for row in rows]
+        kind = _CUBOID_TYPES.get(name, object)
+        column = np.empty(len(rows), dtype=kind)
+        column[:] = [np.nan if value is None and kind is object else value for value in values]
+        table[name] = column
+    return table
+
+
+def write_table(
+    path: Path, columns: Mapping[str, Shaped[np.ndarray, " n"]], index_name: str | None = None
+) -> None:
+    """A gzipped pickle of a data frame; missing folders are made, equal tables give equal bytes.
+
+    Text is stored as plain objects, the names of the columns too: the text type of pandas 3 cannot
+    be read by older ones.
+    """
+    import pandas as pd
+
+    count = len(next(iter(columns.values())))
+    frame = pd.DataFrame(
+        {name: pd.Series(values, dtype=values.dtype) for name, values in columns.items()},
+        columns=pd.Index(list(columns), dtype=object),
+    )
+    frame.index = pd.RangeIndex(count, name=index_name)
+    buffer = io.BytesIO()
+    frame.to_pickle(buffer, protocol=4)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as temporary:
+        temporary.write_bytes(gzip.compress(buffer.getvalue(), 9, mtime=0))
+
+
+def pose_entry(world_from_sensor: RigidTransform) -> dict[str, dict[str, float]]:
+    """An entry of poses.json."""
+    position = dict(zip("xyz", world_from_sensor.translation_m.tolist(), strict=True))
+    quaternion = quaternion_from_matrix(world_from_sensor.rotation)
+    heading = dict(zip("wxyz", quaternion.tolist(), strict=True))
+    return {"position": position, "heading": heading}
