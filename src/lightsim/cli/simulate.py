@@ -33,3 +33,5 @@ class Simulate:
             say(f"frames: {folder / 'frames'}")
             say(f"video:  {folder / 'video'}")
             say(f"report: {folder / 'report.html'}")
+        if self.options.write_log is not None:
+            say(f"log:    {self.options.write_log}")

@@ -21,6 +21,7 @@ from lightsim.scenario.ground import StandingGround
 from lightsim.simulation.built_in_assets import built_in_assets
 from lightsim.simulation.options import SimulateOptions
 from lightsim.simulation.relight import make_frames, opened_for, replayed
+from lightsim.simulation.written_log import write_logs
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -41,14 +42,37 @@ def simulate(work: Path, request: Path, options: SimulateOptions, progress: Prog
     with opened_for(work, options) as workspace:
         recorded = replayed(workspace, options)
         if not asked.edits:
-            return make_frames(workspace, recorded, options, progress)
+            folders = make_frames(workspace, recorded, options, progress)
+            _write_logs(workspace, (recorded, recorded), folders, options, progress)
+            return folders
         library = asset_library(options.library, request.parent)
         scenario = edited_scenario(workspace, recorded, asked, library, strict=options.strict)
         made_of: dict[str, Any] = {"edits": asked.spelt}
         named = sorted({edit.asset for edit in asked.edits if isinstance(edit, Insert)})
         if named:
             made_of["assets"] = {words: library.key(words) for words in named}
-        return make_frames(workspace, scenario, options, progress, recorded, made_of)
+        folders = make_frames(workspace, scenario, options, progress, recorded, made_of)
+        _write_logs(workspace, (recorded, scenario), folders, options, progress)
+        return folders
+
+
+def _write_logs(
+    workspace: Workspace,
+    scenarios: tuple[Scenario, Scenario],
+    folders: Sequence[Path],
+    options: SimulateOptions,
+    progress: Progress,
+) -> None:
+    if options.write_log is not None:
+        by_sky = dict(zip(options.sky_by_name, folders, strict=True))
+        write_logs(
+            workspace,
+            scenarios,
+            by_sky,
+            options.write_log,
+            is_overwriting=options.overwrite,
+            progress=progress,
+        )
 
 
 def asset_library(folder: Path | None, beside: Path = Path()) -> AssetLibrary:

@@ -137,6 +137,9 @@ class SimulateOptions(RelightOptions):
     saying so."""
     library: Path | None = None
     """Folder of the asset library; by default the user's own."""
+    write_log: Path | None = None
+    """Write the simulated log in PandaSet's own layout to this folder, with LiDAR; of several
+    skies to a folder in it for each."""
 
     def __post_init__(self) -> None:
         # What is not given yet is checked when `completed` gives it.

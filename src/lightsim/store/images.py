@@ -107,9 +107,9 @@ def write_png16(path: Path, numbers: UInt16[np.ndarray, "h w"]) -> None:
     _write_pil(path, numbers, "PNG", compress_level=4)
 
 
-def write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"]) -> None:
+def write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"], quality: int = 92) -> None:
     """Write a JPEG of 8-bit sRGB, without chroma subsampling."""
-    _write_pil(path, srgb8, "JPEG", quality=92, subsampling=0)
+    _write_pil(path, srgb8, "JPEG", quality=quality, subsampling=0)
 
 
 def read_hdr(path: Path) -> Float32[np.ndarray, "h w 3"]:

@@ -36,6 +36,8 @@ from lightsim.datasets.plausible import LIMITS, check_clocks, check_rigid
 from lightsim.datasets.selection import FrameSelection
 from lightsim.errors import InputError
 
+SIMULATED_NAME = "simulated.json"
+"""Beside the folders: marks a log that LightSim wrote."""
 _EGO_CAMERA = "front_camera"
 _EGO_HOLD_S = 0.2
 """Sweeps end a little after the last camera pose."""
@@ -87,7 +89,7 @@ def read_pandaset(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> Driv
         actors,
         geo,
         masks,
-        (*odd, *sweeps.notes, *actor_notes, *geo_notes, *mask_notes),
+        (*_origin_notes(source), *odd, *sweeps.notes, *actor_notes, *geo_notes, *mask_notes),
         read_class_names(source / "annotations" / "semseg" / "classes.json"),
     )
 
@@ -262,6 +264,12 @@ def _read_gps(source: Path, start_ns: int) -> GpsTrack | None:
     where = source / "meta" / "timestamps.json"
     LIMITS["gps gap"].check(where, gap_s, f"the nearest {gap_s:.4g} s away")
     return GpsTrack(times_ns, fixes[:, 0].copy(), fixes[:, 1].copy())
+
+
+def _origin_notes(source: Path) -> tuple[str, ...]:
+    if not has_file(source / SIMULATED_NAME):
+        return ()
+    return (f"the log was simulated, not recorded: {SIMULATED_NAME} says from what",)
 
 
 def _picture_notes(folders: list[CameraFolder]) -> tuple[str, ...]:

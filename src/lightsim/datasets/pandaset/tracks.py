@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -118,6 +118,16 @@ def read_tracks(
     notes = (repeated,) if n_repeated else ()
     odd = (note for t in tracks for note in odd_track_notes(t))
     return tuple(tracks), (*notes, *_unknown_labels(tracks), *odd)
+
+
+def label_of(track: ActorTrack) -> str:
+    """PandaSet's word for an actor: its own where it is one, else one of its kind, at best the
+    kind's own name."""
+    if track.label in KIND_BY_LABEL:
+        return track.label
+    words = [word for word, kind in KIND_BY_LABEL.items() if kind == track.kind]
+    named = [word for word in words if track.kind in word.lower()]
+    return next(iter((*named, *words)), track.label)
 
 
 def _unknown_labels(tracks: Sequence[ActorTrack]) -> tuple[str, ...]:
@@ -259,8 +269,19 @@ def _labelled_moving(table: Table) -> np.ndarray:
 
 
 def _owners(sweeps: Sequence[Sequence[_Box]]) -> Mapping[str, str]:
-    """The uuid that speaks for each uuid: siblings share one (the first in the alphabet)."""
-    parent = {box.uuid: box.uuid for boxes in sweeps for box in boxes}
+    return owner_by_uuid(
+        dict.fromkeys((box.uuid, box.sibling) for boxes in sweeps for box in boxes)
+    )
+
+
+def owner_by_uuid(pairs: Iterable[tuple[str, str]]) -> Mapping[str, str]:
+    """The uuid that speaks for each uuid: siblings share one (the first in the alphabet).
+
+    Args:
+        pairs: uuid and sibling of every box; a sibling that has no box of its own counts for none.
+    """
+    pairs = list(pairs)
+    parent = {uuid: uuid for uuid, _ in pairs}
 
     def root(uuid: str) -> str:
         while parent[uuid] != uuid:
@@ -269,7 +290,6 @@ def _owners(sweeps: Sequence[Sequence[_Box]]) -> Mapping[str, str]:
             uuid = parent[uuid]
         return uuid
 
-    pairs = dict.fromkeys((box.uuid, box.sibling) for boxes in sweeps for box in boxes)
     for uuid, sibling in pairs:
         if sibling in parent:
             first, second = sorted((root(uuid), root(sibling)))

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float64, Int64
 from lightsim.core.actors import ActorTrack
 from lightsim.core.casting import MakeCaster, RayCaster
 from lightsim.core.scenario import ActorPlacement, Scenario
+from lightsim.datasets.pandaset.tracks import label_of
 from lightsim.simulation.lidar.beams import Beams
 from lightsim.simulation.lidar.ray_scene import (
     NOTHING,
@@ -206,7 +207,7 @@ class LidarSimulator:
         track = placement.track
         local = to_actor(points, track, beams.times_ns)
         found = self._response.answer(device, track.actor_id, track.kind, (local, looks), rng)
-        known = self._class_by_label.get(track.label)
+        known = self._class_by_label.get(label_of(track))
         if known is not None:
             found.semantic_class[found.is_returned] = known
         return found

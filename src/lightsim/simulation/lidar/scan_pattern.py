@@ -140,7 +140,7 @@ def missing_in_raster(found: ScanDirections, others: Sequence[ScanDirections]) -
     )
 
 
-_Fired = tuple[Float64[np.ndarray, " n"], Int64[np.ndarray, " n"]]
+_Fired = tuple[Float64[np.ndarray, " _"], Int64[np.ndarray, " _"]]
 """Angles turned, ascending, and times."""
 
 

@@ -1,0 +1,159 @@
+"""Boxes of a written log: those of the recording, without who is gone, with who is new."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Shaped
+
+from lightsim.core.actors import ActorKind, ActorTrack
+from lightsim.core.alignment import PathCorrection
+from lightsim.core.frames import RigidTransform, Trajectory
+from lightsim.core.scenario import Scenario
+from lightsim.datasets.pandaset.sweeps import ScanTiming
+from lightsim.datasets.pandaset.tracks import label_of, owner_by_uuid
+from lightsim.datasets.safe_pickle import Table
+from lightsim.store.pandaset_tables import cuboid_table
+
+Columns = dict[str, Shaped[np.ndarray, " _"]]
+_MOVES_M_S = 0.3
+"""Slower, a vehicle that drives in the log has stopped."""
+_BESIDE_NS = 50_000_000
+_DRIVEN = frozenset({
+    ActorKind.MOTORCYCLE, ActorKind.SCOOTER, ActorKind.BICYCLE, ActorKind.PERSONAL_MOBILITY,
+})  # fmt: skip
+"""What PandaSet tells of whether it moves, besides vehicles."""
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class BoxEditor:
+    """Makes the boxes of a scenario.
+
+    Args:
+        scenario: in the world of the twin.
+        changed: tracks whose boxes are made; recorded ones of theirs go.
+        gone: uuids whose recorded boxes go.
+        timing: when the roof LiDAR looks where.
+        path: the correction that turned the recorded world into the twin's.
+    """
+
+    scenario: Scenario
+    changed: tuple[ActorTrack, ...]
+    gone: frozenset[str]
+    timing: ScanTiming
+    path: PathCorrection | None
+
+    @classmethod
+    def between(
+        cls,
+        recorded: Scenario,
+        scenario: Scenario,
+        tables: Sequence[Table],
+        timing: ScanTiming,
+        path: PathCorrection | None,
+    ) -> BoxEditor:
+        """For a scenario that was made from the log as it was by edits.
+
+        Args:
+            tables: the recorded boxes, sweep by sweep.
+        """
+        is_ego_moved = scenario.ego is not recorded.ego
+        before = {id(track) for track in recorded.tracks}
+        there = [t for t in scenario.tracks if t.actor_id not in scenario.removed]
+        # From another path the LiDAR looks at a moving actor at another moment.
+        changed = [t for t in there if id(t) not in before or (is_ego_moved and t.is_moving)]
+        names = scenario.removed | {track.actor_id for track in changed}
+        pairs = dict.fromkeys(
+            pair
+            for table in tables
+            for pair in zip(
+                map(str, table["uuid"]),
+                map(str, table.get("cuboids.sibling_id", table["uuid"])),
+                strict=True,
+            )
+        )
+        owner = owner_by_uuid(pairs)
+        owners = {owner.get(name, name) for name in names}
+        gone = frozenset(uuid for uuid, own in owner.items() if own in owners)
+        return cls(scenario, tuple(changed), gone, timing, path)
+
+    def edited(self, table: Table | None, time_ns: int) -> Columns | None:
+        """The boxes of a sweep; None where they are the recorded ones."""
+        table = cuboid_table([]) if table is None else table
+        uuids = [str(uuid) for uuid in table["uuid"]]
+        rows = [
+            {name: table[name][i] for name in table}
+            for i, uuid in enumerate(uuids)
+            if uuid not in self.gone
+        ]
+        was = {uuid: i for i, uuid in reversed(list(enumerate(uuids)))}
+        made: list[dict[str, Any]] = []
+        for track in self.changed:
+            now_ns = self._scanned_ns(track, time_ns)
+            if now_ns is not None:
+                i = was.get(track.actor_id)
+                old = {} if i is None else {name: table[name][i] for name in table}
+                made.append({**old, **self._row(track, now_ns)})
+        if not made and len(rows) == len(uuids):
+            return None
+        return cuboid_table([*rows, *made], tuple(table))
+
+    def _scanned_ns(self, track: ActorTrack, time_ns: int) -> int | None:
+        """When a sweep meets an actor: a box is where its actor was then. None: not there."""
+        assert self.scenario.ego is not None
+        if not track.is_present(time_ns):
+            return None
+        ego_from_world = np.linalg.inv(self.scenario.ego.held_at(np.array([time_ns]))[0])
+        now_ns = time_ns
+        for _ in range(_ROUNDS):
+            centre = track.trajectory.held_at(np.array([now_ns]))[0, :3, 3]
+            place = ego_from_world[:3, :3] @ centre + ego_from_world[:3, 3]
+            now_ns = time_ns + int(self.timing.offsets_s(place[None])[0] * 1e9)
+        return now_ns
+
+    def _row(self, track: ActorTrack, time_ns: int) -> dict[str, Any]:
+        """PandaSet's box has its width along x and its length along y: yaw = heading - 90
+        degrees."""
+        pose = as_recorded(pose_at(track.trajectory, time_ns), time_ns, self.path)
+        length, width, height = track.size_lwh_m.tolist()
+        x, y, z = pose.translation_m.tolist()
+        return {
+            "uuid": track.actor_id,
+            "label": label_of(track),
+            "yaw": float(np.angle(np.exp(1j * (pose.yaw_rad - np.pi / 2)))),
+            "stationary": not track.is_moving,
+            "camera_used": -1,
+            "position.x": x, "position.y": y, "position.z": z,
+            "dimensions.x": width, "dimensions.y": length, "dimensions.z": height,
+            "cuboids.sibling_id": "-",
+            "cuboids.sensor_id": -1,
+            **_attributes(track, time_ns),
+        }  # fmt: skip
+
+
+def pose_at(trajectory: Trajectory, time_ns: int) -> RigidTransform:
+    """A pose; beyond an end the pose of that end."""
+    matrix = trajectory.held_at(np.array([time_ns], dtype=np.int64))[0]
+    return RigidTransform(trajectory.dst, trajectory.src, matrix)
+
+
+def as_recorded(pose: RigidTransform, time_ns: int, path: PathCorrection | None) -> RigidTransform:
+    """A pose in the world of the twin, in the world as recorded."""
+    return pose if path is None else path.at(time_ns).inverse() @ pose
+
+
+def _attributes(track: ActorTrack, time_ns: int) -> Mapping[str, str]:
+    ends = track.trajectory.held_at(np.array([time_ns - _BESIDE_NS, time_ns + _BESIDE_NS]))
+    speed = float(np.linalg.norm(ends[1, :3, 3] - ends[0, :3, 3])) / (2e-9 * _BESIDE_NS)
+    is_moving = speed > _MOVES_M_S
+    if track.kind.is_vehicle or track.kind in _DRIVEN:
+        still = "Stopped" if track.is_moving else "Parked"
+        return {"attributes.object_motion": "Moving" if is_moving else still}
+    if track.kind == ActorKind.PEDESTRIAN:
+        behaviour = "Walking" if is_moving else "Standing"
+        return {"attributes.pedestrian_behavior": behaviour}
+    return {}
