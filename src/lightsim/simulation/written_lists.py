@@ -1,4 +1,4 @@
-"""Times, poses, GPS and calibration of a written log."""
+"""Lenses, times, poses, GPS and calibration of a written log."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class ListWriter:
         self._is_ego_moved = scenario.ego is not recorded.ego
 
     def write(self, folder: Path) -> None:
-        """poses.json, timestamps.json, gps.json and the calibration."""
+        """intrinsics.json, poses.json, timestamps.json, gps.json and the calibration."""
         self._write_cameras(folder / "camera")
         for here in ("lidar", "meta"):
             path = self._source / here / "timestamps.json"
@@ -114,9 +114,15 @@ class ListWriter:
         return {f.camera_name for f in self._scenario.frames if f.shutter is None}
 
     def _write_cameras(self, folder: Path) -> None:
-        for name in self._scenario.cameras:
+        for name, camera in self._scenario.cameras.items():
             own = self._source / "camera" / name
             (folder / name).mkdir(parents=True, exist_ok=True)
+            lens = read_json(own / "intrinsics.json")
+            if (camera.fx, camera.fy) != (lens["fx"], lens["fy"]):
+                # The pictures' scale is another. PandaSet counts from the first pixel's centre.
+                lens |= {"fx": camera.fx, "fy": camera.fy}
+                lens |= {"cx": camera.cx - 0.5, "cy": camera.cy - 0.5}
+            write_json(folder / name / "intrinsics.json", lens)
             times = self._frames.entries(own / "timestamps.json")
             poses = self._frames.entries(own / "poses.json")
             if name in self._driven_cameras:

@@ -53,19 +53,11 @@ class LogWriter:
     scenario: Scenario
     progress: Progress
 
-    def write(self, folder: Path, frames: Path, made_of: Mapping[str, Any]) -> None:
-        """Fill a new folder.
-
-        Args:
-            frames: WORK/scenarios/NAME of the sky, with the simulated pictures.
-            made_of: what the mark says besides.
-        """
-        self.write_pictures(folder, frames)
-        lists = ListWriter(self.workspace, self.recorded, self.scenario, self._frames)
-        lists.write(folder)
+    def write(self, folder: Path) -> None:
+        """Fill a new folder with all but pictures and mark."""
+        ListWriter(self.workspace, self.recorded, self.scenario, self._frames).write(folder)
         self._write_sweeps(folder)
         self._write_boxes(folder)
-        self.write_mark(folder, made_of)
 
     def write_mark(self, folder: Path, made_of: Mapping[str, Any]) -> None:
         """simulated.json."""
@@ -85,7 +77,7 @@ class LogWriter:
 
     def write_pictures(self, folder: Path, frames: Path) -> None:
         """camera/<name>/NN.jpg: the recorded bytes where the picture is the recorded one, else of
-        JPEG quality 95 with full chroma; and the intrinsics at their scale."""
+        JPEG quality 95 with full chroma."""
         source = self._source / "camera"
         kept = [f for f in self.scenario.frames if int(f.stem) in self._frames.stems]
         for frame in self.progress.track(kept, "write pictures", len(kept)):
@@ -98,13 +90,6 @@ class LogWriter:
                 shutil.copyfile(own, path)
             else:
                 write_jpeg(path, made, quality=_JPEG_QUALITY)
-        for name, camera in self.scenario.cameras.items():
-            values = read_json(source / name / "intrinsics.json")
-            if (camera.fx, camera.fy) != (values["fx"], values["fy"]):
-                focal = {"fx": camera.fx, "fy": camera.fy}
-                # PandaSet counts from the centre of the first pixel.
-                values |= focal | {"cx": camera.cx - 0.5, "cy": camera.cy - 0.5}
-            write_json(folder / "camera" / name / "intrinsics.json", values)
 
     def _write_sweeps(self, folder: Path) -> None:
         """lidar/NN.pkl.gz and annotations/semseg/NN.pkl.gz."""
@@ -195,6 +180,13 @@ def write_logs(
             where="--write-log",
             expected="a recording in that layout",
         )
+    if len(folders) > 1 and (target / SIMULATED_NAME).exists():
+        raise InputError(
+            "a folder holds one log, or a log of each sky",
+            where=target,
+            got=f"one log there, {len(folders)} skies asked for",
+            remedy="Choose another --write-log.",
+        )
     writer = LogWriter(workspace, *scenarios, progress)
     logs = [target if len(folders) == 1 else target / name for name in folders]
     first: Path | None = None
@@ -203,20 +195,16 @@ def write_logs(
         if not _is_made(log, made_of, is_overwriting=is_overwriting):
             partial = log.with_name(f".{log.name}.partial")
             shutil.rmtree(partial, ignore_errors=True)
-            partial.mkdir(parents=True)
+            log.parent.mkdir(parents=True, exist_ok=True)
             if first is None:
-                writer.write(partial, folder, made_of)
+                partial.mkdir()
+                writer.write(partial)
             else:
                 # Only the pictures depend on the sky.
-                for entry in first.iterdir():
-                    if entry.name not in ("camera", SIMULATED_NAME):
-                        (shutil.copytree if entry.is_dir() else shutil.copyfile)(
-                            entry, partial / entry.name
-                        )
-                writer.write_pictures(partial, folder)
-                for entry in (first / "camera").glob("*/[pt]*.json"):
-                    shutil.copyfile(entry, partial / "camera" / entry.parent.name / entry.name)
-                writer.write_mark(partial, made_of)
+                others = shutil.ignore_patterns("*.jpg", SIMULATED_NAME)
+                shutil.copytree(first, partial, ignore=others)
+            writer.write_pictures(partial, folder)
+            writer.write_mark(partial, made_of)
             if log.exists():
                 shutil.rmtree(log)
             partial.rename(log)
