@@ -20,7 +20,12 @@ from lightsim.simulation.lidar.ray_scene import Surfaces
 from lightsim.simulation.lidar.recorded import RecordedSweep
 from lightsim.simulation.lidar.resimulate import Change, LidarSimulator, SimulatedBeams
 from lightsim.simulation.lidar.response import Answers, Donors, Response, looks_of
-from lightsim.simulation.lidar.scan_pattern import ScanDirections, find_rings, missing_in_rings
+from lightsim.simulation.lidar.scan_pattern import (
+    ScanDirections,
+    find_rings,
+    missing_in_raster,
+    missing_in_rings,
+)
 from lightsim.simulation.written_sweeps import written
 
 END_NS = 1_600_000_000_000_000_000
@@ -164,6 +169,56 @@ def test_rings_and_steps_are_found_from_the_returns(rng: np.random.Generator) ->
     assert np.degrees(np.arccos(np.clip(close.max(axis=0), -1, 1))).max() < 0.05
     nearest = np.argmax(close, axis=0)
     assert np.abs(missing.times_ns[nearest] - lost.times_ns).max() < 3e6
+
+
+def test_the_gaps_of_a_raster_are_filled_from_other_sweeps(rng: np.random.Generator) -> None:
+    """One that looks ahead, in a raster of 0.1 degrees; sweeps differ by a fifth of a step."""
+    line = np.radians(np.arange(-2.0, 2.0, 0.1))
+    azimuth, elevation = (a.ravel() for a in np.meshgrid(line, line))
+    raster = ScanDirections(azimuth, elevation, END_NS + np.arange(len(azimuth)) * 1000)
+    later = ScanDirections(azimuth + np.radians(0.02), elevation, raster.times_ns + 10**8)
+    is_back = rng.random(len(azimuth)) > 0.3
+    # Into the sky no sweep had a return.
+    is_sky = elevation > 0.02
+    missing = missing_in_raster(raster.chosen(is_back & ~is_sky), [later.chosen(~is_sky)])
+    lost = raster.chosen(~is_back & ~is_sky)
+    assert not raster.is_spinning
+    assert len(missing.times_ns) == len(lost.times_ns)
+    np.testing.assert_allclose(missing.azimuth_rad, lost.azimuth_rad + np.radians(0.02))
+    assert np.abs(missing.times_ns - lost.times_ns).max() < 10**6
+
+
+def test_a_place_answers_as_it_did(rng: np.random.Generator) -> None:
+    """Half of the ground never answered, the other half did with its own intensity, and returns lay
+    5 cm above the mesh; far from all that was seen, chance draws from all alike beams."""
+    places = np.column_stack([rng.uniform(-8.0, 8.0, (4000, 2)), np.zeros(4000)])
+    origin = np.array([0.0, 0.0, HEIGHT_M])
+    distance = np.linalg.norm(places - origin, axis=1)
+    nothing = np.zeros(len(places), dtype=np.int64)
+    beams = Beams(
+        np.tile(origin, (len(places), 1)), (places - origin) / distance[:, None], nothing, nothing,
+        distance, nothing,
+    )  # fmt: skip
+    met = Surfaces.nothing(len(beams))
+    met.distance_m[:], met.cosine[:] = to_ground(beams), -beams.directions_world[:, 2]
+    met.body[:] = -1
+    is_lit = places[:, 0] > 0
+    answers = Answers(is_lit, np.where(is_lit, 99, 0).astype(np.float32), np.where(is_lit, 7, -1))
+    raised = (places + [0.0, 0.0, 0.05]).astype(np.float32)
+    response = Response({(0, ""): Donors(raised, looks_of(beams, met), answers)}, {}, {0: 0.0})
+    found = response.answer(0, "", None, (places, looks_of(beams, met)), rng)
+    is_inner = np.abs(places[:, 0]) > 2.0
+    np.testing.assert_array_equal(found.is_returned[is_inner], is_lit[is_inner])
+    assert (found.intensity[is_inner & is_lit] == 99).all()
+    away = response.answer(0, "", None, (places + 500.0, looks_of(beams, met)), rng)
+    assert 0.4 < away.is_returned.mean() < 0.6
+    other = response.answer(0, "new", ActorKind.CAR, (places, looks_of(beams, met)), rng)
+    assert 0.4 < other.is_returned.mean() < 0.6
+    plane_m = (HEIGHT_M - 0.05) / -beams.directions_world[:, 2]
+    refined = response.refined_m(0, beams, met)
+    is_refined = np.abs(refined - met.distance_m) > 1e-9
+    assert is_refined[is_inner & is_lit].mean() > 0.9
+    np.testing.assert_allclose(refined[is_refined], plane_m[is_refined], atol=1e-3)
 
 
 def test_beams_keep_their_frame_and_origin() -> None:

@@ -29,12 +29,14 @@ class Surfaces:
     Args:
         distance_m: along the beam; inf where there is none.
         body: NOTHING, STATIC, or the number of a placement.
-        cosine: between beam and surface normal, from either side.
+        normal: unit, of the surface where it is met; 0 where there is none.
+        cosine: between beam and normal, from either side.
         roughness: of the surface's material.
     """
 
     distance_m: Float64[np.ndarray, " n"]
     body: Int64[np.ndarray, " n"]
+    normal: Float64[np.ndarray, "n 3"]
     cosine: Float64[np.ndarray, " n"]
     roughness: Float64[np.ndarray, " n"]
 
@@ -42,17 +44,23 @@ class Surfaces:
     def nothing(cls, count: int) -> Surfaces:
         """Of beams that meet nothing, to be filled in."""
         body = np.full(count, NOTHING, dtype=np.int64)
-        return cls(np.full(count, np.inf), body, np.zeros(count), np.ones(count))
+        normal = np.zeros((count, 3))
+        return cls(np.full(count, np.inf), body, normal, np.zeros(count), np.ones(count))
 
     def nearer(self, other: Surfaces) -> Surfaces:
         """The first of two surfaces on each beam."""
-        is_first = self.distance_m <= other.distance_m
-        names = [f.name for f in fields(self)]
-        return Surfaces(*(np.where(is_first, getattr(self, n), getattr(other, n)) for n in names))
+        nearest = self.copied()
+        rows = np.flatnonzero(other.distance_m < self.distance_m)
+        nearest.fill(rows, other.chosen(rows))
+        return nearest
 
     def chosen(self, rows: Shaped[np.ndarray, " k"]) -> Surfaces:
         """Of some of the beams, by a mask or by their numbers."""
         return Surfaces(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    def copied(self) -> Surfaces:
+        """The same, to be changed."""
+        return Surfaces(*(getattr(self, f.name).copy() for f in fields(self)))
 
     def fill(self, rows: Int64[np.ndarray, " k"], other: Surfaces) -> None:
         """Put others in their places."""
@@ -177,6 +185,7 @@ def _surfaces(
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         found.body[rows] = bodies[index]
+        found.normal[rows] = normal
         found.cosine[rows] = np.abs((normal * beams.directions_world[rows]).sum(axis=1))
         found.roughness[rows] = _roughness(mesh, face)
     return found

@@ -238,7 +238,9 @@ def _noise_m(beams: Beams, device: int, seed: int) -> float:
     rows = rng.choice(len(own), min(len(own), _NOISE_SAMPLES), replace=False)
     points = own.at(own.range_m)
     around = nearest(KDTree(own.directions_world), own.directions_world[rows], 9)[1][:, 1:]
-    centre, normal, _ = fitted_planes(points[around], np.ones(around.shape))
+    centre, normal, _ = fitted_planes(
+        points[around], np.ones(around.shape), np.zeros((len(rows), 3))
+    )
     along = (normal * own.directions_world[rows]).sum(axis=1)
     is_met = np.abs(along) > 0.3
     off = ((points[rows] - centre) * normal).sum(axis=1)[is_met] / along[is_met]

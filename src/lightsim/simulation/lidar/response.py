@@ -40,7 +40,8 @@ _LEAST_COSINE = 0.02
 _MOST_STEP_M = 0.3
 """The surface of the returns lies that near to the mesh, or is another one."""
 _FLAT_M = 0.05
-"""RMS of returns about their plane; rougher places keep the mesh."""
+"""RMS of returns about their plane; rougher places keep the mesh. Returns in one line, which is
+less wide, have the mesh's tilt about it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +172,7 @@ class Response:
         rows = np.flatnonzero(np.isfinite(far).all(axis=1))
         points = own.places[near[rows]].astype(np.float64)
         weight = own.answers.is_returned[near[rows]].astype(np.float64)
-        centre, normal, variance = fitted_planes(points, weight)
+        centre, normal, variance = fitted_planes(points, weight, met.normal[rows])
         along = (normal * beams.directions_world[rows]).sum(axis=1)
         offset = ((centre - beams.origins_world[rows]) * normal).sum(axis=1)
         is_crossed = np.abs(along) > _LEAST_COSINE
@@ -220,14 +221,23 @@ def _pool(donors: Sequence[Donors]) -> tuple[KDTree, Answers]:
 
 
 def fitted_planes(
-    points: Float[np.ndarray, "n k 3"], weight: Float[np.ndarray, "n k"]
+    points: Float[np.ndarray, "n k 3"],
+    weight: Float[np.ndarray, "n k"],
+    tilt: Float[np.ndarray, "n 3"],
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
-    """Centre, unit normal and variance across of the plane through each group of points."""
+    """Centre, unit normal and variance across of the plane through each group of points.
+
+    Args:
+        tilt: unit normals that planes through points in one line should have; 0: any.
+    """
     part = (weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-9))[..., None]
     centre = (part * points).sum(axis=1)
     spread = points - centre[:, None]
-    variances, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", part * spread, spread))
-    return centre, axes[:, :, 0], variances[:, 0]
+    moments = np.einsum("nki,nkj->nij", part * spread, spread)
+    # As if the points were a little wide along the plane of that tilt.
+    wide = moments + _FLAT_M**2 * (np.eye(3) - tilt[:, :, None] * tilt[:, None, :])
+    normal = np.linalg.eigh(wide).eigenvectors[:, :, 0]
+    return centre, normal, np.einsum("ni,nij,nj->n", normal, moments, normal)
 
 
 def nearest(
