@@ -21,6 +21,7 @@ from lightsim.scenario.ground import StandingGround
 from lightsim.simulation.built_in_assets import built_in_assets
 from lightsim.simulation.options import SimulateOptions
 from lightsim.simulation.relight import make_frames, opened_for, replayed
+from lightsim.simulation.relighter import RelightConfig
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -44,11 +45,15 @@ def simulate(work: Path, request: Path, options: SimulateOptions, progress: Prog
             return make_frames(workspace, recorded, options, progress)
         library = asset_library(options.library, request.parent)
         scenario = edited_scenario(workspace, recorded, asked, library, strict=options.strict)
-        made_of: dict[str, Any] = {"edits": asked.spelt}
+        made_of: dict[str, Any] = {
+            "edits": asked.spelt,
+            "exposure_time_ms": options.exposure_time_ms,
+        }
         named = sorted({edit.asset for edit in asked.edits if isinstance(edit, Insert)})
         if named:
             made_of["assets"] = {words: library.key(words) for words in named}
-        return make_frames(workspace, scenario, options, progress, recorded, made_of)
+        config = RelightConfig(exposure_s=options.exposure_time_ms / 1e3)
+        return make_frames(workspace, scenario, options, progress, recorded, made_of, config)
 
 
 def asset_library(folder: Path | None, beside: Path = Path()) -> AssetLibrary:
