@@ -24,6 +24,7 @@ from lightsim.relighting.physical.actor_layer import (
 )
 from lightsim.relighting.physical.camera_look import noise_like
 from lightsim.relighting.physical.edited import EditedImage, EditInputs, edited_image
+from lightsim.relighting.physical.occlusion import hidden_by_picture
 from lightsim.relighting.physical.ratio import RelightInputs
 from lightsim.render.frame_renderer import (
     SHADOW_ERROR_M,
@@ -205,11 +206,16 @@ class SourceImages:
         layer = empty_layer(*covered.shape)
         if not covered.any():
             return layer
+        codes = frame.load_srgb8().astype(np.float32) / 255
+        is_new = np.isin(traced.buffers.actor_index, numbers)
+        hidden = hidden_by_picture(codes, traced.buffers, is_new, camera.fx)
         window = window_around(covered > 0, _MARGIN_PX)
         view, part = seen_through(frame, camera, window)
         rendered = self._actors.trace(scenario, view, part).image(self._sky)
         found = cut_out(rendered, covered[window])
-        layer.radiance[window], layer.coverage[window] = found.radiance, found.coverage
+        seen = 1 - hidden[window]
+        layer.radiance[window] = seen[..., None] * found.radiance
+        layer.coverage[window] = seen * found.coverage
         motion_px = motion_in_picture(
             scenario, (frame, camera), self._log, traced.buffers, numbers, self._exposure_s
         )
