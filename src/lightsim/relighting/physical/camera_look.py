@@ -27,24 +27,11 @@ from lightsim.core.colour import (
     luminance,
     srgb_from_linear,
 )
+from lightsim.relighting.physical.edge_widths import PIXEL_PX2, SCALES_PX, find_edges, pile
 
-# Scales of the gradients whose ratio tells the width of an edge; a third one checks that it is an
-# edge, and no line or corner. In pixels.
-_SCALES_PX = (0.7, 1.4, 2.0)
-# An edge's least height in sRGB, of the clipping value: ten times the noise of log 002.
-_LEAST_STEP = 0.1
-# Width that two pairs of scales may see differently, px^2. Half of the edges that pass on ideal
-# pictures of the synthetic street are within 0.1.
-_SAME_WIDTH_PX2 = 0.25
-# Edges of the scene are as sharp as the camera is, or softer: the sharp ones pile up at its width,
-# and the closest of them, this part of all, are taken.
-_PILE = 0.25
 _FEWEST_EDGES = 200
-_PIXEL_PX2 = 1 / 12
-"""Variance of a pixel's square: of a rendered edge."""
 # No camera was seen to sharpen more; beyond, the Laplacian would need an endless weight.
 _SHARPEST_PX2 = -0.4
-_BORDER_PX = 8
 # Side of the blocks whose spread around a plane is noise where nothing else is.
 _BLOCK_PX = 16
 # Noise is what the smoothest part of the blocks of like brightness shows.
@@ -94,10 +81,11 @@ def measure_look(
     for srgb8 in pictures:
         grey = luminance(linear_from_srgb8(srgb8))
         is_cut = (srgb8 >= CLIPPED_CODE).any(axis=-1) | (srgb8 <= _DARK).all(axis=-1) | is_left_out
-        widths.append(_edge_widths(srgb_from_linear(grey).astype(np.float64), is_cut))
+        codes = srgb_from_linear(grey).astype(np.float64)
+        widths.append(find_edges(codes, is_cut).spread_px2)
         blocks.append(_blocks(grey.astype(np.float64))[_blocks(~is_cut).all(axis=1)])
     edges = np.concatenate(widths)
-    spread = _pile(edges) - _PIXEL_PX2 if len(edges) >= _FEWEST_EDGES else 0.0
+    spread = pile(edges) if len(edges) >= _FEWEST_EDGES else 0.0
     return CameraLook(spread, *_noise(np.concatenate(blocks)))
 
 
@@ -129,7 +117,7 @@ def _sharpening(spread_px2: float) -> float:
     """Weight of each neighbour that makes the gradients of a rendered edge fall between the two
     scales as those of the recorded edges do: the second difference of a Gaussian of variance V at
     its top is 2 (1 - exp(-1 / 2V)) of it."""
-    known = np.square(_SCALES_PX[:2]) + 1 / 3 + _PIXEL_PX2
+    known = np.square(SCALES_PX[:2]) + 1 / 3 + PIXEL_PX2
     fine, coarse = 2 * (1 - np.exp(-0.5 / known))
     spread_px2 = min(max(spread_px2, _SHARPEST_PX2), 0.0)
     fall = np.sqrt((known[1] + spread_px2) / (known[0] + spread_px2) * known[0] / known[1])
@@ -146,60 +134,6 @@ def noise_like(
     for axis in (0, 1):
         noise = ndimage.convolve1d(noise, kernel, axis=axis, mode="wrap")
     return (noise * look.noise_std(signal)).astype(np.float32)
-
-
-def _edge_widths(
-    grey: Float64[np.ndarray, "h w"], is_cut: Bool[np.ndarray, "h w"]
-) -> Float64[np.ndarray, " n"]:
-    """Variances of the point spread as single edges show it, px^2: the gradient of a step that a
-    Gaussian blurred, blurred once more, falls by the ratio of both widths (Zhuo & Sim 2011,
-    doi:10.1016/j.patcog.2011.03.009). In sRGB codes, where cameras sharpen; how wide a blur of
-    linear light is, they tell as well (tested)."""
-    smooth = [ndimage.gaussian_filter(grey, scale, truncate=5.0) for scale in _SCALES_PX]
-    across, along = (np.stack(g) for g in zip(*(np.gradient(s) for s in smooth), strict=True))
-    size = np.hypot(across, along)
-    height = size[-1] * np.sqrt(2 * np.pi) * _SCALES_PX[-1]
-    reach = 2 * _BORDER_PX + 1
-    is_far = np.logical_not(ndimage.maximum_filter(is_cut, _BORDER_PX + 1))
-    is_far[:_BORDER_PX] = is_far[-_BORDER_PX:] = False
-    is_far[:, :_BORDER_PX] = is_far[:, -_BORDER_PX:] = False
-    if min(grey.shape) <= reach:
-        return np.zeros(0)
-    i, j = np.nonzero(is_far & (height > _LEAST_STEP) & (size[1] > 0))
-    step_i, step_j = (g[1][i, j] / size[1][i, j] for g in (across, along))
-    peaks, is_ridge = [], np.ones(len(i), dtype=bool)
-    for gradient in size:
-        steps = [(i + t * step_i, j + t * step_j) for t in (-1, 0, 1)]
-        values = [ndimage.map_coordinates(gradient, at, order=3, mode="nearest") for at in steps]
-        before, here, after = np.log(np.maximum(values, 1e-9))
-        # A Gaussian's logarithm is a parabola: its top, between pixels.
-        bend, slope = (before + after) / 2 - here, (after - before) / 2
-        bend = np.minimum(bend, -1e-9)
-        is_ridge &= np.abs(slope) < -2 * bend
-        peaks.append(here - slope**2 / (4 * bend))
-    # What differences of neighbours add to the width: 1/3 along rows and columns, 1/6 between.
-    difference = (step_i**4 + step_j**4) / 3
-    scales = [scale**2 + difference[is_ridge] for scale in _SCALES_PX]
-    tops = [peak[is_ridge] for peak in peaks]
-    fine, coarse = (_width(scales[k : k + 2], tops[k : k + 2]) for k in (0, 1))
-    return fine[np.abs(fine - coarse) < _SAME_WIDTH_PX2]
-
-
-def _width(
-    scales_px2: list[Float64[np.ndarray, " n"]], log_gradients: list[Float64[np.ndarray, " n"]]
-) -> Float64[np.ndarray, " n"]:
-    """Variance of edges from their gradients at two scales."""
-    fall = np.expm1(np.clip(2 * (log_gradients[0] - log_gradients[1]), 1e-6, 50.0))
-    return (scales_px2[1] - scales_px2[0]) / fall - scales_px2[0]
-
-
-def _pile(values: Float64[np.ndarray, " n"]) -> float:
-    """Mean of the values that lie closest together (half-sample mode; Bickel 2002,
-    doi:10.1016/S0167-9473(01)00057-3, one step)."""
-    ordered = np.sort(values)
-    count = max(2, int(_PILE * len(ordered)))
-    first = int(np.argmin(ordered[count - 1 :] - ordered[: len(ordered) - count + 1]))
-    return float(ordered[first : first + count].mean())
 
 
 def _blocks(image: np.ndarray) -> np.ndarray:
