@@ -5,8 +5,8 @@
 New and moved actors, beside recorded surfaces (which no edit touches: what poses, depth and the
 cameras' colours let one hope for): reprojection error through exact depth, shift of the pictures
 against each other (patches with enough texture), difference of radiance, and intersection over
-union of the shadows that edits cast on recorded surfaces. Markdown; medians over all pairs of views
-that see the same thing.
+union of the shadows that edits cast on static surfaces. Markdown; over all pairs of views that see
+the same thing.
 """
 
 from __future__ import annotations
@@ -141,9 +141,7 @@ def _compare(a: Edited, b: Edited, pair: str, found: dict) -> None:
     # A shadow that moves lies elsewhere in another frame.
     if pair == "cameras" or (a.is_standing and b.is_standing):
         matches = match(a.view, b.view, a.is_shaded | (a.view.buffers.actor_index == BACKGROUND))
-        iou = overlap(a.is_shaded, b.is_shaded, matches)
-        if np.isfinite(iou):
-            found[pair, "new actors"]["shadow"].append(iou)
+        found[pair, "new actors"]["shadow"].append(overlap(a.is_shaded, b.is_shaded, matches))
 
 
 def _table(found: dict) -> str:
@@ -157,7 +155,8 @@ def _table(found: dict) -> str:
             continue
         error, shift, colour = (np.concatenate(row[k]) for k in ("error", "shift", "colour"))
         moved = f"{np.median(shift):.2f}, {len(shift)}" if len(shift) else "-"
-        shadow = f"{np.median(row['shadow']):.2f}" if row["shadow"] else "-"
+        both, either = np.sum(row["shadow"], axis=0) if row["shadow"] else (0, 0)
+        shadow = f"{both / either:.2f}" if either else "-"
         lines.append(
             f"| {pair} | {surface} | {len(row['error'])} | {sum(row['pixels'])} |"
             f" {np.median(error):.3f}, {np.quantile(error, 0.95):.3f} | {moved} |"

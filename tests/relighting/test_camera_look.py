@@ -73,7 +73,7 @@ def test_a_rendered_picture_becomes_as_sharp_as_it_is_told_to() -> None:
 
 @pytest.mark.parametrize("grain", [0.0, 0.4])
 def test_noise_is_recovered(grain: float) -> None:
-    rng, dark, slope = np.random.default_rng(3), 0.003**2, 6e-5
+    rng, dark, slope = np.random.default_rng(3), 0.001**2, 1e-4
     grey = discs()
     pictures = []
     for _ in range(2):
@@ -90,7 +90,7 @@ def test_added_noise_has_the_statistics_of_the_picture() -> None:
     """Half of a picture is rendered: nothing tells it from the recorded half."""
     rng = np.random.default_rng(4)
     grey = np.tile(np.linspace(0.1, 0.6, SIDE, dtype=np.float32), (SIDE, 1)).T.copy()
-    recorded = coded(grey + np.sqrt(1e-5 + 5e-5 * grey) * grained(grey.shape, 0.3, rng))
+    recorded = coded(grey + np.sqrt(1e-6 + 1e-4 * grey) * grained(grey.shape, 0.3, rng))
     look = measure_look([recorded], NOBODY)
     rendered = coded(grey + noise_like(grey, look, np.random.default_rng(5)))
     rest = [luminance(linear_from_srgb8(p)) - grey for p in (recorded, rendered)]

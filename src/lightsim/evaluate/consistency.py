@@ -155,10 +155,9 @@ def _shift(
 
 def overlap(
     in_a: Bool[np.ndarray, "h w"], in_b: Bool[np.ndarray, "h w"], matches: Matches
-) -> float:
-    """Intersection over union of a mask as both views show it, over matching points; NaN where
-    neither shows any."""
+) -> tuple[int, int]:
+    """Matching points that both views show in a mask, and those that either does: intersection and
+    union."""
     rows, columns = matches.pixel.T
     one, other = in_a[rows, columns], in_b[matches.other]
-    either = np.count_nonzero(one | other)
-    return np.count_nonzero(one & other) / either if either else float("nan")
+    return int(np.count_nonzero(one & other)), int(np.count_nonzero(one | other))

@@ -38,6 +38,9 @@ _BLOCK_PX = 16
 _SMOOTHEST = 0.1
 _BINS, _FEWEST_BLOCKS = 8, 10
 _LEAST_VARIANCE = 1e-9
+# Picture value whose photons make as much noise as reading out does, at most. Without a limit rough
+# asphalt, the darkest that most pictures show, made dark cars noisy.
+_READ_SIGNAL = 0.02
 # Beyond 1 / sqrt(2) neighbours of neighbours would weigh more than neighbours.
 _GRAINS = np.linspace(0.0, 0.7, 15)
 _DARK = 3
@@ -170,10 +173,10 @@ def _noise(blocks: Float64[np.ndarray, "n k"]) -> tuple[float, float, float]:
     at, variance = np.array(found).T
     grain, kept = _grain(float(np.median(covariance)))
     variance = np.maximum(variance / kept - _rounding(at), _LEAST_VARIANCE)
-    # Relative errors count.
-    model = np.stack([np.ones_like(at), at], axis=1) / variance[:, None]
-    dark, slope = nnls(model, np.ones_like(variance))[0]
-    return float(dark), float(slope), grain
+    # Relative errors count: texture, which only adds, hardly does.
+    model = np.stack([at + _READ_SIGNAL, at], axis=1) / variance[:, None]
+    both, photons = (float(x) for x in nnls(model, np.ones_like(variance))[0])
+    return _READ_SIGNAL * both, both + photons, grain
 
 
 def _beside(rest: Float64[np.ndarray, "n k"]) -> Float64[np.ndarray, " n"]:
