@@ -20,12 +20,14 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import binary_erosion
 
 from lightsim.core.buffers import BACKGROUND
 from lightsim.core.colour import linear_from_srgb8, luminance
 from lightsim.core.scenario import Scenario, ScenarioFrame, changed_placements
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.evaluate.consistency import (
+    Matches,
     View,
     colour_difference,
     match,
@@ -48,7 +50,8 @@ _FEWEST = 200
 
 @dataclass(frozen=True, eq=False)
 class Edited:
-    """One view of the edit: pixels that are new, that are as recorded, and that it shades."""
+    """One view of the edit: pixels that are new, that are as recorded, and that it shades; and
+    whether all that is new stands."""
 
     view: View
     frame: ScenarioFrame
@@ -101,7 +104,8 @@ def _views(work: Workspace, path: Path, options: RelightOptions) -> Iterator[Edi
         yield Edited(
             View(frame, camera, buffers, made.source.radiance, poses),
             frame,
-            np.isin(buffers.actor_index, new),
+            # Pixels at edges are mixed with what is behind.
+            np.asarray(binary_erosion(np.isin(buffers.actor_index, new)), dtype=bool),
             is_static & ~made.source.is_edited,
             is_static & (light < _SHADOW),
             not any(scenario.tracks[number].is_moving for number in new),
@@ -126,11 +130,10 @@ def _pair(a: ScenarioFrame, b: ScenarioFrame) -> str:
 def _compare(a: Edited, b: Edited, pair: str, found: dict) -> None:
     for surface, chosen in (("new actors", a.is_new), ("recorded", a.is_kept)):
         matches = match(a.view, b.view, chosen)
-        if surface == "recorded":
-            is_kept = b.is_kept[matches.other]
-            matches = type(matches)(
-                matches.pixel[is_kept], matches.uv[is_kept], matches.error_px[is_kept]
-            )
+        is_chosen = (b.is_new if surface == "new actors" else b.is_kept)[matches.other]
+        matches = Matches(
+            matches.pixel[is_chosen], matches.uv[is_chosen], matches.error_px[is_chosen]
+        )
         if len(matches.pixel) < _FEWEST:
             continue
         row = found[pair, surface]
@@ -147,7 +150,7 @@ def _compare(a: Edited, b: Edited, pair: str, found: dict) -> None:
 def _table(found: dict) -> str:
     lines = [
         "| views | surfaces | pairs | pixels | reprojection px, 95 % | picture shift px, patches |"
-        " colour difference | shadow IoU |",
+        " colour difference | shadow IoU, points |",
         "|---|---|---:|---:|---:|---:|---:|---:|",
     ]
     for (pair, surface), row in sorted(found.items()):
@@ -156,7 +159,7 @@ def _table(found: dict) -> str:
         error, shift, colour = (np.concatenate(row[k]) for k in ("error", "shift", "colour"))
         moved = f"{np.median(shift):.2f}, {len(shift)}" if len(shift) else "-"
         both, either = np.sum(row["shadow"], axis=0) if row["shadow"] else (0, 0)
-        shadow = f"{both / either:.2f}" if either else "-"
+        shadow = f"{both / either:.2f}, {either}" if either else "-"
         lines.append(
             f"| {pair} | {surface} | {len(row['error'])} | {sum(row['pixels'])} |"
             f" {np.median(error):.3f}, {np.quantile(error, 0.95):.3f} | {moved} |"
