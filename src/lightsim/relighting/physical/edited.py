@@ -115,7 +115,8 @@ def edited_image(inputs: EditInputs) -> EditedImage:
     background = picture + change[..., None] * (relit - picture)
     background += hidden[..., None] * (match * _twin_radiance(inputs, after) - background)
     radiance = inputs.new.over(background, inputs.look, inputs.gain)
-    new, is_new = inputs.new.coverage, (radiance != background).any(axis=-1)
+    new = np.where(inputs.is_fixed, 0.0, inputs.new.coverage).astype(np.float32)
+    is_new = (radiance != background).any(axis=-1)
     is_edited = ((change > 0) | (hidden > 0) | (new > 0) | is_new) & ~inputs.is_fixed
     kept = (1 - hidden) * (1 - new)
     sky = recorded.sky_matte * kept + (1 - new) * hidden * ~inputs.buffers.has_surface
@@ -124,7 +125,7 @@ def edited_image(inputs: EditInputs) -> EditedImage:
         is_edited,
         recorded.is_clipped & (kept > 0.5),
         np.where(is_edited, sky, recorded.sky_matte).astype(np.float32),
-        np.where(inputs.is_fixed, 0.0, 1 - kept).astype(np.float32),
+        (1 - kept).astype(np.float32),
     )
 
 
