@@ -5,17 +5,20 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from lightsim.errors import LightSimError
 from lightsim.store.images import write_hdr
 
 from .kinds import ROUND
 from .report import Report
 from .runner import Limits, Outcome, import_what_was_needed, run_case
+from .scenarios import read_scenario, write_scenario_case
 from .seeds import Seeds, make_seeds
 from .targets import (
     read_artefacts,
@@ -48,6 +51,9 @@ def _rehearse(folder: Path, source: Path | None) -> None:
     picture = np.full((8, 16, 3), 0.5, np.float32)
     write_hdr(folder / "sky.hdr", picture)
     read_sky_file(folder)
+    write_scenario_case(seeds, _fresh(folder / "scenario"), np.random.default_rng(0))
+    with suppress(LightSimError):
+        read_scenario(folder / "scenario")
     relight_with_options(seeds.work, "noon", "sun:180,60", "auto", (0.0, 1.0), ("", ""))
     Image.init()
 

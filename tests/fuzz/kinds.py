@@ -15,6 +15,7 @@ from .mutations import Rng, mutate_bytes, mutate_json, mutate_text, pick
 from .options import read_options_case, write_options_case
 from .pictures import mutate_picture, write_exr_case, write_hdr_case
 from .runner import CANARY_NAME
+from .scenarios import read_scenario, write_scenario_case
 from .seeds import Seeds
 from .special import any_path, replace_by_special
 from .tables import mutate_table_file, write_hostile_pickle
@@ -179,6 +180,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("work source sky", 1, _in_work(_signed(_source_sky)), read_artefacts),
     Kind("work special files", 2, _in_work(_special), read_artefacts),
     Kind("options", 2, write_options_case, read_options_case),
+    Kind("scenario", 3, write_scenario_case, read_scenario),
 )
 ROUND: tuple[Kind, ...] = tuple(kind for kind in KINDS for _ in range(kind.fraction))
 """Case n is of kind ROUND[n % len(ROUND)], whichever kinds are asked for."""

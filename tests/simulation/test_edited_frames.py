@@ -10,6 +10,7 @@ import pytest
 from scipy.ndimage import binary_dilation
 from tests.render.rendering_scenes import constant_sky, look_at, plane, sun_sky
 from tests.tiny_world import (
+    ABOVE,
     BOX_LWH_M,
     GAIN,
     GROUND,
@@ -28,6 +29,7 @@ from tests.tiny_world import (
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.dome import SkyDome
 from lightsim.core.fields import GroundMap
+from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import SunVisibility
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
@@ -53,9 +55,11 @@ FLAT = StandingGround(
 BOX_GONE = (Remove("edit 1", "car"),)
 
 
-def photographed(sky: SkyDome, edits: Sequence[Edit] = ()) -> TinyWorkspace:
+def photographed(
+    sky: SkyDome, edits: Sequence[Edit] = (), view: RigidTransform = ABOVE
+) -> TinyWorkspace:
     """The tiny world with the pictures that a camera takes of it, after edits, under a sky."""
-    work = tiny_world(sky)
+    work = tiny_world(sky, view)
     scenario = edited(work, edits)
     renderer = FrameRenderer(work.assets.background, NOTHING, TransportConfig(bounces=2), 0)
     pictures = {}
@@ -82,11 +86,15 @@ def simulated(work: TinyWorkspace, edits: Sequence[Edit], sky: SkyDome | None = 
 
 
 def frame_of(
-    work: TinyWorkspace, recorded: Scenario, scenario: Scenario, sky: SkyDome | None = None
+    work: TinyWorkspace,
+    recorded: Scenario,
+    scenario: Scenario,
+    sky: SkyDome | None = None,
+    number: int = 1,
 ) -> RelitFrame:
     relighter = Relighter(work, work.log, RelightConfig(), RelightOptions(name="tiny"), recorded)
     target = relighter.target(TargetSky(sky or work.sky.dome, {}, is_source=sky is None))
-    (found,) = relighter.relit(scenario.frames[1], scenario, [target])
+    (found,) = relighter.relit(scenario.frames[number], scenario, [target])
     return found
 
 

@@ -230,6 +230,15 @@ class Trajectory:
         """Origin of `src` in `dst` at each pose."""
         return self.matrices[:, :3, 3]
 
+    def distance_ahead_m(self, time_ns: int) -> float:
+        """Way along the x axis of `src` from the first pose to a time; backwards counts less than
+        0. Beyond the ends it is that of the end."""
+        steps = np.diff(self.positions_m, axis=0)
+        ahead = (self.matrices[:-1, :3, 0] + self.matrices[1:, :3, 0]) / 2
+        way = np.concatenate([[0.0], np.cumsum(np.einsum("nc,nc->n", steps, ahead))])
+        seconds = (self.times_ns - self.start_ns) / 1e9
+        return float(np.interp((time_ns - self.start_ns) / 1e9, seconds, way))
+
     def covers(self, time_ns: int, hold_s: float = 0.0) -> bool:
         """Whether `at` answers: from the first pose to the last, and `hold_s` beyond either."""
         hold_ns = int(hold_s * 1e9)

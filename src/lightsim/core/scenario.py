@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
 
@@ -13,6 +13,7 @@ from lightsim.core.actors import ActorTrack
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.checks import check_choice
 from lightsim.core.frames import RigidTransform, Trajectory
+from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.twin import ActorAsset
@@ -32,6 +33,17 @@ class ActorPlacement:
     def world_from_actor(self, time_ns: int) -> RigidTransform:
         """Pose at a time."""
         return self.track.world_from_actor(time_ns)
+
+    def mesh_at(self, time_ns: int) -> TriMesh:
+        """The asset's mesh in frame `world` at a time; wheels have turned with the way so far."""
+        mesh = self.asset.mesh
+        if self.asset.wheels:
+            distance_m = self.track.trajectory.distance_ahead_m(time_ns)
+            vertices = mesh.vertices
+            for wheel in self.asset.wheels:
+                vertices = wheel.turned(vertices, distance_m)
+            mesh = replace(mesh, vertices=vertices)
+        return mesh.transformed(self.world_from_actor(time_ns))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, Float64, Int64
 
 from lightsim.core.actors import ActorKind
 from lightsim.core.dome import SkyDome
@@ -15,16 +15,43 @@ from lightsim.core.mesh import TriMesh
 
 
 @dataclass(frozen=True, eq=False)
+class Wheel:
+    """A part of a vehicle that turns about an axle along the vehicle's y axis.
+
+    Args:
+        vertices: numbers of the mesh's vertices that belong to it.
+        centre: of the axle, frame `actor`.
+        radius_m: of the tyre.
+    """
+
+    vertices: Int64[np.ndarray, " k"]
+    centre: Float64[np.ndarray, "3"]
+    radius_m: float
+
+    def turned(
+        self, vertices: Float32[np.ndarray, "n 3"], distance_m: float
+    ) -> Float32[np.ndarray, "n 3"]:
+        """The mesh's vertices after the vehicle has rolled ahead by a distance."""
+        angle = distance_m / self.radius_m
+        x, y, z = (vertices[self.vertices] - self.centre).T
+        c, s = np.cos(angle), np.sin(angle)
+        turned = vertices.copy()
+        turned[self.vertices] = np.stack([c * x + s * z, y, c * z - s * x], axis=1) + self.centre
+        return turned
+
+
+@dataclass(frozen=True, eq=False)
 class ActorAsset:
     """A reconstructed actor; `mesh` lies in frame `actor` (origin at the box centre).
 
-    `label` is the recording's own word for it; by default the kind's.
+    `label` is the recording's own word for it; by default the kind's. `wheels` are those that turn.
     """
 
     actor_id: str
     kind: ActorKind
     mesh: TriMesh
     label: str = ""
+    wheels: tuple[Wheel, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.label:

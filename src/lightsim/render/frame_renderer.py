@@ -210,11 +210,17 @@ class FrameRenderer:
         self._recorded_sun = recorded_sun
         self._faces: FaceTable = static_face_table(without_actors(self._static), transport, seed)
 
-    def sampled(self, pixel_samples: int, recorded_sun: Sun | None) -> FrameRenderer:
+    def sampled(
+        self, pixel_samples: int, recorded_sun: Sun | None, sun_rays: int | None = None
+    ) -> FrameRenderer:
         """A renderer of anti-aliased images of the same twin, which shares all that is static."""
         other = copy(self)
         other._is_sampled = True
-        other._transport = replace(self._transport, pixel_samples=pixel_samples)
+        other._transport = replace(
+            self._transport,
+            pixel_samples=pixel_samples,
+            sun_rays=sun_rays or self._transport.sun_rays,
+        )
         other._recorded_sun = recorded_sun
         return other
 

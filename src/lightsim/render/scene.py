@@ -144,7 +144,7 @@ def place(
 
 def placed_meshes(placements: Sequence[ActorPlacement], time_ns: int) -> tuple[TriMesh, ...]:
     """Meshes of actors in frame `world` where they stand at a time."""
-    return tuple(p.asset.mesh.transformed(p.world_from_actor(time_ns)) for p in placements)
+    return tuple(p.mesh_at(time_ns) for p in placements)
 
 
 def grown(meshes: Sequence[TriMesh], by_m: float) -> list[TriMesh]:

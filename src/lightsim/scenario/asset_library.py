@@ -18,6 +18,7 @@ from lightsim.core.mesh import TriMesh
 from lightsim.core.twin import ActorAsset
 from lightsim.errors import InputError, LightSimError
 from lightsim.scenario.models import Front, centred, guessed_kind, read_model
+from lightsim.scenario.wheels import with_wheels
 from lightsim.store.artefact import hash_file, hash_names, read_record, write_json
 from lightsim.store.entries import Entries
 from lightsim.store.meshes import read_glb, write_glb
@@ -81,7 +82,7 @@ class AssetLibrary:
         path = self._file(words)
         if path is not None:
             mesh = read_model(path)
-            return ActorAsset(path.stem, guessed_kind(path.stem, mesh), mesh)
+            return with_wheels(ActorAsset(path.stem, guessed_kind(path.stem, mesh), mesh))
         if is_harmless(words) and is_file(self.folder / f"{words}.glb"):
             return self._stored(words)
         if words in self.built_in:
@@ -143,7 +144,9 @@ class AssetLibrary:
     def _stored(self, name: str) -> ActorAsset:
         info = Entries.of_file(self.folder / f"{name}{_INFO}")
         mesh = read_glb(self.folder / f"{name}.glb", "actor")
-        return ActorAsset(name, info.member("kind", ActorKind), mesh, info.text("label"))
+        asset = ActorAsset(name, info.member("kind", ActorKind), mesh, info.text("label"))
+        # Harvests have a score, and no parts.
+        return with_wheels(asset) if info.is_null("score") else asset
 
     def _file(self, words: str) -> Path | None:
         places = (self.beside / words, Path(words)) if Path(words).suffix else ()

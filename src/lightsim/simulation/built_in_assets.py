@@ -10,6 +10,7 @@ import numpy as np
 from lightsim.core.actors import ActorKind
 from lightsim.core.mesh import Material, TriMesh
 from lightsim.core.twin import ActorAsset
+from lightsim.scenario.wheels import find_wheels, with_wheels
 from lightsim.synthetic.participants import CAR_SHAPES, build_car, build_walker
 from lightsim.synthetic.shapes import Part, box, merge_parts, quads, tube
 
@@ -34,6 +35,8 @@ _LOOKS: Mapping[str, tuple[tuple[float, float, float], Material]] = {
     "sign_red": ((0.55, 0.04, 0.04), Material(0.35, 0.0, "reflective foil")),
 }
 """Linear base colour and material of each look that a part names."""
+_SPOKES, _SPOKE_ENDS, _SPOKE_M = 5, (0.1, 0.5), 0.02
+"""Bars on a hub, where they begin and end, as parts of the wheel's radius, and their own radius."""
 _CREASE_DEG = 35.0
 """Faces that meet at less than this are one curved surface."""
 
@@ -55,9 +58,26 @@ def built_in_assets() -> Mapping[str, ActorAsset]:
         "sign": (ActorKind.SIGN, _sign()),
     }
     return {
-        name: ActorAsset(name, kind, _mesh(merge_parts(parts)))
+        name: with_wheels(ActorAsset(name, kind, _mesh(merge_parts([*parts, *_spokes(parts)]))))
         for name, (kind, parts) in shapes.items()
     }
+
+
+def _spokes(parts: Sequence[Part]) -> list[Part]:
+    """Dark bars on the hubs of what has wheels: even discs would not show that they turn."""
+    mesh = _mesh(merge_parts(parts))
+    middle = np.concatenate([part.vertices for part in parts])
+    middle = (middle.min(axis=0) + middle.max(axis=0)) / 2
+    bars = []
+    for wheel in find_wheels(mesh):
+        y = mesh.vertices[wheel.vertices, 1]
+        face = middle + wheel.centre
+        face[1] = middle[1] + (y.max() if wheel.centre[1] > 0 else y.min())
+        for angle in np.arange(_SPOKES) * 2 * np.pi / _SPOKES:
+            ahead = wheel.radius_m * np.array([np.cos(angle), 0.0, np.sin(angle)])
+            start, end = ((face + part * ahead).tolist() for part in _SPOKE_ENDS)
+            bars.append(tube("black", start, end, (_SPOKE_M, _SPOKE_M), 6))
+    return bars
 
 
 def _cone() -> list[Part]:

@@ -21,6 +21,7 @@ from lightsim.scenario.ground import StandingGround
 from lightsim.simulation.built_in_assets import built_in_assets
 from lightsim.simulation.options import SimulateOptions
 from lightsim.simulation.relight import make_frames, opened_for, replayed
+from lightsim.simulation.relighter import RelightConfig
 from lightsim.simulation.written_log import write_logs
 
 _LOGGER = logging.getLogger(__name__)
@@ -47,11 +48,15 @@ def simulate(work: Path, request: Path, options: SimulateOptions, progress: Prog
             return folders
         library = asset_library(options.library, request.parent)
         scenario = edited_scenario(workspace, recorded, asked, library, strict=options.strict)
-        made_of: dict[str, Any] = {"edits": asked.spelt}
+        made_of: dict[str, Any] = {
+            "edits": asked.spelt,
+            "exposure_time_ms": options.exposure_time_ms,
+        }
         named = sorted({edit.asset for edit in asked.edits if isinstance(edit, Insert)})
         if named:
             made_of["assets"] = {words: library.key(words) for words in named}
-        folders = make_frames(workspace, scenario, options, progress, recorded, made_of)
+        config = RelightConfig(exposure_s=options.exposure_time_ms / 1e3)
+        folders = make_frames(workspace, scenario, options, progress, recorded, made_of, config)
         _write_logs(workspace, (recorded, scenario), folders, options, progress)
         return folders
 

@@ -43,9 +43,10 @@ from lightsim.store.lock import LOCK_NAME, locked
 from lightsim.store.mp4 import Mp4Writer
 from lightsim.store.scenario import write_scenario
 
-_SCHEMA = 8
+_SCHEMA = 9
 _STAGE = "relight"
-_OPTIONAL = ("labels", "edits", "assets")
+_OPTIONAL = ("labels", "edits", "assets", "exposure_time_ms")
+_PLAIN = RelightConfig()
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,17 +107,18 @@ def make_frames(
     progress: Progress,
     recorded: Scenario | None = None,
     made_of: Mapping[str, Any] = MappingProxyType({}),
+    config: RelightConfig = _PLAIN,
 ) -> list[Path]:
     """Frames, films and reports of a scenario under each sky that is asked for.
 
     Args:
         recorded: the log as it was, where the scenario has edits.
         made_of: what decides the frames besides the options.
+        config: settings that no option of every command names.
 
     Returns:
         The folders, in the order of the skies.
     """
-    config = RelightConfig()
     scale = _scale(workspace, options)
     base = workspace.root / "scenarios" / options.name
     skies = options.sky_by_name

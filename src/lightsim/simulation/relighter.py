@@ -27,12 +27,14 @@ from lightsim.simulation.source_image import SourceImage, SourceImages
 
 @dataclass(frozen=True)
 class RelightConfig:
-    """How frames are relit: settings that no option of the command names."""
+    """How frames are relit: settings that no option of all commands names."""
 
     transport: TransportConfig = field(default_factory=lambda: TransportConfig(bounces=2))
     """Light of source and target sky on the twin."""
     ratio: RatioConfig = field(default_factory=RatioConfig)
     """From the two lights to the relit pixels."""
+    exposure_s: float = 0.001
+    """How long shutters are open, where actors are new."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +96,15 @@ class Relighter:
             options.seed,
         )
         self._source = self._renderer.prepare(workspace.sky.dome)
-        self._images = SourceImages(workspace, log, recorded, self._renderer, self._source)
+        self._images = SourceImages(
+            workspace,
+            log,
+            recorded,
+            self._renderer,
+            self._source,
+            config.exposure_s,
+            options.seed,
+        )
 
     def target(self, sky: TargetSky) -> RelightTarget:
         """A target sky made ready."""

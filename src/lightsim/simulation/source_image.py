@@ -4,18 +4,27 @@ with edits in it, or the twin from a place where no camera stood."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from zlib import crc32
 
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.colour import linear_from_srgb8, srgb8_from_linear
+from lightsim.core.colour import linear_from_srgb8, luminance, srgb8_from_linear
 from lightsim.core.log import DrivingLog
 from lightsim.core.resample import resize_area
 from lightsim.core.scenario import ActorPlacement, Scenario, changed_placements
 from lightsim.core.sensors import CameraFrame
 from lightsim.pipeline.workspace import Workspace
-from lightsim.relighting.physical.edited import EditInputs, edited_image
+from lightsim.relighting.physical.actor_layer import (
+    ActorLayer,
+    cut_out,
+    empty_layer,
+    photographed,
+)
+from lightsim.relighting.physical.camera_look import noise_like
+from lightsim.relighting.physical.edited import EditedImage, EditInputs, edited_image
+from lightsim.relighting.physical.occlusion import hidden_by_picture
 from lightsim.relighting.physical.ratio import RelightInputs
 from lightsim.render.frame_renderer import (
     SHADOW_ERROR_M,
@@ -24,10 +33,13 @@ from lightsim.render.frame_renderer import (
     visible_sky,
 )
 from lightsim.render.transport.sky import EnvironmentCells
-from lightsim.render.window import Window, seen_through, window_around
+from lightsim.render.window import seen_through, window_around
+from lightsim.simulation.camera_looks import CameraLooks, motion_in_picture
 
 _PIXEL_SAMPLES = 4
 """Of rendered actors; their edges are sampled more finely by their coverage."""
+_SUN_RAYS = 64
+"""Of their pixels: with 4 the edge of a shadow that falls from far away is black and white dots."""
 _MARGIN_PX = 4
 """Around new actors: what is behind them is known from there."""
 _REACH_M = 3.0
@@ -64,6 +76,8 @@ class SourceImages:
         recorded: the log as it was, from which scenarios were made by edits; None: there are none.
         renderer: of the frames.
         sky: the source's, made ready by it.
+        exposure_s: how long shutters are open.
+        seed: of the cameras' noise.
     """
 
     def __init__(
@@ -73,6 +87,8 @@ class SourceImages:
         recorded: Scenario | None,
         renderer: FrameRenderer,
         sky: EnvironmentCells,
+        exposure_s: float,
+        seed: int,
     ) -> None:
         self._workspace = workspace
         self._log = log
@@ -80,6 +96,10 @@ class SourceImages:
         self._renderer = renderer
         self._sky = sky
         self._pictures = renderer.sampled(_PIXEL_SAMPLES, sky.sun)
+        self._actors = renderer.sampled(_PIXEL_SAMPLES, sky.sun, _SUN_RAYS)
+        self._looks = CameraLooks(log)
+        self._exposure_s = exposure_s
+        self._seed = seed
 
     def is_edited(self, frame: CameraFrame, scenario: Scenario) -> bool:
         """Whether edits may change the picture: actors that come or go stand in it, or close to
@@ -101,10 +121,11 @@ class SourceImages:
         assert traced is not None
         edited = edited_image(self._inputs(frame, scenario, traced, image, changed))
         gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
-        made = srgb8_from_linear(edited.radiance * gain)
+        radiance = self._with_noise(edited, gain, frame)
+        made = srgb8_from_linear(radiance * gain)
         return SourceImage(
             np.where(edited.is_edited[..., None], made, image.srgb8),
-            edited.radiance,
+            radiance,
             edited.is_clipped,
             edited.sky_matte,
             edited.is_edited,
@@ -125,7 +146,6 @@ class SourceImages:
         (gone, new), sun = changed, self._sky.sun
         light = before.light(self._sky)
         everything = np.ones_like(image.sky_matte)
-        covered = traced.coverage(_numbers(scenario, new))
         return EditInputs(
             recorded=RelightInputs(
                 radiance=image.radiance,
@@ -143,13 +163,14 @@ class SourceImages:
             light=traced.light(self._sky),
             found_visibility=traced.found_visibility(sun),
             sky=visible_sky(self._sky, frame, camera),
-            rendered=self._render_around(covered, frame, scenario),
             gone=before.coverage(_numbers(self._recorded, gone)),
-            new=covered,
+            new=self._layer_of(new, frame, scenario, traced),
             past_gone=before.sun_past(gone, sun, SHADOW_ERROR_M) if sun else everything,
             past_new=before.sun_past(new, sun) if sun else everything,
             is_fixed=self._ego_vehicle(camera),
             focal_px=camera.fx,
+            look=self._looks.of(camera),
+            gain=self._workspace.twin.assets.camera_gains[camera.name],
         )
 
     def rendered(self, frame: CameraFrame, scenario: Scenario) -> TransportFrame:
@@ -171,15 +192,46 @@ class SourceImages:
             ~fixed[..., 0],
         )
 
-    def _render_around(
-        self, covered: Float32[np.ndarray, "h w"], frame: CameraFrame, scenario: Scenario
-    ) -> tuple[Window, Float32[np.ndarray, "_ _ 3"]] | None:
-        """The edited street around what is new in it, anti-aliased; None where nothing is."""
+    def _layer_of(
+        self,
+        new: tuple[ActorPlacement, ...],
+        frame: CameraFrame,
+        scenario: Scenario,
+        traced: TransportFrame,
+    ) -> ActorLayer:
+        """New actors as the camera would record them; only what is around them is rendered."""
+        camera = self._log.cameras[frame.camera_name]
+        numbers = _numbers(scenario, new)
+        covered = traced.coverage(numbers)
+        layer = empty_layer(*covered.shape)
         if not covered.any():
-            return None
+            return layer
+        codes = frame.load_srgb8().astype(np.float32) / 255
+        is_new = np.isin(traced.buffers.actor_index, numbers)
+        hidden = hidden_by_picture(codes, traced.buffers, is_new, camera.fx)
         window = window_around(covered > 0, _MARGIN_PX)
-        view, camera = seen_through(frame, self._log.cameras[frame.camera_name], window)
-        return window, self._pictures.trace(scenario, view, camera).image(self._sky)
+        view, part = seen_through(frame, camera, window)
+        rendered = self._actors.trace(scenario, view, part).image(self._sky)
+        found = cut_out(rendered, covered[window])
+        seen = 1 - hidden[window]
+        layer.radiance[window] = seen[..., None] * found.radiance
+        layer.coverage[window] = seen * found.coverage
+        motion_px = motion_in_picture(
+            scenario, (frame, camera), self._log, traced.buffers, numbers, self._exposure_s
+        )
+        return photographed(layer, self._looks.of(camera), motion_px)
+
+    def _with_noise(
+        self, edited: EditedImage, gain: Float32[np.ndarray, "3"], frame: CameraFrame
+    ) -> Float32[np.ndarray, "h w 3"]:
+        """The camera's noise where pixels are rendered; where they are so in part, the rest of what
+        the recorded part has. The same for a frame whatever else is made."""
+        look = self._looks.of(self._log.cameras[frame.camera_name])
+        name = crc32(f"{frame.camera_name}/{frame.stem}".encode())
+        rng = np.random.default_rng([self._seed, name])
+        noise = noise_like(luminance(edited.radiance * gain), look, rng)
+        missing = np.sqrt(1 - np.square(1 - edited.rendered)) * noise
+        return np.maximum(edited.radiance + missing[..., None] / gain, 0.0).astype(np.float32)
 
     def _recorded_image(self, frame: CameraFrame) -> SourceImage:
         camera = self._log.cameras[frame.camera_name]

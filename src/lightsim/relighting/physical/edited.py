@@ -21,6 +21,8 @@ from lightsim.core.found_visibility import (
     with_found_visibility,
     with_sun_visibility,
 )
+from lightsim.relighting.physical.actor_layer import ActorLayer
+from lightsim.relighting.physical.camera_look import CameraLook
 from lightsim.relighting.physical.filters import box_mean, fill_holes, median_smoothed
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
 from lightsim.relighting.physical.shadow_refine import refine_sun_visibility
@@ -57,14 +59,14 @@ class EditInputs:
         light: its light.
         found_visibility: see `RelightInputs`, of the edited street.
         sky: the source sky along the pixels' rays.
-        rendered: radiance of the edited street, anti-aliased, in a window (rows, columns) around
-            what is new; None where nobody is.
         gone: fraction of each pixel that shows actors which are not there any more.
-        new: fraction that shows actors which were not there.
+        new: actors that were not there, as they reach the camera's sensor.
         past_gone: fraction of the sun's disc that actors which are gone left open, at most.
         past_new: the same of actors that were not there.
         is_fixed: pixels that stay whatever happens: the ego vehicle's own.
         focal_px: focal length of the camera.
+        look: its sharpness.
+        gain: picture value over radiance.
     """
 
     recorded: RelightInputs
@@ -72,13 +74,14 @@ class EditInputs:
     light: ShadowBuffers
     found_visibility: Float32[np.ndarray, "h w"] | None
     sky: Float32[np.ndarray, "h w 3"]
-    rendered: tuple[tuple[slice, slice], Float32[np.ndarray, "_ _ 3"]] | None
     gone: Float32[np.ndarray, "h w"]
-    new: Float32[np.ndarray, "h w"]
+    new: ActorLayer
     past_gone: Float32[np.ndarray, "h w"]
     past_new: Float32[np.ndarray, "h w"]
     is_fixed: Bool[np.ndarray, "h w"]
     focal_px: float
+    look: CameraLook
+    gain: Float32[np.ndarray, "3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +93,14 @@ class EditedImage:
         is_edited: pixels that differ.
         is_clipped: at least one channel is saturated in the recorded picture, which is still seen.
         sky_matte: fraction of sky.
+        rendered: fraction of each pixel that is rendered, and no recorded pixel any more.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]
     is_edited: Bool[np.ndarray, "h w"]
     is_clipped: Bool[np.ndarray, "h w"]
     sky_matte: Float32[np.ndarray, "h w"]
+    rendered: Float32[np.ndarray, "h w"]
 
 
 def edited_image(inputs: EditInputs) -> EditedImage:
@@ -109,12 +114,10 @@ def edited_image(inputs: EditInputs) -> EditedImage:
     picture = recorded.radiance
     background = picture + change[..., None] * (relit - picture)
     background += hidden[..., None] * (match * _twin_radiance(inputs, after) - background)
-    new = np.where(inputs.is_fixed, 0.0, inputs.new).astype(np.float32)
-    radiance = background
-    if inputs.rendered is not None:
-        window, rendered = inputs.rendered
-        radiance[window] = _with_new_actors(background[window], rendered, new[window])
-    is_edited = ((change > 0) | (hidden > 0) | (new > 0)) & ~inputs.is_fixed
+    radiance = inputs.new.over(background, inputs.look, inputs.gain)
+    new = np.where(inputs.is_fixed, 0.0, inputs.new.coverage).astype(np.float32)
+    is_new = (radiance != background).any(axis=-1)
+    is_edited = ((change > 0) | (hidden > 0) | (new > 0) | is_new) & ~inputs.is_fixed
     kept = (1 - hidden) * (1 - new)
     sky = recorded.sky_matte * kept + (1 - new) * hidden * ~inputs.buffers.has_surface
     return EditedImage(
@@ -122,6 +125,7 @@ def edited_image(inputs: EditInputs) -> EditedImage:
         is_edited,
         recorded.is_clipped & (kept > 0.5),
         np.where(is_edited, sky, recorded.sky_matte).astype(np.float32),
+        (1 - kept).astype(np.float32),
     )
 
 
@@ -245,17 +249,3 @@ def _twin_radiance(inputs: EditInputs, light: ShadowBuffers) -> Float32[np.ndarr
     """What the twin shows where the picture shows nothing."""
     surface = inputs.buffers.base_colour * light.shaded + light.reflected
     return np.where(inputs.buffers.has_surface[..., None], surface, inputs.sky)
-
-
-def _with_new_actors(
-    background: Float32[np.ndarray, "h w 3"],
-    rendered: Float32[np.ndarray, "h w 3"],
-    new: Float32[np.ndarray, "h w"],
-) -> Float32[np.ndarray, "h w 3"]:
-    """Rendered actors over the background; at their edges the part of the rendered radiance that
-    is background is taken out first."""
-    is_mixed = (new > 0) & (new < 1)
-    behind = fill_holes(rendered, new == 0)
-    cover = new[..., None]
-    actor = np.where(is_mixed[..., None], rendered - (1 - cover) * behind, cover * rendered)
-    return (np.maximum(actor, 0.0) + (1 - cover) * background).astype(np.float32)

@@ -1,0 +1,112 @@
+"""What the picture knows better of an occluder's edge than the twin's mesh: leaves between an
+inserted actor and the camera that no mesh holds.
+
+Near a static surface that stands well before the actor, pixels of the actor whose recorded colour
+is that of the surface, and not that of what lies behind it, are hidden too. Whatever the mesh
+hides stays hidden: what the actor looks like there was not rendered, and colours of poles and walls
+are too alike to tell (looked at on log 002; cars as occluders have good meshes, and panes).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float32
+from scipy import ndimage
+
+from lightsim.core.buffers import BACKGROUND, GBuffers
+from lightsim.relighting.physical.filters import box_mean
+
+# An occluder stands at least this far before the actor: what touches it, as the ground does, has
+# its edge where both meshes meet. Surfaces less upright than that are ground.
+_BEFORE_M, _LEVEL = 0.5, 0.7
+# What is as near as this to a reconstructed surface may belong to it, in metres and pixels; and no
+# farther than this many pixels.
+_REACH_M, _REACH_PX, _FARTHEST_PX = 0.12, 1.5, 16.0
+# The colours of both sides are learnt over windows this many times as wide; pixels that are in
+# question count this much.
+_WINDOW, _IN_QUESTION = 3, 0.05
+# Variance of sRGB codes below which colours are one; from which on a pixel is partly, and from
+# which on wholly the occluder's. Looked at on log 002.
+_SAME_COLOUR, _SURE = 1e-3, (0.5, 0.8)
+
+
+def hidden_by_picture(
+    codes: Float32[np.ndarray, "h w 3"],
+    buffers: GBuffers,
+    is_new: Bool[np.ndarray, "h w"],
+    focal_px: float,
+) -> Float32[np.ndarray, "h w"]:
+    """Fraction of new actors' pixels that something nearer hides, by the recorded picture.
+
+    Args:
+        codes: the recorded picture, sRGB in [0, 1].
+        buffers: of the street with the actors.
+        is_new: pixels whose centres show them; those beside may show a part of them.
+    """
+    hidden = np.zeros(is_new.shape, np.float32)
+    before = _occluders(buffers, is_new)
+    if not (is_new.any() and before.any()):
+        return hidden
+    distance_px, nearest = _nearest(before)
+    reach_px = focal_px * _REACH_M / buffers.depth_z_m[nearest] + _REACH_PX
+    is_asked = _grown(is_new) & (distance_px <= np.minimum(reach_px, _FARTHEST_PX))
+    if not is_asked.any():
+        return hidden
+    radius = _WINDOW * int(np.ceil(np.median(reach_px[is_asked]).clip(1, _FARTHEST_PX)))
+    rows, columns = (np.flatnonzero(is_asked.any(axis=axis)) for axis in (1, 0))
+    part = tuple(
+        slice(max(0, int(at[0]) - 2 * radius), int(at[-1]) + 1 + 2 * radius)
+        for at in (rows, columns)
+    )
+    weight = np.where(is_asked, np.float32(_IN_QUESTION), np.float32(1))
+    likeness = _by_colour(codes[part], before[part].astype(np.float32), weight[part], radius)
+    sure = np.clip((likeness - _SURE[0]) / (_SURE[1] - _SURE[0]), 0.0, 1.0)
+    hidden[part] = np.where(is_asked[part], sure, 0.0)
+    return hidden
+
+
+def _nearest(
+    mask: Bool[np.ndarray, "h w"],
+) -> tuple[Float32[np.ndarray, "h w"], tuple[np.ndarray, np.ndarray]]:
+    """Distance to the mask's nearest pixel, and its rows and columns."""
+    found = ndimage.distance_transform_edt(~mask, return_indices=True)
+    assert isinstance(found, tuple)
+    return found[0].astype(np.float32), (found[1][0], found[1][1])
+
+
+def _grown(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    return np.asarray(ndimage.binary_dilation(mask, np.ones((3, 3), bool)), dtype=bool)
+
+
+def _occluders(buffers: GBuffers, is_new: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Static upright surfaces that stand before the nearest pixel of an actor."""
+    if not is_new.any():
+        return np.zeros_like(is_new)
+    _, nearest = _nearest(is_new)
+    is_before = buffers.depth_z_m < buffers.depth_z_m[nearest] - _BEFORE_M
+    is_upright = buffers.normal_world[..., 2] < _LEVEL
+    return is_before & is_upright & (buffers.actor_index == BACKGROUND)
+
+
+def _by_colour(
+    guide: Float32[np.ndarray, "h w 3"],
+    mask: Float32[np.ndarray, "h w"],
+    weight: Float32[np.ndarray, "h w"],
+    radius: int,
+) -> Float32[np.ndarray, "h w"]:
+    """The mask made locally linear in the colour, with a weight per pixel: the guided filter with
+    three channels (He et al., doi:10.1109/TPAMI.2012.213, Sec. 3.5)."""
+    total = box_mean(weight, radius)[..., None]
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return box_mean((values * weight[..., None]).astype(np.float32), radius) / total
+
+    products = (guide[..., :, None] * guide[..., None, :]).reshape(*mask.shape, 9)
+    colour, target = mean(guide), mean(mask[..., None])
+    covariance = mean(guide * mask[..., None]) - colour * target
+    spread = mean(products).reshape(*mask.shape, 3, 3)
+    spread = spread - colour[..., :, None] * colour[..., None, :] + _SAME_COLOUR * np.eye(3)
+    slope = np.linalg.solve(spread, covariance[..., None])[..., 0]
+    offset = target - (slope * colour).sum(axis=-1, keepdims=True)
+    smooth = box_mean(np.concatenate([slope, offset], axis=-1).astype(np.float32), radius)
+    return ((smooth[..., :3] * guide).sum(axis=-1) + smooth[..., 3]).astype(np.float32)

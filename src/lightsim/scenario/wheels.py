@@ -1,0 +1,103 @@
+"""Finds the wheels of CAD vehicles by their shape: files name them differently, or not at all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from lightsim.core.mesh import TriMesh
+from lightsim.core.twin import ActorAsset, Wheel
+
+# Corners that lie closer than this are one: files split vertices along creases.
+_SAME_M = 1e-4
+# A wheel's silhouette from the side is a circle to this part of its diameter (tyres of CAD files
+# have 16 corners and more: cos(pi / 16) = 0.98), and it reaches the ground to this part.
+_ROUND, _ON_GROUND = 0.04, 0.1
+# By an eighth about the y axis.
+_TURN = np.array([[1, 0, 1], [0, np.sqrt(2), 0], [-1, 0, 1]]) / np.sqrt(2)
+# Diameters, as parts of the vehicle's height: of trucks, and of low cars.
+_SIZES = (0.12, 0.6)
+# Wheels of a pair differ in place and size by less than this part of the diameter.
+_PAIRED = 0.15
+
+
+def with_wheels(asset: ActorAsset) -> ActorAsset:
+    """The asset with the wheels that its mesh has as parts of their own.
+
+    A wheel is a round part that stands on the ground, with another one on the vehicle's other side;
+    what lies within it (rims, nuts) turns with it. What has fewer than two pairs has none.
+    """
+    return replace(asset, wheels=find_wheels(asset.mesh))
+
+
+def find_wheels(mesh: TriMesh) -> tuple[Wheel, ...]:
+    """The wheels of a vehicle's mesh in frame `actor`; empty where it has not two pairs."""
+    part = _part_of_vertex(mesh)
+    vertices = mesh.vertices.astype(np.float64)
+    low, high = _bounds(vertices, part)
+    centre, size = (low + high) / 2, high - low
+    turned = np.subtract(*reversed(_bounds(vertices @ _TURN.T, part)))
+    widths = np.concatenate([size[:, [0, 2]], turned[:, [0, 2]]], axis=1)
+    diameter = widths.max(axis=1)
+    ground, height = vertices[:, 2].min(), np.ptp(vertices[:, 2])
+    is_wheel = np.ptp(widths, axis=1) <= _ROUND * diameter
+    is_wheel &= low[:, 2] - ground <= _ON_GROUND * diameter
+    is_wheel &= (diameter >= _SIZES[0] * height) & (diameter <= _SIZES[1] * height)
+    is_wheel &= size[:, 1] <= diameter
+    chosen = np.flatnonzero(is_wheel)
+    chosen = chosen[_has_partner(centre[chosen], diameter[chosen])]
+    if len(chosen) < 4:
+        return ()
+    return tuple(_wheel(vertices, part, centre[n], size[n]) for n in chosen)
+
+
+def _bounds(
+    vertices: Float64[np.ndarray, "n 3"], part: Int64[np.ndarray, " n"]
+) -> tuple[Float64[np.ndarray, "p 3"], Float64[np.ndarray, "p 3"]]:
+    """Lowest and highest coordinates of each part."""
+    low, high = (np.full((int(part.max()) + 1, 3), end) for end in (np.inf, -np.inf))
+    np.minimum.at(low, part, vertices)
+    np.maximum.at(high, part, vertices)
+    return low, high
+
+
+def _part_of_vertex(mesh: TriMesh) -> Int64[np.ndarray, " n"]:
+    """The number of the connected part that each vertex belongs to."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    cells = np.round(mesh.vertices / _SAME_M).astype(np.int64)
+    same = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
+    corners = same[mesh.faces]
+    start, end = corners[:, :2].ravel(), corners[:, 1:].ravel()
+    size = int(same.max()) + 1
+    graph = coo_array((np.ones(len(start), bool), (start, end)), shape=(size, size))
+    return connected_components(graph, directed=False)[1][same].astype(np.int64)
+
+
+def _has_partner(
+    centre: Float64[np.ndarray, "k 3"], diameter: Float64[np.ndarray, " k"]
+) -> Bool[np.ndarray, " k"]:
+    """Which wheels have one of the same size across the vehicle."""
+    across = centre * [1, -1, 1]
+    apart = np.abs(centre[:, None] - across).max(axis=2)
+    differs = np.abs(diameter[:, None] - diameter)
+    is_like = np.maximum(apart, differs) <= _PAIRED * diameter
+    np.fill_diagonal(is_like, False)
+    return np.any(is_like, axis=1)
+
+
+def _wheel(
+    vertices: Float64[np.ndarray, "n 3"],
+    part: Int64[np.ndarray, " n"],
+    centre: Float64[np.ndarray, "3"],
+    size: Float64[np.ndarray, "3"],
+) -> Wheel:
+    """All parts within its cylinder; hubs may stand out by half of its width."""
+    radius_m = float(max(size[0], size[2]) / 2)
+    x, y, z = (vertices - centre).T
+    is_outside = (np.hypot(x, z) > radius_m * (1 + _ROUND)) | (np.abs(y) > size[1])
+    outside = np.bincount(part, is_outside) > 0
+    return Wheel(np.flatnonzero(~outside[part]), centre, radius_m)
