@@ -22,7 +22,7 @@ from lightsim.synthetic.rig import (
     LIDAR_HEIGHT_M,
     SWEEP_S,
     MountedCamera,
-    street_from_ego,
+    world_from_ego,
 )
 from lightsim.synthetic.street import Street
 
@@ -67,7 +67,7 @@ def write_rig(
         write_json(target / "poses.json", [_pose_json(pose) for pose in poses])
         write_json(target / "timestamps.json", [clock.utc_s(t) for t in times])
     times = [SWEEP_S * k for k in range(count)]
-    egos = [_world_from_ego(plan, config, t) for t in times]
+    egos = [world_from_ego(plan, config, t) for t in times]
     lidar = _ego_from_pandar64()
     write_json(folder / "lidar" / "poses.json", [_pose_json(ego @ lidar) for ego in egos])
     for name in ("lidar", "meta"):
@@ -80,7 +80,7 @@ def camera_pose(
     plan: StreetPlan, config: StreetConfig, mounted: MountedCamera, time_s: float
 ) -> RigidTransform:
     """`world_from_camera` at a time."""
-    return _world_from_ego(plan, config, time_s) @ mounted.ego_from_camera
+    return world_from_ego(plan, config, time_s) @ mounted.ego_from_camera
 
 
 def write_sweep(path: Path, returns: Returns, end_utc_s: float) -> None:
@@ -143,10 +143,6 @@ def _write_pickle(path: Path, frame: Any) -> None:
         temporary.write_bytes(gzip.compress(buffer.getvalue(), 9, mtime=0))
 
 
-def _world_from_ego(plan: StreetPlan, config: StreetConfig, time_s: float) -> RigidTransform:
-    return plan.world_from_street @ street_from_ego(time_s, config.ego_speed_m_s)
-
-
 def _ego_from_pandar64() -> RigidTransform:
     rotation = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     height = np.array([0.0, 0.0, LIDAR_HEIGHT_M])
@@ -185,7 +181,7 @@ def _gps(
 
 
 def _enu(plan: StreetPlan, config: StreetConfig, time_s: float) -> Float[np.ndarray, "3"]:
-    return (plan.enu_from_world @ _world_from_ego(plan, config, time_s)).translation_m
+    return (plan.enu_from_world @ world_from_ego(plan, config, time_s)).translation_m
 
 
 def _write_calibration(path: Path, cameras: Sequence[MountedCamera]) -> None:
