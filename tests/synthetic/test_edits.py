@@ -30,10 +30,10 @@ def street() -> Street:
 
 @pytest.fixture(scope="module")
 def edits(street: Street) -> dict[str, TrueEdit]:
-    """Chosen by one camera, coarser than any real one."""
+    """Chosen by two cameras, coarser than any real one."""
     config = replace(StreetConfig(), width_px=160, height_px=90, truth_stems=(3,))
     cameras = mount_cameras(street.plan, config)
-    cameras = tuple(m for m in cameras if m.camera.name == "front_camera")
+    cameras = tuple(m for m in cameras if m.camera.name in ("front_camera", "back_camera"))
     sun = build_sky(sky_specs(street.plan)[0], street.plan, 64).sun
     assert sun is not None
     return {e.name: e for e in choose_edits(street, config, cameras, sun.direction_world)}

@@ -95,7 +95,7 @@ def choose_edits(
     sun_direction_world: Float[np.ndarray, "3"],
 ) -> tuple[TrueEdit, ...]:
     """No edit; a parked and a moving car taken out, each of them moved, a car put in, and the ego
-    shifted. The first has the views of all others.
+    shifted. The first has the views of all others; what no view shows is left out.
 
     Chosen is what most pixels show of actor and shadow (their geometric mean: both have to be
     seen), in views that show all of the actor.
@@ -112,6 +112,7 @@ def choose_edits(
     first = tuple(view for view in views if view.index == config.truth_stems[0])
     ego = {"do": "ego", "offset_m": list(EGO_OFFSET_M)}
     edits.append(TrueEdit("ego-shift", (ego,), street.participants, first, EGO_OFFSET_M))
+    edits = [edit for edit in edits if edit.views]
     shown = {id(view): view for edit in edits for view in edit.views}
     recorded = TrueEdit(NO_EDIT, (), street.participants, tuple(shown.values()))
     return (recorded, *edits)
