@@ -10,6 +10,7 @@ import pytest
 from scipy.ndimage import binary_dilation
 from tests.render.rendering_scenes import constant_sky, look_at, plane, sun_sky
 from tests.tiny_world import (
+    ABOVE,
     BOX_LWH_M,
     GAIN,
     GROUND,
@@ -28,6 +29,7 @@ from tests.tiny_world import (
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.dome import SkyDome
 from lightsim.core.fields import GroundMap
+from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import SunVisibility
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
@@ -53,9 +55,11 @@ FLAT = StandingGround(
 BOX_GONE = (Remove("edit 1", "car"),)
 
 
-def photographed(sky: SkyDome, edits: Sequence[Edit] = ()) -> TinyWorkspace:
+def photographed(
+    sky: SkyDome, edits: Sequence[Edit] = (), view: RigidTransform = ABOVE
+) -> TinyWorkspace:
     """The tiny world with the pictures that a camera takes of it, after edits, under a sky."""
-    work = tiny_world(sky)
+    work = tiny_world(sky, view)
     scenario = edited(work, edits)
     renderer = FrameRenderer(work.assets.background, NOTHING, TransportConfig(bounces=2), 0)
     pictures = {}
@@ -112,6 +116,17 @@ def test_a_removed_box_takes_its_shadow_along(sky: SkyDome) -> None:
     # Farther than the light that the box takes from the ground reaches, nothing is touched.
     assert kept.mean() > 0.6
     assert not (kept & shows_box_or_shadow(work.log.frames[1], sky)).any()
+
+
+def test_the_shaded_side_of_a_removed_box_says_nothing_of_the_ground_behind_it() -> None:
+    away = -SUNNY.sun.direction_world if SUNNY.sun is not None else np.zeros(3)
+    eye = np.array([*(20 * away[:2] / np.linalg.norm(away[:2])), 8.0])
+    view = look_at(eye.tolist(), [0.0, 0.0, 0.0])
+    work = photographed(SUNNY, view=view)
+    wanted = photographed(SUNNY, BOX_GONE, view).log.frames[1].load_srgb8()
+    found = simulated(work, BOX_GONE)
+    assert psnr_db(work.log.frames[1].load_srgb8(), wanted) < 30
+    assert psnr_db(found.image_srgb8, wanted) > 40
 
 
 def test_the_same_box_put_back_gives_the_picture_back() -> None:
