@@ -122,6 +122,17 @@ def test_a_removed_box_takes_its_shadow_along(sky: SkyDome) -> None:
     assert not (kept & shows_box_or_shadow(work.log.frames[1], sky)).any()
 
 
+def test_the_shaded_side_of_a_removed_box_says_nothing_of_the_ground_behind_it() -> None:
+    away = -SUNNY.sun.direction_world if SUNNY.sun is not None else np.zeros(3)
+    eye = np.array([*(20 * away[:2] / np.linalg.norm(away[:2])), 8.0])
+    view = look_at(eye.tolist(), [0.0, 0.0, 0.0])
+    work = photographed(SUNNY, view=view)
+    wanted = photographed(SUNNY, BOX_GONE, view).log.frames[1].load_srgb8()
+    found = simulated(work, BOX_GONE)
+    assert psnr_db(work.log.frames[1].load_srgb8(), wanted) < 30
+    assert psnr_db(found.image_srgb8, wanted) > 40
+
+
 def test_the_same_box_put_back_gives_the_picture_back() -> None:
     """Into an empty street, where its own track led: the box, its shadow and what lies under it."""
     work, wanted = photographed(SUNNY, BOX_GONE), photographed(SUNNY)

@@ -23,19 +23,24 @@ class Synthesize:
     denoise: bool = False
     """Pictures without the grain of few light paths, as a good camera takes them
     (pip install 'lightsim[denoise]')."""
+    edits: bool = False
+    """Also true pictures of the street with actors removed, inserted and moved, and from a shifted
+    ego: OUT/truth/edits."""
     verbose: Verbose = False
     """Show the trace of an error."""
 
     def run(self) -> None:
         """Make the street."""
         from lightsim.synthetic import synthesize as make_street
+        from lightsim.synthetic import synthesize_edits
 
-        make_street(
-            self.out,
-            seed=self.seed,
-            size=self.size,
-            progress=terminal_progress(),
-            is_denoised=self.denoise,
-        )
+        for make in (make_street, synthesize_edits) if self.edits else (make_street,):
+            make(
+                self.out,
+                seed=self.seed,
+                size=self.size,
+                progress=terminal_progress(),
+                is_denoised=self.denoise,
+            )
         say(f"log:   {self.out / 'log'}")
         say(f"truth: {self.out / 'truth'}")

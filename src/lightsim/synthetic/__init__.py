@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from lightsim.errors import InputError
+from lightsim.synthetic.edit_truth import synthesize_edits
 from lightsim.synthetic.generate import synthesize
 from lightsim.synthetic.plan import Size
 
-__all__ = ["Size", "shipped_street", "synthesize"]
+__all__ = ["Size", "shipped_street", "synthesize", "synthesize_edits"]
 
 
 def shipped_street() -> Path:

@@ -170,13 +170,7 @@ def _render(
         return
     if is_denoised:
         check_installed()
-    tracer = PathTracer(
-        [part.transformed(street.plan.world_from_street) for part in street.background],
-        [Placed(_key(i), actor.parts) for i, actor in enumerate(street.participants)],
-        street.finishes,
-        environment(sky, config.environment_height_px),
-        sky.sun,
-    )
+    tracer = street_tracer(street, config, sky)
     for shot in progress.track(shots, f"rendering '{sky.spec.name}' ({tracer.variant})"):
         mounted = shot.mounted
         time_s = SWEEP_S * shot.index + mounted.time_offset_s
@@ -195,6 +189,17 @@ def _render(
             rng = np.random.default_rng([street.plan.seed, 9, shot.seed])
         shot.path.parent.mkdir(parents=True, exist_ok=True)
         _write_jpeg(shot.path, camera_isp(radiance, mounted.gain, rng))
+
+
+def street_tracer(street: Street, config: StreetConfig, sky: Sky) -> PathTracer:
+    """The path tracer of a street under a sky; `actor_poses_at` places the participants."""
+    return PathTracer(
+        [part.transformed(street.plan.world_from_street) for part in street.background],
+        [Placed(_key(i), actor.parts) for i, actor in enumerate(street.participants)],
+        street.finishes,
+        environment(sky, config.environment_height_px),
+        sky.sun,
+    )
 
 
 def _write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"]) -> None:

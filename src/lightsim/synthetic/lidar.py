@@ -15,6 +15,7 @@ from lightsim.synthetic.rig import (
     SWEEP_S,
     scan_offset_s,
     street_from_ego,
+    world_from_ego,
 )
 from lightsim.synthetic.street import Street
 
@@ -83,9 +84,7 @@ def _rays(
     origins, directions, offsets = [], [], []
     for azimuth in azimuths.tolist():
         offset = scan_offset_s(azimuth)
-        world_from_ego = street.plan.world_from_street @ street_from_ego(
-            time_s + offset, config.ego_speed_m_s
-        )
+        pose = world_from_ego(street.plan, config, time_s + offset)
         fan = np.stack(
             [
                 np.cos(elevation) * np.cos(azimuth),
@@ -94,8 +93,8 @@ def _rays(
             ],
             axis=-1,
         )
-        origin = world_from_ego.apply(np.array([[0.0, 0.0, LIDAR_HEIGHT_M]]))
-        directions.append(world_from_ego.rotate(fan))
+        origin = pose.apply(np.array([[0.0, 0.0, LIDAR_HEIGHT_M]]))
+        directions.append(pose.rotate(fan))
         origins.append(np.repeat(origin, BEAM_COUNT, axis=0))
         offsets.append(np.full(BEAM_COUNT, offset))
     return np.concatenate(origins), np.concatenate(directions), np.concatenate(offsets)

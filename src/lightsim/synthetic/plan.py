@@ -51,6 +51,8 @@ class StreetConfig:
     """Paths a pixel of relit images."""
     ego_speed_m_s: float = 13.0
     """1.3 m a frame."""
+    ego_offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """(ahead, left, up) by which the ego drives beside its path, in its own axes: of an edit."""
     dome_height_px: int = 128
     """Height of the sky files."""
     environment_height_px: int = 512

@@ -93,6 +93,12 @@ def street_from_ego(time_s: float, speed_m_s: float) -> RigidTransform:
     return RigidTransform.from_yaw("street", "ego", yaw, np.array([x, float(y), 0.0]))
 
 
+def world_from_ego(plan: StreetPlan, config: StreetConfig, time_s: float) -> RigidTransform:
+    """The car's pose, beside its path where the config says so."""
+    beside = RigidTransform.from_rotation("ego", "ego", np.eye(3), np.array(config.ego_offset_m))
+    return plan.world_from_street @ street_from_ego(time_s, config.ego_speed_m_s) @ beside
+
+
 def _mount_from_camera(name: str) -> RigidTransform:
     rotation = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     return RigidTransform.from_rotation("mount", name, rotation, np.zeros(3))

@@ -35,6 +35,8 @@ ROAD_HALF_M = 5.5
 KERB_HEIGHT_M = 0.14
 SIDEWALK_M = 3.0
 FRONT_M = ROAD_HALF_M + SIDEWALK_M
+PARKED_Y_M = LANE_M + 0.5 * (ROAD_HALF_M - LANE_M) - 0.05
+"""Middle of the row of parked cars, on both sides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,12 +178,11 @@ def build_participants(plan: StreetPlan, ego_speed_m_s: float) -> tuple[Particip
     """Parked cars on both sides, cars that follow and come towards the ego, walkers."""
     rng = np.random.default_rng([plan.seed, 4])
     people: list[Participant] = []
-    y_park = LANE_M + 0.5 * (ROAD_HALF_M - LANE_M) - 0.05
     for side in (-1, 1):
         x = STREET_START_M + float(rng.uniform(2, 8))
         while x < STREET_END_M - 6:
             if rng.random() < 0.62:
-                y = side * (y_park + float(rng.uniform(-0.1, 0.1)))
+                y = side * (PARKED_Y_M + float(rng.uniform(-0.1, 0.1)))
                 heading = 0.0 if side < 0 else np.pi
                 place = (x, y, float(heading + rng.normal(0, 0.02)))
                 people.append(_car(rng, place, 0.0))

@@ -21,7 +21,7 @@ from lightsim.synthetic.rig import (
     LIDAR_HEIGHT_M,
     SWEEP_S,
     MountedCamera,
-    street_from_ego,
+    world_from_ego,
 )
 from lightsim.synthetic.street import Street
 
@@ -66,7 +66,7 @@ def write_rig(
         write_json(target / "poses.json", [pose_entry(pose) for pose in poses])
         write_json(target / "timestamps.json", [clock.utc_s(t) for t in times])
     times = [SWEEP_S * k for k in range(count)]
-    egos = [_world_from_ego(plan, config, t) for t in times]
+    egos = [world_from_ego(plan, config, t) for t in times]
     lidar = _ego_from_pandar64()
     write_json(folder / "lidar" / "poses.json", [pose_entry(ego @ lidar) for ego in egos])
     for name in ("lidar", "meta"):
@@ -79,7 +79,7 @@ def camera_pose(
     plan: StreetPlan, config: StreetConfig, mounted: MountedCamera, time_s: float
 ) -> RigidTransform:
     """`world_from_camera` at a time."""
-    return _world_from_ego(plan, config, time_s) @ mounted.ego_from_camera
+    return world_from_ego(plan, config, time_s) @ mounted.ego_from_camera
 
 
 def write_sweep(path: Path, returns: Returns, end_utc_s: float) -> None:
@@ -127,10 +127,6 @@ def write_cuboids(path: Path, street: Street, config: StreetConfig, time_s: floa
     write_table(path, cuboid_table(rows))
 
 
-def _world_from_ego(plan: StreetPlan, config: StreetConfig, time_s: float) -> RigidTransform:
-    return plan.world_from_street @ street_from_ego(time_s, config.ego_speed_m_s)
-
-
 def _ego_from_pandar64() -> RigidTransform:
     rotation = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     height = np.array([0.0, 0.0, LIDAR_HEIGHT_M])
@@ -163,7 +159,7 @@ def _gps(
 
 
 def _enu(plan: StreetPlan, config: StreetConfig, time_s: float) -> Float[np.ndarray, "3"]:
-    return (plan.enu_from_world @ _world_from_ego(plan, config, time_s)).translation_m
+    return (plan.enu_from_world @ world_from_ego(plan, config, time_s)).translation_m
 
 
 def _write_calibration(path: Path, cameras: Sequence[MountedCamera]) -> None:

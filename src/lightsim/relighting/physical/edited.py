@@ -145,7 +145,8 @@ def _light_before_and_after(inputs: EditInputs) -> tuple[ShadowBuffers, ShadowBu
         recorded.radiance, recorded.buffers, believed, sun, recorded.sky_matte < 0.5
     )
     after = with_found_visibility(inputs.light, inputs.buffers, sun, inputs.found_visibility)
-    is_told = inputs.past_gone == 1
+    # What an actor hid is another surface: its own side in the shade tells nothing of that.
+    is_told = (inputs.past_gone == 1) & (inputs.gone == 0)
     visibility = np.where(is_told, shown * inputs.past_new, after.sun_visibility)
     return (
         _with_visibility(recorded.source, recorded.buffers, sun, shown),
