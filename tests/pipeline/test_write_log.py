@@ -53,7 +53,7 @@ def edited(built_street: BuiltStreet, tmp_path_factory: pytest.TempPathFactory) 
 
 def test_a_log_without_edits_is_the_recorded_one(built_street: BuiltStreet, tmp_path: Path) -> None:
     """Byte by byte; and what stands elsewhere is never replaced."""
-    path, log = request(tmp_path, "plain", []), tmp_path / "log"
+    path, log = request(tmp_path, "written-plain", []), tmp_path / "log"
     words = ("--frames", "0:2", "--image-scale", "1")
     simulated(built_street.work, path, log, *words)
     files = {p.relative_to(log) for p in log.rglob("*") if p.suffix in (".jpg", ".gz")}
@@ -156,7 +156,7 @@ def test_each_sky_has_its_log_of_one_street(edited: Path) -> None:
 
 def test_another_path_carries_all_sensors_along(built_street: BuiltStreet, tmp_path: Path) -> None:
     work = built_street.work
-    path = request(tmp_path, "beside", [{"do": "ego", "offset_m": [0.0, SHIFT_M, 0.0]}])
+    path = request(tmp_path, "written-beside", [{"do": "ego", "offset_m": [0.0, SHIFT_M, 0.0]}])
     log = simulated(work, path, tmp_path / "log", "--frames", "0:2")
     recorded = Workspace(work).recorded_log
     time_ns = recorded.sweeps[0].time_ns

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -247,6 +247,7 @@ def test_arbitrary_bytes(tmp_path: Path, data: bytes, magic: bytes) -> None:
 
 @FUZZ
 @given(st.floats(0, 0.999), st.sampled_from(["a.hdr", "flat.hdr", "a.exr", "a.png", "a.jpg"]))
+@example(0.04296875, "a.hdr").via("two bytes of a row's marker are left")
 def test_truncated_files(tmp_path: Path, part: float, name: str) -> None:
     path = _valid_file(tmp_path, name)
     data = path.read_bytes()

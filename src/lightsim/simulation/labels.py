@@ -22,7 +22,8 @@ from lightsim.store.images import write_png, write_png16
 def write_labels(folder: Path, scenario: Scenario, result: RelitFrame) -> None:
     """labels/<camera>/<frame>.json, .actor.png (16 bit: the actor's number + 1, 0 nobody),
     .depth.exr (metres along the optical axis, inf without a surface) and .edited.png (white where
-    the picture differs from the recorded one under the same sky)."""
+    the picture differs from the recorded one under the same sky); of a camera that stands elsewhere
+    .observed.png, too (white where recorded pictures show what it sees)."""
     assert result.traced is not None
     frame, buffers = result.frame, result.traced.buffers
     stem = folder / "labels" / frame.camera_name / frame.stem
@@ -32,6 +33,9 @@ def write_labels(folder: Path, scenario: Scenario, result: RelitFrame) -> None:
     write_exr(stem.with_name(f"{frame.stem}.depth.exr"), buffers.depth_z_m)
     is_edited = result.source.is_edited
     write_png(stem.with_name(f"{frame.stem}.edited.png"), np.uint8(255) * is_edited)
+    is_observed = result.source.is_observed
+    if is_observed is not None:
+        write_png(stem.with_name(f"{frame.stem}.observed.png"), np.uint8(255) * is_observed)
     camera = scenario.cameras[frame.camera_name]
     write_json(
         stem.with_name(f"{frame.stem}.json"),

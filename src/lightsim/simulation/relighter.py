@@ -120,12 +120,9 @@ class Relighter:
         Under the source's own sky the source image is the answer; a frame without edits is not
         traced for it.
         """
-        if frame.source == "rendered":
-            yield from self._rendered(frame, scenario, targets)
-            return
         camera = self.log.cameras[frame.camera_name]
         is_needed = self._options.labels or not all(t.sky.is_source for t in targets)
-        is_needed |= self._images.is_edited(frame, scenario)
+        is_needed |= self._images.is_needed(frame, scenario)
         traced = self._renderer.trace(scenario, frame, camera) if is_needed else None
         source = self._images.of(frame, scenario, traced)
         own_light = None
@@ -141,21 +138,6 @@ class Relighter:
             yield self._relit(
                 frame, traced, source, (own_light, traced.light(target.cells)), target
             )
-
-    def _rendered(
-        self, frame: ScenarioFrame, scenario: Scenario, targets: Sequence[RelightTarget]
-    ) -> Iterator[RelitFrame]:
-        """A frame from where no camera stood."""
-        traced = self._images.rendered(frame, scenario)
-        source = self._images.of_rendered(frame, traced)
-        for target in targets:
-            radiance = source.radiance
-            if not target.sky.is_source:
-                own = source.radiance * target.level_ratio
-                made = np.where(source.is_edited[..., None], traced.image(target.cells), own)
-                radiance = made.astype(np.float32)
-            image = self._developed(frame, radiance)
-            yield RelitFrame(frame, image, radiance, traced, None, source)
 
     def _developed(
         self, frame: CameraFrame, radiance: Float32[np.ndarray, "h w 3"]

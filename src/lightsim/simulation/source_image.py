@@ -1,5 +1,5 @@
 """What a frame shows under the source sky before it is relit: the recorded picture, the picture
-with edits in it, or the twin from a place where no camera stood."""
+with edits in it, or what the pictures tell of the view from a place where no camera stood."""
 
 from __future__ import annotations
 
@@ -13,7 +13,12 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.colour import linear_from_srgb8, luminance, srgb8_from_linear
 from lightsim.core.log import DrivingLog
 from lightsim.core.resample import resize_area
-from lightsim.core.scenario import ActorPlacement, Scenario, changed_placements
+from lightsim.core.scenario import (
+    ActorPlacement,
+    Scenario,
+    ScenarioFrame,
+    changed_placements,
+)
 from lightsim.core.sensors import CameraFrame
 from lightsim.pipeline.workspace import Workspace
 from lightsim.relighting.physical.actor_layer import (
@@ -35,11 +40,13 @@ from lightsim.render.frame_renderer import (
 from lightsim.render.transport.sky import EnvironmentCells
 from lightsim.render.window import seen_through, window_around
 from lightsim.simulation.camera_looks import CameraLooks, motion_in_picture
+from lightsim.simulation.novel_views import NovelViews
 
 _PIXEL_SAMPLES = 4
 """Of rendered actors; their edges are sampled more finely by their coverage."""
 _SUN_RAYS = 64
 """Of their pixels: with 4 the edge of a shadow that falls from far away is black and white dots."""
+_CLIPPED = 254
 _MARGIN_PX = 4
 """Around new actors: what is behind them is known from there."""
 _REACH_M = 3.0
@@ -56,6 +63,8 @@ class SourceImage:
         is_clipped: at least one channel is saturated.
         sky_matte: fraction of each pixel that is sky.
         is_edited: pixels that differ from the recorded picture.
+        is_observed: of a frame from where no camera stood, what recorded pictures show; None where
+            a camera stood.
     """
 
     srgb8: UInt8[np.ndarray, "h w 3"]
@@ -63,6 +72,7 @@ class SourceImage:
     is_clipped: Bool[np.ndarray, "h w"]
     sky_matte: Float32[np.ndarray, "h w"]
     is_edited: Bool[np.ndarray, "h w"]
+    is_observed: Bool[np.ndarray, "h w"] | None = None
 
 
 _Changed = tuple[tuple[ActorPlacement, ...], tuple[ActorPlacement, ...]]
@@ -95,31 +105,39 @@ class SourceImages:
         self._recorded = recorded
         self._renderer = renderer
         self._sky = sky
-        self._pictures = renderer.sampled(_PIXEL_SAMPLES, sky.sun)
+        self._novel = None
+        if recorded is not None:
+            self._novel = NovelViews(workspace, log, recorded, renderer)
         self._actors = renderer.sampled(_PIXEL_SAMPLES, sky.sun, _SUN_RAYS)
         self._looks = CameraLooks(log)
         self._exposure_s = exposure_s
         self._seed = seed
 
-    def is_edited(self, frame: CameraFrame, scenario: Scenario) -> bool:
-        """Whether edits may change the picture: actors that come or go stand in it, or close to
-        what it shows, or between that and the sun."""
-        return self._changed(frame, scenario) is not None
+    def is_needed(self, frame: ScenarioFrame, scenario: Scenario) -> bool:
+        """Whether `of` needs the frame traced. Edits may change the picture: the camera stands
+        elsewhere, or actors that come or go stand in it, or close to what it shows, or between
+        that and the sun."""
+        return frame.source == "rendered" or self._changed(frame, scenario) is not None
 
     def of(
-        self, frame: CameraFrame, scenario: Scenario, traced: TransportFrame | None
+        self, frame: ScenarioFrame, scenario: Scenario, traced: TransportFrame | None
     ) -> SourceImage:
         """The source image of a frame.
 
         Args:
-            traced: the frame in the scenario; None where `is_edited` says that it is not needed.
+            traced: the frame in the scenario; None where `is_needed` says so.
         """
         image = self._recorded_image(frame)
         changed = self._changed(frame, scenario)
-        if changed is None:
+        if not self.is_needed(frame, scenario):
             return image
         assert traced is not None
-        edited = edited_image(self._inputs(frame, scenario, traced, image, changed))
+        before = traced if changed is None else self._before(frame)
+        if frame.source == "rendered":
+            image = self._from_elsewhere(frame, before, image)
+        if changed is None:
+            return image
+        edited = edited_image(self._inputs(frame, scenario, (before, traced), image, changed))
         gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
         radiance = self._with_noise(edited, gain, frame)
         made = srgb8_from_linear(radiance * gain)
@@ -128,22 +146,27 @@ class SourceImages:
             radiance,
             edited.is_clipped,
             edited.sky_matte,
-            edited.is_edited,
+            edited.is_edited | image.is_edited,
+            image.is_observed,
         )
+
+    def _before(self, frame: CameraFrame) -> TransportFrame:
+        """The frame in the log as it was."""
+        assert self._recorded is not None
+        return self._renderer.trace(self._recorded, frame, self._log.cameras[frame.camera_name])
 
     def _inputs(
         self,
         frame: CameraFrame,
         scenario: Scenario,
-        traced: TransportFrame,
+        views: tuple[TransportFrame, TransportFrame],
         image: SourceImage,
         changed: _Changed,
     ) -> EditInputs:
         """The frame in the log and in the scenario, under the source sky."""
         assert self._recorded is not None
         camera = self._log.cameras[frame.camera_name]
-        before = self._renderer.trace(self._recorded, frame, camera)
-        (gone, new), sun = changed, self._sky.sun
+        (before, traced), (gone, new), sun = views, changed, self._sky.sun
         light = before.light(self._sky)
         everything = np.ones_like(image.sky_matte)
         return EditInputs(
@@ -164,7 +187,7 @@ class SourceImages:
             found_visibility=traced.found_visibility(sun),
             sky=visible_sky(self._sky, frame, camera),
             gone=before.coverage(_numbers(self._recorded, gone)),
-            new=self._layer_of(new, frame, scenario, traced),
+            new=self._layer_of(new, frame, scenario, traced, image),
             past_gone=before.sun_past(gone, sun, SHADOW_ERROR_M) if sun else everything,
             past_new=before.sun_past(new, sun) if sun else everything,
             is_fixed=self._ego_vehicle(camera),
@@ -173,23 +196,24 @@ class SourceImages:
             gain=self._workspace.twin.assets.camera_gains[camera.name],
         )
 
-    def rendered(self, frame: CameraFrame, scenario: Scenario) -> TransportFrame:
-        """All of a frame from the twin, anti-aliased."""
-        return self._pictures.trace(scenario, frame, self._log.cameras[frame.camera_name])
-
-    def of_rendered(self, frame: CameraFrame, traced: TransportFrame) -> SourceImage:
-        """The source image of a frame that `rendered` traced: all from the twin, but for the ego
-        vehicle's own parts, which move with the camera."""
-        recorded = self._recorded_image(frame)
-        fixed = self._ego_vehicle(self._log.cameras[frame.camera_name])[..., None]
-        radiance = np.where(fixed, recorded.radiance, traced.image(self._sky))
+    def _from_elsewhere(
+        self, frame: CameraFrame, before: TransportFrame, recorded: SourceImage
+    ) -> SourceImage:
+        """The street without edits from where no camera stood: from the log's pictures, and from
+        the twin what none of them shows. The ego vehicle's own parts move with the camera."""
+        assert self._novel is not None
+        view = self._novel.of(frame, before.buffers, before.image(self._sky))
+        is_fixed = self._ego_vehicle(self._log.cameras[frame.camera_name])
+        radiance = np.where(is_fixed[..., None], recorded.radiance, view.radiance)
         gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
+        srgb8 = np.where(is_fixed[..., None], recorded.srgb8, srgb8_from_linear(radiance * gain))
         return SourceImage(
-            np.where(fixed, recorded.srgb8, srgb8_from_linear(radiance * gain)),
-            radiance.astype(np.float32),
-            recorded.is_clipped & fixed[..., 0],
-            np.where(traced.buffers.has_surface, 0.0, 1.0).astype(np.float32),
-            ~fixed[..., 0],
+            srgb8,
+            radiance,
+            np.any(srgb8 >= _CLIPPED, axis=-1),
+            np.where(is_fixed, recorded.sky_matte, view.sky_matte),
+            ~is_fixed,
+            view.is_observed | is_fixed,
         )
 
     def _layer_of(
@@ -198,6 +222,7 @@ class SourceImages:
         frame: CameraFrame,
         scenario: Scenario,
         traced: TransportFrame,
+        image: SourceImage,
     ) -> ActorLayer:
         """New actors as the camera would record them; only what is around them is rendered."""
         camera = self._log.cameras[frame.camera_name]
@@ -206,7 +231,7 @@ class SourceImages:
         layer = empty_layer(*covered.shape)
         if not covered.any():
             return layer
-        codes = frame.load_srgb8().astype(np.float32) / 255
+        codes = image.srgb8.astype(np.float32) / 255
         is_new = np.isin(traced.buffers.actor_index, numbers)
         hidden = hidden_by_picture(codes, traced.buffers, is_new, camera.fx)
         window = window_around(covered > 0, _MARGIN_PX)
@@ -241,7 +266,7 @@ class SourceImages:
         return SourceImage(
             srgb8,
             (linear_from_srgb8(srgb8) / gain).astype(np.float32),
-            np.any(srgb8 >= 254, axis=-1),
+            np.any(srgb8 >= _CLIPPED, axis=-1),
             resize_area(matte, camera.height_px, camera.width_px)[..., 0],
             np.zeros(srgb8.shape[:2], dtype=bool),
         )

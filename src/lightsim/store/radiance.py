@@ -132,7 +132,8 @@ def _code_blocks(data: bytes, header: _Header, factor: int) -> Iterator[UInt8[np
     height, width, start = header.height, header.width, header.end
     step = factor * max(1, _BLOCK_PIXELS // (factor * width))
     is_coded = 8 <= width < 32768 and data[start : start + 2] == b"\x02\x02"
-    if not (is_coded and data[start + 2] < 128):
+    # A slice: the file may end here.
+    if not (is_coded and data[start + 2 : start + 3] < b"\x80"):
         flat = _read_flat(data, start, height * width).reshape(height, width, 4)
         yield from (flat[row : row + step] for row in range(0, height, step))
         return

@@ -1,0 +1,209 @@
+"""What the cameras would have recorded from where none of them stood: their pictures of the same
+street, projected through the twin."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int32
+
+from lightsim.core.buffers import GBuffers
+from lightsim.core.log import DrivingLog
+from lightsim.core.resample import resize_area
+from lightsim.core.scenario import ActorPlacement, Scenario
+from lightsim.core.sensors import CameraFrame
+from lightsim.pipeline.workspace import Workspace
+from lightsim.relighting.physical.filters import box_mean, fill_holes
+from lightsim.render.frame_renderer import FrameRenderer
+from lightsim.render.image_based import (
+    BlendedView,
+    RecordedView,
+    ViewRays,
+    blended,
+    recorded_view,
+)
+
+_WITHIN_S = 0.6
+"""Pictures taken this long before or after may be looked at: what a car drives meanwhile is what
+it may be moved to the side."""
+_PICTURES = 12
+"""At most; on log 002 sixteen are hardly better than eight."""
+_KEPT = 2 * _PICTURES
+_PROBES = 400
+"""Points of the view by which pictures are chosen."""
+_BAND_RAYS = 1 << 17
+_MATCH_WIDTH = 1 / 20
+"""Over this fraction of the picture's width the twin's colours follow the pictures'."""
+_DARKEST = np.float32(1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class NovelView:
+    """A frame from where no camera stood.
+
+    Args:
+        radiance: linear, scene units, under the source sky.
+        sky_matte: fraction of each pixel that is sky.
+        is_observed: a recorded picture shows what the pixel shows.
+    """
+
+    radiance: Float32[np.ndarray, "h w 3"]
+    sky_matte: Float32[np.ndarray, "h w"]
+    is_observed: Bool[np.ndarray, "h w"]
+
+
+class NovelViews:
+    """Views of one log from elsewhere.
+
+    Args:
+        recorded: the log as it was.
+        renderer: of its twin.
+        held_out: stems of frames that are not to be looked at.
+    """
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        log: DrivingLog,
+        recorded: Scenario,
+        renderer: FrameRenderer,
+        held_out: frozenset[str] = frozenset(),
+    ) -> None:
+        self._workspace = workspace
+        self._log = log
+        self._recorded = recorded
+        self._renderer = renderer
+        self._frames = [f for f in log.frames if f.stem not in held_out]
+        self._placements = {
+            recorded.number_by_actor[p.track.actor_id]: p for p in recorded.placements
+        }
+        self._views: OrderedDict[tuple[str, str], RecordedView] = OrderedDict()
+
+    def of(
+        self, frame: CameraFrame, buffers: GBuffers, rendered: Float32[np.ndarray, "h w 3"]
+    ) -> NovelView:
+        """The frame from pictures; where none shows its surfaces, the twin in colours that follow
+        those of the pictures around.
+
+        Args:
+            buffers: geometry of the recorded street from there.
+            rendered: radiance of the twin under the source sky from there.
+        """
+        shape = buffers.depth_z_m.shape
+        rays = self._rays(frame, buffers)
+        actors = buffers.actor_index.reshape(-1)
+        pictures = self._chosen(rays)
+        bands = [slice(start, start + _BAND_RAYS) for start in range(0, len(actors), _BAND_RAYS)]
+        parts: list[BlendedView] = []
+        for band in bands:
+            part = rays.part(band)
+            found = self._with_points(pictures, part, actors[band])
+            parts.append(blended(part, found))
+        radiance = np.concatenate([p.radiance for p in parts]).reshape(*shape, 3)
+        matte = np.concatenate([p.sky_matte for p in parts]).reshape(shape)
+        is_observed = np.concatenate([p.is_observed for p in parts]).reshape(shape)
+        is_matched = is_observed & buffers.has_surface & (matte < 0.5)
+        twin = rendered * _match(radiance, rendered, is_matched)
+        twin = np.where(buffers.has_surface[..., None], twin, rendered)
+        return NovelView(
+            np.where(is_observed[..., None], radiance, twin).astype(np.float32),
+            np.where(is_observed, matte, ~buffers.has_surface).astype(np.float32),
+            is_observed,
+        )
+
+    def _rays(self, frame: CameraFrame, buffers: GBuffers) -> ViewRays:
+        camera = self._log.cameras[frame.camera_name]
+        centres = camera.pixel_centres().reshape(-1, 2)
+        origins, directions = frame.pixel_rays(camera, centres)
+        points = buffers.position_world.reshape(-1, 3)
+        distance = np.linalg.norm(points - origins, axis=1)
+        distance[~buffers.has_surface.reshape(-1)] = np.inf
+        return ViewRays(frame.time_ns, camera.fx, origins, directions, distance)
+
+    def _chosen(self, rays: ViewRays) -> list[CameraFrame]:
+        """Pictures that are among the best three for most of some rays, by the rays alone."""
+        probes = rays.part(slice(None, None, max(1, len(rays.distance_m) // _PROBES)))
+        near = [f for f in self._frames if abs(f.time_ns - rays.time_ns) <= round(_WITHIN_S * 1e9)]
+        if not near:
+            return []
+        points = probes.points_world
+        penalties = np.stack(
+            [probes.penalties(f, self._log.cameras[f.camera_name], points)[0] for f in near]
+        )
+        best = np.sort(penalties, axis=0)[min(2, len(near) - 1)]
+        wins = (np.isfinite(penalties) & (penalties <= best)).sum(axis=1)
+        order = np.argsort(-wins, kind="stable")[:_PICTURES]
+        return [near[k] for k in order.tolist() if wins[k] > 0]
+
+    def _with_points(
+        self, pictures: list[CameraFrame], rays: ViewRays, actors: Int32[np.ndarray, " n"]
+    ) -> Iterator[tuple[RecordedView, Float[np.ndarray, "n 3"]]]:
+        """Pictures with the places of what the rays meet when they were taken: actors move."""
+        points = rays.points_world
+        rows_by_actor = {
+            int(n): np.flatnonzero(actors == n) for n in np.unique(actors[actors >= 0])
+        }
+        for frame in pictures:
+            then = points.copy()
+            for number, rows in rows_by_actor.items():
+                then[rows] = _moved(self._placements.get(number), points[rows], rays, frame)
+            yield self._view(frame), then
+
+    def _view(self, frame: CameraFrame) -> RecordedView:
+        key = frame.camera_name, frame.stem
+        if key in self._views:
+            self._views.move_to_end(key)
+            return self._views[key]
+        camera = self._log.cameras[frame.camera_name]
+        shape = camera.height_px, camera.width_px
+        scene = self._renderer.scene(self._recorded, frame.time_ns)
+        hits = scene.camera_caster.intersect(
+            *frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))
+        )
+        distance = np.where(hits.is_hit, hits.distance_m, np.inf).astype(np.float32)
+        ego_vehicle = self._log.ego_vehicle_masks.get(camera.name, np.zeros(shape, dtype=bool))
+        matte = self._workspace.sky_matte(frame)[..., None]
+        gain = self._workspace.twin.assets.camera_gains[camera.name]
+        view = recorded_view(
+            frame,
+            camera,
+            gain,
+            resize_area(matte, *shape)[..., 0],
+            distance.reshape(shape),
+            ~ego_vehicle,
+        )
+        self._views[key] = view
+        if len(self._views) > _KEPT:
+            self._views.popitem(last=False)
+        return view
+
+
+def _moved(
+    placement: ActorPlacement | None,
+    points_world: Float[np.ndarray, "n 3"],
+    rays: ViewRays,
+    frame: CameraFrame,
+) -> Float[np.ndarray, "n 3"]:
+    """Points of an actor at the view's time where they were at the picture's; NaN where nobody
+    knows."""
+    if placement is None or not placement.track.is_present(frame.time_ns):
+        return np.full_like(points_world, np.nan)
+    own = placement.world_from_actor(rays.time_ns).inverse().apply(points_world)
+    return placement.world_from_actor(frame.time_ns).apply(own)
+
+
+def _match(
+    radiance: Float32[np.ndarray, "h w 3"],
+    rendered: Float32[np.ndarray, "h w 3"],
+    is_observed: Bool[np.ndarray, "h w"],
+) -> Float32[np.ndarray, "h w 3"]:
+    """Pictures over twin, smooth; where no picture is, that of the surroundings."""
+    if not is_observed.any():
+        return np.ones_like(rendered)
+    ratio = np.log(radiance + _DARKEST) - np.log(rendered + _DARKEST)
+    filled = fill_holes(ratio.astype(np.float32), is_observed)
+    radius = max(1, round(_MATCH_WIDTH * radiance.shape[1] / 2))
+    return np.exp(box_mean(filled, radius)).astype(np.float32)
