@@ -1,0 +1,80 @@
+"""Held-out frames of a work folder as its other pictures show them, projected through the twin:
+what a new ego path looks like, where a camera did stand.
+
+    python benchmarks/novel_views.py WORK [--cameras a,b] [--lpips]
+
+Prints PSNR, SSIM and LPIPS (in the region `masked`: neither sky nor ego vehicle) of the twin's own
+radiance, of the nearest picture as it is, and of the projected pictures.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from jaxtyping import UInt8
+
+from lightsim.core.colour import srgb8_from_linear
+from lightsim.core.sensors import CameraFrame
+from lightsim.evaluate.frames import FramesConfig, score_frames
+from lightsim.pipeline.measures import held_out_tasks, observed_radiance
+from lightsim.pipeline.workspace import Workspace
+from lightsim.progress import terminal_progress
+from lightsim.render.frame_renderer import FrameRenderer
+from lightsim.render.image import sky_image
+from lightsim.render.transport.matrix import TransportConfig
+from lightsim.scenario.replay import replay
+from lightsim.simulation.novel_views import NovelViews
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Score held-out frames."""
+
+    work: Annotated[Path, tyro.conf.Positional]
+    """Built with --hold-out."""
+    cameras: str = ""
+    """Names, by commas; by default all."""
+    lpips: bool = False
+    """Score LPIPS, too."""
+
+
+def main(arguments: Arguments) -> None:
+    """Print the table."""
+    workspace = Workspace(arguments.work, is_stale_allowed=True)
+    log, assets = workspace.log, workspace.twin.assets
+    renderer = FrameRenderer(assets.background, workspace.inferred, TransportConfig(), 0)
+    recorded = replay(workspace.twin, "held-out", log.frames)
+    views = NovelViews(workspace, log, recorded, renderer, workspace.held_out)
+
+    def projected(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
+        camera = log.cameras[frame.camera_name]
+        buffers = renderer.geometry(recorded, frame, camera)
+        sky = sky_image(workspace.sky.dome, camera, frame)
+        twin = np.where(buffers.has_surface[..., None], buffers.base_colour, sky)
+        view = views.of(frame, buffers, twin.astype(np.float32))
+        return srgb8_from_linear(view.radiance * assets.camera_gains[frame.camera_name])
+
+    def nearest(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
+        frames = log.frames_of(frame.camera_name)
+        others = [f for f in frames if f.stem not in workspace.held_out]
+        return min(others, key=lambda f: abs(f.time_ns - frame.time_ns)).load_srgb8()
+
+    methods = {
+        "twin": observed_radiance(workspace),
+        "nearest picture": nearest,
+        "projected pictures": projected,
+    }
+    chosen = [n for n in arguments.cameras.split(",") if n] or list(log.cameras)
+    tasks = [t for t in held_out_tasks(workspace, methods) if t.camera_name in chosen]
+    config = FramesConfig(with_lpips=arguments.lpips, with_exposure=False)
+    report = score_frames(tasks, config, progress=terminal_progress())
+    sys.stdout.write(report.to_table() + "\n")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments))
