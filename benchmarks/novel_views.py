@@ -21,7 +21,7 @@ from jaxtyping import UInt8
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.sensors import CameraFrame
 from lightsim.evaluate.frames import FramesConfig, score_frames
-from lightsim.pipeline.measures import held_out_tasks, observed_radiance
+from lightsim.pipeline.measures import held_out_tasks, nearest_recorded, observed_radiance
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import terminal_progress
 from lightsim.render.frame_renderer import FrameRenderer
@@ -59,14 +59,9 @@ def main(arguments: Arguments) -> None:
         view = views.of(frame, buffers, twin.astype(np.float32))
         return srgb8_from_linear(view.radiance * assets.camera_gains[frame.camera_name])
 
-    def nearest(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
-        frames = log.frames_of(frame.camera_name)
-        others = [f for f in frames if f.stem not in workspace.held_out]
-        return min(others, key=lambda f: abs(f.time_ns - frame.time_ns)).load_srgb8()
-
     methods = {
         "twin": observed_radiance(workspace),
-        "nearest picture": nearest,
+        "nearest picture": nearest_recorded(workspace),
         "projected pictures": projected,
     }
     chosen = [n for n in arguments.cameras.split(",") if n] or list(log.cameras)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.ndimage import binary_erosion
@@ -77,9 +75,8 @@ def test_motion_in_the_picture_is_that_of_box_and_camera() -> None:
         poses = np.tile(np.eye(4), (3, 1, 1))
         poses[:, 1, 3] = ego_speed * (np.arange(3) - 1) * STEP_NS * 1e-9
         ego = Trajectory("world", "ego", work.log.ego.times_ns, poses)
-        log = replace(work.log, ego=ego)
-        motion = motion_in_picture(scenario, (frame, LENS), log, buffers, [0], exposure_s)
+        motion = motion_in_picture(scenario, (frame, LENS), ego, buffers, [0], exposure_s)
         np.testing.assert_allclose(motion[shown], np.tile([u, v], (shown.sum(), 1)), atol=1e-3)
         assert np.isnan(motion[buffers.actor_index != 0]).all()
-        nobody = motion_in_picture(scenario, (frame, LENS), log, buffers, [3], exposure_s)
+        nobody = motion_in_picture(scenario, (frame, LENS), ego, buffers, [3], exposure_s)
         assert np.isnan(nobody).all()

@@ -143,26 +143,32 @@ def held_out_frames(
         InputError: the build held nothing out.
         ArtefactError: `with_field`, and the build trained none.
     """
-    log, held_out = workspace.log, workspace.held_out
-    if not held_out:
+    if not workspace.held_out:
         raise InputError(
             "nothing was held out",
             where=workspace.root,
             remedy="Build with --hold-out 8 or another number.",
         )
 
-    def nearest(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
-        others = [f for f in log.frames_of(frame.camera_name) if f.stem not in held_out]
-        return min(others, key=lambda f: abs(f.time_ns - frame.time_ns)).load_srgb8()
-
     methods: dict[str, Show] = {
         "twin": observed_radiance(workspace),
-        "nearest image": nearest,
+        "nearest image": nearest_recorded(workspace),
     }
     if with_field:
         methods["field"] = _field_renderer(workspace)
     tasks = held_out_tasks(workspace, methods)
     return score_frames(tasks, config or FramesConfig(), progress=progress)
+
+
+def nearest_recorded(workspace: Workspace) -> Show:
+    """The camera's own picture that is nearest in time and not held out, as it is."""
+
+    def nearest(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
+        frames = workspace.log.frames_of(frame.camera_name)
+        others = [f for f in frames if f.stem not in workspace.held_out]
+        return min(others, key=lambda f: abs(f.time_ns - frame.time_ns)).load_srgb8()
+
+    return nearest
 
 
 def observed_radiance(workspace: Workspace) -> Show:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.sensors import CameraFrame
-
-Window = tuple[slice, slice]
-"""Rows and columns."""
+from lightsim.core.window import Window
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,16 +25,6 @@ class WindowFrame(CameraFrame):
     ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
         """Of the window's (u, v)."""
         return super().pixel_rays(self.whole, uv + np.array(self.corner_px))
-
-
-def window_around(mask: Bool[np.ndarray, "h w"], margin_px: int) -> Window:
-    """The smallest window that holds the mask and a margin; the mask holds a pixel."""
-    spans = []
-    for axis, size in ((1, mask.shape[0]), (0, mask.shape[1])):
-        found = np.flatnonzero(mask.any(axis=axis))
-        low, high = int(found[0]) - margin_px, int(found[-1]) + 1 + margin_px
-        spans.append(slice(max(0, low), min(size, high)))
-    return spans[0], spans[1]
 
 
 def seen_through(

@@ -20,6 +20,7 @@ from lightsim.core.scenario import (
     changed_placements,
 )
 from lightsim.core.sensors import CameraFrame
+from lightsim.core.window import window_around
 from lightsim.pipeline.workspace import Workspace
 from lightsim.relighting.physical.actor_layer import (
     ActorLayer,
@@ -38,7 +39,7 @@ from lightsim.render.frame_renderer import (
     visible_sky,
 )
 from lightsim.render.transport.sky import EnvironmentCells
-from lightsim.render.window import seen_through, window_around
+from lightsim.render.window import seen_through
 from lightsim.simulation.camera_looks import CameraLooks, motion_in_picture
 from lightsim.simulation.novel_views import NovelViews
 
@@ -129,7 +130,7 @@ class SourceImages:
         """
         image = self._recorded_image(frame)
         changed = self._changed(frame, scenario)
-        if not self.is_needed(frame, scenario):
+        if changed is None and frame.source != "rendered":
             return image
         assert traced is not None
         before = traced if changed is None else self._before(frame)
@@ -241,8 +242,9 @@ class SourceImages:
         seen = 1 - hidden[window]
         layer.radiance[window] = seen[..., None] * found.radiance
         layer.coverage[window] = seen * found.coverage
+        ego = self._log.ego if scenario.ego is None else scenario.ego
         motion_px = motion_in_picture(
-            scenario, (frame, camera), self._log, traced.buffers, numbers, self._exposure_s
+            scenario, (frame, camera), ego, traced.buffers, numbers, self._exposure_s
         )
         return photographed(layer, self._looks.of(camera), motion_px)
 

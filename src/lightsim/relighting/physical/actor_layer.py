@@ -14,6 +14,7 @@ from jaxtyping import Float32
 from scipy import ndimage
 
 from lightsim.core.colour import linear_from_srgb, srgb_from_linear
+from lightsim.core.window import window_around
 from lightsim.relighting.physical.camera_look import (
     CameraLook,
     blur_reach_px,
@@ -52,7 +53,7 @@ class ActorLayer:
         is_shown = self.coverage > 0
         if look.spread_px2 >= 0 or not is_shown.any():
             return seen.astype(np.float32)
-        part = _around(is_shown, 1)
+        part = window_around(is_shown, 1)
         behind, together = (srgb_from_linear(x[part] * gain) for x in (background, seen))
         cover = self.coverage[part][..., None]
         # Of the background, that is sharpened already, as much is left as is seen.
@@ -100,7 +101,7 @@ def photographed(
     motion_px = fill_holes(np.nan_to_num(motion_px).astype(np.float32), is_known)
     longest_px = float(np.abs(motion_px[is_shown]).max()) if is_known.any() else 0.0
     reach = blur_reach_px(look) + int(np.ceil(longest_px / 2))
-    part = _around(is_shown, reach)
+    part = window_around(is_shown, reach)
     stack = np.concatenate([layer.radiance[part], layer.coverage[part][..., None]], axis=-1)
     if longest_px >= _STILL_PX:
         stack = _moved(stack, motion_px[part], longest_px)
@@ -108,14 +109,6 @@ def photographed(
     result = empty_layer(*layer.coverage.shape)
     result.radiance[part], result.coverage[part] = stack[..., :3], stack[..., 3]
     return result
-
-
-def _around(mask: np.ndarray, reach_px: int) -> tuple[slice, slice]:
-    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
-    return (
-        slice(max(0, int(rows[0]) - reach_px), int(rows[-1]) + 1 + reach_px),
-        slice(max(0, int(columns[0]) - reach_px), int(columns[-1]) + 1 + reach_px),
-    )
 
 
 def _moved(

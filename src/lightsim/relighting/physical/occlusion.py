@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float32
 from scipy import ndimage
 
 from lightsim.core.buffers import BACKGROUND, GBuffers
+from lightsim.core.window import window_around
 from lightsim.relighting.physical.filters import box_mean
 
 # An occluder stands at least this far before the actor: what touches it, as the ground does, has
@@ -53,11 +54,7 @@ def hidden_by_picture(
     if not is_asked.any():
         return hidden
     radius = _WINDOW * int(np.ceil(np.median(reach_px[is_asked]).clip(1, _FARTHEST_PX)))
-    rows, columns = (np.flatnonzero(is_asked.any(axis=axis)) for axis in (1, 0))
-    part = tuple(
-        slice(max(0, int(at[0]) - 2 * radius), int(at[-1]) + 1 + 2 * radius)
-        for at in (rows, columns)
-    )
+    part = window_around(is_asked, 2 * radius)
     weight = np.where(is_asked, np.float32(_IN_QUESTION), np.float32(1))
     likeness = _by_colour(codes[part], before[part].astype(np.float32), weight[part], radius)
     sure = np.clip((likeness - _SURE[0]) / (_SURE[1] - _SURE[0]), 0.0, 1.0)
