@@ -34,6 +34,19 @@ def test_unseen_vertices_take_the_colour_around_them() -> None:
     np.testing.assert_array_equal(nothing, np.broadcast_to(usual, nothing.shape))
 
 
+def test_colours_hardly_pass_around_corners() -> None:
+    """Grey ground, a red wall on it, and a hole in the ground up to the wall."""
+    flat = plane_mesh(4.0, 0.2)
+    x, y = flat.vertices[:, 0], flat.vertices[:, 1]
+    bent = np.stack([np.minimum(x, 0.0), y, np.maximum(x, 0.0)], axis=1).astype(np.float32)
+    mesh = TriMesh("world", bent, flat.faces, flat.base_colour)
+    colour = np.where((x > 1e-6)[:, None], [0.5, 0.1, 0.1], [0.2, 0.2, 0.2])
+    is_known = (x > 0.1) | (np.abs(y) > 1.0) | (x < -1.0)
+    filled = fill_unseen(mesh, np.where(is_known[:, None], colour, 0.0), is_known, np.ones(3))
+    ground = x < -0.1
+    np.testing.assert_allclose(filled[ground], colour[ground], atol=0.02)
+
+
 def test_baked_shadows_disappear() -> None:
     """A pole's shadow at a quarter of the light: albedo ratio 4 before, under 1.2 after, with
     the shadow edge two vertices off."""

@@ -166,6 +166,25 @@ def _all_lit(seen: SeenPoints) -> SurfaceLight:
     return _light(seen.position, np.ones(len(seen.position)), 1.0)
 
 
+def test_what_nobody_saw_takes_base_colour_and_not_light_from_around():
+    """A hole across the edge of the house's shadow; what was filled in there is as bright as the
+    sunlit ground."""
+    mesh, _, albedo = _recorded(sun=1.0)
+    x, y = mesh.vertices[:, 0], mesh.vertices[:, 1]
+    hole = (np.abs(x) < 1.5) & (np.abs(y - 3.5) < 1.5)
+    colour = np.where(hole[:, None], np.float32(0.13), mesh.base_colour)
+    seen = replace(mesh, base_colour=colour, confidence=(~hole).astype(np.float32))
+
+    def light_at(points: SeenPoints) -> SurfaceLight:
+        return _light(points.position, _is_lit(points.position), sun=1.0)
+
+    done = decompose(seen, light_at, IntrinsicConfig(), np.random.default_rng(0))
+    inner = hole & (np.abs(x) < 1.2) & (np.abs(y - 3.5) < 1.2)
+    np.testing.assert_allclose(done.mesh.base_colour[inner].mean(axis=1), albedo[inner], rtol=0.15)
+    lit = _is_lit(mesh.vertices)
+    np.testing.assert_array_equal(done.visibility[inner] > 0.5, lit[inner])
+
+
 def test_few_pairs_leave_the_prior():
     mesh = _ground(cells=40, half_m=1.0)
     balance = _balance(mesh, _all_lit, _freedom(sun=0.3))

@@ -45,7 +45,6 @@ from lightsim.core.mesh import Texture, TriMesh
 from lightsim.progress import Progress
 
 _WEIGHT_UNIT_PX = 30.0
-_SHADE_WEIGHT = 0.02
 _UNSEEN = 0.2
 
 
@@ -169,7 +168,8 @@ def _collect(
         inverse_depth = view.inverse_depth.astype(np.float32)
         alpha = None if sky_matte is None else sky_matte(frame)
         ego_vehicle = log.ego_vehicle_masks.get(frame.camera_name)
-        pixel_weight = pixel_weights(image, ego_vehicle, alpha, inverse_depth)
+        beside = view.beside_moving(log.cameras[frame.camera_name].fx)
+        pixel_weight = pixel_weights(image, ego_vehicle, alpha, inverse_depth, beside)
         scene.place(frame, MAX_VIEW_M)
         used = _project(corners, scene, view, log.cameras[frame.camera_name], config)
         _add_directions(towards_camera, used, corners, scene, view, config)
@@ -248,11 +248,8 @@ def _project(
     corners.depth_m[used] = (points - pose.translation_m) @ pose.rotation[:, 2]
     sharp = pixels_per_metre(scene.vertices[used], scene.normals[used], pose, camera)
     weight = (sharp / _WEIGHT_UNIT_PX) ** (2 * _SHARPNESS_POWER)
-    shade, contact = (
-        in_moving_shade(scene, used, frame.time_ns, margin_m)
-        for margin_m in (config.shade_margin_m, config.contact_margin_m)
-    )
-    corners.weight[used] = weight * np.where(contact, 0.0, np.where(shade, _SHADE_WEIGHT, 1.0))
+    is_shaded = in_moving_shade(scene, used, frame.time_ns, config.shade_margin_m)
+    corners.weight[used] = np.where(is_shaded, 0.0, weight)
     return used
 
 
@@ -315,7 +312,7 @@ def _finish(
     usual = np.median(colour[is_known], axis=0) if is_known.any() else np.full(3, _UNSEEN)
     for k, mesh in enumerate(scene.meshes):
         part = slice(scene.first_vertex[k], scene.first_vertex[k + 1])
-        colour[part] = fill_unseen(mesh, colour[part], is_known[part], usual.astype(np.float32))
+        colour[part] = fill_unseen(mesh, colour[part], is_known[part], usual)
     fill_unseen_texels(table.patch, scene.faces, colour, radiance, is_seen)
     return [
         _textured(table, k, edges_m, (colour, is_known), radiance) for k in range(len(scene.meshes))

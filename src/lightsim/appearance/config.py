@@ -23,11 +23,9 @@ class AssetConfig:
     """Use only every n-th image of each camera for colours."""
     occlusion_tolerance_m: float = 0.12
     """A surface this far in front of a texel does not hide it (plus 1 % of the depth)."""
-    shade_margin_m: float = 1.0
-    """The static scene this near a moving actor may lie in its shade and counts little."""
-    contact_margin_m: float = 0.25
-    """This near it hardly any light arrives: what was never seen without the actor takes the colour
-    of what lies around."""
+    shade_margin_m: float = 2.0
+    """The static scene this near a moving actor may lie in its shade: what was never seen without
+    it takes the colour of what lies around."""
     outlier_ratio: float = 1.4
     """Views that differ from a texel's median brightness by more than this are ignored."""
     has_camera_gains: bool = True

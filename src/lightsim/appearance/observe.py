@@ -18,6 +18,7 @@ from lightsim.core.colour import CLIPPED_CODE
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
+from lightsim.core.outline import grown_outline
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
 
@@ -52,14 +53,23 @@ class View:
     Args:
         inverse_depth: 1 / depth along the optical axis, one ray for `depth_step_px` pixels;
             0 where nothing was hit.
+        moving_bits: whether that is a moving actor, packed.
         faces: of the scene, seen or beside a seen one.
         pixels_per_m: see `pixels_per_metre`, of each of these faces.
     """
 
     frame: CameraFrame
     inverse_depth: Float16[np.ndarray, "h w"]
+    moving_bits: UInt8[np.ndarray, " b"]
     faces: Int32[np.ndarray, " c"]
     pixels_per_m: Float32[np.ndarray, " c"]
+
+    def beside_moving(self, focal_px: float) -> Bool[np.ndarray, "h w"]:
+        """Rays that a moving actor may hide beyond its reconstruction."""
+        bits = np.unpackbits(self.moving_bits, count=self.inverse_depth.size)
+        is_moving = bits.reshape(self.inverse_depth.shape).astype(bool)
+        depth_z_m = 1.0 / np.maximum(self.inverse_depth.astype(np.float32), 1e-6)
+        return (grown_outline(is_moving, depth_z_m, focal_px / DEPTH_STEP_PX) > 0) & ~is_moving
 
 
 class PlacedScene:
@@ -154,11 +164,13 @@ def look(scene: PlacedScene, frame: CameraFrame, camera: PinholeCamera) -> View:
     origins, directions = frame.pixel_rays(camera, (np.stack([u, v], axis=1) + 0.5) * step)
     distance = np.full(len(origins), np.inf, dtype=np.float32)
     face = np.full(len(origins), -1, dtype=np.int32)
-    for caster, numbers in scene.casters(frame, MAX_VIEW_M):
+    is_moving = np.zeros(len(origins), dtype=bool)
+    for movable, (caster, numbers) in enumerate(scene.casters(frame, MAX_VIEW_M)):
         hits = caster.intersect(origins, directions)
         is_nearer = hits.is_hit & (hits.distance_m < distance)
         distance[is_nearer] = hits.distance_m[is_nearer]
         face[is_nearer] = _scene_faces(scene, numbers, hits, is_nearer)
+        is_moving[is_nearer] = bool(movable)
     depth = distance * np.maximum(directions @ frame.world_from_camera.rotation[:, 2], 1e-6)
     inverse = np.where(face >= 0, 1.0 / np.maximum(depth, 1e-3), 0.0)
     face[distance >= MAX_VIEW_M] = -1
@@ -166,7 +178,8 @@ def look(scene: PlacedScene, frame: CameraFrame, camera: PinholeCamera) -> View:
     corners = scene.vertices[scene.faces[faces]].mean(axis=1)
     normals = scene.normals[scene.faces[faces]].mean(axis=1)
     sharp = pixels_per_metre(corners, normals, frame.world_from_camera, camera)
-    return View(frame, inverse.astype(np.float16).reshape(shape), faces.astype(np.int32), sharp)
+    inverse = inverse.astype(np.float16).reshape(shape)
+    return View(frame, inverse, np.packbits(is_moving), faces.astype(np.int32), sharp)
 
 
 def _scene_faces(
@@ -253,13 +266,16 @@ def pixel_weights(
     ego_vehicle: Bool[np.ndarray, "h w"] | None,
     sky_alpha: Float32[np.ndarray, "h w"] | None,
     inverse_depth: Float32[np.ndarray, "h2 w2"],
+    beside_moving: Bool[np.ndarray, "h2 w2"],
 ) -> Float32[np.ndarray, "h w"]:
-    """Little where a channel is clipped or an outline is near, nothing on ego vehicle and sky."""
+    """Little where a channel is clipped or an outline is near, nothing on ego vehicle and sky, and
+    right beside moving actors: what is there is seen at other times."""
     weight = np.where(image.max(axis=2) >= CLIPPED_CODE, _CLIPPED_WEIGHT, 1.0)
     step = DEPTH_STEP_PX
     is_outline = outlines(inverse_depth, _EDGE_STEP, _EDGE_RADIUS_PX / step)
-    is_outline = is_outline.repeat(step, axis=0).repeat(step, axis=1)
-    weight[is_outline[: len(weight), : weight.shape[1]]] *= _EDGE_WEIGHT
+    rays = np.where(beside_moving, 0.0, np.where(is_outline, _EDGE_WEIGHT, 1.0))
+    rays = rays.repeat(step, axis=0).repeat(step, axis=1)
+    weight *= rays[: len(weight), : weight.shape[1]]
     if ego_vehicle is not None:
         weight[ego_vehicle] = 0.0
     if sky_alpha is not None:

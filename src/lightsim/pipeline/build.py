@@ -125,7 +125,7 @@ STAGES = (
     ),
     Stage(
         "assets",
-        7,
+        8,
         ("log", "masks", "alignment", "fields", "neural", "geometry"),
         _asset_config,
         surfaces.make_assets,
@@ -146,7 +146,7 @@ STAGES = (
     ),
     Stage(
         "twin",
-        13,
+        14,
         ("log", "alignment", "assets", "sky"),
         lambda o: light.TwinConfig(),
         light.make_twin,

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
 
+from lightsim.appearance.colour import fill_unseen
 from lightsim.appearance.intrinsic.bodies import body_colours
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
 from lightsim.appearance.intrinsic.divide import (
     HIGHEST_BASE_COLOUR,
     LOWEST_BASE_COLOUR,
     base_colour_from_radiance,
-    inpaint_colour,
 )
 from lightsim.appearance.intrinsic.edges import (
     LabelField,
@@ -211,10 +211,12 @@ def patches_of(
 
 
 def _labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:
-    """Faces on which the pictures say where shadows lie: not those of the background proxy, on
-    which shadows fall where they happen to, and which is larger than all that was measured; nor
-    panes, which are dark in any light."""
+    """Faces on which the pictures say where shadows lie: not those that no picture shows, nor those
+    of the background proxy, on which shadows fall where they happen to, and which is larger than
+    all that was measured; nor panes, which are dark in any light."""
     is_told = ~mesh.comes_from(Provenance.BACKGROUND_PROXY)
+    if mesh.confidence is not None:
+        is_told &= (mesh.confidence[mesh.faces] > 0).any(axis=1)
     return np.flatnonzero(is_told & (mesh.face_roughness() >= MIRROR_ROUGHNESS))
 
 
@@ -295,10 +297,10 @@ def _deep_shade(
     config: IntrinsicConfig,
 ) -> DeepShade:
     """Under vehicles and in deep corners nearly all light is stray light that no model knows: the
-    quotient there says little, surfaces beside them more. `sky_view_factor`: light over an open
-    sky's."""
-    trust = np.interp(sky_view_factor, config.deep_shade, (0.0, 1.0))
-    fill = inpaint_colour(mesh, colour, (trust >= 1.0) & is_seen)
+    quotient there says little, surfaces beside them more. That of a colour which nobody saw and of
+    its own light says nothing. `sky_view_factor`: light over an open sky's."""
+    trust = np.where(is_seen, np.interp(sky_view_factor, config.deep_shade, (0.0, 1.0)), 0.0)
+    fill = fill_unseen(mesh, colour, trust >= 1.0, np.median(colour, axis=0))
     return DeepShade(trust, fill)
 
 

@@ -21,6 +21,7 @@ from lightsim.core.found_visibility import (
     with_found_visibility,
     with_sun_visibility,
 )
+from lightsim.core.outline import grown_outline
 from lightsim.relighting.physical.actor_layer import ActorLayer
 from lightsim.relighting.physical.camera_look import CameraLook
 from lightsim.relighting.physical.filters import box_mean, fill_holes, median_smoothed
@@ -35,9 +36,6 @@ _UNSEEN_CHANGE, _SEEN_CHANGE = 0.02, 0.06
 # A single ray in 32 that meets another actor far away changes the light of one point: what does
 # not change its surroundings, within this fraction of the picture's width, is noise.
 _STEADY_WIDTH = 1 / 100
-# A recorded actor reaches this far beyond its reconstruction (mirrors, what the mesh lacks), and
-# its outline in the picture is this soft.
-_OUTLINE_M, _OUTLINE_PX = 0.12, 1.5
 # Between these factors on the light without the sun, the twin takes the picture's place: under
 # vehicles and right beside them.
 _CONTACT_RISE = (1.3, 2.0)
@@ -161,19 +159,11 @@ def _with_visibility(
 
 
 def _grown_outline(inputs: EditInputs) -> Float32[np.ndarray, "h w"]:
-    """How much of each pixel an actor hid that is gone: its reconstruction, grown by what it may
-    lack, soft at the edge."""
-    from scipy.ndimage import distance_transform_edt
-
+    """How much of each pixel an actor hid that is gone."""
     is_inside = inputs.gone > 0.5
-    if not is_inside.any():
-        return np.where(inputs.is_fixed, 0.0, inputs.gone).astype(np.float32)
-    found = distance_transform_edt(~is_inside, return_indices=True)
-    assert isinstance(found, tuple)
-    distance_px, nearest = found
-    depth_z_m = inputs.recorded.buffers.depth_z_m[tuple(nearest)]
-    reach_px = inputs.focal_px * _OUTLINE_M / depth_z_m + _OUTLINE_PX
-    hidden = np.clip((reach_px - distance_px) / _OUTLINE_PX + 1, 0.0, 1.0)
+    hidden = inputs.gone
+    if is_inside.any():
+        hidden = grown_outline(is_inside, inputs.recorded.buffers.depth_z_m, inputs.focal_px)
     return np.where(inputs.is_fixed, 0.0, hidden).astype(np.float32)
 
 
