@@ -16,7 +16,6 @@ from lightsim.datasets.pandaset.cameras import read_poses
 from lightsim.datasets.pandaset.rig import calibration_path, ego_from_pandar64
 from lightsim.errors import InputError
 from lightsim.pipeline.workspace import Workspace
-from lightsim.simulation.written_boxes import pose_at
 from lightsim.simulation.written_sweeps import motion_of
 from lightsim.store.artefact import read_json, write_json, write_text
 from lightsim.store.pandaset_tables import pose_entry
@@ -162,7 +161,7 @@ class ListWriter:
             poses = [RigidTransform("world", "pandar64", pose) for pose in stored]
         else:
             ego = self._workspace.recorded_log.ego
-            poses = [pose_at(ego, time_ns) @ ego_from_pandar64() for time_ns in times_ns]
+            poses = [ego.held(time_ns) @ ego_from_pandar64() for time_ns in times_ns]
         if self._is_ego_moved:
             poses = [self._motion(t) @ pose for t, pose in zip(times_ns, poses, strict=True)]
         return [pose_entry(pose) for pose in poses]
@@ -176,7 +175,7 @@ class ListWriter:
         times_s = self._frames.entries(self._source / "meta" / "timestamps.json")
         moved = []
         for fix, time_s in zip(fixes, times_s, strict=True):
-            was = pose_at(log.ego, _ns(time_s))
+            was = log.ego.held(_ns(time_s))
             step = (self._motion(_ns(time_s)) @ was).translation_m - was.translation_m
             east, north, up = log.geo.enu_from_world.rotate(step[None])[0].tolist()
             lat, long = fix["lat"], fix["long"]
