@@ -18,8 +18,14 @@ from tests.pipeline.test_simulate import ahead_of_ego, request
 from lightsim import cli
 from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading
+from lightsim.datasets.pandaset.rig import CALIBRATION_FILE, read_rig
 from lightsim.datasets.reader import read_log
+from lightsim.datasets.safe_pickle import read_table
+from lightsim.errors import InputError, LightSimError
 from lightsim.pipeline.workspace import Workspace
+from lightsim.simulation.written_lists import WrittenFrames, _without_readout, _write
+from lightsim.simulation.written_log import log_folders
+from lightsim.store.pandaset_tables import cuboid_table, write_table
 from lightsim.synthetic import shipped_street
 
 SHIFT_M = 1.0
@@ -52,7 +58,7 @@ def edited(built_street: BuiltStreet, tmp_path_factory: pytest.TempPathFactory) 
 
 
 def test_a_log_without_edits_is_the_recorded_one(built_street: BuiltStreet, tmp_path: Path) -> None:
-    """Byte by byte; and what stands elsewhere is never replaced."""
+    """Byte by byte."""
     path, log = request(tmp_path, "written-plain", []), tmp_path / "log"
     words = ("--frames", "0:2", "--image-scale", "1")
     simulated(built_street.work, path, log, *words)
@@ -62,11 +68,91 @@ def test_a_log_without_edits_is_the_recorded_one(built_street: BuiltStreet, tmp_
         assert (log / name).read_bytes() == (RECORDED / name).read_bytes(), name
     for name in ("camera/left_camera/poses.json", "lidar/poses.json", "meta/gps.json"):
         assert json.loads((log / name).read_text()) == json.loads((RECORDED / name).read_text())[:2]
+    # The same again costs nothing; what an older LightSim wrote is written anew.
+    made = {p: p.stat().st_mtime_ns for p in log.rglob("*")}
+    simulated(built_street.work, path, log, *words)
+    assert {p: p.stat().st_mtime_ns for p in log.rglob("*")} == made
+    mark = json.loads((log / "simulated.json").read_text())
+    (log / "simulated.json").write_text(json.dumps({**mark, "schema": 0}))
+    simulated(built_street.work, path, log, *words)
+    assert json.loads((log / "simulated.json").read_text()) == mark
+
+
+@pytest.mark.parametrize("skies", [["source"], ["source", "sun"]])
+def test_a_log_takes_no_place_of_anything_else(
+    built_street: BuiltStreet, tmp_path: Path, skies: list[str]
+) -> None:
+    """Asked before any frame is made."""
+    work = Workspace(built_street.work)
     (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "thesis.txt").write_text("dear")
-    with pytest.raises(SystemExit):
-        simulated(built_street.work, path, tmp_path / "mine", *words)
-    assert (tmp_path / "mine" / "thesis.txt").read_text() == "dear"
+    (tmp_path / "mine" / "source").write_text("dear")
+    (tmp_path / "marked").mkdir()
+    (tmp_path / "marked" / "simulated.json").write_text("[]")
+    (tmp_path / "round").symlink_to("round")
+    (tmp_path / "link").symlink_to(RECORDED)
+    for place in (
+        tmp_path / "mine",
+        tmp_path / "marked",
+        tmp_path / "mine" / "source" / "below",
+        tmp_path / "round" / "log",
+        tmp_path / "link" / "log",
+        RECORDED / "camera" / "back",
+        work.root / "scenarios" / "new",
+        work.root / "twin" / "log",
+    ):
+        with pytest.raises(LightSimError) as told:
+            log_folders(work, place, skies)
+        assert "--write-log" in str(told.value) or "choose a folder" in str(told.value)
+    assert (tmp_path / "mine" / "source").read_text() == "dear"
+
+
+def test_a_log_may_stand_in_an_empty_folder_or_behind_a_link(
+    built_street: BuiltStreet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work = Workspace(built_street.work)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "link").symlink_to("empty")
+    monkeypatch.chdir(tmp_path / "empty")
+    for place in (Path("."), tmp_path / "link", Path("../empty")):
+        assert log_folders(work, place, ["source"]) == {"source": tmp_path / "empty"}
+    logs = log_folders(work, tmp_path / "link", ["source", "sun"])
+    assert logs == {sky: tmp_path / "empty" / sky for sky in ("source", "sun")}
+
+
+def test_recorded_entries_are_taken_over_as_they_are(tmp_path: Path) -> None:
+    """NaN and all; a list that ends early stays as short."""
+    path = tmp_path / "gps.json"
+    path.write_text('[{"lat": 1.5}, {"lat": 2.5, "xvel": NaN, "height": null}, {"lat": 3.5}]')
+    frames = WrittenFrames({1: "01", 2: "02", 7: "07"})
+    _write(tmp_path / "again.json", frames.entries(path))
+    assert "NaN" in (tmp_path / "again.json").read_text()
+    again = json.loads((tmp_path / "again.json").read_text())
+    assert [entry["lat"] for entry in again] == [2.5, 3.5]
+    (tmp_path / "broken.json").write_text('{"lat": 1}')
+    with pytest.raises(InputError, match=r"broken\.json"):
+        frames.entries(tmp_path / "broken.json")
+
+
+def test_a_calibration_without_readout_of_some_cameras(tmp_path: Path) -> None:
+    text = "".join(
+        f"{name}: # {name}\n  rotation: {{w: 1, x: 0, y: 0, z: 0}}\n"
+        "  translation: {x: 0, y: 0, z: 0}\n  readout_s: 0.02\n"
+        for name in ("front_camera", "left_camera")
+    )
+    (tmp_path / CALIBRATION_FILE).write_text(_without_readout(text, {"left_camera"}))
+    assert read_rig(tmp_path).readout_s_by_camera == {"front_camera": 0.02, "left_camera": 0.0}
+
+
+def test_boxes_may_lack_numbers(tmp_path: Path) -> None:
+    rows = [{"uuid": "a", "camera_used": np.nan, "stationary": None, "label": None, "yaw": 1.0}]
+    rows.append({"uuid": "b", "camera_used": -1, "stationary": True, "label": "Car", "yaw": 2.0})
+    names = ("uuid", "camera_used", "stationary", "label", "yaw")
+    write_table(tmp_path / "00.pkl.gz", cuboid_table(rows, names))
+    table = read_table(tmp_path / "00.pkl.gz", names)
+    np.testing.assert_array_equal(table["camera_used"], [np.nan, -1.0])
+    np.testing.assert_array_equal(table["stationary"], [np.nan, 1.0])
+    assert cuboid_table(rows[1:], names)["camera_used"].dtype == np.int64
+    assert cuboid_table(rows[1:], names)["stationary"].dtype == np.bool_
 
 
 def listed(path: Path) -> list[Any]:

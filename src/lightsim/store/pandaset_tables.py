@@ -39,9 +39,11 @@ def cuboid_table(
     for name in names:
         values = [row.get(name) for row in rows]
         kind = _CUBOID_TYPES.get(name, object)
-        column = np.empty(len(rows), dtype=kind)
-        column[:] = [np.nan if value is None and kind is object else value for value in values]
-        table[name] = column
+        column = np.empty(len(rows), dtype=object)
+        column[:] = [np.nan if value is None else value for value in values]
+        # A recorded number may be missing, too, which neither whole numbers nor truths can tell.
+        is_whole = not any(isinstance(value, float) and np.isnan(value) for value in column)
+        table[name] = column.astype(kind if is_whole else np.promote_types(kind, float))
     return table
 
 
