@@ -30,6 +30,7 @@ from lightsim.synthetic import shipped_street
 
 SHIFT_M = 1.0
 AHEAD_M = 9.0
+SMALL = ("--image-scale", "0.125")
 RECORDED = shipped_street() / "log"
 
 
@@ -52,8 +53,9 @@ def edited(built_street: BuiltStreet, tmp_path_factory: pytest.TempPathFactory) 
         },
     ]
     path = request(folder, "written", edits)
-    words = ["--sky", "source", "sun:120,30", "--frames", "2:4", "--write-log", str(folder / "log")]
-    cli.main(["simulate", str(built_street.work), str(path), *words])
+    words = ["--sky", "source", "sun:120,30", "--frames", "2:4", *SMALL]
+    log = ["--write-log", str(folder / "log")]
+    cli.main(["simulate", str(built_street.work), str(path), *words, *log])
     return folder / "log"
 
 
@@ -169,11 +171,11 @@ def test_pandaset_s_devkit_can_read_it(edited: Path) -> None:
         pictures = [Image.open(p).copy() for p in sorted(glob.glob(f"{camera}/*.jpg"))]
         poses, times = listed(camera / "poses.json"), listed(camera / "timestamps.json")
         assert len(pictures) == len(poses) == len(times) == 2
-        assert pictures[0].size == (120, 68)
+        assert pictures[0].size == (60, 34)
         intrinsics = json.loads((camera / "intrinsics.json").read_text())
         recorded = json.loads((RECORDED / "camera" / camera.name / "intrinsics.json").read_text())
-        assert intrinsics["fx"] == pytest.approx(recorded["fx"] / 4)
-        assert intrinsics["cx"] == pytest.approx((recorded["cx"] + 0.5) / 4 - 0.5)
+        assert intrinsics["fx"] == pytest.approx(recorded["fx"] / 8)
+        assert intrinsics["cx"] == pytest.approx((recorded["cx"] + 0.5) / 8 - 0.5)
         assert set(poses[0]) == {"position", "heading"}
         assert list(poses[0]["position"]) == ["x", "y", "z"]
         assert list(poses[0]["heading"]) == ["w", "x", "y", "z"]
@@ -243,7 +245,7 @@ def test_each_sky_has_its_log_of_one_street(edited: Path) -> None:
 def test_another_path_carries_all_sensors_along(built_street: BuiltStreet, tmp_path: Path) -> None:
     work = built_street.work
     path = request(tmp_path, "written-beside", [{"do": "ego", "offset_m": [0.0, SHIFT_M, 0.0]}])
-    log = simulated(work, path, tmp_path / "log", "--frames", "0:2")
+    log = simulated(work, path, tmp_path / "log", "--frames", "0:2", *SMALL)
     recorded = Workspace(work).recorded_log
     time_ns = recorded.sweeps[0].time_ns
     was, now = recorded.ego.at(time_ns, 0.2), log.ego.at(time_ns, 0.2)

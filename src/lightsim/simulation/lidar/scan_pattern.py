@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import find_peaks
 from scipy.spatial import KDTree
 
 _SPINS_RAD = np.radians(300.0)
@@ -81,6 +80,8 @@ class ScanDirections:
 def find_rings(sweeps: Sequence[ScanDirections]) -> Float64[np.ndarray, " k"]:
     """Elevations of the lasers of a spinning LiDAR, ascending: where returns of several sweeps
     pile up."""
+    from scipy.signal import find_peaks  # Takes a second to import.
+
     elevation = np.concatenate([s.elevation_rad for s in sweeps])
     edges = np.arange(elevation.min() - 1e-3, elevation.max() + 1e-3, _BIN_RAD)
     counts = gaussian_filter1d(np.histogram(elevation, edges)[0].astype(np.float64), _BLUR_BINS)
