@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Shaped
 
 from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.alignment import PathCorrection
@@ -15,9 +14,8 @@ from lightsim.core.scenario import Scenario
 from lightsim.datasets.pandaset.sweeps import ScanTiming
 from lightsim.datasets.pandaset.tracks import label_of, owner_by_uuid
 from lightsim.datasets.safe_pickle import Table
-from lightsim.store.pandaset_tables import cuboid_table
+from lightsim.store.pandaset_tables import Columns, cuboid_table
 
-Columns = dict[str, Shaped[np.ndarray, " _"]]
 _MOVES_M_S = 0.3
 """Slower, a vehicle that drives in the log has stopped."""
 _BESIDE_NS = 50_000_000

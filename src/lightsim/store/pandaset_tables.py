@@ -21,8 +21,8 @@ CUBOID_COLUMNS = (
     "attributes.rider_status", "attributes.pedestrian_behavior", "attributes.pedestrian_age",
 )  # fmt: skip
 """In PandaSet's order."""
-
-
+Columns = dict[str, Shaped[np.ndarray, " _"]]
+"""Of a table, by name."""
 _CUBOID_TYPES = {
     "yaw": np.float64, "stationary": np.bool_,
     "camera_used": np.int64, "cuboids.sensor_id": np.int64,
@@ -33,9 +33,9 @@ _CUBOID_TYPES = {
 
 def cuboid_table(
     rows: Sequence[Mapping[str, Any]], names: Sequence[str] = CUBOID_COLUMNS
-) -> dict[str, Shaped[np.ndarray, " n"]]:
+) -> Columns:
     """Columns of a file of boxes, of PandaSet's types; a missing text may be None."""
-    table: dict[str, np.ndarray] = {}
+    table: Columns = {}
     for name in names:
         values = [row.get(name) for row in rows]
         kind = _CUBOID_TYPES.get(name, object)
