@@ -196,18 +196,18 @@ def _donors(
     distance = np.where(beams.is_returned, beams.range_m, met.distance_m)
     met = replace(met, distance_m=distance)
     points = beams.at(np.where(np.isfinite(distance), distance, 0.0))
-    is_agreed = _agrees(beams, scene, met)
     places = points.copy()
-    is_known = (met.body == STATIC) & np.isfinite(distance)
+    is_own, is_in_other = np.zeros(len(beams), dtype=bool), np.zeros(len(beams), dtype=bool)
     for number, placement in enumerate(placements):
         track = placement.track
         if not is_there(track, time_ns):
             continue
         inside, local = in_actor(beams, points, track, time_ns)
-        is_own = met.body[inside] == number
-        is_known[inside[~is_own]] &= is_agreed[inside[~is_own]]
-        is_known[inside[is_own]] = True
-        places[inside[is_own]] = local[is_own]
+        is_met = met.body[inside] == number
+        is_own[inside[is_met]] = is_in_other[inside[~is_met]] = True
+        places[inside[is_met]] = local[is_met]
+    is_static = (met.body == STATIC) & np.isfinite(distance)
+    is_known = is_own | (is_static & (~is_in_other | _agrees(beams, scene, met)))
     looks = looks_of(beams, met)
     parts: list[tuple[tuple[int, str], Donors]] = []
     for device in np.unique(beams.device).tolist():
