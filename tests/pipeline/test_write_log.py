@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,14 @@ from tests.pipeline.test_simulate import ahead_of_ego, request
 from lightsim import cli
 from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading
+from lightsim.core.scenario import Scenario
 from lightsim.datasets.pandaset.rig import CALIBRATION_FILE, read_rig
 from lightsim.datasets.reader import read_log
 from lightsim.datasets.safe_pickle import read_table
 from lightsim.errors import InputError, LightSimError
 from lightsim.pipeline.workspace import Workspace
+from lightsim.simulation.options import SimulateOptions
+from lightsim.simulation.relight import replayed
 from lightsim.simulation.written_lists import WrittenFrames, _without_readout, _write
 from lightsim.simulation.written_log import log_folders
 from lightsim.store.pandaset_tables import cuboid_table, write_table
@@ -80,12 +84,17 @@ def test_a_log_without_edits_is_the_recorded_one(built_street: BuiltStreet, tmp_
     assert json.loads((log / "simulated.json").read_text()) == mark
 
 
+def street(built_street: BuiltStreet) -> tuple[Workspace, Scenario]:
+    work = Workspace(built_street.work)
+    return work, replayed(work, SimulateOptions(name="written"))
+
+
 @pytest.mark.parametrize("skies", [["source"], ["source", "sun"]])
 def test_a_log_takes_no_place_of_anything_else(
     built_street: BuiltStreet, tmp_path: Path, skies: list[str]
 ) -> None:
     """Asked before any frame is made."""
-    work = Workspace(built_street.work)
+    work, recorded = street(built_street)
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "source").write_text("dear")
     (tmp_path / "marked").mkdir()
@@ -103,21 +112,23 @@ def test_a_log_takes_no_place_of_anything_else(
         work.root / "twin" / "log",
     ):
         with pytest.raises(LightSimError) as told:
-            log_folders(work, place, skies)
+            log_folders(work, recorded, place, skies)
         assert "--write-log" in str(told.value) or "choose a folder" in str(told.value)
     assert (tmp_path / "mine" / "source").read_text() == "dear"
+    with pytest.raises(InputError, match="--frames"):
+        log_folders(work, replace(recorded, frames=()), tmp_path / "log", skies)
 
 
 def test_a_log_may_stand_in_an_empty_folder_or_behind_a_link(
     built_street: BuiltStreet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    work = Workspace(built_street.work)
+    work, recorded = street(built_street)
     (tmp_path / "empty").mkdir()
     (tmp_path / "link").symlink_to("empty")
     monkeypatch.chdir(tmp_path / "empty")
     for place in (Path("."), tmp_path / "link", Path("../empty")):
-        assert log_folders(work, place, ["source"]) == {"source": tmp_path / "empty"}
-    logs = log_folders(work, tmp_path / "link", ["source", "sun"])
+        assert log_folders(work, recorded, place, ["source"]) == {"source": tmp_path / "empty"}
+    logs = log_folders(work, recorded, tmp_path / "link", ["source", "sun"])
     assert logs == {sky: tmp_path / "empty" / sky for sky in ("source", "sun")}
 
 

@@ -42,10 +42,10 @@ def simulate(work: Path, request: Path, options: SimulateOptions, progress: Prog
     asked = read_scenario_request(request)
     options = options.completed(asked.name, asked.sky)
     with opened_for(work, options) as workspace:
+        recorded = scenario = replayed(workspace, options)
         logs: Mapping[str, Path] = {}
         if options.write_log is not None:
-            logs = log_folders(workspace, options.write_log, tuple(options.sky_by_name))
-        recorded = scenario = replayed(workspace, options)
+            logs = log_folders(workspace, recorded, options.write_log, tuple(options.sky_by_name))
         if asked.edits:
             library = asset_library(options.library, request.parent)
             scenario = edited_scenario(workspace, recorded, asked, library, strict=options.strict)

@@ -141,7 +141,7 @@ class LogWriter:
 
     @cached_property
     def _frames(self) -> WrittenFrames:
-        return WrittenFrames.of(self.scenario, [s.stem for s in self.workspace.log.sweeps])
+        return _written_frames(self.workspace, self.scenario)
 
     def _file(self, recorded_stem: str, suffix: str) -> str:
         return f"{self._frames.stems[int(recorded_stem)]}{suffix}"
@@ -157,12 +157,19 @@ class LogWriter:
         return measure_timing(SweepSource(path, None, lazy.stem, lazy.time_ns, log.ego, rig))
 
 
-def log_folders(workspace: Workspace, target: Path, skies: Sequence[str]) -> dict[str, Path]:
+def _written_frames(workspace: Workspace, scenario: Scenario) -> WrittenFrames:
+    return WrittenFrames.of(scenario, [sweep.stem for sweep in workspace.log.sweeps])
+
+
+def log_folders(
+    workspace: Workspace, recorded: Scenario, target: Path, skies: Sequence[str]
+) -> dict[str, Path]:
     """Where the simulated log of each sky goes: DIR, of several skies DIR/<sky>. Asked before
     frames are made, which takes long.
 
     Raises:
-        InputError: the recording is not in PandaSet's layout, or DIR cannot be taken.
+        InputError: the recording is not in PandaSet's layout, no frame can be written, or DIR
+            cannot be taken.
         ArtefactError: DIR's parent cannot be made.
     """
     if check_layout(workspace.reading) != "pandaset":
@@ -172,6 +179,7 @@ def log_folders(workspace: Workspace, target: Path, skies: Sequence[str]) -> dic
             expected="a recording in that layout",
             remedy="Leave --write-log out.",
         )
+    _written_frames(workspace, recorded)
     # The folder itself is replaced, never a link to it.
     target = Path(os.path.realpath(target))
     if len(skies) > 1 and (target / SIMULATED_NAME).exists():
