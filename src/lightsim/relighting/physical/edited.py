@@ -23,7 +23,12 @@ from lightsim.core.found_visibility import (
 )
 from lightsim.relighting.physical.actor_layer import ActorLayer
 from lightsim.relighting.physical.camera_look import CameraLook
-from lightsim.relighting.physical.filters import box_mean, fill_holes, median_smoothed
+from lightsim.relighting.physical.filters import (
+    box_mean,
+    fill_holes,
+    median_smoothed,
+    nearest_of,
+)
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
 from lightsim.relighting.physical.shadow_refine import refine_sun_visibility
 
@@ -163,15 +168,11 @@ def _with_visibility(
 def _grown_outline(inputs: EditInputs) -> Float32[np.ndarray, "h w"]:
     """How much of each pixel an actor hid that is gone: its reconstruction, grown by what it may
     lack, soft at the edge."""
-    from scipy.ndimage import distance_transform_edt
-
     is_inside = inputs.gone > 0.5
     if not is_inside.any():
         return np.where(inputs.is_fixed, 0.0, inputs.gone).astype(np.float32)
-    found = distance_transform_edt(~is_inside, return_indices=True)
-    assert isinstance(found, tuple)
-    distance_px, nearest = found
-    depth_z_m = inputs.recorded.buffers.depth_z_m[tuple(nearest)]
+    distance_px, nearest = nearest_of(is_inside)
+    depth_z_m = inputs.recorded.buffers.depth_z_m[nearest]
     reach_px = inputs.focal_px * _OUTLINE_M / depth_z_m + _OUTLINE_PX
     hidden = np.clip((reach_px - distance_px) / _OUTLINE_PX + 1, 0.0, 1.0)
     return np.where(inputs.is_fixed, 0.0, hidden).astype(np.float32)
