@@ -70,9 +70,9 @@ def _edges(work: Workspace, step: int) -> dict[str, list[np.ndarray]]:
         rows, columns = edges.pixel.T
         points = buffers.position_world[rows, columns].astype(np.float64)
         ends = []
-        here = log.ego.at(frame.time_ns, 0.1)
+        here = log.ego.held(frame.time_ns)
         for half_s in (-_AROUND_S, _AROUND_S):
-            then = log.ego.at(frame.time_ns + round(half_s * 1e9), 0.1)
+            then = log.ego.held(frame.time_ns + round(half_s * 1e9))
             pose = then @ here.inverse() @ frame.world_from_camera
             ends.append(camera.project(pose.inverse().apply(points))[0][:, ::-1])
         motion = (ends[1] - ends[0]) / (2 * _AROUND_S)

@@ -49,15 +49,14 @@ def score(
     near = both & (recorded > _REACH_M[0]) & (recorded < _REACH_M[1])
     error = np.abs(np.where(both, made, 0.0) - np.where(both, recorded, 0.0))
     off = np.abs(intensity[1] - intensity[0])[both]
-    dropped, spurious = (
-        (was & ~now).sum() / max(1, was.sum()),
-        (now & ~was).sum() / max(1, was.sum()),
+    reproduced, dropped, spurious = (
+        part.sum() / max(1, was.sum()) for part in (both, was & ~now, now & ~was)
     )
     median, ninety = np.quantile(error[near], (0.5, 0.9)) if near.any() else (np.nan, np.nan)
     every = np.median(error[both]) if both.any() else np.nan
     middle = np.median(off) if len(off) else np.nan
     return (
-        f"| {name} | {was.sum()} | {both.sum() / max(1, was.sum()):.3f} | {dropped:.3f} "
+        f"| {name} | {was.sum()} | {reproduced:.3f} | {dropped:.3f} "
         f"| {spurious:.3f} | {median:.3f} | {ninety:.3f} | {every:.3f} | {middle:.0f} |"
     )
 
@@ -94,14 +93,8 @@ def of_work(work: Path) -> None:
         made = simulator.whole(
             sweep.beams, placements, lazy.time_ns, np.random.default_rng([0, lazy.time_ns])
         )
-        columns.append(
-            (
-                sweep.beams.device,
-                sweep.beams.range_m,
-                made.range_m,
-                np.stack([sweep.answers.intensity, made.answers.intensity]),
-            )
-        )
+        strength = np.stack([sweep.answers.intensity, made.answers.intensity])
+        columns.append((sweep.beams.device, sweep.beams.range_m, made.range_m, strength))
     say(f"{(time.perf_counter() - start) / len(sweeps):.1f} s a sweep, all beams")
     table(columns)
 
@@ -128,7 +121,7 @@ def of_logs(made: Path, truth: Path) -> None:
         if other is None:
             continue
         ours, theirs = returned_of(logs[0], made, lazy), returned_of(logs[1], truth, other)
-        for device in np.unique(theirs[0].device).tolist():
+        for device in np.union1d(ours[0].device, theirs[0].device).tolist():
             columns.append(matched(device, logs, ours, theirs))
     table(columns)
 
@@ -153,16 +146,15 @@ def matched(
         for beams, strength in (ours, theirs)
     )
     a_ego, b_ego = in_ego(a, logs[0].ego), in_ego(b, logs[1].ego)
-    far, near = KDTree(a_ego).query(b_ego)
-    is_same = np.asarray(far) < _SAME_DIRECTION_RAD
-    alone = np.asarray(KDTree(b_ego).query(a_ego)[0]) >= _SAME_DIRECTION_RAD
-    was = np.concatenate([b.range_m, np.full(alone.sum(), np.inf)])
-    now = np.concatenate([np.where(is_same, a.range_m[near], np.inf), a.range_m[alone]])
+    # Without one that near, the number is that of one beyond the last.
+    near = KDTree(a_ego).query(b_ego, distance_upper_bound=_SAME_DIRECTION_RAD)[1]
+    alone = np.isinf(KDTree(b_ego).query(a_ego, distance_upper_bound=_SAME_DIRECTION_RAD)[0])
+    none = np.zeros(alone.sum())
+    was = np.concatenate([b.range_m, none + np.inf])
+    now = np.concatenate([np.append(a.range_m, np.inf)[near], a.range_m[alone]])
+    seen = np.append(a_strength, 0.0)[near]
     strength = np.stack(
-        [
-            np.concatenate([b_strength, np.zeros(alone.sum())]),
-            np.concatenate([a_strength[near], a_strength[alone]]),
-        ]
+        [np.concatenate([b_strength, none]), np.concatenate([seen, a_strength[alone]])]
     )
     return np.full(len(was), device), was, now, strength
 

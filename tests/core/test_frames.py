@@ -83,6 +83,15 @@ def test_trajectory_never_extrapolates_but_may_hold() -> None:
     np.testing.assert_array_equal(path.at(1001, hold_s=1e-6).matrix, np.eye(4))
 
 
+def test_held_poses_are_those_of_the_ends_and_of_many_times_at_once() -> None:
+    ends = [RigidTransform.from_yaw("world", "ego", k, np.full(3, k)).matrix for k in (0.0, 1.0)]
+    path = Trajectory("world", "ego", np.array([100, 200], dtype=np.int64), np.stack(ends))
+    times_ns = np.array([0, 100, 130, 200, 900])
+    one_by_one = np.stack([path.held(int(time_ns)).matrix for time_ns in times_ns])
+    np.testing.assert_allclose(path.held_at(times_ns), one_by_one, atol=1e-12)
+    np.testing.assert_array_equal(one_by_one[[0, -1]], ends)
+
+
 def test_times_must_increase() -> None:
     with pytest.raises(InputError, match="increase"):
         Trajectory("world", "ego", np.array([5, 5], dtype=np.int64), np.stack([np.eye(4)] * 2))

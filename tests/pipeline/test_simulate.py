@@ -43,6 +43,8 @@ def test_a_scenario_without_edits_is_a_relight(built_street: BuiltStreet, tmp_pa
     path = request(tmp_path, "nothing", [], sky="sun:120,30")
     cli.main(["simulate", str(work), str(path), *ONE_FRAME])
     assert (picture(work, "plain") == picture(work, "nothing")).all()
+    page = (work / "scenarios" / "nothing" / "report.html").read_text()
+    assert "lightsim relight, sun:120,30" in page
 
 
 def test_edits_are_made_written_down_and_kept(built_street: BuiltStreet, tmp_path: Path) -> None:
@@ -60,6 +62,8 @@ def test_edits_are_made_written_down_and_kept(built_street: BuiltStreet, tmp_pat
     made = {p: p.stat().st_mtime_ns for p in folder.rglob("*") if p.is_file()}
     cli.main(words)
     assert made == {p: p.stat().st_mtime_ns for p in folder.rglob("*") if p.is_file()}
+
+    assert "lightsim simulate, source" in (folder / "report.html").read_text()
 
     labels = json.loads((folder / "labels/front_camera/00.json").read_text())
     (mine,) = labels["actors"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,23 @@ from tests.pipeline.test_simulate import ahead_of_ego, request
 from lightsim import cli
 from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading
+from lightsim.core.scenario import Scenario
+from lightsim.datasets.pandaset.rig import CALIBRATION_FILE, read_rig
 from lightsim.datasets.reader import read_log
+from lightsim.datasets.safe_pickle import read_table
+from lightsim.errors import InputError, LightSimError
 from lightsim.pipeline.workspace import Workspace
+from lightsim.simulation.options import SimulateOptions
+from lightsim.simulation.relight import replayed
+from lightsim.simulation.written_lists import WrittenFrames, _without_readout, _write
+from lightsim.simulation.written_log import _is_made, log_folders
+from lightsim.store.pandaset_tables import cuboid_table, write_table
 from lightsim.synthetic import shipped_street
 
 SHIFT_M = 1.0
 AHEAD_M = 9.0
+SMALL = ("--image-scale", "0.125")
+ONE_CAMERA = ("--cameras", "front_camera")
 RECORDED = shipped_street() / "log"
 
 
@@ -46,13 +58,14 @@ def edited(built_street: BuiltStreet, tmp_path_factory: pytest.TempPathFactory) 
         },
     ]
     path = request(folder, "written", edits)
-    words = ["--sky", "source", "sun:120,30", "--frames", "2:4", "--write-log", str(folder / "log")]
-    cli.main(["simulate", str(built_street.work), str(path), *words])
+    words = ["--sky", "source", "sun:120,30", "--frames", "2:4", *SMALL]
+    log = ["--write-log", str(folder / "log")]
+    cli.main(["simulate", str(built_street.work), str(path), *words, *log])
     return folder / "log"
 
 
 def test_a_log_without_edits_is_the_recorded_one(built_street: BuiltStreet, tmp_path: Path) -> None:
-    """Byte by byte; and what stands elsewhere is never replaced."""
+    """Byte by byte."""
     path, log = request(tmp_path, "written-plain", []), tmp_path / "log"
     words = ("--frames", "0:2", "--image-scale", "1")
     simulated(built_street.work, path, log, *words)
@@ -62,11 +75,91 @@ def test_a_log_without_edits_is_the_recorded_one(built_street: BuiltStreet, tmp_
         assert (log / name).read_bytes() == (RECORDED / name).read_bytes(), name
     for name in ("camera/left_camera/poses.json", "lidar/poses.json", "meta/gps.json"):
         assert json.loads((log / name).read_text()) == json.loads((RECORDED / name).read_text())[:2]
+
+
+@pytest.fixture(scope="module")
+def street(built_street: BuiltStreet) -> tuple[Workspace, Scenario]:
+    work = Workspace(built_street.work)
+    return work, replayed(work, SimulateOptions(name="written"))
+
+
+@pytest.mark.parametrize("skies", [["source"], ["source", "sun"]])
+def test_a_log_takes_no_place_of_anything_else(
+    street: tuple[Workspace, Scenario], tmp_path: Path, skies: list[str]
+) -> None:
+    """Asked before any frame is made."""
+    work, recorded = street
     (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "thesis.txt").write_text("dear")
-    with pytest.raises(SystemExit):
-        simulated(built_street.work, path, tmp_path / "mine", *words)
-    assert (tmp_path / "mine" / "thesis.txt").read_text() == "dear"
+    (tmp_path / "mine" / "source").write_text("dear")
+    (tmp_path / "marked").mkdir()
+    (tmp_path / "marked" / "simulated.json").write_text("[]")
+    (tmp_path / "round").symlink_to("round")
+    (tmp_path / "link").symlink_to(RECORDED)
+    for place in (
+        tmp_path / "mine",
+        tmp_path / "marked",
+        tmp_path / "mine" / "source" / "below",
+        tmp_path / "round" / "log",
+        tmp_path / "link" / "log",
+        RECORDED / "camera" / "back",
+        work.root / "scenarios" / "new",
+        work.root / "twin" / "log",
+    ):
+        with pytest.raises(LightSimError) as told:
+            log_folders(work, recorded, place, skies)
+        assert "--write-log" in str(told.value) or "choose a folder" in str(told.value)
+    assert (tmp_path / "mine" / "source").read_text() == "dear"
+    with pytest.raises(InputError, match="--frames"):
+        log_folders(work, replace(recorded, frames=()), tmp_path / "log", skies)
+
+
+def test_a_log_may_stand_in_an_empty_folder_or_behind_a_link(
+    street: tuple[Workspace, Scenario], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work, recorded = street
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "link").symlink_to("empty")
+    monkeypatch.chdir(tmp_path / "empty")
+    for place in (Path("."), tmp_path / "link", Path("../empty")):
+        assert log_folders(work, recorded, place, ["source"]) == {"source": tmp_path / "empty"}
+    logs = log_folders(work, recorded, tmp_path / "link", ["source", "sun"])
+    assert logs == {sky: tmp_path / "empty" / sky for sky in ("source", "sun")}
+
+
+def test_recorded_entries_are_taken_over_as_they_are(tmp_path: Path) -> None:
+    """NaN and all; a list that ends early stays as short."""
+    path = tmp_path / "gps.json"
+    path.write_text('[{"lat": 1.5}, {"lat": 2.5, "xvel": NaN, "height": null}, {"lat": 3.5}]')
+    frames = WrittenFrames({1: "01", 2: "02", 7: "07"})
+    _write(tmp_path / "again.json", frames.entries(path))
+    assert "NaN" in (tmp_path / "again.json").read_text()
+    again = json.loads((tmp_path / "again.json").read_text())
+    assert [entry["lat"] for entry in again] == [2.5, 3.5]
+    (tmp_path / "broken.json").write_text('{"lat": 1}')
+    with pytest.raises(InputError, match=r"broken\.json"):
+        frames.entries(tmp_path / "broken.json")
+
+
+def test_a_calibration_without_readout_of_some_cameras(tmp_path: Path) -> None:
+    text = "".join(
+        f"{name}: # {name}\n  rotation: {{w: 1, x: 0, y: 0, z: 0}}\n"
+        "  translation: {x: 0, y: 0, z: 0}\n  readout_s: 0.02\n"
+        for name in ("front_camera", "left_camera")
+    )
+    (tmp_path / CALIBRATION_FILE).write_text(_without_readout(text, {"left_camera"}))
+    assert read_rig(tmp_path).readout_s_by_camera == {"front_camera": 0.02, "left_camera": 0.0}
+
+
+def test_boxes_may_lack_numbers(tmp_path: Path) -> None:
+    rows = [{"uuid": "a", "camera_used": np.nan, "stationary": None, "label": None, "yaw": 1.0}]
+    rows.append({"uuid": "b", "camera_used": -1, "stationary": True, "label": "Car", "yaw": 2.0})
+    names = ("uuid", "camera_used", "stationary", "label", "yaw")
+    write_table(tmp_path / "00.pkl.gz", cuboid_table(rows, names))
+    table = read_table(tmp_path / "00.pkl.gz", names)
+    np.testing.assert_array_equal(table["camera_used"], [np.nan, -1.0])
+    np.testing.assert_array_equal(table["stationary"], [np.nan, 1.0])
+    assert cuboid_table(rows[1:], names)["camera_used"].dtype == np.int64
+    assert cuboid_table(rows[1:], names)["stationary"].dtype == np.bool_
 
 
 def listed(path: Path) -> list[Any]:
@@ -83,11 +176,11 @@ def test_pandaset_s_devkit_can_read_it(edited: Path) -> None:
         pictures = [Image.open(p).copy() for p in sorted(glob.glob(f"{camera}/*.jpg"))]
         poses, times = listed(camera / "poses.json"), listed(camera / "timestamps.json")
         assert len(pictures) == len(poses) == len(times) == 2
-        assert pictures[0].size == (120, 68)
+        assert pictures[0].size == (60, 34)
         intrinsics = json.loads((camera / "intrinsics.json").read_text())
         recorded = json.loads((RECORDED / "camera" / camera.name / "intrinsics.json").read_text())
-        assert intrinsics["fx"] == pytest.approx(recorded["fx"] / 4)
-        assert intrinsics["cx"] == pytest.approx((recorded["cx"] + 0.5) / 4 - 0.5)
+        assert intrinsics["fx"] == pytest.approx(recorded["fx"] / 8)
+        assert intrinsics["cx"] == pytest.approx((recorded["cx"] + 0.5) / 8 - 0.5)
         assert set(poses[0]) == {"position", "heading"}
         assert list(poses[0]["position"]) == ["x", "y", "z"]
         assert list(poses[0]["heading"]) == ["w", "x", "y", "z"]
@@ -154,10 +247,27 @@ def test_each_sky_has_its_log_of_one_street(edited: Path) -> None:
     assert [edit["do"] for edit in mark["edits"]] == ["remove", "insert"]
 
 
+def test_a_log_is_made_anew_where_its_frames_or_lightsim_are_others(edited: Path) -> None:
+    log = edited / "source"
+    mark = json.loads((log / "simulated.json").read_text())
+    now = {key: mark[key] for key in ("sky", "frames_key")}
+    others = now | {"frames_key": "others"}
+    assert _is_made(log, now, is_overwriting=False)
+    assert _is_made(log, now, is_overwriting=True)
+    assert not _is_made(log, others, is_overwriting=True)
+    with pytest.raises(InputError, match="--overwrite"):
+        _is_made(log, others, is_overwriting=False)
+    try:
+        (log / "simulated.json").write_text(json.dumps({**mark, "schema": 0}))
+        assert not _is_made(log, now, is_overwriting=False)
+    finally:
+        (log / "simulated.json").write_text(json.dumps(mark))
+
+
 def test_another_path_carries_all_sensors_along(built_street: BuiltStreet, tmp_path: Path) -> None:
     work = built_street.work
     path = request(tmp_path, "written-beside", [{"do": "ego", "offset_m": [0.0, SHIFT_M, 0.0]}])
-    log = simulated(work, path, tmp_path / "log", "--frames", "0:2")
+    log = simulated(work, path, tmp_path / "log", "--frames", "0:2", *ONE_CAMERA, *SMALL)
     recorded = Workspace(work).recorded_log
     time_ns = recorded.sweeps[0].time_ns
     was, now = recorded.ego.at(time_ns, 0.2), log.ego.at(time_ns, 0.2)

@@ -51,6 +51,15 @@ def test_round_parts_on_the_ground_in_pairs_are_wheels_with_all_that_is_in_them(
     assert (turning == np.arange(body, len(mesh.vertices))).all()
 
 
+def test_treads_around_tyres_turn_with_them_once() -> None:
+    treads = [disc(x, y * 1.01, RADIUS_M * 1.02) for x, y in PLACES]
+    wheels = find_wheels(vehicle(*(disc(*place) for place in PLACES), *treads))
+    assert len(wheels) == 4
+    turning = np.concatenate([wheel.vertices for wheel in wheels])
+    assert len(np.unique(turning)) == len(turning) == 8 * len(disc(0.0, 0.0).vertices)
+    assert find_wheels(vehicle(*(disc(*place) for place in PLACES[:2]), *treads[:2])) == ()
+
+
 @pytest.mark.parametrize(
     "wheels",
     [

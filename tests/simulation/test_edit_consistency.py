@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -30,6 +31,7 @@ EDITS = (Insert("edit 1", "box", "new", (HERE,)), Move("edit 2", "car", THERE))
 NEW = (0, 1)
 
 
+@cache
 def edited_view(view: RigidTransform, number: int) -> tuple[View, np.ndarray]:
     """A frame with edits, and where they darken the ground."""
     work = photographed(SUNNY, (), view)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -59,6 +60,14 @@ def photographed(
     sky: SkyDome, edits: Sequence[Edit] = (), view: RigidTransform = ABOVE
 ) -> TinyWorkspace:
     """The tiny world with the pictures that a camera takes of it, after edits, under a sky."""
+    return with_pictures(tiny_world(sky, view), pictures_of(sky, tuple(edits), view))
+
+
+@cache
+def pictures_of(
+    sky: SkyDome, edits: tuple[Edit, ...], view: RigidTransform
+) -> Mapping[str, np.ndarray]:
+    """By stem; many tests look at the same."""
     work = tiny_world(sky, view)
     scenario = edited(work, edits)
     renderer = FrameRenderer(work.assets.background, NOTHING, TransportConfig(bounces=2), 0)
@@ -67,7 +76,7 @@ def photographed(
         traced = renderer.trace(scenario, frame, LENS)
         radiance = traced.buffers.base_colour * traced.light(sky).shaded
         pictures[frame.stem] = srgb8_from_linear(radiance * GAIN)
-    return with_pictures(work, pictures)
+    return pictures
 
 
 def edited(work: TinyWorkspace, edits: Sequence[Edit]) -> Scenario:

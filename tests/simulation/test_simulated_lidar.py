@@ -17,7 +17,7 @@ from lightsim.core.twin import ActorAsset
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.simulation.lidar.beams import Beams, in_ego, joined, returned_beams, unreturned_beams
 from lightsim.simulation.lidar.ray_scene import Surfaces
-from lightsim.simulation.lidar.recorded import RecordedSweep
+from lightsim.simulation.lidar.recorded import RecordedSweep, _noise_m
 from lightsim.simulation.lidar.resimulate import Change, LidarSimulator, SimulatedBeams
 from lightsim.simulation.lidar.response import Answers, Donors, Response, looks_of
 from lightsim.simulation.lidar.scan_pattern import (
@@ -33,7 +33,6 @@ HEIGHT_M = 2.0
 SIZE = np.array([4.0, 2.0, 1.5])
 RINGS_DEG = np.arange(-24.0, 8.0, 2.0)
 COLUMNS = 360
-SPEED_M_S = 20.0
 EGO = Trajectory("world", "ego", np.array([END_NS - 10**9, END_NS]), np.tile(np.eye(4), (2, 1, 1)))
 
 
@@ -84,7 +83,7 @@ def placement(actor_id: str, centre: np.ndarray, speed_m_s: float = 0.0) -> Acto
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[:, :3, 3] = centre + np.array([[-1.0], [1.0]]) * [speed_m_s, 0.0, 0.0]
     path = Trajectory("world", "actor", times_ns, poses)
-    track = ActorTrack(actor_id, ActorKind.CAR, SIZE, path, speed_m_s > 0)
+    track = ActorTrack(actor_id, ActorKind.CAR, SIZE, path, speed_m_s != 0)
     mesh = replace(box((0, 0, 0), SIZE), frame="actor")
     return ActorPlacement(ActorAsset(actor_id, ActorKind.CAR, mesh), track)
 
@@ -96,7 +95,7 @@ def always_answers(beams: Beams) -> Response:
     answers = Answers.nothing(len(beams))
     answers.is_returned[:], answers.intensity[:] = True, 40.0
     far = np.full((len(beams), 3), 1e6, np.float32)
-    return Response({(0, ""): Donors(far, looks_of(beams, found), answers)}, {}, {0: 0.0})
+    return Response({(0, ""): Donors(far, looks_of(beams, found), answers)}, {}, {})
 
 
 def simulator(beams: Beams) -> LidarSimulator:
@@ -113,11 +112,13 @@ def simulated(beams: Beams, before: Scenario, after: Scenario) -> SimulatedBeams
     return simulator(beams).edited(beams, change, END_NS, np.random.default_rng(0))
 
 
-@pytest.mark.parametrize("speed_m_s", [0.0, SPEED_M_S])
-def test_an_inserted_box_is_met_and_shades_what_lies_behind(speed_m_s: float) -> None:
+@pytest.mark.parametrize(("ahead_m", "speed_m_s"), [(8.0, 0.0), (8.0, 20.0), (-8.0, -45.0)])
+def test_an_inserted_box_is_met_and_shades_what_lies_behind(
+    ahead_m: float, speed_m_s: float
+) -> None:
     """A moving box is met where it is when each beam looks that way. In front of the sky it is
     met by beams that did not come back before."""
-    centre = np.array([8.0, 3.0, 1.8])
+    centre = np.array([ahead_m, 3.0, 1.8])
     beams = returned(turning_beams(), to_ground(turning_beams()))
     mine = placement("mine", centre, speed_m_s)
     result = simulated(beams, scenario(), replace(scenario(mine), ego=EGO))
@@ -171,6 +172,17 @@ def test_rings_and_steps_are_found_from_the_returns(rng: np.random.Generator) ->
     assert np.abs(missing.times_ns[nearest] - lost.times_ns).max() < 3e6
 
 
+def test_steps_of_a_sweep_that_has_one_time_are_found(rng: np.random.Generator) -> None:
+    beams = turning_beams()
+    found = ScanDirections.of(beams.directions_world, np.full(len(beams), END_NS))
+    is_back = rng.random(len(beams)) > 0.3
+    missing = missing_in_rings(found.chosen(is_back), np.radians(RINGS_DEG))
+    assert (missing.times_ns == END_NS).all()
+    close = (missing.vectors @ found.chosen(~is_back).vectors.T).max(axis=0)
+    assert np.quantile(np.degrees(np.arccos(np.clip(close, -1, 1))), 0.98) < 0.05
+    assert not len(missing_in_rings(found, np.empty(0)).times_ns)
+
+
 def test_the_gaps_of_a_raster_are_filled_from_other_sweeps(rng: np.random.Generator) -> None:
     """One that looks ahead, in a raster of 0.1 degrees; sweeps differ by a fifth of a step."""
     line = np.radians(np.arange(-2.0, 2.0, 0.1))
@@ -219,6 +231,15 @@ def test_a_place_answers_as_it_did(rng: np.random.Generator) -> None:
     is_refined = np.abs(refined - met.distance_m) > 1e-9
     assert is_refined[is_inner & is_lit].mean() > 0.9
     np.testing.assert_allclose(refined[is_refined], plane_m[is_refined], atol=1e-3)
+
+
+def test_returns_tell_how_ranges_scatter_where_there_are_enough(rng: np.random.Generator) -> None:
+    beams = turning_beams()
+    exact = to_ground(beams)
+    exact[exact > 30.0] = np.inf
+    beams = returned(beams, exact + rng.normal(0.0, 0.02, len(beams)))
+    assert _noise_m(beams, 0, 0) == (pytest.approx(0.02, rel=0.2),)
+    assert _noise_m(beams.chosen(np.arange(50)), 0, 0) == ()
 
 
 def test_beams_keep_their_frame_and_origin() -> None:

@@ -269,8 +269,12 @@ class Trajectory:
         translation = (1 - fraction) * before[:3, 3] + fraction * after[:3, 3]
         return RigidTransform.from_rotation(self.dst, self.src, rotation, translation)
 
+    def held(self, time_ns: int) -> RigidTransform:
+        """Interpolated pose; beyond an end, the pose of that end."""
+        return self.at(min(max(time_ns, self.start_ns), self.end_ns))
+
     def held_at(self, times_ns: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, "m 4 4"]:
-        """Interpolated poses of many times; beyond an end, the pose of that end."""
+        """As `held`, of many times."""
         if len(self) == 1:
             return np.repeat(self.matrices, len(times_ns), axis=0)
         # Seconds from the start: nanoseconds since 1970 exceed the precision of a float.

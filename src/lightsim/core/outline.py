@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
-from scipy.ndimage import distance_transform_edt
+from jaxtyping import Bool, Float, Float32, Float64
+from scipy import ndimage
 
 # A recorded actor reaches this far beyond its reconstruction (mirrors, what the mesh lacks), and
 # its outline in the picture is this soft.
@@ -24,8 +24,15 @@ def grown_outline(
     """
     if not is_inside.any():
         return np.zeros(is_inside.shape, np.float32)
-    found = distance_transform_edt(~is_inside, return_indices=True)
-    assert isinstance(found, tuple)
-    distance_px, nearest = found
-    reach_px = focal_px * _OUTLINE_M / depth_z_m[tuple(nearest)] + _OUTLINE_PX
+    distance_px, nearest = nearest_of(is_inside)
+    reach_px = focal_px * _OUTLINE_M / depth_z_m[nearest] + _OUTLINE_PX
     return np.clip((reach_px - distance_px) / _OUTLINE_PX + 1, 0.0, 1.0).astype(np.float32)
+
+
+def nearest_of(
+    mask: Bool[np.ndarray, "h w"],
+) -> tuple[Float64[np.ndarray, "h w"], tuple[np.ndarray, np.ndarray]]:
+    """Distance to the mask's nearest pixel, and its rows and columns; one is set, or more."""
+    found = ndimage.distance_transform_edt(~mask, return_indices=True)
+    assert isinstance(found, tuple)
+    return found[0], (found[1][0], found[1][1])

@@ -97,7 +97,7 @@ class ScenarioRequest:
 
     Args:
         name: of the result.
-        skies: as the user names them; a written scenario's sky with all its settings.
+        sky: as the user names it; that of a written scenario with all its settings.
         edits: in the order in which they are made.
         spelt: the same as they stand in the file.
         source: the file; for errors, and where assets are looked for.

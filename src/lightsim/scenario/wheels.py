@@ -48,9 +48,15 @@ def find_wheels(mesh: TriMesh) -> tuple[Wheel, ...]:
     is_wheel &= size[:, 1] <= diameter
     chosen = np.flatnonzero(is_wheel)
     chosen = chosen[_has_partner(centre[chosen], diameter[chosen])]
-    if len(chosen) < 4:
-        return ()
-    return tuple(_wheel(vertices, part, centre[n], size[n]) for n in chosen)
+    wheels: list[Wheel] = []
+    is_taken = np.zeros(len(vertices), bool)
+    # The largest first: what lies in its wheel is no wheel of its own, and would turn twice.
+    for n in chosen[np.argsort(-diameter[chosen], kind="stable")]:
+        wheel = _wheel(vertices, part, centre[n], size[n])
+        if not is_taken[wheel.vertices].any():
+            wheels.append(wheel)
+            is_taken[wheel.vertices] = True
+    return tuple(wheels) if len(wheels) >= 4 else ()
 
 
 def _bounds(

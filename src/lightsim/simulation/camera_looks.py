@@ -10,7 +10,7 @@ from jaxtyping import Float32
 
 from lightsim.core.buffers import GBuffers
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.frames import RigidTransform, Trajectory
+from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
@@ -63,7 +63,7 @@ def motion_in_picture(
     frame, camera = view
     motion = np.full((*buffers.depth_z_m.shape, 2), np.nan, np.float32)
     times_ns = [frame.time_ns + round(half * exposure_s * 1e9) for half in (-0.5, 0.5)]
-    ego_from_camera = _held(ego, frame.time_ns).inverse() @ frame.world_from_camera
+    ego_from_camera = ego.held(frame.time_ns).inverse() @ frame.world_from_camera
     for placement in scenario.placements_at(frame.time_ns):
         number = scenario.number_by_actor[placement.track.actor_id]
         shown = buffers.actor_index == number
@@ -76,12 +76,7 @@ def motion_in_picture(
             # At the ends of its track an actor is held.
             is_there = placement.track.is_present(time_ns)
             world = placement.world_from_actor(time_ns if is_there else frame.time_ns)
-            camera_from_world = (_held(ego, time_ns) @ ego_from_camera).inverse()
+            camera_from_world = (ego.held(time_ns) @ ego_from_camera).inverse()
             ends.append(camera.project((camera_from_world @ world).apply(points_actor))[0])
         motion[shown] = ends[1] - ends[0]
     return motion
-
-
-def _held(path: Trajectory, time_ns: int) -> RigidTransform:
-    """The pose at a time, held beyond the ends of the path."""
-    return path.at(min(max(time_ns, path.start_ns), path.end_ns))

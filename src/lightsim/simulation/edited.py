@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from lightsim.simulation.built_in_assets import built_in_assets
 from lightsim.simulation.options import SimulateOptions
 from lightsim.simulation.relight import make_frames, opened_for, replayed
 from lightsim.simulation.relighter import RelightConfig
-from lightsim.simulation.written_log import write_logs
+from lightsim.simulation.written_log import LogWriter, log_folders, write_logs
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -36,48 +36,42 @@ def simulate(work: Path, request: Path, options: SimulateOptions, progress: Prog
     Raises:
         ArtefactError: as `relight`.
         InputError: as `relight`; or the scenario is wrong: an unknown actor or asset, a trajectory
-            outside the log's time; with `strict`, actors in one place, in walls or off the ground.
+            outside the log's time; with `strict`, actors in one place, in walls or off the ground;
+            or the log cannot be written where it is asked for.
     """
     asked = read_scenario_request(request)
     options = options.completed(asked.name, asked.sky)
     with opened_for(work, options) as workspace:
-        recorded = replayed(workspace, options)
-        if not asked.edits:
+        recorded = scenario = replayed(workspace, options)
+        logs: Mapping[str, Path] = {}
+        if options.write_log is not None:
+            logs = log_folders(workspace, recorded, options.write_log, tuple(options.sky_by_name))
+        if asked.edits:
+            library = asset_library(options.library, request.parent)
+            scenario = edited_scenario(workspace, recorded, asked, library, strict=options.strict)
+            made_of = _made_of(asked, library, options)
+            config = RelightConfig(exposure_s=options.exposure_time_ms / 1e3)
+            folders = make_frames(workspace, scenario, options, progress, recorded, made_of, config)
+        else:
             folders = make_frames(workspace, recorded, options, progress)
-            _write_logs(workspace, (recorded, recorded), folders, options, progress)
-            return folders
-        library = asset_library(options.library, request.parent)
-        scenario = edited_scenario(workspace, recorded, asked, library, strict=options.strict)
-        made_of: dict[str, Any] = {
-            "edits": asked.spelt,
-            "exposure_time_ms": options.exposure_time_ms,
-        }
-        named = sorted({edit.asset for edit in asked.edits if isinstance(edit, Insert)})
-        if named:
-            made_of["assets"] = {words: library.key(words) for words in named}
-        config = RelightConfig(exposure_s=options.exposure_time_ms / 1e3)
-        folders = make_frames(workspace, scenario, options, progress, recorded, made_of, config)
-        _write_logs(workspace, (recorded, scenario), folders, options, progress)
+        if logs:
+            writer = LogWriter(workspace, recorded, scenario, progress)
+            write_logs(writer, logs, folders, is_overwriting=options.overwrite)
         return folders
 
 
-def _write_logs(
-    workspace: Workspace,
-    scenarios: tuple[Scenario, Scenario],
-    folders: Sequence[Path],
-    options: SimulateOptions,
-    progress: Progress,
-) -> None:
-    if options.write_log is not None:
-        by_sky = dict(zip(options.sky_by_name, folders, strict=True))
-        write_logs(
-            workspace,
-            scenarios,
-            by_sky,
-            options.write_log,
-            is_overwriting=options.overwrite,
-            progress=progress,
-        )
+def _made_of(
+    asked: ScenarioRequest, library: AssetLibrary, options: SimulateOptions
+) -> dict[str, Any]:
+    """What decides edited frames besides the options that all frames have."""
+    made_of: dict[str, Any] = {
+        "edits": asked.spelt,
+        "exposure_time_ms": options.exposure_time_ms,
+    }
+    named = sorted({edit.asset for edit in asked.edits if isinstance(edit, Insert)})
+    if named:
+        made_of["assets"] = {words: library.key(words) for words in named}
+    return made_of
 
 
 def asset_library(folder: Path | None, beside: Path = Path()) -> AssetLibrary:

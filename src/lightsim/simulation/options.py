@@ -107,7 +107,8 @@ class RelightOptions(FrameOptions):
     labels: bool = False
     """Write masks, depth and visibility of the actors beside every frame, which takes room."""
     overwrite: bool = False
-    """Replace a result of this name that was made with another sky or other settings."""
+    """Replace a result of this name that was made with another sky or other settings. What these
+    very settings and this LightSim have made is kept."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

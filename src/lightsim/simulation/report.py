@@ -1,4 +1,4 @@
-"""report.html of a relight, and the page of the demo."""
+"""report.html of a scenario, and the page of the demo."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _strip_of(folder: Path, frame: CameraFrame) -> Path:
 
 
 def write_relight_report(path: Path, folder: Path, scenario: Scenario, target: TargetSky) -> None:
-    """report.html of a relight: the sky, one strip a camera, the films."""
+    """report.html of a scenario: the sky, one strip a camera, the films."""
     cameras = list(dict.fromkeys(f.camera_name for f in scenario.frames))
     figures = []
     for frame in report_frames(scenario):
@@ -67,7 +67,9 @@ def write_relight_report(path: Path, folder: Path, scenario: Scenario, target: T
     )
     videos = [Video(name, f"video/{name}.mp4") for name in cameras]
     sections = [Section("Cameras", figures=figures), sky, Section("Video", videos=videos)]
-    write_report(path, scenario.name, sections, subtitle=f"lightsim relight, {target.facts['sky']}")
+    command = "simulate" if scenario.edits else "relight"
+    subtitle = f"lightsim {command}, {target.facts['sky']}"
+    write_report(path, scenario.name, sections, subtitle=subtitle)
 
 
 def write_demo_report(

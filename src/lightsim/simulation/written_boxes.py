@@ -7,18 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Shaped
 
 from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.alignment import PathCorrection
-from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.scenario import Scenario
 from lightsim.datasets.pandaset.sweeps import ScanTiming
 from lightsim.datasets.pandaset.tracks import label_of, owner_by_uuid
 from lightsim.datasets.safe_pickle import Table
-from lightsim.store.pandaset_tables import cuboid_table
+from lightsim.store.pandaset_tables import Columns, cuboid_table
 
-Columns = dict[str, Shaped[np.ndarray, " _"]]
 _MOVES_M_S = 0.3
 """Slower, a vehicle that drives in the log has stopped."""
 _BESIDE_NS = 50_000_000
@@ -107,18 +104,19 @@ class BoxEditor:
         assert self.scenario.ego is not None
         if not track.is_present(time_ns):
             return None
-        ego_from_world = np.linalg.inv(self.scenario.ego.held_at(np.array([time_ns]))[0])
+        ego_from_world = self.scenario.ego.held(time_ns).inverse()
         now_ns = time_ns
         for _ in range(_ROUNDS):
-            centre = track.trajectory.held_at(np.array([now_ns]))[0, :3, 3]
-            place = ego_from_world[:3, :3] @ centre + ego_from_world[:3, 3]
-            now_ns = time_ns + int(self.timing.offsets_s(place[None])[0] * 1e9)
+            place = ego_from_world.apply(track.trajectory.held(now_ns).translation_m[None])
+            now_ns = time_ns + int(self.timing.offsets_s(place)[0] * 1e9)
         return now_ns
 
     def _row(self, track: ActorTrack, time_ns: int) -> dict[str, Any]:
         """PandaSet's box has its width along x and its length along y: yaw = heading - 90
         degrees."""
-        pose = as_recorded(pose_at(track.trajectory, time_ns), time_ns, self.path)
+        pose = track.trajectory.held(time_ns)
+        if self.path is not None:
+            pose = self.path.at(time_ns).inverse() @ pose
         length, width, height = track.size_lwh_m.tolist()
         x, y, z = pose.translation_m.tolist()
         return {
@@ -133,17 +131,6 @@ class BoxEditor:
             "cuboids.sensor_id": -1,
             **_attributes(track, time_ns),
         }  # fmt: skip
-
-
-def pose_at(trajectory: Trajectory, time_ns: int) -> RigidTransform:
-    """A pose; beyond an end the pose of that end."""
-    matrix = trajectory.held_at(np.array([time_ns], dtype=np.int64))[0]
-    return RigidTransform(trajectory.dst, trajectory.src, matrix)
-
-
-def as_recorded(pose: RigidTransform, time_ns: int, path: PathCorrection | None) -> RigidTransform:
-    """A pose in the world of the twin, in the world as recorded."""
-    return pose if path is None else path.at(time_ns).inverse() @ pose
 
 
 def _attributes(track: ActorTrack, time_ns: int) -> Mapping[str, str]:

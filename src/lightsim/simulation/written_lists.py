@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from lightsim.core.frames import RigidTransform
 from lightsim.core.scenario import Scenario
+from lightsim.datasets.files import read_json, require_list
 from lightsim.datasets.geo import east_north_m
 from lightsim.datasets.pandaset.cameras import read_poses
 from lightsim.datasets.pandaset.rig import calibration_path, ego_from_pandar64
 from lightsim.errors import InputError
 from lightsim.pipeline.workspace import Workspace
-from lightsim.simulation.written_boxes import pose_at
 from lightsim.simulation.written_sweeps import motion_of
-from lightsim.store.artefact import read_json, write_json, write_text
+from lightsim.store.artefact import write_text
 from lightsim.store.pandaset_tables import pose_entry
 
+T = TypeVar("T")
 _DEGREE = 1e-3
 """Over that far, metres a degree are constant."""
 
@@ -71,7 +73,10 @@ class WrittenFrames:
 
     def entries(self, path: Path) -> list[Any]:
         """Those of a recorded list that are written, as many as it has."""
-        values = read_json(path)
+        return self.of_list(require_list(read_json(path), path))
+
+    def of_list(self, values: Sequence[T]) -> list[T]:
+        """Those of values by recorded number that are written, as many as there are."""
         return [values[number] for number in self.numbers if number < len(values)]
 
 
@@ -95,11 +100,11 @@ class ListWriter:
             path = self._source / here / "timestamps.json"
             if path.is_file():
                 (folder / here).mkdir(parents=True, exist_ok=True)
-                write_json(folder / here / path.name, self._frames.entries(path))
+                _write(folder / here / path.name, self._frames.entries(path))
         if (self._source / "lidar" / "timestamps.json").is_file():
-            write_json(folder / "lidar" / "poses.json", self._lidar_poses())
+            _write(folder / "lidar" / "poses.json", self._lidar_poses())
         if (self._source / "meta" / "gps.json").is_file():
-            write_json(folder / "meta" / "gps.json", self._fixes())
+            _write(folder / "meta" / "gps.json", self._fixes())
         calibration = calibration_path(self._source)
         if calibration is not None:
             text = calibration.read_text(encoding="utf-8")
@@ -122,7 +127,7 @@ class ListWriter:
                 # The pictures' scale is another. PandaSet counts from the first pixel's centre.
                 lens |= {"fx": camera.fx, "fy": camera.fy}
                 lens |= {"cx": camera.cx - 0.5, "cy": camera.cy - 0.5}
-            write_json(folder / name / "intrinsics.json", lens)
+            _write(folder / name / "intrinsics.json", lens)
             times = self._frames.entries(own / "timestamps.json")
             poses = self._frames.entries(own / "poses.json")
             if name in self._driven_cameras:
@@ -133,13 +138,13 @@ class ListWriter:
                 times = [round(f.time_ns * 1e-9, 6) for f in chosen]
                 poses = [pose_entry(self._motion(f.time_ns) @ f.world_from_camera) for f in chosen]
             elif self._is_ego_moved:
-                stored = read_poses(own / "poses.json")[list(self._frames.numbers)]
+                stored = self._frames.of_list(list(read_poses(own / "poses.json")))
                 poses = [
                     pose_entry(self._motion(_ns(t)) @ RigidTransform("world", name, pose))
                     for t, pose in zip(times, stored, strict=True)
                 ]
-            write_json(folder / name / "timestamps.json", times)
-            write_json(folder / name / "poses.json", poses)
+            _write(folder / name / "timestamps.json", times)
+            _write(folder / name / "poses.json", poses)
 
     def _motion(self, time_ns: int) -> RigidTransform:
         """What carries the ego vehicle from its recorded path to the scenario's, in the world as
@@ -158,13 +163,13 @@ class ListWriter:
             return self._frames.entries(path)
         times_ns = [_ns(t) for t in self._frames.entries(path.with_name("timestamps.json"))]
         if path.is_file():
-            stored = read_poses(path)[list(self._frames.numbers)]
+            stored = self._frames.of_list(list(read_poses(path)))
             poses = [RigidTransform("world", "pandar64", pose) for pose in stored]
         else:
             ego = self._workspace.recorded_log.ego
-            poses = [pose_at(ego, time_ns) @ ego_from_pandar64() for time_ns in times_ns]
+            poses = [ego.held(time_ns) @ ego_from_pandar64() for time_ns in times_ns]
         if self._is_ego_moved:
-            poses = [self._motion(t) @ pose for t, pose in zip(times_ns, poses, strict=True)]
+            poses = [self._motion(t) @ pose for t, pose in zip(times_ns, poses, strict=False)]
         return [pose_entry(pose) for pose in poses]
 
     def _fixes(self) -> list[Any]:
@@ -174,23 +179,23 @@ class ListWriter:
         if not self._is_ego_moved or log.geo is None or log.geo.enu_from_world is None:
             return fixes
         times_s = self._frames.entries(self._source / "meta" / "timestamps.json")
-        moved = []
         for fix, time_s in zip(fixes, times_s, strict=True):
-            was = pose_at(log.ego, _ns(time_s))
+            was = log.ego.held(_ns(time_s))
             step = (self._motion(_ns(time_s)) @ was).translation_m - was.translation_m
             east, north, up = log.geo.enu_from_world.rotate(step[None])[0].tolist()
             lat, long = fix["lat"], fix["long"]
             beside = np.array([lat, lat + _DEGREE]), np.array([long, long + _DEGREE])
             east_m, north_m = east_north_m(*beside)[1].tolist()
-            moved.append(
-                {
-                    **fix,
-                    "lat": lat + _DEGREE * north / north_m,
-                    "long": long + _DEGREE * east / east_m,
-                    "height": fix.get("height", 0.0) + up,
-                }
-            )
-        return moved
+            fix["lat"] = lat + _DEGREE * north / north_m
+            fix["long"] = long + _DEGREE * east / east_m
+            if isinstance(fix.get("height"), int | float):
+                fix["height"] += up
+        return fixes
+
+
+def _write(path: Path, value: Any) -> None:
+    """Recorded entries as they are, with the NaN that Python's readers take and JSON has not."""
+    write_text(path, json.dumps(value, indent=1) + "\n")
 
 
 def _ns(time_s: float) -> int:
@@ -204,7 +209,7 @@ def _without_readout(calibration: str, cameras: set[str]) -> str:
     name = ""
     for line in calibration.splitlines(keepends=True):
         if line[:1].strip():
-            name = line.strip().removesuffix(":")
+            name = line.partition("#")[0].rstrip().removesuffix(":")
             lines.append(line)
             if name in cameras:
                 lines.append("  readout_s: 0.0\n")

@@ -7,8 +7,9 @@ together for readers that count files (PandaSet's devkit) as for those that read
 
 from __future__ import annotations
 
+import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -24,17 +25,20 @@ from lightsim.datasets.pandaset.rig import read_rig
 from lightsim.datasets.pandaset.sweeps import ScanTiming, SweepSource, measure_timing
 from lightsim.datasets.reader import check_layout
 from lightsim.datasets.safe_pickle import read_table
-from lightsim.errors import InputError
+from lightsim.errors import ArtefactError, InputError
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.simulation.written_boxes import BoxEditor
 from lightsim.simulation.written_lists import ListWriter, WrittenFrames
 from lightsim.simulation.written_sweeps import SweepEditor
-from lightsim.store.artefact import json_ready, read_json, write_json
+from lightsim.store.artefact import RECORD_NAME, read_json, write_json
+from lightsim.store.atomic import unwritable
 from lightsim.store.images import read_srgb8, write_jpeg
 from lightsim.store.pandaset_tables import write_table
 from lightsim.version import __version__
 
+_SCHEMA = 2
+"""Of what is written; raise it when layout or algorithm change."""
 _JPEG_QUALITY = 95
 _SUFFIX = ".pkl.gz"
 
@@ -71,6 +75,7 @@ class LogWriter:
             "recorded_frames": dict(stems),
             "jpeg_quality": _JPEG_QUALITY,
             "notes": scenario.notes,
+            "schema": _SCHEMA,
             **made_of,
         }
         write_json(folder / SIMULATED_NAME, mark)
@@ -136,7 +141,7 @@ class LogWriter:
 
     @cached_property
     def _frames(self) -> WrittenFrames:
-        return WrittenFrames.of(self.scenario, [s.stem for s in self.workspace.log.sweeps])
+        return _written_frames(self.workspace, self.scenario)
 
     def _file(self, recorded_stem: str, suffix: str) -> str:
         return f"{self._frames.stems[int(recorded_stem)]}{suffix}"
@@ -152,89 +157,137 @@ class LogWriter:
         return measure_timing(SweepSource(path, None, lazy.stem, lazy.time_ns, log.ego, rig))
 
 
-def write_logs(
-    workspace: Workspace,
-    scenarios: tuple[Scenario, Scenario],
-    folders: Mapping[str, Path],
-    target: Path,
-    *,
-    is_overwriting: bool,
-    progress: Progress,
-) -> list[Path]:
-    """Write the simulated log of each sky; finished ones of the same frames are kept.
+def _written_frames(workspace: Workspace, scenario: Scenario) -> WrittenFrames:
+    return WrittenFrames.of(scenario, [sweep.stem for sweep in workspace.log.sweeps])
 
-    Args:
-        scenarios: the log as it was, and as it is now.
-        folders: WORK/scenarios/NAME of each sky, by the sky's name.
-        target: DIR; of several skies DIR/<sky>.
 
-    Returns:
-        The logs' folders, in the order of the skies.
+def log_folders(
+    workspace: Workspace, recorded: Scenario, target: Path, skies: Sequence[str]
+) -> dict[str, Path]:
+    """Where the simulated log of each sky goes: DIR, of several skies DIR/<sky>. Asked before
+    frames are made, which takes long.
 
     Raises:
-        InputError: the recording is not in PandaSet's layout, or DIR holds something else.
+        InputError: the recording is not in PandaSet's layout, no frame can be written, or DIR
+            cannot be taken.
+        ArtefactError: DIR's parent cannot be made.
     """
     if check_layout(workspace.reading) != "pandaset":
         raise InputError(
             "logs are written in PandaSet's layout only",
             where="--write-log",
             expected="a recording in that layout",
+            remedy="Leave --write-log out.",
         )
-    if len(folders) > 1 and (target / SIMULATED_NAME).exists():
+    _written_frames(workspace, recorded)
+    # The folder itself is replaced, never a link to it.
+    target = Path(os.path.realpath(target))
+    if len(skies) > 1 and (target / SIMULATED_NAME).exists():
         raise InputError(
             "a folder holds one log, or a log of each sky",
             where=target,
-            got=f"one log there, {len(folders)} skies asked for",
+            got=f"one log there, {len(skies)} skies asked for",
             remedy="Choose another --write-log.",
         )
-    writer = LogWriter(workspace, *scenarios, progress)
-    logs = [target if len(folders) == 1 else target / name for name in folders]
-    first: Path | None = None
-    for (name, folder), log in zip(folders.items(), logs, strict=True):
-        made_of = {"sky": name, "frames_key": read_json(folder / "artefact.json")["key"]}
-        if not _is_made(log, made_of, is_overwriting=is_overwriting):
-            partial = log.with_name(f".{log.name}.partial")
-            shutil.rmtree(partial, ignore_errors=True)
-            log.parent.mkdir(parents=True, exist_ok=True)
-            if first is None:
-                partial.mkdir()
-                writer.write(partial)
-            else:
-                # Only the pictures depend on the sky.
-                others = shutil.ignore_patterns("*.jpg", SIMULATED_NAME)
-                shutil.copytree(first, partial, ignore=others)
-            writer.write_pictures(partial, folder)
-            writer.write_mark(partial, made_of)
-            if log.exists():
-                shutil.rmtree(log)
-            partial.rename(log)
-        first = first or log
+    logs = {sky: target if len(skies) == 1 else target / sky for sky in skies}
+    taken = Path(workspace.reading.source), workspace.root / "scenarios"
+    for log in logs.values():
+        _check_place(log, [path.resolve() for path in taken])
     return logs
 
 
+def _check_place(log: Path, taken: Sequence[Path]) -> None:
+    """A log stands in no folder whose files are counted: a recording's, an artefact's."""
+    around = [p for p in (log, *log.parents) if p in taken or (p / RECORD_NAME).is_file()]
+    if around:
+        raise InputError(
+            "the log would stand among files that are not its own",
+            where=log,
+            expected=f"a folder outside of {around[0]}",
+            remedy="Choose another --write-log.",
+        )
+    _mark_of(log)
+    try:
+        log.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(log, error) from error
+
+
+def write_logs(
+    writer: LogWriter, logs: Mapping[str, Path], frames: Sequence[Path], *, is_overwriting: bool
+) -> None:
+    """Write the simulated log of each sky; finished ones of the same frames are kept.
+
+    Args:
+        logs: from `log_folders`.
+        frames: WORK/scenarios/NAME of each sky.
+
+    Raises:
+        InputError: a folder holds the log of another scenario.
+    """
+    first: Path | None = None
+    for (sky, log), folder in zip(logs.items(), frames, strict=True):
+        made_of = {"sky": sky, "frames_key": read_json(folder / RECORD_NAME)["key"]}
+        if not _is_made(log, made_of, is_overwriting=is_overwriting):
+            _write_log(writer, log, folder, made_of, first)
+        first = first or log
+
+
+def _write_log(
+    writer: LogWriter, log: Path, frames: Path, made_of: Mapping[str, Any], other: Path | None
+) -> None:
+    """A log that appears whole or not at all; only its pictures differ from that of another sky."""
+    partial = log.with_name(f".{log.name}.partial")
+    if partial.exists():
+        shutil.rmtree(partial)
+    if other is None:
+        partial.mkdir()
+        writer.write(partial)
+    else:
+        shutil.copytree(other, partial, ignore=shutil.ignore_patterns("*.jpg", SIMULATED_NAME))
+    writer.write_pictures(partial, frames)
+    writer.write_mark(partial, made_of)
+    if log.exists():
+        shutil.rmtree(log)
+    partial.rename(log)
+
+
 def _is_made(log: Path, made_of: Mapping[str, Any], *, is_overwriting: bool) -> bool:
-    """Whether a log is there already; what is no log of ours is never replaced."""
-    if not log.exists() or (log.is_dir() and not any(log.iterdir())):
+    """Whether a log is there already, as it would be written now."""
+    mark = _mark_of(log)
+    if mark is None:
         return False
-    mark = log / SIMULATED_NAME
-    if not mark.is_file():
+    is_same = all(mark.get(key) == value for key, value in made_of.items())
+    if not (is_same or is_overwriting):
+        raise InputError(
+            "the folder holds the log of another scenario, or of other frames",
+            where=log,
+            got=f"scenario {mark.get('scenario')}, sky {mark.get('sky')}",
+            remedy="Choose another --write-log, or give --overwrite.",
+        )
+    return is_same and mark.get("schema") == _SCHEMA
+
+
+def _mark_of(log: Path) -> Mapping[str, Any] | None:
+    """simulated.json of a log that stands there; None where nothing does.
+
+    Raises:
+        InputError: something else stands there, which is never replaced.
+    """
+    try:
+        if not log.exists() or (log.is_dir() and not any(log.iterdir())):
+            return None
+        mark = read_json(log / SIMULATED_NAME)
+    except (OSError, ArtefactError):
+        mark = None
+    if not isinstance(mark, dict) or "frames_key" not in mark:
         raise InputError(
             "something else stands where the log is to be written",
             where=log,
             expected="no folder, an empty one or a log that was written before",
             remedy="Choose another --write-log.",
         )
-    found = read_json(mark)
-    if all(found.get(key) == value for key, value in json_ready(made_of).items()):
-        return True
-    if not is_overwriting:
-        raise InputError(
-            "the folder holds the log of another scenario",
-            where=log,
-            got=f"scenario {found.get('scenario')}, sky {found.get('sky')}",
-            remedy="Choose another --write-log, or give --overwrite.",
-        )
-    return False
+    return mark
 
 
 def _copy(own: Path, target: Path) -> None:

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64, Int64, Shaped
+from jaxtyping import Bool, Float64, Int64
 
 from lightsim.core.alignment import PathCorrection
 from lightsim.core.casting import RayCaster
@@ -25,8 +25,7 @@ from lightsim.simulation.lidar.recorded import (
     sweep_paths,
 )
 from lightsim.simulation.lidar.resimulate import Change, LidarSimulator, SimulatedBeams
-
-Columns = dict[str, Shaped[np.ndarray, " _"]]
+from lightsim.store.pandaset_tables import Columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +40,7 @@ class WrittenSweep:
 
     columns: Columns
     semantic_class: Int64[np.ndarray, " n"]
-    is_recorded: Shaped[np.ndarray, " n"]
+    is_recorded: Bool[np.ndarray, " n"]
 
 
 class SweepEditor:
@@ -73,9 +72,8 @@ class SweepEditor:
             )
         else:
             made = self._simulator.edited(recorded.beams, change, lazy.time_ns, rng)
-            if (
-                made.is_kept == recorded.beams.is_returned
-            ).all() and not made.answers.is_returned.any():
+            is_all_kept = (made.is_kept == recorded.beams.is_returned).all()
+            if is_all_kept and not made.answers.is_returned.any():
                 return None
         return written(recorded, made, self._workspace.alignment.path)
 

@@ -21,8 +21,8 @@ CUBOID_COLUMNS = (
     "attributes.rider_status", "attributes.pedestrian_behavior", "attributes.pedestrian_age",
 )  # fmt: skip
 """In PandaSet's order."""
-
-
+Columns = dict[str, Shaped[np.ndarray, " _"]]
+"""Of a table, by name."""
 _CUBOID_TYPES = {
     "yaw": np.float64, "stationary": np.bool_,
     "camera_used": np.int64, "cuboids.sensor_id": np.int64,
@@ -33,15 +33,17 @@ _CUBOID_TYPES = {
 
 def cuboid_table(
     rows: Sequence[Mapping[str, Any]], names: Sequence[str] = CUBOID_COLUMNS
-) -> dict[str, Shaped[np.ndarray, " n"]]:
+) -> Columns:
     """Columns of a file of boxes, of PandaSet's types; a missing text may be None."""
-    table: dict[str, np.ndarray] = {}
+    table: Columns = {}
     for name in names:
         values = [row.get(name) for row in rows]
         kind = _CUBOID_TYPES.get(name, object)
-        column = np.empty(len(rows), dtype=kind)
-        column[:] = [np.nan if value is None and kind is object else value for value in values]
-        table[name] = column
+        column = np.empty(len(rows), dtype=object)
+        column[:] = [np.nan if value is None else value for value in values]
+        # A recorded number may be missing, too, which neither whole numbers nor truths can tell.
+        is_whole = not any(isinstance(value, float) and np.isnan(value) for value in column)
+        table[name] = column.astype(kind if is_whole else np.promote_types(kind, float))
     return table
 
 

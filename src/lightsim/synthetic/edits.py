@@ -30,7 +30,7 @@ _COARSE = 4
 _ASKED = 4
 # Between two cars that stand close, and the recording car's box.
 _GAP_M = 0.4
-_EGO_LWH_M = (5.0, 2.0)
+_EGO_LWH_M = (5.0, 2.0, 0.0)
 # Where a car may be put, along the street; and how far one that is there may be moved.
 _PLACES_M = tuple(np.arange(-24.0, 60.0, 1.5).tolist())
 _OFFSETS_M = ((-6.0, 0.0), (-4.0, 0.0), (-2.0, 0.0), (2.0, 0.0), (4.0, 0.0), (6.0, 0.0))
@@ -127,8 +127,11 @@ class _Chooser:
         sun_direction_world: Float[np.ndarray, "3"],
     ) -> None:
         self._street, self._views, self._sun = street, views, sun_direction_world
-        self._times_s = np.linspace(-SWEEP_S, SWEEP_S * (config.frame_count - 1), 12)
-        self._ego_speed_m_s = config.ego_speed_m_s
+        self._times_s = np.linspace(-SWEEP_S, SWEEP_S * (config.frame_count - 1), 12).tolist()
+        ego = [street_from_ego(time_s, config.ego_speed_m_s) for time_s in self._times_s]
+        ways = [self._way(actor) for actor in street.participants]
+        ways.append(np.stack([_footprint(pose, _EGO_LWH_M) for pose in ego]))
+        self._ways = np.stack(ways)
         self._sights = [_Sight(view, config, street.plan.world_from_street) for view in views]
 
     def removed_and_moved(self, name: str, *, is_moving: bool) -> Iterator[TrueEdit]:
@@ -231,16 +234,15 @@ class _Chooser:
 
     def _is_free(self, actor: Participant, number: int) -> bool:
         """Whether an actor never meets another one, nor the ego."""
-        others = [a for i, a in enumerate(self._street.participants) if i != number]
-        for time_s in self._times_s.tolist():
-            own = _footprint(actor.street_from_actor(time_s), actor.size_lwh_m)
-            ego = street_from_ego(time_s, self._ego_speed_m_s)
-            around = [_footprint(o.street_from_actor(time_s), o.size_lwh_m) for o in others]
-            around.append(_footprint(ego, (*_EGO_LWH_M, 0.0)))
-            low, high = np.stack(around, axis=1)
-            if ((own[0] < high + _GAP_M) & (low < own[1] + _GAP_M)).all(axis=1).any():
-                return False
-        return True
+        own, others = self._way(actor), np.delete(self._ways, number, axis=0)
+        is_before = others[:, :, 0] < own[:, 1] + _GAP_M
+        is_behind = own[:, 0] < others[:, :, 1] + _GAP_M
+        return not (is_before & is_behind).all(axis=-1).any()
+
+    def _way(self, actor: Participant) -> Float[np.ndarray, "t 2 2"]:
+        """Footprints over time."""
+        poses = [actor.street_from_actor(time_s) for time_s in self._times_s]
+        return np.stack([_footprint(pose, actor.size_lwh_m) for pose in poses])
 
 
 class _Sight:

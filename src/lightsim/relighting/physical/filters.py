@@ -1,4 +1,4 @@
-"""Small image filters that relighting is built of: box means, guided filter, hole filling."""
+"""Small image filters that relighting is built of: box means, guided filters, hole filling."""
 
 from __future__ import annotations
 
@@ -38,6 +38,30 @@ def guided_filter(
     slope = box_mean(slope * weight, radius_px) / fraction
     offset = box_mean(offset * weight, radius_px) / fraction
     return (slope * guide + offset).astype(np.float32)
+
+
+def colour_guided_filter(
+    guide: Float32[np.ndarray, "h w 3"],
+    image: Float32[np.ndarray, "h w"],
+    weight: Float32[np.ndarray, "h w"],
+    radius_px: int,
+    epsilon: float,
+) -> Float32[np.ndarray, "h w"]:
+    """As `guided_filter`, linear in a guide of three channels (there Sec. 3.5)."""
+    total = box_mean(weight, radius_px)[..., None]
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return box_mean((values * weight[..., None]).astype(np.float32), radius_px) / total
+
+    products = (guide[..., :, None] * guide[..., None, :]).reshape(*image.shape, 9)
+    colour, target = mean(guide), mean(image[..., None])
+    covariance = mean(guide * image[..., None]) - colour * target
+    spread = mean(products).reshape(*image.shape, 3, 3)
+    spread = spread - colour[..., :, None] * colour[..., None, :] + epsilon * np.eye(3)
+    slope = np.linalg.solve(spread, covariance[..., None])[..., 0]
+    offset = target - (slope * colour).sum(axis=-1, keepdims=True)
+    smooth = box_mean(np.concatenate([slope, offset], axis=-1).astype(np.float32), radius_px)
+    return ((smooth[..., :3] * guide).sum(axis=-1) + smooth[..., 3]).astype(np.float32)
 
 
 def median_smoothed(

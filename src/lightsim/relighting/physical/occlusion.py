@@ -14,8 +14,9 @@ from jaxtyping import Bool, Float32
 from scipy import ndimage
 
 from lightsim.core.buffers import BACKGROUND, GBuffers
+from lightsim.core.outline import nearest_of
 from lightsim.core.window import window_around
-from lightsim.relighting.physical.filters import box_mean
+from lightsim.relighting.physical.filters import colour_guided_filter
 
 # An occluder stands at least this far before the actor: what touches it, as the ground does, has
 # its edge where both meshes meet. Surfaces less upright than that are ground.
@@ -48,7 +49,7 @@ def hidden_by_picture(
     before = _occluders(buffers, is_new)
     if not (is_new.any() and before.any()):
         return hidden
-    distance_px, nearest = _nearest(before)
+    distance_px, nearest = nearest_of(before)
     reach_px = focal_px * _REACH_M / buffers.depth_z_m[nearest] + _REACH_PX
     is_asked = _grown(is_new) & (distance_px <= np.minimum(reach_px, _FARTHEST_PX))
     if not is_asked.any():
@@ -56,19 +57,12 @@ def hidden_by_picture(
     radius = _WINDOW * int(np.ceil(np.median(reach_px[is_asked]).clip(1, _FARTHEST_PX)))
     part = window_around(is_asked, 2 * radius)
     weight = np.where(is_asked, np.float32(_IN_QUESTION), np.float32(1))
-    likeness = _by_colour(codes[part], before[part].astype(np.float32), weight[part], radius)
+    likeness = colour_guided_filter(
+        codes[part], before[part].astype(np.float32), weight[part], radius, _SAME_COLOUR
+    )
     sure = np.clip((likeness - _SURE[0]) / (_SURE[1] - _SURE[0]), 0.0, 1.0)
     hidden[part] = np.where(is_asked[part], sure, 0.0)
     return hidden
-
-
-def _nearest(
-    mask: Bool[np.ndarray, "h w"],
-) -> tuple[Float32[np.ndarray, "h w"], tuple[np.ndarray, np.ndarray]]:
-    """Distance to the mask's nearest pixel, and its rows and columns."""
-    found = ndimage.distance_transform_edt(~mask, return_indices=True)
-    assert isinstance(found, tuple)
-    return found[0].astype(np.float32), (found[1][0], found[1][1])
 
 
 def _grown(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
@@ -79,31 +73,7 @@ def _occluders(buffers: GBuffers, is_new: Bool[np.ndarray, "h w"]) -> Bool[np.nd
     """Static upright surfaces that stand before the nearest pixel of an actor."""
     if not is_new.any():
         return np.zeros_like(is_new)
-    _, nearest = _nearest(is_new)
+    _, nearest = nearest_of(is_new)
     is_before = buffers.depth_z_m < buffers.depth_z_m[nearest] - _BEFORE_M
     is_upright = buffers.normal_world[..., 2] < _LEVEL
     return is_before & is_upright & (buffers.actor_index == BACKGROUND)
-
-
-def _by_colour(
-    guide: Float32[np.ndarray, "h w 3"],
-    mask: Float32[np.ndarray, "h w"],
-    weight: Float32[np.ndarray, "h w"],
-    radius: int,
-) -> Float32[np.ndarray, "h w"]:
-    """The mask made locally linear in the colour, with a weight per pixel: the guided filter with
-    three channels (He et al., doi:10.1109/TPAMI.2012.213, Sec. 3.5)."""
-    total = box_mean(weight, radius)[..., None]
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        return box_mean((values * weight[..., None]).astype(np.float32), radius) / total
-
-    products = (guide[..., :, None] * guide[..., None, :]).reshape(*mask.shape, 9)
-    colour, target = mean(guide), mean(mask[..., None])
-    covariance = mean(guide * mask[..., None]) - colour * target
-    spread = mean(products).reshape(*mask.shape, 3, 3)
-    spread = spread - colour[..., :, None] * colour[..., None, :] + _SAME_COLOUR * np.eye(3)
-    slope = np.linalg.solve(spread, covariance[..., None])[..., 0]
-    offset = target - (slope * colour).sum(axis=-1, keepdims=True)
-    smooth = box_mean(np.concatenate([slope, offset], axis=-1).astype(np.float32), radius)
-    return ((smooth[..., :3] * guide).sum(axis=-1) + smooth[..., 3]).astype(np.float32)

@@ -18,8 +18,8 @@ from lightsim.simulation.lidar.beams import Beams
 
 NOTHING, STATIC = -2, -1
 """Bodies that are no actor."""
-_SWEPT_M = 3.0
-"""An actor moves by less while a sweep lasts."""
+_BOX_MARGIN_M = 0.15
+"""Labelled boxes are that exact: returns of mirrors and wheels lie outside."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +109,7 @@ class RayScene:
         found = self._still.intersect(beams.origins_world, beams.directions_world)
         nearest = _surfaces(found, self._still.meshes, self._still_bodies, beams)
         for body, track, caster in self._moving:
-            rows = np.flatnonzero(_may_meet(beams, caster.meshes[0]))
+            rows = np.flatnonzero(_may_meet(beams, caster.meshes[0], track, self._time_ns))
             if not len(rows):
                 continue
             carried = carried_to(beams.chosen(rows), track, self._time_ns)
@@ -133,19 +133,19 @@ def placed(placement: ActorPlacement, time_ns: int) -> TriMesh:
 
 def carried_to(beams: Beams, track: ActorTrack, time_ns: int) -> Beams:
     """Beams as they lie to an actor, brought to where the actor is at another time."""
-    there = track.trajectory.held_at(np.array([time_ns]))[0]
+    there = track.trajectory.held(time_ns).matrix
     return beams.moved(there @ np.linalg.inv(track.trajectory.held_at(beams.times_ns)))
 
 
 def in_actor(
-    beams: Beams, points_world: Float64[np.ndarray, "n 3"], track: ActorTrack, margin_m: float
+    beams: Beams, points_world: Float64[np.ndarray, "n 3"], track: ActorTrack, time_ns: int
 ) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, "k 3"]]:
-    """Points that lie in an actor's box, grown by a margin, at their beams' own times: their
-    numbers, and where they lie in frame `actor`."""
-    half = track.size_lwh_m / 2 + margin_m
-    middle = track.trajectory.held_at(beams.times_ns[:1])[0, :3, 3] if len(beams) else np.zeros(3)
-    reach_m = float(np.linalg.norm(half)) + _SWEPT_M
-    near = np.flatnonzero((np.abs(points_world - middle) < reach_m).all(axis=1))
+    """Points of a sweep that lie in an actor's box, grown by what labels are exact to, at their
+    beams' own times: their numbers, and where they lie in frame `actor`."""
+    half = track.size_lwh_m / 2 + _BOX_MARGIN_M
+    centre = track.trajectory.held(time_ns).translation_m
+    reach_m = float(np.linalg.norm(half)) + _swept_m(beams, track, time_ns)
+    near = np.flatnonzero((np.abs(points_world - centre) < reach_m).all(axis=1))
     local = to_actor(points_world[near], track, beams.times_ns[near])
     is_in = (np.abs(local) <= half).all(axis=1)
     return near[is_in], local[is_in]
@@ -159,16 +159,25 @@ def to_actor(
     return np.einsum("nji,nj->ni", poses[:, :3, :3], points_world - poses[:, :3, 3])
 
 
-def _may_meet(beams: Beams, mesh: TriMesh) -> Bool[np.ndarray, " n"]:
-    """Beams that pass a mesh by less than it may move during the sweep; others are certain to
-    miss it."""
-    if not len(mesh.vertices):
-        return np.zeros(len(beams), dtype=bool)
-    low, high = (f(axis=0).astype(np.float64) for f in (mesh.vertices.min, mesh.vertices.max))
-    towards = (low + high) / 2 - beams.origins_world
+def _may_meet(
+    beams: Beams, mesh: TriMesh, track: ActorTrack, time_ns: int
+) -> Bool[np.ndarray, " n"]:
+    """Beams that pass an actor by less than it reaches and moves until they are measured; others
+    are certain to miss it."""
+    centre = track.trajectory.held(time_ns).translation_m
+    reach_m = np.linalg.norm(mesh.vertices - centre, axis=1).max(initial=0.0)
+    towards = centre - beams.origins_world
     along = np.maximum((towards * beams.directions_world).sum(axis=1), 0.0)
     past = np.linalg.norm(towards - along[:, None] * beams.directions_world, axis=1)
-    return past < np.linalg.norm(high - low) / 2 + _SWEPT_M
+    return past < reach_m + _swept_m(beams, track, time_ns)
+
+
+def _swept_m(beams: Beams, track: ActorTrack, time_ns: int) -> float:
+    """How far from its place at a time an actor is when beams are measured, at most."""
+    measured_ns = beams.times_ns
+    ends_ns = [f(initial=time_ns) for f in (measured_ns.min, measured_ns.max)]
+    places = track.trajectory.held_at(np.array([time_ns, *ends_ns]))[:, :3, 3]
+    return float(np.linalg.norm(places - places[0], axis=1).max())
 
 
 def _surfaces(

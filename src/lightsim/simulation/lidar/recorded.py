@@ -53,10 +53,10 @@ _RING_SWEEPS = 8
 _RING_LEAST_M = 4.0
 """Nearer returns tell their ring too badly: they are stored in steps of 4 mm."""
 _RASTER_SWEEPS = 2
-_BOX_MARGIN_M = 0.15
-"""Labelled boxes are that exact."""
 _SAME_M = 0.1
 """Across a surface, between a return and the mesh: more than nine tenths of sequence 002's."""
+_FEWEST = 100
+"""Returns that tell how ranges scatter."""
 _NOISE_SAMPLES = 4000
 _NOISE_RANGE_M = (4.0, 40.0)
 
@@ -128,7 +128,7 @@ class RecordedBeams:
     def _missing(self, lazy: LazySweep, device: int, returned: Beams) -> ScanDirections:
         found = ScanDirections.of(in_ego(returned, self._log.ego), returned.times_ns)
         if found.is_spinning:
-            return missing_in_rings(found, self._rings[device])
+            return missing_in_rings(found, self._rings.get(device, np.empty(0)))
         near = sorted(self._log.sweeps, key=lambda s: abs(s.time_ns - lazy.time_ns))
         others = [self._directions(s).get(device) for s in near[1 : 1 + _RASTER_SWEEPS]]
         return missing_in_raster(found, [o for o in others if o is not None])
@@ -170,7 +170,7 @@ def learn_response(
     for number, lazy in enumerate(progress.track(sweeps, "LiDAR response", len(sweeps))):
         recorded = beams.of(lazy)
         for device in np.unique(recorded.beams.device).tolist():
-            noise.setdefault(device, []).append(_noise_m(recorded.beams, device, number))
+            noise.setdefault(device, []).extend(_noise_m(recorded.beams, device, number))
         step = int(np.ceil(len(recorded.beams) * len(sweeps) / MOST_DONORS))
         rows = np.arange(number % step, len(recorded.beams), step)
         chosen, answers = recorded.beams.chosen(rows), recorded.answers.chosen(rows)
@@ -178,9 +178,9 @@ def learn_response(
         for key, donors in _donors(chosen, answers, scene, placements, lazy.time_ns):
             found.setdefault(key, []).append(donors)
     return Response(
-        {key: _joined(several) for key, several in found.items()},
+        {key: Donors.joined(several) for key, several in found.items()},
         {p.track.actor_id: p.track.kind for p in placements},
-        {device: float(np.nanmedian(values)) for device, values in noise.items()},
+        {device: float(np.median(values)) for device, values in noise.items() if values},
     )
 
 
@@ -196,18 +196,18 @@ def _donors(
     distance = np.where(beams.is_returned, beams.range_m, met.distance_m)
     met = replace(met, distance_m=distance)
     points = beams.at(np.where(np.isfinite(distance), distance, 0.0))
-    is_agreed = _agrees(beams, scene, met)
     places = points.copy()
-    is_known = (met.body == STATIC) & np.isfinite(distance)
+    is_own, is_in_other = np.zeros(len(beams), dtype=bool), np.zeros(len(beams), dtype=bool)
     for number, placement in enumerate(placements):
         track = placement.track
         if not is_there(track, time_ns):
             continue
-        inside, local = in_actor(beams, points, track, _BOX_MARGIN_M)
-        is_own = met.body[inside] == number
-        is_known[inside[~is_own]] &= is_agreed[inside[~is_own]]
-        is_known[inside[is_own]] = True
-        places[inside[is_own]] = local[is_own]
+        inside, local = in_actor(beams, points, track, time_ns)
+        is_met = met.body[inside] == number
+        is_own[inside[is_met]] = is_in_other[inside[~is_met]] = True
+        places[inside[is_met]] = local[is_met]
+    is_static = (met.body == STATIC) & np.isfinite(distance)
+    is_known = is_own | (is_static & (~is_in_other | _agrees(beams, scene, met)))
     looks = looks_of(beams, met)
     parts: list[tuple[tuple[int, str], Donors]] = []
     for device in np.unique(beams.device).tolist():
@@ -226,14 +226,14 @@ def _agrees(beams: Beams, scene: RayScene, met: Surfaces) -> Bool[np.ndarray, " 
         return np.abs(cast.distance_m - met.distance_m) * cast.cosine < _SAME_M
 
 
-def _noise_m(beams: Beams, device: int, seed: int) -> float:
+def _noise_m(beams: Beams, device: int, seed: int) -> tuple[float, ...]:
     """Standard deviation of ranges: of returns about the plane through their eight neighbours in
-    the sweep, by the median, which edges do not move."""
+    the sweep, by the median, which edges do not move. Empty where there are too few."""
     own = beams.chosen(beams.is_returned & (beams.device == device))
     near, far = _NOISE_RANGE_M
     own = own.chosen((own.range_m > near) & (own.range_m < far))
-    if len(own) < 100:
-        return float("nan")
+    if len(own) < _FEWEST:
+        return ()
     rng = np.random.default_rng(seed)
     rows = rng.choice(len(own), min(len(own), _NOISE_SAMPLES), replace=False)
     points = own.at(own.range_m)
@@ -243,19 +243,9 @@ def _noise_m(beams: Beams, device: int, seed: int) -> float:
     )
     along = (normal * own.directions_world[rows]).sum(axis=1)
     is_met = np.abs(along) > 0.3
+    if not is_met.any():
+        return ()
     off = ((points[rows] - centre) * normal).sum(axis=1)[is_met] / along[is_met]
     # The plane itself scatters: three numbers from eight neighbours.
-    return float(1.4826 * np.median(np.abs(off)) / np.sqrt(1.0 + 3.0 / 8.0))
-
-
-def _joined(parts: Sequence[Donors]) -> Donors:
-    answers = Answers(
-        np.concatenate([p.answers.is_returned for p in parts]),
-        np.concatenate([p.answers.intensity for p in parts]),
-        np.concatenate([p.answers.semantic_class for p in parts]),
-    )
-    return Donors(
-        np.concatenate([p.places for p in parts]),
-        np.concatenate([p.looks for p in parts]),
-        answers,
-    )
+    scatter = 1.4826 * np.median(np.abs(off)) / np.sqrt(1.0 + 3.0 / 8.0)
+    return (float(scatter),)

@@ -24,8 +24,6 @@ from lightsim.simulation.lidar.ray_scene import (
 )
 from lightsim.simulation.lidar.response import Answers, Response, looks_of
 
-_BOX_MARGIN_M = 0.15
-"""Returns of mirrors and wheels lie that far outside of a labelled box."""
 _SAME_M = 0.3
 """Along a beam, between a return and the static scene behind a removed actor."""
 
@@ -123,7 +121,7 @@ class LidarSimulator:
         """A sweep in which only beams that meet what changed are simulated."""
         new = self._scene(change.new, time_ns).cast_actors(beams)
         gone = self._scene(change.gone_shapes, time_ns).cast_actors(beams)
-        in_gone = _in_any(beams, change.gone)
+        in_gone = _in_any(beams, change.gone, time_ns)
         rows = np.flatnonzero((new.body != NOTHING) | (gone.body != NOTHING) | in_gone)
         some, new = beams.chosen(rows), new.chosen(rows)
         rest = self._surfaces(some, change.kept, time_ns)
@@ -186,7 +184,7 @@ class LidarSimulator:
                     continue
                 own, surfaces = beams.chosen(rows[part]), met.chosen(part)
                 found = self._of_body(device, own, surfaces, _placement(bodies, body), rng)
-                noise = rng.normal(0.0, self._response.noise_m[device], len(part))
+                noise = rng.normal(0.0, self._response.noise_m.get(device, 0.0), len(part))
                 answers.fill(rows[part], found)
                 range_m[rows[part]] = np.where(
                     found.is_returned, surfaces.distance_m + noise, np.inf
@@ -217,14 +215,14 @@ def _placement(bodies: Sequence[ActorPlacement], body: int) -> ActorPlacement | 
     return None if body == STATIC else bodies[body]
 
 
-def _in_any(beams: Beams, tracks: Sequence[ActorTrack]) -> Bool[np.ndarray, " n"]:
+def _in_any(beams: Beams, tracks: Sequence[ActorTrack], time_ns: int) -> Bool[np.ndarray, " n"]:
     """Returns that lie in one of the actors' boxes."""
     is_in = np.zeros(len(beams), dtype=bool)
     rows = np.flatnonzero(beams.is_returned)
     own = beams.chosen(rows)
     points = own.at(own.range_m)
     for track in tracks:
-        is_in[rows[in_actor(own, points, track, _BOX_MARGIN_M)[0]]] = True
+        is_in[rows[in_actor(own, points, track, time_ns)[0]]] = True
     return is_in
 
 

@@ -64,6 +64,11 @@ class Answers:
         none = np.full(count, -1, dtype=np.int64)
         return cls(np.zeros(count, dtype=bool), np.zeros(count, np.float32), none)
 
+    @classmethod
+    def joined(cls, parts: Sequence[Answers]) -> Answers:
+        """All answers of all parts, of one or more."""
+        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
+
     def chosen(self, rows: Shaped[np.ndarray, "..."]) -> Answers:
         """Some of them."""
         return Answers(*(getattr(self, f.name)[rows] for f in fields(self)))
@@ -88,6 +93,14 @@ class Donors:
     places: Float32[np.ndarray, "n 3"]
     looks: Float32[np.ndarray, "n 3"]
     answers: Answers
+
+    @classmethod
+    def joined(cls, parts: Sequence[Donors]) -> Donors:
+        """All donors of all parts, of one or more."""
+        places, looks = (
+            np.concatenate([getattr(p, n) for p in parts]) for n in ("places", "looks")
+        )
+        return cls(places, looks, Answers.joined([p.answers for p in parts]))
 
     def __len__(self) -> int:
         return len(self.places)
@@ -119,7 +132,7 @@ class Response:
     Args:
         donors: by (device, body), a body being an actor's id or "" for the static scene.
         kinds: of the actors among the bodies.
-        noise_m: standard deviation of ranges, by device.
+        noise_m: standard deviation of ranges, by device; not of those that had too few returns.
     """
 
     def __init__(
@@ -214,10 +227,8 @@ class Response:
 def _pool(donors: Sequence[Donors]) -> tuple[KDTree, Answers]:
     if not donors:
         return KDTree(np.zeros((1, 3))), Answers.nothing(1)
-    names = [f.name for f in fields(Answers)]
-    answers = Answers(*(np.concatenate([getattr(d.answers, n) for d in donors]) for n in names))
-    looks = np.concatenate([d.looks for d in donors])
-    return KDTree(looks, balanced_tree=False), answers
+    every = Donors.joined(donors)
+    return KDTree(every.looks, balanced_tree=False), every.answers
 
 
 def fitted_planes(

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import find_peaks
 from scipy.spatial import KDTree
 
 _SPINS_RAD = np.radians(300.0)
@@ -81,6 +80,8 @@ class ScanDirections:
 def find_rings(sweeps: Sequence[ScanDirections]) -> Float64[np.ndarray, " k"]:
     """Elevations of the lasers of a spinning LiDAR, ascending: where returns of several sweeps
     pile up."""
+    from scipy.signal import find_peaks  # Takes a second to import.
+
     elevation = np.concatenate([s.elevation_rad for s in sweeps])
     edges = np.arange(elevation.min() - 1e-3, elevation.max() + 1e-3, _BIN_RAD)
     counts = gaussian_filter1d(np.histogram(elevation, edges)[0].astype(np.float64), _BLUR_BINS)
@@ -92,8 +93,11 @@ def missing_in_rings(found: ScanDirections, rings_rad: Float64[np.ndarray, " k"]
     """Where a spinning LiDAR fired and nothing came back.
 
     Along a ring azimuth advances by equal steps. Before a ring's first and after its last return
-    the steps go on to the ends of the sweep; a ring without returns fires as the fullest.
+    the steps go on to the ends of the sweep; a ring without returns fires as the fullest. Without
+    rings nothing is known to be missing.
     """
+    if not len(rings_rad):
+        return found.chosen(np.zeros(len(found.times_ns), dtype=bool))
     ring = np.argmin(np.abs(found.elevation_rad[:, None] - rings_rad), axis=1)
     is_near = np.abs(found.elevation_rad - rings_rad[ring]) < _NEAR_RING_RAD
     turned = _turned(found)
@@ -160,9 +164,12 @@ class _Turned:
 
 
 def _turned(found: ScanDirections) -> _Turned:
-    """From azimuths, the full turns by the times, which may be stored in coarse steps."""
+    """From azimuths, the full turns by the times, which may be stored in coarse steps, or as one
+    for the whole sweep."""
     order = np.argsort(found.times_ns, kind="stable")
     since_ns = (found.times_ns - found.times_ns[order[0]]).astype(np.float64)
+    if not since_ns.any():
+        return _Turned(found.azimuth_rad, np.inf, 1.0)
     in_time = np.unwrap(found.azimuth_rad[order])
     rate, start = np.polyfit(since_ns[order], in_time, 1).tolist()
     turns = np.rint((start + rate * since_ns - found.azimuth_rad) / (2 * np.pi))
