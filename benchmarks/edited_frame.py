@@ -15,7 +15,7 @@ import functools
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -47,7 +47,7 @@ _PARTS: tuple[tuple[str, Any, str], ...] = (
     ("coverage", frame_renderer, "actor_coverage"),
     ("new actors' layer", source_image.SourceImages, "_layer_of"),
     ("edited picture", source_image, "edited_image"),
-    ("medians", filters.ndimage, "median_filter"),
+    ("medians", filters, "median"),
     ("denoising", ratio, "denoised_where_amplified"),
 )
 """Functions where they are looked up."""
@@ -62,7 +62,7 @@ class Stopwatch:
         self._since = _now()
 
     @contextmanager
-    def measure(self, part: str) -> Iterator[None]:
+    def measure(self, part: str) -> Generator[None]:
         """Seconds that pass belong to this part, and not to the one around it."""
         self._turn()
         self._running.append(part)
