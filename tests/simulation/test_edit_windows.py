@@ -14,6 +14,8 @@ from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.simulation.edit_window import edit_window
 
+NOBODY = np.zeros((LENS.height_px, LENS.width_px), dtype=bool)
+
 
 def traced(work: TinyWorkspace, scenario: Scenario) -> tuple[FrameRenderer, TransportFrame]:
     renderer = FrameRenderer(work.assets.background, NOTHING, TransportConfig(bounces=2), 0)
@@ -67,9 +69,9 @@ def test_edits_reach_what_shows_them_and_their_light_and_no_more() -> None:
     assert changed is not None
     before = renderer.trace_beside(after, recorded, changed[0] + changed[1])
     sky = renderer.prepare(SUNNY)
-    found = edit_window((before, after), changed, ([0], []), sky)
+    found = edit_window((before, after), changed, ([0], []), NOBODY, sky)
     assert found is not None
-    reached = np.zeros((LENS.height_px, LENS.width_px), dtype=bool)
+    reached = NOBODY.copy()
     reached[found.window] = found.is_reached
     assert reached[shows_box_or_shadow(frame, SUNNY)].all()
     light = [view.light(sky).shaded for view in (before, after)]
@@ -77,6 +79,13 @@ def test_edits_reach_what_shows_them_and_their_light_and_no_more() -> None:
     # Single rays that meet the box from far away are noise.
     assert (is_changed & reached).sum() > 0.98 * is_changed.sum()
     assert reached.mean() < 0.6
+    # A blurred layer is not cut off.
+    corner = NOBODY.copy()
+    corner[0, 0] = True
+    found = edit_window((before, after), changed, ([0], []), corner, sky)
+    assert found is not None
+    assert not reached[0, 0]
+    assert found.is_reached[0, 0]
 
 
 def test_edits_that_change_nothing_reach_nothing() -> None:
@@ -91,4 +100,4 @@ def test_edits_that_change_nothing_reach_nothing() -> None:
     track = replace(placement.track, trajectory=replace(pose, matrices=matrices))
     away = replace(placement, track=track)
     sky = renderer.prepare(SUNNY)
-    assert edit_window((known, known), ((away,), ()), ([], []), sky) is None
+    assert edit_window((known, known), ((away,), ()), ([], []), NOBODY, sky) is None

@@ -47,6 +47,7 @@ def edit_window(
     views: tuple[TransportFrame, TransportFrame],
     changed: tuple[tuple[ActorPlacement, ...], tuple[ActorPlacement, ...]],
     numbers: tuple[list[int], list[int]],
+    is_covered: Bool[np.ndarray, "h w"],
     sky: EnvironmentCells,
 ) -> EditWindow | None:
     """The window of a picture that edits may change; None where they change nothing.
@@ -55,9 +56,10 @@ def edit_window(
         views: the log and the scenario, seen by the camera.
         changed: actors that are gone and actors that are new,
         numbers: and their numbers in the views.
+        is_covered: pixels that new actors are put over, as far as they are blurred.
         sky: the source's.
     """
-    reached = _has_other_light(views, sky)
+    reached = _has_other_light(views, sky) | is_covered
     sun = sky.sun if sky.sun is not None and sky.sun.direction_world[2] > 0 else None
     for view, shown in zip(views, numbers, strict=True):
         buffers, (frame, camera) = view.geometry, view.view

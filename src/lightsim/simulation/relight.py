@@ -43,7 +43,7 @@ from lightsim.store.lock import LOCK_NAME, locked
 from lightsim.store.mp4 import Mp4Writer
 from lightsim.store.scenario import write_scenario
 
-_SCHEMA = 10
+_SCHEMA = 11
 _STAGE = "relight"
 _OPTIONAL = ("labels", "edits", "assets", "exposure_time_ms")
 _PLAIN = RelightConfig()

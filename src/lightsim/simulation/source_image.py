@@ -170,10 +170,10 @@ class SourceImages:
         nothing."""
         assert self._recorded is not None
         numbers = _numbers(self._recorded, changed[0]), _numbers(scenario, changed[1])
-        found = edit_window(views, changed, numbers, self._sky)
+        layer = self._layer_of(changed[1], frame, scenario, views[1], image)
+        found = edit_window(views, changed, numbers, layer.coverage > 0, self._sky)
         if found is None:
             return None
-        layer = self._layer_of(changed[1], frame, scenario, views[1], image)
         before, after = (view.part(found.window, found.is_reached) for view in views)
         inputs = self._inputs(frame, (before, after), image, changed, layer, found.window)
         return put_into(_unedited(image), edited_image(inputs), found.window)
