@@ -158,6 +158,11 @@ class TransportFrame:
         """The same pixels, whose rays are traced otherwise; faces that they meet are not."""
         return self._with(self.view, self.geometry, tracing, self._is_wanted)
 
+    def diffuse_once(self) -> TransportFrame:
+        """The same pixels with one bounce and no reflections: fewer rays, for a first look."""
+        config = replace(self._config, bounces=1, glossy_rays=0)
+        return self.traced_as(replace(self._tracing, config=config))
+
     def _with(
         self,
         view: tuple[CameraFrame, PinholeCamera],

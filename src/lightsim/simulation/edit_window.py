@@ -89,10 +89,8 @@ def _has_other_light(
     is_probe = np.zeros(shape, dtype=bool)
     is_probe[probes] = True
     everything = slice(0, shape[0]), slice(0, shape[1])
-    before, after = (
-        np.log(view.part(everything, is_probe).light(sky).shaded[probes] + _DARKEST)
-        for view in views
-    )
+    lit = [view.part(everything, is_probe).diffuse_once().light(sky) for view in views]
+    before, after = (np.log(light.shaded[probes] + _DARKEST) for light in lit)
     change = np.abs(after - before).max(axis=-1)
     return brought_up(box_mean(change, _PROBE_RADIUS) > _LEAST_CHANGE, _PROBE_PX, shape)
 
