@@ -92,7 +92,7 @@ def _views(work: Workspace, path: Path, options: RelightOptions) -> Iterator[Edi
         (made,) = relighter.relit(frame, scenario, [target])
         if made.traced is None:
             continue
-        buffers, camera = made.traced.buffers, log.cameras[frame.camera_name]
+        buffers, camera = made.traced.geometry, log.cameras[frame.camera_name]
         new = _new_numbers(recorded, scenario, frame)
         before = linear_from_srgb8(frame.load_srgb8()) / gains[camera.name]
         light = (luminance(made.source.radiance) + 1e-3) / (luminance(before) + 1e-3)

@@ -40,7 +40,9 @@ def test_an_actor_is_cut_out_of_its_background_and_put_over_another() -> None:
     coverage[:, 20] = coverage[:, 39] = 0.25 * covered()[:, 20]
     rendered = coverage[..., None] * ACTOR + (1 - coverage[..., None]) * BEHIND
     other = flat(np.array([0.4, 0.5, 0.7], np.float32))
-    made = cut_out(rendered, coverage).over(other, CameraLook(), GAIN)
+    made = cut_out(rendered, coverage, np.ones_like(coverage, dtype=bool)).over(
+        other, CameraLook(), GAIN
+    )
     wanted = coverage[..., None] * ACTOR + (1 - coverage[..., None]) * other
     np.testing.assert_allclose(made, wanted, atol=1e-6)
     assert (made[coverage == 0] == other[coverage == 0]).all()

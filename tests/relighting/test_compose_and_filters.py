@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from lightsim.core.colour import linear_from_srgb8
 from lightsim.errors import InputError
@@ -12,6 +13,7 @@ from lightsim.relighting.physical.filters import (
     box_mean,
     fill_holes,
     guided_filter,
+    median,
     median_smoothed,
 )
 from lightsim.relighting.physical.matte import foreground_radiance
@@ -66,6 +68,23 @@ def test_unmixing_recovers_the_foreground() -> None:
     image = (1 - matte[..., None]) * twig + matte[..., None] * sky
     found = foreground_radiance(image.astype(np.float32), matte)
     np.testing.assert_allclose(found[:, :5], np.broadcast_to(twig, (12, 5, 3)), atol=1e-5)
+
+
+@pytest.mark.parametrize("size_px", [1, 5, 15])
+def test_sliding_medians_are_those_of_each_square(rng: np.random.Generator, size_px: int) -> None:
+    image = rng.normal(size=(40, 57)).astype(np.float32)
+    image[10:20, :30] = 0.25
+    for part in (image, image[:3, :4]):
+        expected = ndimage.median_filter(part, size_px, mode="nearest")
+        np.testing.assert_array_equal(median(part, size_px), expected)
+
+
+@pytest.mark.parametrize("width", [480, 960])
+def test_medians_of_a_window_are_those_of_the_picture(rng: np.random.Generator, width: int) -> None:
+    image = rng.normal(size=(96, width, 3)).astype(np.float32)
+    whole = median_smoothed(image, 9 / 480)
+    part = median_smoothed(image[:, 64:320], 9 / 480, width)
+    np.testing.assert_allclose(part[:, 24:-24], whole[:, 88:296], atol=1e-6)
 
 
 @pytest.mark.parametrize("width", [480, 1000])

@@ -55,7 +55,7 @@ def test_noise_is_the_cameras_where_pixels_are_rendered_and_nowhere_else() -> No
     kept = ~found.source.is_edited
     assert (found.image_srgb8[kept] == recorded[kept]).all()
     assert found.traced is not None
-    is_new = found.traced.buffers.actor_index == 1
+    is_new = found.traced.geometry.actor_index == 1
     inside = np.asarray(binary_erosion(is_new, iterations=2), dtype=bool)
     rest = luminance(found.source.radiance - plain.source.radiance)[inside]
     signal = luminance(plain.source.radiance)[inside]

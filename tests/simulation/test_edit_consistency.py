@@ -44,7 +44,7 @@ def edited_view(view: RigidTransform, number: int) -> tuple[View, np.ndarray]:
         scenario.number_by_actor[p.track.actor_id]: p.world_from_actor(frame.time_ns)
         for p in scenario.placements_at(frame.time_ns)
     }
-    buffers = made.traced.buffers
+    buffers = made.traced.geometry
     plain = luminance(rendered(work, frame, SUNNY)[1].unshadowed)
     light = luminance(made.source.radiance / np.maximum(buffers.base_colour, 0.01))
     is_dark = (buffers.actor_index == BACKGROUND) & (light < 0.7 * plain)
@@ -74,8 +74,10 @@ def test_two_views_of_an_edit_agree(pair: str) -> None:
         seen_b = dark_b[ground.other]
         in_shadow = np.asarray(binary_erosion(dark_a), dtype=bool)[rows, columns]
         in_light = np.asarray(binary_erosion(~dark_a), dtype=bool)[rows, columns]
-        assert (in_shadow & ~seen_b).sum() <= 1
-        assert (in_light & seen_b).sum() <= 1
+        # Four rays to the sun tell the penumbra of the box that was there: one pixel of a view,
+        # which two of the other see, may err.
+        assert (in_shadow & ~seen_b).sum() <= 2
+        assert (in_light & seen_b).sum() <= 2
 
 
 def test_a_view_that_is_wrong_is_told() -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int32
+
+from lightsim.core.window import Window
 
 NO_SURFACE = -2
 """actor_index of a pixel that sees the sky."""
@@ -45,6 +48,36 @@ class GBuffers:
     def has_surface(self) -> Bool[np.ndarray, "h w"]:
         """Pixels whose ray meets a mesh; the others show the sky."""
         return np.isfinite(self.depth_z_m)
+
+    def part(self, window: Window) -> GBuffers:
+        """A window of the picture."""
+        return _each(self, lambda values, _: values[window])
+
+    def within(self, mask: Bool[np.ndarray, "h w"]) -> GBuffers:
+        """These pixels alone: the others show no surface."""
+        return _each(self, lambda values, empty: _kept(values, mask, empty))
+
+
+_EMPTY = {
+    "depth_z_m": np.inf,
+    "ambient_occlusion": 1.0,
+    "actor_index": float(NO_SURFACE),
+    "found_visibility": np.nan,
+}
+"""What buffers hold without a surface, where that is not 0."""
+
+
+def _each(buffers: GBuffers, change: Callable[[np.ndarray, float], np.ndarray]) -> GBuffers:
+    """The buffers with each array changed; told what it holds without a surface."""
+    arrays = {f.name: getattr(buffers, f.name) for f in fields(buffers)}
+    changed = {n: change(a, _EMPTY.get(n, 0.0)) for n, a in arrays.items() if a is not None}
+    return replace(buffers, **changed)
+
+
+def _kept(values: np.ndarray, mask: Bool[np.ndarray, "h w"], empty: float) -> np.ndarray:
+    kept = np.full_like(values, empty)
+    kept[mask] = values[mask]
+    return kept
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32
 
 from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.camera import PinholeCamera
@@ -21,6 +22,7 @@ from lightsim.core.scenario import ActorPlacement, Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.solar import angle_between_deg
 from lightsim.core.twin import SceneAssets
+from lightsim.core.window import Window
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.coverage import actor_coverage
 from lightsim.render.gbuffers import render_gbuffers, with_ambient_occlusion
@@ -38,12 +40,14 @@ from lightsim.render.transport.light import light
 from lightsim.render.transport.matrix import (
     TransportConfig,
     TransportMatrix,
+    actor_face_table,
     static_face_table,
     trace_transport,
 )
 from lightsim.render.transport.samples import render_samples
 from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
 from lightsim.render.transport.sun import sun_visibility
+from lightsim.render.window import WindowFrame, seen_through
 
 SHADOW_ERROR_M = 0.25
 """Shadows that pictures show lie this close to where a reconstructed actor casts them."""
@@ -60,44 +64,124 @@ def parked_actor_meshes(log: DrivingLog, assets: SceneAssets) -> list[TriMesh]:
     ]
 
 
+@dataclass(frozen=True, eq=False)
+class Tracing:
+    """How the rays of frames are traced.
+
+    Args:
+        config: of the rays.
+        seed: of their directions.
+        faces: the static ones that they have met.
+        is_sampled: light is the mean over `config.pixel_samples` points of each pixel, with
+            reflections.
+        recorded_sun: light of this sun takes its visibility as the twin found it; None: every
+            sun's is rendered.
+    """
+
+    config: TransportConfig
+    seed: int
+    faces: FaceTable
+    is_sampled: bool = False
+    recorded_sun: Sun | None = None
+
+
 class TransportFrame:
-    """A frame whose rays are traced: light under any sky is a few sums away.
+    """A frame whose rays are traced once, when light is first asked for: any sky is a few sums
+    away.
 
     Args:
         view: the frame and its camera.
-        buffers: geometry, with ambient occlusion.
+        geometry: its buffers, with ambient occlusion 1.
         scene: the scene at the frame's time.
-        table: its rays.
-        config: of the rays.
-        recorded_sun: light of this sun takes its visibility as the twin found it; None: every
-            sun's is rendered.
+        tracing: of the rays.
+        is_wanted: pixels that anything is asked about; `geometry` shows no surface elsewhere.
+            None: all.
+        actor_faces: of the scene, with what rays have met already.
     """
 
     def __init__(
         self,
         view: tuple[CameraFrame, PinholeCamera],
-        buffers: GBuffers,
+        geometry: GBuffers,
         scene: FrameScene,
-        table: TransportMatrix,
-        config: TransportConfig,
-        recorded_sun: Sun | None = None,
+        tracing: Tracing,
+        is_wanted: Bool[np.ndarray, "h w"] | None = None,
+        actor_faces: FaceTable | None = None,
     ) -> None:
-        self.buffers = buffers
-        self._view = view
+        self.geometry = geometry
+        self.view = view
         self._scene = scene
-        self._table = table
-        self._config = config
-        self._recorded_sun = recorded_sun
+        self._tracing = tracing
+        self._config = tracing.config
+        self._is_wanted = is_wanted
+        self._actor_faces = actor_faces or actor_face_table(scene, tracing.config)
         self._last: tuple[SkyDome | EnvironmentCells, ShadowBuffers] | None = None
+
+    @cached_property
+    def _table(self) -> TransportMatrix:
+        frame, camera = self.view
+        samples = None
+        if self._tracing.is_sampled:
+            samples = render_samples(
+                self._scene, camera, frame, self.geometry, self._config, self._is_wanted
+            )
+        corner_px = frame.corner_px if isinstance(frame, WindowFrame) else (0, 0)
+        tracing = self._tracing
+        return trace_transport(
+            self._scene,
+            self.geometry,
+            tracing.config,
+            tracing.seed,
+            tracing.faces,
+            samples,
+            corner_px,
+            self._actor_faces,
+        )
+
+    @property
+    def buffers(self) -> GBuffers:
+        """Geometry, with ambient occlusion."""
+        return with_ambient_occlusion(self.geometry, self._table.ambient_occlusion)
+
+    def part(self, window: Window, is_wanted: Bool[np.ndarray, "h w"]) -> TransportFrame:
+        """Some pixels of a window of the picture as a frame of its own, which is traced for
+        itself.
+
+        Args:
+            is_wanted: within the window.
+        """
+        geometry = self.geometry.part(window).within(is_wanted)
+        view = seen_through(*self.view, window)
+        return self._with(view, geometry, self._tracing, is_wanted)
+
+    def traced_as(self, tracing: Tracing) -> TransportFrame:
+        """The same pixels, whose rays are traced otherwise; faces that they meet are not."""
+        return self._with(self.view, self.geometry, tracing, self._is_wanted)
+
+    def diffuse_once(self) -> TransportFrame:
+        """The same pixels with one bounce and no reflections: fewer rays, for a first look."""
+        config = replace(self._config, bounces=1, glossy_rays=0)
+        return self.traced_as(replace(self._tracing, config=config))
+
+    def _with(
+        self,
+        view: tuple[CameraFrame, PinholeCamera],
+        geometry: GBuffers,
+        tracing: Tracing,
+        is_wanted: Bool[np.ndarray, "h w"] | None,
+    ) -> TransportFrame:
+        """Another view of the scene."""
+        faces = self._actor_faces
+        return TransportFrame(view, geometry, self._scene, tracing, is_wanted, faces)
 
     def light(self, sky: SkyDome | EnvironmentCells) -> ShadowBuffers:
         """Irradiance / pi of the pixels under a sky; that of the last sky object is kept."""
         if self._last is None or self._last[0] is not sky:
             self._last = None
-            lit = light(self._table, self._scene, self.buffers, sky, self._config)
-            if sky.sun is not None and _is_same_sun(sky.sun, self._recorded_sun):
+            lit = light(self._table, self._scene, self.geometry, sky, self._config)
+            if sky.sun is not None and _is_same_sun(sky.sun, self._tracing.recorded_sun):
                 found = self.found_visibility(sky.sun)
-                lit = with_found_visibility(lit, self.buffers, sky.sun, found)
+                lit = with_found_visibility(lit, self.geometry, sky.sun, found)
             self._last = (sky, lit)
         return self._last[1]
 
@@ -108,7 +192,7 @@ class TransportFrame:
         Args:
             sun: under which the log was recorded.
         """
-        buffers = self.buffers
+        buffers = self.geometry
         if buffers.found_visibility is None or sun is None:
             return None
         # What never moves casts its shadow in the visibility already.
@@ -133,9 +217,9 @@ class TransportFrame:
     ) -> Float32[np.ndarray, "h w"]:
         """Fraction of the sun's disc that the surfaces would see if only these actors stood before
         it; 1 where there is no surface, or where it turns away from the sun."""
-        buffers = self.buffers
+        buffers = self.geometry
         past = np.ones(buffers.depth_z_m.shape, dtype=np.float32)
-        meshes = placed_meshes(placements, self._view[0].time_ns)
+        meshes = placed_meshes(placements, self.view[0].time_ns)
         if not meshes:
             return past
         caster = make_embree_caster(grown(meshes, grown_m) if grown_m else meshes)
@@ -147,12 +231,12 @@ class TransportFrame:
 
     def coverage(self, numbers: Collection[int]) -> Float32[np.ndarray, "h w"]:
         """Fraction of each pixel that shows one of these actors, by their numbers."""
-        return actor_coverage(self._scene, *self._view, self.buffers, numbers)
+        return actor_coverage(self._scene, *self.view, self.geometry, numbers)
 
     def image(self, sky: EnvironmentCells) -> Float32[np.ndarray, "h w 3"]:
         """Radiance: anti-aliased and with reflections where the renderer looks at samples of
         pixels; the sky behind."""
-        return scene_image(self.buffers, self.light(sky), visible_sky(sky, *self._view))
+        return scene_image(self.geometry, self.light(sky), visible_sky(sky, *self.view))
 
 
 def _is_same_sun(sun: Sun, recorded: Sun | None) -> bool:
@@ -204,24 +288,22 @@ class FrameRenderer:
             make_caster=make_caster,
         )
         self._make_caster = make_caster
-        self._is_sampled = is_sampled
-        self._transport = transport
-        self._seed = seed
-        self._recorded_sun = recorded_sun
-        self._faces: FaceTable = static_face_table(without_actors(self._static), transport, seed)
+        faces = static_face_table(without_actors(self._static), transport, seed)
+        self._tracing = Tracing(transport, seed, faces, is_sampled, recorded_sun)
 
     def sampled(
         self, pixel_samples: int, recorded_sun: Sun | None, sun_rays: int | None = None
     ) -> FrameRenderer:
         """A renderer of anti-aliased images of the same twin, which shares all that is static."""
         other = copy(self)
-        other._is_sampled = True
-        other._transport = replace(
-            self._transport,
+        transport = replace(
+            self._tracing.config,
             pixel_samples=pixel_samples,
-            sun_rays=sun_rays or self._transport.sun_rays,
+            sun_rays=sun_rays or self._tracing.config.sun_rays,
         )
-        other._recorded_sun = recorded_sun
+        other._tracing = replace(
+            self._tracing, config=transport, is_sampled=True, recorded_sun=recorded_sun
+        )
         return other
 
     def prepare(self, sky: SkyDome, behind: SkyDome | None = None) -> EnvironmentCells:
@@ -243,12 +325,25 @@ class FrameRenderer:
         """Geometry and the light transport matrix of a frame: all that does not depend on the
         sky."""
         scene = self.scene(scenario, frame.time_ns)
-        buffers = render_gbuffers(scene, camera, frame)
-        config = self._transport
-        samples = (
-            render_samples(scene, camera, frame, buffers, config) if self._is_sampled else None
-        )
-        table = trace_transport(scene, buffers, config, self._seed, self._faces, samples)
-        buffers = with_ambient_occlusion(buffers, table.ambient_occlusion)
-        view = (frame, camera)
-        return TransportFrame(view, buffers, scene, table, config, self._recorded_sun)
+        geometry = render_gbuffers(scene, camera, frame)
+        return TransportFrame((frame, camera), geometry, scene, self._tracing)
+
+    def trace_beside(
+        self, known: TransportFrame, scenario: Scenario, changed: Sequence[ActorPlacement]
+    ) -> TransportFrame:
+        """The same view of another scenario.
+
+        Args:
+            changed: actors that are not where they are in the known one, and where they are there.
+        """
+        frame, camera = known.view
+        scene = self.scene(scenario, frame.time_ns)
+        rays = frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))
+        caster = self._make_caster(placed_meshes(changed, frame.time_ns))
+        differs = np.flatnonzero(caster.is_occluded(*rays))
+        geometry = render_gbuffers(scene, camera, frame, (known.geometry, differs))
+        return TransportFrame(known.view, geometry, scene, self._tracing)
+
+    def retrace(self, seen: TransportFrame) -> TransportFrame:
+        """A frame of another renderer of the same twin, traced as this one does."""
+        return seen.traced_as(self._tracing)

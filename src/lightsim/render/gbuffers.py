@@ -25,6 +25,7 @@ def render_gbuffers(
     scene: FrameScene,
     camera: PinholeCamera,
     view: CameraFrame | RigidTransform,
+    known: tuple[GBuffers, Int64[np.ndarray, " k"]] | None = None,
 ) -> GBuffers:
     """Depth, position, normal, base colour and actor of every pixel (paper, Sec. 3.3).
 
@@ -32,49 +33,65 @@ def render_gbuffers(
     Normals are interpolated between vertices and face the camera. Ambient occlusion is 1:
     `trace_transport` measures it from the rays it traces, see `with_ambient_occlusion`.
 
+    Args:
+        known: buffers of another scene from there, and the (flat) pixels that differ.
+
     Raises:
         FrameMismatchError: the pose does not map `camera` to `world`.
     """
     height, width = camera.height_px, camera.width_px
-    lifted, towards = (np.zeros((height, width, 3), dtype=np.float32) for _ in range(2))
-    material = np.zeros((height, width, 2), dtype=np.float32)
-    found = np.full((height, width), np.nan, dtype=np.float32)
-    is_found = any(mesh.sun_visibility is not None for mesh in scene.camera_meshes)
-    out = replace(
-        _empty(height, width),
-        offset_world=lifted,
-        towards_camera_world=towards,
-        material=material,
-        found_visibility=found if is_found else None,
-    )
-    centres = camera.pixel_centres()
-    band = max(1, BAND_RAYS // width)
-    for start in range(0, height, band):
-        rows = slice(start, start + band)
-        seen = see(scene, camera, view, centres[rows].reshape(-1, 2))
-        index = start * width + seen.rows
-        out.depth_z_m.reshape(-1)[index] = seen.depth_z_m
-        out.position_world.reshape(-1, 3)[index] = seen.position_world
-        out.normal_world.reshape(-1, 3)[index] = seen.normal_world
-        out.base_colour.reshape(-1, 3)[index] = seen.base_colour
-        lifted.reshape(-1, 3)[index] = seen.offset_world
-        towards.reshape(-1, 3)[index] = seen.towards_camera
-        material.reshape(-1, 2)[index] = surface_material(scene, seen.hits)
-        if is_found:
-            found.reshape(-1)[index] = _found_visibility(scene, seen.hits)
-        out.actor_index.reshape(-1)[index] = scene.actor_index[seen.hits.mesh_index]
+    if known is None:
+        out, pixels = _empty(height, width), np.arange(height * width)
+    else:
+        pixels = known[1]
+        mask = np.ones((height, width), dtype=bool)
+        mask.reshape(-1)[pixels] = False
+        out = known[0].within(mask)
+    if out.found_visibility is None and _is_any_found(scene):
+        out = replace(out, found_visibility=np.full((height, width), np.nan, dtype=np.float32))
+    centres = camera.pixel_centres().reshape(-1, 2)
+    for start in range(0, len(pixels), BAND_RAYS):
+        band = pixels[start : start + BAND_RAYS]
+        seen = see(scene, camera, view, centres[band])
+        index = band[seen.rows]
+        values = {
+            "depth_z_m": seen.depth_z_m,
+            "position_world": seen.position_world,
+            "normal_world": seen.normal_world,
+            "base_colour": seen.base_colour,
+            "offset_world": seen.offset_world,
+            "towards_camera_world": seen.towards_camera,
+            "material": surface_material(scene, seen.hits),
+            "actor_index": scene.actor_index[seen.hits.mesh_index],
+        }
+        if out.found_visibility is not None:
+            values["found_visibility"] = _found_visibility(scene, seen.hits)
+        for name, found in values.items():
+            array = getattr(out, name)
+            array.reshape(-1, *array.shape[2:])[index] = found
     return out
+
+
+def _is_any_found(scene: FrameScene) -> bool:
+    return any(mesh.sun_visibility is not None for mesh in scene.camera_meshes)
 
 
 def _empty(height: int, width: int) -> GBuffers:
     """Buffers in which no pixel shows a surface."""
+
+    def zeros(channels: int) -> Float32[np.ndarray, "h w c"]:
+        return np.zeros((height, width, channels), dtype=np.float32)
+
     return GBuffers(
         np.full((height, width), np.inf, dtype=np.float32),
-        np.zeros((height, width, 3), dtype=np.float32),
-        np.zeros((height, width, 3), dtype=np.float32),
-        np.zeros((height, width, 3), dtype=np.float32),
+        zeros(3),
+        zeros(3),
+        zeros(3),
         np.ones((height, width), dtype=np.float32),
         np.full((height, width), NO_SURFACE, dtype=np.int32),
+        zeros(3),
+        zeros(3),
+        zeros(2),
     )
 
 

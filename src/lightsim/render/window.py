@@ -30,8 +30,11 @@ class WindowFrame(CameraFrame):
 def seen_through(
     frame: CameraFrame, camera: PinholeCamera, window: Window
 ) -> tuple[WindowFrame, PinholeCamera]:
-    """The frame and the camera of a window of its picture."""
+    """The frame and the camera of a window of its picture, which may be a window itself."""
     rows, columns = window
+    whole, (left, top) = camera, (0, 0)
+    if isinstance(frame, WindowFrame):
+        whole, (left, top) = frame.whole, frame.corner_px
     values = {f.name: getattr(frame, f.name) for f in fields(CameraFrame)}
     part = replace(
         camera,
@@ -40,4 +43,5 @@ def seen_through(
         cx=camera.cx - columns.start,
         cy=camera.cy - rows.start,
     )
-    return WindowFrame(**values, whole=camera, corner_px=(columns.start, rows.start)), part
+    corner_px = left + columns.start, top + rows.start
+    return WindowFrame(**values, whole=whole, corner_px=corner_px), part

@@ -25,7 +25,7 @@ def write_labels(folder: Path, scenario: Scenario, result: RelitFrame) -> None:
     the picture differs from the recorded one under the same sky); of a camera that stands elsewhere
     .observed.png, too (white where recorded pictures show what it sees)."""
     assert result.traced is not None
-    frame, buffers = result.frame, result.traced.buffers
+    frame, buffers = result.frame, result.traced.geometry
     stem = folder / "labels" / frame.camera_name / frame.stem
     stem.parent.mkdir(parents=True, exist_ok=True)
     shown = np.maximum(buffers.actor_index, -1) + 1

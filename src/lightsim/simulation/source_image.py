@@ -8,6 +8,7 @@ from zlib import crc32
 
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
+from scipy.ndimage import binary_dilation
 
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.colour import linear_from_srgb8, luminance, srgb8_from_linear
@@ -20,7 +21,7 @@ from lightsim.core.scenario import (
     changed_placements,
 )
 from lightsim.core.sensors import CameraFrame
-from lightsim.core.window import window_around
+from lightsim.core.window import Window, window_around
 from lightsim.pipeline.workspace import Workspace
 from lightsim.relighting.physical.actor_layer import (
     ActorLayer,
@@ -41,6 +42,7 @@ from lightsim.render.frame_renderer import (
 from lightsim.render.transport.sky import EnvironmentCells
 from lightsim.render.window import seen_through
 from lightsim.simulation.camera_looks import CameraLooks, motion_in_picture
+from lightsim.simulation.edit_window import edit_window, put_into
 from lightsim.simulation.novel_views import NovelViews
 
 _PIXEL_SAMPLES = 4
@@ -133,12 +135,17 @@ class SourceImages:
         if changed is None and frame.source != "rendered":
             return image
         assert traced is not None
-        before = traced if changed is None else self._before(frame)
+        before = traced
+        if changed is not None and self._recorded is not None:
+            everybody = changed[0] + changed[1]
+            before = self._renderer.trace_beside(traced, self._recorded, everybody)
         if frame.source == "rendered":
             image = self._from_elsewhere(frame, before, image)
         if changed is None:
             return image
-        edited = edited_image(self._inputs(frame, scenario, (before, traced), image, changed))
+        edited = self._edited(frame, scenario, (before, traced), image, changed)
+        if edited is None:
+            return image
         gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
         radiance = self._with_noise(edited, gain, frame)
         made = srgb8_from_linear(radiance * gain)
@@ -151,47 +158,69 @@ class SourceImages:
             image.is_observed,
         )
 
-    def _before(self, frame: CameraFrame) -> TransportFrame:
-        """The frame in the log as it was."""
-        assert self._recorded is not None
-        return self._renderer.trace(self._recorded, frame, self._log.cameras[frame.camera_name])
-
-    def _inputs(
+    def _edited(
         self,
         frame: CameraFrame,
         scenario: Scenario,
         views: tuple[TransportFrame, TransportFrame],
         image: SourceImage,
         changed: _Changed,
+    ) -> EditedImage | None:
+        """The edited picture, of which only what the edits reach is traced; None: they reach
+        nothing."""
+        assert self._recorded is not None
+        numbers = _numbers(self._recorded, changed[0]), _numbers(scenario, changed[1])
+        layer = self._layer_of(changed[1], frame, scenario, views[1], image)
+        found = edit_window(views, changed, numbers, layer.coverage > 0, self._sky)
+        if found is None:
+            return None
+        before, after = (view.part(found.window, found.is_reached) for view in views)
+        inputs = self._inputs(frame, (before, after), image, changed, layer, found.window)
+        return put_into(_unedited(image), edited_image(inputs), found.window)
+
+    def _inputs(
+        self,
+        frame: CameraFrame,
+        views: tuple[TransportFrame, TransportFrame],
+        image: SourceImage,
+        changed: _Changed,
+        layer: ActorLayer,
+        window: Window,
     ) -> EditInputs:
-        """The frame in the log and in the scenario, under the source sky."""
+        """A window of the frame in the log and in the scenario, under the source sky.
+
+        Args:
+            views: of the window.
+            image, layer: of the whole picture.
+        """
         assert self._recorded is not None
         camera = self._log.cameras[frame.camera_name]
         (before, traced), (gone, new), sun = views, changed, self._sky.sun
         light = before.light(self._sky)
-        everything = np.ones_like(image.sky_matte)
+        everything = np.ones_like(image.sky_matte[window])
         return EditInputs(
             recorded=RelightInputs(
-                radiance=image.radiance,
-                is_clipped=image.is_clipped,
-                sky_matte=image.sky_matte,
-                buffers=before.buffers,
+                radiance=image.radiance[window],
+                is_clipped=image.is_clipped[window],
+                sky_matte=image.sky_matte[window],
+                buffers=before.geometry,
                 source=light,
                 target=light,
-                target_sky=image.radiance,
+                target_sky=image.radiance[window],
                 source_sun=sun,
                 target_sun=sun,
                 found_visibility=before.found_visibility(sun),
+                picture_width_px=camera.width_px,
             ),
-            buffers=traced.buffers,
+            buffers=traced.geometry,
             light=traced.light(self._sky),
             found_visibility=traced.found_visibility(sun),
-            sky=visible_sky(self._sky, frame, camera),
+            sky=visible_sky(self._sky, *seen_through(frame, camera, window)),
             gone=before.coverage(_numbers(self._recorded, gone)),
-            new=self._layer_of(new, frame, scenario, traced, image),
+            new=layer.part(window),
             past_gone=before.sun_past(gone, sun, SHADOW_ERROR_M) if sun else everything,
             past_new=before.sun_past(new, sun) if sun else everything,
-            is_fixed=self._ego_vehicle(camera),
+            is_fixed=self._ego_vehicle(camera)[window],
             focal_px=camera.fx,
             look=self._looks.of(camera),
             gain=self._workspace.twin.assets.camera_gains[camera.name],
@@ -203,7 +232,7 @@ class SourceImages:
         """The street without edits from where no camera stood: from the log's pictures, and from
         the twin what none of them shows. The ego vehicle's own parts move with the camera."""
         assert self._novel is not None
-        view = self._novel.of(frame, before.buffers, before.image(self._sky))
+        view = self._novel.of(frame, before.geometry, before.image(self._sky))
         is_fixed = self._ego_vehicle(self._log.cameras[frame.camera_name])
         radiance = np.where(is_fixed[..., None], recorded.radiance, view.radiance)
         gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
@@ -233,18 +262,19 @@ class SourceImages:
         if not covered.any():
             return layer
         codes = image.srgb8.astype(np.float32) / 255
-        is_new = np.isin(traced.buffers.actor_index, numbers)
-        hidden = hidden_by_picture(codes, traced.buffers, is_new, camera.fx)
-        window = window_around(covered > 0, _MARGIN_PX)
-        view, part = seen_through(frame, camera, window)
-        rendered = self._actors.trace(scenario, view, part).image(self._sky)
-        found = cut_out(rendered, covered[window])
+        is_new = np.isin(traced.geometry.actor_index, numbers)
+        hidden = hidden_by_picture(codes, traced.geometry, is_new, camera.fx)
+        near = np.asarray(binary_dilation(covered > 0, iterations=_MARGIN_PX), dtype=bool)
+        window = window_around(near, 0)
+        part = self._actors.retrace(traced.part(window, near[window]))
+        rendered = part.image(self._sky)
+        found = cut_out(rendered, covered[window], near[window])
         seen = 1 - hidden[window]
         layer.radiance[window] = seen[..., None] * found.radiance
         layer.coverage[window] = seen * found.coverage
         ego = self._log.ego if scenario.ego is None else scenario.ego
         motion_px = motion_in_picture(
-            scenario, (frame, camera), ego, traced.buffers, numbers, self._exposure_s
+            scenario, (frame, camera), ego, traced.geometry, numbers, self._exposure_s
         )
         return photographed(layer, self._looks.of(camera), motion_px)
 
@@ -297,6 +327,12 @@ class SourceImages:
         if sun is None or sun.direction_world[2] <= 0:
             return None
         return sun.direction_world.astype(np.float32)
+
+
+def _unedited(image: SourceImage) -> EditedImage:
+    nothing = np.zeros_like(image.sky_matte)
+    is_edited = np.zeros_like(image.is_edited)
+    return EditedImage(image.radiance, is_edited, image.is_clipped, image.sky_matte, nothing)
 
 
 def _numbers(scenario: Scenario, placements: tuple[ActorPlacement, ...]) -> list[int]:

@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32
 from scipy import ndimage
 
 from lightsim.core.colour import linear_from_srgb, srgb_from_linear
-from lightsim.core.window import window_around
+from lightsim.core.window import Window, window_around
 from lightsim.relighting.physical.camera_look import (
     CameraLook,
     blur_reach_px,
@@ -40,6 +40,10 @@ class ActorLayer:
 
     radiance: Float32[np.ndarray, "h w 3"]
     coverage: Float32[np.ndarray, "h w"]
+
+    def part(self, window: Window) -> ActorLayer:
+        """A window of the picture."""
+        return ActorLayer(self.radiance[window], self.coverage[window])
 
     def over(
         self,
@@ -75,11 +79,17 @@ def empty_layer(height_px: int, width_px: int) -> ActorLayer:
 
 
 def cut_out(
-    rendered: Float32[np.ndarray, "h w 3"], coverage: Float32[np.ndarray, "h w"]
+    rendered: Float32[np.ndarray, "h w 3"],
+    coverage: Float32[np.ndarray, "h w"],
+    is_rendered: Bool[np.ndarray, "h w"],
 ) -> ActorLayer:
-    """Actors of a rendered picture: at their edges the part that is background is taken out."""
+    """Actors of a rendered picture: at their edges the part that is background is taken out.
+
+    Args:
+        is_rendered: pixels that the picture shows: those of actors, and some around.
+    """
     is_mixed = (coverage > 0) & (coverage < 1)
-    behind = fill_holes(rendered, coverage == 0)
+    behind = fill_holes(rendered, is_rendered & (coverage == 0))
     cover = coverage[..., None]
     actor = np.where(is_mixed[..., None], rendered - (1 - cover) * behind, cover * rendered)
     return ActorLayer(np.maximum(actor, 0.0).astype(np.float32), coverage)

@@ -140,7 +140,12 @@ def _light_before_and_after(inputs: EditInputs) -> tuple[ShadowBuffers, ShadowBu
         recorded.source, recorded.buffers, sun, recorded.found_visibility
     )
     shown = refine_sun_visibility(
-        recorded.radiance, recorded.buffers, believed, sun, recorded.sky_matte < 0.5
+        recorded.radiance,
+        recorded.buffers,
+        believed,
+        sun,
+        recorded.sky_matte < 0.5,
+        recorded.width_px,
     )
     after = with_found_visibility(inputs.light, inputs.buffers, sun, inputs.found_visibility)
     # What an actor hid is another surface: its own side in the shade tells nothing of that.
@@ -190,7 +195,7 @@ def _change(
     """0 where the light of a surface is what it was, to 1 where its change is seen."""
     ratio = (after.shaded + _DARKEST) / (before.shaded + _DARKEST)
     change = np.abs(np.log(ratio)).max(axis=-1)
-    radius = max(1, round(_STEADY_WIDTH * change.shape[1]))
+    radius = max(1, round(_STEADY_WIDTH * recorded.width_px))
     # Twice the mean: at the edge of a shadow half of the surroundings change.
     change = np.minimum(change, 2 * box_mean(change, radius))
     fraction = np.clip((change - _UNSEEN_CHANGE) / (_SEEN_CHANGE - _UNSEEN_CHANGE), 0.0, 1.0)
@@ -212,8 +217,8 @@ def _colour_match(
     log_match = np.log(recorded.radiance + _DARKEST) - np.log(rendered + _DARKEST)
     limit = np.float32(np.log(_MATCH_LIMIT))
     filled = fill_holes(np.clip(log_match, -limit, limit).astype(np.float32), is_known)
-    radius = max(1, round(_MATCH_WIDTH * recorded.radiance.shape[1] / 2))
-    smooth = box_mean(median_smoothed(filled, _MATCH_WIDTH), radius)
+    radius = max(1, round(_MATCH_WIDTH * recorded.width_px / 2))
+    smooth = box_mean(median_smoothed(filled, _MATCH_WIDTH, recorded.width_px), radius)
     return np.exp(smooth).astype(np.float32)
 
 

@@ -65,24 +65,41 @@ def colour_guided_filter(
 
 
 def median_smoothed(
-    image: Float32[np.ndarray, "h w c"], width_fraction: float
+    image: Float32[np.ndarray, "h w c"], width_fraction: float, picture_width_px: int | None = None
 ) -> Float32[np.ndarray, "h w c"]:
-    """Median over squares of this fraction of the image's width: thin details go, edges of what is
-    larger stay. Wide images are filtered at a fraction of their size and brought up linearly."""
+    """Median over squares of this fraction of the picture's width: thin details go, edges of what
+    is larger stay. Wide pictures are filtered at a fraction of their size and brought up linearly.
+
+    Args:
+        image: the picture, or a window of it:
+        picture_width_px: of which picture.
+    """
     height, width, channels = image.shape
-    step = -(-width // _MEDIAN_AT_PX)
+    picture_width = picture_width_px or width
+    step = -(-picture_width // _MEDIAN_AT_PX)
     padded = np.pad(image, ((0, -height % step), (0, -width % step), (0, 0)), mode="edge")
     rows, columns = padded.shape[0] // step, padded.shape[1] // step
     small = padded.reshape(rows, step, columns, step, channels).mean(axis=(1, 3))
-    size = 2 * round(width_fraction * columns / 2) + 1
-    calm = np.stack(
-        [ndimage.median_filter(small[..., c], size, mode="nearest") for c in range(channels)],
-        axis=-1,
-    )
+    size = 2 * round(width_fraction * -(-picture_width // step) / 2) + 1
+    calm = np.stack([median(small[..., c], size) for c in range(channels)], axis=-1)
     if step == 1:
         return calm
     up = ndimage.zoom(calm, (step, step, 1), order=1, mode="nearest", grid_mode=True)
     return np.ascontiguousarray(up[:height, :width]).astype(np.float32)
+
+
+def median(image: Float32[np.ndarray, "h w"], size_px: int) -> Float32[np.ndarray, "h w"]:
+    """Median over squares of an odd number of pixels, edges repeated: what
+    `scipy.ndimage.median_filter` gives, which sorts anew for every pixel."""
+    from lightsim.relighting.physical.median_kernels import rank_medians
+
+    order = np.argsort(image, axis=None, kind="stable")
+    ranks = np.empty(image.size, dtype=np.int32)
+    ranks[order] = np.arange(image.size, dtype=np.int32)
+    padded = np.pad(ranks.reshape(image.shape), size_px // 2, mode="edge")
+    out = np.empty_like(image)
+    rank_medians(padded, size_px, image.reshape(-1)[order], out)
+    return out
 
 
 def fill_holes(

@@ -68,6 +68,8 @@ class RelightInputs:
         target_sun: the sun of the target sky, if it has one.
         found_visibility: of the source's sun, as all pictures together show it; NaN where they
             show none, and the rendered one holds.
+        picture_width_px: of the picture that these arrays are a window of; None: they are all of
+            it.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]
@@ -80,6 +82,12 @@ class RelightInputs:
     source_sun: Sun | None = None
     target_sun: Sun | None = None
     found_visibility: Float32[np.ndarray, "h w"] | None = None
+    picture_width_px: int | None = None
+
+    @property
+    def width_px(self) -> int:
+        """Of the whole picture: filters are as wide as a part of it."""
+        return self.picture_width_px or self.radiance.shape[1]
 
     def __post_init__(self) -> None:
         size = self.radiance.shape[:2]
@@ -130,9 +138,11 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
     is_surface = inputs.buffers.has_surface & (inputs.sky_matte < 0.5)
     is_surface &= ~_is_enclosed(foreground, inputs.source, is_surface, config)
     log_ratio = _log_light_ratio(source, target, is_surface, config)
-    ratio = np.exp(_without_relief(log_ratio, inputs.buffers))
+    ratio = np.exp(_without_relief(log_ratio, inputs.buffers, inputs.width_px))
     foreground = denoised_where_amplified(foreground, ratio.max(axis=-1))
-    diffuse, reflected = _exchanged_reflections(foreground, source, target, is_surface)
+    diffuse, reflected = _exchanged_reflections(
+        foreground, source, target, is_surface, inputs.width_px
+    )
     relit = _relit_surface(diffuse, ratio, inputs, target, is_surface, config) + reflected
     return composite(relit, inputs.target_sky, inputs.sky_matte)
 
@@ -150,6 +160,7 @@ def _refined(inputs: RelightInputs) -> tuple[ShadowBuffers, ShadowBuffers]:
         believed,
         sun,
         inputs.sky_matte < 0.5,
+        inputs.width_px,
     )
     sunlight = unoccluded_sun(inputs.buffers, inputs.source, sun)
     source = with_sun_visibility(inputs.source, sunlight, visibility)
@@ -185,11 +196,12 @@ def _is_enclosed(
 
 
 def _without_relief(
-    log_ratio: Float32[np.ndarray, "h w 3"], buffers: GBuffers
+    log_ratio: Float32[np.ndarray, "h w 3"], buffers: GBuffers, width_px: int
 ) -> Float32[np.ndarray, "h w 3"]:
     """The light's change without thin details, which meshes only guess."""
     is_level = np.abs(buffers.normal_world[..., 2]) > _LEVEL
-    level, upright = (median_smoothed(log_ratio, d) for d in (_LEVEL_DETAIL, _UPRIGHT_DETAIL))
+    details = _LEVEL_DETAIL, _UPRIGHT_DETAIL
+    level, upright = (median_smoothed(log_ratio, detail, width_px) for detail in details)
     return np.where(is_level[..., None], level, upright)
 
 
@@ -221,12 +233,13 @@ def _exchanged_reflections(
     source: ShadowBuffers,
     target: ShadowBuffers,
     is_surface: Bool[np.ndarray, "h w"],
+    width_px: int,
 ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:
     """The picture without what its surfaces reflect of the source, and what they reflect of the
     target. Where the model reflects more than the picture can hold, part of it is believed, and the
     same part of the target's."""
     before, after = (
-        median_smoothed(light.reflected, _REFLECTION_DETAIL) for light in (source, target)
+        median_smoothed(light.reflected, _REFLECTION_DETAIL, width_px) for light in (source, target)
     )
     held = np.where(is_surface[..., None], before, 0.0)
     most = np.float32(_MOST_REFLECTED) * foreground
@@ -258,7 +271,7 @@ def _relit_surface(
     mixed = weight * by_ratio + (1 - weight) * by_model
     floor = np.float32(config.darkest_fraction) * _median_light(target.shaded, is_surface) + 1e-8
     correction = np.log(np.maximum(mixed, 0) + floor) - np.log(np.maximum(by_ratio, 0) + floor)
-    smooth = median_smoothed(correction.astype(np.float32), _CORRECTION_DETAIL)
+    smooth = median_smoothed(correction.astype(np.float32), _CORRECTION_DETAIL, inputs.width_px)
     detailed = (np.maximum(by_ratio, 0) + floor) * np.exp(smooth) - floor
     is_told = is_surface & ~inputs.is_clipped
     return np.where(is_told[..., None], np.maximum(detailed, 0), mixed).astype(np.float32)

@@ -52,6 +52,7 @@ def refine_sun_visibility(
     shadows: ShadowBuffers,
     sun: Sun,
     is_usable: Bool[np.ndarray, "h w"],
+    width_px: int | None = None,
 ) -> Float32[np.ndarray, "h w"]:
     """Sun visibility in [0, 1] that agrees with the image; as rendered where it cannot be told.
 
@@ -59,7 +60,9 @@ def refine_sun_visibility(
         radiance: the image in scene units.
         shadows: the rendered light of the image's own sky.
         is_usable: pixels with a surface that are neither sky nor clipped.
+        width_px: of the picture, where all this is a window of it.
     """
+    width = width_px or radiance.shape[1]
     colour = np.maximum(buffers.base_colour, np.float32(0.02))
     # Reflections count as light that a diffuse surface of this colour would need.
     by_sun = shadows.sun_visibility[..., None] * shadows.reflected_sun
@@ -73,8 +76,8 @@ def refine_sun_visibility(
     prior = _prior_logit(shadows.sun_visibility, buffers, is_open)
     residual = np.log(np.maximum(radiance, _DARKEST)) - np.log(colour * ambient)
     step = np.log1p(sunlight / ambient)
-    visibility = _infer(residual, step, prior, luminance(radiance), is_open)
-    fraction = is_open * _changed_fraction(visibility, shadows.sun_visibility)
+    visibility = _infer((residual, step), prior, luminance(radiance), is_open, width)
+    fraction = is_open * _changed_fraction(visibility, shadows.sun_visibility, width)
     rendered = shadows.sun_visibility
     return np.where(fraction > 0, rendered + fraction * (visibility - rendered), rendered)
 
@@ -82,10 +85,11 @@ def refine_sun_visibility(
 def _changed_fraction(
     visibility: Float32[np.ndarray, "h w"],
     rendered: Float32[np.ndarray, "h w"],
+    width_px: int,
 ) -> Float32[np.ndarray, "h w"]:
     """1 where lit and shadowed are exchanged, fading to 0 beside: elsewhere rendered edges are
     sharper than found ones. Specks are left out."""
-    smallest = max(2, round(rendered.shape[1] * _SMALLEST_FRACTION))
+    smallest = max(2, round(width_px * _SMALLEST_FRACTION))
     is_changed = (visibility > 0.5) != (rendered > 0.5)
     is_changed = ndimage.binary_opening(is_changed, np.ones((smallest, smallest)))
     grown = np.asarray(ndimage.binary_dilation(is_changed, np.ones((3, 3))))
@@ -93,19 +97,18 @@ def _changed_fraction(
 
 
 def _infer(
-    residual: Float32[np.ndarray, "h w 3"],
-    step: Float32[np.ndarray, "h w 3"],
+    look: tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]],
     prior: Float32[np.ndarray, "h w"],
     brightness: Float32[np.ndarray, "h w"],
     is_open: Bool[np.ndarray, "h w"],
+    width_px: int,
 ) -> Float32[np.ndarray, "h w"]:
-    """Mean-field inference: `residual` is log(image / unlit model), `step` what sun adds to it."""
-    width = residual.shape[1]
-    near = max(1, round(width * _NEIGHBOURHOOD_FRACTION))
+    """Mean-field inference: `look` is log(image / unlit model), and what sun adds to it."""
+    near = max(1, round(width_px * _NEIGHBOURHOOD_FRACTION))
     weight = is_open.astype(np.float32)
     guide = np.log(np.maximum(brightness, _DARKEST)).astype(np.float32)
     # From the looks of each pixel on: the vote of a wide false shadow would never leave the prior.
-    own = prior + _image_logit(residual, step)
+    own = prior + _image_logit(*look)
     visibility = _sigmoid(own)
     for _ in range(_ITERATIONS):
         vote = guided_filter(guide, visibility, weight, near, 0.05)

@@ -113,6 +113,11 @@ def static_face_table(scene: FrameScene, config: TransportConfig, seed: int = 0)
     return FaceTable(scene.static.meshes, scene.static.caster, config, seed)
 
 
+def actor_face_table(scene: FrameScene, config: TransportConfig) -> FaceTable:
+    """The face table of a scene's actors, which see all of it."""
+    return FaceTable(scene.actors, scene.caster, config, seed=1)
+
+
 def trace_transport(
     scene: FrameScene,
     gbuffers: GBuffers,
@@ -120,6 +125,8 @@ def trace_transport(
     seed: int = 0,
     face_table: FaceTable | None = None,
     samples: PixelSamples | None = None,
+    corner_px: tuple[int, int] = (0, 0),
+    actor_faces: FaceTable | None = None,
 ) -> TransportMatrix:
     """Trace the light transport matrix of one frame.
 
@@ -127,11 +134,15 @@ def trace_transport(
         face_table: from `static_face_table` with the same config, shared by the frames of a
             log; without one it is made for this frame.
         samples: from `render.transport.samples`, for anti-aliased images and reflections.
+        corner_px: column and row of the first pixel in the whole picture, whose pattern of rays
+            holds for its parts.
+        actor_faces: from `actor_face_table`, shared by all that is traced of one scene.
     """
     rows, columns, index = _traced_pixels(gbuffers.has_surface, config.shading_step_px)
     positions = gbuffers.ray_starts_world[rows, columns]
     normals = gbuffers.normal_world[rows, columns]
-    shifts = pixel_shifts(rows, columns, config.shading_step_px, seed)
+    left, top = corner_px
+    shifts = pixel_shifts(rows + top, columns + left, config.shading_step_px, seed)
     finder = SideFinder(scene.caster)
     cells, sides = _trace(finder, positions, normals, shifts, config)
     glossy = reflections = None
@@ -143,7 +154,8 @@ def trace_transport(
         reflections = trace_lobes(finder, lobes, shifts, config.glossy_rays)
     static = face_table or static_face_table(scene, config)
     met = [sides, *(table.face_rows for table in (glossy, reflections) if table is not None)]
-    faces = _compact(met, scene, static, config)
+    tables = static, actor_faces or actor_face_table(scene, config)
+    faces = _compact(met, scene, tables, config)
     on_device = None
     if config.device != "cpu":
         cell_count = 2 * SKY_CELL_ROWS**2
@@ -221,7 +233,8 @@ def trace_points(
     if config.glossy_rays and surface.f0.any():
         reflections = trace_lobes(finder, surface, shifts, config.glossy_rays)
         met.append(reflections.face_rows)
-    faces = _compact(met, scene, face_table or static_face_table(scene, config), config)
+    tables = face_table or static_face_table(scene, config), actor_face_table(scene, config)
+    faces = _compact(met, scene, tables, config)
     return PointTransport(cells, sides, faces, None, reflections)
 
 
@@ -251,13 +264,13 @@ def _trace(
 def _compact(
     sides: Sequence[Int32[np.ndarray, "_ _"]],
     scene: FrameScene,
-    static: FaceTable,
+    tables: tuple[FaceTable, FaceTable],
     config: TransportConfig,
 ) -> FaceSamples:
     """Samples of the sides that occur in this frame; `sides` become rows of them, in place."""
     from lightsim.render.transport.kernels import UNLISTED, fill_unlisted, mark_rows, renumber
 
-    actors = FaceTable(scene.actors, scene.caster, config, seed=1)
+    static, actors = tables
     is_met = np.zeros(2 * sum(len(mesh.faces) for mesh in scene.meshes), dtype=np.bool_)
     for array in sides:
         mark_rows(array, is_met)

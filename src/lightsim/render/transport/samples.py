@@ -94,22 +94,23 @@ def render_samples(
     view: CameraFrame | RigidTransform,
     gbuffers: GBuffers,
     config: TransportConfig,
+    is_wanted: Bool[np.ndarray, "h w"] | None = None,
 ) -> PixelSamples:
-    """Look at `config.pixel_samples` points of every pixel.
+    """Look at `config.pixel_samples` points of every pixel, or of those that are wanted.
 
     Args:
         gbuffers: of the same view, to tell edges.
     """
     count = config.pixel_samples
-    width = camera.width_px
-    corners = camera.pixel_centres() - 0.5
+    corners = camera.pixel_centres().reshape(-1, 2) - 0.5
+    wanted = np.arange(len(corners)) if is_wanted is None else np.flatnonzero(is_wanted)
     offsets = sample_offsets(count)
-    band = max(1, BAND_RAYS // (width * count))
+    band = max(1, BAND_RAYS // count)
     gathered = _Gathered(gbuffers, count)
-    for start in range(0, camera.height_px, band):
-        uv = (corners[start : start + band, :, None] + offsets).reshape(-1, 2)
-        seen = see(scene, camera, view, uv)
-        gathered.add(scene, seen, slice(start * width, start * width + len(uv) // count), config)
+    for start in range(0, len(wanted), band):
+        pixels = wanted[start : start + band]
+        uv = (corners[pixels, None] + offsets).reshape(-1, 2)
+        gathered.add(scene, see(scene, camera, view, uv), pixels, config)
     return gathered.result()
 
 
@@ -139,26 +140,29 @@ class _Gathered:
         self._glossy: list[SurfacePoints] = []
 
     def add(
-        self, scene: FrameScene, seen: SeenSurfaces, band: slice, config: TransportConfig
+        self,
+        scene: FrameScene,
+        seen: SeenSurfaces,
+        pixels: Int64[np.ndarray, " p"],
+        config: TransportConfig,
     ) -> None:
-        """The samples of the pixels of `band`."""
-        pixels = band.stop - band.start
+        """The samples of these pixels."""
         local, number = np.divmod(seen.rows, self._per_pixel)
-        count = np.bincount(local, minlength=pixels)
+        count = np.bincount(local, minlength=len(pixels))
         for c in range(3):
-            total = np.bincount(local, seen.base_colour[:, c], minlength=pixels)
-            self._colour[band, c] = total / np.maximum(count, 1)
-        self._coverage[band] = count / self._per_pixel
-        is_edge = np.zeros(pixels, dtype=bool)
+            total = np.bincount(local, seen.base_colour[:, c], minlength=len(pixels))
+            self._colour[pixels, c] = total / np.maximum(count, 1)
+        self._coverage[pixels] = count / self._per_pixel
+        is_edge = np.zeros(len(pixels), dtype=bool)
         if self._per_pixel > 1:
             is_edge = (count > 0) & (count < self._per_pixel)
-            is_edge[local[_is_unlike(scene, seen, band.start + local, self._gbuffers)]] = True
+            is_edge[local[_is_unlike(scene, seen, pixels[local], self._gbuffers)]] = True
         roughness, metallic = surface_material(scene, seen.hits).T
         is_glossy = (roughness < MATTE_ROUGHNESS) & (config.glossy_rays > 0)
         for found, chosen in ((self._edges, is_edge[local]), (self._glossy, is_glossy)):
             points = _points(seen, np.flatnonzero(chosen), roughness, metallic)
             found.append(replace(points, rows=points.rows + self._total))
-        self._append(band.start + local, number, seen.offset_world)
+        self._append(pixels[local], number, seen.offset_world)
 
     def _append(
         self,

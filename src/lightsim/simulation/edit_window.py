@@ -1,0 +1,120 @@
+"""The part of a picture that edits may change: nothing else of an edited frame is traced."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32
+
+from lightsim.core.scenario import ActorPlacement
+from lightsim.core.window import Window, window_around
+from lightsim.relighting.physical.edited import EditedImage
+from lightsim.relighting.physical.filters import box_mean
+from lightsim.render.frame_renderer import TransportFrame
+from lightsim.render.reach import brought_up, may_be_shaded
+from lightsim.render.transport.sky import EnvironmentCells
+
+# Beside the outline of an actor this far, in metres and as a fraction of the picture's width,
+# pixels are looked at: its reconstruction ends too soon, and what it hid takes the colours of what
+# lies around (`relighting.physical.edited`).
+_OUTLINE_M, _OUTLINE_WIDTH = 0.25, 24 / 960
+# Filters of edited pixels look this far, as a fraction of the picture's width.
+_FILTERED_WIDTH = 24 / 960
+# Corners of windows are multiples of this: what is traced and filtered block by block, are the same
+# blocks as in the whole picture.
+_BLOCK_PX = 64
+# Light is looked at in one pixel of such blocks first. Of the mean change of the blocks around,
+# less than this is not seen (a half of what `relighting.physical.edited` takes for unseen).
+_PROBE_PX, _PROBE_RADIUS, _LEAST_CHANGE = 8, 2, 0.01
+_DARKEST = np.float32(1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class EditWindow:
+    """Where edits may change a picture.
+
+    Args:
+        window: of the picture.
+        is_reached: pixels of the window whose surface or light may change.
+    """
+
+    window: Window
+    is_reached: Bool[np.ndarray, "h w"]
+
+
+def edit_window(
+    views: tuple[TransportFrame, TransportFrame],
+    changed: tuple[tuple[ActorPlacement, ...], tuple[ActorPlacement, ...]],
+    numbers: tuple[list[int], list[int]],
+    is_covered: Bool[np.ndarray, "h w"],
+    sky: EnvironmentCells,
+) -> EditWindow | None:
+    """The window of a picture that edits may change; None where they change nothing.
+
+    Args:
+        views: the log and the scenario, seen by the camera.
+        changed: actors that are gone and actors that are new,
+        numbers: and their numbers in the views.
+        is_covered: pixels that new actors are put over, as far as they are blurred.
+        sky: the source's.
+    """
+    reached = _has_other_light(views, sky) | is_covered
+    sun = sky.sun if sky.sun is not None and sky.sun.direction_world[2] > 0 else None
+    for view, shown in zip(views, numbers, strict=True):
+        buffers, (frame, camera) = view.geometry, view.view
+        reached |= _around(np.isin(buffers.actor_index, shown), buffers.depth_z_m, camera.fx)
+        if sun is not None:
+            towards = sun.direction_world.astype(np.float32)
+            reached |= may_be_shaded(buffers, changed[0] + changed[1], frame.time_ns, towards)
+    if not reached.any():
+        return None
+    around = window_around(reached, round(_FILTERED_WIDTH * reached.shape[1]))
+    rows, columns = (_in_blocks(s, size) for s, size in zip(around, reached.shape, strict=True))
+    return EditWindow((rows, columns), reached[rows, columns])
+
+
+def _in_blocks(span: slice, size: int) -> slice:
+    return slice(
+        span.start - span.start % _BLOCK_PX, min(size, -(-span.stop // _BLOCK_PX) * _BLOCK_PX)
+    )
+
+
+def _has_other_light(
+    views: tuple[TransportFrame, TransportFrame], sky: EnvironmentCells
+) -> Bool[np.ndarray, "h w"]:
+    """Pixels whose light changes, by that of one in every block."""
+    shape = views[0].geometry.depth_z_m.shape
+    probes = (slice(_PROBE_PX // 2, None, _PROBE_PX),) * 2
+    is_probe = np.zeros(shape, dtype=bool)
+    is_probe[probes] = True
+    everything = slice(0, shape[0]), slice(0, shape[1])
+    lit = [view.part(everything, is_probe).diffuse_once().light(sky) for view in views]
+    before, after = (np.log(light.shaded[probes] + _DARKEST) for light in lit)
+    change = np.abs(after - before).max(axis=-1)
+    return brought_up(box_mean(change, _PROBE_RADIUS) > _LEAST_CHANGE, _PROBE_PX, shape)
+
+
+def _around(
+    is_shown: Bool[np.ndarray, "h w"], depth_z_m: Float32[np.ndarray, "h w"], focal_px: float
+) -> Bool[np.ndarray, "h w"]:
+    """Pixels that show actors, or may do so by what their reconstructions lack, and around."""
+    from scipy.ndimage import distance_transform_edt
+
+    if not is_shown.any():
+        return is_shown
+    found = distance_transform_edt(~is_shown, return_indices=True)
+    assert isinstance(found, tuple)
+    distance_px, nearest = found
+    # Wide holes take their colours from farther around.
+    inside_px = np.asarray(distance_transform_edt(is_shown)).max()
+    margin_px = _OUTLINE_WIDTH * is_shown.shape[1] + inside_px
+    return distance_px <= margin_px + focal_px * _OUTLINE_M / depth_z_m[tuple(nearest)]
+
+
+def put_into(recorded: EditedImage, made: EditedImage, window: Window) -> EditedImage:
+    """The recorded picture with what was made of a window of it."""
+    arrays = {name: array.copy() for name, array in vars(recorded).items()}
+    for name, array in arrays.items():
+        array[window] = getattr(made, name)
+    return EditedImage(**arrays)
