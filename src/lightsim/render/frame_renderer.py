@@ -41,7 +41,7 @@ from lightsim.render.transport.matrix import (
     static_face_table,
     trace_transport,
 )
-from lightsim.render.transport.samples import render_samples
+from lightsim.render.transport.samples import render_samples, sample_offsets
 from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
 from lightsim.render.transport.sun import sun_visibility
 
@@ -148,6 +148,11 @@ class TransportFrame:
     def coverage(self, numbers: Collection[int]) -> Float32[np.ndarray, "h w"]:
         """Fraction of each pixel that shows one of these actors, by their numbers."""
         return actor_coverage(self._scene, *self._view, self.buffers, numbers)
+
+    def sampled_coverage(self, numbers: Collection[int]) -> Float32[np.ndarray, "h w"]:
+        """The same by the samples of which `image` is the mean."""
+        offsets = sample_offsets(self._config.pixel_samples)
+        return actor_coverage(self._scene, *self._view, self.buffers, numbers, offsets)
 
     def image(self, sky: EnvironmentCells) -> Float32[np.ndarray, "h w 3"]:
         """Radiance: anti-aliased and with reflections where the renderer looks at samples of

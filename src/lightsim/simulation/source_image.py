@@ -237,8 +237,9 @@ class SourceImages:
         hidden = hidden_by_picture(codes, traced.buffers, is_new, camera.fx)
         window = window_around(covered > 0, _MARGIN_PX)
         view, part = seen_through(frame, camera, window)
-        rendered = self._actors.trace(scenario, view, part).image(self._sky)
-        found = cut_out(rendered, covered[window])
+        sampled = self._actors.trace(scenario, view, part)
+        fraction = sampled.sampled_coverage(numbers)
+        found = cut_out(sampled.image(self._sky), fraction, covered[window])
         seen = 1 - hidden[window]
         layer.radiance[window] = seen[..., None] * found.radiance
         layer.coverage[window] = seen * found.coverage
