@@ -216,7 +216,12 @@ class FrameRenderer:
         self._faces: FaceTable = static_face_table(without_actors(self._static), transport, seed)
 
     def sampled(
-        self, pixel_samples: int, recorded_sun: Sun | None, sun_rays: int | None = None
+        self,
+        pixel_samples: int,
+        recorded_sun: Sun | None,
+        *,
+        sun_rays: int | None = None,
+        glossy_rays: int | None = None,
     ) -> FrameRenderer:
         """A renderer of anti-aliased images of the same twin, which shares all that is static."""
         other = copy(self)
@@ -225,6 +230,7 @@ class FrameRenderer:
             self._transport,
             pixel_samples=pixel_samples,
             sun_rays=sun_rays or self._transport.sun_rays,
+            glossy_rays=glossy_rays or self._transport.glossy_rays,
         )
         other._recorded_sun = recorded_sun
         return other

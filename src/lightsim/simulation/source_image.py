@@ -47,6 +47,10 @@ _PIXEL_SAMPLES = 4
 """Of rendered actors; their edges are sampled more finely by their coverage."""
 _SUN_RAYS = 64
 """Of their pixels: with 4 the edge of a shadow that falls from far away is black and white dots."""
+_GLOSSY_RAYS = 32
+"""A pixel, of their reflections: with 8, dark panes of a car had grain of 2.3 codes (standard
+deviation beside the neighbours) where the camera sharpens, with these 1.0, for a fifth more time
+of the actors."""
 _CLIPPED = 254
 _MARGIN_PX = 4
 """Around new actors: what is behind them is known from there."""
@@ -109,7 +113,9 @@ class SourceImages:
         self._novel = None
         if recorded is not None:
             self._novel = NovelViews(workspace, log, recorded, renderer)
-        self._actors = renderer.sampled(_PIXEL_SAMPLES, sky.sun, _SUN_RAYS)
+        self._actors = renderer.sampled(
+            _PIXEL_SAMPLES, sky.sun, sun_rays=_SUN_RAYS, glossy_rays=_GLOSSY_RAYS
+        )
         self._looks = CameraLooks(log)
         self._exposure_s = exposure_s
         self._seed = seed
