@@ -43,8 +43,10 @@ from lightsim.render.window import seen_through
 from lightsim.simulation.camera_looks import CameraLooks, motion_in_picture
 from lightsim.simulation.novel_views import NovelViews
 
-_PIXEL_SAMPLES = 4
-"""Of rendered actors; their edges are sampled more finely by their coverage."""
+_PIXEL_SAMPLES = 16
+"""Of rendered actors: with 4, panes that mirror a street at a grazing angle are black and white
+dots once a camera that sharpens has seen them. For 16 the actors' window takes a twentieth more
+time and 0.4 kB more of each pixel."""
 _SUN_RAYS = 64
 """Of their pixels: with 4 the edge of a shadow that falls from far away is black and white dots."""
 _GLOSSY_RAYS = 32
