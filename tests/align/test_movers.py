@@ -85,3 +85,15 @@ def test_right_labels_and_walkers_stay() -> None:
     walker = replace(actor, kind=ActorKind.PEDESTRIAN)
     assert settle_moving((walker,), {"van": cloud}, None, AlignConfig(), rng) == []
     assert settle_moving((actor,), {}, None, AlignConfig(), rng) == []
+
+
+def test_labels_that_slide_in_a_sawtooth_become_a_drive() -> None:
+    """As PandaSet's do: ahead by 0.1 m more in each sweep, and back in the fifth."""
+    actor, cloud, true = drive(0.0, 0.0)
+    slide = np.tile(np.eye(4), (COUNT, 1, 1))
+    slide[:, 0, 3] = 0.12 * (np.arange(COUNT) % 5)
+    labelled = replace(actor, trajectory=replace(actor.trajectory, matrices=true @ slide))
+    rng = np.random.default_rng(0)
+    (fit,) = settle_moving((labelled,), {"van": cloud}, None, AlignConfig(), rng)
+    before, after = (jitter(m, true)[0] for m in (labelled.trajectory.matrices, fit.matrices))
+    assert after < 0.35 * before, (before, after)

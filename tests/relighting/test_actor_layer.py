@@ -36,13 +36,15 @@ def nowhere_moving(part: tuple[slice, slice] = BOX, motion: tuple[float, float] 
 
 
 def test_an_actor_is_cut_out_of_its_background_and_put_over_another() -> None:
-    coverage = covered()
-    coverage[:, 20] = coverage[:, 39] = 0.25 * covered()[:, 20]
-    rendered = coverage[..., None] * ACTOR + (1 - coverage[..., None]) * BEHIND
+    """Also where the few samples of a rendered edge show more or less of it than its coverage."""
+    coverage, sampled = covered(), covered()
+    coverage[BOX[0], 20], sampled[BOX[0], 20] = 0.4375, 0.25
+    coverage[BOX[0], 39], sampled[BOX[0], 39] = 0.5625, 0.75
+    coverage[BOX[0], 40] = 0.125
+    rendered = sampled[..., None] * ACTOR + (1 - sampled[..., None]) * BEHIND
     other = flat(np.array([0.4, 0.5, 0.7], np.float32))
-    made = cut_out(rendered, coverage, np.ones_like(coverage, dtype=bool)).over(
-        other, CameraLook(), GAIN
-    )
+    everywhere = np.ones_like(coverage, dtype=bool)
+    made = cut_out(rendered, sampled, coverage, everywhere).over(other, CameraLook(), GAIN)
     wanted = coverage[..., None] * ACTOR + (1 - coverage[..., None]) * other
     np.testing.assert_allclose(made, wanted, atol=1e-6)
     assert (made[coverage == 0] == other[coverage == 0]).all()

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.frames import Trajectory
+from lightsim.errors import InputError
 from lightsim.scenario import generators
 from lightsim.scenario.edits import Insert, parse_scenario
 from lightsim.scenario.generators import Edits, EgoLane
@@ -74,3 +76,51 @@ def test_road_works_stand_on_the_right_half_of_the_lane(lane: EgoLane) -> None:
     assert (places[:, 0] > 0.8).all()
     assert places[:, 1].min() >= SPEED_M_S * DURATION_S + 5.0
     assert {e["asset"] for e in edits} == {"sign", "cone", "barrier"}
+
+
+def test_an_actor_of_the_log_cuts_in_on_the_same_path(lane: EgoLane) -> None:
+    [inserted] = generators.cut_in(lane, "car")
+    [moved] = generators.cut_in(lane, "car", actor_id="white")
+    assert moved["actor"] == "white"
+    assert moved["trajectory"] == inserted["trajectory"]
+
+
+def test_road_works_in_the_next_lane_leave_the_ego_its_own(lane: EgoLane) -> None:
+    edits = generators.construction(lane, from_left=True, is_next_lane=True)
+    left_m = np.array([-edit["at"]["x_m"] for edit in edits])
+    assert left_m.min() >= lane.width_m / 2
+    assert left_m.max() == pytest.approx(1.5 * lane.width_m)
+
+
+def track_of(name: str, along_m_s: float, left_m: float) -> ActorTrack:
+    """Along world y at a constant speed, 0.3 s longer than the log at both ends."""
+    times_ns = np.arange(-300_000_000, 4_400_000_000, 100_000_000)
+    poses = np.tile(np.eye(4), (len(times_ns), 1, 1))
+    poses[:, :2, :2] = [[0, -1], [1, 0]]
+    poses[:, 0, 3] = -left_m
+    poses[:, 1, 3] = 12.0 + along_m_s * times_ns / 1e9
+    path = Trajectory("world", "actor", times_ns, poses)
+    size = np.array([4.5, 1.8, 1.5])
+    return ActorTrack(name, ActorKind.CAR, size, path, along_m_s != 0.0)
+
+
+def test_others_drive_where_the_nearest_movers_drove(lane: EgoLane) -> None:
+    tracks = [track_of("far", 7.0, 40.0), track_of("near", 7.0, 3.5), track_of("parked", 0.0, -2)]
+    edits = generators.replaced(lane, tracks, ("van",), count=1)
+    assert edits[0] == {"do": "remove", "actor": "near"}
+    assert edits[1]["asset"] == "van"
+    path = path_of(edits[1:])
+    # Within the log's pictures, on the track itself.
+    assert path[[0, -1], 0].tolist() == [0.0, DURATION_S]
+    np.testing.assert_allclose(path[:, 1], -3.5)
+    np.testing.assert_allclose(path[:, 2], 12.0 + 7.0 * path[:, 0], atol=1e-3)
+    np.testing.assert_allclose(path[:, 3], 90.0)
+
+
+def test_who_is_named_is_replaced_where_he_stands(lane: EgoLane) -> None:
+    tracks = [track_of("near", 7.0, 3.5), track_of("parked", 0.0, -2.0)]
+    edits = generators.replaced(lane, tracks, ("van",), ("parked",))
+    assert edits[0]["actor"] == "parked"
+    assert edits[1]["at"] == {"x_m": 2.0, "y_m": 12.0, "yaw_deg": 90.0}
+    with pytest.raises(InputError, match="no such actor"):
+        generators.replaced(lane, tracks, ("van",), ("nobody",))

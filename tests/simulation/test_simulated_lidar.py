@@ -183,6 +183,20 @@ def test_steps_of_a_sweep_that_has_one_time_are_found(rng: np.random.Generator) 
     assert not len(missing_in_rings(found, np.empty(0)).times_ns)
 
 
+def test_gaps_reach_to_the_ends_of_a_sweep() -> None:
+    """Where it begins and ends something stands before most of the rings."""
+    beams = turning_beams()
+    directions = ScanDirections.of(beams.directions_world, beams.times_ns)
+    rings = np.radians(RINGS_DEG)
+    ring = np.argmin(np.abs(directions.elevation_rad[:, None] - rings), axis=1)
+    is_lost = (np.abs(np.degrees(directions.azimuth_rad)) > 170.0) & (ring % 4 > 0)
+    missing = missing_in_rings(directions.chosen(~is_lost), rings)
+    lost = directions.chosen(is_lost)
+    assert len(missing.times_ns) == len(lost.times_ns)
+    close = missing.vectors @ lost.vectors.T
+    assert np.degrees(np.arccos(np.clip(close.max(axis=0), -1, 1))).max() < 0.05
+
+
 def test_the_gaps_of_a_raster_are_filled_from_other_sweeps(rng: np.random.Generator) -> None:
     """One that looks ahead, in a raster of 0.1 degrees; sweeps differ by a fifth of a step."""
     line = np.radians(np.arange(-2.0, 2.0, 0.1))

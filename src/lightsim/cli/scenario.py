@@ -13,6 +13,7 @@ from lightsim.arguments import Names
 from lightsim.cli.options import Verbose, say
 
 if TYPE_CHECKING:
+    from lightsim.core.log import DrivingLog
     from lightsim.scenario.generators import EgoLane
 
 
@@ -29,13 +30,14 @@ class _Generator:
     verbose: Verbose = False
     """Show the trace of an error."""
 
-    def _write(self, make: Callable[[EgoLane], list[dict[str, Any]]]) -> None:
+    def _write(self, make: Callable[[EgoLane, DrivingLog], list[dict[str, Any]]]) -> None:
         from lightsim.pipeline.workspace import Workspace
         from lightsim.scenario.edits import VERSION, parse_scenario
         from lightsim.scenario.generators import EgoLane
         from lightsim.store.artefact import write_json
 
-        edits = make(EgoLane.of(Workspace(self.work).log, self.lane_width_m))
+        log = Workspace(self.work).log
+        edits = make(EgoLane.of(log, self.lane_width_m), log)
         scenario = {"version": VERSION, "name": self.out.stem, "sky": self.sky, "edits": edits}
         parse_scenario(scenario, self.out)
         self.out.parent.mkdir(parents=True, exist_ok=True)
@@ -54,12 +56,16 @@ class CutIn(_Generator):
     """Ahead of the ego vehicle at the start, centre to centre."""
     from_right: bool = False
     """It comes from the right."""
+    actor: str = ""
+    """Who of the log cuts in, instead of an asset."""
 
     def run(self) -> None:
         """Write the scenario."""
         from lightsim.scenario.generators import cut_in
 
-        self._write(lambda lane: cut_in(lane, self.asset, self.gap_m, not self.from_right))
+        self._write(
+            lambda lane, _: cut_in(lane, self.asset, self.gap_m, not self.from_right, self.actor)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +83,7 @@ class LaneChange(_Generator):
         """Write the scenario."""
         from lightsim.scenario.generators import lane_change
 
-        self._write(lambda lane: lane_change(lane, self.asset, self.gap_m, not self.to_right))
+        self._write(lambda lane, _: lane_change(lane, self.asset, self.gap_m, not self.to_right))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +101,7 @@ class HardBrake(_Generator):
         """Write the scenario."""
         from lightsim.scenario.generators import hard_brake
 
-        self._write(lambda lane: hard_brake(lane, self.asset, self.gap_m, self.after_s))
+        self._write(lambda lane, _: hard_brake(lane, self.asset, self.gap_m, self.after_s))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +117,7 @@ class Stalled(_Generator):
         """Write the scenario."""
         from lightsim.scenario.generators import stalled
 
-        self._write(lambda lane: stalled(lane, self.asset, self.ahead_m))
+        self._write(lambda lane, _: stalled(lane, self.asset, self.ahead_m))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,13 +130,37 @@ class Construction(_Generator):
     """How far they reach."""
     from_left: bool = False
     """They close the left half of the lane."""
+    next_lane: bool = False
+    """They close all of the lane beside."""
 
     def run(self) -> None:
         """Write the scenario."""
         from lightsim.scenario.generators import construction
 
         self._write(
-            lambda lane: construction(lane, self.ahead_m, self.length_m, from_left=self.from_left)
+            lambda lane, _: construction(
+                lane, self.ahead_m, self.length_m, self.from_left, self.next_lane
+            )
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Replace(_Generator):
+    """Others drive where vehicles of the log drove."""
+
+    assets: Names = ("car-red", "van", "car-black")
+    """Who drives now, in turn: files, library names, or OTHER_WORK#actor_id."""
+    actors: Names = ()
+    """Whom they replace; by default the moving vehicles that come nearest to the ego."""
+    count: int = 3
+    """How many of the nearest."""
+
+    def run(self) -> None:
+        """Write the scenario."""
+        from lightsim.scenario.generators import replaced
+
+        self._write(
+            lambda lane, log: replaced(lane, log.actors, self.assets, self.actors, self.count)
         )
 
 
@@ -149,7 +179,7 @@ class ParkedRow(_Generator):
         """Write the scenario."""
         from lightsim.scenario.generators import parked_row
 
-        self._write(lambda lane: parked_row(lane, self.assets, self.count, self.left_m))
+        self._write(lambda lane, _: parked_row(lane, self.assets, self.count, self.left_m))
 
 
 Scenarios = (
@@ -158,6 +188,7 @@ Scenarios = (
     | Annotated[HardBrake, tyro.conf.subcommand("hard-brake")]
     | Annotated[Stalled, tyro.conf.subcommand("stalled")]
     | Annotated[Construction, tyro.conf.subcommand("construction")]
+    | Annotated[Replace, tyro.conf.subcommand("replace")]
     | Annotated[ParkedRow, tyro.conf.subcommand("parked-row")]
 )
 

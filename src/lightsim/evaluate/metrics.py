@@ -100,7 +100,7 @@ def fit_exposure(
     One number for all images (lists of valid pixels); it minimises the squared error of the
     sRGB values, hence maximises the PSNR of the pooled pixels, within 6 stops either way.
     """
-    from scipy.optimize import minimize_scalar
+    from scipy.optimize import fminbound
 
     predicted = linear_from_srgb(np.concatenate(list(predicted_srgb)))
     truth = np.concatenate(list(truth_srgb))
@@ -113,8 +113,8 @@ def fit_exposure(
     # Clipping makes the error flat far away: start from the best of a coarse grid.
     grid = np.linspace(-_EXPOSURE_RANGE_EV, _EXPOSURE_RANGE_EV, 25)
     best = float(grid[int(np.argmin([error(float(ev)) for ev in grid]))])
-    found = minimize_scalar(error, bounds=(best - 0.5, best + 0.5), method="bounded")
-    return float(2.0**found.x)
+    found = fminbound(error, best - 0.5, best + 0.5)
+    return float(2.0 ** np.asarray(found))
 
 
 def expose(srgb: Float32[np.ndarray, "h w 3"], factor: float) -> Float32[np.ndarray, "h w 3"]:

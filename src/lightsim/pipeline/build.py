@@ -103,7 +103,7 @@ STAGES = (
     Stage("held_out_masks", 4, ("log",), _no_settings, recording.make_held_out_masks),
     Stage(
         "alignment",
-        3,
+        4,
         ("log",),
         lambda o: AlignConfig().without(o.no_refine),
         recording.make_alignment,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 
 from lightsim.core.buffers import GBuffers
 from lightsim.core.camera import PinholeCamera
@@ -14,6 +14,8 @@ from lightsim.render.scene import FrameScene
 
 _SIDE = 4
 """Rays along each side of a pixel at an edge: steps of 1/16 do not show in 8 bits of noise."""
+_STEPS = (np.arange(_SIDE) + 0.5) / _SIDE
+_GRID = np.stack(np.meshgrid(_STEPS, _STEPS), axis=-1).reshape(-1, 2)
 
 
 def actor_coverage(
@@ -22,11 +24,12 @@ def actor_coverage(
     camera: PinholeCamera,
     buffers: GBuffers,
     numbers: Collection[int],
+    offsets: Float[np.ndarray, "n 2"] = _GRID,
 ) -> Float32[np.ndarray, "h w"]:
     """Fraction of each pixel that shows one of these actors, by their numbers in the scenario.
 
-    Pixels around the outline at pixel centres are looked at by 16 rays each; what lies between the
-    centres of all pixels is not found.
+    Pixels around the outline at pixel centres are looked at by a ray at each of the offsets from
+    their corner, by default 16; what lies between the centres of all pixels is not found.
     """
     from scipy.ndimage import binary_dilation
 
@@ -38,9 +41,7 @@ def actor_coverage(
     rows, columns = np.nonzero(is_edge)
     if not len(rows):
         return coverage
-    steps = (np.arange(_SIDE) + 0.5) / _SIDE
-    inner = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(1, -1, 2)
-    uv = np.stack([columns, rows], axis=-1)[:, None] + inner
+    uv = np.stack([columns, rows], axis=-1)[:, None] + offsets
     hits = scene.camera_caster.intersect(*frame.pixel_rays(camera, uv.reshape(-1, 2)))
     shown = np.full(len(hits.mesh_index), -1, dtype=np.int32)
     shown[hits.is_hit] = scene.actor_index[hits.mesh_index[hits.is_hit]]

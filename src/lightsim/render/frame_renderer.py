@@ -44,7 +44,7 @@ from lightsim.render.transport.matrix import (
     static_face_table,
     trace_transport,
 )
-from lightsim.render.transport.samples import render_samples
+from lightsim.render.transport.samples import render_samples, sample_offsets
 from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
 from lightsim.render.transport.sun import sun_visibility
 from lightsim.render.window import WindowFrame, seen_through
@@ -233,6 +233,11 @@ class TransportFrame:
         """Fraction of each pixel that shows one of these actors, by their numbers."""
         return actor_coverage(self._scene, *self.view, self.geometry, numbers)
 
+    def sampled_coverage(self, numbers: Collection[int]) -> Float32[np.ndarray, "h w"]:
+        """The same by the samples of which `image` is the mean."""
+        offsets = sample_offsets(self._config.pixel_samples)
+        return actor_coverage(self._scene, *self.view, self.geometry, numbers, offsets)
+
     def image(self, sky: EnvironmentCells) -> Float32[np.ndarray, "h w 3"]:
         """Radiance: anti-aliased and with reflections where the renderer looks at samples of
         pixels; the sky behind."""
@@ -292,7 +297,12 @@ class FrameRenderer:
         self._tracing = Tracing(transport, seed, faces, is_sampled, recorded_sun)
 
     def sampled(
-        self, pixel_samples: int, recorded_sun: Sun | None, sun_rays: int | None = None
+        self,
+        pixel_samples: int,
+        recorded_sun: Sun | None,
+        *,
+        sun_rays: int | None = None,
+        glossy_rays: int | None = None,
     ) -> FrameRenderer:
         """A renderer of anti-aliased images of the same twin, which shares all that is static."""
         other = copy(self)
@@ -300,6 +310,7 @@ class FrameRenderer:
             self._tracing.config,
             pixel_samples=pixel_samples,
             sun_rays=sun_rays or self._tracing.config.sun_rays,
+            glossy_rays=glossy_rays or self._tracing.config.glossy_rays,
         )
         other._tracing = replace(
             self._tracing, config=transport, is_sampled=True, recorded_sun=recorded_sun

@@ -7,14 +7,15 @@ left positive; beyond its end the path goes on straight.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Bool, Float, Float64
 
+from lightsim.core.actors import ActorTrack
 from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog
 from lightsim.errors import InputError
@@ -130,22 +131,26 @@ class EgoLane:
         return [dict(zip(keys, np.round(row, 4).tolist(), strict=True)) for row in rows]
 
 
-def cut_in(lane: EgoLane, asset: str, gap_m: float = 10.0, from_left: bool = True) -> Edits:
+def cut_in(
+    lane: EgoLane, asset: str, gap_m: float = 10.0, from_left: bool = True, actor_id: str = ""
+) -> Edits:
     """A car of the neighbouring lane changes into the ego's, `gap_m` ahead of it (centre to
-    centre), around the middle of the log."""
+    centre), around the middle of the log: an asset, or the actor of the log that is named."""
     side = lane.width_m * (1.0 if from_left else -1.0)
-    return [_changing(lane, asset, gap_m, side, 0.0)]
+    path = _changing(lane, gap_m, side, 0.0)
+    if actor_id:
+        return [{"do": "move", "actor": actor_id, "trajectory": path}]
+    return [{"do": "insert", "asset": asset, "trajectory": path}]
 
 
 def lane_change(lane: EgoLane, asset: str, gap_m: float = 15.0, to_left: bool = True) -> Edits:
     """The car ahead leaves the ego's lane."""
     side = lane.width_m * (1.0 if to_left else -1.0)
-    return [_changing(lane, asset, gap_m, 0.0, side)]
+    path = _changing(lane, gap_m, 0.0, side)
+    return [{"do": "insert", "asset": asset, "trajectory": path}]
 
 
-def _changing(
-    lane: EgoLane, asset: str, gap_m: float, start_m: float, end_m: float
-) -> dict[str, Any]:
+def _changing(lane: EgoLane, gap_m: float, start_m: float, end_m: float) -> list[dict[str, float]]:
     speed = max(lane.speed_m_s, _SLOWEST_M_S)
     first_m = float(lane.ego_m(np.zeros(1))[0]) + gap_m
 
@@ -153,8 +158,7 @@ def _changing(
         part = np.clip((times_s - lane.duration_s / 2) / _CHANGE_S + 0.5, 0.0, 1.0)
         return start_m + (end_m - start_m) * part * part * (3 - 2 * part)
 
-    path = lane.driving(lambda t: first_m + speed * t, left_m)
-    return {"do": "insert", "asset": asset, "trajectory": path}
+    return lane.driving(lambda t: first_m + speed * t, left_m)
 
 
 def hard_brake(lane: EgoLane, asset: str, gap_m: float = 15.0, after_s: float = 0.5) -> Edits:
@@ -181,15 +185,21 @@ def stalled(lane: EgoLane, asset: str, ahead_m: float = 20.0, left_m: float = 0.
 
 
 def construction(
-    lane: EgoLane, ahead_m: float = 8.0, length_m: float = 24.0, from_left: bool = False
+    lane: EgoLane,
+    ahead_m: float = 8.0,
+    length_m: float = 24.0,
+    from_left: bool = False,
+    is_next_lane: bool = False,
 ) -> Edits:
-    """Road works that close half of the lane: cones along a taper, barriers behind it, a sign.
+    """Road works that close half of the lane, or all of the next one: cones along a taper, barriers
+    behind it, a sign.
 
-    The taper's cones stand 2 m apart and move in by half a lane over the first half of the zone.
+    The taper's cones stand 2 m apart and move in over the first half of the zone.
     """
     side = 1.0 if from_left else -1.0
     first = float(lane.ego_m(np.array([lane.duration_s]))[0]) + ahead_m
-    outer, inner = 0.75 * lane.width_m, 0.25 * lane.width_m
+    widths = (1.5, 0.5) if is_next_lane else (0.75, 0.25)
+    outer, inner = (width * lane.width_m for width in widths)
     taper_m = length_m / 2
     edits: Edits = [
         {"do": "insert", "asset": "sign", "at": lane.standing(first - 3.0, side * outer, 180.0)}
@@ -201,6 +211,70 @@ def construction(
         at = lane.standing(first + along, side * (inner + 0.4))
         edits.append({"do": "insert", "asset": "barrier", "at": at})
     return edits
+
+
+def replaced(
+    lane: EgoLane,
+    tracks: Sequence[ActorTrack],
+    assets: tuple[str, ...],
+    actor_ids: tuple[str, ...] = (),
+    count: int = 3,
+) -> Edits:
+    """Others drive where vehicles of the log drove, in turn of the assets.
+
+    Args:
+        tracks: actors of the log.
+        actor_ids: whom they replace; none named: the `count` moving vehicles that come nearest to
+            the ego.
+
+    Raises:
+        InputError: there is no asset, no such actor, or nobody who could be replaced.
+    """
+    if not assets:
+        raise InputError("nobody takes their places", got=assets, expected="one asset or more")
+    by_id = {track.actor_id: track for track in tracks if _during(lane, track).any()}
+    unknown = [name for name in actor_ids if name not in by_id]
+    if unknown:
+        raise InputError(
+            "there is no such actor",
+            got=", ".join(unknown),
+            expected="actors of the log",
+            remedy="lightsim actors WORK lists them.",
+        )
+    moving = [t for t in by_id.values() if t.is_moving and t.kind.is_vehicle]
+    nearest = sorted(moving, key=lambda track: _nearest_m(lane, track))[:count]
+    chosen = [by_id[name] for name in actor_ids] or nearest
+    if not chosen:
+        raise InputError("nobody can be replaced", expected="a vehicle that moves, or actors named")
+    edits: Edits = [{"do": "remove", "actor": track.actor_id} for track in chosen]
+    for k, track in enumerate(chosen):
+        edits.append({"do": "insert", "asset": assets[k % len(assets)], **_as_driven(lane, track)})
+    return edits
+
+
+def _during(lane: EgoLane, track: ActorTrack) -> Bool[np.ndarray, " n"]:
+    """Poses of a track between the first and the last picture: no edit leaves that time."""
+    times_ns = track.trajectory.times_ns
+    return (times_ns >= lane.start_ns) & (times_ns <= lane.end_ns)
+
+
+def _nearest_m(lane: EgoLane, track: ActorTrack) -> float:
+    ego = lane.path.held_at(track.trajectory.times_ns)[:, :2, 3]
+    away = track.trajectory.positions_m[:, :2] - ego
+    return float(np.linalg.norm(away, axis=1)[_during(lane, track)].min())
+
+
+def _as_driven(lane: EgoLane, track: ActorTrack) -> dict[str, Any]:
+    """'trajectory' of an insertion that follows a track, 'at' where it stands."""
+    poses = track.trajectory.matrices[_during(lane, track)]
+    times_s = (track.trajectory.times_ns[_during(lane, track)] - lane.start_ns) / 1e9
+    yaw_deg = np.degrees(np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0])))
+    keys = ("time_s", "x_m", "y_m", "yaw_deg")
+    rows = np.column_stack([times_s, poses[:, :2, 3], yaw_deg])
+    path = [dict(zip(keys, np.round(row, 4).tolist(), strict=True)) for row in rows]
+    if track.is_moving and len(path) > 1:
+        return {"trajectory": path}
+    return {"at": {key: path[0][key] for key in keys[1:]}}
 
 
 def parked_row(

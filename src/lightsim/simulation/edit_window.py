@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32
 
+from lightsim.core.outline import nearest_of
 from lightsim.core.scenario import ActorPlacement
 from lightsim.core.window import Window, window_around
 from lightsim.relighting.physical.edited import EditedImage
@@ -103,13 +104,11 @@ def _around(
 
     if not is_shown.any():
         return is_shown
-    found = distance_transform_edt(~is_shown, return_indices=True)
-    assert isinstance(found, tuple)
-    distance_px, nearest = found
+    distance_px, nearest = nearest_of(is_shown)
     # Wide holes take their colours from farther around.
     inside_px = np.asarray(distance_transform_edt(is_shown)).max()
     margin_px = _OUTLINE_WIDTH * is_shown.shape[1] + inside_px
-    return distance_px <= margin_px + focal_px * _OUTLINE_M / depth_z_m[tuple(nearest)]
+    return distance_px <= margin_px + focal_px * _OUTLINE_M / depth_z_m[nearest]
 
 
 def put_into(recorded: EditedImage, made: EditedImage, window: Window) -> EditedImage:

@@ -45,10 +45,16 @@ from lightsim.simulation.camera_looks import CameraLooks, motion_in_picture
 from lightsim.simulation.edit_window import edit_window, put_into
 from lightsim.simulation.novel_views import NovelViews
 
-_PIXEL_SAMPLES = 4
-"""Of rendered actors; their edges are sampled more finely by their coverage."""
+_PIXEL_SAMPLES = 16
+"""Of rendered actors: with 4, panes that mirror a street at a grazing angle are black and white
+dots once a camera that sharpens has seen them. For 16 the actors' window takes a twentieth more
+time and 0.4 kB more of each pixel."""
 _SUN_RAYS = 64
 """Of their pixels: with 4 the edge of a shadow that falls from far away is black and white dots."""
+_GLOSSY_RAYS = 32
+"""A pixel, of their reflections: with 8, dark panes of a car had grain of 2.3 codes (standard
+deviation beside the neighbours) where the camera sharpens, with these 1.0, for a fifth more time
+of the actors."""
 _CLIPPED = 254
 _MARGIN_PX = 4
 """Around new actors: what is behind them is known from there."""
@@ -111,7 +117,9 @@ class SourceImages:
         self._novel = None
         if recorded is not None:
             self._novel = NovelViews(workspace, log, recorded, renderer)
-        self._actors = renderer.sampled(_PIXEL_SAMPLES, sky.sun, _SUN_RAYS)
+        self._actors = renderer.sampled(
+            _PIXEL_SAMPLES, sky.sun, sun_rays=_SUN_RAYS, glossy_rays=_GLOSSY_RAYS
+        )
         self._looks = CameraLooks(log)
         self._exposure_s = exposure_s
         self._seed = seed
@@ -266,9 +274,9 @@ class SourceImages:
         hidden = hidden_by_picture(codes, traced.geometry, is_new, camera.fx)
         near = np.asarray(binary_dilation(covered > 0, iterations=_MARGIN_PX), dtype=bool)
         window = window_around(near, 0)
-        part = self._actors.retrace(traced.part(window, near[window]))
-        rendered = part.image(self._sky)
-        found = cut_out(rendered, covered[window], near[window])
+        sampled = self._actors.retrace(traced.part(window, near[window]))
+        fraction = sampled.sampled_coverage(numbers)
+        found = cut_out(sampled.image(self._sky), fraction, covered[window], near[window])
         seen = 1 - hidden[window]
         layer.radiance[window] = seen[..., None] * found.radiance
         layer.coverage[window] = seen * found.coverage

@@ -80,19 +80,24 @@ def empty_layer(height_px: int, width_px: int) -> ActorLayer:
 
 def cut_out(
     rendered: Float32[np.ndarray, "h w 3"],
+    sampled: Float32[np.ndarray, "h w"],
     coverage: Float32[np.ndarray, "h w"],
     is_rendered: Bool[np.ndarray, "h w"],
 ) -> ActorLayer:
     """Actors of a rendered picture: at their edges the part that is background is taken out.
 
     Args:
+        sampled: fraction of the samples that show actors, of those whose mean `rendered` is: with
+            another fraction, background would stay at edges, or be taken from the actor.
+        coverage: fraction of each pixel that they fill, as exact as edges shall be.
         is_rendered: pixels that the picture shows: those of actors, and some around.
     """
-    is_mixed = (coverage > 0) & (coverage < 1)
-    behind = fill_holes(rendered, is_rendered & (coverage == 0))
-    cover = coverage[..., None]
-    actor = np.where(is_mixed[..., None], rendered - (1 - cover) * behind, cover * rendered)
-    return ActorLayer(np.maximum(actor, 0.0).astype(np.float32), coverage)
+    behind = fill_holes(rendered, is_rendered & (sampled == 0))
+    fraction = np.where(sampled > 0, sampled, 1.0)[..., None]
+    own = np.maximum(rendered - (1 - fraction) * behind, 0.0) / fraction
+    # What lies between all samples of a pixel has the colour of what is beside it.
+    actor = fill_holes(own.astype(np.float32), sampled > 0)
+    return ActorLayer((coverage[..., None] * actor).astype(np.float32), coverage)
 
 
 def photographed(

@@ -164,11 +164,14 @@ def _with_visibility(
 
 
 def _grown_outline(inputs: EditInputs) -> Float32[np.ndarray, "h w"]:
-    """How much of each pixel an actor hid that is gone."""
-    is_inside = inputs.gone > 0.5
+    """How much of each pixel an actor hid that is gone; those that stand before it stay."""
+    buffers, is_inside = inputs.recorded.buffers, inputs.gone > 0.5
     hidden = inputs.gone
     if is_inside.any():
-        hidden = grown_outline(is_inside, inputs.recorded.buffers.depth_z_m, inputs.focal_px)
+        farthest_m = buffers.depth_z_m[is_inside].max()
+        stands_before = (buffers.actor_index >= 0) & (buffers.depth_z_m < farthest_m)
+        hidden = grown_outline(is_inside, buffers.depth_z_m, inputs.focal_px)
+        hidden = np.where(stands_before & ~is_inside, inputs.gone, hidden)
     return np.where(inputs.is_fixed, 0.0, hidden).astype(np.float32)
 
 

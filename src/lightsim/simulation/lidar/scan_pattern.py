@@ -31,8 +31,9 @@ _LEAST_PEAK = 0.02
 _NEAR_RING_RAD = np.radians(0.5)
 """Returns farther from every ring are not of a ring: coordinates in steps of 4 mm turn a beam of
 1 m by 0.2 degrees."""
-_END = 0.005
-"""Of a sweep's returns lie beyond what counts as its start, and its end: single ones are early."""
+_END = 0.1
+"""Of the rings begin before what counts as a sweep's start, and end after its end: single returns
+are early, and most rings may be shaded there."""
 _SAME_BEAM = 0.7
 """Of the raster's step: two sweeps' returns nearer than that are of one beam."""
 
@@ -105,7 +106,11 @@ def missing_in_rings(found: ScanDirections, rings_rad: Float64[np.ndarray, " k"]
     steps = np.concatenate([np.diff(angle) for angle, _ in in_ring])
     # Most returns have a neighbour; equal angles are returns of two lasers taken for one.
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
-    ends = np.quantile(turned.angle_rad, (_END, 1.0 - _END)).tolist()
+    returned = [angle for angle, _ in in_ring if len(angle)]
+    ends = [
+        float(np.quantile([angle[end] for angle in returned], part)) if returned else 0.0
+        for end, part in ((0, _END), (-1, 1.0 - _END))
+    ]
     gaps = [_gaps(fired, step, ends, turned.rate) for fired in in_ring]
     counts = [len(a[0]) + len(b[0]) for a, b in zip(in_ring, gaps, strict=True)]
     whole = int(np.argmax(counts))
