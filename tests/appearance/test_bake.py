@@ -130,9 +130,11 @@ def test_ground_beside_a_moving_actor_takes_other_views() -> None:
     np.testing.assert_allclose(srgb8_from_linear(colour[beside]), 60, atol=1)
 
 
-def test_ground_never_seen_without_an_actor_takes_the_colour_around() -> None:
+@pytest.mark.parametrize("is_moving", [True, False])
+def test_ground_never_seen_without_an_actor_takes_the_colour_around(is_moving: bool) -> None:
     """One image, dark under the car and right beside it."""
     track, lid = _box_track()
+    track = replace(track, is_moving=is_moving)
     camera = PinholeCamera("a", 160, 160, 120.0, 120.0, 80.0, 80.0)
     pose = RigidTransform.from_rotation("world", "camera", DOWN, np.array([0.0, 0.0, 5.0]))
     image = np.full((160, 160, 3), 60, np.uint8)

@@ -31,7 +31,7 @@ from lightsim.appearance.observe import (
     PlacedScene,
     SkyMatte,
     View,
-    in_moving_shade,
+    beside_actors,
     load_images,
     look,
     pixel_weights,
@@ -160,7 +160,7 @@ def _collect(
     samples = TexelSamples(
         np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.uint8), np.zeros(shape, np.uint16)
     )
-    corners = _Corners.empty(len(scene.vertices))
+    corners = _Corners.of(scene, config)
     towards_camera = np.zeros((len(scene.vertices), 3), dtype=np.float32)
     images = load_images(views, log)
     for index, (view, image) in enumerate(progress.track(images, "bake the textures", len(views))):
@@ -214,19 +214,24 @@ def _add_directions(
 
 @dataclass(frozen=True, eq=False)
 class _Corners:
-    """Where the vertices of a scene appear in one image; only those of its faces are set."""
+    """Where the vertices of a scene appear in one image; only those of its faces are set. What
+    pictures show under actors at rest is the actors, or the deepest shade."""
 
     uv: Float32[np.ndarray, "n 2"]
     depth_m: Float32[np.ndarray, " n"]
     weight: Float32[np.ndarray, " n"]
+    is_under_actor: Bool[np.ndarray, " n"]
 
     @staticmethod
-    def empty(count: int) -> _Corners:
+    def of(scene: PlacedScene, config: AssetConfig) -> _Corners:
         """No vertex set; zero weight means unset."""
+        count = len(scene.vertices)
+        resting = [(track, track.trajectory.start_ns) for track in scene.resting]
         return _Corners(
             np.zeros((count, 2), np.float32),
             np.zeros(count, np.float32),
             np.zeros(count, np.float32),
+            beside_actors(scene, resting, np.arange(count), config.contact_margin_m),
         )
 
 
@@ -248,8 +253,9 @@ def _project(
     corners.depth_m[used] = (points - pose.translation_m) @ pose.rotation[:, 2]
     sharp = pixels_per_metre(scene.vertices[used], scene.normals[used], pose, camera)
     weight = (sharp / _WEIGHT_UNIT_PX) ** (2 * _SHARPNESS_POWER)
-    is_shaded = in_moving_shade(scene, used, frame.time_ns, config.shade_margin_m)
-    corners.weight[used] = np.where(is_shaded, 0.0, weight)
+    moving = [(track, frame.time_ns) for track in scene.moving]
+    is_shaded = beside_actors(scene, moving, used, config.shade_margin_m)
+    corners.weight[used] = np.where(is_shaded | corners.is_under_actor[used], 0.0, weight)
     return used
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -77,7 +77,7 @@ class PlacedScene:
 
     The background comes first, then the actors in their order. `vertices` and `normals` lie in
     frame `world` and are those of the last call of `place`, as are `moving`, the tracks of the
-    moving actors near the camera.
+    moving actors near the camera. `resting` are those of all others.
     """
 
     def __init__(
@@ -102,14 +102,13 @@ class PlacedScene:
         self._movable = [(track, number[track.actor_id]) for track in tracks if track.is_moving]
         self.moving: list[ActorTrack] = []
         self._rotations: dict[int, Float64[np.ndarray, "3 3"]] = {}
-        self.is_static = np.ones(len(self.vertices), dtype=bool)
-        for _, k in self._movable:
-            self.is_static[self._vertices_of(k)] = False
+        self.resting: list[ActorTrack] = []
         fixed, self._fixed_numbers = [background], [0]
         for track in tracks:
             if not track.is_moving:
                 fixed.append(self._put(track, number[track.actor_id], track.trajectory.start_ns))
                 self._fixed_numbers.append(number[track.actor_id])
+                self.resting.append(track)
         self._fixed: RayCaster = make_caster(fixed)
 
     def own_directions(
@@ -212,20 +211,27 @@ def pixels_per_metre(
     ).astype(np.float32)
 
 
-def in_moving_shade(
-    scene: PlacedScene, vertices: Int64[np.ndarray, " n"], time_ns: int, margin_m: float
+def beside_actors(
+    scene: PlacedScene,
+    placed: Iterable[tuple[ActorTrack, int]],
+    vertices: Int64[np.ndarray, " n"],
+    margin_m: float,
 ) -> Bool[np.ndarray, " n"]:
-    """Which vertices of the static scene lie within a margin of a moving actor's box."""
+    """Which vertices of the background lie within a margin of actors' boxes.
+
+    Args:
+        placed: actors, each with the time at which it is asked for.
+    """
     is_near = np.zeros(len(vertices), dtype=bool)
     points = scene.vertices[vertices].astype(np.float64)
-    for track in scene.moving:
+    for track, time_ns in placed:
         centre = track.world_from_actor(time_ns, _HOLD_S).translation_m
         reach = float(np.linalg.norm(track.size_lwh_m)) / 2 + 2 * margin_m
         is_close = np.abs(points[:, 0] - centre[0]) < reach
         is_close &= np.abs(points[:, 1] - centre[1]) < reach
         close = np.flatnonzero(is_close)
         is_near[close] |= track.contains(points[close], time_ns, margin_m)
-    return is_near & scene.is_static[vertices]
+    return is_near & (vertices < scene.first_vertex[1])
 
 
 def load_images(

@@ -125,7 +125,7 @@ STAGES = (
     ),
     Stage(
         "assets",
-        8,
+        9,
         ("log", "masks", "alignment", "fields", "neural", "geometry"),
         _asset_config,
         surfaces.make_assets,
