@@ -114,7 +114,10 @@ def bake(
     camera_of_frame = np.array([names.index(f.camera_name) for f in frames], dtype=np.int16)
     gains = _gains(samples, camera_of_frame, len(names), config)
     radiance, is_seen = mean_radiance(samples, gains[camera_of_frame], config.outlier_ratio)
-    meshes = _finish(table, edges, radiance, is_seen)
+    resting = [(track, track.trajectory.start_ns) for track in scene.resting]
+    every = np.arange(len(scene.vertices))
+    is_under = beside_actors(scene, resting, every, config.contact_margin_m)
+    meshes = _finish(table, edges, radiance, is_seen, is_under)
     first = scene.first_vertex
     return [
         replace(mesh, towards_camera=towards_camera[first[k] : first[k + 1]])
@@ -160,7 +163,7 @@ def _collect(
     samples = TexelSamples(
         np.zeros((*shape, 3), np.uint8), np.zeros(shape, np.uint8), np.zeros(shape, np.uint16)
     )
-    corners = _Corners.of(scene, config)
+    corners = _Corners.empty(len(scene.vertices))
     towards_camera = np.zeros((len(scene.vertices), 3), dtype=np.float32)
     images = load_images(views, log)
     for index, (view, image) in enumerate(progress.track(images, "bake the textures", len(views))):
@@ -214,24 +217,19 @@ def _add_directions(
 
 @dataclass(frozen=True, eq=False)
 class _Corners:
-    """Where the vertices of a scene appear in one image; only those of its faces are set. What
-    pictures show under actors at rest is the actors, or the deepest shade."""
+    """Where the vertices of a scene appear in one image; only those of its faces are set."""
 
     uv: Float32[np.ndarray, "n 2"]
     depth_m: Float32[np.ndarray, " n"]
     weight: Float32[np.ndarray, " n"]
-    is_under_actor: Bool[np.ndarray, " n"]
 
     @staticmethod
-    def of(scene: PlacedScene, config: AssetConfig) -> _Corners:
+    def empty(count: int) -> _Corners:
         """No vertex set; zero weight means unset."""
-        count = len(scene.vertices)
-        resting = [(track, track.trajectory.start_ns) for track in scene.resting]
         return _Corners(
             np.zeros((count, 2), np.float32),
             np.zeros(count, np.float32),
             np.zeros(count, np.float32),
-            beside_actors(scene, resting, np.arange(count), config.contact_margin_m),
         )
 
 
@@ -255,7 +253,7 @@ def _project(
     weight = (sharp / _WEIGHT_UNIT_PX) ** (2 * _SHARPNESS_POWER)
     moving = [(track, frame.time_ns) for track in scene.moving]
     is_shaded = beside_actors(scene, moving, used, config.shade_margin_m)
-    corners.weight[used] = np.where(is_shaded | corners.is_under_actor[used], 0.0, weight)
+    corners.weight[used] = np.where(is_shaded, 0.0, weight)
     return used
 
 
@@ -306,8 +304,13 @@ def _finish(
     edges_m: Float32[np.ndarray, "m 3"],
     radiance: Float32[np.ndarray, "t 3"],
     is_seen: Bool[np.ndarray, " t"],
+    is_under: Bool[np.ndarray, " n"],
 ) -> list[TriMesh]:
-    """Colour of the vertices, of what nobody saw, and each mesh's own texture."""
+    """Colour of the vertices, of what nobody saw, and each mesh's own texture.
+
+    Args:
+        is_under: vertices right under actors at rest, whose radiance tells no base colour.
+    """
     scene = table.scene
     half = edges_m.astype(np.float64).sum(axis=1) / 2
     area = np.sqrt(np.maximum(half * np.prod(half[:, None] - edges_m, axis=1), 0.0))
@@ -321,7 +324,8 @@ def _finish(
         colour[part] = fill_unseen(mesh, colour[part], is_known[part], usual)
     fill_unseen_texels(table.patch, scene.faces, colour, radiance, is_seen)
     return [
-        _textured(table, k, edges_m, (colour, is_known), radiance) for k in range(len(scene.meshes))
+        _textured(table, k, edges_m, (colour, is_known & ~is_under), radiance)
+        for k in range(len(scene.meshes))
     ]
 
 
@@ -332,10 +336,10 @@ def _textured(
     painted: tuple[Float32[np.ndarray, "n 3"], Bool[np.ndarray, " n"]],
     radiance: Float32[np.ndarray, "t 3"],
 ) -> TriMesh:
-    """One mesh with its colours and its own texture; confidence 0 where no image saw it.
+    """One mesh with its colours and its own texture; confidence 0 where no image tells its colour.
 
     Args:
-        painted: colour of the vertices, and whether an image saw them.
+        painted: colour of the vertices, and whether an image tells it.
     """
     scene = table.scene
     mesh = scene.meshes[number]

@@ -27,8 +27,8 @@ class AssetConfig:
     """The static scene this near a moving actor may lie in its shade: what was never seen without
     it takes the colour of what lies around."""
     contact_margin_m: float = 0.25
-    """This near an actor at rest hardly any light arrives, and its reconstruction ends too soon: so
-    does what lies there."""
+    """This near an actor at rest hardly any light arrives, and its reconstruction ends too soon:
+    the base colour of what lies there is that of what lies around."""
     outlier_ratio: float = 1.4
     """Views that differ from a texel's median brightness by more than this are ignored."""
     has_camera_gains: bool = True

@@ -125,7 +125,7 @@ STAGES = (
     ),
     Stage(
         "assets",
-        9,
+        10,
         ("log", "masks", "alignment", "fields", "neural", "geometry"),
         _asset_config,
         surfaces.make_assets,
