@@ -8,7 +8,9 @@ exact buffers (surface, actor, visibility of the sun) or the noise-free pictures
 street with and without the edit. PSNR / SSIM / LPIPS in it and outside, beside the recorded
 picture as it is (no edit) and the actor alone (paste: our pixels within the true outline, no
 shadow). IoU of new shadows: where our picture is darker than the recorded one, against where the
-true sun is gone. For a shifted ego: all but the sky, beside the picture from the recorded place.
+true sun is gone; and that of the true picture in the place of ours, which is not 1: what an actor
+takes of the sky's light darkens, too. For a shifted ego: all but the sky, beside the picture from
+the recorded place.
 """
 
 from __future__ import annotations
@@ -204,7 +206,11 @@ def _add(table: dict[Any, list[Any]], made: Made, *, is_ego: bool) -> None:
         table[method, "inside"].append(scores(picture, truth, region))
         if not is_ego:
             table[method, "outside"].append(scores(picture, truth, ~region))
-    table["iou"].append(np.nan if is_ego else shadow_iou(view, made.picture, made.recorded))
+    if not is_ego:
+        before, after = view.pictures
+        table["iou"].append(
+            (shadow_iou(view, made.picture, made.recorded), shadow_iou(view, after, before))
+        )
     table["same"].append((made.picture[made.is_kept] == made.recorded[made.is_kept]).all())
     table["region"].append(region.mean())
     table["s"].append(made.spent_s)
@@ -221,8 +227,8 @@ def _cells(table: dict[Any, list[Any]]) -> Iterator[str]:
                 if found
                 else "-"
             )
-    ious = [v for v in table["iou"] if np.isfinite(v)]
-    yield f"{np.mean(ious):.2f}" if ious else "-"
+    ious = [pair for pair in table["iou"] if np.isfinite(pair).all()]
+    yield " / ".join(f"{v:.2f}" for v in np.mean(ious, axis=0)) if ious else "-"
     yield "yes" if all(table["same"]) else "NO"
     yield f"{np.mean(table['region']):.3f}"
     yield f"{np.mean(table['s']):.1f}"
