@@ -32,10 +32,7 @@ def main(asked: argparse.Namespace) -> None:
     lane = EgoLane.of(log)
     zone = generators.construction(lane, length_m=14.0, from_left=True, is_next_lane=True)
     scenes = {
-        "cut-in-at-works": [
-            *generators.cut_in(lane, assets[0], 11.0, actor_id=asked.cut_in),
-            *zone,
-        ],
+        "closed-lane": [*generators.cut_in(lane, assets[0], 11.0, actor_id=asked.cut_in), *zone],
         # One passes a third that stands in the lane, behind cones; another has just passed it.
         "new-traffic": [
             {"do": "remove", "actor": "all-moving"},
