@@ -4,8 +4,8 @@
     python benchmarks/bench_lighting.py pictures CACHE.npz [--per-sky 4]   `sky estimate`
     python benchmarks/bench_lighting.py log WORK [--truth DIR]             a build, more or less GPS
 
-CACHE: of `lightsim train prepare` with benchmarks/hdri_split.csv. Its validation side is scored;
---side test is for releases. DIR holds the runs of `lightsim train` by name, each with
+CACHE: of `lightsim train prepare lighting` with benchmarks/hdri_split.csv. Its validation side is
+scored; --side test is for releases. DIR holds the runs of `lightsim train` by name, each with
 weights.safetensors.
 """
 

@@ -28,7 +28,7 @@ from lightsim.cli.simulate import Simulate
 from lightsim.cli.sky import SkyGroup
 from lightsim.cli.status import Status
 from lightsim.cli.synthesize import Synthesize
-from lightsim.cli.train import TrainGroup
+from lightsim.cli.train import PrepareGroup, TrainGroup
 from lightsim.errors import LightSimError
 
 
@@ -77,6 +77,8 @@ def main(argv: Sequence[str] | None = None) -> None:
             command = command.do
         elif isinstance(command, TrainGroup):
             command = command.what
+            if isinstance(command, PrepareGroup):
+                command = command.data
         with _stopped_like_ctrl_c():
             command.run()
     except KeyboardInterrupt:

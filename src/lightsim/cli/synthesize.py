@@ -23,6 +23,8 @@ class Synthesize:
     denoise: bool = False
     """Pictures without the grain of few light paths, as a good camera takes them
     (pip install 'lightsim[denoise]')."""
+    sky: tuple[Path, ...] = ()
+    """HDR panoramas under which true pictures are made, too; turned and scaled at random."""
     edits: bool = False
     """Also true pictures of the street with actors removed, inserted and moved, and from a shifted
     ego: OUT/truth/edits."""
@@ -34,12 +36,21 @@ class Synthesize:
         from lightsim.synthetic import synthesize as make_street
         from lightsim.synthetic import synthesize_edits
 
-        for make in (make_street, synthesize_edits) if self.edits else (make_street,):
-            make(
+        progress = terminal_progress()
+        make_street(
+            self.out,
+            seed=self.seed,
+            size=self.size,
+            progress=progress,
+            is_denoised=self.denoise,
+            target_skies=self.sky,
+        )
+        if self.edits:
+            synthesize_edits(
                 self.out,
                 seed=self.seed,
                 size=self.size,
-                progress=terminal_progress(),
+                progress=progress,
                 is_denoised=self.denoise,
             )
         say(f"log:   {self.out / 'log'}")

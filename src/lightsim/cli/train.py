@@ -9,11 +9,17 @@ from typing import Annotated, Literal
 import tyro
 
 from lightsim.cli.options import Verbose
-from lightsim.training.options import PrepareOptions, TrainingOptions
+from lightsim.progress import terminal_progress
+from lightsim.training.options import (
+    PrepareOptions,
+    PrepareRelightOptions,
+    RelightTrainingOptions,
+    TrainingOptions,
+)
 
 
 @dataclass(frozen=True)
-class TrainPrepare(PrepareOptions):
+class PrepareLighting(PrepareOptions):
     """Make the file that training of the lighting networks draws from."""
 
     verbose: Verbose = False
@@ -27,6 +33,33 @@ class TrainPrepare(PrepareOptions):
 
 
 @dataclass(frozen=True)
+class PrepareRelight(PrepareRelightOptions):
+    """Make the streets, twins and samples that the relighting network learns from."""
+
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Make what is missing."""
+        from lightsim.simulation.relight_samples import prepare_relight
+
+        prepare_relight(self, terminal_progress())
+
+
+_Prepare = (
+    Annotated[PrepareLighting, tyro.conf.subcommand("lighting")]
+    | Annotated[PrepareRelight, tyro.conf.subcommand("relight")]
+)
+
+
+@dataclass(frozen=True)
+class PrepareGroup:
+    """Make training data: of the lighting networks, or of the relighting network."""
+
+    data: tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[_Prepare]]
+
+
+@dataclass(frozen=True, kw_only=True)
 class TrainInpaint(TrainingOptions):
     """Train the completion of panoramas."""
 
@@ -42,7 +75,7 @@ class TrainInpaint(TrainingOptions):
         run.train_inpaint(self, self.ldr_fraction)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TrainSky(TrainingOptions):
     """Train the estimator of sky domes."""
 
@@ -65,7 +98,7 @@ class TrainSky(TrainingOptions):
         run.train_sky_network(self, self.network, self.inpaint, self.start, self.part)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TrainBaseline(TrainingOptions):
     """Train a method to compare with."""
 
@@ -83,16 +116,31 @@ class TrainBaseline(TrainingOptions):
         run.train_sky_network(self, self.which, self.inpaint)
 
 
+@dataclass(frozen=True, kw_only=True)
+class TrainRelight(RelightTrainingOptions):
+    """Train the network that corrects physical relighting."""
+
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Train, or go on."""
+        from lightsim.training.run_relight import train
+
+        train(self)
+
+
 _Train = (
-    Annotated[TrainPrepare, tyro.conf.subcommand("prepare")]
+    Annotated[PrepareGroup, tyro.conf.subcommand("prepare")]
     | Annotated[TrainInpaint, tyro.conf.subcommand("inpaint")]
     | Annotated[TrainSky, tyro.conf.subcommand("sky")]
+    | Annotated[TrainRelight, tyro.conf.subcommand("relight")]
     | Annotated[TrainBaseline, tyro.conf.subcommand("baseline")]
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TrainGroup:
-    """Train the lighting networks."""
+    """Train the networks."""
 
     what: tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[_Train]]

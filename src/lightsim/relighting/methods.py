@@ -10,7 +10,25 @@ from jaxtyping import Float32
 from lightsim.relighting.options import Method
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
 
-METHODS: Mapping[Method, Callable[[RelightInputs, RatioConfig], Float32[np.ndarray, "h w 3"]]] = {
+Radiance = Float32[np.ndarray, "h w 3"]
+
+
+def _network(inputs: RelightInputs, config: RatioConfig) -> Radiance:
+    # It brings torch, which physical relighting does without.
+    from lightsim.relighting.network.relight import relight_network
+
+    return relight_network(inputs, config)
+
+
+def _paper(inputs: RelightInputs, config: RatioConfig) -> Radiance:
+    from lightsim.relighting.network.relight import relight_paper
+
+    return relight_paper(inputs, config)
+
+
+METHODS: Mapping[Method, Callable[[RelightInputs, RatioConfig], Radiance]] = {
     "physical": relight_physical,
+    "network": _network,
+    "paper": _paper,
 }
 """(inputs of a frame, settings) -> radiance under the target sky."""

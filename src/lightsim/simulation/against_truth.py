@@ -66,7 +66,7 @@ def relit_frames(
         raise InputError("no relit ground truth", where=truth / "relit", expected="NAME/<camera>/")
     masks = TrueSurfaces(truth / "scene.npz", workspace)
     tasks: list[FrameTask] = []
-    relit = relight(work, _truth_options(truth, conditions), progress)
+    relit = relight(work, truth_options(truth, conditions), progress)
     for name, made in zip(conditions, relit, strict=True):
         folder = truth / "relit" / name
         source = Path(workspace.reading.source) / "camera"
@@ -75,7 +75,7 @@ def relit_frames(
     return score_frames(tasks, config or FramesConfig(), progress=progress)
 
 
-def _truth_options(truth: Path, conditions: Sequence[str]) -> RelightOptions:
+def truth_options(truth: Path, conditions: Sequence[str]) -> RelightOptions:
     """The relight that the folders of true frames ask for."""
     stems = sorted({int(p.stem) for p in (truth / "relit").glob("*/*/*") if p.stem.isdigit()})
     step = int(np.gcd.reduce(np.diff(stems))) if len(stems) > 1 else 1

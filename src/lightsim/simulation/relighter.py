@@ -15,7 +15,7 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.pipeline.workspace import Workspace
 from lightsim.relighting.methods import METHODS
 from lightsim.relighting.physical.compose import camera_image
-from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs
+from lightsim.relighting.physical.ratio import Circumstances, RatioConfig, RelightInputs
 from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
 from lightsim.render.image import sky_image
 from lightsim.render.transport.matrix import TransportConfig
@@ -46,7 +46,7 @@ class RelitFrame:
         image_srgb8: as the camera would have recorded it.
         radiance: linear, scene units, before gain and exposure.
         traced: the frame in the scenario; None where nothing had to be traced.
-        lights: of the source sky and of the target; None where pixels kept their light.
+        inputs: of relighting; None where pixels kept their light.
         source: the frame under the source sky.
     """
 
@@ -54,8 +54,13 @@ class RelitFrame:
     image_srgb8: UInt8[np.ndarray, "h w 3"]
     radiance: Float32[np.ndarray, "h w 3"]
     traced: TransportFrame | None
-    lights: tuple[ShadowBuffers, ShadowBuffers] | None
+    inputs: RelightInputs | None
     source: SourceImage
+
+    @property
+    def lights(self) -> tuple[ShadowBuffers, ShadowBuffers] | None:
+        """Of the source sky and of the target; None where pixels kept their light."""
+        return None if self.inputs is None else (self.inputs.source, self.inputs.target)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +159,7 @@ class Relighter:
         target: RelightTarget,
     ) -> RelitFrame:
         camera = self.log.cameras[frame.camera_name]
+        gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
         inputs = RelightInputs(
             radiance=source.radiance,
             is_clipped=source.is_clipped,
@@ -165,10 +171,13 @@ class Relighter:
             source_sun=self._source.sun,
             target_sun=target.cells.sun,
             found_visibility=traced.found_visibility(self._source.sun),
+            circumstances=Circumstances(
+                gain, frame.world_from_camera, self._workspace.sky.dome, target.sky.dome
+            ),
         )
         radiance = METHODS[self._options.method](inputs, self._config.ratio)
         ego_vehicle = self.log.ego_vehicle_masks.get(frame.camera_name)
         if ego_vehicle is not None:
             # It moves with the camera and has no mesh: lit as a level surface in the open.
             radiance[ego_vehicle] = inputs.radiance[ego_vehicle] * target.level_ratio
-        return RelitFrame(frame, self._developed(frame, radiance), radiance, traced, lights, source)
+        return RelitFrame(frame, self._developed(frame, radiance), radiance, traced, inputs, source)

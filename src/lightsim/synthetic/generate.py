@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from lightsim.synthetic.lidar import scan
 from lightsim.synthetic.plan import Size, StreetConfig, config_of, plan_street
 from lightsim.synthetic.rig import SWEEP_S, MountedCamera, mount_cameras
 from lightsim.synthetic.sensor import camera_isp
-from lightsim.synthetic.skies import Sky, build_sky, environment, sky_specs
+from lightsim.synthetic.skies import Sky, build_sky, environment, measured_sky, sky_specs
 from lightsim.synthetic.street import Street, build_street
 from lightsim.synthetic.tracer import PathTracer, Placed
 from lightsim.synthetic.truth import (
@@ -56,16 +56,23 @@ class _Shot:
 
 
 def synthesize(
-    out: Path, *, seed: int, size: Size, progress: Progress, is_denoised: bool = False
+    out: Path,
+    *,
+    seed: int,
+    size: Size,
+    progress: Progress,
+    is_denoised: bool = False,
+    target_skies: Sequence[Path] = (),
 ) -> None:
     """Write OUT/log (PandaSet's layout) and OUT/truth; finished files are kept, so that an
     interrupted run can be started again.
 
     Args:
         is_denoised: the pictures, of log and truth, have no grain of few light paths.
+        target_skies: HDR panoramas under which there are true pictures, too, by their stems.
 
     Raises:
-        InputError: the seed is negative, or OUT cannot be written to.
+        InputError: the seed is negative, a panorama cannot be read, or OUT cannot be written to.
         MissingDependencyError: denoising needs the extra `denoise`.
     """
     config = config_of(size)
@@ -78,10 +85,12 @@ def synthesize(
     write_rig(log, plan, config, cameras)
     command = f"lightsim synthesize --seed {seed} --size {size}"
     command += " --denoise" if is_denoised else ""
+    command += f" --sky {' '.join(path.name for path in target_skies)}" if target_skies else ""
     write_truth_json(truth / "truth.json", street, config, cameras, command)
     _missing(truth / "scene.npz", lambda path: write_geometry(path, street))
     _write_sweeps(log, street, config, progress)
     skies = [build_sky(spec, plan) for spec in sky_specs(plan)]
+    skies += [measured_sky(path, plan) for path in target_skies]
     for sky in skies:
         write_sky(truth / "skies", sky, config.dome_height_px)
     _write_buffers(truth, street, config, cameras, skies[0], progress)

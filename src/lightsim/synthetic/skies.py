@@ -8,20 +8,26 @@ purpose none of the analytic models that sky estimation fits.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from zlib import crc32
 
 import numpy as np
 from jaxtyping import Float, Float32
 
 from lightsim.core.colour import luminance
-from lightsim.core.dome import SkyDome, Sun, add_sun
+from lightsim.core.dome import SkyDome, Sun, add_sun, find_sun, split_sun
 from lightsim.core.equirect import pixel_directions, sample_bilinear, solid_angles_sr
+from lightsim.core.resample import resize_area
 from lightsim.core.solar import SolarPosition, direction_world
+from lightsim.store.images import read_sky
 from lightsim.synthetic.plan import StreetPlan
 from lightsim.synthetic.textures import noise
 
 _SUN_AT_ZENITH = 6.3
 """Luminous irradiance before extinction, scene units: a sunlit white wall comes out near 0.9."""
 _EXTINCTION_RGB = np.array([0.17, 0.22, 0.33])
+_LEVEL_OF_MEASURED = (1.5, 6.0)
+"""Luminous irradiance of level ground under measured skies, scene units."""
 _CLEAR = (-1.0, -0.32, 10.0, -3.0, 0.45)
 """CIE S 011 type 12: clear, low turbidity (Darula & Kittler 2002)."""
 _OVERCAST = (4.0, -0.70, 0.0, -1.0, 0.0)
@@ -102,6 +108,24 @@ def build_sky(spec: SkySpec, plan: StreetPlan, height_px: int = 512) -> Sky:
     radiance = radiance * level
     radiance[is_below] = ground
     return Sky(spec, radiance.astype(np.float32), sun)
+
+
+def measured_sky(path: Path, plan: StreetPlan, height_px: int = 512) -> Sky:
+    """An HDR panorama as the sky of a street: turned at random, and as bright as gives level ground
+    between the light of an overcast sky and that of a high sun. Its own lower half stays.
+
+    Raises:
+        InputError: the file is no panorama that can be read.
+    """
+    radiance = read_sky(path).radiance
+    rng = np.random.default_rng([plan.seed, 7, crc32(path.stem.encode())])
+    dome = SkyDome(radiance, find_sun(radiance)).rotated(float(rng.uniform(0, 360)))
+    wanted = float(np.exp(rng.uniform(*np.log(_LEVEL_OF_MEASURED))))
+    dome = dome.scaled(wanted / max(float(luminance(dome.horizontal_irradiance())), 1e-9))
+    rest, sun = split_sun(dome)
+    rows = min(height_px, len(rest))
+    spec = SkySpec(path.stem, None, wanted, 0.0, 0)
+    return Sky(spec, resize_area(rest, rows, 2 * rows), sun)
 
 
 def sun_irradiance(elevation_deg: float) -> Float[np.ndarray, "3"]:

@@ -29,7 +29,7 @@ from lightsim.training.street_panoramas import StreetConfig, StreetView, trace_s
 
 VERSION = 2
 _VIEW_FIELDS = ("pixel", "albedo", "normal", "met", "horizon")
-_REMEDY = "Make it again with lightsim train prepare."
+_REMEDY = "Make it again with lightsim train prepare lighting."
 
 
 @dataclass(frozen=True)

@@ -92,7 +92,7 @@ class _Sample:
 
 
 class LightingSet:
-    """`lighting.sample.LightingData` from a cache file that `lightsim train prepare` wrote.
+    """`lighting.sample.LightingData` from what `lightsim train prepare lighting` wrote.
 
     The forward direction of the car is +x of the panorama: its centre column. Training draws
     from train skies (turned, mirrored, re-exposed, their suns moved) and procedural ones over

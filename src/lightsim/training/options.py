@@ -32,11 +32,29 @@ class PrepareOptions:
 
 
 @dataclass(frozen=True)
-class TrainingOptions:
-    """What a training of a lighting network is made from."""
+class PrepareRelightOptions:
+    """What the data of the relighting network are made from."""
 
-    data: Path
-    """File that lightsim train prepare wrote."""
+    out: Path
+    """Folder to write: a folder of samples for each street."""
+    streets: tuple[int, ...] = tuple(range(201, 213))
+    """Seeds of the streets. Those that anything is measured on must not be among them."""
+    hdri: Path | None = None
+    """Folder of .hdr and .exr panoramas that are target skies, too."""
+    split: Path | None = None
+    """CSV that names those of the training side."""
+    skies_per_street: int = 2
+    """Measured skies of a street, beside its own three."""
+    size: Literal["small", "medium", "full"] = "small"
+    """Of the streets' pictures."""
+    keep: bool = False
+    """Keep logs, truths and twins of finished streets, too."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """How long and where a network is trained, and where its files go."""
+
     out: Path
     """Folder for checkpoint, metrics.jsonl, weights.safetensors and scores.json; a run that was
     stopped goes on here."""
@@ -52,7 +70,34 @@ class TrainingOptions:
     """Of first weights and batches."""
     compile: bool = False
     """Compile the networks (torch.compile), for a GPU; it needs a C compiler."""
+    licence: str = "unknown"
+    """Of the weights, for the record that they carry; it depends on the data they have seen."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingOptions(RunOptions):
+    """What a training of a lighting network is made from."""
+
+    data: Path
+    """File that lightsim train prepare lighting wrote."""
     composites: bool = False
     """Train on measured clouds over analytic clear skies, too."""
-    licence: str = "unknown"
-    """Of the weights, for the record that they carry; it depends on the skies they have seen."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelightTrainingOptions(RunOptions):
+    """What a training of the relighting network is made from."""
+
+    data: Path
+    """Folder that lightsim train prepare relight wrote."""
+    network: Literal["network", "paper"] = "network"
+    """network corrects the physical estimate; paper is the published form, with its pairs and
+    losses."""
+    without: tuple[str, ...] = ()
+    """Ablations: sim-real, identity, truth (pairs), buffers, shadow-maps, physical, confidence."""
+    edge_weight: float | None = None
+    """Weight of the edges' loss; by default the network's."""
+    streets: tuple[str, ...] = ()
+    """Its folders to learn from; by default all but those for validation."""
+    validation: tuple[str, ...] = ()
+    """Its folders that tell how good the network is; nothing is learned from them."""

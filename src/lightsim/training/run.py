@@ -27,7 +27,7 @@ from lightsim.training.lighting_cache import (
     write_cache,
 )
 from lightsim.training.lighting_data import LightingSet
-from lightsim.training.options import PrepareOptions, TrainingOptions
+from lightsim.training.options import PrepareOptions, RunOptions, TrainingOptions
 from lightsim.training.street_panoramas import StreetConfig
 from lightsim.version import __version__
 
@@ -105,16 +105,18 @@ def train_inpaint(command: TrainingOptions, ldr_fraction: float) -> None:
     cache = read_cache(command.data)
     kind = inpaint_train.InpaintConfig
     config = kind.small() if command.preset == "small" else kind.full()
-    config = replace(config, seed=command.seed, loop=_loop(config.loop, command))
+    config = replace(config, seed=command.seed, loop=loop_of(config.loop, command))
     check_number("--ldr-fraction", ldr_fraction, 0.0, 1.0)
     data = LightingSet(cache, composites=command.composites, ldr_fraction=ldr_fraction)
-    with _session(command) as session:
+    with session_of(command) as session:
         weights, steps = inpaint_train.train_inpaint(data, config, session)
     if session.processes.is_first:
         held_out = _validation(cache)
         stored = {name: value.half().float() for name, value in weights.items()}
         scores = evaluate_inpaint(held_out, stored) if held_out else {}
-        _write(command, weights, scores, _record(command, "inpaint", cache, session, steps, scores))
+        write_run(
+            command, weights, scores, _record(command, "inpaint", cache, session, steps, scores)
+        )
 
 
 def train_sky_network(
@@ -152,15 +154,15 @@ def train_sky_network(
     recipe = sky_recipe(kind, command.preset, command.seed, part)
     if start is not None:
         recipe = started_from(recipe, read_weights(start))
-    loop = _loop(recipe.config.loop, command)
+    loop = loop_of(recipe.config.loop, command)
     recipe = replace(recipe, config=replace(recipe.config, loop=loop))
-    with _session(command) as session:
+    with session_of(command) as session:
         steps = sky_train.train_sky(recipe, data, session, complete)
     if session.processes.is_first:
         network, held_out = recipe.network.cpu().eval(), _validation(cache)
         scores = _sky_scores(kind, network, (data, held_out), complete) if held_out else {}
         record = _record(command, kind, cache, session, steps, scores)
-        _write(command, weights_of(kind, network), scores, record)
+        write_run(command, weights_of(kind, network), scores, record)
 
 
 def _sky_scores(
@@ -178,13 +180,15 @@ def _sky_scores(
     return {row.name: _known(asdict(row)) for row in rows}
 
 
-def _loop(config: LoopConfig, command: TrainingOptions) -> LoopConfig:
+def loop_of(config: LoopConfig, command: RunOptions) -> LoopConfig:
+    """A preset's loop with what the command changes."""
     steps = config.steps if command.steps is None else command.steps
     return replace(config, steps=steps, is_compiled=command.compile)
 
 
 @contextmanager
-def _session(command: TrainingOptions) -> Generator[Session]:
+def session_of(command: RunOptions) -> Generator[Session]:
+    """Where the command trains; its folder is made."""
     from lightsim.networks.devices import choose_device, joined_processes
     from lightsim.networks.loop import Session
     from lightsim.store.checkpoint import FolderCheckpointer
@@ -211,7 +215,7 @@ def _record(
     ldr = f", {ldr_count} LDR panoramas" if ldr_count and network == "inpaint" else ""
     return WeightsRecord(
         description=description,
-        command=_command_line(what, command, session.processes.count),
+        command=command_line(what, command, session.processes.count),
         training_data=f"{count} HDR skies, {len(cache.clear.elevation_deg)} clear skies and "
         f"{positions} positions in synthetic streets{ldr}",
         split_hash=split_hash(sky.entry for sky in cache.skies),
@@ -223,8 +227,8 @@ def _record(
     )
 
 
-def _write(
-    command: TrainingOptions,
+def write_run(
+    command: RunOptions,
     weights: Mapping[str, Tensor],
     scores: Mapping[str, Any],
     record: WeightsRecord,
@@ -236,7 +240,7 @@ def _write(
     _LOGGER.info("%s: %s", command.out / WEIGHTS_NAME, record.line())
 
 
-def _command_line(what: str, command: TrainingOptions, processes: int) -> str:
+def command_line(what: str, command: RunOptions, processes: int) -> str:
     """The command that gives the same weights, without options that are at their default."""
     torchrun = ["torchrun", "--nproc-per-node", str(processes), "--no-python"]
     words = [*(torchrun if processes > 1 else []), "lightsim", "train", what]
@@ -244,7 +248,8 @@ def _command_line(what: str, command: TrainingOptions, processes: int) -> str:
         value = getattr(command, option.name)
         if value != option.default and option.name != "verbose":
             words.append("--" + option.name.replace("_", "-"))
-            words += [] if value is True else [str(value)]
+            many = value if isinstance(value, tuple) else (value,)
+            words += [] if value is True else [str(one) for one in many]
     return shlex.join(words)
 
 

@@ -87,8 +87,8 @@ def train_sky(
             where="--data, --preset",
             got=f"{2 * data.height_px}x{data.height_px} px",
             expected=f"{2 * recipe.height_px}x{recipe.height_px} px",
-            remedy=f"Make the data with lightsim train prepare --height {recipe.height_px}, or"
-            " choose the preset of their size.",
+            remedy="Make the data with lightsim train prepare lighting --height"
+            f" {recipe.height_px}, or choose the preset of their size.",
         )
     target = choose_device(session.device)
     network, config = recipe.network.to(target), recipe.config

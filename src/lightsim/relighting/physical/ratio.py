@@ -14,12 +14,13 @@ import numpy as np
 from jaxtyping import Bool, Float32
 
 from lightsim.core.buffers import GBuffers, ShadowBuffers
-from lightsim.core.dome import Sun
+from lightsim.core.dome import SkyDome, Sun
 from lightsim.core.found_visibility import (
     unoccluded_sun,
     with_found_visibility,
     with_sun_visibility,
 )
+from lightsim.core.frames import RigidTransform
 from lightsim.core.solar import angle_between_deg
 from lightsim.errors import InputError
 from lightsim.relighting.physical.denoise import denoised_where_amplified
@@ -53,6 +54,22 @@ _SAME_SUN_DEG = 2.0
 
 
 @dataclass(frozen=True, eq=False)
+class Circumstances:
+    """Under which a frame was taken and shall be shown; networks look at pictures and skies.
+
+    Args:
+        gain: of the camera; times radiance it is the linear picture, 1 its white.
+        world_from_camera: where it stands.
+        source_sky, target_sky: domes in scene units, sun included.
+    """
+
+    gain: Float32[np.ndarray, "3"]
+    world_from_camera: RigidTransform
+    source_sky: SkyDome
+    target_sky: SkyDome
+
+
+@dataclass(frozen=True, eq=False)
 class RelightInputs:
     """One frame. Radiances are linear, in scene units.
 
@@ -70,6 +87,7 @@ class RelightInputs:
             show none, and the rendered one holds.
         picture_width_px: of the picture that these arrays are a window of; None: they are all of
             it.
+        circumstances: what networks need besides; None: physical relighting alone is asked for.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]
@@ -83,6 +101,7 @@ class RelightInputs:
     target_sun: Sun | None = None
     found_visibility: Float32[np.ndarray, "h w"] | None = None
     picture_width_px: int | None = None
+    circumstances: Circumstances | None = None
 
     @property
     def width_px(self) -> int:

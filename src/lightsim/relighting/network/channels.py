@@ -1,0 +1,162 @@
+"""What relighting networks see of a frame: named planes, and the two skies.
+
+Radiances and lights are linear and multiplied by the camera's gain, so that 1 is the white of its
+pictures, whatever the unit of the scene. Vectors and domes are in the camera's level frame: right,
+forward, up.
+"""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from lightsim.core.buffers import ShadowBuffers
+from lightsim.core.colour import luminance, srgb_from_linear
+from lightsim.core.dome import SkyDome, split_sun
+from lightsim.core.frames import RigidTransform
+from lightsim.core.resample import resize_area
+from lightsim.relighting.physical.ratio import Circumstances, RelightInputs
+
+Planes = dict[str, Float[np.ndarray, "_ _ _"]]
+"""Arrays of one picture size by name; those of skies (`OF_SKIES`) have their own."""
+
+DOME_ROWS = 32
+OF_SKIES = ("_dome", "_facts")
+"""Ends of the names of what has no pixels of the picture."""
+SCENE = MappingProxyType(
+    {
+        "source": 3,  # The recorded picture, sRGB in [0, 1].
+        "clipped": 1,
+        "matte": 1,  # Fraction of the pixel that is sky.
+        "surface": 1,  # 1 where a mesh is met; all that follow are 0 elsewhere.
+        "depth": 1,  # Metres along the optical axis.
+        "position": 3,  # Metres from the camera.
+        "normal": 3,
+        "base_colour": 3,
+        "openness": 1,  # Ambient occlusion: 1 is open.
+        "actor": 1,  # 1 on actors.
+        "found": 1,  # The recorded sun's visibility as pictures show it; -1 where they do not.
+    }
+)
+"""Planes of a frame, with their channels."""
+LIGHT = MappingProxyType(
+    {
+        "shaded": 3,  # What a white Lambert surface would show.
+        "ratio": 3,  # Shadow ratio S (paper, Sec. 4).
+        "sun": 1,  # Fraction of the solar disc seen.
+        "reflected": 3,
+    }
+)
+"""Planes of a frame under one sky; named `source_shaded` and so on."""
+BUFFERS = ("openness", "normal", "depth", "position")
+"""The paper's I_buffer."""
+TARGET = MappingProxyType({"physical": 3, "sky": 3})
+"""Planes of one target sky: the physical estimate, and what the camera sees of the sky."""
+
+
+def scene_planes(inputs: RelightInputs, seen: Circumstances) -> Planes:
+    """Planes of `SCENE`, and of `LIGHT` under the source sky."""
+    buffers = inputs.buffers
+    is_there = buffers.has_surface
+    found = inputs.found_visibility
+    if found is None:
+        found = np.full(is_there.shape, np.nan, np.float32)
+    axes = _level_axes(seen.world_from_camera)
+    from_camera = buffers.position_world - seen.world_from_camera.translation_m.astype(np.float32)
+    planes = {
+        "source": srgb_from_linear(np.clip(inputs.radiance * seen.gain, 0, 1)),
+        "clipped": inputs.is_clipped,
+        "matte": inputs.sky_matte,
+        "surface": is_there,
+        "depth": np.where(is_there, buffers.depth_z_m, 0),
+        "position": np.where(is_there[..., None], from_camera, 0) @ axes,
+        "normal": buffers.normal_world @ axes,
+        "base_colour": buffers.base_colour,
+        "openness": np.where(is_there, buffers.ambient_occlusion, 0),
+        "actor": buffers.actor_index >= 0,
+        "found": np.where(np.isfinite(found), found, -1),
+    }
+    light = _light_planes(inputs.source, seen.gain) | _sky(seen.source_sky, axes, seen.gain)
+    own = {f"source_{name}": value for name, value in light.items()}
+    return {name: _plane(value) for name, value in {**planes, **own}.items()}
+
+
+def target_planes(
+    inputs: RelightInputs, seen: Circumstances, physical: Float32[np.ndarray, "h w 3"]
+) -> Planes:
+    """Planes of `LIGHT` under the target sky, and of `TARGET`.
+
+    Args:
+        physical: scene radiance that physical relighting found.
+    """
+    planes = {
+        "physical": physical * seen.gain,
+        "sky": inputs.target_sky * seen.gain,
+        **_light_planes(inputs.target, seen.gain),
+        **_sky(seen.target_sky, _level_axes(seen.world_from_camera), seen.gain),
+    }
+    return {f"target_{name}": _plane(value) for name, value in planes.items()}
+
+
+def shrunk(planes: Planes, columns: int) -> Planes:
+    """The planes at most so many columns wide, by areas; domes stay."""
+    height, width = planes["source"].shape[1:]
+    if width <= columns:
+        return planes
+    rows = round(height * columns / width)
+    return {
+        name: value if name.endswith(OF_SKIES) else _resized(value, rows, columns)
+        for name, value in planes.items()
+    }
+
+
+def _resized(plane: np.ndarray, rows: int, columns: int) -> Float32[np.ndarray, "c h w"]:
+    return _plane(resize_area(np.moveaxis(plane, 0, -1), rows, columns))
+
+
+def _light_planes(light: ShadowBuffers, gain: Float32[np.ndarray, "3"]) -> dict[str, np.ndarray]:
+    return {
+        "shaded": light.shaded * gain,
+        "ratio": light.ratio,
+        "sun": light.sun_visibility,
+        "reflected": light.reflected * gain,
+    }
+
+
+def _level_axes(world_from_camera: RigidTransform) -> Float32[np.ndarray, "3 3"]:
+    """Right, forward and up of the camera, level, as columns in frame `world`; a camera that looks
+    straight up or down has the top of its picture for forward."""
+    axis, top = world_from_camera.rotation[:, 2], -world_from_camera.rotation[:, 1]
+    x, y = axis[:2] if np.hypot(*axis[:2]) > 1e-3 else top[:2]
+    length = np.hypot(x, y)
+    return np.array([[y, x, 0], [-x, y, 0], [0, 0, length]], np.float32) / np.float32(length)
+
+
+def _sky(
+    dome: SkyDome, axes: Float32[np.ndarray, "3 3"], gain: Float32[np.ndarray, "3"]
+) -> dict[str, np.ndarray]:
+    """`dome`: small, in scene units, its centre column towards the camera's forward. `facts`: the
+    direction to the sun times its share of the light on level ground, that share, and the log of
+    that light, 0 where a white level surface shows as white."""
+    small = resize_area(dome.radiance, DOME_ROWS, 2 * DOME_ROWS)
+    azimuth_deg = float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1])))
+    level = luminance(dome.horizontal_irradiance() * gain / np.pi)
+    sun = split_sun(dome)[1]
+    share, towards = 0.0, np.zeros(3)
+    if sun is not None and sun.direction_world[2] > 0:
+        from_sun = sun.irradiance * gain / np.pi * sun.direction_world[2]
+        share = float(np.clip(luminance(from_sun) / max(float(level), 1e-9), 0.0, 1.0))
+        towards = sun.direction_world @ axes
+    facts = np.array([*(share * towards), share, np.log(max(float(level), 1e-4))])
+    return {
+        "dome": SkyDome(small, None).rotated(-azimuth_deg).radiance,
+        "facts": facts[None, None],
+    }
+
+
+def _plane(values: np.ndarray) -> Float32[np.ndarray, "c h w"]:
+    values = np.asarray(values, dtype=np.float32)
+    stacked = values[None] if values.ndim == 2 else np.moveaxis(values, -1, 0)
+    return np.ascontiguousarray(stacked)

@@ -1,0 +1,125 @@
+"""The planes of a frame as tensors, and what the network makes of them before its first layer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from lightsim.core.colour import LUMINANCE_WEIGHTS
+from lightsim.relighting.network.channels import BUFFERS, Planes
+
+Batch = Mapping[str, Tensor]
+"""Planes with a leading axis of samples, by name (`channels`)."""
+Unseen = Literal["buffers", "shadow-maps", "physical", "confidence"]
+"""What ablations leave out: I_buffer, visibilities and shadow ratios, the physical estimate (the
+twin's own picture stands for it), or the gain on the network's confidence."""
+_DARK = 0.02
+"""Of white: the code of radiance is logarithmic above it and linear below."""
+_FAR_M = 200.0
+
+
+def tensors_of(planes: Planes, device: torch.device | str = "cpu") -> dict[str, Tensor]:
+    """One sample as a batch."""
+    return {k: torch.from_numpy(v).to(device, torch.float32)[None] for k, v in planes.items()}
+
+
+def coded(radiance: Tensor) -> Tensor:
+    """Log of radiance, 0 in the dark and 1 at white; brighter is larger than 1."""
+    return torch.log1p(radiance.clamp_min(0.0) / _DARK) / math.log1p(1 / _DARK)
+
+
+def srgb_of(linear: Tensor) -> Tensor:
+    """sRGB code (IEC 61966-2-1) of linear values, not clipped above 1; with a gradient at 0."""
+    linear = linear.clamp_min(0.0)
+    curve = 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055
+    return torch.where(linear <= 0.0031308, 12.92 * linear, curve)
+
+
+def linear_of(srgb: Tensor) -> Tensor:
+    """Inverse of `srgb_of` within [0, 1]."""
+    curve = ((srgb.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4
+    return torch.where(srgb <= 0.04045, srgb / 12.92, curve)
+
+
+def without(batch: Batch, unseen: Collection[Unseen]) -> Batch:
+    """The batch without what a network is not to see, for ablations."""
+    hidden: set[str] = set(BUFFERS) if "buffers" in unseen else set()
+    if "shadow-maps" in unseen:
+        hidden |= {f"{which}_{name}" for which in ("source", "target") for name in ("ratio", "sun")}
+        hidden.add("found")
+    seen = {k: torch.zeros_like(v) if k in hidden else v for k, v in batch.items()}
+    if "physical" in unseen:
+        surface = batch["surface"]
+        twin = surface * modelled(batch, "target") + (1 - surface) * batch["target_sky"]
+        seen["target_physical"] = twin
+    return seen
+
+
+def grey(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 h w"]:
+    """Luminance."""
+    weights = torch.tensor(LUMINANCE_WEIGHTS, dtype=radiance.dtype, device=radiance.device)
+    return (radiance * weights[:, None, None]).sum(1, keepdim=True)
+
+
+def guides(batch: Batch) -> Float[Tensor, "n 11 h w"]:
+    """What tells where a correction ends, at the full size of the picture."""
+    return torch.cat(
+        [
+            coded(batch["target_physical"]),
+            batch["source"],
+            coded(modelled(batch, "target")),
+            batch["matte"],
+            batch["surface"],
+        ],
+        dim=1,
+    )
+
+
+def modelled(batch: Batch, which: str) -> Float[Tensor, "n 3 h w"]:
+    """Linear picture of the twin under one of the skies, without sky."""
+    return batch["base_colour"] * batch[f"{which}_shaded"] + batch[f"{which}_reflected"]
+
+
+def features(batch: Batch) -> Float[Tensor, "n 39 h w"]:
+    """All that the network sees pixel by pixel, each within a few units of 0."""
+    found = batch["found"]
+    lights = [
+        plane
+        for which in ("source", "target")
+        for plane in (
+            coded(batch[f"{which}_shaded"]),
+            batch[f"{which}_sun"],
+            grey(batch[f"{which}_ratio"]),
+            coded(grey(batch[f"{which}_reflected"])),
+            coded(modelled(batch, which)),
+        )
+    ]
+    return torch.cat(
+        [
+            coded(batch["target_physical"]),
+            coded(grey(batch["target_sky"])),
+            batch["source"],
+            batch["clipped"],
+            batch["matte"],
+            batch["surface"],
+            torch.log1p(batch["depth"]) / math.log1p(_FAR_M),
+            batch["normal"],
+            batch["base_colour"].clamp_min(0.0).sqrt(),
+            batch["openness"],
+            batch["actor"],
+            found.clamp_min(0.0),
+            (found < 0).to(found),
+            *lights,
+        ],
+        dim=1,
+    )
+
+
+def sky_facts(batch: Batch) -> Float[Tensor, "n 10"]:
+    """Both skies in ten numbers."""
+    return torch.cat([batch[f"{w}_facts"].flatten(1) for w in ("source", "target")], dim=1)

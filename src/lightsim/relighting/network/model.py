@@ -1,0 +1,131 @@
+"""The network of `--method network`: what physical relighting gets wrong, in log space.
+
+A U-Net (Ronneberger et al. 2015, arXiv:1505.04597) looks at the frame at half of its working size
+and predicts, for every pixel there, how the log of the physical estimate changes: a constant and a
+few factors on guides that are computed at the size of the picture, as in Gharbi et al. 2017
+(doi:10.1145/3072959.3073592). So the size of the picture costs little, and edges stay where the
+picture has them. Besides, it says how far off it expects to be.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from lightsim.relighting.network.blocks import Residual, Rise, padded
+from lightsim.relighting.network.features import (
+    Batch,
+    Unseen,
+    features,
+    guides,
+    sky_facts,
+    without,
+)
+
+_FEATURES, _GUIDES, _FACTS = 39, 11, 10
+_COLOURS = 3
+_FLOOR = 0.01
+"""Of white: darker pixels change by an addition rather than by a factor."""
+_MOST_EXACT = 6.0
+"""The expected error lies between exp of minus this, less than a code of 8 bits, and 1."""
+_LARGEST = 2.5
+"""Log of the largest factor."""
+
+
+@dataclass(frozen=True)
+class RelitNetConfig:
+    """Size of the network."""
+
+    widths: tuple[int, ...] = (32, 64, 96, 128, 128)
+    """Channels at a half, a quarter, ... of the working size."""
+    guide_count: int = 4
+    """Guides that corrections follow."""
+    working_columns: int = 480
+    """The picture is brought to this width before the network looks at it; narrower ones stay."""
+    unseen: tuple[Unseen, ...] = ()
+    """What ablations leave out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What the network found for a batch.
+
+    Args:
+        picture: linear, 1 is the camera's white; not clipped.
+        log_error: natural log of the mean absolute error expected of the picture's sRGB code, at
+            half of the working size.
+    """
+
+    picture: Float[Tensor, "n 3 h w"]
+    log_error: Float[Tensor, "n 1 p q"]
+
+
+class RelitNet(nn.Module):
+    """Physical estimate and what it was made of -> a better picture."""
+
+    def __init__(self, config: RelitNetConfig) -> None:
+        super().__init__()
+        self.config = config
+        widths = config.widths
+        self.stem = nn.Sequential(
+            nn.PixelUnshuffle(2), nn.Conv2d(4 * _FEATURES, widths[0], 1), Residual(widths[0])
+        )
+        self.down = nn.ModuleList(
+            nn.Sequential(nn.Conv2d(a, b, 3, 2, 1), Residual(b), Residual(b))
+            for a, b in itertools.pairwise(widths)
+        )
+        self.skies = nn.Sequential(nn.Linear(_FACTS, 64), nn.SiLU(), nn.Linear(64, 2 * widths[-1]))
+        self.up = nn.ModuleList(Rise(b, a) for a, b in reversed(list(itertools.pairwise(widths))))
+        outputs = _COLOURS * (1 + config.guide_count) + 2
+        self.head = nn.Conv2d(widths[0], outputs, 3, padding=1)
+        self.guide = nn.Sequential(
+            nn.Conv2d(_GUIDES, 16, 1), nn.SiLU(), nn.Conv2d(16, config.guide_count, 1), nn.Tanh()
+        )
+        # The first guess is physics.
+        nn.init.zeros_(self.head.weight)
+        nn.init.zeros_(self.head.bias)  # type: ignore[arg-type]
+
+    def forward(self, batch: Batch, working: Batch | None = None) -> Correction:
+        """The batch corrected.
+
+        Args:
+            batch: planes at the size of the picture.
+            working: the same at the working size; None: the picture has it.
+        """
+        batch = without(batch, self.config.unseen)
+        working = batch if working is None else without(working, self.config.unseen)
+        coefficients, log_error = self._look(working)
+        physical = batch["target_physical"]
+        size = physical.shape[-2:]
+        spread = functional.interpolate(coefficients, size, mode="bilinear")
+        constant, factors = spread[:, :_COLOURS], spread[:, _COLOURS:]
+        followed = self.guide(guides(batch))
+        change = constant + (
+            factors.unflatten(1, (_COLOURS, self.config.guide_count)) * followed[:, None]
+        ).sum(2)
+        change = _LARGEST * torch.tanh(change / _LARGEST) * (1 - batch["matte"])
+        picture = (physical.clamp_min(0.0) + _FLOOR) * torch.exp(change) - _FLOOR
+        return Correction(picture.clamp_min(0.0), log_error)
+
+    def _look(self, batch: Batch) -> tuple[Tensor, Tensor]:
+        """Coefficients of the correction, times their confidence, and the expected error's log."""
+        x, size = padded(features(batch), 2 ** len(self.config.widths))
+        x = self.stem(x)
+        levels = [x]
+        for step in self.down:
+            levels.append(step(levels[-1]))
+        x = levels.pop()
+        scale, shift = self.skies(sky_facts(batch))[..., None, None].chunk(2, dim=1)
+        x = x * (1 + scale) + shift
+        for step in self.up:
+            x = step(x, levels.pop())
+        found = self.head(x)[..., : (size[0] + 1) // 2, : (size[1] + 1) // 2]
+        is_sure = "confidence" in self.config.unseen
+        confidence = 1.0 if is_sure else torch.sigmoid(found[:, -2:-1] + 1.0)
+        # Bounded, or one surprise of a likelihood ends the training.
+        return found[:, :-2] * confidence, -_MOST_EXACT * torch.sigmoid(found[:, -1:])

@@ -1,0 +1,55 @@
+"""Both relighting networks by the kind that their weights carry."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+from lightsim.errors import InputError
+from lightsim.networks.stored import load_stored, stored_config, stored_tensors
+from lightsim.relighting.network.model import RelitNet, RelitNetConfig
+from lightsim.relighting.network.paper_model import PaperNet, PaperNetConfig
+from lightsim.store.weights import load_weights
+
+Network = RelitNet | PaperNet
+_KIND = {RelitNetConfig: "relight network", PaperNetConfig: "relight paper"}
+
+
+def make_network(config: RelitNetConfig | PaperNetConfig) -> Network:
+    """With first weights."""
+    return RelitNet(config) if isinstance(config, RelitNetConfig) else PaperNet(config)
+
+
+def tensors_of_network(network: Network) -> dict[str, Tensor]:
+    """What a weights file of a network holds."""
+    return stored_tensors(network, network.config, _KIND[type(network.config)])
+
+
+def network_of(tensors: Mapping[str, Tensor]) -> Network:
+    """The network of stored tensors, ready to be used.
+
+    Raises:
+        InputError: they are those of another network.
+    """
+    kind, values = stored_config(tensors)
+    by_kind = {name: config for config, name in _KIND.items()}
+    if kind not in by_kind:
+        raise InputError(
+            "these are weights of another network", got=kind, expected=", ".join(by_kind)
+        )
+    network = make_network(by_kind[kind](**values))
+    load_stored(network, tensors)
+    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+
+@lru_cache(maxsize=2)
+def shipped_network(name: str) -> Network:
+    """The network of weights of the package.
+
+    Raises:
+        InputError: they are missing or damaged.
+    """
+    return network_of(load_weights(name))

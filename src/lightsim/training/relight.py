@@ -1,0 +1,179 @@
+"""Training of the relighting networks, ours and the paper's, through the one training loop."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor
+
+from lightsim.networks.devices import choose_device
+from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
+from lightsim.relighting.network.features import Unseen, srgb_of
+from lightsim.relighting.network.model import RelitNetConfig
+from lightsim.relighting.network.paper_model import PaperNetConfig
+from lightsim.relighting.network.stored import Network, make_network
+from lightsim.training.ahead import Ahead
+from lightsim.training.relight_data import RelightBatch, RelightData, RelightDataConfig
+from lightsim.training.relight_losses import (
+    Perceptual,
+    colour_loss,
+    edge_loss,
+    error_loss,
+    shown,
+)
+
+
+@dataclass(frozen=True)
+class RelightTrainConfig:
+    """How a relighting network is trained; the defaults are those of `--method network`."""
+
+    network: RelitNetConfig | PaperNetConfig = field(default_factory=RelitNetConfig)
+    """Which network, and its size."""
+    loop: LoopConfig = field(
+        default_factory=lambda: LoopConfig(
+            steps=20000, warm_up_steps=300, average_decay=0.999, is_mixed_on_cpu=True
+        )
+    )
+    """Steps and averages."""
+    rate: float = 1e-3
+    """Highest learning rate (AdamW)."""
+    weight_decay: float = 1e-2
+    """Of AdamW."""
+    perception: float = 0.1
+    """Weight of LPIPS beside that of colour, which is 1."""
+    edges: float = 0.5
+    """Weight of the edges' difference."""
+    error: float = 0.01
+    """Weight of the expected error's likelihood, on which the picture does not depend."""
+    perception_px: int = 128
+    """LPIPS looks at a crop of this size: it costs ten times as much as the network."""
+    seed: int = 0
+    """Of first weights and batches."""
+    workers: int = 0
+    """Threads that make batches ahead of their use."""
+    data: RelightDataConfig = field(default_factory=RelightDataConfig)
+    """How frames are shown."""
+
+
+def full() -> RelightTrainConfig:
+    """For a GPU: three times as many weights, whole pictures, larger batches."""
+    return RelightTrainConfig(
+        network=RelitNetConfig(widths=(48, 96, 160, 224, 256)),
+        loop=LoopConfig(steps=60000, warm_up_steps=500, average_decay=0.9995, mixed_precision=True),
+        perception_px=256,
+        workers=8,
+        data=RelightDataConfig(batch=8, crop_px=(540, 960)),
+    )
+
+
+def paper(config: RelightTrainConfig) -> RelightTrainConfig:
+    """The paper's network, pairs and weights of losses (Sec. 4, "Learning"; appendix, "Learning
+    details": lambda_lpips = 1, lambda_edge = 400 on squared differences), with the loop of another
+    config. In what parts pairs are mixed is not published."""
+    data = replace(
+        config.data, sim_sim_fraction=0.45, sim_real_fraction=0.45, identity_fraction=0.1
+    )
+    return replace(
+        config, network=PaperNetConfig(), perception=1.0, edges=400.0, error=0.0, data=data
+    )
+
+
+Pairs = Literal["sim-real", "identity", "truth"]
+"""Kinds of pairs that ablations leave out."""
+
+
+def ablated(config: RelightTrainConfig, parts: Collection[Pairs | Unseen]) -> RelightTrainConfig:
+    """The config without some parts (paper, table A2, and ours)."""
+    data = config.data
+    if "sim-real" in parts:
+        more = data.sim_sim_fraction + data.sim_real_fraction
+        data = replace(data, sim_sim_fraction=more, sim_real_fraction=0.0)
+    if "identity" in parts:
+        data = replace(data, identity_fraction=0.0)
+    if "truth" in parts:
+        rest = 1 - data.identity_fraction
+        data = replace(data, sim_sim_fraction=rest / 2, sim_real_fraction=rest / 2)
+    unseen = tuple(part for part in parts if part in get_args(Unseen))
+    return replace(config, data=data, network=replace(config.network, unseen=unseen))
+
+
+def train_relight(
+    config: RelightTrainConfig, data: RelightData, session: Session
+) -> tuple[Network, int]:
+    """The network, and the number of steps done.
+
+    Raises:
+        ArtefactError: the checkpoint belongs to another network.
+    """
+    device = choose_device(session.device)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        network = make_network(config.network)
+    network = network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    adam = torch.optim.AdamW(network.parameters(), config.rate, weight_decay=config.weight_decay)
+    perceptual = Perceptual().to(device)
+    count = session.processes.count
+
+    def losses(step: int, draw: int) -> Iterator[Loss]:
+        total, terms = _loss(network, _on(batches.get(draw), device), perceptual, config, draw)
+        yield "network", total, terms
+
+    with Ahead(
+        lambda draw: data.batch(draw, config.seed),
+        config.workers,
+        count,
+        count * config.loop.steps,
+    ) as batches:
+        learners = {"network": Learner(network, (adam,), is_averaged=True)}
+        done = run_training(learners, losses, config.loop, session, "train relighting")
+    return network, done
+
+
+def _loss(
+    network: Network,
+    batch: RelightBatch,
+    perceptual: Perceptual,
+    config: RelightTrainConfig,
+    draw: int,
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """Of the weights in `config`; the paper's network minimises squares."""
+    found = network(batch.planes)
+    is_paper = isinstance(found, Tensor)
+    made = found if is_paper else shown(srgb_of(found.picture))
+    weight = batch.weight
+    # What does not count looks like the truth.
+    filled = weight * made + (1 - weight) * batch.truth
+    rows, columns = _crop(batch.truth.shape[-2:], config.perception_px, draw)
+    terms = {
+        "colour": colour_loss(made, batch.truth, weight),
+        "edges": edge_loss(filled, batch.truth, torch.ones_like(weight)),
+        "lpips": perceptual(filled[..., rows, columns], batch.truth[..., rows, columns]),
+    }
+    if is_paper:
+        total = terms["colour"].square() + config.edges * terms["edges"].square()
+    else:
+        terms["error"] = error_loss(found.log_error, made, batch.truth, weight)
+        total = terms["colour"] + config.edges * terms["edges"] + config.error * terms["error"]
+        # Beside what the physical estimate has, a step's colour tells what has been learned.
+        physical = shown(srgb_of(batch.planes["target_physical"]))
+        terms["physical"] = colour_loss(physical, batch.truth, weight).detach()
+    return total + config.perception * terms["lpips"], terms
+
+
+def _crop(size: tuple[int, ...], most: int, draw: int) -> tuple[slice, slice]:
+    """Another part of the picture at every draw."""
+    generator = torch.Generator().manual_seed(draw)
+    slices = []
+    for length in size:
+        part = min(length, most)
+        at = int(torch.randint(length - part + 1, (1,), generator=generator))
+        slices.append(slice(at, at + part))
+    return slices[0], slices[1]
+
+
+def _on(batch: RelightBatch, device: torch.device) -> RelightBatch:
+    planes = {name: value.to(device) for name, value in batch.planes.items()}
+    return RelightBatch(planes, batch.truth.to(device), batch.weight.to(device))

@@ -1,0 +1,231 @@
+"""Batches of the relighting networks: crops of frames under source and target sky, varied."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from lightsim.errors import InputError
+from lightsim.relighting.network.channels import OF_SKIES
+from lightsim.relighting.network.features import linear_of, modelled, srgb_of
+from lightsim.training.relight_cache import RelightSample, read_sample
+
+_MEMORY_FRAMES = 512
+"""Kept in memory once read, 15 MB each at 480 x 270 with three skies."""
+_VECTORS = ("normal", "position")
+_RADIANT = ("shaded", "reflected", "physical", "sky")
+_CLIPPED = 254 / 255
+
+
+@dataclass(frozen=True, eq=False)
+class RelightBatch:
+    """What a step learns from.
+
+    Args:
+        planes: of scene, source and target, each with a leading axis of samples.
+        truth: sRGB in [0, 1].
+        weight: 1 where a pixel counts.
+    """
+
+    planes: dict[str, Tensor]
+    truth: Float[Tensor, "n 3 h w"]
+    weight: Float[Tensor, "n 1 h w"]
+
+
+@dataclass(frozen=True)
+class RelightDataConfig:
+    """How frames are shown."""
+
+    batch: int = 1
+    """Crops a step."""
+    crop_px: tuple[int, int] = (256, 384)
+    """Rows and columns of a crop, at most; a smaller picture is shown whole."""
+    identity_fraction: float = 0.05
+    """Of the samples: their target is the source itself."""
+    sim_sim_fraction: float = 0.0
+    """Of the samples: the twin rendered under one sky, and under another (paper, Sec. 4)."""
+    sim_real_fraction: float = 0.0
+    """Of the samples: the twin rendered under another sky, and the recorded picture."""
+    exposure_ev: float = 0.35
+    """Samples are up to so many stops brighter or darker."""
+
+
+class RelightData:
+    """Frames of some folders of samples, each under all its target skies.
+
+    Args:
+        folders: of streets, as `lightsim train prepare relight` wrote them.
+    """
+
+    def __init__(self, folders: Sequence[Path], config: RelightDataConfig) -> None:
+        self._files = [path for folder in folders for path in sorted(folder.glob("*.npz"))]
+        self._config = config
+        if not self._files:
+            raise InputError(
+                "there are no samples of relighting",
+                where=", ".join(str(folder) for folder in folders),
+                remedy="Make them with lightsim train prepare relight.",
+            )
+        self._read = lru_cache(_MEMORY_FRAMES)(read_sample)
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    def whole(self, index: int, sky: str) -> RelightBatch:
+        """One frame as it is, under one of its skies."""
+        return _tensors(self._read(self._files[index]), sky)
+
+    def skies(self, index: int) -> list[str]:
+        """Target skies of a frame whose truth is known."""
+        targets = self._read(self._files[index]).targets
+        return [name for name, target in targets.items() if target.truth is not None]
+
+    def batch(self, draw: int, seed: int) -> RelightBatch:
+        """The crops of a draw; they depend on nothing else."""
+        rng = np.random.default_rng([seed, draw])
+        made = [self._one(rng) for _ in range(self._config.batch)]
+        rows, columns = (min(one.truth.shape[axis] for one in made) for axis in (-2, -1))
+        made = [_cut(one, (0, 0), (rows, columns)) for one in made]
+        names = made[0].planes
+        return RelightBatch(
+            {name: torch.cat([one.planes[name] for one in made]) for name in names},
+            torch.cat([one.truth for one in made]),
+            torch.cat([one.weight for one in made]),
+        )
+
+    def _one(self, rng: np.random.Generator) -> RelightBatch:
+        index = int(rng.integers(len(self._files)))
+        whole = self._pair(index, rng)
+        rows, columns = whole.truth.shape[-2:]
+        size = (min(rows, self._config.crop_px[0]), min(columns, self._config.crop_px[1]))
+        corner = int(rng.integers(rows - size[0] + 1)), int(rng.integers(columns - size[1] + 1))
+        one = _cut(whole, corner, size)
+        if rng.random() < 0.5:
+            one = _mirrored(one)
+        return _exposed(one, 2.0 ** float(rng.uniform(-1, 1) * self._config.exposure_ev))
+
+    def _pair(self, index: int, rng: np.random.Generator) -> RelightBatch:
+        """A frame with a source and a target, of one of the kinds."""
+        config, sample = self._config, self._read(self._files[index])
+        skies, known = list(sample.targets), self.skies(index)
+        kinds = [config.sim_real_fraction, config.sim_sim_fraction, config.identity_fraction]
+        kind = int(np.searchsorted(np.cumsum(kinds), rng.random(), side="right"))
+        first, second = (skies[int(rng.integers(len(skies)))] for _ in range(2))
+        if kind == 0:
+            return rendered_pair(sample, first, None)
+        if kind == 1:
+            # Any of all skies, the recorded one among them, may be either.
+            ends = [None if rng.random() < 1 / (len(skies) + 1) else s for s in (first, second)]
+            return rendered_pair(sample, *ends, is_real=False)
+        if kind == 2 or not known:
+            return identity_pair(sample)
+        return self.whole(index, known[int(rng.integers(len(known)))])
+
+
+def _tensors(sample: RelightSample, sky: str) -> RelightBatch:
+    target = sample.targets[sky]
+    assert target.truth is not None
+    scene = {k: torch.from_numpy(v).float()[None] for k, v in sample.scene.items()}
+    own = {k: torch.from_numpy(v).float()[None] for k, v in target.planes.items()}
+    weight = scene.pop("valid")
+    return RelightBatch(scene | own, torch.from_numpy(target.truth)[None] / 255.0, weight)
+
+
+def rendered_pair(
+    sample: RelightSample, source: str | None, target: str | None, *, is_real: bool = True
+) -> RelightBatch:
+    """The twin's own picture under one sky as the source of what is wanted under another.
+
+    Args:
+        source, target: names of skies; None is the recorded one.
+        is_real: the recorded picture is wanted where the target is the recorded sky.
+    """
+    scene = {k: torch.from_numpy(v).float()[None] for k, v in sample.scene.items()}
+    weight, recorded = scene.pop("valid"), scene["source"]
+    lights = [_light_of(sample, scene, sky) for sky in (source, target)]
+    planes = {k: v for k, v in scene.items() if not k.startswith("source_")}
+    for which, light in zip(("source", "target"), lights, strict=True):
+        planes |= {f"{which}_{name}": value for name, value in light.items()}
+    pictures = [_rendered(planes, which) for which in ("source", "target")]
+    planes["source"] = pictures[0]
+    planes["clipped"] = (pictures[0].amax(1, keepdim=True) >= _CLIPPED).float()
+    wanted = recorded if is_real and target is None else pictures[1]
+    return RelightBatch(planes, wanted, weight)
+
+
+def _light_of(
+    sample: RelightSample, scene: dict[str, Tensor], sky: str | None
+) -> dict[str, Tensor]:
+    """Planes of the light of a sky, and what is seen of it."""
+    if sky is None:
+        own = {k.removeprefix("source_"): v for k, v in scene.items() if k.startswith("source_")}
+        return {**own, "sky": linear_of(scene["source"])}
+    planes = sample.targets[sky].planes
+    found = {
+        k.removeprefix("target_"): torch.from_numpy(v).float()[None] for k, v in planes.items()
+    }
+    del found["physical"]
+    return found
+
+
+def _rendered(planes: dict[str, Tensor], which: str) -> Float[Tensor, "1 3 h w"]:
+    """sRGB of the twin, before the sky."""
+    surface = planes["surface"]
+    linear = surface * modelled(planes, which) + (1 - surface) * planes[f"{which}_sky"]
+    return srgb_of(linear).clamp(0, 1)
+
+
+def identity_pair(sample: RelightSample) -> RelightBatch:
+    """The source as its own target; physical relighting gives it back."""
+    scene = {k: torch.from_numpy(v).float()[None] for k, v in sample.scene.items()}
+    weight = scene.pop("valid") * (1 - scene["clipped"])
+    own = {f"target_{name}": value for name, value in _light_of(sample, scene, None).items()}
+    own["target_physical"] = own["target_sky"]
+    return RelightBatch(scene | own, scene["source"], weight)
+
+
+def _cut(one: RelightBatch, corner: tuple[int, int], size: tuple[int, int]) -> RelightBatch:
+    rows, columns = (slice(at, at + n) for at, n in zip(corner, size, strict=True))
+    planes = {
+        name: value if name.endswith(OF_SKIES) else value[..., rows, columns]
+        for name, value in one.planes.items()
+    }
+    return RelightBatch(planes, one.truth[..., rows, columns], one.weight[..., rows, columns])
+
+
+def _mirrored(one: RelightBatch) -> RelightBatch:
+    """Left and right exchanged, of skies too."""
+    planes = {n: v if n.endswith("_facts") else v.flip(-1) for n, v in one.planes.items()}
+    for name in _VECTORS:
+        planes[name] = torch.cat([-planes[name][:, :1], planes[name][:, 1:]], dim=1)
+    for name in ("source_facts", "target_facts"):
+        planes[name] = torch.cat([-planes[name][..., :1], planes[name][..., 1:]], dim=-1)
+    return RelightBatch(planes, one.truth.flip(-1), one.weight.flip(-1))
+
+
+def _exposed(one: RelightBatch, factor: float) -> RelightBatch:
+    """As a camera of another exposure would have shown it; what was clipped and would not be does
+    not count."""
+    planes = dict(one.planes)
+    for name in planes:
+        if name.endswith(_RADIANT):
+            planes[name] = planes[name] * factor
+        elif name.endswith("_facts"):
+            log_level = planes[name][..., -1:] + float(np.log(factor))
+            planes[name] = torch.cat([planes[name][..., :-1], log_level], dim=-1)
+    source = linear_of(planes["source"]) * factor
+    planes["clipped"] = torch.maximum(
+        planes["clipped"], (source.amax(1, keepdim=True) >= 1).to(source)
+    )
+    planes["source"] = srgb_of(source).clamp(0, 1)
+    truth = srgb_of(linear_of(one.truth) * factor).clamp(0, 1)
+    was_clipped = one.truth.amax(1, keepdim=True) >= _CLIPPED
+    is_known = ~was_clipped | (truth.amin(1, keepdim=True) >= _CLIPPED)
+    return RelightBatch(planes, truth, one.weight * is_known)

@@ -1,0 +1,95 @@
+"""How good a relighting network is on streets that it did not learn from."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32
+from scipy.stats import rankdata
+from torch import Tensor
+from torch.nn import functional
+
+from lightsim.evaluate.lpips import lpips_features, lpips_of_features
+from lightsim.evaluate.metrics import psnr
+from lightsim.progress import Progress
+from lightsim.relighting.network.features import srgb_of
+from lightsim.relighting.network.stored import Network
+from lightsim.training.relight_data import RelightBatch, RelightData
+
+Picture = Float32[np.ndarray, "h w 3"]
+
+
+def score_relight(network: Network, data: RelightData, progress: Progress) -> dict[str, Any]:
+    """PSNR in dB and LPIPS by target sky and method, outside the sky that the matte knows; and, of
+    a network that says what error it expects, its rank correlation (Spearman) with the true one.
+
+    Targets of measured skies come together as `measured`.
+    """
+    found: dict[str, dict[str, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
+    correlations: list[float] = []
+    network.eval()
+    for index in progress.track(range(len(data)), "validate relighting"):
+        for sky in data.skies(index):
+            batch = data.whole(index, sky)
+            made, log_error = _made(network, batch)
+            is_valid = (batch.weight[0, 0] > 0) & (batch.planes["matte"][0, 0] < 0.5)
+            truth = _picture(batch.truth)
+            methods = {
+                "network": made,
+                "physical": _picture(srgb_of(batch.planes["target_physical"])),
+                "copy": _picture(batch.planes["source"]),
+            }
+            for method, picture in methods.items():
+                scores = _scores(picture, truth, is_valid.numpy())
+                found[condition(sky)][method].append(scores)
+            if log_error is not None:
+                correlations.append(_correlation(made, truth, is_valid, log_error))
+    rows = {
+        sky: {
+            name: dict(zip(("psnr_db", "lpips"), _mean(one), strict=True))
+            for name, one in own.items()
+        }
+        for sky, own in sorted(found.items())
+    }
+    return rows | ({"error_rank_correlation": float(np.mean(correlations))} if correlations else {})
+
+
+def condition(sky: str) -> str:
+    """Of a target sky by its name: the streets' own three, or a measured one."""
+    return sky if sky in ("low_sun", "high_sun", "overcast") else "measured"
+
+
+def _made(network: Network, batch: RelightBatch) -> tuple[Picture, Tensor | None]:
+    with torch.inference_mode():
+        found = network(batch.planes)
+    if isinstance(found, Tensor):
+        return _picture(found), None
+    return _picture(srgb_of(found.picture)), found.log_error
+
+
+def _picture(srgb: Tensor) -> Picture:
+    return srgb[0].clamp(0, 1).permute(1, 2, 0).contiguous().numpy()
+
+
+def _scores(
+    picture: Picture, truth: Picture, is_valid: Bool[np.ndarray, "h w"]
+) -> tuple[float, float]:
+    filled = np.where(is_valid[..., None], picture, truth)
+    distance = lpips_of_features(lpips_features(filled), lpips_features(truth), is_valid)
+    return psnr(picture, truth, is_valid), distance
+
+
+def _correlation(made: Picture, truth: Picture, is_valid: Tensor, log_error: Tensor) -> float:
+    error = torch.from_numpy(np.abs(made - truth).mean(-1))[None, None]
+    size = log_error.shape[-2:]
+    error = functional.interpolate(error, size, mode="area")[0, 0]
+    whole = functional.interpolate(is_valid.float()[None, None], size, mode="area")[0, 0] > 0.99
+    ranks = [rankdata(values[whole].numpy()) for values in (error, log_error[0, 0])]
+    return float(np.corrcoef(*ranks)[0, 1])
+
+
+def _mean(scores: list[tuple[float, float]]) -> tuple[float, ...]:
+    return tuple(float(value) for value in np.mean(scores, axis=0))

@@ -1,0 +1,224 @@
+"""The relighting network: what holds whatever its weights are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from tests.relighting.scene import everywhere_lit, sun_towards
+from tests.relighting.test_ratio import make_inputs
+
+from lightsim.core.dome import SkyDome, add_sun
+from lightsim.core.frames import RigidTransform
+from lightsim.errors import InputError
+from lightsim.networks.stored import stored_tensors
+from lightsim.relighting.network.channels import (
+    BUFFERS,
+    Planes,
+    scene_planes,
+    shrunk,
+    target_planes,
+)
+from lightsim.relighting.network.features import features, linear_of, srgb_of, tensors_of
+from lightsim.relighting.network.model import RelitNet, RelitNetConfig
+from lightsim.relighting.network.paper_model import PaperNet, PaperNetConfig
+from lightsim.relighting.network.relight import painted_by, relit_by
+from lightsim.relighting.network.stored import network_of, tensors_of_network
+from lightsim.relighting.physical.ratio import (
+    Circumstances,
+    RatioConfig,
+    RelightInputs,
+    relight_physical,
+)
+
+SMALL = RelitNetConfig(widths=(8, 16), guide_count=2, working_columns=64)
+
+
+def looking(azimuth_deg: float) -> RigidTransform:
+    """A level camera (x right, y down, z forward) that looks along an azimuth from world x."""
+    c, s = np.cos(np.radians(azimuth_deg)), np.sin(np.radians(azimuth_deg))
+    rotation = np.array([[s, 0.0, c], [-c, 0.0, s], [0.0, -1.0, 0.0]])
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    return RigidTransform("world", "camera", matrix)
+
+
+def sky_of(azimuth_deg: float) -> SkyDome:
+    return add_sun(np.full((64, 128, 3), 0.3, np.float32), sun_towards(azimuth_deg, 30.0))
+
+
+@pytest.fixture
+def inputs(rng: np.random.Generator) -> RelightInputs:
+    made = make_inputs(rng, everywhere_lit())
+    gain = np.array([0.5, 0.6, 0.7], np.float32)
+    circumstances = Circumstances(gain, looking(0.0), sky_of(150.0), sky_of(200.0))
+    return replace(made, circumstances=circumstances)
+
+
+def planes_of(inputs: RelightInputs) -> tuple[Planes, np.ndarray]:
+    assert inputs.circumstances is not None
+    physical = relight_physical(inputs, RatioConfig())
+    planes = scene_planes(inputs, inputs.circumstances)
+    return planes | target_planes(inputs, inputs.circumstances, physical), physical
+
+
+def random_network(seed: int = 0) -> RelitNet:
+    """Weights that do something everywhere."""
+    torch.manual_seed(seed)
+    network = RelitNet(SMALL)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.add_(0.05 * torch.randn_like(parameter))
+    return network.eval()
+
+
+def test_an_untrained_network_is_physical_relighting(inputs: RelightInputs) -> None:
+    made = relit_by(RelitNet(SMALL).eval(), inputs, RatioConfig())
+    np.testing.assert_allclose(made, relight_physical(inputs, RatioConfig()), atol=1e-6)
+
+
+def test_the_sky_stays_to_the_bit(inputs: RelightInputs) -> None:
+    made, physical = relit_by(random_network(), inputs, RatioConfig()), planes_of(inputs)[1]
+    is_sky = inputs.sky_matte >= 1
+    assert np.array_equal(made[is_sky], physical[is_sky])
+    assert np.abs(made - physical)[~is_sky].max() > 1e-3
+
+
+def test_the_unit_of_the_scene_does_not_matter(inputs: RelightInputs) -> None:
+    """Twice the radiance and half the gain are the same picture."""
+    circumstances = inputs.circumstances
+    assert circumstances is not None
+
+    def doubled(light):
+        names = ("direct_sun", "sky", "bounce", "shaded", "unshadowed")
+        return replace(light, **{name: 2 * getattr(light, name) for name in names})
+
+    twice = replace(
+        inputs,
+        radiance=2 * inputs.radiance,
+        source=doubled(inputs.source),
+        target=doubled(inputs.target),
+        target_sky=2 * inputs.target_sky,
+        circumstances=replace(
+            circumstances,
+            gain=circumstances.gain / 2,
+            source_sky=circumstances.source_sky.scaled(2.0),
+            target_sky=circumstances.target_sky.scaled(2.0),
+        ),
+    )
+    one, other = planes_of(inputs)[0], planes_of(twice)[0]
+    for name in one:
+        if not name.endswith(("_dome", "physical")):
+            np.testing.assert_allclose(other[name], one[name], atol=2e-3, err_msg=name)
+
+
+def test_turning_world_camera_and_skies_together_changes_nothing(inputs: RelightInputs) -> None:
+    circumstances = inputs.circumstances
+    assert circumstances is not None
+    turn = looking(90.0).rotation @ looking(0.0).rotation.T
+    turned = replace(
+        inputs,
+        buffers=replace(
+            inputs.buffers,
+            normal_world=(inputs.buffers.normal_world @ turn.T).astype(np.float32),
+            position_world=(inputs.buffers.position_world @ turn.T).astype(np.float32),
+        ),
+        circumstances=replace(
+            circumstances,
+            world_from_camera=looking(90.0),
+            source_sky=circumstances.source_sky.rotated(90.0),
+            target_sky=circumstances.target_sky.rotated(90.0),
+        ),
+    )
+    assert turned.circumstances is not None
+    one = scene_planes(inputs, circumstances)
+    other = scene_planes(turned, turned.circumstances)
+    for name in one:
+        np.testing.assert_allclose(other[name], one[name], atol=1e-5, err_msg=name)
+
+
+def test_the_sun_stands_where_the_camera_sees_it(inputs: RelightInputs) -> None:
+    """Looking along world x, a sun at azimuth 150 lies behind and to the left."""
+    facts = planes_of(inputs)[0]["source_facts"][:, 0, 0]
+    towards = facts[:3] / facts[3]
+    e, a = np.radians(30.0), np.radians(150.0)
+    expected = [-np.cos(e) * np.sin(a), np.cos(e) * np.cos(a), np.sin(e)]
+    np.testing.assert_allclose(towards, expected, atol=0.02)
+    dome = planes_of(inputs)[0]["source_dome"].sum(0)
+    column = np.unravel_index(dome.argmax(), dome.shape)[1]
+    assert abs(column - (0.5 - 150.0 / 360.0) * dome.shape[1]) <= 1
+
+
+def test_the_size_of_the_picture_changes_little(inputs: RelightInputs) -> None:
+    """A picture four times as large, shrunk to the working size, is corrected alike."""
+    planes = planes_of(inputs)[0]
+    large = {
+        name: value if name.endswith(("_dome", "_facts")) else value.repeat(2, 1).repeat(2, 2)
+        for name, value in planes.items()
+    }
+    network = random_network()
+    with torch.inference_mode():
+        working = tensors_of(shrunk(planes, 64))
+        small = network(tensors_of(planes), working).picture
+        again = tensors_of(shrunk(large, 64))
+        other = network(tensors_of(large), again).picture
+    for name, value in working.items():
+        torch.testing.assert_close(again[name], value, atol=1e-5, rtol=1e-5)
+    assert other.shape[-2:] == tuple(2 * n for n in small.shape[-2:])
+    shrunken = torch.nn.functional.avg_pool2d(other, 2)
+    assert (shrunken - small).abs().mean() < 0.02 * small.mean()
+
+
+def test_weights_come_back_from_their_file_form(inputs: RelightInputs) -> None:
+    batch = tensors_of(planes_of(inputs)[0])
+    paper = PaperNet(PaperNetConfig(widths=(8, 16), latent=16, sky_latent=8)).eval()
+    with torch.inference_mode():
+        again, network = network_of(tensors_of_network(random_network())), random_network()
+        torch.testing.assert_close(again(batch).picture, network(batch).picture)
+        torch.testing.assert_close(network_of(tensors_of_network(paper))(batch), paper(batch))
+    with pytest.raises(InputError, match="another network"):
+        network_of(stored_tensors(network, SMALL, "sky"))
+
+
+def test_the_papers_network_sees_what_the_paper_names(inputs: RelightInputs) -> None:
+    """Picture, buffers, shadow ratios and domes, and nothing else."""
+    network = PaperNet(PaperNetConfig(widths=(8, 16), latent=16, sky_latent=8)).eval()
+    batch = tensors_of(planes_of(inputs)[0])
+    seen = {"source", "source_ratio", "target_ratio", "source_dome", "target_dome", *BUFFERS}
+    with torch.inference_mode():
+        picture = network(batch)
+        for name, value in batch.items():
+            changed = network({**batch, name: value + 0.5})
+            assert torch.equal(changed, picture) == (name not in seen), name
+    made = painted_by(network, inputs)
+    assert inputs.circumstances is not None
+    white = 1 / inputs.circumstances.gain
+    assert made.shape == inputs.radiance.shape
+    assert (made >= 0).all()
+    assert (made <= white * 1.001).all()
+
+
+def test_what_an_ablation_leaves_out_is_not_seen(inputs: RelightInputs) -> None:
+    batch = tensors_of(planes_of(inputs)[0])
+    for part, hidden in (("buffers", "normal"), ("shadow-maps", "target_sun")):
+        network = random_network()
+        network.config = replace(SMALL, unseen=(part,))
+        with torch.inference_mode():
+            one = network(batch).picture
+            other = network({**batch, hidden: batch[hidden] + 0.5}).picture
+        assert torch.equal(one, other)
+
+
+def test_codes_are_inverse_and_features_are_finite(inputs: RelightInputs) -> None:
+    linear = torch.linspace(0, 1, 1001)
+    torch.testing.assert_close(linear_of(srgb_of(linear)), linear, atol=1e-6, rtol=1e-5)
+    seen = features(tensors_of(planes_of(inputs)[0]))
+    assert bool(torch.isfinite(seen).all())
+    assert seen.abs().max() < 10
+
+
+def test_without_camera_and_skies_it_is_refused(inputs: RelightInputs) -> None:
+    with pytest.raises(InputError, match="camera and skies"):
+        relit_by(random_network(), replace(inputs, circumstances=None), RatioConfig())

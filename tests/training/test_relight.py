@@ -1,0 +1,168 @@
+"""Training of the relighting network on frames whose error is known."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from lightsim import cli
+from lightsim.errors import InputError
+from lightsim.relighting.network.channels import DOME_ROWS, LIGHT, SCENE
+from lightsim.relighting.network.features import srgb_of
+from lightsim.relighting.network.stored import network_of
+from lightsim.store.weights import read_record, read_weights
+from lightsim.training.relight_cache import (
+    RelightSample,
+    RelightTargetSample,
+    read_sample,
+    write_sample,
+)
+from lightsim.training.relight_data import RelightData, RelightDataConfig, rendered_pair
+from lightsim.training.relight_losses import Perceptual, colour_loss, edge_loss
+
+ROWS, COLUMNS = 32, 48
+ERROR = np.array([1.3, 0.8, 1.1], np.float32)[:, None, None]
+"""What the truth has of the physical estimate: a network can learn no simpler thing."""
+
+
+def made_sample(rng: np.random.Generator) -> RelightSample:
+    def plane(channels: int, most: float = 1.0) -> np.ndarray:
+        return rng.uniform(0, most, (channels, ROWS, COLUMNS)).astype(np.float32)
+
+    sky = {
+        "dome": np.ones((3, DOME_ROWS, 2 * DOME_ROWS), np.float32),
+        "facts": np.array([0.1, 0.2, 0.3, 0.4, 0.5], np.float32)[:, None, None],
+    }
+    light = {name: plane(channels) for name, channels in LIGHT.items()}
+    scene = {name: plane(channels) for name, channels in SCENE.items()}
+    scene |= {f"source_{k}": v for k, v in {**light, **sky}.items()}
+    zeros = np.zeros((1, ROWS, COLUMNS), np.float32)
+    scene |= {"matte": zeros, "clipped": zeros, "valid": zeros + 1}
+    # Pixels of 8 x 8, as a picture has parts.
+    physical = 0.02 + 0.5 * plane(3)[:, ::8, ::8].repeat(8, 1).repeat(8, 2)
+    target = {f"target_{k}": v for k, v in {**light, **sky}.items()}
+    target |= {"target_physical": physical, "target_sky": plane(3)}
+    truth = srgb_of(torch.from_numpy(physical * ERROR)).clamp(0, 1).numpy()
+    return RelightSample(
+        scene, {"low_sun": RelightTargetSample(target, np.rint(255 * truth).astype(np.uint8))}
+    )
+
+
+@pytest.fixture(scope="module")
+def streets(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two streets of two frames each."""
+    folder, rng = tmp_path_factory.mktemp("relight"), np.random.default_rng(3)
+    for street in ("1", "2"):
+        (folder / street).mkdir()
+        for k in range(2):
+            write_sample(folder / street / f"front_camera_{k:02d}.npz", made_sample(rng))
+    return folder
+
+
+def test_samples_come_back(streets: Path, rng: np.random.Generator) -> None:
+    sample = made_sample(rng)
+    path = streets / "one.npz"
+    write_sample(path, sample)
+    again = read_sample(path)
+    path.unlink()
+    for name, value in sample.scene.items():
+        np.testing.assert_allclose(again.scene[name], value, rtol=1e-3, atol=1e-3)
+    target, wanted = again.targets["low_sun"], sample.targets["low_sun"]
+    assert target.truth is not None
+    assert wanted.truth is not None
+    assert np.array_equal(target.truth, wanted.truth)
+    assert set(target.planes) == set(wanted.planes)
+
+
+def test_a_draw_is_the_same_every_time_and_another_is_not(streets: Path) -> None:
+    data = RelightData([streets / "1"], RelightDataConfig(crop_px=(16, 24)))
+    one, same, other = (data.batch(draw, 5) for draw in (3, 3, 4))
+    assert torch.equal(one.truth, same.truth)
+    assert not torch.equal(one.truth, other.truth)
+    assert one.truth.shape == (1, 3, 16, 24)
+    assert one.planes["target_dome"].shape[-2:] == (DOME_ROWS, 2 * DOME_ROWS)
+
+
+def test_the_identity_asks_for_the_source(streets: Path) -> None:
+    config = RelightDataConfig(identity_fraction=1.0)
+    batch = RelightData([streets / "1"], config).batch(0, 0)
+    assert torch.equal(batch.truth, batch.planes["source"])
+    shown = srgb_of(batch.planes["target_physical"]).clamp(0, 1)
+    torch.testing.assert_close(shown, batch.truth)
+    for name in LIGHT:
+        assert torch.equal(batch.planes[f"target_{name}"], batch.planes[f"source_{name}"])
+
+
+def test_losses_are_what_they_say() -> None:
+    torch.manual_seed(0)
+    one = torch.rand(1, 3, 64, 64)
+    ones = torch.ones(1, 1, 64, 64)
+    assert float(colour_loss(one + 0.1, one, ones)) == pytest.approx(0.1, abs=5e-3)
+    assert float(edge_loss(one + 0.1, one, ones)) == pytest.approx(0.0, abs=2e-3)
+    ramp = torch.linspace(0, 6.3, 64).expand(1, 3, 64, 64)
+    # A slope of a tenth across, none along.
+    slope = float(edge_loss(ramp, torch.zeros_like(ramp), ones))
+    assert slope == pytest.approx(0.1 / np.sqrt(2), rel=1e-3)
+    weight = ones.clone()
+    weight[..., :32] = 0
+    assert float(colour_loss(one + 0.1 * (1 - weight), one, weight)) < 2e-3
+
+
+def test_the_perceptual_loss_is_the_measure() -> None:
+    from lightsim.evaluate.lpips import lpips
+
+    rng = np.random.default_rng(0)
+    one, other = (rng.uniform(size=(64, 80, 3)).astype(np.float32) for _ in range(2))
+    tensors = [torch.from_numpy(x).permute(2, 0, 1)[None] for x in (one, other)]
+    assert float(Perceptual()(*tensors)) == pytest.approx(lpips(one, other), abs=1e-5)
+
+
+def test_the_command_learns_a_known_error_and_says_so(streets: Path, tmp_path: Path) -> None:
+    """A false factor on every channel is most of the error, and goes."""
+    words = ["train", "relight", "--data", str(streets), "--out", str(tmp_path), "--device", "cpu"]
+    cli.main([*words, "--steps", "40", "--validation", "2", "--licence", "test"])
+    scores = json.loads((tmp_path / "scores.json").read_text())
+    row = scores["low_sun"]
+    assert row["network"]["psnr_db"] > row["physical"]["psnr_db"] + 3
+    weights = tmp_path / "weights.safetensors"
+    assert "streets 1 with" in read_record(weights).training_data
+    assert network_of(read_weights(weights)).config.widths
+
+
+def test_rendered_pairs_show_the_twin_under_both_skies(
+    streets: Path, rng: np.random.Generator
+) -> None:
+    sample = made_sample(rng)
+    real = rendered_pair(sample, "low_sun", None)
+    assert torch.equal(real.truth[0], torch.from_numpy(sample.scene["source"]))
+    target = torch.from_numpy(sample.targets["low_sun"].planes["target_ratio"])[None]
+    assert torch.equal(real.planes["source_ratio"], target)
+    there = rendered_pair(sample, None, "low_sun", is_real=False)
+    back = rendered_pair(sample, "low_sun", None, is_real=False)
+    assert torch.equal(there.truth, back.planes["source"])
+    assert torch.equal(there.planes["source"], back.truth)
+    data = RelightData(
+        [streets / "1"], RelightDataConfig(sim_real_fraction=0.5, sim_sim_fraction=0.5)
+    )
+    assert "target_physical" not in data.batch(0, 0).planes
+
+
+def test_the_papers_network_and_ablations_train(streets: Path, tmp_path: Path) -> None:
+    words = ["train", "relight", "--data", str(streets), "--out", str(tmp_path), "--steps", "1"]
+    cli.main([*words, "--network", "paper", "--without", "sim-real", "shadow-maps"])
+    network = network_of(read_weights(tmp_path / "weights.safetensors"))
+    assert network.config.unseen == ("shadow-maps",)
+    assert "--without sim-real shadow-maps" in read_record(tmp_path / "weights.safetensors").command
+
+
+def test_a_street_on_both_sides_is_refused(streets: Path, tmp_path: Path) -> None:
+    from lightsim.training.options import RelightTrainingOptions
+    from lightsim.training.run_relight import train
+
+    for given in ({"streets": ("1",), "validation": ("1",)}, {"streets": ("7",)}):
+        with pytest.raises(InputError, match="street"):
+            train(RelightTrainingOptions(data=streets, out=tmp_path, **given))
