@@ -35,7 +35,6 @@ def made_sample(rng: np.random.Generator) -> RelightSample:
 
     sky = {
         "dome": np.ones((3, DOME_ROWS, 2 * DOME_ROWS), np.float32),
-        "facts": np.array([0.1, 0.2, 0.3, 0.4, 0.5], np.float32)[:, None, None],
     }
     light = {name: plane(channels) for name, channels in LIGHT.items()}
     scene = {name: plane(channels) for name, channels in SCENE.items()}
@@ -83,7 +82,7 @@ def test_a_draw_is_the_same_every_time_and_another_is_not(streets: Path) -> None
     one, same, other = (data.batch(draw, 5) for draw in (3, 3, 4))
     assert torch.equal(one.truth, same.truth)
     assert not torch.equal(one.truth, other.truth)
-    assert one.truth.shape == (1, 3, 16, 24)
+    assert one.truth.shape == (8, 3, 16, 24)
     assert one.planes["target_dome"].shape[-2:] == (DOME_ROWS, 2 * DOME_ROWS)
 
 
@@ -106,7 +105,7 @@ def test_losses_are_what_they_say() -> None:
     ramp = torch.linspace(0, 6.3, 64).expand(1, 3, 64, 64)
     # A slope of a tenth across, none along.
     slope = float(edge_loss(ramp, torch.zeros_like(ramp), ones))
-    assert slope == pytest.approx(0.1 / np.sqrt(2), rel=1e-3)
+    assert slope == pytest.approx(0.1 / np.sqrt(2), abs=5e-3)
     weight = ones.clone()
     weight[..., :32] = 0
     assert float(colour_loss(one + 0.1 * (1 - weight), one, weight)) < 2e-3

@@ -48,8 +48,8 @@ class RelightTrainConfig:
     """Weight of the edges' difference."""
     error: float = 0.01
     """Weight of the expected error's likelihood, on which the picture does not depend."""
-    perception_px: int = 128
-    """LPIPS looks at a crop of this size: it costs ten times as much as the network."""
+    perception_crops: int = 2
+    """Crops of a step that LPIPS looks at: it costs ten times as much as the network."""
     seed: int = 0
     """Of first weights and batches."""
     workers: int = 0
@@ -63,9 +63,9 @@ def full() -> RelightTrainConfig:
     return RelightTrainConfig(
         network=RelitNetConfig(widths=(48, 96, 160, 224, 256)),
         loop=LoopConfig(steps=60000, warm_up_steps=500, average_decay=0.9995, mixed_precision=True),
-        perception_px=256,
+        perception_crops=8,
         workers=8,
-        data=RelightDataConfig(batch=8, crop_px=(540, 960)),
+        data=RelightDataConfig(batch=32, crop_px=(192, 192)),
     )
 
 
@@ -118,7 +118,7 @@ def train_relight(
     count = session.processes.count
 
     def losses(step: int, draw: int) -> Iterator[Loss]:
-        total, terms = _loss(network, _on(batches.get(draw), device), perceptual, config, draw)
+        total, terms = _loss(network, _on(batches.get(draw), device), perceptual, config)
         yield "network", total, terms
 
     with Ahead(
@@ -137,7 +137,6 @@ def _loss(
     batch: RelightBatch,
     perceptual: Perceptual,
     config: RelightTrainConfig,
-    draw: int,
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Of the weights in `config`; the paper's network minimises squares."""
     found = network(batch.planes)
@@ -146,11 +145,11 @@ def _loss(
     weight = batch.weight
     # What does not count looks like the truth.
     filled = weight * made + (1 - weight) * batch.truth
-    rows, columns = _crop(batch.truth.shape[-2:], config.perception_px, draw)
+    few = slice(config.perception_crops)
     terms = {
         "colour": colour_loss(made, batch.truth, weight),
         "edges": edge_loss(filled, batch.truth, torch.ones_like(weight)),
-        "lpips": perceptual(filled[..., rows, columns], batch.truth[..., rows, columns]),
+        "lpips": perceptual(filled[few], batch.truth[few]),
     }
     if is_paper:
         total = terms["colour"].square() + config.edges * terms["edges"].square()
@@ -161,17 +160,6 @@ def _loss(
         physical = shown(srgb_of(batch.planes["target_physical"]))
         terms["physical"] = colour_loss(physical, batch.truth, weight).detach()
     return total + config.perception * terms["lpips"], terms
-
-
-def _crop(size: tuple[int, ...], most: int, draw: int) -> tuple[slice, slice]:
-    """Another part of the picture at every draw."""
-    generator = torch.Generator().manual_seed(draw)
-    slices = []
-    for length in size:
-        part = min(length, most)
-        at = int(torch.randint(length - part + 1, (1,), generator=generator))
-        slices.append(slice(at, at + part))
-    return slices[0], slices[1]
 
 
 def _on(batch: RelightBatch, device: torch.device) -> RelightBatch:

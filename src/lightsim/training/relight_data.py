@@ -13,9 +13,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from lightsim.errors import InputError
-from lightsim.relighting.network.channels import OF_SKIES
+from lightsim.relighting.network.channels import OF_SKIES, Planes
 from lightsim.relighting.network.features import linear_of, modelled, srgb_of
-from lightsim.training.relight_cache import RelightSample, read_sample
+from lightsim.training.relight_cache import RelightSample, RelightTargetSample, read_sample
 
 _MEMORY_FRAMES = 512
 """Kept in memory once read, 15 MB each at 480 x 270 with three skies."""
@@ -43,9 +43,9 @@ class RelightBatch:
 class RelightDataConfig:
     """How frames are shown."""
 
-    batch: int = 1
-    """Crops a step."""
-    crop_px: tuple[int, int] = (256, 384)
+    batch: int = 8
+    """Crops a step: many small ones of many frames learn faster than a large one."""
+    crop_px: tuple[int, int] = (96, 96)
     """Rows and columns of a crop, at most; a smaller picture is shown whole."""
     identity_fraction: float = 0.05
     """Of the samples: their target is the source itself."""
@@ -80,19 +80,16 @@ class RelightData:
 
     def whole(self, index: int, sky: str) -> RelightBatch:
         """One frame as it is, under one of its skies."""
-        return _tensors(self._read(self._files[index]), sky)
+        return true_pair(self._read(self._files[index]), sky)
 
     def skies(self, index: int) -> list[str]:
         """Target skies of a frame whose truth is known."""
-        targets = self._read(self._files[index]).targets
-        return [name for name, target in targets.items() if target.truth is not None]
+        return _with_truth(self._read(self._files[index]))
 
     def batch(self, draw: int, seed: int) -> RelightBatch:
         """The crops of a draw; they depend on nothing else."""
         rng = np.random.default_rng([seed, draw])
         made = [self._one(rng) for _ in range(self._config.batch)]
-        rows, columns = (min(one.truth.shape[axis] for one in made) for axis in (-2, -1))
-        made = [_cut(one, (0, 0), (rows, columns)) for one in made]
         names = made[0].planes
         return RelightBatch(
             {name: torch.cat([one.planes[name] for one in made]) for name in names},
@@ -101,20 +98,15 @@ class RelightData:
         )
 
     def _one(self, rng: np.random.Generator) -> RelightBatch:
-        index = int(rng.integers(len(self._files)))
-        whole = self._pair(index, rng)
-        rows, columns = whole.truth.shape[-2:]
-        size = (min(rows, self._config.crop_px[0]), min(columns, self._config.crop_px[1]))
-        corner = int(rng.integers(rows - size[0] + 1)), int(rng.integers(columns - size[1] + 1))
-        one = _cut(whole, corner, size)
+        sample = self._read(self._files[int(rng.integers(len(self._files)))])
+        one = self._pair(_cut(sample, self._config.crop_px, rng), rng)
         if rng.random() < 0.5:
             one = _mirrored(one)
         return _exposed(one, 2.0 ** float(rng.uniform(-1, 1) * self._config.exposure_ev))
 
-    def _pair(self, index: int, rng: np.random.Generator) -> RelightBatch:
+    def _pair(self, sample: RelightSample, rng: np.random.Generator) -> RelightBatch:
         """A frame with a source and a target, of one of the kinds."""
-        config, sample = self._config, self._read(self._files[index])
-        skies, known = list(sample.targets), self.skies(index)
+        config, skies = self._config, list(sample.targets)
         kinds = [config.sim_real_fraction, config.sim_sim_fraction, config.identity_fraction]
         kind = int(np.searchsorted(np.cumsum(kinds), rng.random(), side="right"))
         first, second = (skies[int(rng.integers(len(skies)))] for _ in range(2))
@@ -124,12 +116,18 @@ class RelightData:
             # Any of all skies, the recorded one among them, may be either.
             ends = [None if rng.random() < 1 / (len(skies) + 1) else s for s in (first, second)]
             return rendered_pair(sample, *ends, is_real=False)
+        known = _with_truth(sample)
         if kind == 2 or not known:
             return identity_pair(sample)
-        return self.whole(index, known[int(rng.integers(len(known)))])
+        return true_pair(sample, known[int(rng.integers(len(known)))])
 
 
-def _tensors(sample: RelightSample, sky: str) -> RelightBatch:
+def _with_truth(sample: RelightSample) -> list[str]:
+    return [name for name, target in sample.targets.items() if target.truth is not None]
+
+
+def true_pair(sample: RelightSample, sky: str) -> RelightBatch:
+    """The recorded picture, and the true one under another sky."""
     target = sample.targets[sky]
     assert target.truth is not None
     scene = {k: torch.from_numpy(v).float()[None] for k, v in sample.scene.items()}
@@ -191,22 +189,35 @@ def identity_pair(sample: RelightSample) -> RelightBatch:
     return RelightBatch(scene | own, scene["source"], weight)
 
 
-def _cut(one: RelightBatch, corner: tuple[int, int], size: tuple[int, int]) -> RelightBatch:
-    rows, columns = (slice(at, at + n) for at, n in zip(corner, size, strict=True))
-    planes = {
-        name: value if name.endswith(OF_SKIES) else value[..., rows, columns]
-        for name, value in one.planes.items()
+def _cut(sample: RelightSample, most: tuple[int, int], rng: np.random.Generator) -> RelightSample:
+    """A part of the picture, domes whole."""
+    slices = []
+    for length, part in zip(sample.scene["source"].shape[1:], most, strict=True):
+        at = int(rng.integers(max(length - part, 0) + 1))
+        slices.append(slice(at, at + part))
+    rows, columns = slices
+
+    def part_of(planes: Planes) -> Planes:
+        return {
+            name: value if name.endswith(OF_SKIES) else value[:, rows, columns]
+            for name, value in planes.items()
+        }
+
+    targets = {
+        sky: RelightTargetSample(
+            part_of(target.planes),
+            None if target.truth is None else target.truth[:, rows, columns],
+        )
+        for sky, target in sample.targets.items()
     }
-    return RelightBatch(planes, one.truth[..., rows, columns], one.weight[..., rows, columns])
+    return RelightSample(part_of(sample.scene), targets)
 
 
 def _mirrored(one: RelightBatch) -> RelightBatch:
     """Left and right exchanged, of skies too."""
-    planes = {n: v if n.endswith("_facts") else v.flip(-1) for n, v in one.planes.items()}
+    planes = {name: value.flip(-1) for name, value in one.planes.items()}
     for name in _VECTORS:
         planes[name] = torch.cat([-planes[name][:, :1], planes[name][:, 1:]], dim=1)
-    for name in ("source_facts", "target_facts"):
-        planes[name] = torch.cat([-planes[name][..., :1], planes[name][..., 1:]], dim=-1)
     return RelightBatch(planes, one.truth.flip(-1), one.weight.flip(-1))
 
 
@@ -217,9 +228,6 @@ def _exposed(one: RelightBatch, factor: float) -> RelightBatch:
     for name in planes:
         if name.endswith(_RADIANT):
             planes[name] = planes[name] * factor
-        elif name.endswith("_facts"):
-            log_level = planes[name][..., -1:] + float(np.log(factor))
-            planes[name] = torch.cat([planes[name][..., :-1], log_level], dim=-1)
     source = linear_of(planes["source"]) * factor
     planes["clipped"] = torch.maximum(
         planes["clipped"], (source.amax(1, keepdim=True) >= 1).to(source)

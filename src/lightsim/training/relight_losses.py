@@ -14,8 +14,8 @@ _SHIFT, _SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 """Mean and deviation of ImageNet on [-1, 1], as the reference package has them."""
 _TINY = 1e-6
 _NOISE = 1 / 255
-"""Smaller errors than a code of 8 bits are none: the root of their square would pull as hard as any,
-and frames whose target is the source would teach the network to do nothing anywhere."""
+"""Smaller errors than a code of 8 bits are none: the root of their square would pull as hard as
+any, and frames whose target is the source would teach the network to do nothing anywhere."""
 
 
 def shown(srgb: Tensor) -> Tensor:

@@ -13,18 +13,18 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from lightsim.core.buffers import ShadowBuffers
-from lightsim.core.colour import luminance, srgb_from_linear
-from lightsim.core.dome import SkyDome, split_sun
+from lightsim.core.colour import srgb_from_linear
+from lightsim.core.dome import SkyDome
 from lightsim.core.frames import RigidTransform
 from lightsim.core.resample import resize_area
 from lightsim.relighting.physical.ratio import Circumstances, RelightInputs
 
 Planes = dict[str, Float[np.ndarray, "_ _ _"]]
-"""Arrays of one picture size by name; those of skies (`OF_SKIES`) have their own."""
+"""Arrays of one picture size by name; domes (`OF_SKIES`) have their own."""
 
 DOME_ROWS = 32
-OF_SKIES = ("_dome", "_facts")
-"""Ends of the names of what has no pixels of the picture."""
+OF_SKIES = "_dome"
+"""End of the names of what has no pixels of the picture."""
 SCENE = MappingProxyType(
     {
         "source": 3,  # The recorded picture, sRGB in [0, 1].
@@ -78,7 +78,7 @@ def scene_planes(inputs: RelightInputs, seen: Circumstances) -> Planes:
         "actor": buffers.actor_index >= 0,
         "found": np.where(np.isfinite(found), found, -1),
     }
-    light = _light_planes(inputs.source, seen.gain) | _sky(seen.source_sky, axes, seen.gain)
+    light = _light_planes(inputs.source, seen.gain) | {"dome": _dome(seen.source_sky, axes)}
     own = {f"source_{name}": value for name, value in light.items()}
     return {name: _plane(value) for name, value in {**planes, **own}.items()}
 
@@ -95,7 +95,7 @@ def target_planes(
         "physical": physical * seen.gain,
         "sky": inputs.target_sky * seen.gain,
         **_light_planes(inputs.target, seen.gain),
-        **_sky(seen.target_sky, _level_axes(seen.world_from_camera), seen.gain),
+        "dome": _dome(seen.target_sky, _level_axes(seen.world_from_camera)),
     }
     return {f"target_{name}": _plane(value) for name, value in planes.items()}
 
@@ -134,26 +134,11 @@ def _level_axes(world_from_camera: RigidTransform) -> Float32[np.ndarray, "3 3"]
     return np.array([[y, x, 0], [-x, y, 0], [0, 0, length]], np.float32) / np.float32(length)
 
 
-def _sky(
-    dome: SkyDome, axes: Float32[np.ndarray, "3 3"], gain: Float32[np.ndarray, "3"]
-) -> dict[str, np.ndarray]:
-    """`dome`: small, in scene units, its centre column towards the camera's forward. `facts`: the
-    direction to the sun times its share of the light on level ground, that share, and the log of
-    that light, 0 where a white level surface shows as white."""
+def _dome(dome: SkyDome, axes: Float32[np.ndarray, "3 3"]) -> Float32[np.ndarray, "r c 3"]:
+    """Small, in scene units, its centre column towards the camera's forward."""
     small = resize_area(dome.radiance, DOME_ROWS, 2 * DOME_ROWS)
     azimuth_deg = float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1])))
-    level = luminance(dome.horizontal_irradiance() * gain / np.pi)
-    sun = split_sun(dome)[1]
-    share, towards = 0.0, np.zeros(3)
-    if sun is not None and sun.direction_world[2] > 0:
-        from_sun = sun.irradiance * gain / np.pi * sun.direction_world[2]
-        share = float(np.clip(luminance(from_sun) / max(float(level), 1e-9), 0.0, 1.0))
-        towards = sun.direction_world @ axes
-    facts = np.array([*(share * towards), share, np.log(max(float(level), 1e-4))])
-    return {
-        "dome": SkyDome(small, None).rotated(-azimuth_deg).radiance,
-        "facts": facts[None, None],
-    }
+    return SkyDome(small, None).rotated(-azimuth_deg).radiance
 
 
 def _plane(values: np.ndarray) -> Float32[np.ndarray, "c h w"]:

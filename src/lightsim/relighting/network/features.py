@@ -66,20 +66,6 @@ def grey(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 h w"]:
     return (radiance * weights[:, None, None]).sum(1, keepdim=True)
 
 
-def guides(batch: Batch) -> Float[Tensor, "n 11 h w"]:
-    """What tells where a correction ends, at the full size of the picture."""
-    return torch.cat(
-        [
-            coded(batch["target_physical"]),
-            batch["source"],
-            coded(modelled(batch, "target")),
-            batch["matte"],
-            batch["surface"],
-        ],
-        dim=1,
-    )
-
-
 def modelled(batch: Batch, which: str) -> Float[Tensor, "n 3 h w"]:
     """Linear picture of the twin under one of the skies, without sky."""
     return batch["base_colour"] * batch[f"{which}_shaded"] + batch[f"{which}_reflected"]
@@ -118,8 +104,3 @@ def features(batch: Batch) -> Float[Tensor, "n 39 h w"]:
         ],
         dim=1,
     )
-
-
-def sky_facts(batch: Batch) -> Float[Tensor, "n 10"]:
-    """Both skies in ten numbers."""
-    return torch.cat([batch[f"{w}_facts"].flatten(1) for w in ("source", "target")], dim=1)

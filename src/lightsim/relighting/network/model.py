@@ -18,16 +18,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from lightsim.relighting.network.blocks import Residual, Rise, padded
-from lightsim.relighting.network.features import (
-    Batch,
-    Unseen,
-    features,
-    guides,
-    sky_facts,
-    without,
-)
+from lightsim.relighting.network.features import Batch, Unseen, features, without
 
-_FEATURES, _GUIDES, _FACTS = 39, 11, 10
+_FEATURES = 39
 _COLOURS = 3
 _FLOOR = 0.01
 """Of white: darker pixels change by an addition rather than by a factor."""
@@ -41,10 +34,12 @@ _LARGEST = 2.5
 class RelitNetConfig:
     """Size of the network."""
 
-    widths: tuple[int, ...] = (32, 64, 96, 128, 128)
+    widths: tuple[int, ...] = (32, 64, 96, 128)
     """Channels at a half, a quarter, ... of the working size."""
-    guide_count: int = 4
+    guide_count: int = 8
     """Guides that corrections follow."""
+    dropout: float = 0.1
+    """Of channels, while it learns: streets are few."""
     working_columns: int = 480
     """The picture is brought to this width before the network looks at it; narrower ones stay."""
     unseen: tuple[Unseen, ...] = ()
@@ -79,13 +74,17 @@ class RelitNet(nn.Module):
             nn.Sequential(nn.Conv2d(a, b, 3, 2, 1), Residual(b), Residual(b))
             for a, b in itertools.pairwise(widths)
         )
-        self.skies = nn.Sequential(nn.Linear(_FACTS, 64), nn.SiLU(), nn.Linear(64, 2 * widths[-1]))
         self.up = nn.ModuleList(Rise(b, a) for a, b in reversed(list(itertools.pairwise(widths))))
         outputs = _COLOURS * (1 + config.guide_count) + 2
         self.head = nn.Conv2d(widths[0], outputs, 3, padding=1)
         self.guide = nn.Sequential(
-            nn.Conv2d(_GUIDES, 16, 1), nn.SiLU(), nn.Conv2d(16, config.guide_count, 1), nn.Tanh()
+            nn.Conv2d(_FEATURES, 32, 1),
+            nn.SiLU(),
+            nn.Dropout2d(config.dropout),
+            nn.Conv2d(32, config.guide_count, 1),
+            nn.Tanh(),
         )
+        self.drop = nn.Dropout2d(config.dropout)
         # The first guess is physics.
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)  # type: ignore[arg-type]
@@ -99,12 +98,13 @@ class RelitNet(nn.Module):
         """
         batch = without(batch, self.config.unseen)
         working = batch if working is None else without(working, self.config.unseen)
-        coefficients, log_error = self._look(working)
+        seen = features(working)
+        coefficients, log_error = self._look(seen)
         physical = batch["target_physical"]
         size = physical.shape[-2:]
         spread = functional.interpolate(coefficients, size, mode="bilinear")
         constant, factors = spread[:, :_COLOURS], spread[:, _COLOURS:]
-        followed = self.guide(guides(batch))
+        followed = self.guide(seen if working is batch else features(batch))
         change = constant + (
             factors.unflatten(1, (_COLOURS, self.config.guide_count)) * followed[:, None]
         ).sum(2)
@@ -112,16 +112,15 @@ class RelitNet(nn.Module):
         picture = (physical.clamp_min(0.0) + _FLOOR) * torch.exp(change) - _FLOOR
         return Correction(picture.clamp_min(0.0), log_error)
 
-    def _look(self, batch: Batch) -> tuple[Tensor, Tensor]:
+    def _look(self, seen: Float[Tensor, "n f h w"]) -> tuple[Tensor, Tensor]:
         """Coefficients of the correction, times their confidence, and the expected error's log."""
-        x, size = padded(features(batch), 2 ** len(self.config.widths))
+        x, size = padded(seen, 2 ** len(self.config.widths))
         x = self.stem(x)
         levels = [x]
         for step in self.down:
             levels.append(step(levels[-1]))
         x = levels.pop()
-        scale, shift = self.skies(sky_facts(batch))[..., None, None].chunk(2, dim=1)
-        x = x * (1 + scale) + shift
+        x = self.drop(x)
         for step in self.up:
             x = step(x, levels.pop())
         found = self.head(x)[..., : (size[0] + 1) // 2, : (size[1] + 1) // 2]

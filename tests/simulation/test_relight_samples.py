@@ -1,0 +1,73 @@
+"""Training samples of a built street: what relighting sees, beside the street's truth."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.conftest import BuiltStreet
+
+from lightsim.errors import InputError
+from lightsim.progress import SilentProgress
+from lightsim.relighting.network.channels import LIGHT, SCENE, TARGET
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relight import relight
+from lightsim.simulation.relight_samples import prepare_relight, write_samples
+from lightsim.store.images import read_srgb8
+from lightsim.synthetic import shipped_street
+from lightsim.training.options import PrepareRelightOptions
+from lightsim.training.relight_cache import read_sample
+from lightsim.training.relight_data import RelightData, RelightDataConfig
+
+CAMERA, STEM, SKY = "front_camera", "03", "overcast"
+
+
+@pytest.fixture(scope="module")
+def truth(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One true picture of the shipped street."""
+    folder = tmp_path_factory.mktemp("truth")
+    whole = shipped_street() / "truth"
+    for name in (f"relit/{SKY}/{CAMERA}/{STEM}.jpg", f"skies/{SKY}.exr"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(whole / name, folder / name)
+    return folder
+
+
+def test_samples_hold_what_relighting_makes(
+    built_street: BuiltStreet, truth: Path, tmp_path: Path
+) -> None:
+    assert write_samples(built_street.work, truth, tmp_path, SilentProgress()) == 1
+    path = tmp_path / f"{CAMERA}_{STEM}.npz"
+    sample = read_sample(path)
+    assert set(sample.scene) >= {*SCENE, "valid", *(f"source_{name}" for name in LIGHT)}
+    target = sample.targets[SKY]
+    assert set(target.planes) >= {f"target_{name}" for name in (*LIGHT, *TARGET)}
+    true = read_srgb8(truth / "relit" / SKY / CAMERA / f"{STEM}.jpg")
+    assert target.truth is not None
+    assert np.array_equal(np.moveaxis(target.truth, 0, -1), true)
+    options = RelightOptions(
+        name="as-sampled",
+        sky=(str(truth / "skies" / f"{SKY}.exr"),),
+        sky_scale="none",
+        cameras=(CAMERA,),
+        frames="3:4",
+        image_scale=1.0,
+    )
+    made = relight(built_street.work, options, SilentProgress())[0]
+    picture = read_srgb8(made / "frames" / CAMERA / f"{STEM}.png").astype(np.float32) / 255
+    physical = np.moveaxis(target.planes["target_physical"].astype(np.float32), 0, -1)
+    shown = np.where(physical <= 0.0031308, 12.92 * physical, 1.055 * physical ** (1 / 2.4) - 0.055)
+    is_seen = sample.scene["valid"][0] > 0
+    assert np.abs(np.clip(shown, 0, 1) - picture)[is_seen].max() < 0.004
+    # What is there is not made again.
+    before = path.stat().st_mtime_ns
+    write_samples(built_street.work, truth, tmp_path, SilentProgress())
+    assert path.stat().st_mtime_ns == before
+    assert RelightData([tmp_path], RelightDataConfig()).skies(0) == [SKY]
+
+
+def test_skies_need_a_split(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="which skies may train"):
+        prepare_relight(PrepareRelightOptions(tmp_path, hdri=tmp_path), SilentProgress())
