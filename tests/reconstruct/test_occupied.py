@@ -20,6 +20,7 @@ from lightsim.reconstruct.field.occupancy import VOXEL_M, Occupancy
 from lightsim.reconstruct.field.occupied_fields import occupied_fields
 from lightsim.reconstruct.field.refine import signed_distances
 from lightsim.reconstruct.field.sampling import place_samples
+from lightsim.reconstruct.field.sdf_field import SeparateHeads
 from lightsim.reconstruct.field.train import TrainingRays, batch_of, train_field
 from lightsim.reconstruct.fusion.config import OccupiedConfig
 
@@ -102,9 +103,11 @@ def test_the_field_is_read_out_where_returns_are_and_in_boxes() -> None:
 def test_heads_know_features_alone_and_nothing_of_each_other() -> None:
     field = small_field(small_paper(), None)
     points, nobody = torch.rand(50, 3), torch.full((50,), -1)
+    heads = field.background_head
+    assert isinstance(heads, SeparateHeads)
     with torch.no_grad():
         before = field(points, nobody)
-        for weights in field.background_head.colour.parameters():
+        for weights in heads.colour.parameters():
             weights.add_(1.0)
         after = field(points, nobody)
         field.background_table.zero_()
