@@ -42,7 +42,6 @@ VARIANTS: dict[str, dict] = {
     "draft": {"preset": "draft"},
     "standard": {},
     "paper": {"preset": "paper", "neural_steps": 2000},
-    "paper+texture": {"preset": "paper", "neural_steps": 2000, "colour": "texture"},
     "aligned": QUICK,
     "no camera_poses": {**QUICK, "no_refine": ("camera_poses",)},
     "no rolling_shutter": {**QUICK, "no_refine": ("rolling_shutter",)},

@@ -17,7 +17,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from lightsim.pipeline.build import STAGES, read_options
+from lightsim.pipeline.build import STAGES, read_options, stages_of
 from lightsim.pipeline.options import BuildOptions
 from lightsim.pipeline.stages.context import Context
 from lightsim.pipeline.workspace import Workspace
@@ -57,7 +57,7 @@ def _in_fresh_process(work: Path, name: str, folder: Path) -> dict[str, float]:
 def _measure(work: Path, name: str, folder: Path) -> dict[str, float]:
     """Run one stage in this process."""
     build: BuildOptions = read_options(work)
-    stage = next(stage for stage in STAGES if stage.name == name)
+    stage = next(stage for stage in stages_of(build) if stage.name == name)
     context = Context(SilentProgress(), build.seed, build.preset, build.device)
     base, wall, processor = peak_memory_mb(), time.monotonic(), time.process_time()
     tuple(stage.make(Workspace(work, build.reading), stage.config(build), folder, context))

@@ -11,7 +11,7 @@ from lightsim.api import BuildOptions, LogReading, RelightOptions
 from lightsim.cli import main
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
-from lightsim.render.options import RendererChoice
+from lightsim.render.options import LightChoice, RendererChoice
 from lightsim.simulation.options import RenderOptions, SimulateOptions
 
 READING = LogReading(source="log")
@@ -25,6 +25,7 @@ RENDER = RenderOptions(what=("depth",))
     [
         *((BUILD, name) for name in ("preset", "colour", "gps", "sky_model", "device")),
         *((RendererChoice(), name) for name in ("renderer", "backend")),
+        (LightChoice(), "renderer"),
         (READING, "dataset"),
         (RELIGHT, "method"),
     ],
@@ -40,7 +41,7 @@ def test_a_word_that_is_no_choice_is_refused_in_python_too(options: object, name
 @pytest.mark.parametrize(
     ("command", "options"),
     [("build", BUILD), ("build", READING), ("relight", RELIGHT), ("render", RENDER),
-     ("render", RendererChoice())],
+     ("render", RendererChoice()), ("relight", LightChoice()), ("simulate", LightChoice())],
 )  # fmt: skip
 def test_the_command_line_has_every_option(
     command: str, options: object, capsys: pytest.CaptureFixture[str]

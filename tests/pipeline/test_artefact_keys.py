@@ -13,7 +13,7 @@ import pytest
 
 import lightsim.pipeline.stages as stages_package
 from lightsim.core.reading import LogReading
-from lightsim.pipeline.build import STAGES, artefact_keys
+from lightsim.pipeline.build import STAGES, artefact_keys, stages_of
 from lightsim.pipeline.options import PRESETS, BuildOptions, Preset, SkyModel
 from lightsim.simulation.relighter import RelightConfig
 from lightsim.store.artefact import ArtefactKey, json_ready
@@ -46,7 +46,9 @@ def key(config: Any) -> str:
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_setting_of_a_stage_decides_its_key(preset: Preset) -> None:
-    configs = {s.name: s.config(options(preset)) for s in STAGES} | {"relight": RelightConfig()}
+    chosen = options(preset)
+    configs: dict[str, Any] = {s.name: s.config(chosen) for s in stages_of(chosen)}
+    configs["relight"] = RelightConfig()
     seen = 0
     for stage, config in configs.items():
         for name, changed in with_one_change(config):
@@ -62,6 +64,14 @@ def test_the_sky_model_decides_the_sky_and_what_needs_it() -> None:
     )
     changed = {name for name in plain if plain[name].key != paper[name].key}
     assert changed == {"sky", "twin", "measures", "report"}
+
+
+def test_the_papers_system_shares_the_recording_and_its_alignment_alone() -> None:
+    """What the paper takes from its data set is common ground; all that follows is another's."""
+    ours, theirs = (artefact_keys(options(preset), "source") for preset in ("standard", "paper"))
+    shared = {name for name in ours if ours[name].key == theirs[name].key}
+    assert shared == {"log", "masks", "held_out_masks", "alignment"}
+    assert [stage.name for stage in stages_of(options("paper"))] == [s.name for s in STAGES]
 
 
 def made_in_functions(source: str) -> list[str]:

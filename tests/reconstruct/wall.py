@@ -36,8 +36,12 @@ def wall_fields(offset_m: float, weight: float = 4.0) -> SceneFields:
     )
 
 
-def wall_pool(count: int, is_lidar: bool) -> RayPool:
-    """Rays from the origin at the wall, which is red on one side and green on the other."""
+def wall_pool(count: int, is_lidar: bool, room_m: float | None = None) -> RayPool:
+    """Rays from the origin at the wall, which is red on one side and green on the other.
+
+    Args:
+        room_m: nothing tells where the wall is but that this much space around it is occupied.
+    """
     rng = np.random.default_rng(3)
     target = np.stack(
         [np.full(count, WALL_M), rng.uniform(-2.5, 2.5, count), rng.uniform(-1.2, 1.2, count)],
@@ -45,6 +49,10 @@ def wall_pool(count: int, is_lidar: bool) -> RayPool:
     )
     distance = np.linalg.norm(target, axis=1)
     colour = np.where(target[:, 1:2] > 0, [[0.8, 0.2, 0.2]], [[0.2, 0.7, 0.2]])
+    occupied = np.zeros((count, 0, 2), dtype=np.float32)
+    if room_m is not None:
+        along = (distance / WALL_M)[:, None, None] * np.array([WALL_M - room_m, WALL_M + room_m])
+        occupied = along.astype(np.float32)
     f32, far = np.float32, np.full((count, 2, 2), np.inf, np.float32)
     return RayPool(
         np.zeros((count, 3), f32),
@@ -53,7 +61,8 @@ def wall_pool(count: int, is_lidar: bool) -> RayPool:
         far,
         np.zeros((count, 2, 3), f32),
         np.zeros((count, 2, 3), f32),
-        distance.astype(f32),
+        distance.astype(f32) if room_m is None else np.full(count, np.inf, f32),
+        occupied,
         colour.astype(f32) * (0.0 if is_lidar else 1.0),
         np.full(count, -1 if is_lidar else 0, np.int32),
         np.zeros(count, f32),

@@ -126,17 +126,26 @@ def mesh_background(
         levels.append(_refined(mesh, grid.voxel_m))
     surface = concatenate_meshes(levels)
     if len(surface.faces) == 0:
-        raise InputError(
-            "the reconstructed field has no surface",
-            remedy="Train longer (--neural-steps), or start from fused LiDAR (--preset standard).",
-        )
+        raise no_surface()
     patches = ground_patches(surface, fields.ground, fields.path_m, make_caster)
     return concatenate_meshes([surface, patches])
 
 
+def no_surface() -> InputError:
+    """Of a field whose zero level is empty."""
+    return InputError(
+        "the reconstructed field has no surface",
+        remedy="Train longer (--neural-steps), or start from fused LiDAR (--preset standard).",
+    )
+
+
 def _refined(mesh: TriMesh, voxel_m: float) -> TriMesh:
     """Without noise of marching cubes, and with no more faces than the shape needs."""
-    mesh = denoise(mesh, _MAX_MOVE_VOXELS * voxel_m)
+    return simplified(denoise(mesh, _MAX_MOVE_VOXELS * voxel_m), voxel_m)
+
+
+def simplified(mesh: TriMesh, voxel_m: float) -> TriMesh:
+    """With no more faces than the shape needs that samples of this distance have given."""
     count = len(mesh.vertices)
     return simplify(
         mesh,

@@ -18,12 +18,13 @@ from lightsim.appearance import config as asset_config
 from lightsim.datasets.fingerprint import hash_recording
 from lightsim.datasets.reader import check_layout
 from lightsim.errors import ArtefactError, InputError
+from lightsim.geometry.plain import BaseMaterials
 from lightsim.lighting.panorama.stitch import StitchConfig
 from lightsim.pipeline.measures import MeasureConfig
 from lightsim.pipeline.options import BuildOptions
 from lightsim.pipeline.report import ReportConfig
 from lightsim.pipeline.source_sun import SourceSunConfig
-from lightsim.pipeline.stages import light, recording, results, surfaces
+from lightsim.pipeline.stages import light, published, recording, results, surfaces
 from lightsim.pipeline.stages.context import Context
 from lightsim.pipeline.workspace import OPTIONS_NAME, Workspace
 from lightsim.progress import Progress
@@ -48,7 +49,7 @@ from lightsim.store.reading import is_folder
 
 logger = logging.getLogger(__name__)
 
-_FUSE = {"draft": fuse_config.draft, "standard": fuse_config.standard, "paper": fuse_config.paper}
+_FUSE = {"draft": fuse_config.draft, "standard": fuse_config.standard}
 _NEURAL = {
     "draft": neural_config.draft,
     "standard": neural_config.standard,
@@ -93,6 +94,16 @@ def _neural_config(options: BuildOptions) -> neural_config.NeuralConfig:
     return config if options.neural_steps is None else replace(config, steps=options.neural_steps)
 
 
+def _stitch_config(options: BuildOptions) -> StitchConfig:
+    """The paper stitches one moment."""
+    return StitchConfig(frame_count=1) if options.preset == "paper" else StitchConfig()
+
+
+def _sky_config(options: BuildOptions) -> light.SkyStageConfig:
+    sun = SourceSunConfig(gps=options.gps)
+    return light.SkyStageConfig(sun, model=options.sky_model or "analytic")
+
+
 def _no_settings(_: BuildOptions) -> None:
     """Of a stage whose numbers are constants: its schema stands for them."""
 
@@ -134,14 +145,14 @@ STAGES = (
         "panorama",
         2,
         ("log", "masks", "alignment", "assets"),
-        lambda o: StitchConfig(),
+        _stitch_config,
         light.make_panorama,
     ),
     Stage(
         "sky",
         12,
         ("log", "alignment", "geometry", "assets", "panorama"),
-        lambda o: light.SkyStageConfig(SourceSunConfig(gps=o.gps), model=o.sky_model),
+        _sky_config,
         light.make_sky,
     ),
     Stage(
@@ -167,6 +178,51 @@ STAGES = (
     ),
 )
 
+PUBLISHED = (
+    Stage(
+        "fields",
+        1,
+        ("log", "alignment"),
+        lambda o: fuse_config.paper(),
+        published.make_fields,
+    ),
+    Stage(
+        "geometry",
+        1,
+        ("log", "alignment", "neural"),
+        lambda o: BaseMaterials(),
+        published.make_geometry,
+    ),
+    Stage(
+        "assets",
+        1,
+        ("log", "alignment", "fields", "neural", "geometry"),
+        _asset_config,
+        published.make_assets,
+    ),
+    Stage(
+        "sky",
+        1,
+        ("log", "alignment", "panorama"),
+        lambda o: published.DecodedSkyConfig(gps=o.gps),
+        published.make_sky,
+    ),
+    Stage(
+        "twin",
+        1,
+        ("log", "alignment", "assets", "sky"),
+        _no_settings,
+        published.make_twin,
+    ),
+)
+"""The rows that `--preset paper` has in place of those of the same names."""
+
+
+def stages_of(options: BuildOptions) -> tuple[Stage, ...]:
+    """The rows of the table that a build runs, in order."""
+    own = {s.name: s for s in PUBLISHED} if options.preset == "paper" else {}
+    return tuple(own.get(stage.name, stage) for stage in STAGES)
+
 
 def artefact_keys(options: BuildOptions, source_key: str) -> dict[str, ArtefactKey]:
     """The recipe of every stage; a stage's key holds the keys of all it needs.
@@ -175,7 +231,7 @@ def artefact_keys(options: BuildOptions, source_key: str) -> dict[str, ArtefactK
         source_key: hash of the recording.
     """
     made: dict[str, ArtefactKey] = {}
-    for stage in STAGES:
+    for stage in stages_of(options):
         inputs = {name: made[name].key for name in stage.needs} or {"source": source_key}
         made[stage.name] = ArtefactKey(
             stage.name, stage.schema, json_ready(_as_mapping(stage, options)), inputs, options.seed
@@ -223,7 +279,7 @@ def _build(work: Path, options: BuildOptions, progress: Progress, until: str) ->
     write_json(work / OPTIONS_NAME, options)
     workspace = Workspace(work, options.reading, source_hashes)
     context = Context(progress, options.seed, options.preset, options.device)
-    for stage in _stages_until(until):
+    for stage in _stages_until(options, until):
         artefact_key = by_stage[stage.name]
         folder = work / stage.name
         state = state_of(folder, artefact_key, is_hashed=True)
@@ -262,9 +318,9 @@ def _check_places(source: Path, work: Path) -> None:
         )
 
 
-def _stages_until(name: str) -> tuple[Stage, ...]:
+def _stages_until(options: BuildOptions, name: str) -> tuple[Stage, ...]:
     """The table's rows up to one, with it."""
-    return STAGES[: [stage.name for stage in STAGES].index(name) + 1]
+    return stages_of(options)[: [stage.name for stage in STAGES].index(name) + 1]
 
 
 @dataclass(frozen=True)

@@ -36,9 +36,9 @@ from lightsim.evaluate.geometry import (
 from lightsim.evaluate.metrics import ImageScores
 from lightsim.evaluate.sky import SkyReport, evaluate_sky
 from lightsim.lighting.sun.direction import find_sun_blob
-from lightsim.pipeline.stages.recording import prior_surfaces
+from lightsim.pipeline.stages.recording import sample_guide
 from lightsim.pipeline.workspace import Workspace
-from lightsim.progress import Progress
+from lightsim.progress import Progress, SilentProgress
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.image import sky_image
@@ -215,8 +215,9 @@ def _field_renderer(
 ) -> Callable[[CameraFrame], UInt8[np.ndarray, "h w 3"]]:
     from lightsim.reconstruct.field.render_field import render_frame
 
-    field, surfaces = workspace.scene_field, prior_surfaces(workspace.fused)
-    return lambda frame: render_frame(field, workspace.log, frame, surfaces)
+    field, log = workspace.scene_field, workspace.training_log
+    guide = sample_guide(log, workspace.fused, field.config, SilentProgress())
+    return lambda frame: render_frame(field, workspace.log, frame, guide)
 
 
 def geometry(

@@ -10,6 +10,7 @@ from lightsim.appearance.config import Colour
 from lightsim.arguments import Names
 from lightsim.core.checks import check_choice, check_number, check_seed
 from lightsim.core.reading import LogReading
+from lightsim.errors import InputError
 
 Preset = Literal["draft", "standard", "paper"]
 PRESETS: tuple[Preset, ...] = get_args(Preset)
@@ -29,7 +30,8 @@ class BuildOptions:
     reading: LogReading
     """How the recording is read."""
     preset: Preset = "standard"
-    """Quality of the reconstruction."""
+    """Quality of the reconstruction; paper: the published system and nothing of ours, to compare
+    with (docs/paper-map.md)."""
     colour: Colour | None = None
     """Colour of the meshes: at image resolution, at vertices, or (the paper's) the neural field's
     at vertices; by default the preset's."""
@@ -39,9 +41,10 @@ class BuildOptions:
     gps: GpsUse = "all"
     """What the sun is found with besides the images: place, time and heading; place and time; or
     nothing."""
-    sky_model: SkyModel = "analytic"
+    sky_model: SkyModel | None = None
     """How the source sky is made: a physical sky fitted to what was seen with the sun by shadows,
-    or (the paper's) by the decoder of the sky network, from its latent and peak and the GPS sun."""
+    or (the paper's) by the decoder of the sky network, from its latent and peak and the GPS sun; by
+    default the preset's."""
     device: Device = "auto"
     """Where the neural field is trained; auto takes CUDA where there is one. Results on the CPU do
     not depend on it."""
@@ -54,9 +57,27 @@ class BuildOptions:
         check_choice("--preset", self.preset, PRESETS)
         check_choice("--colour", self.colour, (None, *get_args(Colour)))
         check_choice("--gps", self.gps, get_args(GpsUse))
-        check_choice("--sky-model", self.sky_model, get_args(SkyModel))
+        check_choice("--sky-model", self.sky_model, (None, *get_args(SkyModel)))
         check_choice("--device", self.device, get_args(Device))
         AlignConfig().without(self.no_refine)
         check_seed(self.seed)
         if self.neural_steps is not None:
             check_number("--neural-steps", self.neural_steps, 0, _MAX_STEPS)
+        if self.preset == "paper":
+            self._check_paper()
+
+    def _check_paper(self) -> None:
+        """The paper's system is one switch: nothing of ours goes into it."""
+        ours = {
+            "--colour": self.colour not in (None, "field"),
+            "--sky-model": self.sky_model not in (None, "paper"),
+            "--neural-steps": self.neural_steps == 0,
+        }
+        wrong = [name for name, is_ours in ours.items() if is_ours]
+        if wrong:
+            raise InputError(
+                "the preset paper is the published system, which knows no such part",
+                where=", ".join(wrong),
+                expected="--colour field, --sky-model paper, --neural-steps 1 or more",
+                remedy="Leave the option out, or choose --preset standard.",
+            )

@@ -1,4 +1,4 @@
-"""What `lightsim render` asks of a renderer, and the choice among them."""
+"""What `lightsim render` and relighting ask of a renderer, and the choice among them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.render.casters.choice import choose_caster, resolve_backend
 from lightsim.render.frame_renderer import FrameRenderer
-from lightsim.render.options import RendererChoice
+from lightsim.render.options import LightChoice, RendererChoice
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.render.transport.matrix_torch import has_torch_cuda
 
@@ -67,13 +67,13 @@ def renderer_settings(choice: RendererChoice) -> dict[str, Any]:
     """What decides the pictures but for noise; the backend does not."""
     more: dict[str, Any] = {"bounces": choice.bounces, "is_denoised": choice.denoise}
     if choice.renderer == "transport":
-        more["transport"] = asdict(_transport(choice))
+        pixels = TransportConfig(pixel_samples=choice.pixel_samples)
+        more["transport"] = asdict(transport_as_chosen(choice, pixels))
     return {"renderer": choice.renderer, "rays": choice.rays, **more}
 
 
-def _transport(choice: RendererChoice) -> TransportConfig:
-    """Rays of the light transport matrix, on the CPU."""
-    config = TransportConfig(pixel_samples=choice.pixel_samples)
+def transport_as_chosen(choice: LightChoice, config: TransportConfig) -> TransportConfig:
+    """The light transport matrix with the rays and bounces that the user chose."""
     if choice.bounces is not None:
         config = replace(config, bounces=choice.bounces)
     return config if choice.rays is None else replace(config, sky_rays=choice.rays)
@@ -100,17 +100,17 @@ def make_renderer(
         MissingDependencyError: its package is not installed.
     """
     if choice.denoise and has_images:
-        from lightsim.denoise import check_installed
+        from lightsim import denoise
 
-        check_installed()
+        denoise.check_installed()
         noisy = replace(choice, denoise=False)
         renderer = make_renderer(
             noisy, background, inferred, seed, has_images=True, recorded_sun=recorded_sun
         )
         return _Denoised(renderer)
     if choice.renderer != "transport":
-        return _reference(choice, background, inferred, seed)
-    config = _transport(choice)
+        return make_reference(choice, background, inferred, seed)
+    config = transport_as_chosen(choice, TransportConfig(pixel_samples=choice.pixel_samples))
     if not has_images:
         config = replace(config, glossy_rays=0)
     backend = resolve_backend(choice.backend)
@@ -128,9 +128,26 @@ def make_renderer(
     )
 
 
-def _reference(
-    choice: RendererChoice, background: TriMesh, inferred: TriMesh, seed: int
+def check_installed(choice: LightChoice) -> None:
+    """That the chosen renderer can be used here; starts nothing.
+
+    Raises:
+        MissingDependencyError: its package is not installed.
+    """
+    if choice.renderer == "cycles":
+        from lightsim.render.reference.cycles import find_bpy
+
+        find_bpy(choice.blender_python)
+
+
+def make_reference(
+    choice: LightChoice, background: TriMesh, inferred: TriMesh, seed: int
 ) -> Renderer:
+    """A renderer that traces light anew for every sky.
+
+    Raises:
+        MissingDependencyError: its package is not installed.
+    """
     from lightsim.render.reference.renderer import ReferenceRenderer
 
     if choice.renderer == "path":
@@ -140,8 +157,7 @@ def _reference(
     else:
         from lightsim.render.reference.cycles import Cycles
 
-        python = choice.blender_python
-        tracer = Cycles(None if python is None else str(python))
+        tracer = Cycles(choice.blender_python)
     bounces = choice.bounces or _PATH_BOUNCES
     return ReferenceRenderer(
         background, inferred, tracer, choice.rays or _PATHS, bounces=bounces, seed=seed

@@ -17,7 +17,7 @@ from lightsim.core.checks import (
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
 from lightsim.relighting.options import Method
-from lightsim.render.options import RendererChoice
+from lightsim.render.options import LightChoice, RendererChoice
 from lightsim.simulation.shard import Shard
 from lightsim.store.names import is_harmless
 
@@ -100,6 +100,8 @@ class RelightOptions(FrameOptions):
     """Name of the result: WORK/scenarios/NAME, or WORK/scenarios/NAME/<sky> with several skies."""
     method: Method = "physical"
     """How pixels are relit: shading ratios of the reconstructed scene."""
+    renderer: LightChoice = field(default_factory=LightChoice)
+    """Who renders the light of source and target that relighting reads."""
     exposure_ev: float = 0.0
     """Exposure of the output, in stops."""
     linear: bool = False

@@ -24,6 +24,8 @@ from lightsim.datasets.selection import FrameSelection
 from lightsim.errors import ArtefactError, InputError
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
+from lightsim.render.options import LightChoice
+from lightsim.render.renderers import check_installed, transport_as_chosen
 from lightsim.scenario.replay import replay
 from lightsim.simulation.labels import write_labels
 from lightsim.simulation.options import RelightOptions
@@ -45,7 +47,7 @@ from lightsim.store.scenario import write_scenario
 
 _SCHEMA = 11
 _STAGE = "relight"
-_OPTIONAL = ("labels", "edits", "assets", "exposure_time_ms")
+_OPTIONAL = ("labels", "renderer", "edits", "assets", "exposure_time_ms")
 _PLAIN = RelightConfig()
 
 
@@ -119,6 +121,9 @@ def make_frames(
     Returns:
         The folders, in the order of the skies.
     """
+    # First of all: nothing is replaced for a renderer that is not there.
+    check_installed(options.renderer)
+    config = replace(config, transport=transport_as_chosen(options.renderer, config.transport))
     scale = _scale(workspace, options)
     base = workspace.root / "scenarios" / options.name
     skies = options.sky_by_name
@@ -147,6 +152,7 @@ def make_frames(
 
 def _settings(options: RelightOptions, sky: SkyChoice, image_scale: float) -> dict[str, Any]:
     """All that decides the frames besides twin and sky file."""
+    light = _settings_of(options.renderer)
     return {
         "sky": made_from_sky(sky),
         "method": options.method,
@@ -156,7 +162,13 @@ def _settings(options: RelightOptions, sky: SkyChoice, image_scale: float) -> di
         "image_scale": image_scale,
         "linear": options.linear,
         **({"labels": True} if options.labels else {}),
+        **({"renderer": light} if light != _settings_of(LightChoice()) else {}),
     }
+
+
+def _settings_of(choice: LightChoice) -> dict[str, Any]:
+    """What decides the light; where Blender lies does not."""
+    return {"name": choice.renderer, "rays": choice.rays, "bounces": choice.bounces}
 
 
 def _make_room(base: Path, folders: Sequence[Path], *, is_overwriting: bool) -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, UInt8
 
 from lightsim.core.buffers import ShadowBuffers
+from lightsim.core.dome import SkyDome
 from lightsim.core.log import DrivingLog
 from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.core.sensors import CameraFrame
@@ -18,6 +20,7 @@ from lightsim.relighting.physical.compose import camera_image
 from lightsim.relighting.physical.ratio import Circumstances, RatioConfig, RelightInputs
 from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
 from lightsim.render.image import sky_image
+from lightsim.render.renderers import Renderer, TracedFrame, make_reference
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.render.transport.sky import EnvironmentCells
 from lightsim.simulation.options import RelightOptions
@@ -70,11 +73,13 @@ class RelightTarget:
     Args:
         sky: as it was resolved.
         cells: for sums of light.
+        lit_by: the same for the renderer of the light that relighting reads.
         level_ratio: light on level ground in the open, target over source.
     """
 
     sky: TargetSky
     cells: EnvironmentCells
+    lit_by: Any
     level_ratio: Float32[np.ndarray, "3"]
 
 
@@ -101,6 +106,17 @@ class Relighter:
             options.seed,
         )
         self._source = self._renderer.prepare(workspace.sky.dome)
+        # Pictures of edits are always the light transport matrix's; what is relit is the chosen
+        # renderer's.
+        self._light: Renderer = self._renderer
+        if options.renderer.renderer != "transport":
+            self._light = make_reference(
+                options.renderer,
+                workspace.twin.assets.background,
+                workspace.unobserved_occluders,
+                options.seed,
+            )
+        self._light_source = self._prepared(workspace.sky.dome, self._source)
         self._images = SourceImages(
             workspace,
             log,
@@ -115,7 +131,12 @@ class Relighter:
         """A target sky made ready."""
         level = [d.horizontal_irradiance() for d in (self._workspace.sky.dome, sky.dome)]
         ratio = (level[1] / np.maximum(level[0], 1e-9)).astype(np.float32)
-        return RelightTarget(sky, self._renderer.prepare(sky.dome, sky.behind), ratio)
+        cells = self._renderer.prepare(sky.dome, sky.behind)
+        return RelightTarget(sky, cells, self._prepared(sky.dome, cells), ratio)
+
+    def _prepared(self, dome: SkyDome, cells: EnvironmentCells) -> Any:
+        """A sky for the renderer of light; `cells` are the light transport matrix's."""
+        return cells if self._light is self._renderer else self._light.prepare(dome)
 
     def relit(
         self, frame: ScenarioFrame, scenario: Scenario, targets: Sequence[RelightTarget]
@@ -130,7 +151,7 @@ class Relighter:
         is_needed |= self._images.is_needed(frame, scenario)
         traced = self._renderer.trace(scenario, frame, camera) if is_needed else None
         source = self._images.of(frame, scenario, traced)
-        own_light = None
+        lit, own_light = None, None
         for target in targets:
             if target.sky.is_source:
                 image = source.srgb8
@@ -139,10 +160,16 @@ class Relighter:
                 yield RelitFrame(frame, image, source.radiance, traced, None, source)
                 continue
             assert traced is not None
-            own_light = own_light or traced.light(self._source)
-            yield self._relit(
-                frame, traced, source, (own_light, traced.light(target.cells)), target
-            )
+            lit = lit or self._lit(traced, scenario)
+            own_light = own_light or lit.light(self._light_source)
+            lights = own_light, lit.light(target.lit_by)
+            yield self._relit(frame, traced, source, lights, target)
+
+    def _lit(self, traced: TransportFrame, scenario: Scenario) -> TracedFrame:
+        """A frame as the renderer of light has it."""
+        if self._light is self._renderer:
+            return traced
+        return self._light.trace(scenario, *traced.view)
 
     def _developed(
         self, frame: CameraFrame, radiance: Float32[np.ndarray, "h w 3"]

@@ -19,8 +19,10 @@ from lightsim.geometry.surface import background_levels, extract_surface
 from lightsim.masks.sky import sky_mattes
 from lightsim.pipeline.stages.context import Context
 from lightsim.pipeline.workspace import FIELD_CONFIG_NAME, FIELD_NAME, Workspace
+from lightsim.progress import Progress
 from lightsim.reconstruct.field.config import NeuralConfig
-from lightsim.reconstruct.field.ray_pool import PriorSurfaces
+from lightsim.reconstruct.field.occupancy import Occupancy
+from lightsim.reconstruct.field.ray_pool import Guide, PriorSurfaces
 from lightsim.reconstruct.fusion.config import FuseConfig
 from lightsim.reconstruct.fusion.tsdf import fuse_log
 from lightsim.render.casters.embree import make_embree_caster
@@ -102,14 +104,14 @@ def make_neural(
         return (*fused.notes, "no neural field was trained; geometry is fused LiDAR alone")
     from lightsim.reconstruct.field.neural import Training, refine_by_field
 
+    log = work.training_log
     training = Training(
-        prior_surfaces(fused),
+        sample_guide(log, fused, config, context.progress),
         work.sky_matte,
         checkpointer,
         context.seed,
         context.device,
     )
-    log = work.training_log
     fields, field = refine_by_field(log, fused, config, training, progress=context.progress)
     write_fields(folder, fields)
     record = WeightsRecord(
@@ -129,13 +131,18 @@ def make_neural(
     return fields.notes
 
 
-def prior_surfaces(fused: SceneFields) -> PriorSurfaces:
-    """Where rays of the neural field are sampled: the meshes of the fused LiDAR."""
+def sample_guide(
+    log: DrivingLog, fields: SceneFields, config: NeuralConfig, progress: Progress
+) -> Guide:
+    """What tells a neural field where its rays are sampled: the meshes of the fused LiDAR where it
+    learns a residual on it; else the space that has returns in it, by the log's rays alone."""
+    if not config.has_prior:
+        return Occupancy.of_returns(log, fields.path_m, fields.background_radius_m[-1], progress)
     at_origin = RigidTransform.identity("world", "actor")
     return PriorSurfaces(
-        make_embree_caster(background_levels(fused, 0.03)),
+        make_embree_caster(background_levels(fields, 0.03)),
         {
             actor_id: make_embree_caster([extract_surface(grid, 0.03).transformed(at_origin)])
-            for actor_id, grid in fused.actors.items()
+            for actor_id, grid in fields.actors.items()
         },
     )

@@ -13,7 +13,7 @@ from lightsim.networks.devices import choose_device
 from lightsim.networks.loop import Checkpointer, Session
 from lightsim.progress import Progress
 from lightsim.reconstruct.field.config import NeuralConfig, draft, paper, standard
-from lightsim.reconstruct.field.ray_pool import PriorSurfaces, SkyMatte, camera_rays, lidar_rays
+from lightsim.reconstruct.field.ray_pool import Guide, SkyMatte, camera_rays, lidar_rays
 from lightsim.reconstruct.field.refine import refined_fields
 from lightsim.reconstruct.field.sdf_field import SceneField
 from lightsim.reconstruct.field.train import TrainingRays, train_field
@@ -35,14 +35,14 @@ class Training:
     """What training needs beside the log and its fused LiDAR.
 
     Args:
-        surfaces: ray casters over the meshes of the fused LiDAR.
+        guide: of the samples: ray casters over the meshes of the fused LiDAR, or occupied space.
         sky_matte: sky alpha of a frame.
         checkpointer: keeps checkpoints and metrics.
         seed: of rays, initial values and batches.
         device: "auto", "cpu" or "cuda".
     """
 
-    surfaces: PriorSurfaces
+    guide: Guide
     sky_matte: SkyMatte
     checkpointer: Checkpointer
     seed: int = 0
@@ -64,8 +64,8 @@ def refine_by_field(
     """
     rng = np.random.default_rng(training.seed)
     rays = TrainingRays(
-        camera_rays(log, _CAMERA_POOL, training.surfaces, training.sky_matte, rng, progress),
-        lidar_rays(log, _LIDAR_POOL, training.surfaces, rng, progress),
+        camera_rays(log, _CAMERA_POOL, training.guide, training.sky_matte, rng, progress),
+        lidar_rays(log, _LIDAR_POOL, training.guide, rng, progress),
     )
     field = make_field(log, fields, config, training.seed).to(choose_device(training.device))
     train_field(field, rays, training.seed, Session(training.checkpointer, progress))

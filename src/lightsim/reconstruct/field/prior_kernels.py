@@ -117,3 +117,36 @@ def enter_boxes(origins, directions, world_to_box, half, index, entry, leave):
                     leave[r, s - 1],
                 )
             index[r, at], entry[r, at], leave[r, at] = b, near, far
+
+
+@njit(cache=True, nogil=True, parallel=True)
+@no_type_check
+def march(grid, origins, directions, boxes, found):
+    """Stretches of rays in occupied voxels, outside boxes, by fixed steps until the grid ends.
+
+    `grid` is (occupied [x, y, z], lowest corner, voxel, step); `boxes` [n, s, 2] and `found`
+    [n, k, 2] are distances.
+    """
+    occupied, low, voxel, step = grid
+    nx, ny, nz = occupied.shape
+    for r in prange(origins.shape[0]):
+        count, is_open, t = 0, False, 0.0
+        while count < found.shape[1]:
+            middle = t + 0.5 * step
+            i = math.floor((origins[r, 0] + middle * directions[r, 0] - low[0]) / voxel)
+            j = math.floor((origins[r, 1] + middle * directions[r, 1] - low[1]) / voxel)
+            k = math.floor((origins[r, 2] + middle * directions[r, 2] - low[2]) / voxel)
+            is_within = 0 <= i < nx and 0 <= j < ny and 0 <= k < nz
+            is_here = is_within and occupied[i, j, k]
+            for s in range(boxes.shape[1]):
+                is_here &= not boxes[r, s, 0] <= middle < boxes[r, s, 1]
+            if is_here and not is_open:
+                found[r, count, 0] = t
+                is_open = True
+            elif is_open and not is_here:
+                found[r, count, 1] = t
+                count += 1
+                is_open = False
+            if not is_within:
+                break
+            t += step

@@ -1,7 +1,8 @@
 """Training rays of a whole log: camera pixels and LiDAR returns, drawn once before training.
 
-A ray knows where the prior's surface is and which actor boxes it passes, so that a training step
-only has to place samples (paper Sec. 3.1; UniSim Sec. 3.3: LiDAR makes ray marching efficient).
+A ray knows where the prior's surface is, or without one which space along it is occupied, and which
+actor boxes it passes, so that a training step only has to place samples (paper Sec. 3.1; UniSim
+Sec. 3.3: LiDAR makes ray marching efficient).
 """
 
 from __future__ import annotations
@@ -19,12 +20,14 @@ from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import SWEEP_HOLD_S, CameraFrame, LidarSweep
 from lightsim.errors import InputError
 from lightsim.progress import Progress
+from lightsim.reconstruct.field.occupancy import Occupancy
 from lightsim.reconstruct.field.prior_kernels import enter_boxes
 from lightsim.reconstruct.fusion.sweep_views import label_points
 
 SLOTS = 2
 """Actor boxes that a ray can pass; further ones are rare and left out."""
-_BOX_MARGIN_M = 0.1
+BOX_MARGIN_M = 0.1
+"""What lies this near a labelled box belongs to its actor."""
 _FAR_M = 250.0
 SkyMatte = Callable[[CameraFrame], Float32[np.ndarray, "h w"]]
 
@@ -40,6 +43,8 @@ class RayPool:
         slot_span_m: distances at which the ray enters and leaves each box.
         slot_origin, slot_direction: the ray in the frame of each actor.
         surface_m: distance of the prior's first surface; inf where there is none.
+        occupied_m: where the ray is in occupied space outside boxes (`Occupancy.stretches_m`);
+            no stretch (k = 0) where a prior's surface places the samples.
         colour: sRGB pixel value in [0, 1] (camera rays; else 0).
         camera: index of the camera, -1 for LiDAR.
         sky: sky alpha of the pixel.
@@ -54,6 +59,7 @@ class RayPool:
     slot_origin: Float32[np.ndarray, "n 2 3"]
     slot_direction: Float32[np.ndarray, "n 2 3"]
     surface_m: Float32[np.ndarray, " n"]
+    occupied_m: Float32[np.ndarray, "n k 2"]
     colour: Float32[np.ndarray, "n 3"]
     camera: Int32[np.ndarray, " n"]
     sky: Float32[np.ndarray, " n"]
@@ -83,10 +89,14 @@ class PriorSurfaces:
     actors: Mapping[str, RayCaster]
 
 
+Guide = PriorSurfaces | Occupancy
+"""What tells where samples of rays must lie."""
+
+
 def camera_rays(
     log: DrivingLog,
     count: int,
-    surfaces: PriorSurfaces,
+    guide: Guide,
     sky_matte: SkyMatte,
     rng: np.random.Generator,
     progress: Progress,
@@ -113,7 +123,7 @@ def camera_rays(
             pixel = pixel[~ego_vehicle.ravel()[pixel]]
         pools.append(
             replace(
-                pixel_rays(log, frame, pixel, surfaces),
+                pixel_rays(log, frame, pixel, guide),
                 colour=image.reshape(-1, 3)[pixel].astype(np.float32) / np.float32(255),
                 sky=matte.ravel()[pixel],
             )
@@ -122,7 +132,7 @@ def camera_rays(
 
 
 def pixel_rays(
-    log: DrivingLog, frame: CameraFrame, pixel: Int64[np.ndarray, " n"], surfaces: PriorSurfaces
+    log: DrivingLog, frame: CameraFrame, pixel: Int64[np.ndarray, " n"], guide: Guide
 ) -> RayPool:
     """Rays of some pixels of a frame, numbered row by row, without their colours."""
     camera = log.cameras[frame.camera_name]
@@ -135,7 +145,7 @@ def pixel_rays(
     }
     number = list(log.cameras).index(frame.camera_name)
     return replace(
-        _assemble(origin, direction, log.actors, poses, surfaces),
+        _assemble(origin, direction, log.actors, poses, guide),
         camera=np.full(len(pixel), number, dtype=np.int32),
     )
 
@@ -143,7 +153,7 @@ def pixel_rays(
 def lidar_rays(
     log: DrivingLog,
     count: int,
-    surfaces: PriorSurfaces,
+    guide: Guide,
     rng: np.random.Generator,
     progress: Progress,
 ) -> RayPool:
@@ -173,7 +183,7 @@ def lidar_rays(
         direction = offset[is_good] / distance[:, None]
         pools.append(
             replace(
-                _assemble(origin, direction, log.actors, poses, surfaces),
+                _assemble(origin, direction, log.actors, poses, guide),
                 return_m=distance.astype(np.float32),
                 label=labels[chosen].astype(np.int32),
             )
@@ -202,19 +212,27 @@ def _assemble(
     direction: Float64[np.ndarray, "n 3"],
     actors: Sequence[ActorTrack],
     poses: Mapping[int, RigidTransform],
-    surfaces: PriorSurfaces,
+    guide: Guide,
 ) -> RayPool:
-    """Rays of one moment with their boxes and prior surfaces, nothing measured yet."""
+    """Rays of one moment with their boxes and what guides samples, nothing measured yet."""
     count = len(origin)
     numbers = np.array(sorted(poses), dtype=np.int64)
-    boxes = [(poses[i].inverse(), actors[i].size_lwh_m / 2 + _BOX_MARGIN_M) for i in numbers]
+    boxes = [(poses[i].inverse(), actors[i].size_lwh_m / 2 + BOX_MARGIN_M) for i in numbers]
     index = np.full((count, SLOTS), -1, dtype=np.int32)
     entry, leave = (np.full((count, SLOTS), np.inf, dtype=np.float32) for _ in range(2))
     if boxes:
         to_box = np.stack([pose.matrix[:3] for pose, _ in boxes])
         half = np.stack([np.asarray(half, dtype=np.float64) for _, half in boxes])
         enter_boxes(origin, direction, to_box, half, index, entry, leave)
-    hits = surfaces.background.intersect(origin, direction).distance_m.astype(np.float32)
+    spans = np.stack([entry, leave], axis=2)
+    hits = np.full(count, np.inf, dtype=np.float32)
+    occupied = np.zeros((count, 0, 2), dtype=np.float32)
+    casters: Mapping[str, RayCaster] = {}
+    if isinstance(guide, Occupancy):
+        occupied = guide.stretches_m(origin, direction, spans)
+    else:
+        hits = guide.background.intersect(origin, direction).distance_m.astype(np.float32)
+        casters = guide.actors
     slot_origin, slot_direction = (np.zeros((count, SLOTS, 3), np.float32) for _ in range(2))
     slot_actor = np.full((count, SLOTS), -1, dtype=np.int32)
     for b in np.unique(index[index >= 0]).tolist():
@@ -224,7 +242,7 @@ def _assemble(
         local_direction = boxes[b][0].rotate(direction[row])
         slot_origin[row, slot], slot_direction[row, slot] = local_origin, local_direction
         slot_actor[row, slot] = number
-        caster = surfaces.actors.get(actors[number].actor_id)
+        caster = casters.get(actors[number].actor_id)
         if caster is not None:
             found = caster.intersect(local_origin, local_direction).distance_m
             hits[row] = np.minimum(hits[row], found.astype(np.float32))
@@ -233,10 +251,11 @@ def _assemble(
         origin.astype(np.float32),
         direction.astype(np.float32),
         slot_actor,
-        np.stack([entry, leave], axis=2),
+        spans,
         slot_origin,
         slot_direction,
         hits,
+        occupied,
         colour=np.zeros((count, 3), np.float32),
         camera=np.full(count, -1, dtype=np.int32),
         sky=np.zeros(count, np.float32),

@@ -8,7 +8,7 @@ from jaxtyping import UInt8
 
 from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import CameraFrame
-from lightsim.reconstruct.field.ray_pool import PriorSurfaces, pixel_rays
+from lightsim.reconstruct.field.ray_pool import Guide, pixel_rays
 from lightsim.reconstruct.field.sampling import place_samples
 from lightsim.reconstruct.field.sdf_field import SceneField
 from lightsim.reconstruct.field.train import batch_of
@@ -18,7 +18,7 @@ _CHUNK = 16_384
 
 
 def render_frame(
-    field: SceneField, log: DrivingLog, frame: CameraFrame, surfaces: PriorSurfaces
+    field: SceneField, log: DrivingLog, frame: CameraFrame, guide: Guide
 ) -> UInt8[np.ndarray, "h w 3"]:
     """The picture that the field predicts for a camera of the log, sRGB.
 
@@ -30,7 +30,7 @@ def render_frame(
     parts = []
     for start in range(0, camera.width_px * camera.height_px, _CHUNK):
         pixel = np.arange(start, min(start + _CHUNK, camera.width_px * camera.height_px))
-        rays = batch_of(pixel_rays(log, frame, pixel, surfaces), device)
+        rays = batch_of(pixel_rays(log, frame, pixel, guide), device)
         with torch.no_grad():
             t = place_samples(rays, generator)
             sdf, colour, _, _ = field(*rays.points(t))

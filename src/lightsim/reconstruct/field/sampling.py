@@ -20,6 +20,10 @@ _NEAR_SAMPLES = 8
 _FREE_SAMPLES = 4
 # Half width of the band around the expected surface, times (1 + t / 40).
 _NEAR_HALF_M = 0.4
+# Samples of a ray in occupied space: as many as UniSim's steps of 20 cm in 3.2 m of it.
+_MARCHED_SAMPLES = 16
+# Actors' boxes are sampled so much more densely than occupied space: UniSim's steps of 5 and 20 cm.
+_BOX_DENSITY = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +37,7 @@ class RayBatch:
     slot_origin: Float[Tensor, "r 2 3"]
     slot_direction: Float[Tensor, "r 2 3"]
     surface_m: Float[Tensor, " r"]
+    occupied_m: Float[Tensor, "r k 2"]
     colour: Float[Tensor, "r 3"]
     camera: Int[Tensor, " r"]
     sky: Float[Tensor, " r"]
@@ -69,12 +74,15 @@ class RayBatch:
 
 
 def place_samples(rays: RayBatch, generator: torch.Generator) -> Float[Tensor, "r s"]:
-    """Sorted sample distances: some in a band around the expected surface (the measured return of
-    a LiDAR ray), some in the free space before it.
+    """Sorted sample distances: in occupied space, where rays know it (the paper's field); else some
+    in a band around the expected surface (the measured return of a LiDAR ray), some in the free
+    space before it.
 
-    Rays without an expected surface are sampled through the first actor box they pass, else
-    evenly in the logarithm of the distance.
+    Rays without occupied space are sampled evenly in the logarithm of the distance; those without
+    an expected surface through the first actor box they pass, else the same.
     """
+    if rays.occupied_m.shape[1]:
+        return _in_occupied_space(rays, generator)
     near, free = _NEAR_SAMPLES, _FREE_SAMPLES
     count = len(rays.origin)
     centre = torch.where(rays.is_lidar, rays.return_m, rays.surface_m)
@@ -95,8 +103,29 @@ def place_samples(rays: RayBatch, generator: torch.Generator) -> Float[Tensor, "
     in_free = NEAREST_M + _stratified(count, free, generator, centre) * (start - NEAREST_M)[:, None]
     guided = torch.cat([in_free, in_band], dim=1)
     steps = _stratified(count, near + free, generator, centre)
-    blind = torch.exp(torch.log(torch.tensor(_FARTHEST_M)) * steps.clamp(min=0.0)) * 1.0
-    return torch.where(has_centre[:, None], guided, blind)
+    return torch.where(has_centre[:, None], guided, _blind(steps))
+
+
+def _in_occupied_space(rays: RayBatch, generator: torch.Generator) -> Float[Tensor, "r s"]:
+    """Stratified over all stretches of each ray that are occupied or in boxes of actors."""
+    has_box = (rays.slot_actor >= 0)[..., None]
+    boxes = torch.where(has_box, rays.slot_span_m.clamp(min=NEAREST_M), 0.0)
+    stretches = torch.cat([boxes, rays.occupied_m], dim=1)
+    density = torch.ones_like(stretches[0, :, 0])
+    density[: boxes.shape[1]] = _BOX_DENSITY
+    mass = density * (stretches[..., 1] - stretches[..., 0]).clamp(min=0.0)
+    until = mass.cumsum(dim=1)
+    steps = _stratified(len(mass), _MARCHED_SAMPLES, generator, until[:, -1])
+    place = steps * until[:, -1:]
+    chosen = torch.searchsorted(until, place, right=True).clamp(max=mass.shape[1] - 1)
+    beyond = place - (until - mass).gather(1, chosen)
+    t = stretches[..., 0].gather(1, chosen) + beyond / density[chosen]
+    return torch.where(until[:, -1:] > 0, t.sort(dim=1).values, _blind(steps))
+
+
+def _blind(steps: Float[Tensor, "r s"]) -> Float[Tensor, "r s"]:
+    """Distances evenly in their logarithm."""
+    return torch.exp(torch.log(torch.tensor(_FARTHEST_M)) * steps.clamp(min=0.0)) * 1.0
 
 
 def _stratified(

@@ -59,8 +59,9 @@ class SceneField(nn.Module):
         self.prior = prior
         self.background_table = make_table(config.background_grid, generator)
         self.actor_table = make_table(config.actor_grid, generator)
-        self.background_head = _head(config.background_grid, generator)
-        self.actor_head = _head(config.actor_grid, generator)
+        make_head = SeparateHeads if prior is None else _joint_head
+        self.background_head = make_head(config.background_grid, generator)
+        self.actor_head = make_head(config.actor_grid, generator)
         self.sky_head = _mlp(15, 32, 3, generator)
         self.log_gains = nn.Parameter(torch.zeros(max(len(camera_names), 1), 3))
         self.log_beta = nn.Parameter(torch.log(torch.tensor(_FIRST_BETA)))
@@ -113,7 +114,9 @@ class SceneField(nn.Module):
             own = points if len(index) == len(points) else points[index]
             salt = None if name == "background" else actor[index].to(torch.int64) + 1
             features = hash_encode(own, table, spec, salt=salt)
-            found = head(torch.cat([features, own / _POSITION_SCALE[name]], dim=1))
+            if self.prior is not None:
+                features = torch.cat([features, own / _POSITION_SCALE[name]], dim=1)
+            found = head(features)
             output = found if len(index) == len(points) else output.index_copy(0, index, found)
         base, confidence, reach = self._base(points, actor)
         # Bounded, so that space far from the prior's surface can never change sides by noise.
@@ -169,8 +172,27 @@ class SceneField(nn.Module):
         return torch.sigmoid(self.sky_head(_direction_features(direction)))
 
 
-def _head(spec: HashGridSpec, generator: torch.Generator) -> nn.Sequential:
-    """Features and position to (signed distance or residual, colour); starts at residual 0."""
+class SeparateHeads(nn.Module):
+    """f_s and f_kd of the paper (Sec. 3.3): two MLPs that see the grid's features alone (appendix:
+    "only grid features as input"), so that no surface depends on what it takes to colour it.
+
+    Args:
+        spec: of the grid.
+        generator: of the initial values.
+    """
+
+    def __init__(self, spec: HashGridSpec, generator: torch.Generator) -> None:
+        super().__init__()
+        self.distance = _mlp(spec.output_dim, _HIDDEN, 1, generator)
+        self.colour = _mlp(spec.output_dim, _HIDDEN, 3, generator)
+
+    def forward(self, features: Float[Tensor, "n f"]) -> Float[Tensor, "n 4"]:
+        """Signed distance and colour, neither scaled yet."""
+        return torch.cat([self.distance(features), self.colour(features)], dim=1)
+
+
+def _joint_head(spec: HashGridSpec, generator: torch.Generator) -> nn.Sequential:
+    """Features and position to (residual, colour); starts at residual 0."""
     head = _mlp(spec.output_dim + 3, _HIDDEN, 4, generator)
     last = head[-1]
     assert isinstance(last, nn.Linear)

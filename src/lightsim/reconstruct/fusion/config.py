@@ -33,6 +33,18 @@ def standard() -> FuseConfig:
     return FuseConfig()
 
 
-def paper() -> FuseConfig:
-    """The paper fuses nothing; its field is read out on the samples of `standard`."""
-    return FuseConfig()
+@dataclass(frozen=True)
+class OccupiedConfig:
+    """Where a field that nothing is fused for is read out: the samples of `standard`."""
+
+    voxel_m: tuple[float, ...] = (0.1, 0.2, 0.4)
+    """Sample distance of each background level, finest first."""
+    radius_m: tuple[float, ...] = (18.0, 50.0, 100.0)
+    """Each level reaches this far from the path, horizontally."""
+    actor_voxel_m: float = 0.06
+    """Sample distance in the boxes of actors."""
+
+
+def paper() -> OccupiedConfig:
+    """The paper fuses nothing."""
+    return OccupiedConfig()

@@ -16,13 +16,13 @@ from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import SWEEP_HOLD_S
 from lightsim.errors import InputError
 from lightsim.progress import Progress
-from lightsim.reconstruct.fusion.config import FuseConfig, draft, paper, standard
+from lightsim.reconstruct.fusion.config import FuseConfig, draft, standard
 from lightsim.reconstruct.fusion.ground import GroundBuilder
 from lightsim.reconstruct.fusion.range_image import RangeImage, make_range_image
 from lightsim.reconstruct.fusion.sweep_views import centre_line, label_points, views_of_sweep
 from lightsim.reconstruct.fusion.tsdf_kernels import integrate_view, mark_blocks
 
-__all__ = ["FuseConfig", "draft", "fuse_log", "paper", "standard"]
+__all__ = ["FuseConfig", "draft", "fuse_log", "standard"]
 
 _LEVEL_OVERLAP_M = 1.0
 _ACTOR_PADDING_M = 0.2
@@ -61,7 +61,7 @@ def fuse_log(log: DrivingLog, config: FuseConfig, *, progress: Progress) -> Scen
         )
     path = centre_line(log.ego.positions_m)
     sweeps = log.sweeps[:: config.every_nth_sweep]
-    ground, counts = _scan(log, path, config, progress)
+    ground, counts = find_ground(log, path, config.radius_m[-1], progress)
     levels = tuple(_Level(i, path, ground, config) for i in range(len(config.voxel_m)))
     actors = {
         i: _ActorFusion(log.actors[i], config, int(counts[i + 1]))
@@ -84,11 +84,11 @@ def fuse_log(log: DrivingLog, config: FuseConfig, *, progress: Progress) -> Scen
     )
 
 
-def _scan(
-    log: DrivingLog, path: Float64[np.ndarray, "n 3"], config: FuseConfig, progress: Progress
+def find_ground(
+    log: DrivingLog, path: Float64[np.ndarray, "n 3"], reach_m: float, progress: Progress
 ) -> tuple[GroundMap, Float64[np.ndarray, " a"]]:
-    """The ground map, and how many returns each label received."""
-    builder = GroundBuilder(path, config.radius_m[-1], _GROUND_CELL_M)
+    """The ground map up to `reach_m` from the path, and how many returns each label received."""
+    builder = GroundBuilder(path, reach_m, _GROUND_CELL_M)
     counts = np.zeros(len(log.actors) + 1)
     for lazy in progress.track(log.sweeps, "find the ground", len(log.sweeps)):
         sweep = lazy.load()

@@ -37,6 +37,28 @@ _REMEDY = (
 )
 
 
+def find_bpy(python: str | Path | None = None) -> str:
+    """The interpreter that has bpy; importing bpy takes seconds, finding it does not.
+
+    Args:
+        python: see `Cycles`.
+
+    Raises:
+        MissingDependencyError: it cannot be run, or has no bpy.
+    """
+    chosen = str(python or os.environ.get(PYTHON_VARIABLE) or sys.executable)
+    probe = "import importlib.util, sys; sys.exit(importlib.util.find_spec('bpy') is None)"
+    try:
+        found = subprocess.run([chosen, "-c", probe], env=_clean_environment(), check=False)
+    except OSError as error:
+        raise MissingDependencyError(
+            "the interpreter for Blender cannot be run", where=chosen, remedy=_REMEDY
+        ) from error
+    if found.returncode:
+        raise MissingDependencyError("Cycles needs the package 'bpy'", where=chosen, remedy=_REMEDY)
+    return chosen
+
+
 class Cycles:
     """Takes shots with Cycles on the CPU. A rolling shutter is rendered at its middle row.
 
@@ -48,11 +70,10 @@ class Cycles:
         MissingDependencyError: that interpreter has no bpy.
     """
 
-    def __init__(self, python: str | None = None) -> None:
-        self.python = python or os.environ.get(PYTHON_VARIABLE) or sys.executable
+    def __init__(self, python: str | Path | None = None) -> None:
+        self.python = find_bpy(python)
         self.seconds: list[float] = []
         """What Cycles took for each picture of the last call of `shoot`, its setup included."""
-        self._check_bpy()
         self._folder = tempfile.TemporaryDirectory(prefix="lightsim-cycles-")
         self._noise: IO[bytes] = (Path(self._folder.name) / "blender.log").open("w+b")
         self._process = subprocess.Popen(
@@ -72,22 +93,6 @@ class Cycles:
     def pid(self) -> int:
         """Of Blender's process."""
         return self._process.pid
-
-    def _check_bpy(self) -> None:
-        """Whether the interpreter has bpy: importing it takes seconds, finding it does not."""
-        probe = "import importlib.util, sys; sys.exit(importlib.util.find_spec('bpy') is None)"
-        try:
-            found = subprocess.run(
-                [self.python, "-c", probe], env=_clean_environment(), check=False
-            )
-        except OSError as error:
-            raise MissingDependencyError(
-                "the interpreter for Blender cannot be run", where=self.python, remedy=_REMEDY
-            ) from error
-        if found.returncode:
-            raise MissingDependencyError(
-                "Cycles needs the package 'bpy'", where=self.python, remedy=_REMEDY
-            )
 
     def close(self) -> None:
         """End the process; done by itself when the object goes."""
