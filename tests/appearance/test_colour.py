@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from plane_mesh import plane_mesh
 
+from lightsim.appearance import colour
 from lightsim.appearance.colour import fill_unseen
 from lightsim.appearance.gains import solve_gains
 from lightsim.appearance.intrinsic.divide import base_colour_from_radiance
@@ -32,6 +33,23 @@ def test_unseen_vertices_take_the_colour_around_them() -> None:
     usual = np.array([0.1, 0.2, 0.3], dtype=np.float32)
     nothing = fill_unseen(plane, holed, np.zeros(len(holed), dtype=bool), usual)
     np.testing.assert_array_equal(nothing, np.broadcast_to(usual, nothing.shape))
+
+
+def test_filled_colours_stay_within_the_known_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Triangles of very uneven size, and an iteration that ends early as it does on large meshes: a
+    base colour of 1.02 broke a build."""
+    monkeypatch.setattr(colour, "_ROUNDS", 2)
+    plane = plane_mesh(4.0, 0.2)
+    vertices = plane.vertices.copy()
+    vertices[:, 0] **= 3
+    uneven = TriMesh("world", vertices, plane.faces, plane.base_colour)
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        known = np.where(rng.random((len(vertices), 1)) < 0.2, 0.95, 0.02) * np.ones(3)
+        is_known = rng.random(len(known)) < 0.03
+        filled = fill_unseen(uneven, known, is_known, np.ones(3))
+        assert filled.min() > 0.02 - 1e-6
+        assert filled.max() < 0.95 + 1e-6
 
 
 def test_colours_hardly_pass_around_corners() -> None:

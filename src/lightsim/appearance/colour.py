@@ -59,7 +59,7 @@ def fill_unseen(
     wanted = smoothness[:, known] @ result[known] + _ANCHOR * near
     inverse = diags(1.0 / degree)
     for channel in range(3):
-        result[unknown, channel], _ = cg(
+        smooth, _ = cg(
             system,
             wanted[:, channel],
             x0=near[:, channel],
@@ -67,6 +67,9 @@ def fill_unseen(
             maxiter=_ROUNDS,
             M=inverse,
         )
+        # A harmonic keeps between its known values; iterates need not.
+        ends = result[known, channel].min(), result[known, channel].max()
+        result[unknown, channel] = np.clip(smooth, *ends)
     return result
 
 
