@@ -56,7 +56,7 @@ _ARCHITECTURES: dict[Network, _Architecture] = {
         16,
     ),
     "alex": _Architecture(
-        "lpips-alex", ((0,), (1,), (2,), (3,), (4,)), frozenset({1, 2}), 3, 4, (2, 2, 1, 1, 1), 32
+        "lpips-alex", ((0,), (1,), (2,), (3,), (4,)), frozenset({1, 2}), 3, 4, (2, 2, 1, 1, 1), 31
     ),
 }
 

@@ -25,13 +25,9 @@ from lightsim.evaluate.base_colour import (
     BaseColourTask,
     score_base_colour,
 )
-from lightsim.evaluate.frames import (
-    FramesConfig,
-    FramesReport,
-    FrameTask,
-    folder_tasks,
-    score_frames,
-)
+from lightsim.evaluate.folders import folder_tasks
+from lightsim.evaluate.frame_report import FramesReport
+from lightsim.evaluate.frames import FramesConfig, FrameTask, score_frames
 from lightsim.pipeline.assemble import roofs_over
 from lightsim.pipeline.source_light import SourceLight
 from lightsim.pipeline.stages.light import TwinConfig

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
-from lightsim.evaluate.frames import FramesReport
+from lightsim.evaluate.frame_report import FramesReport
 from lightsim.pipeline.workspace import Workspace
 from lightsim.simulation.relighter import RelitFrame
 from lightsim.simulation.skies import TargetSky
