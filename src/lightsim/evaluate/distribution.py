@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,8 +10,12 @@ import torch
 from jaxtyping import Float64
 
 from lightsim.errors import InputError
+from lightsim.evaluate.frames import FrameTask
+from lightsim.evaluate.inception import Inception
+from lightsim.progress import Progress, SilentProgress
 
 KID_SUBSETS = 100
+ALL = "all conditions"
 
 
 @dataclass(frozen=True)
@@ -118,3 +123,30 @@ def _need_two(*counts: int) -> None:
             got=f"{min(counts)} pictures",
             expected="2 or more each",
         )
+
+
+def score_sets(
+    tasks: Sequence[FrameTask],
+    network: Inception,
+    kid_subset_size: int,
+    progress: Progress | None = None,
+) -> tuple[SetRow, ...]:
+    """Each method's frames against the true ones, under each condition and under all together."""
+    truths: dict[str, list[np.ndarray]] = {}
+    made: dict[tuple[str, str], list[np.ndarray]] = {}
+    for task in (progress or SilentProgress()).track(tasks, "features for FID", len(tasks)):
+        methods = task.load_prediction_by_method
+        pictures = [task.load_truth(), *(load() for load in methods.values())]
+        first, *others = network.features(pictures)
+        for condition in (task.condition, ALL):
+            truths.setdefault(condition, []).append(first)
+            for method, features in zip(methods, others, strict=True):
+                made.setdefault((condition, method), []).append(features)
+    names = sorted(made, key=lambda name: (name[0] == ALL, name[0]))
+    if len(truths) == 2:  # One condition is all conditions.
+        names = [name for name in names if name[0] != ALL]
+    return tuple(
+        compare_sets(name, np.array(made[name]), np.array(truths[name[0]]), kid_subset_size)
+        for name in names
+        if len(made[name]) > 1
+    )

@@ -45,7 +45,7 @@ def folder_tasks(
         InputError: a folder or all its frames are missing.
     """
     tasks = []
-    for camera, stem, files in _pair_folders(folders):
+    for camera, stem, files in pair_folders(folders):
         load = {name: partial(read_srgb8, path) for name, path in files.items()}
         valid = None if is_valid is None else partial(is_valid, camera, stem)
         methods: dict[str, LoadImage] = {method: load["predicted"]}
@@ -56,7 +56,7 @@ def folder_tasks(
     return tasks
 
 
-def _pair_folders(folders: Mapping[str, Path]) -> list[tuple[str, str, dict[str, Path]]]:
+def pair_folders(folders: Mapping[str, Path]) -> list[tuple[str, str, dict[str, Path]]]:
     """(camera, stem, file by folder name) of all <camera>/<stem>.<png|jpg> that every folder has.
 
     Raises:

@@ -120,7 +120,14 @@ def held_out_frames(
     *,
     with_field: bool = False,
 ) -> FramesReport:
-    """Novel-view images of the twin at held-out frames, against the camera.
+    """Novel-view images of the twin at held-out frames, against the camera; see
+    `held_out_frame_tasks`."""
+    tasks = held_out_frame_tasks(workspace, with_field=with_field)
+    return score_frames(tasks, config or FramesConfig(), progress=progress)
+
+
+def held_out_frame_tasks(workspace: Workspace, *, with_field: bool = False) -> list[FrameTask]:
+    """Held-out frames as the twin shows them.
 
     The twin's observed radiance is rendered through each held-out camera; beside it stands the
     trivial baseline, the nearest training image of the same camera, and `with_field` the neural
@@ -143,8 +150,7 @@ def held_out_frames(
     }
     if with_field:
         methods["field"] = _field_renderer(workspace)
-    tasks = held_out_tasks(workspace, methods)
-    return score_frames(tasks, config or FramesConfig(), progress=progress)
+    return held_out_tasks(workspace, methods)
 
 
 def nearest_recorded(workspace: Workspace) -> Show:
