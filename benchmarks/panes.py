@@ -22,7 +22,7 @@ from lightsim.pipeline.workspace import Workspace
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.scenario.replay import replay
-from lightsim.simulation.against_truth import TrueSurfaces
+from lightsim.simulation.true_surfaces import TrueSurfaces
 from lightsim.store.artefact import read_json
 from lightsim.synthetic.plan import plan_street
 from lightsim.synthetic.street import build_background

@@ -33,8 +33,8 @@ from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relig
 from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
 from lightsim.render.image import sky_image
 from lightsim.scenario.replay import replay
-from lightsim.simulation.against_truth import TrueSurfaces
 from lightsim.simulation.relighter import RelightConfig
+from lightsim.simulation.true_surfaces import TrueSurfaces
 from lightsim.store.artefact import read_json
 from lightsim.store.exr import read_exr
 from lightsim.store.images import read_srgb8

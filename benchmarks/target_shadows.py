@@ -26,7 +26,7 @@ from lightsim.pipeline.workspace import Workspace
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.scene import FrameScene, make_static_scene, place
 from lightsim.scenario.replay import replay
-from lightsim.simulation.against_truth import TrueSurfaces
+from lightsim.simulation.true_surfaces import TrueSurfaces
 from lightsim.synthetic.reader import read_true_meshes
 
 ELEVATIONS_DEG = (20.0, 45.0)

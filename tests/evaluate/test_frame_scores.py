@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from lightsim.errors import InputError
-from lightsim.evaluate.frames import FramesConfig, FramesReport, folder_tasks, score_frames
+from lightsim.evaluate.folders import folder_tasks
+from lightsim.evaluate.frame_report import FrameRow, FramesReport
+from lightsim.evaluate.frames import FramesConfig, score_frames
 from lightsim.store.images import write_png
 
 QUICK = FramesConfig(with_lpips=False)
@@ -23,7 +25,7 @@ def folders(tmp_path: Path, rng: np.random.Generator) -> Path:
         for name in ("predicted", "truth", "source"):
             (tmp_path / name / camera).mkdir(parents=True)
         for stem in ("00", "01"):
-            truth = rng.integers(60, 180, (24, 32, 3)).astype(np.uint8)
+            truth = rng.integers(60, 180, (32, 40, 3)).astype(np.uint8)
             predicted = truth + np.uint8(10)
             predicted[:8] = 0
             for name, image in (("predicted", predicted), ("truth", truth), ("source", truth)):
@@ -32,7 +34,7 @@ def folders(tmp_path: Path, rng: np.random.Generator) -> Path:
 
 
 def _below_the_sky(camera: str, stem: str) -> np.ndarray:
-    return np.arange(24)[:, None].repeat(32, 1) >= 8
+    return np.arange(32)[:, None].repeat(40, 1) >= 8
 
 
 def _scores(
@@ -51,7 +53,44 @@ def test_scores_of_a_known_error(folders: Path) -> None:
     assert report.mean("truth", "relit", "whole").psnr_db < 15
     assert report.mean("truth", "relit", "masked", True).psnr_db > wanted
     assert len(report.rows) == 8
-    assert "| truth | masked | raw | relit | 28.13 |" in report.to_table()
+    assert "| truth | masked | raw | relit | 28.13 ± 0.00 |" in report.to_table()
+
+
+def test_classes_are_scored_apart_where_a_frame_shows_them(folders: Path) -> None:
+    """The sky is wrong, the ground is not; only one camera sees a car, and nobody a lit tree."""
+
+    def classes(camera: str, stem: str) -> dict[str, np.ndarray]:
+        below = _below_the_sky(camera, stem)
+        is_car = below & (camera == "front")
+        return {"sky": ~below, "ground": below, "vehicle": is_car, "lit": below & False}
+
+    tasks = folder_tasks(
+        "truth",
+        "relit",
+        {"predicted": folders / "predicted", "truth": folders / "truth"},
+        load_classes=classes,
+    )
+    report = score_frames(tasks, QUICK)
+    ground = report.spread("psnr_db", "truth", "relit", "ground")
+    assert ground.mean == pytest.approx(-20 * np.log10(10 / 255), abs=1e-3)
+    assert (ground.count, ground.unit) == (2, "sequences")
+    assert report.mean("truth", "relit", "sky").psnr_db < 10
+    assert {row.camera_name for row in report.rows if row.region == "vehicle"} == {"front"}
+    with pytest.raises(InputError, match="no such row"):
+        report.mean("truth", "relit", "lit")
+
+
+def test_rows_come_back_from_json_with_their_frames(folders: Path) -> None:
+    report = _scores(folders, "predicted", "truth", config=FramesConfig())
+    rows = json.loads(report.to_json())["rows"]
+    again = FramesReport(tuple(FrameRow.from_json(row) for row in rows))
+    assert again.to_table() == report.to_table()
+    assert set(again.rows[0].scores_by_stem) == {"00", "01"}
+    old = {k: v for k, v in rows[0].items() if k != "scores_by_stem"}
+    old["scores"] = {k: v for k, v in old["scores"].items() if k != "lpips_alex"}
+    first = FramesReport((FrameRow.from_json(old),))  # What version 0.2 wrote.
+    assert "±" not in first.to_table()
+    assert first.rows[0].scores.psnr_db == report.rows[0].scores.psnr_db
 
 
 def test_baselines_stand_beside(folders: Path) -> None:
@@ -66,7 +105,8 @@ def test_baselines_stand_beside(folders: Path) -> None:
 
 def test_lpips_is_in_the_table(folders: Path) -> None:
     report = _scores(folders, "truth", "truth", config=FramesConfig())
-    assert report.mean("truth", "relit", "whole").lpips == 0.0
+    scores = report.mean("truth", "relit", "whole")
+    assert (scores.lpips, scores.lpips_alex) == (0.0, 0.0)
 
 
 def test_bad_folders_are_named(folders: Path) -> None:

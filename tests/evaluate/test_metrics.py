@@ -7,7 +7,7 @@ import pytest
 
 from lightsim.core.colour import linear_from_srgb, srgb_from_linear
 from lightsim.errors import InputError
-from lightsim.evaluate.lpips import lpips, lpips_features, lpips_of_features
+from lightsim.evaluate.lpips import Network, lpips, lpips_features, lpips_of_features
 from lightsim.evaluate.metrics import fill_invalid, fit_exposure, psnr, ssim
 
 
@@ -82,12 +82,14 @@ def test_lpips_equals_the_reference() -> None:
     first = rng.random((64, 80, 3)).astype(np.float32)
     second = np.clip(first + rng.normal(0, 0.1, first.shape), 0, 1).astype(np.float32)
     assert lpips(first, second) == pytest.approx(0.0457093, abs=1e-4)
+    assert lpips(first, second, "alex") == pytest.approx(0.0195910, abs=1e-4)
     rng.random((64, 80, 3))
     y, x = np.mgrid[:64, :80]
     channels = [np.sin(x / 6) * 0.5 + 0.5, np.cos(y / 8) * 0.5 + 0.5, (x + y) / 144]
     first = np.stack(channels, -1).astype(np.float32)
     second = np.clip(first + rng.normal(0, 0.2, first.shape), 0, 1).astype(np.float32)
     assert lpips(first, second) == pytest.approx(0.4381638, abs=1e-4)
+    assert lpips(first, second, "alex") == pytest.approx(0.4685980, abs=1e-4)
 
 
 def test_lpips_is_a_distance_that_grows_with_noise(photo: np.ndarray) -> None:
@@ -98,15 +100,18 @@ def test_lpips_is_a_distance_that_grows_with_noise(photo: np.ndarray) -> None:
     assert lpips(noisy(photo, 0.1), photo) == pytest.approx(values[2], rel=1e-5)
 
 
-def test_full_mask_equals_no_mask(photo: np.ndarray) -> None:
-    a, b = lpips_features(photo), lpips_features(noisy(photo, 0.1))
+@pytest.mark.parametrize("network", ["vgg", "alex"])
+def test_full_mask_equals_no_mask(photo: np.ndarray, network: Network) -> None:
+    a, b = (lpips_features(image, network) for image in (photo, noisy(photo, 0.1)))
     everywhere = np.ones(photo.shape[:2], bool)
-    assert lpips_of_features(a, b, everywhere) == pytest.approx(lpips_of_features(a, b), rel=1e-5)
+    masked, whole = (lpips_of_features(a, b, mask, network) for mask in (everywhere, None))
+    assert masked == pytest.approx(whole, rel=1e-5)
 
 
 def test_too_small_images_are_refused() -> None:
     tiny = np.zeros((8, 8, 3), np.float32)
-    with pytest.raises(InputError, match="too small"):
-        lpips(tiny, tiny)
+    for network in ("vgg", "alex"):
+        with pytest.raises(InputError, match="too small"):
+            lpips(tiny, tiny, network)
     with pytest.raises(InputError, match="too small"):
         ssim(tiny, tiny)

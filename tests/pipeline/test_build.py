@@ -31,11 +31,11 @@ from lightsim.progress import SilentProgress
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.options import RendererChoice
 from lightsim.render.renderers import TracedFrame
-from lightsim.simulation.against_truth import TrueSurfaces
 from lightsim.simulation.buffers import render
 from lightsim.simulation.options import RelightOptions, RenderOptions
 from lightsim.simulation.relight import relight
 from lightsim.simulation.skies import made_from_sky
+from lightsim.simulation.true_surfaces import TrueSurfaces
 from lightsim.store.images import read_exr, read_srgb8, read_srgb8_alpha, write_exr
 from lightsim.store.scenario import read_scenario
 from lightsim.synthetic import shipped_street

@@ -39,6 +39,7 @@ from lightsim.pipeline import measures
 from lightsim.progress import SilentProgress
 from lightsim.simulation import against_truth
 from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.true_surfaces import TrueSurfaces
 from lightsim.store.images import write_exr, write_png
 
 QUICK = FramesConfig(with_lpips=False, with_exposure=False)
@@ -124,7 +125,7 @@ def test_relit_frames_are_scored_on_true_surfaces_beside_what_a_copy_reaches(
 
 def test_the_mask_of_true_surfaces_is_the_closed_form(truth: Path) -> None:
     work = tiny_world(SKY, AHEAD)
-    masks = against_truth.TrueSurfaces(truth / "scene.npz", work)
+    masks = TrueSurfaces(truth / "scene.npz", work)
     for frame in work.log.frames:
         found, wanted = masks.is_surface("above", frame.stem), sees_surface(frame)
         assert (found & wanted).sum() / (found | wanted).sum() > 0.999

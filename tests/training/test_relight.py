@@ -162,6 +162,8 @@ def test_a_street_on_both_sides_is_refused(streets: Path, tmp_path: Path) -> Non
     from lightsim.training.options import RelightTrainingOptions
     from lightsim.training.run_relight import train
 
-    for given in ({"streets": ("1",), "validation": ("1",)}, {"streets": ("7",)}):
+    both = RelightTrainingOptions(data=streets, out=tmp_path, streets=("1",), validation=("1",))
+    missing = RelightTrainingOptions(data=streets, out=tmp_path, streets=("7",))
+    for given in (both, missing):
         with pytest.raises(InputError, match="street"):
-            train(RelightTrainingOptions(data=streets, out=tmp_path, **given))
+            train(given)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -10,28 +10,55 @@ import tyro
 
 from lightsim.cli.options import Verbose, say, show
 from lightsim.errors import InputError
+from lightsim.evaluate.options import MeasureOptions
 from lightsim.progress import terminal_progress
+from lightsim.relighting.options import Method
 
 
 @dataclass(frozen=True)
 class EvaluateFrames:
-    """Held-out images: the twin rendered under its source sky against the camera."""
+    """Held-out images of a twin against the camera; or any two folders of frames."""
 
-    work: tyro.conf.Positional[Path]
-    """Work folder built with --hold-out."""
-    field: bool = False
+    work: tyro.conf.Positional[Path | None] = None
+    """Work folder built with --hold-out; with --predicted, the log that the frames show: lets
+    cameras and successive frames be compared with each other."""
+    predicted: Path | None = None
+    """Folder of <camera>/<frame>.png to score instead of the twin's held-out images."""
+    truth: Path | None = None
+    """Folder of the true frames."""
+    source: Path | None = None
+    """Folder of the recorded frames: also scores what global changes of their colour reach."""
+    masks: Path | None = None
+    """Folder of <camera>/<frame>.png, bright where a pixel counts."""
+    with_field: Annotated[bool, tyro.conf.arg(name="field")] = False
     """Also volume-render the neural field (seconds a frame)."""
+    options: Annotated[MeasureOptions, tyro.conf.arg(name="")] = field(
+        default_factory=MeasureOptions
+    )
     out: Path | None = None
     """Also write the table as JSON here."""
     verbose: Verbose = False
     """Show the trace of an error."""
 
     def run(self) -> None:
-        """Measure held-out frames."""
-        from lightsim.pipeline.measures import held_out_frames
-        from lightsim.pipeline.workspace import Workspace
+        """Measure held-out frames, or those of a folder."""
+        from lightsim.simulation.evaluation import evaluate_folders, evaluate_held_out
 
-        report = held_out_frames(Workspace(self.work), terminal_progress(), with_field=self.field)
+        progress = terminal_progress()
+        if self.predicted is not None and self.truth is not None:
+            folders = {"predicted": self.predicted, "truth": self.truth}
+            if self.source is not None:
+                folders["source"] = self.source
+            report = evaluate_folders(folders, self.masks, self.work, self.options, progress)
+        elif self.work is not None and (self.predicted, self.truth) == (None, None):
+            report = evaluate_held_out(
+                self.work, self.options, progress, with_field=self.with_field
+            )
+        else:
+            raise InputError(
+                "there is nothing to score",
+                expected="a work folder, or --predicted DIR with --truth DIR",
+            )
         show(report, self.out)
 
 
@@ -43,6 +70,15 @@ class EvaluateRelight:
     """Work folder."""
     truth: Path
     """Ground truth of a synthetic log: the folder `truth` that `lightsim synthesize` writes."""
+    method: Method = "physical"
+    """How pixels are relit."""
+    name: str = "truth"
+    """Of the relit frames: WORK/scenarios/NAME, which is written over."""
+    allow_stale: bool = False
+    """Go on where the recording has changed since the build."""
+    options: Annotated[MeasureOptions, tyro.conf.arg(name="")] = field(
+        default_factory=MeasureOptions
+    )
     out: Path | None = None
     """Also write the table as JSON here."""
     verbose: Verbose = False
@@ -50,10 +86,14 @@ class EvaluateRelight:
 
     def run(self) -> None:
         """Measure relit frames."""
-        from lightsim.simulation.against_truth import relit_frames
+        from lightsim.simulation.evaluation import evaluate_relit
+        from lightsim.simulation.options import RelightOptions
 
-        report = relit_frames(self.work, self.truth, terminal_progress())
-        show(report, self.out)
+        relighting = RelightOptions(
+            name=self.name, method=self.method, allow_stale=self.allow_stale
+        )
+        progress = terminal_progress()
+        show(evaluate_relit(self.work, self.truth, relighting, self.options, progress), self.out)
 
 
 @dataclass(frozen=True)

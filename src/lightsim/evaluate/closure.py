@@ -17,7 +17,7 @@ from lightsim.evaluate.base_colour import (
     LIT_ABOVE,
     SHADOW_BELOW,
 )
-from lightsim.evaluate.frames import FramesReport
+from lightsim.evaluate.frame_report import FramesReport
 
 _DARKEST = 0.004
 """Radiance, scene units: one step of an 8-bit picture. Below it a quotient is noise."""

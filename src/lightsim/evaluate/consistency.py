@@ -161,3 +161,44 @@ def overlap(
     rows, columns = matches.pixel.T
     one, other = in_a[rows, columns], in_b[matches.other]
     return int(np.count_nonzero(one & other)), int(np.count_nonzero(one | other))
+
+
+@dataclass(frozen=True)
+class ConsistencyRow:
+    """How alike one method's pictures show the same surfaces.
+
+    Args:
+        pairs: `cameras` (at one time) or `frames` (of one camera, one after the other).
+        count: pairs of pictures that share surface.
+        points: matching points in all of them.
+        delta_e: CIEDE2000 between them, mean over points.
+        warp_error: mean absolute difference of their sRGB values.
+        relative_warp_error: the latter over that of the recorded pictures; NaN without them.
+    """
+
+    condition: str
+    method: str
+    pairs: str
+    count: int
+    points: int
+    delta_e: float
+    warp_error: float
+    relative_warp_error: float = float("nan")
+
+
+def picture_differences(a: View, b: View, matches: Matches) -> tuple[float, float]:
+    """Sums over the matching points: of CIEDE2000 colour differences (Sharma et al. 2005,
+    doi:10.1002/col.20070), and of absolute differences of sRGB values, mean of the channels (the
+    warp error of Lai et al. 2018, arXiv:1808.00449, with exact motion and occlusion)."""
+    from scipy.ndimage import map_coordinates
+    from skimage.color import deltaE_ciede2000, rgb2lab
+
+    rows, columns = matches.pixel.T
+    at = matches.uv[:, ::-1].T - 0.5
+    here, there = (srgb_from_linear(view.radiance) for view in (a, b))
+    seen = np.stack(
+        [map_coordinates(there[..., c], at, order=1, mode="nearest") for c in range(3)], axis=1
+    )
+    pair = (here[rows, columns], seen)
+    delta_e = deltaE_ciede2000(*(rgb2lab(np.clip(x, 0.0, 1.0)) for x in pair))
+    return float(np.sum(delta_e)), float(np.abs(pair[0] - pair[1]).mean(axis=1).sum())

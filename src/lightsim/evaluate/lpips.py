@@ -1,4 +1,4 @@
-"""LPIPS v0.1 on VGG-16: the learned distance between image patches.
+"""LPIPS v0.1 on VGG-16 and on AlexNet: the learned distance between image patches.
 
 Zhang et al., The Unreasonable Effectiveness of Deep Features as a Perceptual Metric, CVPR 2018,
 doi:10.1109/CVPR.2018.00068. Smaller is better; identical images have 0.
@@ -7,6 +7,8 @@ doi:10.1109/CVPR.2018.00068. Smaller is better; identical images have 0.
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
@@ -18,54 +20,97 @@ from lightsim.store.weights import load_weights
 
 _SHIFT = (-0.030, -0.088, -0.188)
 _SCALE = (0.458, 0.448, 0.450)
-_CONVOLUTIONS_BY_STAGE = ((0, 1), (2, 3), (4, 5, 6), (7, 8, 9), (10, 11, 12))
-_SMALLEST_PX = 16
+Network = Literal["vgg", "alex"]
+"""What papers call LPIPS(VGG) and LPIPS(Alex); their figures do not compare."""
+
+
+@dataclass(frozen=True)
+class _Architecture:
+    """Five stages of numbered convolutions.
+
+    Args:
+        weights: their name in the package.
+        stages: numbers of the convolutions of each stage.
+        pool_before: stages that max pooling of `pool_px` and stride 2 stands before.
+        first_stride: of convolution 0; the others have 1.
+        smallest_px: picture that still has a cell in the last stage.
+    """
+
+    weights: str
+    stages: tuple[tuple[int, ...], ...]
+    pool_before: frozenset[int]
+    pool_px: int
+    first_stride: int
+    padding_by_convolution: tuple[int, ...]
+    smallest_px: int
+
+
+_ARCHITECTURES: dict[Network, _Architecture] = {
+    "vgg": _Architecture(
+        "lpips-vgg16",
+        ((0, 1), (2, 3), (4, 5, 6), (7, 8, 9), (10, 11, 12)),
+        frozenset({1, 2, 3, 4}),
+        2,
+        1,
+        (1,) * 13,
+        16,
+    ),
+    "alex": _Architecture(
+        "lpips-alex", ((0,), (1,), (2,), (3,), (4,)), frozenset({1, 2}), 3, 4, (2, 2, 1, 1, 1), 31
+    ),
+}
 
 Features = list[Float[torch.Tensor, "1 _ _ _"]]
 
 
 @functools.cache
-def _weights() -> dict[str, torch.Tensor]:
-    return {name: value.float() for name, value in load_weights("lpips-vgg16").items()}
+def _weights(network: Network) -> dict[str, torch.Tensor]:
+    loaded = load_weights(_ARCHITECTURES[network].weights)
+    return {name: value.float() for name, value in loaded.items()}
 
 
-def lpips_features(srgb: Float32[np.ndarray, "h w 3"]) -> Features:
-    """Unit-length VGG-16 features of the five stages, for images that are compared many times.
+def lpips_features(srgb: Float32[np.ndarray, "h w 3"], network: Network = "vgg") -> Features:
+    """Unit-length features of the network's five stages, for images that are compared many times.
 
     Raises:
-        InputError: the image is smaller than 16 pixels, so that the last stage is empty.
+        InputError: the image is so small that the last stage is empty.
     """
-    if min(srgb.shape[:2]) < _SMALLEST_PX:
+    net, weights = _ARCHITECTURES[network], _weights(network)
+    if min(srgb.shape[:2]) < net.smallest_px:
         raise InputError(
             "the image is too small for LPIPS",
             got=f"{srgb.shape[1]}x{srgb.shape[0]} px",
-            expected=f"at least {_SMALLEST_PX} px each way",
+            expected=f"at least {net.smallest_px} px each way",
         )
-    weights = _weights()
     with torch.inference_mode():
         image = torch.from_numpy(np.ascontiguousarray(srgb)).permute(2, 0, 1)[None] * 2 - 1
         shift, scale = torch.tensor(_SHIFT), torch.tensor(_SCALE)
         x = (image - shift[:, None, None]) / scale[:, None, None]
         stages: Features = []
-        for number, convolutions in enumerate(_CONVOLUTIONS_BY_STAGE):
-            if number:
-                x = functional.max_pool2d(x, 2)
+        for number, convolutions in enumerate(net.stages):
+            if number in net.pool_before:
+                x = functional.max_pool2d(x, net.pool_px, 2)
             for i in convolutions:
                 weight, bias = weights[f"conv{i}.weight"], weights[f"conv{i}.bias"]
-                x = functional.relu(functional.conv2d(x, weight, bias, padding=1))
+                stride = 1 if i else net.first_stride
+                padding = net.padding_by_convolution[i]
+                x = functional.relu(functional.conv2d(x, weight, bias, stride, padding))
             stages.append(x / (x.square().sum(1, keepdim=True).sqrt() + 1e-10))
     return stages
 
 
 def lpips_of_features(
-    first: Features, second: Features, is_valid: Bool[np.ndarray, "h w"] | None = None
+    first: Features,
+    second: Features,
+    is_valid: Bool[np.ndarray, "h w"] | None = None,
+    network: Network = "vgg",
 ) -> float:
     """Distance of two images by their features, averaged over the valid pixels.
 
     At each stage a cell counts with the fraction of its pixels that are valid. Fill what is not
     valid alike in both images before taking features, since receptive fields reach across.
     """
-    weights = _weights()
+    weights = _weights(network)
     total = 0.0
     with torch.inference_mode():
         for i, (a, b) in enumerate(zip(first, second, strict=True)):
@@ -81,7 +126,10 @@ def lpips_of_features(
 
 
 def lpips(
-    first_srgb: Float32[np.ndarray, "h w 3"], second_srgb: Float32[np.ndarray, "h w 3"]
+    first_srgb: Float32[np.ndarray, "h w 3"],
+    second_srgb: Float32[np.ndarray, "h w 3"],
+    network: Network = "vgg",
 ) -> float:
-    """LPIPS (VGG) of two sRGB images in [0, 1], as the reference package computes it."""
-    return lpips_of_features(lpips_features(first_srgb), lpips_features(second_srgb))
+    """LPIPS of two sRGB images in [0, 1], as the reference package computes it."""
+    first, second = (lpips_features(image, network) for image in (first_srgb, second_srgb))
+    return lpips_of_features(first, second, network=network)

@@ -15,18 +15,22 @@ from jaxtyping import Bool, Float32
 from lightsim.core.colour import linear_from_srgb, srgb_from_linear
 from lightsim.errors import InputError
 
-_SSIM_WINDOW_PX = 11
+SSIM_BORDER_PX = 5
+"""Half a window along the border has no SSIM."""
+_SSIM_WINDOW_PX = 2 * SSIM_BORDER_PX + 1
 _EXPOSURE_RANGE_EV = 6.0
 _MAX_SAMPLES = 200_000
 
 
 @dataclass(frozen=True)
 class ImageScores:
-    """Of one image, or the mean over several. LPIPS is NaN where it was not asked for."""
+    """Of one image, or the mean over several. LPIPS (on VGG-16, and on AlexNet) is NaN where it was
+    not asked for."""
 
     psnr_db: float
     ssim: float
     lpips: float
+    lpips_alex: float = float("nan")
 
 
 def psnr(
@@ -76,8 +80,7 @@ def ssim(
         use_sample_covariance=False,
         full=True,
     )[1]
-    edge = _SSIM_WINDOW_PX // 2
-    inner = np.s_[edge:-edge, edge:-edge]
+    inner = np.s_[SSIM_BORDER_PX:-SSIM_BORDER_PX, SSIM_BORDER_PX:-SSIM_BORDER_PX]
     values = similarity.mean(axis=-1)[inner]
     return float(_select(values, None if is_valid is None else is_valid[inner]).mean())
 

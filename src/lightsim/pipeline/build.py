@@ -164,7 +164,7 @@ STAGES = (
     ),
     Stage(
         "measures",
-        1,
+        2,
         ("log", "held_out_masks", "alignment", "assets", "sky"),
         lambda o: MeasureConfig(),
         results.make_measures,

@@ -15,7 +15,8 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import ArtefactError
 from lightsim.evaluate.closure import ClosureReport, measure_closure, surface_classes
-from lightsim.evaluate.frames import FramesReport, score_frames
+from lightsim.evaluate.frame_report import FramesReport
+from lightsim.evaluate.frames import score_frames
 from lightsim.pipeline.assemble import roofs_over
 from lightsim.pipeline.measures import QUICK, held_out_tasks, observed_radiance
 from lightsim.pipeline.source_light import SourceLight

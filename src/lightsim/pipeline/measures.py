@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, UInt8
@@ -18,13 +16,8 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.core.solar import direction_world, solar_position
 from lightsim.core.twin import DigitalTwin
 from lightsim.errors import ArtefactError, InputError
-from lightsim.evaluate.frames import (
-    FrameRow,
-    FramesConfig,
-    FramesReport,
-    FrameTask,
-    score_frames,
-)
+from lightsim.evaluate.frame_report import FrameRow, FramesReport
+from lightsim.evaluate.frames import FramesConfig, FrameTask, score_frames
 from lightsim.evaluate.geometry import (
     GeometryConfig,
     GeometryReport,
@@ -33,7 +26,6 @@ from lightsim.evaluate.geometry import (
     evaluate_lidar,
     evaluate_surface,
 )
-from lightsim.evaluate.metrics import ImageScores
 from lightsim.evaluate.sky import SkyReport, evaluate_sky
 from lightsim.lighting.sun.direction import find_sun_blob
 from lightsim.pipeline.stages.recording import sample_guide
@@ -89,7 +81,7 @@ def measure(work: Workspace, config: MeasureConfig, progress: Progress) -> Measu
 
 def write_measures(folder: Path, measures: Measures) -> None:
     """measures.json; scores without a value are null."""
-    frames = None if measures.frames is None else json.loads(measures.frames.to_json())["rows"]
+    frames = None if measures.frames is None else measures.frames.json_rows()
     write_json(
         folder / MEASURES_NAME,
         {
@@ -113,17 +105,12 @@ def read_measures(folder: Path) -> Measures:
         return Measures(
             LidarScores(**value["lidar"]),
             bool(value["is_held_out"]),
-            None if rows is None else FramesReport(tuple(_row(row) for row in rows)),
+            None if rows is None else FramesReport(tuple(FrameRow.from_json(row) for row in rows)),
         )
     except (KeyError, TypeError, AttributeError) as error:
         raise ArtefactError(
             "the measures are broken", where=path, got=error, remedy="Build again."
         ) from error
-
-
-def _row(row: dict[str, Any]) -> FrameRow:
-    scores = {name: np.nan if v is None else float(v) for name, v in row["scores"].items()}
-    return FrameRow(**{**row, "scores": ImageScores(**scores)})
 
 
 def held_out_frames(
@@ -133,7 +120,14 @@ def held_out_frames(
     *,
     with_field: bool = False,
 ) -> FramesReport:
-    """Novel-view images of the twin at held-out frames, against the camera.
+    """Novel-view images of the twin at held-out frames, against the camera; see
+    `held_out_frame_tasks`."""
+    tasks = held_out_frame_tasks(workspace, with_field=with_field)
+    return score_frames(tasks, config or FramesConfig(), progress=progress)
+
+
+def held_out_frame_tasks(workspace: Workspace, *, with_field: bool = False) -> list[FrameTask]:
+    """Held-out frames as the twin shows them.
 
     The twin's observed radiance is rendered through each held-out camera; beside it stands the
     trivial baseline, the nearest training image of the same camera, and `with_field` the neural
@@ -156,8 +150,7 @@ def held_out_frames(
     }
     if with_field:
         methods["field"] = _field_renderer(workspace)
-    tasks = held_out_tasks(workspace, methods)
-    return score_frames(tasks, config or FramesConfig(), progress=progress)
+    return held_out_tasks(workspace, methods)
 
 
 def nearest_recorded(workspace: Workspace) -> Show:

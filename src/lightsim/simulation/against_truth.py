@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Float32
 
 from lightsim.appearance.intrinsic.decompose import decompose
 from lightsim.baselines.colour_transfer import BASELINES
@@ -16,35 +16,27 @@ from lightsim.core.buffers import BACKGROUND
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
-from lightsim.core.scenario import ActorPlacement, Scenario
 from lightsim.core.sensors import CameraFrame
-from lightsim.core.twin import ActorAsset
 from lightsim.errors import InputError
 from lightsim.evaluate.base_colour import (
     BaseColourReport,
     BaseColourTask,
     score_base_colour,
 )
-from lightsim.evaluate.frames import (
-    FramesConfig,
-    FramesReport,
-    FrameTask,
-    folder_tasks,
-    score_frames,
-)
+from lightsim.evaluate.folders import folder_tasks
+from lightsim.evaluate.frame_report import FramesReport
+from lightsim.evaluate.frames import FramesConfig, FrameTask, score_frames
 from lightsim.pipeline.assemble import roofs_over
 from lightsim.pipeline.source_light import SourceLight
 from lightsim.pipeline.stages.light import TwinConfig
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
-from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import make_static_scene, without_actors
-from lightsim.render.transport.matrix import TransportConfig
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relight import relight
+from lightsim.simulation.true_surfaces import TrueSurfaces
 from lightsim.store.exr import read_exr
-from lightsim.synthetic.reader import read_true_meshes
 
 _TRUTH_REMEDY = "Give the folder truth that lightsim synthesize wrote beside the log."
 
@@ -61,62 +53,48 @@ def relit_frames(
         InputError: `truth` is not a folder that `lightsim synthesize` wrote.
     """
     workspace = Workspace(work)
-    conditions = sorted(p.name for p in (truth / "relit").glob("*") if p.is_dir())
-    if not conditions:
-        raise InputError("no relit ground truth", where=truth / "relit", expected="NAME/<camera>/")
-    masks = TrueSurfaces(truth / "scene.npz", workspace)
+    folders = relit_folders(workspace, truth, RelightOptions(name="truth"), progress)
+    surfaces = TrueSurfaces(truth / "scene.npz", workspace)
     tasks: list[FrameTask] = []
-    relit = relight(work, truth_options(truth, conditions), progress)
-    for name, made in zip(conditions, relit, strict=True):
-        folder = truth / "relit" / name
-        source = Path(workspace.reading.source) / "camera"
-        frames = {"predicted": made / "frames", "truth": folder, "source": source}
-        tasks += folder_tasks(name, "LightSim", frames, masks.is_surface, BASELINES)
+    for name, frames in folders.items():
+        tasks += folder_tasks(name, "LightSim", frames, surfaces.is_surface, BASELINES)
     return score_frames(tasks, config or FramesConfig(), progress=progress)
 
 
-def truth_options(truth: Path, conditions: Sequence[str]) -> RelightOptions:
+def relit_folders(
+    workspace: Workspace, truth: Path, options: RelightOptions, progress: Progress
+) -> dict[str, dict[str, Path]]:
+    """Relights what the truth shows; the folders of predicted, true and source frames by sky.
+
+    Args:
+        options: how to; skies, frames and scale are those of the truth.
+
+    Raises:
+        InputError: `truth` is not a folder that `lightsim synthesize` wrote.
+    """
+    conditions = sorted(p.name for p in (truth / "relit").glob("*") if p.is_dir())
+    if not conditions:
+        raise InputError("no relit ground truth", where=truth / "relit", expected="NAME/<camera>/")
+    relit = relight(workspace.root, as_truth(truth, conditions, options), progress)
+    source = Path(workspace.reading.source) / "camera"
+    return {
+        name: {"predicted": made / "frames", "truth": truth / "relit" / name, "source": source}
+        for name, made in zip(conditions, relit, strict=True)
+    }
+
+
+def as_truth(truth: Path, conditions: Sequence[str], options: RelightOptions) -> RelightOptions:
     """The relight that the folders of true frames ask for."""
     stems = sorted({int(p.stem) for p in (truth / "relit").glob("*/*/*") if p.stem.isdigit()})
     step = int(np.gcd.reduce(np.diff(stems))) if len(stems) > 1 else 1
-    return RelightOptions(
-        name="truth",
+    return replace(
+        options,
         sky=tuple(str(truth / "skies" / f"{name}.exr") for name in conditions),
         sky_scale="none",
         frames=f"{stems[0]}:{stems[-1] + 1}:{step}",
         image_scale=1.0,
         overwrite=True,
     )
-
-
-class TrueSurfaces:
-    """Where the true geometry of a synthetic log covers the sky, pixel centre by pixel centre."""
-
-    def __init__(self, path: Path, workspace: Workspace) -> None:
-        self.meshes = read_true_meshes(path)
-        self._log = workspace.log_at(1.0)
-        background = self.meshes["background"]
-        tracks = {track.actor_id: track for track in self._log.actors}
-        placements = tuple(
-            ActorPlacement(ActorAsset(name, tracks[name].kind, mesh), tracks[name])
-            for name, mesh in self.meshes.items()
-            if name in tracks
-        )
-        self.scenario = Scenario("truth", (), placements, tracks=self._log.actors)
-        empty = replace(background, faces=background.faces[:0])
-        self._renderer = FrameRenderer(background, empty, TransportConfig(), 0)
-        self._masks: dict[tuple[str, str], Bool[np.ndarray, "h w"]] = {}
-
-    def is_surface(self, camera_name: str, stem: str) -> Bool[np.ndarray, "h w"]:
-        """The mask of one frame; the same for all skies and methods, so it is kept."""
-        if (camera_name, stem) not in self._masks:
-            self._masks[camera_name, stem] = self._render_mask(camera_name, stem)
-        return self._masks[camera_name, stem]
-
-    def _render_mask(self, camera_name: str, stem: str) -> Bool[np.ndarray, "h w"]:
-        frame = next(f for f in self._log.frames_of(camera_name) if f.stem == stem)
-        camera = self._log.cameras[camera_name]
-        return self._renderer.geometry(self.scenario, frame, camera).has_surface
 
 
 def base_colour(work: Path, truth: Path, progress: Progress) -> BaseColourReport:

@@ -19,7 +19,8 @@ from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.relighting.network.channels import scene_planes, target_planes
 from lightsim.relighting.physical.ratio import Circumstances, RelightInputs
-from lightsim.simulation.against_truth import truth_options
+from lightsim.simulation.against_truth import as_truth
+from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relight import replayed
 from lightsim.simulation.relighter import RelightConfig, Relighter, RelitFrame
 from lightsim.simulation.skies import resolve_sky
@@ -120,7 +121,7 @@ def write_samples(work: Path, truth: Path, out: Path, progress: Progress) -> int
         How many there are.
     """
     skies = sorted(p.name for p in (truth / "relit").iterdir() if p.is_dir())
-    options = truth_options(truth, skies)
+    options = as_truth(truth, skies, RelightOptions(name="truth"))
     workspace = Workspace(work, is_stale_allowed=True)
     scenario = replayed(workspace, options)
     relighter = Relighter(workspace, workspace.log_at(1.0), RelightConfig(), options)

@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
-from lightsim.evaluate.frames import FramesReport
+from lightsim.evaluate.frame_report import FramesReport
+from lightsim.evaluate.frames import FrameTask
+from lightsim.evaluate.report import EvaluationReport
 from lightsim.pipeline.workspace import Workspace
 from lightsim.simulation.relighter import RelitFrame
 from lightsim.simulation.skies import TargetSky
@@ -104,6 +108,40 @@ def write_demo_report(
     ]
     write_report(path, "LightSim demo", sections, subtitle="the shipped synthetic street")
     return path
+
+
+def write_evaluation_report(
+    folder: Path, title: str, report: EvaluationReport, tasks: Sequence[FrameTask]
+) -> Path:
+    """FOLDER/index.html of an evaluation: its tables, and the middle frame of each sequence."""
+    folder.mkdir(parents=True, exist_ok=True)
+    sections = [
+        Section(kind, tables=[Table(columns, lines)]) for kind, columns, lines in report.tables()
+    ]
+    sequences: dict[tuple[str, str], list[FrameTask]] = {}
+    for task in tasks:
+        sequences.setdefault((task.condition, task.camera_name), []).append(task)
+    figures = [_compared(found[len(found) // 2]) for found in sequences.values()]
+    sections.append(Section("Pictures", figures=figures))
+    path = folder / "index.html"
+    write_report(path, title, sections, subtitle="lightsim evaluate")
+    return path
+
+
+def _compared(task: FrameTask) -> Figure:
+    """Truth, then what each method made of it, each above its difference from the truth."""
+    truth = task.load_truth()
+    columns = [np.concatenate([truth, np.full_like(truth, 128)])]
+    for load in task.load_prediction_by_method.values():
+        made = load()
+        error = np.abs(made.astype(np.int16) - truth)
+        columns.append(np.concatenate([made, np.minimum(2 * error, 255).astype(np.uint8)]))
+    methods = " | ".join(task.load_prediction_by_method)
+    caption = (
+        f"{task.condition}, {task.camera_name}, frame {task.stem}: truth | {methods}; below, "
+        "twice the difference"
+    )
+    return Figure(caption, strip([reduced(c, 360) for c in columns]), is_wide=True)
 
 
 def _relit_table(report: FramesReport) -> Table:

@@ -1,0 +1,97 @@
+"""All that was measured of some frames: one table a kind of measure."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from lightsim.evaluate.consistency import ConsistencyRow
+from lightsim.evaluate.distribution import SetRow
+from lightsim.evaluate.frame_report import FramesReport
+from lightsim.evaluate.shadows import ShadowRow
+
+_WORDS = {"condition", "region", "exposure", "method", "between"}
+"""Columns of text; the others are numbers."""
+_FRAMES = (
+    *("condition", "region", "exposure", "method"),
+    *("PSNR dB", "SSIM", "LPIPS VGG", "LPIPS Alex"),
+)
+_SETS = ("condition", "method", "pictures", "reference", "FID", "KID x 1000")
+_SHADOWS = ("condition", "method", "pixels", "shadow IoU", "precision", "recall")
+_CONSISTENCY = (
+    *("condition", "method", "between", "pairs", "points"),
+    *("delta E 2000", "warp error x 255", "over recorded"),
+)
+
+
+@dataclass(frozen=True)
+class EvaluationReport:
+    """Scores of frames, and what was asked for besides."""
+
+    frames: FramesReport
+    sets: tuple[SetRow, ...] = ()
+    shadows: tuple[ShadowRow, ...] = ()
+    consistency: tuple[ConsistencyRow, ...] = ()
+
+    def tables(self) -> list[tuple[str, tuple[str, ...], list[tuple[str, ...]]]]:
+        """Title, columns and lines of each table that has any lines."""
+        found = [
+            ("Frames", _FRAMES, self.frames.lines()),
+            ("Sets of frames", _SETS, [_set_line(row) for row in self.sets]),
+            ("Shadows", _SHADOWS, [_shadow_line(row) for row in self.shadows]),
+            (
+                "Agreement between pictures",
+                _CONSISTENCY,
+                [_consistency_line(row) for row in self.consistency],
+            ),
+        ]
+        return [table for table in found if table[2]]
+
+    def to_table(self) -> str:
+        """Markdown: one table after the other."""
+        return "\n\n".join(_markdown(columns, lines) for _, columns, lines in self.tables())
+
+    def to_json(self) -> str:
+        """All figures, frame by frame; those without a value are null."""
+        parts = {"sets": self.sets, "shadows": self.shadows, "consistency": self.consistency}
+        found: dict[str, Any] = {"rows": self.frames.json_rows()}
+        for name, rows in parts.items():
+            found[name] = [
+                {k: None if _is_undefined(v) else v for k, v in asdict(row).items()} for row in rows
+            ]
+        return json.dumps(found, indent=2, allow_nan=False)
+
+
+def _set_line(row: SetRow) -> tuple[str, ...]:
+    kid = f"{1000 * row.kid:.1f} ± {1000 * row.kid_std:.1f} (subsets of {row.kid_subset_size})"
+    names = (row.condition, row.method)
+    return *names, str(row.count), str(row.reference_count), f"{row.fid:.1f}", kid
+
+
+def _shadow_line(row: ShadowRow) -> tuple[str, ...]:
+    figures = (f"{x:.3f}" for x in (row.iou, row.precision, row.recall))
+    return row.condition, row.method, str(row.pixels), *figures
+
+
+def _consistency_line(row: ConsistencyRow) -> tuple[str, ...]:
+    relative = row.relative_warp_error
+    return (
+        *(row.condition, row.method, row.pairs, str(row.count), str(row.points)),
+        *(f"{row.delta_e:.2f}", f"{255 * row.warp_error:.2f}"),
+        "-" if np.isnan(relative) else f"{relative:.2f}",
+    )
+
+
+def _markdown(names: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    rule = ["---" if name in _WORDS else "---:" for name in names]
+    rows = (names, *lines)
+    text = [f"| {' | '.join(cells)} |" for cells in rows]
+    return "\n".join([text[0], f"|{'|'.join(rule)}|", *text[1:]])
+
+
+def _is_undefined(value: object) -> bool:
+    return isinstance(value, float) and not np.isfinite(value)

@@ -1,0 +1,156 @@
+"""Error bars: how certain a mean over frames of several sequences is, and whether two methods
+differ.
+
+Frames of one sequence resemble each other, so they do not count as independent: means have the
+cluster-robust standard error over sequences, and tests draw sequences, not frames, where there are
+enough of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float64
+
+from lightsim.errors import InputError
+
+Unit = Literal["sequences", "frames"]
+"""What was taken for independent."""
+SIGNIFICANT_BELOW = 0.05
+_FEWEST_SEQUENCES = 6
+"""The signed-rank test cannot reach p < 0.05 with fewer."""
+_DRAWS = 10_000
+Samples = Mapping[tuple[Any, str], float]
+"""Values by (sequence, frame)."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A mean and its standard error; NaN where there is one value alone.
+
+    Args:
+        count: of the units.
+        unit: sequences, or the frames of the only one.
+    """
+
+    mean: float
+    standard_error: float
+    count: int
+    unit: Unit
+
+    def format(self, digits: int) -> str:
+        """mean, or mean ± standard error; a dash where nothing was measured."""
+        if np.isnan(self.mean):
+            return "-"
+        text = f"{self.mean:.{digits}f}"
+        return (
+            text if np.isnan(self.standard_error) else f"{text} ± {self.standard_error:.{digits}f}"
+        )
+
+
+@dataclass(frozen=True)
+class PairedDifference:
+    """Second minus first on what both measured.
+
+    Args:
+        low, high: 95 % interval of the mean difference, by bootstrap over the units.
+        p_value: of Wilcoxon's signed-rank test over the units, two-sided; 1 where nothing differs,
+            NaN where there are too few units.
+    """
+
+    first: float
+    second: float
+    difference: float
+    low: float
+    high: float
+    p_value: float
+    count: int
+    unit: Unit
+
+
+def clustered_mean(samples: Samples) -> Spread:
+    """Mean over all frames; standard error over sequences (Liang & Zeger 1986,
+    doi:10.1093/biomet/73.1.13, of a mean), or over frames where there is one sequence.
+
+    Raises:
+        InputError: there is no value.
+    """
+    _need(samples)
+    values = np.array(list(samples.values()), dtype=np.float64)
+    sequences = {sequence for sequence, _ in samples}
+    unit: Unit = "sequences" if len(sequences) > 1 else "frames"
+    mean = float(values.mean())
+    if not np.isfinite(mean):
+        return Spread(mean, float("nan"), len(sequences), unit)
+    totals: dict[Hashable, float] = {}
+    for (sequence, frame), value in samples.items():
+        key = sequence if unit == "sequences" else frame
+        totals[key] = totals.get(key, 0.0) + value - mean
+    count = len(totals)
+    if count < 2:
+        return Spread(mean, float("nan"), count, unit)
+    squared = float(np.square(list(totals.values())).sum()) * count / (count - 1)
+    return Spread(mean, float(np.sqrt(squared)) / len(values), count, unit)
+
+
+def compare_paired(first: Samples, second: Samples) -> PairedDifference:
+    """How two methods differ on the frames that both have: over sequences where there are six or
+    more, else over frames, whose p-value is too good if they resemble each other.
+
+    Raises:
+        InputError: they share no frame.
+    """
+    shared = {key: (first[key], second[key]) for key in first if key in second}
+    shared = {key: pair for key, pair in shared.items() if np.isfinite(pair).all()}
+    _need(shared)
+    groups: dict[Hashable, list[float]] = {}
+    unit: Unit = "frames"
+    if len({sequence for sequence, _ in shared}) >= _FEWEST_SEQUENCES:
+        unit = "sequences"
+    for key, (one, other) in shared.items():
+        groups.setdefault(key[0] if unit == "sequences" else key, []).append(other - one)
+    sums = np.array([sum(g) for g in groups.values()])
+    counts = np.array([len(g) for g in groups.values()], dtype=np.float64)
+    one, other = np.array(list(shared.values())).mean(axis=0).tolist()
+    low, high = _bootstrap(sums, counts)
+    return PairedDifference(
+        one,
+        other,
+        float(sums.sum() / counts.sum()),
+        low,
+        high,
+        _signed_rank(sums / counts),
+        len(groups),
+        unit,
+    )
+
+
+def _bootstrap(
+    sums: Float64[np.ndarray, " g"], counts: Float64[np.ndarray, " g"]
+) -> tuple[float, float]:
+    """95 % percentile interval of the mean; whole groups are drawn. The same at every call."""
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(0, len(sums), (_DRAWS, len(sums)))
+    means = sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1)
+    low, high = np.percentile(means, [2.5, 97.5]).tolist()
+    return low, high
+
+
+def _signed_rank(differences: Float64[np.ndarray, " g"]) -> float:
+    from scipy.stats import wilcoxon
+
+    if not differences.any():
+        return 1.0
+    if len(differences) < _FEWEST_SEQUENCES:
+        return float("nan")
+    return float(np.asarray(wilcoxon(differences))[1])
+
+
+def _need(samples: Mapping[tuple[Any, str], object]) -> None:
+    if not samples:
+        raise InputError(
+            "there is nothing to compare", expected="one frame or more that both have measured"
+        )

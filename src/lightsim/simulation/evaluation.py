@@ -1,0 +1,149 @@
+"""What `lightsim evaluate frames` and `relight` run: frames scored one by one, as sets, against
+each other, and by their shadows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool
+
+from lightsim.baselines.colour_transfer import BASELINES
+from lightsim.errors import InputError
+from lightsim.evaluate.consistency import ConsistencyRow
+from lightsim.evaluate.folders import folder_tasks
+from lightsim.evaluate.frame_report import FramesReport
+from lightsim.evaluate.frames import FramesConfig, FrameTask, score_frames
+from lightsim.evaluate.options import MeasureOptions
+from lightsim.evaluate.report import EvaluationReport
+from lightsim.evaluate.shadows import TrueShadows, score_shadows
+from lightsim.pipeline.measures import held_out_frame_tasks
+from lightsim.pipeline.workspace import Workspace
+from lightsim.progress import Progress
+from lightsim.simulation.against_truth import relit_folders
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.picture_consistency import RECORDED, picture_consistency
+from lightsim.simulation.report import write_evaluation_report
+from lightsim.simulation.true_surfaces import TrueSurfaces
+from lightsim.store.images import read_grey8
+from lightsim.synthetic.reader import true_sky
+
+OURS = "LightSim"
+"""Frames of the physical method in tables."""
+
+
+def evaluate_held_out(
+    work: Path, options: MeasureOptions, progress: Progress, *, with_field: bool = False
+) -> EvaluationReport:
+    """Held-out frames rendered by the twin under its source sky, against the camera.
+
+    Raises:
+        InputError: the build held nothing out.
+    """
+    tasks = held_out_frame_tasks(Workspace(work), with_field=with_field)
+    return _measured(tasks, options, progress, f"Held-out frames of {work.name}")
+
+
+def evaluate_folders(
+    folders: Mapping[str, Path],
+    masks: Path | None,
+    work: Path | None,
+    options: MeasureOptions,
+    progress: Progress,
+) -> EvaluationReport:
+    """Frames in a folder against those of another one.
+
+    Args:
+        folders: of <camera>/<frame>.png: "predicted", "truth", and "source", beside which what
+            global changes of colour reach is scored.
+        masks: folder of <camera>/<frame>.png, bright where a pixel counts.
+        work: of the log that the frames show: lets them be compared with each other.
+
+    Raises:
+        InputError: a folder is missing, or they share no frame.
+    """
+    is_valid = None if masks is None else partial(_read_mask, masks)
+    baselines = BASELINES if "source" in folders else None
+    tasks = folder_tasks("frames", "predicted", folders, is_valid, baselines)
+    rows: tuple[ConsistencyRow, ...] = ()
+    if work is not None:
+        names = {"source": RECORDED}
+        shown = {names.get(name, name): folder for name, folder in folders.items()}
+        rows = picture_consistency(Workspace(work), "frames", shown, progress)
+    title = f"{folders['predicted']} against {folders['truth']}"
+    return _measured(tasks, options, progress, title, consistency=rows)
+
+
+def evaluate_relit(
+    work: Path,
+    truth: Path,
+    relighting: RelightOptions,
+    options: MeasureOptions,
+    progress: Progress,
+) -> EvaluationReport:
+    """Relit frames against the truth of a synthetic log, beside what global changes of colour
+    reach: scores by class of surface, shadows, and agreement between pictures.
+
+    Args:
+        relighting: name and method; skies and frames are those of the truth.
+
+    Raises:
+        InputError: `truth` is not a folder that `lightsim synthesize` wrote.
+    """
+    workspace = Workspace(work, is_stale_allowed=relighting.allow_stale)
+    folders = relit_folders(workspace, truth, relighting, progress)
+    skies = {name: true_sky(truth, name) for name in folders}
+    surfaces = TrueSurfaces(truth / "scene.npz", workspace, skies)
+    method = OURS if relighting.method == "physical" else relighting.method
+    tasks: list[FrameTask] = []
+    consistency: list[ConsistencyRow] = []
+    for sky, frames in folders.items():
+        classes = partial(surfaces.classes, sky)
+        tasks += folder_tasks(sky, method, frames, surfaces.is_surface, BASELINES, classes)
+        if workspace.reading.image_scale == 1.0:
+            names = {"predicted": method, "truth": "truth", "source": RECORDED}
+            shown = {names[name]: folder for name, folder in frames.items()}
+            consistency += picture_consistency(workspace, sky, shown, progress)
+    return _measured(
+        tasks,
+        options,
+        progress,
+        f"Relit frames of {work.name}",
+        consistency=consistency,
+        load_shadows=lambda task: surfaces.shadows(task.condition, task.camera_name, task.stem),
+    )
+
+
+def _measured(
+    tasks: Sequence[FrameTask],
+    options: MeasureOptions,
+    progress: Progress,
+    title: str,
+    consistency: Sequence[ConsistencyRow] = (),
+    load_shadows: Callable[[FrameTask], TrueShadows | None] | None = None,
+) -> EvaluationReport:
+    """All measures of some frames; the page, where it is asked for."""
+    from lightsim.evaluate.distribution import score_sets
+    from lightsim.evaluate.inception import Inception
+
+    # Asked first: weights that are missing are missed at once.
+    network = Inception(options.inception) if options.fid else None
+    frames: FramesReport = score_frames(tasks, FramesConfig(), progress=progress)
+    report = EvaluationReport(
+        frames,
+        () if network is None else score_sets(tasks, network, options.kid_subset_size, progress),
+        () if load_shadows is None else score_shadows(tasks, load_shadows, frames),
+        tuple(consistency),
+    )
+    if options.html is not None:
+        write_evaluation_report(options.html, title, report, tasks)
+    return report
+
+
+def _read_mask(folder: Path, camera: str, stem: str) -> Bool[np.ndarray, "h w"]:
+    path = folder / camera / f"{stem}.png"
+    if not path.is_file():
+        raise InputError("a frame has no mask", where=path, expected="8-bit grey, 255 counts")
+    return read_grey8(path) >= 128
