@@ -52,21 +52,22 @@ def test_prepare_writes_what_the_options_ask_for(
     monkeypatch.setattr(commands, "prepare_cache", prepared)
     out = tmp_path / "cache.npz"
     options = ("--height", 32, "--streets", 12, "--positions", 3, "--seed", 4)
-    assert run("train", "prepare", "--hdri", tmp_path, "--out", out, *options) == 0
+    assert run("train", "prepare", "lighting", "--hdri", tmp_path, "--out", out, *options) == 0
     streets = StreetConfig(street_count=12, held_out=2, positions=3)
     assert asked == [PrepareConfig(height_px=32, seed=4, streets=streets)]
     assert read_cache(out).height_px == 64
 
 
 def documented() -> list[str]:
-    """The recipe of docs/training.md."""
+    """The recipe of docs/training.md for the lighting networks."""
     text = (Path(__file__).parents[2] / "docs" / "training.md").read_text()
-    return [line for line in text.splitlines() if line.startswith("lightsim train ")]
+    lines = [line for line in text.splitlines() if line.startswith("lightsim train ")]
+    return [line for line in lines if "relight" not in line]
 
 
 def test_the_recipe_is_one_command_for_each_network() -> None:
     assert len(documented()) == 2 + len(get_args(SkyKind))
-    assert documented()[0].split()[2] == "prepare"
+    assert documented()[0].split()[2:4] == ["prepare", "lighting"]
 
 
 @pytest.mark.slow
@@ -125,8 +126,8 @@ def test_networks_that_look_at_no_completion_refuse_one(
 def test_wrong_input_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert run("train", "inpaint", "--data", tmp_path / "no.npz", "--out", tmp_path) == 1
     assert "no.npz" in capsys.readouterr().err
-    assert run("train", "prepare", "--hdri", tmp_path, "--out", tmp_path / "x.npz") == 1
+    assert run("train", "prepare", "lighting", "--hdri", tmp_path, "--out", tmp_path / "x.npz") == 1
     assert "no .hdr or .exr file" in capsys.readouterr().err
     options = ("--out", tmp_path / "x.npz", "--streets", 2)
-    assert run("train", "prepare", "--hdri", tmp_path, *options) == 1
+    assert run("train", "prepare", "lighting", "--hdri", tmp_path, *options) == 1
     assert "--streets" in capsys.readouterr().err

@@ -13,6 +13,8 @@ from lightsim import cli
 from lightsim.errors import InputError
 from lightsim.relighting.network.channels import DOME_ROWS, LIGHT, SCENE
 from lightsim.relighting.network.features import srgb_of
+from lightsim.relighting.network.model import RelitNet
+from lightsim.relighting.network.paper_model import PaperNet
 from lightsim.relighting.network.stored import network_of
 from lightsim.store.weights import read_record, read_weights
 from lightsim.training.relight_cache import (
@@ -150,12 +152,19 @@ def test_rendered_pairs_show_the_twin_under_both_skies(
     assert "target_physical" not in data.batch(0, 0).planes
 
 
-def test_the_papers_network_and_ablations_train(streets: Path, tmp_path: Path) -> None:
-    words = ["train", "relight", "--data", str(streets), "--out", str(tmp_path), "--steps", "1"]
-    cli.main([*words, "--network", "paper", "--without", "sim-real", "shadow-maps"])
-    network = network_of(read_weights(tmp_path / "weights.safetensors"))
-    assert network.config.unseen == ("shadow-maps",)
-    assert "--without sim-real shadow-maps" in read_record(tmp_path / "weights.safetensors").command
+def test_the_documented_commands_train_both_networks(streets: Path, tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "training.md").read_text()
+    lines = [line for line in text.splitlines() if line.startswith("lightsim train relight")]
+    for line, kind in zip(lines, (RelitNet, PaperNet), strict=True):
+        given = (
+            line.replace("DATA", str(streets)).replace("RUNS", str(tmp_path)).replace("203", "2")
+        )
+        cli.main([*given.split()[1:], "--steps", "1", "--without", "identity", "shadow-maps"])
+        weights = Path(given.split()[given.split().index("--out") + 1]) / "weights.safetensors"
+        network = network_of(read_weights(weights))
+        assert isinstance(network, kind)
+        assert network.config.unseen == ("shadow-maps",)
+        assert "--without identity shadow-maps" in read_record(weights).command
 
 
 def test_a_street_on_both_sides_is_refused(streets: Path, tmp_path: Path) -> None:
