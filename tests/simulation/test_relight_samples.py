@@ -22,23 +22,25 @@ from lightsim.training.relight_cache import read_sample
 from lightsim.training.relight_data import RelightData, RelightDataConfig
 
 CAMERA, STEM, SKY = "front_camera", "03", "overcast"
+OTHER_SKY = "low_sun"
 
 
 @pytest.fixture(scope="module")
 def truth(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One true picture of the shipped street."""
+    """One view of the shipped street under two skies."""
     folder = tmp_path_factory.mktemp("truth")
     whole = shipped_street() / "truth"
-    for name in (f"relit/{SKY}/{CAMERA}/{STEM}.jpg", f"skies/{SKY}.exr"):
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(whole / name, folder / name)
+    for sky in (SKY, OTHER_SKY):
+        for name in (f"relit/{sky}/{CAMERA}/{STEM}.jpg", f"skies/{sky}.exr"):
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(whole / name, folder / name)
     return folder
 
 
 def test_samples_hold_what_relighting_makes(
     built_street: BuiltStreet, truth: Path, tmp_path: Path
 ) -> None:
-    assert write_samples(built_street.work, truth, tmp_path, SilentProgress()) == 1
+    assert write_samples(built_street.work, truth, tmp_path, SilentProgress()) == 3
     path = tmp_path / f"{CAMERA}_{STEM}.npz"
     sample = read_sample(path)
     assert set(sample.scene) >= {*SCENE, "valid", *(f"source_{name}" for name in LIGHT)}
@@ -61,11 +63,21 @@ def test_samples_hold_what_relighting_makes(
     shown = np.where(physical <= 0.0031308, 12.92 * physical, 1.055 * physical ** (1 / 2.4) - 0.055)
     is_seen = sample.scene["valid"][0] > 0
     assert np.abs(np.clip(shown, 0, 1) - picture)[is_seen].max() < 0.004
+    # The true picture of one sky is the source for the other.
+    under = read_sample(tmp_path / f"{CAMERA}_{STEM}_under_{SKY}.npz")
+    assert set(under.targets) == {OTHER_SKY}
+    source = np.moveaxis(under.scene["source"].astype(np.float32), 0, -1)
+    np.testing.assert_allclose(source, true / 255, atol=2e-3)
+    for name in LIGHT:
+        assert np.array_equal(under.scene[f"source_{name}"], target.planes[f"target_{name}"])
+    wanted = under.targets[OTHER_SKY].truth
+    assert wanted is not None
+    assert np.array_equal(wanted, sample.targets[OTHER_SKY].truth)
     # What is there is not made again.
     before = path.stat().st_mtime_ns
     write_samples(built_street.work, truth, tmp_path, SilentProgress())
     assert path.stat().st_mtime_ns == before
-    assert RelightData([tmp_path], RelightDataConfig()).skies(0) == [SKY]
+    assert RelightData([tmp_path], RelightDataConfig()).skies(0) == sorted((SKY, OTHER_SKY))
 
 
 def test_skies_need_a_split(tmp_path: Path) -> None:

@@ -6,11 +6,14 @@ from __future__ import annotations
 import logging
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool, Float32, UInt8
 
+from lightsim.core.colour import linear_from_srgb8
 from lightsim.core.reading import LogReading
 from lightsim.errors import InputError
 from lightsim.pipeline.build import build
@@ -18,7 +21,12 @@ from lightsim.pipeline.options import BuildOptions
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.relighting.network.channels import scene_planes, target_planes
-from lightsim.relighting.physical.ratio import Circumstances, RelightInputs
+from lightsim.relighting.physical.ratio import (
+    Circumstances,
+    RatioConfig,
+    RelightInputs,
+    relight_physical,
+)
 from lightsim.simulation.against_truth import as_truth
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relight import replayed
@@ -32,6 +40,7 @@ from lightsim.training.relight_cache import RelightSample, RelightTargetSample, 
 
 _LOGGER = logging.getLogger(__name__)
 STREETS = "streets"
+_CLIPPED = 254
 _NEURAL_STEPS = 150
 """As the streets are built that relighting is measured on (docs/benchmarks/relighting.md)."""
 
@@ -110,9 +119,25 @@ def _some_of(skies: Sequence[Path], seed: int, count: int) -> list[Path]:
     return [skies[k] for k in order[:count]]
 
 
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """A frame as it is relit to one sky: what goes in, what comes out, and the true picture."""
+
+    inputs: RelightInputs
+    radiance: Float32[np.ndarray, "h w 3"]
+    truth_srgb8: UInt8[np.ndarray, "h w 3"]
+
+    @property
+    def seen(self) -> Circumstances:
+        """Camera and skies."""
+        assert self.inputs.circumstances is not None
+        return self.inputs.circumstances
+
+
 def write_samples(work: Path, truth: Path, out: Path, progress: Progress) -> int:
-    """Every frame of a twin that has true relit pictures, as OUT/<camera>_<stem>.npz; those that
-    are there stay.
+    """Every frame of a twin that has true relit pictures: the recorded picture under the true skies
+    (OUT/<camera>_<stem>.npz), and each true picture as the source for the other skies
+    (OUT/<camera>_<stem>_under_<sky>.npz). Those that are there stay.
 
     Args:
         truth: folder `truth` of a synthetic log.
@@ -128,35 +153,62 @@ def write_samples(work: Path, truth: Path, out: Path, progress: Progress) -> int
     choices = options.sky_by_name.values()
     targets = [relighter.target(resolve_sky(choice, workspace)) for choice in choices]
     out.mkdir(parents=True, exist_ok=True)
-    frames = list(scenario.frames)
-    for frame in progress.track(frames, "samples"):
-        path = out / f"{frame.camera_name}_{frame.stem}.npz"
+    for frame in progress.track(list(scenario.frames), "samples"):
+        name = f"{frame.camera_name}_{frame.stem}"
         files = [truth / "relit" / sky / frame.camera_name / f"{frame.stem}.jpg" for sky in skies]
-        if path.exists() or not all(file.is_file() for file in files):
+        # The recorded picture's is written last.
+        if (out / f"{name}.npz").exists() or not all(file.is_file() for file in files):
             continue
-        made = list(relighter.relit(frame, scenario, targets))
-        write_sample(path, _sample(made, dict(zip(skies, files, strict=True)), relighter))
+        made = {
+            sky: _frame(relit, file)
+            for sky, relit, file in zip(
+                skies, relighter.relit(frame, scenario, targets), files, strict=True
+            )
+        }
+        ego = relighter.log.ego_vehicle_masks.get(frame.camera_name)
+        for sky in skies if len(skies) > 1 else ():
+            sample = _sample(_under(made, sky), ego)
+            write_sample(out / f"{name}_under_{sky}.npz", sample)
+        write_sample(out / f"{name}.npz", _sample(made, ego))
     return len(list(out.glob("*.npz")))
 
 
-def _sample(
-    made: Sequence[RelitFrame], files: dict[str, Path], relighter: Relighter
-) -> RelightSample:
-    targets = {}
-    for relit, (sky, file) in zip(made, files.items(), strict=True):
-        inputs, seen = _inputs(relit)
-        planes = target_planes(inputs, seen, relit.radiance)
-        truth = np.ascontiguousarray(np.moveaxis(read_srgb8(file), -1, 0))
-        targets[sky] = RelightTargetSample(planes, truth)
-    inputs, seen = _inputs(made[0])
-    ego = relighter.log.ego_vehicle_masks.get(made[0].frame.camera_name)
-    valid = np.ones(inputs.sky_matte.shape) if ego is None else ~ego
-    scene = scene_planes(inputs, seen)
-    return RelightSample({**scene, "valid": valid[None].astype(np.float32)}, targets)
-
-
-def _inputs(relit: RelitFrame) -> tuple[RelightInputs, Circumstances]:
-    """Of a frame that was relit, and not taken as it was."""
+def _frame(relit: RelitFrame, truth: Path) -> _Frame:
+    """A frame that was relit, and not taken as it was."""
     assert relit.inputs is not None
-    assert relit.inputs.circumstances is not None
-    return relit.inputs, relit.inputs.circumstances
+    return _Frame(relit.inputs, relit.radiance, read_srgb8(truth))
+
+
+def _under(made: Mapping[str, _Frame], sky: str) -> dict[str, _Frame]:
+    """The frame as if it had been recorded under one of the skies, relit to the others."""
+    source = made[sky]
+    picture = source.truth_srgb8
+    frames = {}
+    for name, frame in made.items():
+        if name == sky:
+            continue
+        inputs = replace(
+            frame.inputs,
+            radiance=(linear_from_srgb8(picture) / frame.seen.gain).astype(np.float32),
+            is_clipped=np.any(picture >= _CLIPPED, axis=-1),
+            source=source.inputs.target,
+            source_sun=source.inputs.target_sun,
+            found_visibility=None,
+            circumstances=replace(frame.seen, source_sky=source.seen.target_sky),
+        )
+        frames[name] = _Frame(inputs, relight_physical(inputs, RatioConfig()), frame.truth_srgb8)
+    return frames
+
+
+def _sample(made: Mapping[str, _Frame], ego: Bool[np.ndarray, "h w"] | None) -> RelightSample:
+    targets = {
+        sky: RelightTargetSample(
+            target_planes(frame.inputs, frame.seen, frame.radiance),
+            np.ascontiguousarray(np.moveaxis(frame.truth_srgb8, -1, 0)),
+        )
+        for sky, frame in made.items()
+    }
+    any_frame = next(iter(made.values()))
+    scene = scene_planes(any_frame.inputs, any_frame.seen)
+    valid = np.ones(any_frame.inputs.sky_matte.shape) if ego is None else ~ego
+    return RelightSample({**scene, "valid": valid[None].astype(np.float32)}, targets)
