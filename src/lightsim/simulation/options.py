@@ -99,7 +99,8 @@ class RelightOptions(FrameOptions):
     name: str
     """Name of the result: WORK/scenarios/NAME, or WORK/scenarios/NAME/<sky> with several skies."""
     method: Method = "physical"
-    """How pixels are relit: shading ratios of the reconstructed scene."""
+    """How pixels are relit: shading ratios of the reconstructed scene, or a baseline, which takes
+    over the colours of the rendered target."""
     exposure_ev: float = 0.0
     """Exposure of the output, in stops."""
     linear: bool = False
