@@ -14,6 +14,7 @@ from lightsim.errors import InputError
 from lightsim.evaluate.options import MeasureOptions
 from lightsim.progress import terminal_progress
 from lightsim.relighting.options import Method
+from lightsim.simulation.paper_table import PaperTableOptions
 
 
 @dataclass(frozen=True)
@@ -219,6 +220,21 @@ class EvaluateCompare:
         show(compare_evaluations(self.first, self.second, self.methods), self.out)
 
 
+@dataclass(frozen=True)
+class EvaluatePaperTable:
+    """The paper's table 1: FID and KID of relit PandaSet logs, built and relit as needed."""
+
+    options: Annotated[PaperTableOptions, tyro.conf.arg(name="")]
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Build, relight and measure what is not finished."""
+        from lightsim.simulation.paper_table import paper_table
+
+        show(paper_table(self.options, terminal_progress()), self.options.out / "table1.json")
+
+
 Evaluate = (
     Annotated[EvaluateFrames, tyro.conf.subcommand("frames")]
     | Annotated[EvaluateRelight, tyro.conf.subcommand("relight")]
@@ -227,6 +243,7 @@ Evaluate = (
     | Annotated[EvaluateBaseColour, tyro.conf.subcommand("base-colour")]
     | Annotated[EvaluateClosure, tyro.conf.subcommand("closure")]
     | Annotated[EvaluateCompare, tyro.conf.subcommand("compare")]
+    | Annotated[EvaluatePaperTable, tyro.conf.subcommand("paper-table1")]
 )
 
 
