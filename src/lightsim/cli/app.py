@@ -17,6 +17,7 @@ import tyro
 
 from lightsim.cli.actors import Actors
 from lightsim.cli.assets import AssetsGroup
+from lightsim.cli.batch import Batch
 from lightsim.cli.build import Build
 from lightsim.cli.demo import Demo
 from lightsim.cli.doctor import Doctor
@@ -46,6 +47,7 @@ Command = (
     | Annotated[Render, _command("render")]
     | Annotated[SkyGroup, _command("sky")]
     | Annotated[EvaluateGroup, _command("evaluate")]
+    | Annotated[Batch, _command("batch")]
     | Annotated[TrainGroup, _command("train")]
     | Annotated[Synthesize, _command("synthesize")]
     | Annotated[Demo, _command("demo")]

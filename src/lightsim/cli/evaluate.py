@@ -8,11 +8,13 @@ from typing import Annotated
 
 import tyro
 
+from lightsim.arguments import Names
 from lightsim.cli.options import Verbose, say, show
 from lightsim.errors import InputError
 from lightsim.evaluate.options import MeasureOptions
 from lightsim.progress import terminal_progress
 from lightsim.relighting.options import Method
+from lightsim.simulation.paper_table import PaperTableOptions
 
 
 @dataclass(frozen=True)
@@ -195,6 +197,44 @@ class EvaluateClosure:
         show(closure(Workspace(self.work), terminal_progress()), self.out)
 
 
+@dataclass(frozen=True)
+class EvaluateCompare:
+    """Two evaluations of the same frames: which differences are more than chance?"""
+
+    first: tyro.conf.Positional[Path]
+    """JSON that evaluate frames or relight wrote with --out, or a folder of them, one a log."""
+    second: tyro.conf.Positional[Path]
+    """Another one; its values minus those of the first are printed."""
+    methods: Names = ()
+    """A,B: compare method A of the first with method B of the second; by default methods of equal
+    names."""
+    out: Path | None = None
+    """Also write the table as JSON here."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Compare."""
+        from lightsim.evaluate.compare import compare_evaluations
+
+        show(compare_evaluations(self.first, self.second, self.methods), self.out)
+
+
+@dataclass(frozen=True)
+class EvaluatePaperTable:
+    """The paper's table 1: FID and KID of relit PandaSet logs, built and relit as needed."""
+
+    options: Annotated[PaperTableOptions, tyro.conf.arg(name="")]
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Build, relight and measure what is not finished."""
+        from lightsim.simulation.paper_table import paper_table
+
+        show(paper_table(self.options, terminal_progress()), self.options.out / "table1.json")
+
+
 Evaluate = (
     Annotated[EvaluateFrames, tyro.conf.subcommand("frames")]
     | Annotated[EvaluateRelight, tyro.conf.subcommand("relight")]
@@ -202,11 +242,13 @@ Evaluate = (
     | Annotated[EvaluateSky, tyro.conf.subcommand("sky")]
     | Annotated[EvaluateBaseColour, tyro.conf.subcommand("base-colour")]
     | Annotated[EvaluateClosure, tyro.conf.subcommand("closure")]
+    | Annotated[EvaluateCompare, tyro.conf.subcommand("compare")]
+    | Annotated[EvaluatePaperTable, tyro.conf.subcommand("paper-table1")]
 )
 
 
 @dataclass(frozen=True)
 class EvaluateGroup:
-    """Measure frames, relighting, geometry, the sky, base colour or closure."""
+    """Measure frames, relighting, geometry, the sky, base colour or closure; compare."""
 
     measure: tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[Evaluate]]

@@ -18,8 +18,10 @@ from lightsim.evaluate.metrics import (
     expose,
     fill_invalid,
     fit_exposure,
+    mean_ssim,
     psnr,
     ssim,
+    ssim_map,
 )
 from lightsim.progress import Progress, SilentProgress
 
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 LoadImage = Callable[[], UInt8[np.ndarray, "h w 3"]]
 LoadMask = Callable[[], Bool[np.ndarray, "h w"]]
 LoadClasses = Callable[[], Mapping[Region, Bool[np.ndarray, "h w"]]]
+_INNER = np.s_[SSIM_BORDER_PX:-SSIM_BORDER_PX, SSIM_BORDER_PX:-SSIM_BORDER_PX]
 
 
 @dataclass(frozen=True)
@@ -101,15 +104,14 @@ def _score_sequence(tasks: Sequence[FrameTask], config: FramesConfig) -> Iterato
         truth = unit_srgb(task.load_truth())
         loaded = {method: _load_prediction(task, method, truth) for method in methods}
         truth_features = _features(truth) if config.with_lpips else {}
-        # LPIPS is slow: asked for raw images only, and where a mask says what counts, for what
-        # counts only.
-        with_lpips = "whole" if task.load_is_valid is None else "masked"
-        for region, is_valid in _regions(task):
-            for (method, is_exposed), factor in factors.items():
-                predicted = loaded[method]
-                predicted = expose(predicted, factor) if is_exposed else predicted
-                features = {} if is_exposed or region != with_lpips else truth_features
-                one = _score(predicted, truth, is_valid, features)
+        is_valid = task.load_is_valid() if task.load_is_valid is not None else None
+        classes = {} if task.load_classes is None else task.load_classes()
+        for (method, is_exposed), factor in factors.items():
+            predicted = loaded[method]
+            predicted = expose(predicted, factor) if is_exposed else predicted
+            # LPIPS is slow: asked for raw images only.
+            features = {} if is_exposed else truth_features
+            for region, one in _scores(predicted, truth, is_valid, classes, features):
                 scores.setdefault((method, region, is_exposed), {})[task.stem] = one
     for (method, region, is_exposed), by_stem in scores.items():
         yield FrameRow(
@@ -140,33 +142,44 @@ def _sequence_exposure(tasks: Sequence[FrameTask], method: str) -> float:
     return fit_exposure(predicted, truths)
 
 
-def _regions(task: FrameTask) -> Iterator[tuple[Region, Bool[np.ndarray, "h w"] | None]]:
-    """A frame that is all sky has no masked score, and takes no part in the mean; the same holds
-    for classes that it does not show."""
-    masks = {} if task.load_is_valid is None else {"masked": task.load_is_valid()}
-    if task.load_classes is not None:
-        masks |= task.load_classes()
-    inner = np.s_[SSIM_BORDER_PX:-SSIM_BORDER_PX, SSIM_BORDER_PX:-SSIM_BORDER_PX]
-    yield from ((name, mask) for name, mask in masks.items() if mask[inner].any())
-    yield "whole", None
+def _scores(
+    predicted: Float32[np.ndarray, "h w 3"],
+    truth: Float32[np.ndarray, "h w 3"],
+    is_valid: Bool[np.ndarray, "h w"] | None,
+    classes: Mapping[Region, Bool[np.ndarray, "h w"]],
+    truth_features: Mapping[Network, Any],
+) -> Iterator[tuple[Region, ImageScores]]:
+    """Of every region that the frame shows: one that is all sky has no masked score, and takes no
+    part in the mean. LPIPS where a mask says what counts, for what counts only."""
+    similarity = ssim_map(predicted, truth)
+    distances = () if is_valid is not None else _distances(predicted, truth, None, truth_features)
+    yield "whole", ImageScores(psnr(predicted, truth), mean_ssim(similarity), *distances)
+    if is_valid is not None and is_valid[_INNER].any():
+        distances = _distances(predicted, truth, is_valid, truth_features)
+        scores = psnr(predicted, truth, is_valid), ssim(predicted, truth, is_valid)
+        yield "masked", ImageScores(*scores, *distances)
+    for region, mask in classes.items():
+        if mask[_INNER].any():
+            # Windows reach across the class's border: classes are parts of one picture.
+            yield region, ImageScores(psnr(predicted, truth, mask), mean_ssim(similarity, mask))
 
 
-def _score(
+def _distances(
     predicted: Float32[np.ndarray, "h w 3"],
     truth: Float32[np.ndarray, "h w 3"],
     is_valid: Bool[np.ndarray, "h w"] | None,
     truth_features: Mapping[Network, Any],
-) -> ImageScores:
-    distances: dict[str, float] = {"vgg": float("nan"), "alex": float("nan")}
-    if truth_features:
-        from lightsim.evaluate.lpips import lpips_features, lpips_of_features
+) -> tuple[float, ...]:
+    """LPIPS by each network that the truth has features of."""
+    if not truth_features:
+        return ()
+    from lightsim.evaluate.lpips import lpips_features, lpips_of_features
 
-        filled = fill_invalid(predicted, truth, is_valid)
-        for network, wanted in truth_features.items():
-            made = lpips_features(filled, network)
-            distances[network] = lpips_of_features(made, wanted, is_valid, network)
-    similarity = ssim(predicted, truth, is_valid)
-    return ImageScores(psnr(predicted, truth, is_valid), similarity, *distances.values())
+    filled = fill_invalid(predicted, truth, is_valid)
+    return tuple(
+        lpips_of_features(lpips_features(filled, network), wanted, is_valid, network)
+        for network, wanted in truth_features.items()
+    )
 
 
 def _features(truth: Float32[np.ndarray, "h w 3"]) -> dict[Network, Any]:

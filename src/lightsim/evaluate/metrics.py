@@ -29,7 +29,7 @@ class ImageScores:
 
     psnr_db: float
     ssim: float
-    lpips: float
+    lpips: float = float("nan")
     lpips_alex: float = float("nan")
 
 
@@ -61,6 +61,31 @@ def ssim(
     Raises:
         InputError: no pixel is valid, or the image is smaller than the window.
     """
+    filled = fill_invalid(predicted_srgb, truth_srgb, is_valid)
+    return mean_ssim(ssim_map(filled, truth_srgb), is_valid)
+
+
+def mean_ssim(
+    similarity: Float32[np.ndarray, "h w"], is_valid: Bool[np.ndarray, "h w"] | None = None
+) -> float:
+    """Mean of `ssim_map` over the valid pixels.
+
+    Raises:
+        InputError: no pixel is valid, or only some along the border.
+    """
+    inner = np.s_[SSIM_BORDER_PX:-SSIM_BORDER_PX, SSIM_BORDER_PX:-SSIM_BORDER_PX]
+    mask = None if is_valid is None else is_valid[inner]
+    return float(_select(similarity[inner], mask).mean())
+
+
+def ssim_map(
+    predicted_srgb: Float32[np.ndarray, "h w 3"], truth_srgb: Float32[np.ndarray, "h w 3"]
+) -> Float32[np.ndarray, "h w"]:
+    """Structural similarity about each pixel, mean over the channels; see `ssim`.
+
+    Raises:
+        InputError: the image is smaller than the window.
+    """
     from skimage.metrics import structural_similarity
 
     if min(truth_srgb.shape[:2]) < _SSIM_WINDOW_PX:
@@ -69,9 +94,8 @@ def ssim(
             got=f"{truth_srgb.shape[1]}x{truth_srgb.shape[0]} px",
             expected=f"at least {_SSIM_WINDOW_PX} px each way",
         )
-    filled = fill_invalid(predicted_srgb, truth_srgb, is_valid)
     similarity = structural_similarity(
-        filled,
+        predicted_srgb,
         truth_srgb,
         data_range=1.0,
         channel_axis=-1,
@@ -80,9 +104,7 @@ def ssim(
         use_sample_covariance=False,
         full=True,
     )[1]
-    inner = np.s_[SSIM_BORDER_PX:-SSIM_BORDER_PX, SSIM_BORDER_PX:-SSIM_BORDER_PX]
-    values = similarity.mean(axis=-1)[inner]
-    return float(_select(values, None if is_valid is None else is_valid[inner]).mean())
+    return similarity.mean(axis=-1).astype(np.float32)
 
 
 def fill_invalid(

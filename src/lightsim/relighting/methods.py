@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from jaxtyping import Float32
 
+from lightsim.relighting.colour_transfer import relight_colour_transfer
 from lightsim.relighting.options import Method
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
 
@@ -30,5 +31,6 @@ METHODS: Mapping[Method, Callable[[RelightInputs, RatioConfig], Radiance]] = {
     "physical": relight_physical,
     "network": _network,
     "paper": _paper,
+    "colour-transfer": relight_colour_transfer,
 }
 """(inputs of a frame, settings) -> radiance under the target sky."""

@@ -4,4 +4,4 @@ from __future__ import annotations
 
 from typing import Literal
 
-Method = Literal["physical", "network", "paper"]
+Method = Literal["physical", "network", "paper", "colour-transfer"]
