@@ -42,9 +42,9 @@ def test_no_stage_adds_anything_to_the_field(tmp_path: Path) -> None:
     twin, field, numbers = work.twin, work.scene_field, work.log.number_by_actor
     meshes = {-1: twin.assets.background}
     meshes |= {numbers[a]: actor.mesh for a, actor in twin.assets.actors.items()}
-    assert len(meshes) == len(work.log.actors) + 1
+    assert min(len(mesh.faces) for mesh in meshes.values()) > 0
     assert len(meshes[-1].faces) > 10_000
-    assert len({mesh.materials for mesh in meshes.values()}) == 2
+    assert len({mesh.materials for mesh in meshes.values()}) <= 2
     for number, mesh in meshes.items():
         assert mesh.comes_from(Provenance.MEASURED).all()
         assert mesh.texture is None
@@ -52,7 +52,7 @@ def test_no_stage_adds_anything_to_the_field(tmp_path: Path) -> None:
         # The file rounds positions and colours, no more.
         expected = vertex_radiance(field, mesh, number)
         error = np.abs(mesh.base_colour - expected).max(axis=1)
-        assert len(error) == 0 or np.percentile(error, 99) < 0.02
+        assert np.percentile(error, 99) < 0.02
     assert {tuple(gain) for gain in twin.assets.camera_gains.values()} == {(1.0, 1.0, 1.0)}
     geo, middle = twin.log.geo, twin.log.frames[len(twin.log.frames) // 2].time_ns
     assert geo is not None
@@ -60,6 +60,7 @@ def test_no_stage_adds_anything_to_the_field(tmp_path: Path) -> None:
     at = solar_position(geo.latitude_deg, geo.longitude_deg, middle)
     towards = direction_world(at.azimuth_deg, at.elevation_deg, geo.enu_from_world)
     assert twin.sky.dome.sun is not None
+    assert np.ptp(twin.sky.dome.sun.irradiance) == 0
     assert angle_between_deg(twin.sky.dome.sun.direction_world, towards) < 0.1
 
 

@@ -51,14 +51,29 @@ class PretendedCycles(PathTracer):
         return super().shoot(*args)
 
 
-def test_light_of_cycles_relights_as_light_transport_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_sky_takes_three_shots_of_cycles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The sun, the sky and all light, under the source and under the target."""
     monkeypatch.setattr(cycles, "Cycles", PretendedCycles)
-    work = recorded(constant_sky((0.6, 0.6, 0.6)))
     choice = LightChoice(renderer="cycles", rays=8, blender_python=PYTHON)
-    ours, theirs = relit(work, LightChoice()), relit(work, choice)
+    lit_alike(choice)
     assert PretendedCycles.pythons == [PYTHON]
-    # The sun, the sky and all light, under the source and under the target.
     assert PretendedCycles.shots == 6
+
+
+@pytest.mark.slow
+@pytest.mark.blender
+def test_light_of_blender_relights_as_light_transport_does() -> None:
+    try:
+        cycles.find_bpy()
+    except MissingDependencyError as error:
+        pytest.skip(f"no Blender: {error}")
+    lit_alike(LightChoice(renderer="cycles", rays=16))
+
+
+def lit_alike(choice: LightChoice) -> None:
+    """The renderer's light, and what it makes of a picture, are those of light transport."""
+    work = recorded(constant_sky((0.6, 0.6, 0.6)))
+    ours, theirs = relit(work, LightChoice()), relit(work, choice)
     assert ours.lights is not None
     assert theirs.lights is not None
     ground = on_ground(work.log.frames[1])

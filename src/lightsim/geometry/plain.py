@@ -32,7 +32,7 @@ def mesh_plainly(
     log: DrivingLog, fields: SceneFields, materials: BaseMaterials, *, progress: Progress
 ) -> SceneAssets:
     """Background and actors as black meshes by marching cubes and quadric decimation. Nothing is
-    smoothed, closed, classified or guessed: an actor that no ray has taught is an empty mesh.
+    smoothed, closed, classified or guessed; actors without a surface in the field are missing.
 
     Raises:
         InputError: the background has no surface.
@@ -48,9 +48,10 @@ def mesh_plainly(
     for track in progress.track(log.actors, "mesh the actors", len(log.actors)):
         grid = fields.actors[track.actor_id]
         mesh = _of(simplified(extract_surface(grid), grid.voxel_m), materials.actor)
-        actors[track.actor_id] = ActorAsset(track.actor_id, track.kind, mesh, track.label)
         if len(mesh.faces) == 0:
             notes.append(f"actor {track.actor_id} ({track.label}): the field has no surface")
+            continue
+        actors[track.actor_id] = ActorAsset(track.actor_id, track.kind, mesh, track.label)
     return SceneAssets(background, actors, {}, tuple(notes))
 
 

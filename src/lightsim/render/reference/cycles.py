@@ -11,6 +11,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import weakref
 from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, Any
@@ -85,6 +86,7 @@ class Cycles:
             env=_clean_environment(),
             text=True,
         )
+        self._end = weakref.finalize(self, _end, self._process, self._noise, self._folder)
         self._static: StaticScene | None = None
         self._scene: FrameScene | None = None
         self._ask({"do": "start"})
@@ -96,13 +98,7 @@ class Cycles:
 
     def close(self) -> None:
         """End the process; done by itself when the object goes."""
-        if self._process.stdin is not None and not self._process.stdin.closed:
-            self._process.stdin.close()
-        if self._process.stdout is not None:
-            self._process.stdout.close()
-        self._process.wait()
-        self._noise.close()
-        self._folder.cleanup()
+        self._end()
 
     def __enter__(self) -> Cycles:
         return self
@@ -201,6 +197,18 @@ class Cycles:
         self._noise.flush()
         self._noise.seek(0)
         return self._noise.read().decode(errors="replace")[-800:]
+
+
+def _end(
+    process: subprocess.Popen[str], noise: IO[bytes], folder: tempfile.TemporaryDirectory[str]
+) -> None:
+    """Blender ends when nobody talks to it any more."""
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            pipe.close()
+    process.wait()
+    noise.close()
+    folder.cleanup()
 
 
 def _clean_environment() -> dict[str, str]:
