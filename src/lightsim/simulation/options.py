@@ -99,8 +99,8 @@ class RelightOptions(FrameOptions):
     name: str
     """Name of the result: WORK/scenarios/NAME, or WORK/scenarios/NAME/<sky> with several skies."""
     method: Method = "physical"
-    """How pixels are relit: shading ratios of the reconstructed scene; these, corrected by a network;
-    or to compare with, the paper's network and the colours of the rendered target."""
+    """How pixels are relit: shading ratios of the reconstructed scene; these, corrected by a
+    network; or, to compare with, the paper's network and the colours of the rendered target."""
     renderer: LightChoice = field(default_factory=LightChoice)
     """Who renders the light of source and target that relighting reads."""
     exposure_ev: float = 0.0
