@@ -89,7 +89,7 @@ def test_a_draw_is_the_same_every_time_and_another_is_not(streets: Path) -> None
 
 
 def test_the_identity_asks_for_the_source(streets: Path) -> None:
-    config = RelightDataConfig(identity_fraction=1.0)
+    config = RelightDataConfig(identity_fraction=1.0, light_error_ev=0.0)
     batch = RelightData([streets / "1"], config).batch(0, 0)
     assert torch.equal(batch.truth, batch.planes["source"])
     shown = srgb_of(batch.planes["target_physical"]).clamp(0, 1)

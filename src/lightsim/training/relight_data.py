@@ -55,6 +55,9 @@ class RelightDataConfig:
     """Of the samples: the twin rendered under another sky, and the recorded picture."""
     exposure_ev: float = 0.35
     """Samples are up to so many stops brighter or darker."""
+    light_error_ev: float = 0.2
+    """Standard deviation by which target light and estimate are off: twins err by street, and a
+    network that has seen few of them would learn their errors instead of doubting them."""
 
 
 class RelightData:
@@ -102,6 +105,8 @@ class RelightData:
         one = self._pair(_cut(sample, self._config.crop_px, rng), rng)
         if rng.random() < 0.5:
             one = _mirrored(one)
+        if "target_physical" in one.planes:
+            one = _misjudged(one, 2.0 ** float(rng.normal() * self._config.light_error_ev))
         return _exposed(one, 2.0 ** float(rng.uniform(-1, 1) * self._config.exposure_ev))
 
     def _pair(self, sample: RelightSample, rng: np.random.Generator) -> RelightBatch:
@@ -219,6 +224,16 @@ def _mirrored(one: RelightBatch) -> RelightBatch:
     for name in _VECTORS:
         planes[name] = torch.cat([-planes[name][:, :1], planes[name][:, 1:]], dim=1)
     return RelightBatch(planes, one.truth.flip(-1), one.weight.flip(-1))
+
+
+def _misjudged(one: RelightBatch, factor: float) -> RelightBatch:
+    """As if the target light were so much stronger than it is; the sky is known."""
+    planes = dict(one.planes)
+    for name in ("target_shaded", "target_reflected"):
+        planes[name] = planes[name] * factor
+    surface = 1 - planes["matte"]
+    planes["target_physical"] = planes["target_physical"] * (1 + surface * (factor - 1))
+    return RelightBatch(planes, one.truth, one.weight)
 
 
 def _exposed(one: RelightBatch, factor: float) -> RelightBatch:
