@@ -139,7 +139,7 @@ STAGES = (
     ),
     Stage(
         "sky",
-        12,
+        13,
         ("log", "alignment", "geometry", "assets", "panorama"),
         lambda o: light.SkyStageConfig(SourceSunConfig(gps=o.gps), model=o.sky_model),
         light.make_sky,
