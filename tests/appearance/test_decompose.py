@@ -214,6 +214,38 @@ def test_without_hard_shadows_none_are_invented():
     assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.05)
 
 
+def test_bright_patches_behind_cloud_are_no_sun():
+    """Labels that follow the pictures call bright patches lit, and their pairs asked for a sun of
+    the sky's colour, three times as blue as the clear one."""
+    mesh = _ground()
+    x, y = mesh.vertices[:, 0], mesh.vertices[:, 1]
+    blobs = np.sin(0.8 * x + 1) * np.cos(y) + 0.5 * np.sin(1.7 * y + x)
+    albedo = _albedo(mesh.vertices) * np.exp(0.3 * np.sign(blobs))
+    mesh = replace(mesh, base_colour=(albedo[:, None] * _SKY).astype(np.float32))
+
+    def light_at(seen: SeenPoints) -> SurfaceLight:
+        return _light(seen.position, _is_lit(seen.position), sun=0.5)
+
+    balance = _balance(mesh, light_at, _freedom(sun=0.5, cloud=0.9))
+    assert balance.pair_count == 0
+    np.testing.assert_allclose(balance.sun, balance.sun[0], rtol=1e-6)
+    assert balance.sun[0] < 0.3
+
+
+def test_red_walls_are_told_from_others_by_base_colour():
+    kinds = (reflectance.PAVEMENT, reflectance.WALLS)
+    classes = [
+        reflectance.Members(kind, np.arange(start, start + 120))
+        for kind, start in zip(kinds, (0, 120), strict=True)
+    ]
+    colour = np.full((240, 3), 0.2)
+    colour[60:180, 0] *= 1.4
+    told = reflectance.told_apart_by_colour(classes, colour)
+    assert [members.kind.name for members in told] == ["pavement", "walls", "red walls"]
+    assert [len(members.rows) for members in told] == [120, 60, 60]
+    assert (told[2].rows < 180).all()
+
+
 def test_lidar_intensity_keeps_dark_patches_from_becoming_shadows():
     mesh, lit, albedo = _recorded(sun=1.0)
     rng = np.random.default_rng(2)

@@ -139,6 +139,12 @@ class LightFreedom:
     sun_log_std: float
     cloud_probability: float
 
+    @property
+    def is_veiled(self) -> bool:
+        """Cloud before the sun is more probable than a clear sun: shadows are soft or none, and
+        what is dark by nature passes for them."""
+        return self.cloud_probability >= 0.5
+
 
 @dataclass(frozen=True, eq=False)
 class DigitalTwin:

@@ -150,7 +150,7 @@ STAGES = (
     ),
     Stage(
         "sky",
-        12,
+        13,
         ("log", "alignment", "geometry", "assets", "panorama"),
         _sky_config,
         light.make_sky,

@@ -2,8 +2,9 @@
 
 What cameras saw, sky and the light of surrounding surfaces, is data and stays. Unknown are the
 sun and the sky that no camera saw, a log factor each. Clear skies give a prior of both, cloud
-before the sun another; lit and shadowed neighbours tell the sun against all other light; base
-colours of pavement and walls, which come from dividing by that light, tell the level of both.
+before the sun another; lit and shadowed neighbours tell the sun against all other light, but only
+where it casts shadows; base colours of pavement and walls, which come from dividing by that light,
+tell the level of both.
 """
 
 from __future__ import annotations
@@ -17,7 +18,11 @@ from jaxtyping import Float, Float64, Int64
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
 from lightsim.appearance.intrinsic.labels import Observed, infer_labels, visibility_prior
 from lightsim.appearance.intrinsic.light import LightBalance
-from lightsim.appearance.intrinsic.reflectance import ReflectanceClass, class_members
+from lightsim.appearance.intrinsic.reflectance import (
+    ReflectanceClass,
+    class_members,
+    told_apart_by_colour,
+)
 from lightsim.appearance.intrinsic.shadow_pairs import (
     LOG_SUN,
     ShadowPairs,
@@ -68,7 +73,12 @@ def balance_light(
             observed = own.reflecting(found, lit)
             lit = infer_labels(observed, found, prior, config, messages)
         pairs = shadow_pairs(observed, lit, block)
-        members = [ClassRadiance.of(c.kind, c.rows, observed, lit) for c in classes]
+        light = observed.light.balanced(found)
+        colour = np.exp(observed.log_radiance) / np.maximum(light.total(lit), 1e-6)
+        members = [
+            ClassRadiance.of(c.kind, c.rows, observed, lit)
+            for c in told_apart_by_colour(classes, colour)
+        ]
         found = solve_balance(pairs, members, freedom)
     return found
 
@@ -122,10 +132,12 @@ def solve_balance(
     """The mean of the posterior over (log unseen sky, log sun), on a grid, and its spread.
 
     The colour of the sun is that of the pairs; what then is left of a colour cast on classes that
-    are nearly grey is shared between them and the light by their variances.
+    are nearly grey is shared between them and the light by their variances. A veiled sun's pairs
+    are not asked: labels follow the pictures, so that bright patches pass for lit and confirm
+    whatever sun is asked for.
     """
     logs = _log_prior(freedom)
-    has_pairs = len(pairs) >= _MIN_PAIRS
+    has_pairs = len(pairs) >= _MIN_PAIRS and not freedom.is_veiled
     if has_pairs:
         logs = logs + _log_pairs(pairs)
     for members in classes:
@@ -140,7 +152,8 @@ def solve_balance(
         hue = hue / np.exp(np.log(hue) @ _WEIGHTS)
     sun_rgb, unseen_rgb = np.exp(sun) * hue, np.full(3, np.exp(unseen))
     cast = _colour_cast(classes, sun_rgb, unseen_rgb)
-    return LightBalance(sun_rgb * cast, unseen_rgb * cast, sun_std, unseen_std, len(pairs))
+    count = len(pairs) if has_pairs else 0
+    return LightBalance(sun_rgb * cast, unseen_rgb * cast, sun_std, unseen_std, count)
 
 
 def _log_prior(freedom: LightFreedom) -> Float64[np.ndarray, "u s"]:

@@ -53,8 +53,6 @@ IRRADIANCE = IrradianceConfig(TransportConfig(sky_rays=32, face_rays=8, glossy_r
 reflections leave coloured clouds on shaded asphalt, whose own radiance is small."""
 LIDAR_RETURNS = 1_500_000
 """LiDAR returns whose intensity is asked."""
-_VEILED = 0.5
-"""Probability of cloud before the sun from which on shadows tell nothing of roofs."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +185,7 @@ def _carved(
 ) -> list[Roofline]:
     """The rooflines with what their shadows say, if the sun casts any."""
     sun = estimate.dome.sun
-    if sun is None or freedom.cloud_probability >= _VEILED:
+    if sun is None or freedom.is_veiled:
         return rooflines
     return carve_roofs(rooflines, observed, sun.direction_world, config.labels)
 
