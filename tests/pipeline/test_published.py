@@ -60,6 +60,7 @@ def test_no_stage_adds_anything_to_the_field(tmp_path: Path) -> None:
     at = solar_position(geo.latitude_deg, geo.longitude_deg, middle)
     towards = direction_world(at.azimuth_deg, at.elevation_deg, geo.enu_from_world)
     assert twin.sky.dome.sun is not None
+    assert np.ptp(twin.sky.dome.sun.irradiance) == 0
     assert angle_between_deg(twin.sky.dome.sun.direction_world, towards) < 0.1
 
 

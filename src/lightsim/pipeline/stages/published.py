@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from lightsim.appearance.config import AssetConfig
+from lightsim.core.colour import luminance
+from lightsim.core.dome import SkyDome, add_sun, split_sun
 from lightsim.core.mesh import TriMesh
 from lightsim.core.solar import azimuth_elevation
 from lightsim.geometry.plain import BaseMaterials, mesh_plainly
@@ -30,6 +32,8 @@ from lightsim.store.sky import (
     write_sky,
 )
 from lightsim.store.twin import empty_mesh, write_twin
+
+_WHITE_SUN = "the sun is white: the decoder's weights know how strong it is, not its colour"
 
 
 @dataclass(frozen=True)
@@ -101,11 +105,22 @@ def make_sky(
     else:
         sun = sun_from_geo(geo, middle_ns)
     sky = decoded_sky(panorama, sun, predicted, config.height_px)
+    sky = replace(sky, dome=_with_white_sun(sky.dome), notes=(*sky.notes, _WHITE_SUN))
     write_rooflines(folder / "rooflines.npz", [])
     write_sky(folder, sky, None if geo is None else geo.heading_deg)
     write_panorama_pictures(folder, panorama)
     write_completed(folder, completed_panorama(panorama)[0])
     return sky.notes
+
+
+def _with_white_sun(dome: SkyDome) -> SkyDome:
+    """f_int is one number, and the shipped decoder never learned the sun's colour: on every log it
+    is the same saturated green."""
+    rest, sun = split_sun(dome)
+    if sun is None:
+        return dome
+    white = np.full(3, luminance(sun.irradiance), dtype=np.float32)
+    return add_sun(rest, replace(sun, irradiance=white))
 
 
 def _encoded_sun(predicted: SkyPrediction) -> SunDirection:

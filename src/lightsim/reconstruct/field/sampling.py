@@ -20,8 +20,10 @@ _NEAR_SAMPLES = 8
 _FREE_SAMPLES = 4
 # Half width of the band around the expected surface, times (1 + t / 40).
 _NEAR_HALF_M = 0.4
-# Samples of a ray in occupied space: as many as UniSim's steps of 20 cm in 3.2 m of it.
-_MARCHED_SAMPLES = 16
+# Samples of a ray in occupied space: UniSim's steps of 20 cm in 5 m of it, which half of the rays
+# of street 0 have. The expected depth is that of the sample behind the surface, so that the field
+# puts its zero level half a step too near: 16 samples put it 20 cm before the returns.
+_MARCHED_SAMPLES = 25
 # Actors' boxes are sampled so much more densely than occupied space: UniSim's steps of 5 and 20 cm.
 _BOX_DENSITY = 4.0
 
