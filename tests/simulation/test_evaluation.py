@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -21,16 +22,18 @@ from tests.tiny_world import (
     tiny_world,
 )
 
+from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.dome import SkyDome
 from lightsim.core.frames import RigidTransform
 from lightsim.core.reading import LogReading
 from lightsim.errors import InputError
 from lightsim.evaluate.options import MeasureOptions
 from lightsim.progress import SilentProgress
-from lightsim.simulation import evaluation
+from lightsim.simulation import against_truth, evaluation
+from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.picture_consistency import picture_consistency
 from lightsim.simulation.true_surfaces import TrueSurfaces
-from lightsim.store.images import write_png
+from lightsim.store.images import write_exr, write_png
 
 SKY = sun_sky(np.radians(40.0), 35.0, 0.2)
 SIZE = (LENS.height_px, LENS.width_px)
@@ -152,3 +155,52 @@ def test_folders_are_scored_with_masks_page_and_twin(
     (tmp_path / "masks" / "above" / "01.png").unlink()
     with pytest.raises(InputError, match="no mask"):
         evaluation.evaluate_folders(folders, tmp_path / "masks", None, options, SilentProgress())
+
+
+def test_relit_frames_are_measured_in_every_way(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Relit as the truth is; the source has no shadow, so its copy casts none."""
+    work = tiny_world(SKY, reading=LogReading(source=str(tmp_path / "log"), image_scale=1.0))
+    assert SKY.sun is not None
+    truth, asked = scene.parent, []
+    (truth / "skies").mkdir()
+    write_exr(truth / "skies" / "noon.exr", SKY.radiance)
+    beside = {name: getattr(SKY.sun, name).tolist() for name in ("direction_world", "irradiance")}
+    (truth / "skies" / "noon.json").write_text(json.dumps(beside))
+    folders = {
+        "truth": truth / "relit" / "noon" / "above",
+        "relit": tmp_path / "made" / "frames" / "above",
+        "source": tmp_path / "log" / "camera" / "above",
+    }
+    rest = 0.2 / (0.2 + np.sin(np.radians(35.0)))
+    for folder in folders.values():
+        folder.mkdir(parents=True)
+    for frame in work.log.frames:
+        shadow = in_shadow(frame, SKY.sun.direction_world) & on_ground(frame)
+        light = np.where(shadow, rest, 1.0)[..., None] * np.full(3, 0.4)
+        shown = {name: srgb8_from_linear(light.astype(np.float32)) for name in folders}
+        shown["source"] = np.full_like(shown["truth"], shown["truth"].max())
+        for name, picture in shown.items():
+            write_png(folders[name] / f"{frame.stem}.png", picture)
+
+    def relight(root: Path, options: RelightOptions, progress: object) -> list[Path]:
+        asked.append(options)
+        return [tmp_path / "made"]
+
+    monkeypatch.setattr(evaluation, "Workspace", lambda root, **options: work)
+    monkeypatch.setattr(against_truth, "relight", relight)
+    wanted = RelightOptions(name="judged", method="colour-transfer")
+    report = evaluation.evaluate_relit(Path("w"), truth, wanted, MeasureOptions(), SilentProgress())
+    assert [(o.name, o.method, o.sky_scale) for o in asked] == [
+        ("judged", "colour-transfer", "none")
+    ]
+    assert report.frames.methods[0] == "colour-transfer"
+    shadowed = report.frames.mean("noon", "copy", "shadowed").psnr_db
+    assert shadowed < 20 < report.frames.mean("noon", "copy", "lit").psnr_db
+    shadows = {row.method: row for row in report.shadows}
+    assert shadows["colour-transfer"].iou > 0.99
+    assert shadows["copy"].iou == 0.0
+    assert {row.method for row in report.consistency} == {"colour-transfer", "truth", "recorded"}
+    rows = json.loads(report.to_json())
+    assert len(rows["shadows"]) == len(report.shadows)

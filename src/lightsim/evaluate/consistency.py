@@ -173,7 +173,8 @@ class ConsistencyRow:
         points: matching points in all of them.
         delta_e: CIEDE2000 between them, mean over points.
         warp_error: mean absolute difference of their sRGB values.
-        relative_warp_error: the latter over that of the recorded pictures; NaN without them.
+        relative_warp_error: the latter over that of the recorded pictures; NaN without them, and
+            where they do not change.
     """
 
     condition: str

@@ -126,8 +126,9 @@ def _rows(condition: str, sums: Mapping[tuple[str, str], _Sums]) -> tuple[Consis
     rows = []
     for (method, pairs), total in sums.items():
         warp = total.absolute / total.points
-        recorded = sums.get((RECORDED, pairs))
-        relative = warp / (recorded.absolute / recorded.points) if recorded else float("nan")
+        recorded = sums.get((RECORDED, pairs), _Sums())
+        # Every method has the same points; pictures that never change have no error to compare.
+        relative = total.absolute / recorded.absolute if recorded.absolute else float("nan")
         delta_e = total.delta_e / total.points
         rows.append(
             ConsistencyRow(
