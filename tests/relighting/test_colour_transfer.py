@@ -10,10 +10,10 @@ from skimage.color import rgb2lab
 from tests.relighting.scene import everywhere_lit, geometry, light, sun_towards
 
 from lightsim.core.colour import srgb_from_linear
-from lightsim.relighting.methods import METHODS
+from lightsim.relighting.methods import relight_by
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs
 
-relight = METHODS["colour-transfer"]
+relight = relight_by("colour-transfer")
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,6 +33,8 @@ from lightsim.relighting.physical.ratio import (
     RelightInputs,
     relight_physical,
 )
+from lightsim.simulation.options import RelightOptions
+from lightsim.store.weights import WeightsRecord, write_weights
 
 SMALL = RelitNetConfig(widths=(8, 16), guide_count=2, working_columns=64)
 
@@ -187,7 +190,7 @@ def test_the_papers_network_sees_what_the_paper_names(inputs: RelightInputs) -> 
         for name, value in batch.items():
             changed = network({**batch, name: value + 0.5})
             assert torch.equal(changed, picture) == (name not in seen), name
-    made = painted_by(network, inputs)
+    made = painted_by(network, inputs, RatioConfig())
     assert inputs.circumstances is not None
     white = 1 / inputs.circumstances.gain
     assert made.shape == inputs.radiance.shape
@@ -217,3 +220,21 @@ def test_codes_are_inverse_and_features_are_finite(inputs: RelightInputs) -> Non
 def test_without_camera_and_skies_it_is_refused(inputs: RelightInputs) -> None:
     with pytest.raises(InputError, match="camera and skies"):
         relit_by(random_network(), replace(inputs, circumstances=None), RatioConfig())
+
+
+def test_a_method_takes_the_weights_of_its_own_network_alone(tmp_path: Path) -> None:
+    paper = PaperNet(PaperNetConfig(widths=(8, 16), latent=16, sky_latent=8))
+    record = WeightsRecord("a", "b", "c", "d", 0, 1, {}, "e", "f")
+    files = {}
+    for method, network in (("network", random_network()), ("paper", paper)):
+        files[method] = tmp_path / f"{method}.safetensors"
+        write_weights(files[method], tensors_of_network(network), record)
+    for method in ("network", "paper"):
+        assert relight_by(method, files[method])
+        other = next(file for name, file in files.items() if name != method)
+        with pytest.raises(InputError, match="another network"):
+            relight_by(method, other)
+    with pytest.raises(InputError, match="no weights of the paper"):
+        relight_by("paper")
+    with pytest.raises(InputError, match="has no weights"):
+        RelightOptions(name="x", weights=files["paper"])

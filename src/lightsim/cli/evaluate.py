@@ -74,6 +74,8 @@ class EvaluateRelight:
     """Ground truth of a synthetic log: the folder `truth` that `lightsim synthesize` writes."""
     method: Method = "physical"
     """How pixels are relit."""
+    weights: Path | None = None
+    """Of the network that --method names; by default the package's."""
     name: str = "truth"
     """Of the relit frames: WORK/scenarios/NAME, which is written over."""
     allow_stale: bool = False
@@ -92,7 +94,10 @@ class EvaluateRelight:
         from lightsim.simulation.options import RelightOptions
 
         relighting = RelightOptions(
-            name=self.name, method=self.method, allow_stale=self.allow_stale
+            name=self.name,
+            method=self.method,
+            weights=self.weights,
+            allow_stale=self.allow_stale,
         )
         progress = terminal_progress()
         show(evaluate_relit(self.work, self.truth, relighting, self.options, progress), self.out)

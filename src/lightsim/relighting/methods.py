@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32
@@ -11,26 +13,26 @@ from lightsim.relighting.colour_transfer import relight_colour_transfer
 from lightsim.relighting.options import Method
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
 
-Radiance = Float32[np.ndarray, "h w 3"]
-
-
-def _network(inputs: RelightInputs, config: RatioConfig) -> Radiance:
-    # It brings torch, which physical relighting does without.
-    from lightsim.relighting.network.relight import relight_network
-
-    return relight_network(inputs, config)
-
-
-def _paper(inputs: RelightInputs, config: RatioConfig) -> Radiance:
-    from lightsim.relighting.network.relight import relight_paper
-
-    return relight_paper(inputs, config)
-
-
-METHODS: Mapping[Method, Callable[[RelightInputs, RatioConfig], Radiance]] = {
-    "physical": relight_physical,
-    "network": _network,
-    "paper": _paper,
-    "colour-transfer": relight_colour_transfer,
-}
+Relight = Callable[[RelightInputs, RatioConfig], Float32[np.ndarray, "h w 3"]]
 """(inputs of a frame, settings) -> radiance under the target sky."""
+
+
+def relight_by(method: Method, weights: Path | None = None) -> Relight:
+    """A way of relighting.
+
+    Args:
+        weights: of a network; None: those of the package.
+
+    Raises:
+        InputError, ArtefactError: the weights are missing or damaged, or another network's.
+    """
+    if method == "physical":
+        return relight_physical
+    if method == "colour-transfer":
+        return relight_colour_transfer
+    # They bring torch, which the others do without.
+    from lightsim.relighting.network import relight as networks
+
+    if method == "network":
+        return partial(networks.relit_by, networks.correcting_network(weights))
+    return partial(networks.painted_by, networks.painting_network(weights))

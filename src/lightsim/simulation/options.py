@@ -16,7 +16,7 @@ from lightsim.core.checks import (
 )
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
-from lightsim.relighting.options import Method
+from lightsim.relighting.options import NETWORKS, Method
 from lightsim.render.options import LightChoice, RendererChoice
 from lightsim.simulation.shard import Shard
 from lightsim.store.names import is_harmless
@@ -101,6 +101,9 @@ class RelightOptions(FrameOptions):
     method: Method = "physical"
     """How pixels are relit: shading ratios of the reconstructed scene; these, corrected by a
     network; or, to compare with, the paper's network and the colours of the rendered target."""
+    weights: Path | None = None
+    """Of the network that --method names, as lightsim train relight wrote them; by default the
+    package's."""
     renderer: LightChoice = field(default_factory=LightChoice)
     """Who renders the light of source and target that relighting reads."""
     exposure_ev: float = 0.0
@@ -117,6 +120,13 @@ class RelightOptions(FrameOptions):
         super().__post_init__()
         self._check_name()
         check_choice("--method", self.method, get_args(Method))
+        if self.weights is not None and self.method not in NETWORKS:
+            raise InputError(
+                "this method has no weights",
+                where="--weights",
+                got=f"--method {self.method}",
+                expected=f"--method {' or '.join(NETWORKS)}",
+            )
         check_number("--exposure-ev", self.exposure_ev, -MAX_EXPOSURE_EV, MAX_EXPOSURE_EV)
 
     def _check_name(self) -> None:

@@ -24,6 +24,7 @@ from lightsim.datasets.selection import FrameSelection
 from lightsim.errors import ArtefactError, InputError
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
+from lightsim.relighting.options import NETWORK_WEIGHTS
 from lightsim.render.options import LightChoice
 from lightsim.render.renderers import check_installed, transport_as_chosen
 from lightsim.scenario.replay import replay
@@ -35,6 +36,7 @@ from lightsim.simulation.skies import TargetSky, made_from_sky, resolve_sky
 from lightsim.store.artefact import (
     RECORD_NAME,
     ArtefactKey,
+    hash_file,
     json_ready,
     make_artefact,
     open_attempt,
@@ -44,10 +46,11 @@ from lightsim.store.images import read_srgb8, write_exr, write_png
 from lightsim.store.lock import LOCK_NAME, locked
 from lightsim.store.mp4 import Mp4Writer
 from lightsim.store.scenario import write_scenario
+from lightsim.store.weights import list_weights
 
 _SCHEMA = 11
 _STAGE = "relight"
-_OPTIONAL = ("labels", "renderer", "edits", "assets", "exposure_time_ms")
+_OPTIONAL = ("labels", "weights", "renderer", "edits", "assets", "exposure_time_ms")
 _PLAIN = RelightConfig()
 
 
@@ -156,6 +159,7 @@ def _settings(options: RelightOptions, sky: SkyChoice, image_scale: float) -> di
     return {
         "sky": made_from_sky(sky),
         "method": options.method,
+        **_weights(options),
         "exposure_ev": options.exposure_ev,
         "cameras": list(options.cameras),
         "frames": options.frames,
@@ -169,6 +173,15 @@ def _settings(options: RelightOptions, sky: SkyChoice, image_scale: float) -> di
 def _settings_of(choice: LightChoice) -> dict[str, Any]:
     """What decides the light; where Blender lies does not."""
     return {"name": choice.renderer, "rays": choice.rays, "bounces": choice.bounces}
+
+
+def _weights(options: RelightOptions) -> dict[str, str]:
+    """What tells the network apart, where there is one."""
+    if options.weights is not None:
+        return {"weights": hash_file(options.weights)}
+    if options.method == "network":
+        return {"weights": " ".join(list_weights()[NETWORK_WEIGHTS].values())}
+    return {}
 
 
 def _make_room(base: Path, folders: Sequence[Path], *, is_overwriting: bool) -> None:

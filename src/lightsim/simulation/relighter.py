@@ -15,7 +15,7 @@ from lightsim.core.log import DrivingLog
 from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.core.sensors import CameraFrame
 from lightsim.pipeline.workspace import Workspace
-from lightsim.relighting.methods import METHODS
+from lightsim.relighting.methods import relight_by
 from lightsim.relighting.physical.compose import camera_image
 from lightsim.relighting.physical.ratio import Circumstances, RatioConfig, RelightInputs
 from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
@@ -97,6 +97,7 @@ class Relighter:
         """`recorded`: the log as it was, where scenarios have edits."""
         self.log = log
         self._options = options
+        self._relight = relight_by(options.method, options.weights)
         self._workspace = workspace
         self._config = config
         self._renderer = FrameRenderer(
@@ -202,7 +203,7 @@ class Relighter:
                 gain, frame.world_from_camera, self._workspace.sky.dome, target.sky.dome
             ),
         )
-        radiance = METHODS[self._options.method](inputs, self._config.ratio)
+        radiance = self._relight(inputs, self._config.ratio)
         ego_vehicle = self.log.ego_vehicle_masks.get(frame.camera_name)
         if ego_vehicle is not None:
             # It moves with the camera and has no mesh: lit as a level surface in the open.

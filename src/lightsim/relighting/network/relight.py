@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import torch
 from jaxtyping import Float32
@@ -11,33 +13,51 @@ from lightsim.relighting.network.channels import scene_planes, shrunk, target_pl
 from lightsim.relighting.network.features import linear_of, tensors_of
 from lightsim.relighting.network.model import RelitNet
 from lightsim.relighting.network.paper_model import PaperNet
-from lightsim.relighting.network.stored import shipped_network
+from lightsim.relighting.network.stored import network_of
+from lightsim.relighting.options import NETWORK_WEIGHTS
 from lightsim.relighting.physical.ratio import (
     Circumstances,
     RatioConfig,
     RelightInputs,
     relight_physical,
 )
+from lightsim.store.weights import load_weights, read_weights
 
-NETWORK_WEIGHTS, PAPER_WEIGHTS = "relight-network", "relight-paper"
 
-
-def relight_network(inputs: RelightInputs, config: RatioConfig) -> Float32[np.ndarray, "h w 3"]:
-    """`relit_by` the shipped network.
+def correcting_network(weights: Path | None) -> RelitNet:
+    """The network of a file, or the package's.
 
     Raises:
-        InputError: its weights are missing or damaged, or as `relit_by`.
+        InputError, ArtefactError: the weights are missing or damaged, or another network's.
     """
-    network = shipped_network(NETWORK_WEIGHTS)
-    assert isinstance(network, RelitNet)
-    return relit_by(network, inputs, config)
+    network = network_of(
+        load_weights(NETWORK_WEIGHTS) if weights is None else read_weights(weights)
+    )
+    if not isinstance(network, RelitNet):
+        raise _other("network", weights)
+    return network
 
 
-def relight_paper(inputs: RelightInputs, _: RatioConfig) -> Float32[np.ndarray, "h w 3"]:
-    """`painted_by` the shipped network of the paper's form; raises as `relight_network`."""
-    network = shipped_network(PAPER_WEIGHTS)
-    assert isinstance(network, PaperNet)
-    return painted_by(network, inputs)
+def painting_network(weights: Path | None) -> PaperNet:
+    """The network of the paper's form of a file; raises as `correcting_network`."""
+    if weights is None:
+        raise InputError(
+            "the package has no weights of the paper's network",
+            where="--method paper",
+            remedy="Train them (lightsim train relight --network paper) and give --weights.",
+        )
+    network = network_of(read_weights(weights))
+    if not isinstance(network, PaperNet):
+        raise _other("paper", weights)
+    return network
+
+
+def _other(method: str, weights: Path | None) -> InputError:
+    return InputError(
+        "these are the weights of another network",
+        where=weights,
+        expected=f"those of lightsim train relight --network {method}",
+    )
 
 
 def relit_by(
@@ -62,8 +82,13 @@ def relit_by(
     return np.where(is_same, physical, picture / seen.gain).astype(np.float32)
 
 
-def painted_by(network: PaperNet, inputs: RelightInputs) -> Float32[np.ndarray, "h w 3"]:
+def painted_by(
+    network: PaperNet, inputs: RelightInputs, config: RatioConfig
+) -> Float32[np.ndarray, "h w 3"]:
     """Scene radiance whose picture the network painted, sky and all; at most the camera's white.
+
+    Args:
+        config: of other methods; not looked at.
 
     Raises:
         InputError: the inputs do not tell of camera and skies.

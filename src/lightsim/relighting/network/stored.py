@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -12,7 +11,6 @@ from lightsim.errors import InputError
 from lightsim.networks.stored import load_stored, stored_config, stored_tensors
 from lightsim.relighting.network.model import RelitNet, RelitNetConfig
 from lightsim.relighting.network.paper_model import PaperNet, PaperNetConfig
-from lightsim.store.weights import load_weights
 
 Network = RelitNet | PaperNet
 _KIND = {RelitNetConfig: "relight network", PaperNetConfig: "relight paper"}
@@ -43,13 +41,3 @@ def network_of(tensors: Mapping[str, Tensor]) -> Network:
     network = make_network(by_kind[kind](**values))
     load_stored(network, tensors)
     return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-
-
-@lru_cache(maxsize=2)
-def shipped_network(name: str) -> Network:
-    """The network of weights of the package.
-
-    Raises:
-        InputError: they are missing or damaged.
-    """
-    return network_of(load_weights(name))
