@@ -15,6 +15,7 @@ from lightsim.core.dome import SkyDome, add_sun
 from lightsim.core.frames import RigidTransform
 from lightsim.errors import InputError
 from lightsim.networks.stored import stored_tensors
+from lightsim.relighting.methods import relight_by
 from lightsim.relighting.network.channels import (
     BUFFERS,
     Planes,
