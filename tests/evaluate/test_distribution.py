@@ -104,6 +104,8 @@ def test_sets_are_compared_in_subsets_that_both_fill(rng: np.random.Generator) -
     row = compare_sets(("noon", "ours"), few, many, 1000)
     assert (row.count, row.reference_count, row.kid_subset_size) == (10, 30, 10)
     assert row == compare_sets(("noon", "ours"), few, many, 1000)
+    assert "±" in row.kid_text
+    assert "±" not in compare_sets(("noon", "ours"), few, few + 1, 1000).kid_text
     with pytest.raises(InputError, match="2 or more"):
         compare_sets(("noon", "ours"), few[:1], many, 1000)
     with pytest.raises(InputError, match="subset-size 11"):

@@ -202,5 +202,7 @@ def test_relit_frames_are_measured_in_every_way(
     assert shadows["colour-transfer"].iou > 0.99
     assert shadows["copy"].iou == 0.0
     assert {row.method for row in report.consistency} == {"colour-transfer", "truth", "recorded"}
+    assert "| noon | shadowed | copy |" in report.to_table()
+    assert "| noon | shadowed | raw |" not in report.to_table()
     rows = json.loads(report.to_json())
     assert len(rows["shadows"]) == len(report.shadows)

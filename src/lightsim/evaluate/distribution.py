@@ -37,6 +37,13 @@ class SetRow:
     kid_std: float
     kid_subset_size: int
 
+    @property
+    def kid_text(self) -> str:
+        """KID times 1000, as papers print it; without ± where a subset is all there is."""
+        is_whole = self.kid_subset_size == self.count == self.reference_count
+        spread = "" if is_whole else f" ± {1000 * self.kid_std:.1f}"
+        return f"{1000 * self.kid:.1f}{spread} (subsets of {self.kid_subset_size})"
+
 
 def compare_sets(
     names: tuple[str, str],

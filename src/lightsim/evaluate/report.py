@@ -20,6 +20,7 @@ _FRAMES = (
     *("condition", "region", "exposure", "method"),
     *("PSNR dB", "SSIM", "LPIPS VGG", "LPIPS Alex"),
 )
+_CLASSES = ("condition", "region", "method", "PSNR dB", "SSIM")
 _SETS = ("condition", "method", "pictures", "reference", "FID", "KID x 1000")
 _SHADOWS = ("condition", "method", "pixels", "shadow IoU", "precision", "recall")
 _CONSISTENCY = (
@@ -39,8 +40,10 @@ class EvaluationReport:
 
     def tables(self) -> list[tuple[str, tuple[str, ...], list[tuple[str, ...]]]]:
         """Title, columns and lines of each table that has any lines."""
+        frames = self.frames.lines()
         found = [
-            ("Frames", _FRAMES, self.frames.lines()),
+            ("Frames", _FRAMES, [line for line in frames if line[1] in ("masked", "whole")]),
+            ("Classes of pixels", _CLASSES, _class_lines(frames)),
             ("Sets of frames", _SETS, [_set_line(row) for row in self.sets]),
             ("Shadows", _SHADOWS, [_shadow_line(row) for row in self.shadows]),
             (
@@ -66,10 +69,18 @@ class EvaluationReport:
         return json.dumps(found, indent=2, allow_nan=False)
 
 
+def _class_lines(lines: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Raw scores by class; fitted ones are in the JSON."""
+    return [
+        (condition, region, method, *scores[:2])
+        for condition, region, exposure, method, *scores in lines
+        if region not in ("masked", "whole") and exposure == "raw"
+    ]
+
+
 def _set_line(row: SetRow) -> tuple[str, ...]:
-    kid = f"{1000 * row.kid:.1f} ± {1000 * row.kid_std:.1f} (subsets of {row.kid_subset_size})"
     names = (row.condition, row.method)
-    return *names, str(row.count), str(row.reference_count), f"{row.fid:.1f}", kid
+    return *names, str(row.count), str(row.reference_count), f"{row.fid:.1f}", row.kid_text
 
 
 def _shadow_line(row: ShadowRow) -> tuple[str, ...]:

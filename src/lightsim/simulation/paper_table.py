@@ -93,8 +93,8 @@ class PaperTable:
             "|---|---:|---:|---:|---:|",
         ]
         for r in self.rows:
-            kid = f"{1000 * r.kid:.1f} ± {1000 * r.kid_std:.1f} (subsets of {r.kid_subset_size})"
-            lines.append(f"| {r.method} | {r.fid:.1f} | {kid} | {r.count} | {r.reference_count} |")
+            figures = (f"{r.fid:.1f}", r.kid_text, str(r.count), str(r.reference_count))
+            lines.append(f"| {r.method} | {' | '.join(figures)} |")
         return "\n".join([*lines, "", *self.notes])
 
     def to_json(self) -> str:

@@ -122,7 +122,7 @@ def write_evaluation_report(
     for task in tasks:
         sequences.setdefault((task.condition, task.camera_name), []).append(task)
     figures = [_compared(found[len(found) // 2]) for found in sequences.values()]
-    sections.append(Section("Pictures", figures=figures))
+    sections.insert(0, Section("Pictures", figures=figures))
     path = folder / "index.html"
     write_report(path, title, sections, subtitle="lightsim evaluate")
     return path
