@@ -239,3 +239,12 @@ def test_a_method_takes_the_weights_of_its_own_network_alone(tmp_path: Path) -> 
         relight_by("paper")
     with pytest.raises(InputError, match="has no weights"):
         RelightOptions(name="x", weights=files["paper"])
+
+
+def test_the_shipped_network_corrects_and_keeps_the_sky(inputs: RelightInputs) -> None:
+    made = relight_by("network")(inputs, RatioConfig())
+    physical = relight_physical(inputs, RatioConfig())
+    is_sky = inputs.sky_matte >= 1
+    assert np.array_equal(made[is_sky], physical[is_sky])
+    assert np.isfinite(made).all()
+    assert 1e-4 < np.abs(made - physical)[~is_sky].mean() < 0.5 * physical[~is_sky].mean()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from tests.conftest import BuiltStreet
 
+from lightsim import cli
 from lightsim.errors import InputError
 from lightsim.progress import SilentProgress
 from lightsim.relighting.network.channels import LIGHT, SCENE, TARGET
@@ -84,3 +85,16 @@ def test_samples_hold_what_relighting_makes(
 def test_skies_need_a_split(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="which skies may train"):
         prepare_relight(PrepareRelightOptions(tmp_path, hdri=tmp_path), SilentProgress())
+
+
+def test_the_shipped_network_relights_frames(built_street: BuiltStreet) -> None:
+    words = ["relight", str(built_street.work), "--sky", "sun:120,35", "--frames", "3:4"]
+    words += ["--cameras", CAMERA]
+    pictures = {}
+    for method in ("physical", "network"):
+        name = f"by-{method}"
+        cli.main([*words, "--name", name, "--method", method])
+        folder = built_street.work / "scenarios" / name / "frames" / CAMERA
+        pictures[method] = read_srgb8(folder / f"{STEM}.png").astype(np.float32)
+    difference = np.abs(pictures["network"] - pictures["physical"])
+    assert 0.1 < difference.mean() < 20
