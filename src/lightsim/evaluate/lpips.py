@@ -7,6 +7,7 @@ doi:10.1109/CVPR.2018.00068. Smaller is better; identical images have 0.
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -22,6 +23,7 @@ _SHIFT = (-0.030, -0.088, -0.188)
 _SCALE = (0.458, 0.448, 0.450)
 Network = Literal["vgg", "alex"]
 """What papers call LPIPS(VGG) and LPIPS(Alex); their figures do not compare."""
+_TINY = 1e-20
 
 
 @dataclass(frozen=True)
@@ -60,13 +62,24 @@ _ARCHITECTURES: dict[Network, _Architecture] = {
     ),
 }
 
-Features = list[Float[torch.Tensor, "1 _ _ _"]]
+Features = list[Float[torch.Tensor, "n _ _ _"]]
+
+
+Weights = Mapping[str, torch.Tensor]
+"""Convolutions and heads by name."""
 
 
 @functools.cache
-def _weights(network: Network) -> dict[str, torch.Tensor]:
+def lpips_weights(network: Network = "vgg") -> Weights:
+    """Those of the package."""
     loaded = load_weights(_ARCHITECTURES[network].weights)
-    return {name: value.float() for name, value in loaded.items()}
+    # Channels last: convolutions take half of the time.
+    return {
+        name: value.float().contiguous(memory_format=torch.channels_last)
+        if value.ndim == 4
+        else value.float()
+        for name, value in loaded.items()
+    }
 
 
 def lpips_features(srgb: Float32[np.ndarray, "h w 3"], network: Network = "vgg") -> Features:
@@ -75,7 +88,7 @@ def lpips_features(srgb: Float32[np.ndarray, "h w 3"], network: Network = "vgg")
     Raises:
         InputError: the image is so small that the last stage is empty.
     """
-    net, weights = _ARCHITECTURES[network], _weights(network)
+    net = _ARCHITECTURES[network]
     if min(srgb.shape[:2]) < net.smallest_px:
         raise InputError(
             "the image is too small for LPIPS",
@@ -83,19 +96,32 @@ def lpips_features(srgb: Float32[np.ndarray, "h w 3"], network: Network = "vgg")
             expected=f"at least {net.smallest_px} px each way",
         )
     with torch.inference_mode():
-        image = torch.from_numpy(np.ascontiguousarray(srgb)).permute(2, 0, 1)[None] * 2 - 1
-        shift, scale = torch.tensor(_SHIFT), torch.tensor(_SCALE)
-        x = (image - shift[:, None, None]) / scale[:, None, None]
-        stages: Features = []
-        for number, convolutions in enumerate(net.stages):
-            if number in net.pool_before:
-                x = functional.max_pool2d(x, net.pool_px, 2)
-            for i in convolutions:
-                weight, bias = weights[f"conv{i}.weight"], weights[f"conv{i}.bias"]
-                stride = 1 if i else net.first_stride
-                padding = net.padding_by_convolution[i]
-                x = functional.relu(functional.conv2d(x, weight, bias, stride, padding))
-            stages.append(x / (x.square().sum(1, keepdim=True).sqrt() + 1e-10))
+        image = torch.from_numpy(np.ascontiguousarray(srgb)).permute(2, 0, 1)[None]
+        return stage_features(image, lpips_weights(network), network)
+
+
+def stage_features(
+    srgb: Float[torch.Tensor, "n 3 h w"], weights: Weights, network: Network = "vgg"
+) -> Features:
+    """`lpips_features` of pictures in [0, 1], with a gradient.
+
+    Args:
+        weights: `lpips_weights`, on the pictures' device.
+    """
+    net = _ARCHITECTURES[network]
+    shift, scale = (srgb.new_tensor(values)[:, None, None] for values in (_SHIFT, _SCALE))
+    x = ((srgb * 2 - 1 - shift) / scale).contiguous(memory_format=torch.channels_last)
+    stages: Features = []
+    for number, convolutions in enumerate(net.stages):
+        if number in net.pool_before:
+            x = functional.max_pool2d(x, net.pool_px, 2)
+        for i in convolutions:
+            weight, bias = weights[f"conv{i}.weight"], weights[f"conv{i}.bias"]
+            stride = 1 if i else net.first_stride
+            padding = net.padding_by_convolution[i]
+            x = functional.relu(functional.conv2d(x, weight, bias, stride, padding))
+        # Within the root, or the gradient would not be finite where nothing responds.
+        stages.append(x / (x.square().sum(1, keepdim=True) + _TINY).sqrt())
     return stages
 
 
@@ -110,7 +136,7 @@ def lpips_of_features(
     At each stage a cell counts with the fraction of its pixels that are valid. Fill what is not
     valid alike in both images before taking features, since receptive fields reach across.
     """
-    weights = _weights(network)
+    weights = lpips_weights(network)
     total = 0.0
     with torch.inference_mode():
         for i, (a, b) in enumerate(zip(first, second, strict=True)):

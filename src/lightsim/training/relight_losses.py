@@ -7,11 +7,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from lightsim.store.weights import load_weights
+from lightsim.evaluate.lpips import lpips_weights, stage_features
 
 _LEAK = 0.05
-_SHIFT, _SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
-"""Mean and deviation of ImageNet on [-1, 1], as the reference package has them."""
 _TINY = 1e-6
 _NOISE = 1 / 255
 """Smaller errors than a code of 8 bits are none: the root of their square would pull as hard as
@@ -71,38 +69,20 @@ def error_loss(
 class Perceptual(nn.Module):
     """LPIPS v0.1 on VGG-16 with a gradient (doi:10.1109/CVPR.2018.00068)."""
 
-    _CONVOLUTIONS = ((0, 1), (2, 3), (4, 5, 6), (7, 8, 9), (10, 11, 12))
-
     def __init__(self) -> None:
         super().__init__()
-        for name, value in load_weights("lpips-vgg16").items():
-            value = value.float()
-            if value.ndim == 4:
-                value = value.contiguous(memory_format=torch.channels_last)
+        self._names = tuple(lpips_weights())
+        for name, value in lpips_weights().items():
             self.register_buffer(name.replace(".", "_"), value, persistent=False)
 
     def forward(
         self, made: Float[Tensor, "n 3 h w"], truth: Float[Tensor, "n 3 h w"]
     ) -> Float[Tensor, ""]:
         """Mean distance of pictures in [0, 1]."""
+        weights = {name: self.get_buffer(name.replace(".", "_")) for name in self._names}
         with torch.no_grad():
-            wanted = self._features(truth)
+            wanted = stage_features(truth, weights)
         total = made.new_zeros(())
-        for i, (a, b) in enumerate(zip(self._features(made), wanted, strict=True)):
-            head = getattr(self, f"head{i}")
-            total = total + ((a - b).square() * head[:, None, None]).sum(1).mean()
+        for i, (a, b) in enumerate(zip(stage_features(made, weights), wanted, strict=True)):
+            total = total + ((a - b).square() * weights[f"head{i}"][:, None, None]).sum(1).mean()
         return total
-
-    def _features(self, image: Float[Tensor, "n 3 h w"]) -> list[Tensor]:
-        shift, scale = (image.new_tensor(values)[:, None, None] for values in (_SHIFT, _SCALE))
-        x = (image * 2 - 1 - shift) / scale
-        x = x.contiguous(memory_format=torch.channels_last)
-        stages = []
-        for number, convolutions in enumerate(self._CONVOLUTIONS):
-            if number:
-                x = functional.max_pool2d(x, 2)
-            for i in convolutions:
-                weight, bias = (getattr(self, f"conv{i}_{part}") for part in ("weight", "bias"))
-                x = functional.relu(functional.conv2d(x, weight, bias, padding=1))
-            stages.append(x / (x.square().sum(1, keepdim=True) + 1e-10).sqrt())
-        return stages
