@@ -93,7 +93,7 @@ def test_the_command_says_what_failed(asked: Path, capsys: pytest.CaptureFixture
     path.write_text("logs/001\nlogs/broken\n")
     words = ["batch", "relight", str(path), "--out", str(asked.parent / "batch")]
     with pytest.raises(SystemExit) as stopped:
-        cli.main([*words, "--words", f"{asked} --name noon"])
+        cli.main([*words, f"--words={asked} --name noon"])
     assert stopped.value.code == 1
     shown = capsys.readouterr()
     assert "done: 1, finished before: 0, failed: 1" in shown.out
@@ -105,6 +105,8 @@ def test_the_command_says_what_failed(asked: Path, capsys: pytest.CaptureFixture
 def test_real_commands_run(tmp_path: Path) -> None:
     """Without the fake: a log that is not there ends with our own error."""
     options = BatchOptions(out=tmp_path)
-    lines = [("nowhere/log", "--work", str(tmp_path / "w"))]
+    lines = [("nowhere", "--work", str(tmp_path / "w"))]
     result = run_batch("build", lines, options, SilentProgress())
-    assert "lightsim: error:" in next(iter(result.failed.values()))
+    log, last = next(iter(result.failed.items()))
+    assert "lightsim: error:" in last
+    assert log.name.startswith("nowhere-")

@@ -26,7 +26,7 @@ class Batch:
     pandaset/001 --work works/001. # starts a comment."""
     options: Annotated[BatchOptions, tyro.conf.arg(name="")]
     words: str = ""
-    """Options for all logs, in one quoted text: --words "--preset draft --hold-out 8"."""
+    """Options for all logs, in one quoted text: --words="--preset draft --hold-out 8"."""
     verbose: Verbose = False
     """Show the trace of an error."""
 
