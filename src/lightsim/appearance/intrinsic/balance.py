@@ -45,6 +45,9 @@ _LIGHT_HUE_STD = 0.1
 """Of the estimated light as a whole. Not measured."""
 _TURNS = 3
 """Between labels and light."""
+_NO_SHADOWS = 0.95
+"""Probability of cloud before the sun from which on there are no shadows to make pairs of. Where
+little was seen, weak evidence of cloud says nothing against shadows that are there."""
 _MIN_PAIRS = 60
 """Fewer lit/shadowed pairs say nothing."""
 _BLOCK_M = 4.0
@@ -137,7 +140,7 @@ def solve_balance(
     whatever sun is asked for.
     """
     logs = _log_prior(freedom)
-    has_pairs = len(pairs) >= _MIN_PAIRS and not freedom.is_veiled
+    has_pairs = len(pairs) >= _MIN_PAIRS and freedom.cloud_probability < _NO_SHADOWS
     if has_pairs:
         logs = logs + _log_pairs(pairs)
     for members in classes:
