@@ -226,7 +226,7 @@ def test_bright_patches_behind_cloud_are_no_sun():
     def light_at(seen: SeenPoints) -> SurfaceLight:
         return _light(seen.position, _is_lit(seen.position), sun=0.5)
 
-    balance = _balance(mesh, light_at, _freedom(sun=0.5, cloud=0.9))
+    balance = _balance(mesh, light_at, _freedom(sun=0.5, cloud=0.99))
     assert balance.pair_count == 0
     np.testing.assert_allclose(balance.sun, balance.sun[0], rtol=1e-6)
     assert balance.sun[0] < 0.3
