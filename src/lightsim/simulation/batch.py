@@ -133,7 +133,7 @@ def _job(words: tuple[str, ...], out: Path) -> _Job:
     """Named by its first log and by all its words: lists may be reordered, and grow."""
     digest = hashlib.sha256("\0".join(words).encode()).hexdigest()[:8]
     # What is evaluated comes after what is measured.
-    given = words[2:] if words[0] == "evaluate" and len(words) > 2 else words[1:]
+    given = list(words[2:] if words[0] == "evaluate" and len(words) > 2 else words[1:])
     paths = [word for word in given if "/" in word]
     named = Path(given[0] if not given[0].startswith("-") or not paths else paths[0]).name
     safe = "".join(c if c.isalnum() or c in "._-" else "_" for c in named)[:60]
