@@ -17,6 +17,7 @@ from lightsim.relighting.network.model import RelitNet
 from lightsim.relighting.network.paper_model import PaperNet
 from lightsim.relighting.network.stored import network_of
 from lightsim.store.weights import read_record, read_weights
+from lightsim.training.options import RelightTrainingOptions
 from lightsim.training.relight_cache import (
     RelightSample,
     RelightTargetSample,
@@ -25,6 +26,7 @@ from lightsim.training.relight_cache import (
 )
 from lightsim.training.relight_data import RelightData, RelightDataConfig, rendered_pair
 from lightsim.training.relight_losses import Perceptual, colour_loss, edge_loss
+from lightsim.training.run_relight import train
 
 ROWS, COLUMNS = 32, 48
 ERROR = np.array([1.3, 0.8, 1.1], np.float32)[:, None, None]
@@ -167,10 +169,25 @@ def test_the_documented_commands_train_both_networks(streets: Path, tmp_path: Pa
         assert "--without identity shadow-maps" in read_record(weights).command
 
 
-def test_a_street_on_both_sides_is_refused(streets: Path, tmp_path: Path) -> None:
-    from lightsim.training.options import RelightTrainingOptions
-    from lightsim.training.run_relight import train
+def test_pairs_of_all_kinds_stand_in_one_batch(streets: Path, tmp_path: Path) -> None:
+    """The paper's: a third each, so that some batch of eight begins with each kind."""
+    config = RelightDataConfig(
+        identity_fraction=0.34, sim_real_fraction=0.33, sim_sim_fraction=0.33
+    )
+    data = RelightData([streets / "1"], config)
+    for draw in range(8):
+        batch = data.batch(draw, 0)
+        assert len(batch.truth) == 8
+        assert all(len(value) == 8 for value in batch.planes.values())
+    words = ["train", "relight", "--data", str(streets), "--steps", "2"]
+    cli.main([*words, "--out", str(tmp_path / "a"), "--without", "truth", "physical"])
+    cli.main([*words, "--out", str(tmp_path / "b"), "--network", "paper"])
+    command = RelightTrainingOptions(data=streets, out=tmp_path, without=("truth",))
+    with pytest.raises(InputError, match="no physical estimate"):
+        train(command)
 
+
+def test_a_street_on_both_sides_is_refused(streets: Path, tmp_path: Path) -> None:
     both = RelightTrainingOptions(data=streets, out=tmp_path, streets=("1",), validation=("1",))
     missing = RelightTrainingOptions(data=streets, out=tmp_path, streets=("7",))
     for given in (both, missing):

@@ -156,9 +156,10 @@ def _loss(
     else:
         terms["error"] = error_loss(found.log_error, made, batch.truth, weight)
         total = terms["colour"] + config.edges * terms["edges"] + config.error * terms["error"]
-        # Beside what the physical estimate has, a step's colour tells what has been learned.
-        physical = shown(srgb_of(batch.planes["target_physical"]))
-        terms["physical"] = colour_loss(physical, batch.truth, weight).detach()
+        if "target_physical" in batch.planes:
+            # Beside what the physical estimate has, a step's colour tells what has been learned.
+            physical = shown(srgb_of(batch.planes["target_physical"]))
+            terms["physical"] = colour_loss(physical, batch.truth, weight).detach()
     return total + config.perception * terms["lpips"], terms
 
 

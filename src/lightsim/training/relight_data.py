@@ -14,7 +14,7 @@ from torch import Tensor
 
 from lightsim.errors import InputError
 from lightsim.relighting.network.channels import OF_SKIES, Planes
-from lightsim.relighting.network.features import linear_of, modelled, srgb_of
+from lightsim.relighting.network.features import linear_of, rendered, srgb_of, tensors_of
 from lightsim.training.relight_cache import RelightSample, RelightTargetSample, read_sample
 
 _MEMORY_FRAMES = 512
@@ -93,7 +93,8 @@ class RelightData:
         """The crops of a draw; they depend on nothing else."""
         rng = np.random.default_rng([seed, draw])
         made = [self._one(rng) for _ in range(self._config.batch)]
-        names = made[0].planes
+        # Pairs of other kinds than the true ones know no physical estimate.
+        names = [name for name in made[0].planes if all(name in one.planes for one in made)]
         return RelightBatch(
             {name: torch.cat([one.planes[name] for one in made]) for name in names},
             torch.cat([one.truth for one in made]),
@@ -135,10 +136,11 @@ def true_pair(sample: RelightSample, sky: str) -> RelightBatch:
     """The recorded picture, and the true one under another sky."""
     target = sample.targets[sky]
     assert target.truth is not None
-    scene = {k: torch.from_numpy(v).float()[None] for k, v in sample.scene.items()}
-    own = {k: torch.from_numpy(v).float()[None] for k, v in target.planes.items()}
+    scene = tensors_of(sample.scene)
     weight = scene.pop("valid")
-    return RelightBatch(scene | own, torch.from_numpy(target.truth)[None] / 255.0, weight)
+    return RelightBatch(
+        scene | tensors_of(target.planes), torch.from_numpy(target.truth)[None] / 255.0, weight
+    )
 
 
 def rendered_pair(
@@ -150,13 +152,13 @@ def rendered_pair(
         source, target: names of skies; None is the recorded one.
         is_real: the recorded picture is wanted where the target is the recorded sky.
     """
-    scene = {k: torch.from_numpy(v).float()[None] for k, v in sample.scene.items()}
+    scene = tensors_of(sample.scene)
     weight, recorded = scene.pop("valid"), scene["source"]
     lights = [_light_of(sample, scene, sky) for sky in (source, target)]
     planes = {k: v for k, v in scene.items() if not k.startswith("source_")}
     for which, light in zip(("source", "target"), lights, strict=True):
         planes |= {f"{which}_{name}": value for name, value in light.items()}
-    pictures = [_rendered(planes, which) for which in ("source", "target")]
+    pictures = [srgb_of(rendered(planes, which)).clamp(0, 1) for which in ("source", "target")]
     planes["source"] = pictures[0]
     planes["clipped"] = (pictures[0].amax(1, keepdim=True) >= _CLIPPED).float()
     wanted = recorded if is_real and target is None else pictures[1]
@@ -170,24 +172,14 @@ def _light_of(
     if sky is None:
         own = {k.removeprefix("source_"): v for k, v in scene.items() if k.startswith("source_")}
         return {**own, "sky": linear_of(scene["source"])}
-    planes = sample.targets[sky].planes
-    found = {
-        k.removeprefix("target_"): torch.from_numpy(v).float()[None] for k, v in planes.items()
-    }
-    del found["physical"]
-    return found
-
-
-def _rendered(planes: dict[str, Tensor], which: str) -> Float[Tensor, "1 3 h w"]:
-    """sRGB of the twin, before the sky."""
-    surface = planes["surface"]
-    linear = surface * modelled(planes, which) + (1 - surface) * planes[f"{which}_sky"]
-    return srgb_of(linear).clamp(0, 1)
+    planes = tensors_of(sample.targets[sky].planes)
+    del planes["target_physical"]
+    return {name.removeprefix("target_"): value for name, value in planes.items()}
 
 
 def identity_pair(sample: RelightSample) -> RelightBatch:
     """The source as its own target; physical relighting gives it back."""
-    scene = {k: torch.from_numpy(v).float()[None] for k, v in sample.scene.items()}
+    scene = tensors_of(sample.scene)
     weight = scene.pop("valid") * (1 - scene["clipped"])
     own = {f"target_{name}": value for name, value in _light_of(sample, scene, None).items()}
     own["target_physical"] = own["target_sky"]

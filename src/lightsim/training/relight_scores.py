@@ -12,7 +12,7 @@ from scipy.stats import rankdata
 from torch import Tensor
 from torch.nn import functional
 
-from lightsim.evaluate.lpips import lpips_features, lpips_of_features
+from lightsim.evaluate.lpips import Features, lpips_features, lpips_of_features
 from lightsim.evaluate.metrics import psnr
 from lightsim.progress import Progress
 from lightsim.relighting.network.features import srgb_of
@@ -42,9 +42,10 @@ def score_relight(network: Network, data: RelightData, progress: Progress) -> di
                 "physical": _picture(srgb_of(batch.planes["target_physical"])),
                 "copy": _picture(batch.planes["source"]),
             }
+            features = lpips_features(truth)
             for method, picture in methods.items():
-                scores = _scores(picture, truth, is_valid.numpy())
-                found[condition(sky)][method].append(scores)
+                scores = _scores(picture, truth, features, is_valid.numpy())
+                found[_condition(sky)][method].append(scores)
             if log_error is not None:
                 correlations.append(_correlation(made, truth, is_valid, log_error))
     rows = {
@@ -57,7 +58,7 @@ def score_relight(network: Network, data: RelightData, progress: Progress) -> di
     return rows | ({"error_rank_correlation": float(np.mean(correlations))} if correlations else {})
 
 
-def condition(sky: str) -> str:
+def _condition(sky: str) -> str:
     """Of a target sky by its name: the streets' own three, or a measured one."""
     return sky if sky in ("low_sun", "high_sun", "overcast") else "measured"
 
@@ -75,10 +76,10 @@ def _picture(srgb: Tensor) -> Picture:
 
 
 def _scores(
-    picture: Picture, truth: Picture, is_valid: Bool[np.ndarray, "h w"]
+    picture: Picture, truth: Picture, features: Features, is_valid: Bool[np.ndarray, "h w"]
 ) -> tuple[float, float]:
     filled = np.where(is_valid[..., None], picture, truth)
-    distance = lpips_of_features(lpips_features(filled), lpips_features(truth), is_valid)
+    distance = lpips_of_features(lpips_features(filled), features, is_valid)
     return psnr(picture, truth, is_valid), distance
 
 

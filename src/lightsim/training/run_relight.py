@@ -73,6 +73,13 @@ def _config(command: RelightTrainingOptions) -> RelightTrainConfig:
     """What the command asks for."""
     for part in command.without:
         check_choice("--without", part, (*get_args(Pairs), *get_args(Unseen)))
+    has_estimate = command.network == "network" and "physical" not in command.without
+    if has_estimate and "truth" in command.without:
+        raise InputError(
+            "pairs of renderings have no physical estimate to correct",
+            where="--without truth",
+            remedy="Leave it out as well: --without truth physical.",
+        )
     config = RelightTrainConfig() if command.preset == "small" else full()
     if command.network == "paper":
         config = paper(config)

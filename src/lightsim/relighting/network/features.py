@@ -54,10 +54,14 @@ def without(batch: Batch, unseen: Collection[Unseen]) -> Batch:
         hidden.add("found")
     seen = {k: torch.zeros_like(v) if k in hidden else v for k, v in batch.items()}
     if "physical" in unseen:
-        surface = batch["surface"]
-        twin = surface * modelled(batch, "target") + (1 - surface) * batch["target_sky"]
-        seen["target_physical"] = twin
+        seen["target_physical"] = rendered(batch, "target")
     return seen
+
+
+def rendered(batch: Batch, which: str) -> Float[Tensor, "n 3 h w"]:
+    """Linear picture of the twin under one of the skies, `source_sky` or `target_sky` behind."""
+    surface = batch["surface"]
+    return surface * modelled(batch, which) + (1 - surface) * batch[f"{which}_sky"]
 
 
 def grey(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 h w"]:
