@@ -23,6 +23,8 @@ class Synthesize:
     denoise: bool = False
     """Pictures without the grain of few light paths, as a good camera takes them
     (pip install 'lightsim[denoise]')."""
+    paths: int | None = None
+    """Light paths a pixel; by default 24 of the log and 64 of the truth (full: 32 and 64)."""
     sky: tuple[Path, ...] = ()
     """HDR panoramas under which true pictures are made, too; turned and scaled at random."""
     edits: bool = False
@@ -44,6 +46,7 @@ class Synthesize:
             progress=progress,
             is_denoised=self.denoise,
             target_skies=self.sky,
+            paths=self.paths,
         )
         if self.edits:
             synthesize_edits(

@@ -41,6 +41,8 @@ from lightsim.training.relight_cache import RelightSample, RelightTargetSample, 
 _LOGGER = logging.getLogger(__name__)
 STREETS = "streets"
 _CLIPPED = 254
+_SOURCES = 2
+"""True pictures of a frame that are sources, too: every further one is a file of some 25 MB."""
 _NEURAL_STEPS = 150
 """As the streets are built that relighting is measured on (docs/benchmarks/relighting.md)."""
 
@@ -67,6 +69,7 @@ def prepare_relight(options: PrepareRelightOptions, progress: Progress) -> None:
             progress=progress,
             is_denoised=True,
             target_skies=chosen,
+            paths=options.paths,
         )
         reading = LogReading(source=str(street / "log"), image_scale=1.0, hold_out=5)
         build(street / "work", BuildOptions(reading=reading, neural_steps=_NEURAL_STEPS), progress)
@@ -136,8 +139,8 @@ class _Frame:
 
 def write_samples(work: Path, truth: Path, out: Path, progress: Progress) -> int:
     """Every frame of a twin that has true relit pictures: the recorded picture under the true skies
-    (OUT/<camera>_<stem>.npz), and each true picture as the source for the other skies
-    (OUT/<camera>_<stem>_under_<sky>.npz). Those that are there stay.
+    (OUT/<camera>_<stem>.npz), and two of the true pictures as sources for the other skies
+    (OUT/<camera>_<stem>_under_<sky>.npz), other ones of every frame. Those that are there stay.
 
     Args:
         truth: folder `truth` of a synthetic log.
@@ -153,7 +156,7 @@ def write_samples(work: Path, truth: Path, out: Path, progress: Progress) -> int
     choices = options.sky_by_name.values()
     targets = [relighter.target(resolve_sky(choice, workspace)) for choice in choices]
     out.mkdir(parents=True, exist_ok=True)
-    for frame in progress.track(list(scenario.frames), "samples"):
+    for number, frame in enumerate(progress.track(list(scenario.frames), "samples")):
         name = f"{frame.camera_name}_{frame.stem}"
         files = [truth / "relit" / sky / frame.camera_name / f"{frame.stem}.jpg" for sky in skies]
         # The recorded picture's is written last.
@@ -166,11 +169,17 @@ def write_samples(work: Path, truth: Path, out: Path, progress: Progress) -> int
             )
         }
         ego = relighter.log.ego_vehicle_masks.get(frame.camera_name)
-        for sky in skies if len(skies) > 1 else ():
+        for sky in _in_turn(skies, number) if len(skies) > 1 else ():
             sample = _sample(_under(made, sky), ego)
             write_sample(out / f"{name}_under_{sky}.npz", sample)
         write_sample(out / f"{name}.npz", _sample(made, ego))
     return len(list(out.glob("*.npz")))
+
+
+def _in_turn(skies: Sequence[str], number: int) -> set[str]:
+    """Those under which a frame is a source."""
+    first = number * _SOURCES
+    return {skies[k % len(skies)] for k in range(first, first + _SOURCES)}
 
 
 def _frame(relit: RelitFrame, truth: Path) -> _Frame:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
+from lightsim.core.checks import check_number
 from lightsim.core.frames import RigidTransform
 from lightsim.denoise import check_installed
 from lightsim.progress import Progress
@@ -39,6 +40,7 @@ from lightsim.synthetic.writer import (
 )
 
 _JPEG_QUALITY = 92
+_MOST_PATHS = 1 << 16
 _HALF_BUFFERS = ("normal_world", "base_colour", "sun_visibility", "actor_index")
 
 
@@ -63,6 +65,7 @@ def synthesize(
     progress: Progress,
     is_denoised: bool = False,
     target_skies: Sequence[Path] = (),
+    paths: int | None = None,
 ) -> None:
     """Write OUT/log (PandaSet's layout) and OUT/truth; finished files are kept, so that an
     interrupted run can be started again.
@@ -70,12 +73,16 @@ def synthesize(
     Args:
         is_denoised: the pictures, of log and truth, have no grain of few light paths.
         target_skies: HDR panoramas under which there are true pictures, too, by their stems.
+        paths: a pixel, of log and truth; by default those of the size.
 
     Raises:
-        InputError: the seed is negative, a panorama cannot be read, or OUT cannot be written to.
+        InputError: the seed is negative, there are no paths, a panorama cannot be read, or OUT cannot be written to.
         MissingDependencyError: denoising needs the extra `denoise`.
     """
     config = config_of(size)
+    if paths is not None:
+        check_number("--paths", paths, 1, _MOST_PATHS)
+        config = replace(config, samples=paths, truth_samples=paths)
     plan = plan_street(seed)
     street = build_street(plan, config.ego_speed_m_s)
     cameras = mount_cameras(plan, config)
@@ -85,6 +92,7 @@ def synthesize(
     write_rig(log, plan, config, cameras)
     command = f"lightsim synthesize --seed {seed} --size {size}"
     command += " --denoise" if is_denoised else ""
+    command += f" --paths {paths}" if paths is not None else ""
     command += f" --sky {' '.join(path.name for path in target_skies)}" if target_skies else ""
     write_truth_json(truth / "truth.json", street, config, cameras, command)
     _missing(truth / "scene.npz", lambda path: write_geometry(path, street))
