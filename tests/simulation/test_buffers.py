@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from lightsim.core.mesh import TriMesh
-from lightsim.core.scenario import Scenario
-from lightsim.core.sensors import CameraFrame
+from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError, MissingDependencyError
 from lightsim.progress import SilentProgress
@@ -59,11 +58,16 @@ def no_image() -> np.ndarray:
     raise AssertionError("rendering reads no image")
 
 
-def frames() -> tuple[CameraFrame, ...]:
+def frames() -> tuple[ScenarioFrame, ...]:
     """Seven views of a box; each meets faces that the others do not."""
     return tuple(
-        CameraFrame(
-            "test", f"{k:02}", k, look_at([6 * np.cos(k), 6 * np.sin(k), 2], [0, 0, 0.5]), no_image
+        ScenarioFrame(
+            "test",
+            f"{k:02}",
+            k,
+            look_at([6 * np.cos(k), 6 * np.sin(k), 2], [0, 0, 0.5]),
+            no_image,
+            source="rendered",
         )
         for k in range(7)
     )
@@ -76,7 +80,7 @@ def renderer() -> FrameRenderer:
     return FrameRenderer(ground, scene, config, 3, inferred_is_visible=True, is_sampled=True)
 
 
-def run(out: Path, part: tuple[CameraFrame, ...], progress: SilentProgress | None = None) -> None:
+def run(out: Path, part: tuple[ScenarioFrame, ...], progress: SilentProgress | None = None) -> None:
     layout = Layout(out, WHAT, SKIES)
     made = renderer()
     domes = dict(

@@ -111,19 +111,31 @@ def apply_edits(
             _insert(cast, edit, assets, ground, span_ns)
         else:
             ego = _driven(edit, ego, log, ground, span_ns)
-    frames = recorded.frames
-    if ego is not None and recorded.ego is not None and ego is not recorded.ego:
-        frames = tuple(_seen_from(frame, recorded.ego, ego) for frame in frames)
     edited = replace(
         recorded,
         placements=tuple(cast.placements),
         tracks=tuple(cast.tracks),
-        ego=ego,
-        frames=frames,
         removed=frozenset(cast.removed),
         vacated=placed_elsewhere(recorded.placements, cast.placements),
     )
-    return replace(edited, frames=tuple(_with_source(f, recorded, edited) for f in frames))
+    if ego is not None and ego is not recorded.ego:
+        edited = _driven_along(edited, ego)
+    return replace(edited, frames=tuple(_with_source(f, recorded, edited) for f in edited.frames))
+
+
+def driven_beside(scenario: Scenario, offset_m: tuple[float, float, float]) -> Scenario:
+    """The scenario from (ahead, left, up) of the ego vehicle's path."""
+    assert scenario.ego is not None
+    return _driven_along(scenario, shifted(scenario.ego, offset_m))
+
+
+def _driven_along(scenario: Scenario, ego: Trajectory) -> Scenario:
+    """The scenario from another path of the ego vehicle."""
+    was = scenario.ego
+    if was is None:
+        return replace(scenario, ego=ego)
+    frames = tuple(_seen_from(frame, was, ego) for frame in scenario.frames)
+    return replace(scenario, ego=ego, frames=frames)
 
 
 def _remove(cast: _Cast, edit: Remove) -> None:

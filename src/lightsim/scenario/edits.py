@@ -24,7 +24,7 @@ _WRITTEN = (
 )  # fmt: skip
 """What our own scenario.json has besides: one that was written can be given again."""
 _POSE = ("x_m", "y_m", "z_m", "yaw_deg")
-_FARTHEST_M = 1e5
+FARTHEST_M = 1e5
 """No log spans more; world coordinates are local."""
 
 
@@ -234,12 +234,12 @@ def _waypoint(pose: Entries, time_s: float) -> Waypoint:
 
 
 def _check_near(entry: Entries, *metres: float) -> None:
-    if max(abs(m) for m in metres) > _FARTHEST_M:
+    if max(abs(m) for m in metres) > FARTHEST_M:
         raise InputError(
             "the place is out of the world",
             where=entry.where,
             got=list(metres),
-            expected=f"metres between -{_FARTHEST_M:g} and {_FARTHEST_M:g}",
+            expected=f"metres between -{FARTHEST_M:g} and {FARTHEST_M:g}",
         )
 
 

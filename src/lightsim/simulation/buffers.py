@@ -17,18 +17,20 @@ from jaxtyping import Float32
 
 from lightsim.core.buffers import GBuffers
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.scenario import Scenario
+from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.render.renderers import Renderer, TracedFrame, make_renderer, renderer_settings
+from lightsim.scenario.apply import driven_beside
 from lightsim.scenario.replay import replay
 from lightsim.simulation.options import GEOMETRY, LIGHT, RenderOptions
+from lightsim.simulation.picture_images import PictureImages, shown_by_pictures
 from lightsim.simulation.relight import select_frames
 from lightsim.simulation.shard import Shard
-from lightsim.simulation.skies import made_from_sky, resolve_sky
+from lightsim.simulation.skies import TargetSky, made_from_sky, resolve_sky
 from lightsim.store.artefact import hash_names, json_ready, read_json, write_json
 from lightsim.store.atomic import sweep_partials
 from lightsim.store.exr import read_mark, write_exr
@@ -37,7 +39,7 @@ from lightsim.store.scenario import write_scenario
 
 _RECORD = "render.json"
 _SKY_RECORD = "sky.json"
-_SCHEMA = 7
+_SCHEMA = 8
 
 
 @dataclass(frozen=True)
@@ -116,9 +118,10 @@ def render(work: Path, out: Path, options: RenderOptions, progress: Progress) ->
 
     Depth is inf, other buffers 0 where there is no surface; `actor` is the number that
     scenario.json tells, the same in all frames, -1 background, -2 none. Light is irradiance over
-    pi, `image` the radiance that the camera sees. The light transport matrix averages light and
-    image over the
-    pixel's samples (light over those that meet a surface); all else belongs to the pixel's centre.
+    pi, `image` the radiance that the camera sees, in scene units: by default as the log's pictures
+    show it (`PictureImages`), else as the twin does. The light transport matrix averages light and
+    the twin's image over the pixel's samples (light over those that meet a surface); all else
+    belongs to the pixel's centre.
     The shards of a run may share OUT; their union is the same as one run, byte for byte, on equal
     machines.
 
@@ -138,33 +141,43 @@ def _render(
     scale = options.image_scale or workspace.reading.image_scale
     log = workspace.log_at(scale)
     frames = select_frames(log, options.cameras, options.frames)
-    mine = Shard.parse(options.shard).of(frames)
+    mine = Shard.parse(options.shard).of(range(len(frames)))
     skies = options.sky_by_name if options.needs_light else {}
     settings = _settings(workspace, options, scale)
     layout = Layout(out, options.what, tuple(skies), hash_names(settings))
     # First of all: other settings are told better than by the first file that they made.
     for path, made_from in _claims(layout, settings, skies).items():
         _check_claim(path, made_from)
-    pending = [frame for frame in mine if not layout.is_done(frame)]
+    pending = [k for k in mine if not layout.is_done(frames[k])]
     if not pending:
         _claim(layout, settings, skies)
     else:
         twin = workspace.twin
+        scenario = replay(replace(twin, log=log), "render", frames, seed=options.seed)
+        if options.ego_offset is not None:
+            scenario = driven_beside(scenario, options.ego_offset)
+        elif options.has_pictures:
+            scenario = shown_by_pictures(scenario, workspace.held_out)
         renderer = make_renderer(
             options.renderer,
             twin.assets.background,
             workspace.unobserved_occluders,
             options.seed,
-            has_images="image" in options.what,
+            has_images="image" in options.what and not options.has_pictures,
             recorded_sun=workspace.sky.dome.sun,
         )
         # Not before: a renderer that is not installed must leave no claim behind.
         _claim(layout, settings, skies)
-        scenario = replay(replace(twin, log=log), "render", frames, seed=options.seed)
         if not skies:
             write_scenario(out, scenario)
-        prepared = _prepare_skies(layout, skies, renderer, workspace, scenario)
-        write_frames(layout, renderer, scenario, log.cameras, pending, prepared, progress)
+        targets = _resolve_skies(layout, skies, workspace, scenario)
+        prepared = {n: renderer.prepare(sky.dome, sky.behind) for n, sky in targets.items()}
+        pictures = None
+        if options.has_pictures:
+            pictures = PictureImages(workspace, log, scenario, options, targets)
+        chosen = [scenario.frames[k] for k in pending]
+        cameras = log.cameras
+        write_frames(layout, renderer, scenario, cameras, chosen, prepared, progress, pictures)
     return RenderSummary(len(mine), len(pending))
 
 
@@ -175,6 +188,8 @@ def _settings(workspace: Workspace, options: RenderOptions, image_scale: float) 
         "twin": workspace.record("twin")["key"],
         "image_scale": image_scale,
         "seed": options.seed,
+        "ego_offset_m": options.ego_offset,
+        "image_from": options.image_from,
         **renderer_settings(options.renderer),
     }
 
@@ -218,21 +233,20 @@ def _check_claim(path: Path, made_from: Mapping[str, Any]) -> None:
         )
 
 
-def _prepare_skies(
+def _resolve_skies(
     layout: Layout,
     skies: Mapping[str, SkyChoice],
-    renderer: Renderer,
     workspace: Workspace,
     scenario: Scenario,
-) -> dict[str, Any]:
-    prepared: dict[str, Any] = {}
+) -> dict[str, TargetSky]:
+    targets: dict[str, TargetSky] = {}
     for name, sky in skies.items():
         target = resolve_sky(sky, workspace)
         folder = layout.sky_folder(name)
         write_json(folder / _SKY_RECORD, {**made_from_sky(sky), "facts": target.facts})
         write_scenario(folder, replace(scenario, sky=sky), target_sky=target.facts)
-        prepared[name] = renderer.prepare(target.dome, target.behind)
-    return prepared
+        targets[name] = target
+    return targets
 
 
 def write_frames(
@@ -240,18 +254,23 @@ def write_frames(
     renderer: Renderer,
     scenario: Scenario,
     camera_by_name: Mapping[str, PinholeCamera],
-    frames: Sequence[CameraFrame],
+    frames: Sequence[ScenarioFrame],
     prepared: Mapping[str, Any],
     progress: Progress,
+    pictures: PictureImages | None = None,
 ) -> None:
     """Trace each frame once and write what is missing of it, one picture at a time.
 
     Args:
         prepared: what `renderer.prepare` made of each sky of the layout.
+        pictures: make `image`; None: the renderer does.
     """
-    needs_tracing = "ao" in layout.what or bool(prepared)
+    traced_for = {"ao", *LIGHT} if pictures is None else {"ao", *LIGHT} - {"image"}
+    needs_tracing = bool(traced_for & set(layout.what))
     for frame in progress.track(frames, "render", len(frames)):
         camera = camera_by_name[frame.camera_name]
+        if pictures is not None:
+            _write_images(layout, frame, tuple(prepared), pictures)
         if not needs_tracing:
             buffers = renderer.geometry(scenario, frame, camera)
             _write(layout.geometry(frame), _geometry(buffers), layout.mark)
@@ -262,6 +281,17 @@ def write_frames(
             if missing:
                 _write(missing, _light(traced, sky, missing), layout.mark)
         _write(layout.geometry(frame), _geometry(traced.buffers), layout.mark)
+
+
+def _write_images(
+    layout: Layout, frame: ScenarioFrame, skies: Sequence[str], pictures: PictureImages
+) -> None:
+    """`image` under each sky that has none of this frame."""
+    paths = {name: layout.light(frame, name).get("image") for name in skies}
+    lacking = {name: path for name, path in paths.items() if path is not None}
+    images = pictures.of(frame, tuple(lacking))
+    for path, image in zip(lacking.values(), images, strict=True):
+        _write({"image": path}, {"image": image}, layout.mark)
 
 
 def _write(

@@ -13,7 +13,7 @@ from lightsim.errors import InputError
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.render.casters.embree import make_embree_caster
-from lightsim.scenario.apply import apply_edits
+from lightsim.scenario.apply import apply_edits, driven_beside
 from lightsim.scenario.asset_library import AssetLibrary, default_folder
 from lightsim.scenario.conflicts import find_conflicts
 from lightsim.scenario.edits import Insert, ScenarioRequest, read_scenario_request
@@ -46,9 +46,11 @@ def simulate(work: Path, request: Path, options: SimulateOptions, progress: Prog
         logs: Mapping[str, Path] = {}
         if options.write_log is not None:
             logs = log_folders(workspace, recorded, options.write_log, tuple(options.sky_by_name))
-        if asked.edits:
+        if asked.edits or options.ego_offset:
             library = asset_library(options.library, request.parent)
             scenario = edited_scenario(workspace, recorded, asked, library, strict=options.strict)
+            if options.ego_offset is not None:
+                scenario = driven_beside(scenario, options.ego_offset)
             made_of = _made_of(asked, library, options)
             config = RelightConfig(exposure_s=options.exposure_time_ms / 1e3)
             folders = make_frames(workspace, scenario, options, progress, recorded, made_of, config)

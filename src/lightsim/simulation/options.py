@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar, get_args
+from typing import ClassVar, Literal, get_args
 
 from lightsim.arguments import Names
 from lightsim.core.checks import (
@@ -18,6 +18,7 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
 from lightsim.relighting.options import NETWORKS, Method
 from lightsim.render.options import LightChoice, RendererChoice
+from lightsim.scenario.edits import FARTHEST_M
 from lightsim.simulation.shard import Shard
 from lightsim.store.names import is_harmless
 
@@ -27,6 +28,7 @@ GEOMETRY = ("depth", "position", "normal", "albedo", "actor", "ao")
 """Buffers that are the same under every sky: written once."""
 LIGHT = ("shaded", "unshadowed", "shadow", "image")
 """Buffers of each sky."""
+ImageSource = Literal["pictures", "twin"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +53,8 @@ class FrameOptions:
     """START:STOP[:STEP] over the log's own frame numbers; empty for all."""
     image_scale: float | None = None
     """Factor on the log's image size; by default that of the build."""
+    ego_offset_m: str = ""
+    """AHEAD,LEFT,UP: all cameras stand this many metres from where they stood."""
     allow_stale: bool = False
     """Go on where the recording has changed since the build."""
     seed: int = 0
@@ -62,9 +66,33 @@ class FrameOptions:
         if self.image_scale is not None:
             check_image_scale(self.image_scale)
         check_seed(self.seed)
+        _ = self.ego_offset
         if not self.sky:
             raise InputError("no sky is named", where="--sky", expected="one or more")
         _ = self.sky_by_name
+
+    @property
+    def ego_offset(self) -> tuple[float, float, float] | None:
+        """Ahead, left and up by which the ego vehicle's path differs from the recorded one.
+
+        Raises:
+            InputError: it cannot be read, or is out of the world.
+        """
+        if not self.ego_offset_m:
+            return None
+        where = "--ego-offset-m"
+        try:
+            ahead, left, up = map(float, self.ego_offset_m.split(","))
+        except ValueError as error:
+            raise InputError(
+                "the offset cannot be read",
+                where=where,
+                got=self.ego_offset_m,
+                expected="AHEAD,LEFT,UP in metres",
+            ) from error
+        for metres in (ahead, left, up):
+            check_number(where, metres, -FARTHEST_M, FARTHEST_M)
+        return ahead, left, up
 
     @property
     def sky_by_name(self) -> dict[str, SkyChoice]:
@@ -193,6 +221,10 @@ class RenderOptions(FrameOptions):
     """Comma-separated: depth position normal albedo ao actor shaded unshadowed shadow image."""
     shard: str = ""
     """I/N, I from 1 to N: render the I-th of N parts of the frames; parts may share DIR."""
+    image_from: ImageSource = "pictures"
+    """Where `image` is from: the log's pictures, projected through the twin where the camera stood
+    elsewhere or the frame was held out, relit as any frame, and the twin where none of them shows
+    anything; or the twin alone."""
     renderer: RendererChoice = field(default_factory=RendererChoice)
     """How light is computed."""
     reserved_names: ClassVar[tuple[str, ...]] = (*GEOMETRY, *LIGHT)
@@ -208,6 +240,19 @@ class RenderOptions(FrameOptions):
                 got=", ".join(sorted(unknown)) or None,
                 expected=f"some of {', '.join((*GEOMETRY, *LIGHT))}",
             )
+        check_choice("--image-from", self.image_from, get_args(ImageSource))
+        if self.has_pictures and self.renderer.denoise:
+            raise InputError(
+                "denoising is for rendered images",
+                where="--denoise",
+                got="--image-from pictures",
+                expected="--image-from twin",
+            )
+
+    @property
+    def has_pictures(self) -> bool:
+        """Whether the log's own pictures are looked at."""
+        return "image" in self.what and self.image_from == "pictures"
 
     @property
     def needs_light(self) -> bool:

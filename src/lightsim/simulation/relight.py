@@ -27,6 +27,7 @@ from lightsim.progress import Progress
 from lightsim.relighting.options import NETWORK_WEIGHTS
 from lightsim.render.options import LightChoice
 from lightsim.render.renderers import check_installed, transport_as_chosen
+from lightsim.scenario.apply import driven_beside
 from lightsim.scenario.replay import replay
 from lightsim.simulation.labels import write_labels
 from lightsim.simulation.options import RelightOptions
@@ -50,7 +51,9 @@ from lightsim.store.weights import list_weights
 
 _SCHEMA = 11
 _STAGE = "relight"
-_OPTIONAL = ("labels", "weights", "renderer", "edits", "assets", "exposure_time_ms")
+_OPTIONAL = (
+    "labels", "weights", "renderer", "edits", "assets", "exposure_time_ms", "ego_offset_m",
+)  # fmt: skip
 _PLAIN = RelightConfig()
 
 
@@ -78,7 +81,11 @@ def relight(work: Path, options: RelightOptions, progress: Progress) -> list[Pat
             other settings.
     """
     with opened_for(work, options) as workspace:
-        return make_frames(workspace, replayed(workspace, options), options, progress)
+        recorded = replayed(workspace, options)
+        if options.ego_offset is None:
+            return make_frames(workspace, recorded, options, progress)
+        scenario = driven_beside(recorded, options.ego_offset)
+        return make_frames(workspace, scenario, options, progress, recorded)
 
 
 @contextmanager
@@ -166,6 +173,7 @@ def _settings(options: RelightOptions, sky: SkyChoice, image_scale: float) -> di
         "image_scale": image_scale,
         "linear": options.linear,
         **({"labels": True} if options.labels else {}),
+        **({"ego_offset_m": options.ego_offset} if options.ego_offset else {}),
         **({"renderer": light} if light != _settings_of(LightChoice()) else {}),
     }
 

@@ -93,8 +93,10 @@ class Relighter:
         config: RelightConfig,
         options: RelightOptions,
         recorded: Scenario | None = None,
+        hidden: frozenset[str] = frozenset(),
     ) -> None:
-        """`recorded`: the log as it was, where scenarios have edits."""
+        """`recorded`: the log as it was, where scenarios have edits. `hidden`: stems of frames
+        whose pictures do not help to show a view from elsewhere."""
         self.log = log
         self._options = options
         self._relight = relight_by(options.method, options.weights)
@@ -126,6 +128,7 @@ class Relighter:
             self._source,
             config.exposure_s,
             options.seed,
+            hidden,
         )
 
     def target(self, sky: TargetSky) -> RelightTarget:

@@ -97,6 +97,7 @@ class SourceImages:
         sky: the source's, made ready by it.
         exposure_s: how long shutters are open.
         seed: of the cameras' noise.
+        hidden: stems of frames whose pictures do not help to show a view from elsewhere.
     """
 
     def __init__(
@@ -108,6 +109,7 @@ class SourceImages:
         sky: EnvironmentCells,
         exposure_s: float,
         seed: int,
+        hidden: frozenset[str] = frozenset(),
     ) -> None:
         self._workspace = workspace
         self._log = log
@@ -116,7 +118,8 @@ class SourceImages:
         self._sky = sky
         self._novel = None
         if recorded is not None:
-            self._novel = NovelViews(workspace, log, recorded, renderer)
+            self._novel = NovelViews(workspace, log, recorded, renderer, hidden)
+        self._hidden = hidden
         self._actors = renderer.sampled(
             _PIXEL_SAMPLES, sky.sun, sun_rays=_SUN_RAYS, glossy_rays=_GLOSSY_RAYS
         )
@@ -148,7 +151,7 @@ class SourceImages:
             everybody = changed[0] + changed[1]
             before = self._renderer.trace_beside(traced, self._recorded, everybody)
         if frame.source == "rendered":
-            image = self._from_elsewhere(frame, before, image)
+            image = self._from_elsewhere(frame, before)
         if changed is None:
             return image
         edited = self._edited(frame, scenario, (before, traced), image, changed)
@@ -234,12 +237,12 @@ class SourceImages:
             gain=self._workspace.twin.assets.camera_gains[camera.name],
         )
 
-    def _from_elsewhere(
-        self, frame: CameraFrame, before: TransportFrame, recorded: SourceImage
-    ) -> SourceImage:
+    def _from_elsewhere(self, frame: CameraFrame, before: TransportFrame) -> SourceImage:
         """The street without edits from where no camera stood: from the log's pictures, and from
         the twin what none of them shows. The ego vehicle's own parts move with the camera."""
         assert self._novel is not None
+        shown = [f for f in self._log.frames_of(frame.camera_name) if f.stem not in self._hidden]
+        recorded = self._recorded_image(min(shown, key=lambda f: abs(f.time_ns - frame.time_ns)))
         view = self._novel.of(frame, before.geometry, before.image(self._sky))
         is_fixed = self._ego_vehicle(self._log.cameras[frame.camera_name])
         radiance = np.where(is_fixed[..., None], recorded.radiance, view.radiance)
