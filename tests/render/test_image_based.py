@@ -63,7 +63,7 @@ def picture(y_m: float, time_ns: int = 0) -> RecordedView:
 def view(y_m: float, pictures: list[RecordedView]) -> BlendedView:
     distance = seen(y_m)[0]
     origins, directions = frame_at(y_m).pixel_rays(CAMERA, CAMERA.pixel_centres().reshape(-1, 2))
-    rays = ViewRays(0, CAMERA.fx, origins, directions, distance.reshape(-1))
+    rays = ViewRays("front", 0, CAMERA.fx, origins, directions, distance.reshape(-1))
     return blended(rays, ((p, rays.points_world) for p in pictures))
 
 

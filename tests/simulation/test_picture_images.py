@@ -78,9 +78,9 @@ def test_a_held_out_frame_is_seen_by_the_others_alone() -> None:
     assert [f.source for f in scenario.frames] == ["recorded", "rendered", "recorded"]
     found = image(work, scenario, 1)
     np.testing.assert_array_equal(found, image(workspace(red=HELD_OUT), scenario, 1))
-    # What it differs in is where the driving box's shadow falls at other times.
+    # The box drives: where its shadow falls in a picture, that picture is not believed (29 dB).
     truth = work.log.frames[1].load_srgb8()
-    assert psnr_db(srgb8_from_linear(found * GAIN), truth) > 28
+    assert psnr_db(srgb8_from_linear(found * GAIN), truth) > 35
 
 
 def test_an_offset_moves_the_cameras_with_the_ego_vehicle() -> None:

@@ -11,7 +11,9 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 from lightsim.core.colour import srgb8_from_linear
+from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
+from lightsim.core.resample import resize_area
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.solar import direction_world, solar_position
 from lightsim.core.twin import DigitalTwin
@@ -180,13 +182,23 @@ def observed_radiance(workspace: Workspace) -> Show:
     return render
 
 
-def held_out_tasks(workspace: Workspace, methods: Mapping[str, Show]) -> list[FrameTask]:
+def held_out_tasks(
+    workspace: Workspace, methods: Mapping[str, Show], log: DrivingLog | None = None
+) -> list[FrameTask]:
     """Held-out frames beside what methods make of them; valid is what is neither sky nor ego
-    vehicle."""
+    vehicle.
+
+    Args:
+        log: at the scale of the pictures; None: the workspace's.
+    """
+    ego_vehicle_masks = (log or workspace.recorded_log).ego_vehicle_masks
+    log = log or workspace.log
 
     def is_valid(frame: CameraFrame) -> LoadMask:
-        valid = workspace.sky_matte(frame) < 0.5
-        ego_vehicle = workspace.recorded_log.ego_vehicle_masks.get(frame.camera_name)
+        camera = log.cameras[frame.camera_name]
+        matte = workspace.sky_matte(frame)[..., None]
+        valid = resize_area(matte, camera.height_px, camera.width_px)[..., 0] < 0.5
+        ego_vehicle = ego_vehicle_masks.get(frame.camera_name)
         return valid if ego_vehicle is None else valid & ~ego_vehicle
 
     return [
@@ -198,7 +210,7 @@ def held_out_tasks(workspace: Workspace, methods: Mapping[str, Show]) -> list[Fr
             {name: partial(show, frame) for name, show in methods.items()},
             partial(is_valid, frame),
         )
-        for frame in workspace.log.frames
+        for frame in log.frames
         if frame.stem in workspace.held_out
     ]
 

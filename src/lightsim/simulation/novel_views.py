@@ -11,12 +11,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
 from lightsim.core.buffers import GBuffers
+from lightsim.core.casting import RayCaster
+from lightsim.core.colour import luminance
+from lightsim.core.dome import SkyDome, Sun
 from lightsim.core.log import DrivingLog
 from lightsim.core.resample import resize_area
 from lightsim.core.scenario import ActorPlacement, Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.pipeline.workspace import Workspace
 from lightsim.relighting.physical.filters import box_mean, fill_holes
+from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.image_based import (
     BlendedView,
@@ -25,6 +29,7 @@ from lightsim.render.image_based import (
     blended,
     recorded_view,
 )
+from lightsim.render.scene import placed_meshes
 
 _WITHIN_S = 0.6
 """Pictures taken this long before or after may be looked at: what a car drives meanwhile is what
@@ -38,6 +43,9 @@ _BAND_RAYS = 1 << 17
 _MATCH_WIDTH = 1 / 20
 """Over this fraction of the picture's width the twin's colours follow the pictures'."""
 _DARKEST = np.float32(1e-3)
+_OFF_SURFACE_M = 0.05
+"""Rays to the sun start here, so that a moving surface's own faces do not count as its shadow."""
+_NOWHERE_M = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +89,13 @@ class NovelViews:
             recorded.number_by_actor[p.track.actor_id]: p for p in recorded.placements
         }
         self._views: OrderedDict[tuple[str, str], RecordedView] = OrderedDict()
+        self._sun = _strong_sun(workspace.sky.dome)
+        self._before_sun: dict[int, RayCaster] = {}
 
     def of(
         self, frame: CameraFrame, buffers: GBuffers, rendered: Float32[np.ndarray, "h w 3"]
     ) -> NovelView:
-        """The frame from pictures; where none shows its surfaces, the twin in colours that follow
+        """The frame from pictures; where none shows what is there, the twin in colours that follow
         those of the pictures around.
 
         Args:
@@ -105,14 +115,10 @@ class NovelViews:
         radiance = np.concatenate([p.radiance for p in parts]).reshape(*shape, 3)
         matte = np.concatenate([p.sky_matte for p in parts]).reshape(shape)
         is_observed = np.concatenate([p.is_observed for p in parts]).reshape(shape)
-        is_matched = is_observed & buffers.has_surface & (matte < 0.5)
-        twin = rendered * _match(radiance, rendered, is_matched)
-        twin = np.where(buffers.has_surface[..., None], twin, rendered)
-        return NovelView(
-            np.where(is_observed[..., None], radiance, twin).astype(np.float32),
-            np.where(is_observed, matte, ~buffers.has_surface).astype(np.float32),
-            is_observed,
-        )
+        matte = np.where(is_observed, matte, ~buffers.has_surface).astype(np.float32)
+        twin = _in_colours_of(radiance, rendered, matte, is_observed, buffers.has_surface)
+        radiance = np.where(is_observed[..., None], radiance, twin).astype(np.float32)
+        return NovelView(radiance, matte, is_observed)
 
     def _rays(self, frame: CameraFrame, buffers: GBuffers) -> ViewRays:
         camera = self._log.cameras[frame.camera_name]
@@ -121,7 +127,7 @@ class NovelViews:
         points = buffers.position_world.reshape(-1, 3)
         distance = np.linalg.norm(points - origins, axis=1)
         distance[~buffers.has_surface.reshape(-1)] = np.inf
-        return ViewRays(frame.time_ns, camera.fx, origins, directions, distance)
+        return ViewRays(camera.name, frame.time_ns, camera.fx, origins, directions, distance)
 
     def _chosen(self, rays: ViewRays) -> list[CameraFrame]:
         """Pictures that are among the best three for most of some rays, by the rays alone."""
@@ -131,7 +137,7 @@ class NovelViews:
             return []
         points = probes.points_world
         penalties = np.stack(
-            [probes.penalties(f, self._log.cameras[f.camera_name], points)[0] for f in near]
+            [probes.projected(f, self._log.cameras[f.camera_name], points).penalty for f in near]
         )
         best = np.sort(penalties, axis=0)[min(2, len(near) - 1)]
         wins = (np.isfinite(penalties) & (penalties <= best)).sum(axis=1)
@@ -141,8 +147,10 @@ class NovelViews:
     def _with_points(
         self, pictures: list[CameraFrame], rays: ViewRays, actors: Int32[np.ndarray, " n"]
     ) -> Iterator[tuple[RecordedView, Float[np.ndarray, "n 3"]]]:
-        """Pictures with the places of what the rays meet when they were taken: actors move."""
+        """Pictures with the places of what the rays meet when they were taken: actors move; NaN
+        where their shadows were not as they are."""
         points = rays.points_world
+        is_shaded = self._is_shaded(points, rays.time_ns)
         rows_by_actor = {
             int(n): np.flatnonzero(actors == n) for n in np.unique(actors[actors >= 0])
         }
@@ -150,7 +158,25 @@ class NovelViews:
             then = points.copy()
             for number, rows in rows_by_actor.items():
                 then[rows] = _moved(self._placements.get(number), points[rows], rays, frame)
+            then[self._is_shaded(then, frame.time_ns) != is_shaded] = np.nan
             yield self._view(frame), then
+
+    def _is_shaded(
+        self, points_world: Float[np.ndarray, "n 3"], time_ns: int
+    ) -> Bool[np.ndarray, " n"]:
+        """Whether an actor that moves stands between points and the recorded sun."""
+        if self._sun is None:
+            return np.zeros(len(points_world), dtype=bool)
+        if time_ns not in self._before_sun:
+            there = self._recorded.placements_at(time_ns)
+            moving = [p for p in there if p.track.is_moving]
+            self._before_sun[time_ns] = make_embree_caster(placed_meshes(moving, time_ns))
+            if len(self._before_sun) > _KEPT:
+                self._before_sun.pop(next(iter(self._before_sun)))
+        direction = self._sun.direction_world
+        starts = np.nan_to_num(points_world, nan=_NOWHERE_M) + _OFF_SURFACE_M * direction
+        directions = np.broadcast_to(direction, starts.shape)
+        return self._before_sun[time_ns].is_occluded(starts, directions)
 
     def _view(self, frame: CameraFrame) -> RecordedView:
         key = frame.camera_name, frame.stem
@@ -181,6 +207,16 @@ class NovelViews:
         return view
 
 
+def _strong_sun(dome: SkyDome) -> Sun | None:
+    """The sun, if most of the light on level ground is its: shadows show, and one that is not where
+    it was is worse than the twin's."""
+    sun = dome.sun
+    if sun is None or sun.direction_world[2] <= 0:
+        return None
+    level = luminance(sun.irradiance * sun.direction_world[2])
+    return sun if level > 0.5 * luminance(dome.horizontal_irradiance()) else None
+
+
 def _moved(
     placement: ActorPlacement | None,
     points_world: Float[np.ndarray, "n 3"],
@@ -193,6 +229,27 @@ def _moved(
         return np.full_like(points_world, np.nan)
     own = placement.world_from_actor(rays.time_ns).inverse().apply(points_world)
     return placement.world_from_actor(frame.time_ns).apply(own)
+
+
+def _in_colours_of(
+    radiance: Float32[np.ndarray, "h w 3"],
+    rendered: Float32[np.ndarray, "h w 3"],
+    sky_matte: Float32[np.ndarray, "h w"],
+    is_observed: Bool[np.ndarray, "h w"],
+    is_surface: Bool[np.ndarray, "h w"],
+) -> Float32[np.ndarray, "h w 3"]:
+    """The twin in colours that follow those of the pictures around: surfaces and sky apart."""
+    surface, sky = (
+        _match(radiance, rendered, is_observed & kind)
+        for kind in (is_surface & (sky_matte < 0.5), ~is_surface & (sky_matte >= 0.5))
+    )
+    twin = rendered * np.where(is_surface[..., None], surface, sky)
+    # No light arrives there in the twin, through a hole of its mesh: the surroundings are a better
+    # guess than black.
+    is_black = (rendered < _DARKEST).all(axis=-1) & ~is_observed
+    if is_black.any() and is_observed.any():
+        twin[is_black] = fill_holes(radiance, is_observed)[is_black]
+    return twin
 
 
 def _match(
