@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float16, Float32, Int64, UInt8
+from jaxtyping import Bool, Float, Float16, Float32, UInt8
 from scipy import ndimage
 
 from lightsim.core.camera import PinholeCamera
@@ -20,10 +20,6 @@ _PENALTY_PER_S, _PENALTY_COARSE = 0.3, 0.1
 # And one whose border is close, at the border; it rises over this fraction of the picture's width.
 # Without it, cameras that differ a little leave a seam in the sky.
 _PENALTY_BORDER, _BORDER = 0.1, 0.15
-# And by how much its angle counts more where something nearer stands within this angle (its inverse
-# distance larger by this): meshes are that much smaller than what they stand for (10 cm at 10 m),
-# whose colour would be painted on what is behind, the farther away the farther the view.
-_OUTLINED, _OUTLINE_RAD, _NEARER_PER_M = 3.0, 0.01, 0.006
 # Pictures are mixed that differ by about this much.
 _BLENDED_RAD = 0.03
 # A picture shows a surface if their distances agree to this fraction beyond those of the pixels
@@ -42,7 +38,6 @@ class RecordedView:
         sky_matte: fraction of sky, in 255ths.
         near_m, far_m: least and greatest distance along the rays of a pixel and those around it;
             inf without a surface, NaN where the picture is not to be used.
-        is_beside: pixels beside something nearer.
     """
 
     frame: CameraFrame
@@ -52,7 +47,6 @@ class RecordedView:
     sky_matte: UInt8[np.ndarray, "h w"]
     near_m: Float16[np.ndarray, "h w"]
     far_m: Float16[np.ndarray, "h w"]
-    is_beside: Bool[np.ndarray, "h w"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,20 +88,21 @@ class ViewRays:
             self.distance_m[rows],
         )
 
-    def projected(
+    def penalties(
         self,
         frame: CameraFrame,
         camera: PinholeCamera,
         points_world: Float[np.ndarray, "n 3"],
-    ) -> Projected:
-        """How badly a picture tells what the rays see, and where it would be in the picture.
+    ) -> tuple[Float32[np.ndarray, " n"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
+        """How badly a picture tells what the rays see, where it would be in the picture (u, v) and
+        at which distance.
 
         Args:
             points_world: what the rays meet, where it was when the picture was taken; NaN where it
                 was not there.
 
         Returns:
-            The penalty is inf outside the picture; occlusion is not looked at.
+            Radians, inf outside the picture; occlusion is not looked at.
         """
         uv, is_inside = frame.project(camera, points_world)
         uv = np.where(is_inside[:, None], uv, 0.0)
@@ -121,33 +116,14 @@ class ViewRays:
         penalty = angle_rad + _PENALTY_COARSE * np.log(np.maximum(size, 1.0))
         penalty += _PENALTY_PER_S * seconds
         size_px = np.array([camera.width_px, camera.height_px])
-        inside = np.minimum(uv, size_px - uv).min(axis=1) / camera.width_px
-        penalty += _PENALTY_BORDER * np.maximum(1 - inside / _BORDER, 0)
+        inside = np.minimum(uv, size_px - uv).min(axis=1) / (_BORDER * camera.width_px)
+        penalty += _PENALTY_BORDER * np.maximum(1 - inside, 0)
         if frame.camera_name != self.camera_name:
             # Cameras differ in colour, and a dozen pictures of one may end in one place: the weight
             # falls to nothing there.
-            penalty -= _BLENDED_RAD * np.log(np.clip(inside / _BORDER, 1e-3, 1.0))
+            penalty -= _BLENDED_RAD * np.log(np.clip(inside, 1e-3, 1.0))
         is_told = is_inside & np.isfinite(away_m)
-        penalty = np.where(is_told, penalty, np.inf).astype(np.float32)
-        away_m = np.where(np.isfinite(self.distance_m), away_m, np.inf)
-        return Projected(penalty, angle_rad, uv, away_m)
-
-
-@dataclass(frozen=True, eq=False)
-class Projected:
-    """What rays see, in a picture.
-
-    Args:
-        penalty: of the picture, radians.
-        angle_rad: between the picture's ray and the view's.
-        uv: where it would be.
-        away_m: its distance from the picture's camera; inf without a surface.
-    """
-
-    penalty: Float32[np.ndarray, " n"]
-    angle_rad: Float[np.ndarray, " n"]
-    uv: Float[np.ndarray, "n 2"]
-    away_m: Float[np.ndarray, " n"]
+        return np.where(is_told, penalty, np.inf).astype(np.float32), uv, away_m
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +151,6 @@ def recorded_view(
 ) -> RecordedView:
     """A picture with the distances along its pixels' rays; the ego vehicle is not usable."""
     near, far = ndimage.minimum_filter(distance_m, 3), ndimage.maximum_filter(distance_m, 3)
-    is_beside = _is_beside_nearer(distance_m, max(1, round(_OUTLINE_RAD * camera.fx)))
     near[~is_usable] = far[~is_usable] = np.nan
     return RecordedView(
         frame,
@@ -185,7 +160,6 @@ def recorded_view(
         np.rint(255 * sky_matte).astype(np.uint8),
         near.astype(np.float16),
         far.astype(np.float16),
-        is_beside,
     )
 
 
@@ -204,56 +178,28 @@ def blended(
     best = np.full(count, np.inf, dtype=np.float32)
     total = np.zeros((count, 5), dtype=np.float32)
     for view, points in pictures:
-        seen = rays.projected(view.frame, view.camera, points)
-        doubt_rad = seen.angle_rad * _is_doubtful(view, seen)
-        penalty = seen.penalty + np.float32(_OUTLINED) * doubt_rad.astype(np.float32)
-        rows = np.flatnonzero(np.isfinite(penalty) & _shows(view, seen))
+        penalty, uv, away_m = rays.penalties(view.frame, view.camera, points)
+        away_m = np.where(np.isfinite(rays.distance_m), away_m, np.inf)
+        rows = np.flatnonzero(np.isfinite(penalty) & _shows(view, uv, away_m))
         # Weights exp(-penalty / width), relative to the best so far.
         better = np.minimum(best[rows], penalty[rows])
         total[rows] *= np.exp(-(best[rows] - better) / _BLENDED_RAD)[:, None]
         weight = np.exp(-(penalty[rows] - better) / _BLENDED_RAD)
-        total[rows, :4] += weight[:, None] * _sampled(view, seen.uv[rows])
+        total[rows, :4] += weight[:, None] * _sampled(view, uv[rows])
         total[rows, 4] += weight
         best[rows] = better
     mean = total[:, :4] / np.maximum(total[:, 4:], np.float32(1e-12))
     return BlendedView(mean[:, :3], mean[:, 3], total[:, 4] > 0)
 
 
-def _pixels(uv: Float[np.ndarray, "n 2"]) -> tuple[Int64[np.ndarray, " n"], ...]:
-    """Rows and columns."""
-    return tuple(uv.astype(np.int64).T[::-1])
-
-
-def _shows(view: RecordedView, seen: Projected) -> Bool[np.ndarray, " n"]:
-    """Whether a picture shows what the rays see: nothing stands in front of it."""
-    near, far = (a[_pixels(seen.uv)].astype(np.float32) for a in (view.near_m, view.far_m))
-    away_m = seen.away_m
+def _shows(
+    view: RecordedView, uv: Float[np.ndarray, "n 2"], away_m: Float[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Whether a picture shows at (u, v) what is this far away: nothing stands in front of it."""
+    columns, rows = uv.astype(np.int64).T
+    near, far = (a[rows, columns].astype(np.float32) for a in (view.near_m, view.far_m))
     is_same = (away_m > near * (1 - _SAME_DISTANCE)) & (away_m < far * (1 + _SAME_DISTANCE))
     return np.where(np.isinf(away_m), np.isinf(far), is_same)
-
-
-def _is_doubtful(view: RecordedView, seen: Projected) -> Bool[np.ndarray, " n"]:
-    """Whether what the rays see lies behind the outline of something nearer in a picture."""
-    at = _pixels(seen.uv)
-    near = view.near_m[at].astype(np.float32)
-    return view.is_beside[at] | (1 / near - 1 / seen.away_m > _NEARER_PER_M)
-
-
-def _is_beside_nearer(
-    distance_m: Float32[np.ndarray, "h w"], radius_px: int
-) -> Bool[np.ndarray, "h w"]:
-    """Pixels of which one side is nearer than a plane through them and the other side would be:
-    inverse distances of a plane are linear in the picture (but for the rays' obliqueness)."""
-    inverse = 1 / distance_m
-    bent = np.zeros_like(inverse)
-    for radius in {radius_px, max(1, radius_px // 2)}:
-        padded = np.pad(inverse, radius, mode="edge")
-        for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
-            step = down * radius, right * radius
-            sides = (np.roll(padded, sign * np.array(step), (0, 1)) for sign in (-1, 1))
-            both = sum(side[radius:-radius, radius:-radius] for side in sides)
-            bent = np.maximum(bent, both - 2 * inverse)
-    return bent > _NEARER_PER_M
 
 
 def _sampled(view: RecordedView, uv: Float[np.ndarray, "n 2"]) -> Float32[np.ndarray, "n 4"]:

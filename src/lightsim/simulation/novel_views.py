@@ -137,7 +137,7 @@ class NovelViews:
             return []
         points = probes.points_world
         penalties = np.stack(
-            [probes.projected(f, self._log.cameras[f.camera_name], points).penalty for f in near]
+            [probes.penalties(f, self._log.cameras[f.camera_name], points)[0] for f in near]
         )
         best = np.sort(penalties, axis=0)[min(2, len(near) - 1)]
         wins = (np.isfinite(penalties) & (penalties <= best)).sum(axis=1)
