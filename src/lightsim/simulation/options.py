@@ -110,6 +110,9 @@ class RelightOptions(FrameOptions):
     """Exposure of the output, in stops."""
     linear: bool = False
     """Write linear EXR frames as well."""
+    expected_error: bool = False
+    """Write how far off every pixel is expected to be, too (--method network): error/, grey PNGs in
+    codes of the pictures, 8 bits."""
     labels: bool = False
     """Write masks, depth and visibility of the actors beside every frame, which takes room."""
     overwrite: bool = False
@@ -126,6 +129,13 @@ class RelightOptions(FrameOptions):
                 where="--weights",
                 got=f"--method {self.method}",
                 expected=f"--method {' or '.join(NETWORKS)}",
+            )
+        if self.expected_error and self.method != "network":
+            raise InputError(
+                "this method does not tell how far off it is",
+                where="--expected-error",
+                got=f"--method {self.method}",
+                expected="--method network",
             )
         check_number("--exposure-ev", self.exposure_ev, -MAX_EXPOSURE_EV, MAX_EXPOSURE_EV)
 

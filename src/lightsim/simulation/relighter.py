@@ -51,6 +51,8 @@ class RelitFrame:
         traced: the frame in the scenario; None where nothing had to be traced.
         inputs: of relighting; None where pixels kept their light.
         source: the frame under the source sky.
+        expected_error: mean absolute error expected of the picture's sRGB code, in [0, 1]; None
+            where the method does not tell.
     """
 
     frame: CameraFrame
@@ -59,6 +61,7 @@ class RelitFrame:
     traced: TransportFrame | None
     inputs: RelightInputs | None
     source: SourceImage
+    expected_error: Float32[np.ndarray, "h w"] | None = None
 
     @property
     def lights(self) -> tuple[ShadowBuffers, ShadowBuffers] | None:
@@ -203,9 +206,13 @@ class Relighter:
                 gain, frame.world_from_camera, self._workspace.sky.dome, target.sky.dome
             ),
         )
-        radiance = self._relight(inputs, self._config.ratio)
+        found = self._relight(inputs, self._config.ratio)
+        radiance = found.radiance
         ego_vehicle = self.log.ego_vehicle_masks.get(frame.camera_name)
         if ego_vehicle is not None:
             # It moves with the camera and has no mesh: lit as a level surface in the open.
             radiance[ego_vehicle] = inputs.radiance[ego_vehicle] * target.level_ratio
-        return RelitFrame(frame, self._developed(frame, radiance), radiance, traced, inputs, source)
+        image = self._developed(frame, radiance)
+        return RelitFrame(
+            frame, image, radiance, traced, inputs, source, expected_error=found.expected_error
+        )
