@@ -108,6 +108,9 @@ class RelightOptions(FrameOptions):
     """Who renders the light of source and target that relighting reads."""
     exposure_ev: float = 0.0
     """Exposure of the output, in stops."""
+    glare: float = 0.0
+    """Fraction of the sunlight on the lens that it scatters over the picture: .01 to .03 for most
+    lenses. The source sun's is taken out, the target's put in."""
     linear: bool = False
     """Write linear EXR frames as well."""
     expected_error: bool = False
@@ -130,6 +133,7 @@ class RelightOptions(FrameOptions):
                 got=f"--method {self.method}",
                 expected=f"--method {' or '.join(NETWORKS)}",
             )
+        check_number("--glare", self.glare, 0.0, 1.0)
         if self.expected_error and self.method != "network":
             raise InputError(
                 "this method does not tell how far off it is",

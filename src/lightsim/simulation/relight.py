@@ -166,6 +166,7 @@ def _settings(options: RelightOptions, sky: SkyChoice, image_scale: float) -> di
         "image_scale": image_scale,
         "linear": options.linear,
         **({"labels": True} if options.labels else {}),
+        **({"glare": options.glare} if options.glare else {}),
         **({"expected_error": True} if options.expected_error else {}),
         **({"renderer": light} if light != _settings_of(LightChoice()) else {}),
     }

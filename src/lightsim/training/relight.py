@@ -54,7 +54,7 @@ class RelightTrainConfig:
     stability: float = 0.5
     """Weight of how the picture changes when the frame moves by a few pixels, so that videos do not
     flicker (single frames tell: Eilertsen et al. 2019, doi:10.1109/CVPR.2019.01143)."""
-    error: float = 0.01
+    error: float = 0.05
     """Weight of the expected error's likelihood, on which the picture does not depend."""
     perception_crops: int = 2
     """Crops of a step that LPIPS looks at, which costs ten times as much as the network, and that
