@@ -8,6 +8,7 @@ import pytest
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.evaluate.frame_report import FramesReport
 from lightsim.evaluate.frames import FrameTask
+from lightsim.evaluate.left_shadows import score_left_shadows
 from lightsim.evaluate.shadows import TrueShadows, count_shadows, score_shadows
 
 REST = 0.25
@@ -62,3 +63,18 @@ def test_shadows_that_would_not_show_do_not_count(texture: np.ndarray, true: Tru
     weak = TrueShadows(true.is_shadowed, true.is_decided, np.full((30, 40), 0.9, np.float32))
     truth = picture(texture, columns(10, 20))
     assert count_shadows(truth, truth, weak).tolist() == [0, 0, 0, 0]
+
+
+@pytest.mark.parametrize("left", [0.0, 0.3, -0.2])
+def test_what_is_left_of_a_shadow_is_told_whatever_texture_and_exposure(
+    texture: np.ndarray, true: TrueShadows, left: float
+) -> None:
+    truth = srgb8_from_linear(texture.astype(np.float32))
+    ghost = np.where(columns(10, 20), 1 - left, 1.0)[..., None]
+    made = srgb8_from_linear((0.8 * texture * ghost).astype(np.float32))
+    task = FrameTask("overcast", "front", "00", lambda: truth, {"ours": lambda: made})
+    (row,) = score_left_shadows([task], lambda task: true)
+    assert row.contrast == pytest.approx(left, abs=5e-3)
+    # Ten columns of shadow, eight beside each of its edges.
+    assert row.pixels == 25 * (10 + 16)
+    assert score_left_shadows([task], lambda task: None) == ()

@@ -79,12 +79,13 @@ def random_network(seed: int = 0) -> RelitNet:
 
 
 def test_an_untrained_network_is_physical_relighting(inputs: RelightInputs) -> None:
-    made = relit_by(RelitNet(SMALL).eval(), inputs, RatioConfig())
+    made = relit_by(RelitNet(SMALL).eval(), inputs, RatioConfig()).radiance
     np.testing.assert_allclose(made, relight_physical(inputs, RatioConfig()), atol=1e-6)
 
 
 def test_the_sky_stays_to_the_bit(inputs: RelightInputs) -> None:
-    made, physical = relit_by(random_network(), inputs, RatioConfig()), planes_of(inputs)[1]
+    made = relit_by(random_network(), inputs, RatioConfig()).radiance
+    physical = planes_of(inputs)[1]
     is_sky = inputs.sky_matte >= 1
     assert np.array_equal(made[is_sky], physical[is_sky])
     assert np.abs(made - physical)[~is_sky].max() > 1e-3
@@ -191,7 +192,7 @@ def test_the_papers_network_sees_what_the_paper_names(inputs: RelightInputs) -> 
         for name, value in batch.items():
             changed = network({**batch, name: value + 0.5})
             assert torch.equal(changed, picture) == (name not in seen), name
-    made = painted_by(network, inputs, RatioConfig())
+    made = painted_by(network, inputs, RatioConfig()).radiance
     assert inputs.circumstances is not None
     white = 1 / inputs.circumstances.gain
     assert made.shape == inputs.radiance.shape
@@ -242,9 +243,13 @@ def test_a_method_takes_the_weights_of_its_own_network_alone(tmp_path: Path) -> 
 
 
 def test_the_shipped_network_corrects_and_keeps_the_sky(inputs: RelightInputs) -> None:
-    made = relight_by("network")(inputs, RatioConfig())
+    found = relight_by("network")(inputs, RatioConfig())
+    made = found.radiance
     physical = relight_physical(inputs, RatioConfig())
     is_sky = inputs.sky_matte >= 1
     assert np.array_equal(made[is_sky], physical[is_sky])
     assert np.isfinite(made).all()
     assert 1e-4 < np.abs(made - physical)[~is_sky].mean() < 0.5 * physical[~is_sky].mean()
+    assert found.expected_error is not None
+    assert found.expected_error.shape == is_sky.shape
+    assert 0 < found.expected_error.min() < found.expected_error.max() <= 1

@@ -165,9 +165,10 @@ def test_relit_frames_are_measured_in_every_way(
     assert SKY.sun is not None
     truth, asked = scene.parent, []
     (truth / "skies").mkdir()
-    write_exr(truth / "skies" / "noon.exr", SKY.radiance)
     beside = {name: getattr(SKY.sun, name).tolist() for name in ("direction_world", "irradiance")}
-    (truth / "skies" / "noon.json").write_text(json.dumps(beside))
+    for name in ("noon", "source"):
+        write_exr(truth / "skies" / f"{name}.exr", SKY.radiance)
+        (truth / "skies" / f"{name}.json").write_text(json.dumps(beside))
     folders = {
         "truth": truth / "relit" / "noon" / "above",
         "relit": tmp_path / "made" / "frames" / "above",
@@ -201,6 +202,9 @@ def test_relit_frames_are_measured_in_every_way(
     shadows = {row.method: row for row in report.shadows}
     assert shadows["colour-transfer"].iou > 0.99
     assert shadows["copy"].iou == 0.0
+    left = {row.method: row.contrast for row in report.left_shadows}
+    assert left["colour-transfer"] == pytest.approx(0, abs=0.01)
+    assert left["copy"] == pytest.approx(1 - 1 / rest, rel=0.05)
     assert {row.method for row in report.consistency} == {"colour-transfer", "truth", "recorded"}
     assert "| noon | shadowed | copy |" in report.to_table()
     assert "| noon | shadowed | raw |" not in report.to_table()

@@ -10,20 +10,33 @@ from lightsim.store import arrays as arrays_file
 from lightsim.store.arrays import load_arrays, save_arrays
 
 
-def test_round_trip(tmp_path: Path, rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("is_mapped", [False, True])
+def test_round_trip(tmp_path: Path, rng: np.random.Generator, is_mapped: bool) -> None:
     arrays = {
         "a": rng.random((3, 4)).astype(np.float32),
         "mask": np.array([True, False]),
         "names": np.array(["x", "yy"]),
         "scalar": np.array(3),
+        "columns": np.asfortranarray(rng.random((2, 5))),
+        "none": np.zeros((0, 3)),
     }
     save_arrays(tmp_path / "a.npz", arrays)
-    back = load_arrays(tmp_path / "a.npz")
+    back = load_arrays(tmp_path / "a.npz", is_mapped=is_mapped)
     assert back.keys() == arrays.keys()
     for name, array in arrays.items():
         assert back[name].dtype == array.dtype
         np.testing.assert_array_equal(back[name], array)
     assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
+
+
+def test_what_is_mapped_is_not_written_and_not_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    save_arrays(path, {"a": np.zeros(3)})
+    load_arrays(path, is_mapped=True)["a"][0] = 1
+    assert load_arrays(path)["a"].tolist() == [0, 0, 0]
+    np.savez_compressed(path, a=np.zeros(3))
+    with pytest.raises(InputError, match=r"a\.npz.*compressed"):
+        load_arrays(path, is_mapped=True)
 
 
 def test_objects_and_pickles_are_refused(tmp_path: Path) -> None:
@@ -53,8 +66,9 @@ def test_broken_files(tmp_path: Path) -> None:
     whole = path.read_bytes()
     for end in range(0, len(whole), 97):
         path.write_bytes(whole[:end])
-        with pytest.raises(InputError, match=r"a\.npz"):
-            load_arrays(path)
+        for is_mapped in (False, True):
+            with pytest.raises(InputError, match=r"a\.npz"):
+                load_arrays(path, is_mapped=is_mapped)
     damaged = bytearray(whole)
     damaged[400] ^= 255
     path.write_bytes(bytes(damaged))

@@ -12,6 +12,7 @@ import numpy as np
 from lightsim.evaluate.consistency import ConsistencyRow
 from lightsim.evaluate.distribution import SetRow
 from lightsim.evaluate.frame_report import FramesReport
+from lightsim.evaluate.left_shadows import LeftShadowRow
 from lightsim.evaluate.shadows import ShadowRow
 
 _WORDS = {"condition", "region", "exposure", "method", "between"}
@@ -23,6 +24,7 @@ _FRAMES = (
 _CLASSES = ("condition", "region", "method", "PSNR dB", "SSIM")
 _SETS = ("condition", "method", "pictures", "reference", "FID", "KID x 1000")
 _SHADOWS = ("condition", "method", "pixels", "shadow IoU", "precision", "recall")
+_LEFT = ("condition", "method", "pixels", "source shadow left %")
 _CONSISTENCY = (
     *("condition", "method", "between", "pairs", "points"),
     *("delta E 2000", "warp error x 255", "over recorded"),
@@ -36,6 +38,7 @@ class EvaluationReport:
     frames: FramesReport
     sets: tuple[SetRow, ...] = ()
     shadows: tuple[ShadowRow, ...] = ()
+    left_shadows: tuple[LeftShadowRow, ...] = ()
     consistency: tuple[ConsistencyRow, ...] = ()
 
     def tables(self) -> list[tuple[str, tuple[str, ...], list[tuple[str, ...]]]]:
@@ -46,6 +49,7 @@ class EvaluationReport:
             ("Classes of pixels", _CLASSES, _class_lines(frames)),
             ("Sets of frames", _SETS, [_set_line(row) for row in self.sets]),
             ("Shadows", _SHADOWS, [_shadow_line(row) for row in self.shadows]),
+            ("Shadows of the source", _LEFT, [_left_line(row) for row in self.left_shadows]),
             (
                 "Agreement between pictures",
                 _CONSISTENCY,
@@ -60,7 +64,12 @@ class EvaluationReport:
 
     def to_json(self) -> str:
         """All figures, frame by frame; those without a value are null."""
-        parts = {"sets": self.sets, "shadows": self.shadows, "consistency": self.consistency}
+        parts = {
+            "sets": self.sets,
+            "shadows": self.shadows,
+            "left_shadows": self.left_shadows,
+            "consistency": self.consistency,
+        }
         found: dict[str, Any] = {"rows": self.frames.json_rows()}
         for name, rows in parts.items():
             found[name] = [
@@ -86,6 +95,10 @@ def _set_line(row: SetRow) -> tuple[str, ...]:
 def _shadow_line(row: ShadowRow) -> tuple[str, ...]:
     figures = (f"{x:.3f}" for x in (row.iou, row.precision, row.recall))
     return row.condition, row.method, str(row.pixels), *figures
+
+
+def _left_line(row: LeftShadowRow) -> tuple[str, ...]:
+    return row.condition, row.method, str(row.pixels), f"{100 * row.contrast:.1f}"
 
 
 def _consistency_line(row: ConsistencyRow) -> tuple[str, ...]:

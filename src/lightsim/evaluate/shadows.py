@@ -17,7 +17,7 @@ from lightsim.core.colour import linear_from_srgb8, luminance
 from lightsim.evaluate.frame_report import FramesReport
 from lightsim.evaluate.frames import FrameTask
 
-_CLEAR = 0.6
+CLEAR = 0.6
 """A shadow that leaves more of the light than this cannot be told from texture. Not measured."""
 
 
@@ -86,7 +86,7 @@ def count_shadows(
     exposure: float = 1.0,
 ) -> np.ndarray:
     """Pixels that were looked at, that are shadowed in both, in the prediction, in the truth."""
-    is_clear = true.is_decided & (true.rest < _CLEAR)
+    is_clear = true.is_decided & (true.rest < CLEAR)
     here = luminance(linear_from_srgb8(predicted))[is_clear] * exposure
     there = luminance(linear_from_srgb8(truth))[is_clear]
     # Half way, as a ratio, from what the truth shows to what it would show otherwise.

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-from jaxtyping import Float32
-
 from lightsim.relighting.colour_transfer import relight_colour_transfer
+from lightsim.relighting.estimate import Estimate, Relight
 from lightsim.relighting.options import Method
-from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
-
-Relight = Callable[[RelightInputs, RatioConfig], Float32[np.ndarray, "h w 3"]]
-"""(inputs of a frame, settings) -> radiance under the target sky."""
+from lightsim.relighting.physical.ratio import relight_physical
 
 
 def relight_by(method: Method, weights: Path | None = None) -> Relight:
@@ -27,9 +21,9 @@ def relight_by(method: Method, weights: Path | None = None) -> Relight:
         InputError, ArtefactError: the weights are missing or damaged, or another network's.
     """
     if method == "physical":
-        return relight_physical
+        return lambda inputs, config: Estimate(relight_physical(inputs, config))
     if method == "colour-transfer":
-        return relight_colour_transfer
+        return lambda inputs, config: Estimate(relight_colour_transfer(inputs, config))
     # They bring torch, which the others do without.
     from lightsim.relighting.network import relight as networks
 

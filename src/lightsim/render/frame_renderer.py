@@ -229,6 +229,13 @@ class TransportFrame:
         past[faces_sun] = sun_visibility(caster, points, normals, sun, self._config)
         return past
 
+    def sun_on_lens(self, sun: Sun) -> float:
+        """Fraction of the sun's disc that the camera sees, whether or not it looks there."""
+        place = np.asarray(self.view[0].world_from_camera.translation_m, np.float32)[None]
+        towards = (sun.direction_world / np.linalg.norm(sun.direction_world)).astype(np.float32)
+        seen = sun_visibility(self._scene.caster, place, towards[None], sun, self._config)
+        return float(seen[0])
+
     def coverage(self, numbers: Collection[int]) -> Float32[np.ndarray, "h w"]:
         """Fraction of each pixel that shows one of these actors, by their numbers."""
         return actor_coverage(self._scene, *self.view, self.geometry, numbers)

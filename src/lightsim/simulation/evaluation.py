@@ -4,6 +4,7 @@ each other, and by their shadows."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from lightsim.evaluate.consistency import ConsistencyRow
 from lightsim.evaluate.folders import folder_tasks
 from lightsim.evaluate.frame_report import FramesReport
 from lightsim.evaluate.frames import FramesConfig, FrameTask, score_frames
+from lightsim.evaluate.left_shadows import score_left_shadows
 from lightsim.evaluate.options import MeasureOptions
 from lightsim.evaluate.report import EvaluationReport
 from lightsim.evaluate.shadows import TrueShadows, score_shadows
@@ -30,6 +32,7 @@ from lightsim.simulation.true_surfaces import TrueSurfaces
 from lightsim.store.images import read_grey8
 from lightsim.synthetic.reader import true_sky
 
+_SOURCE = "source"
 OURS = "LightSim"
 """Frames of the physical method in tables."""
 
@@ -94,7 +97,7 @@ def evaluate_relit(
     """
     workspace = Workspace(work, is_stale_allowed=relighting.allow_stale)
     folders = relit_folders(workspace, truth, relighting, progress)
-    skies = {name: true_sky(truth, name) for name in folders}
+    skies = {name: true_sky(truth, name) for name in (*folders, _SOURCE)}
     surfaces = TrueSurfaces(truth / "scene.npz", workspace, skies)
     method = OURS if relighting.method == "physical" else relighting.method
     tasks: list[FrameTask] = []
@@ -112,7 +115,7 @@ def evaluate_relit(
         progress,
         f"Relit frames of {work.name}",
         consistency=consistency,
-        load_shadows=lambda task: surfaces.shadows(task.condition, task.camera_name, task.stem),
+        load_shadows=lambda sky, task: surfaces.shadows(sky, task.camera_name, task.stem),
     )
 
 
@@ -122,7 +125,7 @@ def _measured(
     progress: Progress,
     title: str,
     consistency: Sequence[ConsistencyRow] = (),
-    load_shadows: Callable[[FrameTask], TrueShadows | None] | None = None,
+    load_shadows: Callable[[str, FrameTask], TrueShadows | None] | None = None,
 ) -> EvaluationReport:
     """All measures of some frames; the page, where it is asked for."""
     from lightsim.evaluate.distribution import score_sets
@@ -134,9 +137,14 @@ def _measured(
     report = EvaluationReport(
         frames,
         () if network is None else score_sets(tasks, network, options.kid_subset_size, progress),
-        () if load_shadows is None else score_shadows(tasks, load_shadows, frames),
-        tuple(consistency),
+        consistency=tuple(consistency),
     )
+    if load_shadows is not None:
+        report = replace(
+            report,
+            shadows=score_shadows(tasks, lambda task: load_shadows(task.condition, task), frames),
+            left_shadows=score_left_shadows(tasks, partial(load_shadows, _SOURCE)),
+        )
     if options.html is not None:
         write_evaluation_report(options.html, title, report, tasks)
     return report

@@ -136,8 +136,14 @@ class RelightOptions(FrameOptions):
     """Who renders the light of source and target that relighting reads."""
     exposure_ev: float = 0.0
     """Exposure of the output, in stops."""
+    glare: float = 0.0
+    """Fraction of the sunlight on the lens that it scatters over the picture: .01 to .03 for most
+    lenses. The source sun's is taken out, the target's put in."""
     linear: bool = False
     """Write linear EXR frames as well."""
+    expected_error: bool = False
+    """Write how far off every pixel is expected to be, too (--method network): error/, grey PNGs in
+    codes of the pictures, 8 bits."""
     labels: bool = False
     """Write masks, depth and visibility of the actors beside every frame, which takes room."""
     overwrite: bool = False
@@ -154,6 +160,14 @@ class RelightOptions(FrameOptions):
                 where="--weights",
                 got=f"--method {self.method}",
                 expected=f"--method {' or '.join(NETWORKS)}",
+            )
+        check_number("--glare", self.glare, 0.0, 1.0)
+        if self.expected_error and self.method != "network":
+            raise InputError(
+                "this method does not tell how far off it is",
+                where="--expected-error",
+                got=f"--method {self.method}",
+                expected="--method network",
             )
         check_number("--exposure-ev", self.exposure_ev, -MAX_EXPOSURE_EV, MAX_EXPOSURE_EV)
 

@@ -174,6 +174,8 @@ def _settings(options: RelightOptions, sky: SkyChoice, image_scale: float) -> di
         "linear": options.linear,
         **({"labels": True} if options.labels else {}),
         **({"ego_offset_m": options.ego_offset} if options.ego_offset else {}),
+        **({"glare": options.glare} if options.glare else {}),
+        **({"expected_error": True} if options.expected_error else {}),
         **({"renderer": light} if light != _settings_of(LightChoice()) else {}),
     }
 
@@ -278,11 +280,23 @@ def _write_frames(
                 write_report_strip(folder, result)
             if options.labels:
                 write_labels(folder, scenario, result)
+            if options.expected_error:
+                _write_expected_error(folder, result)
             _write_frame(folder, result, is_linear_written=options.linear)
 
 
 def _picture(folder: Path, frame: CameraFrame) -> Path:
     return folder / "frames" / frame.camera_name / f"{frame.stem}.png"
+
+
+def _write_expected_error(folder: Path, result: RelitFrame) -> None:
+    """Nothing is expected to be wrong where pixels kept their light."""
+    error = result.expected_error
+    if error is None:
+        error = np.zeros(result.image_srgb8.shape[:2], np.float32)
+    path = folder / "error" / result.frame.camera_name / f"{result.frame.stem}.png"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_png(path, np.rint(255 * np.clip(error, 0, 1)).astype(np.uint8))
 
 
 def _write_frame(folder: Path, result: RelitFrame, *, is_linear_written: bool) -> None:

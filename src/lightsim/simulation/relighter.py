@@ -10,16 +10,16 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from lightsim.core.buffers import ShadowBuffers
-from lightsim.core.dome import SkyDome
+from lightsim.core.dome import SkyDome, Sun
 from lightsim.core.log import DrivingLog
 from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.core.sensors import CameraFrame
 from lightsim.pipeline.workspace import Workspace
 from lightsim.relighting.methods import relight_by
 from lightsim.relighting.physical.compose import camera_image
+from lightsim.relighting.physical.glare import veiling_glare
 from lightsim.relighting.physical.ratio import Circumstances, RatioConfig, RelightInputs
-from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
-from lightsim.render.image import sky_image
+from lightsim.render.frame_renderer import FrameRenderer, TransportFrame, visible_sky
 from lightsim.render.renderers import Renderer, TracedFrame, make_reference
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.render.transport.sky import EnvironmentCells
@@ -51,6 +51,8 @@ class RelitFrame:
         traced: the frame in the scenario; None where nothing had to be traced.
         inputs: of relighting; None where pixels kept their light.
         source: the frame under the source sky.
+        expected_error: mean absolute error expected of the picture's sRGB code, in [0, 1]; None
+            where the method does not tell.
     """
 
     frame: CameraFrame
@@ -59,6 +61,7 @@ class RelitFrame:
     traced: TransportFrame | None
     inputs: RelightInputs | None
     source: SourceImage
+    expected_error: Float32[np.ndarray, "h w"] | None = None
 
     @property
     def lights(self) -> tuple[ShadowBuffers, ShadowBuffers] | None:
@@ -181,6 +184,20 @@ class Relighter:
         gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
         return camera_image(radiance, gain, self._options.exposure_ev)
 
+    def _glare(self, traced: TransportFrame, sun: Sun | None) -> Float32[np.ndarray, "h w 3"]:
+        """Of a sun on the lens; nothing where none is asked for."""
+        frame, camera = traced.view
+        if sun is None or not self._options.glare:
+            return np.zeros((1, 1, 3), dtype=np.float32)
+        rays = frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))[1]
+        return veiling_glare(
+            rays.reshape(camera.height_px, camera.width_px, 3),
+            frame.world_from_camera.rotation[:, 2],
+            sun,
+            traced.sun_on_lens(sun),
+            self._options.glare,
+        )
+
     def _relit(
         self,
         frame: ScenarioFrame,
@@ -189,16 +206,15 @@ class Relighter:
         lights: tuple[ShadowBuffers, ShadowBuffers],
         target: RelightTarget,
     ) -> RelitFrame:
-        camera = self.log.cameras[frame.camera_name]
         gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
         inputs = RelightInputs(
-            radiance=source.radiance,
+            radiance=np.maximum(source.radiance - self._glare(traced, self._source.sun), 0),
             is_clipped=source.is_clipped,
             sky_matte=source.sky_matte,
             buffers=traced.buffers,
             source=lights[0],
             target=lights[1],
-            target_sky=sky_image(target.sky.behind or target.sky.dome, camera, frame),
+            target_sky=visible_sky(target.cells, *traced.view),
             source_sun=self._source.sun,
             target_sun=target.cells.sun,
             found_visibility=traced.found_visibility(self._source.sun),
@@ -206,9 +222,14 @@ class Relighter:
                 gain, frame.world_from_camera, self._workspace.sky.dome, target.sky.dome
             ),
         )
-        radiance = self._relight(inputs, self._config.ratio)
+        found = self._relight(inputs, self._config.ratio)
+        radiance = found.radiance
         ego_vehicle = self.log.ego_vehicle_masks.get(frame.camera_name)
         if ego_vehicle is not None:
             # It moves with the camera and has no mesh: lit as a level surface in the open.
             radiance[ego_vehicle] = inputs.radiance[ego_vehicle] * target.level_ratio
-        return RelitFrame(frame, self._developed(frame, radiance), radiance, traced, inputs, source)
+        radiance = radiance + self._glare(traced, target.cells.sun)
+        image = self._developed(frame, radiance)
+        return RelitFrame(
+            frame, image, radiance, traced, inputs, source, expected_error=found.expected_error
+        )

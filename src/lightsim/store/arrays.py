@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import mmap
 import os
+import struct
 import tokenize
 import zipfile
 import zlib
@@ -43,8 +45,12 @@ def save_arrays(path: Path, arrays: Mapping[str, Shaped[np.ndarray, "..."]]) -> 
         np.savez(handle, allow_pickle=False, **dict(arrays))
 
 
-def load_arrays(path: Path) -> dict[str, Shaped[np.ndarray, "..."]]:
+def load_arrays(path: Path, *, is_mapped: bool = False) -> dict[str, Shaped[np.ndarray, "..."]]:
     """All arrays of a file by name; nothing is unpickled.
+
+    Args:
+        is_mapped: what is looked at is read from the file then, and nothing else; a change of the
+            arrays stays in memory, and checksums are not looked at. Not for compressed files.
 
     Raises:
         InputError: the file is missing, no regular file, truncated, damaged, no .npz file, or
@@ -53,6 +59,8 @@ def load_arrays(path: Path) -> dict[str, Shaped[np.ndarray, "..."]]:
     try:
         with open_regular(path, "file of arrays", _MAX_BYTES) as handle:
             _check_members(handle)
+            if is_mapped:
+                return _mapped(handle)
             with np.load(handle, allow_pickle=False) as archive:
                 return {name: archive[name] for name in archive.files}
     except (
@@ -63,6 +71,7 @@ def load_arrays(path: Path) -> dict[str, Shaped[np.ndarray, "..."]]:
         KeyError,
         NotImplementedError,
         RuntimeError,
+        struct.error,
         SyntaxError,
         TypeError,
         MemoryError,
@@ -106,6 +115,27 @@ def _check_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
         raise ValueError(f"'{member.filename}' holds no plain numbers")
     if claimed != member.file_size:
         raise ValueError(f"'{member.filename}' claims {claimed} bytes of {member.file_size}")
+
+
+def _mapped(handle: BinaryIO) -> dict[str, Shaped[np.ndarray, "..."]]:
+    """Views of the members, whose bytes stand in the file as they are."""
+    pages = mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_COPY)
+    arrays = {}
+    with zipfile.ZipFile(handle) as archive:
+        for member in archive.infolist():
+            if member.compress_type != zipfile.ZIP_STORED:
+                raise ValueError(f"'{member.filename}' is compressed")
+            with archive.open(member) as stored:
+                np.lib.format.read_magic(stored)
+                shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stored)
+                header = stored.tell()
+            # A member's own header: 30 bytes, its name, and more fields (APPNOTE.TXT, 4.3.7).
+            handle.seek(member.header_offset + 26)
+            start = member.header_offset + 30 + sum(struct.unpack("<HH", handle.read(4))) + header
+            flat = np.frombuffer(pages, dtype, math.prod(shape), start)
+            name = member.filename.removesuffix(".npy")
+            arrays[name] = flat.reshape(shape, order="F" if is_fortran else "C")
+    return arrays
 
 
 class ArrayFile:

@@ -76,7 +76,8 @@ def synthesize(
         paths: a pixel, of log and truth; by default those of the size.
 
     Raises:
-        InputError: the seed is negative, there are no paths, a panorama cannot be read, or OUT cannot be written to.
+        InputError: the seed is negative, there are no paths, a panorama cannot be read, or OUT
+            cannot be written to.
         MissingDependencyError: denoising needs the extra `denoise`.
     """
     config = config_of(size)

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from lightsim.networks.devices import choose_device
 from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
+from lightsim.relighting.network.channels import OF_SKIES
 from lightsim.relighting.network.features import Unseen, srgb_of
 from lightsim.relighting.network.model import RelitNetConfig
 from lightsim.relighting.network.paper_model import PaperNetConfig
@@ -24,6 +25,10 @@ from lightsim.training.relight_losses import (
     error_loss,
     shown,
 )
+
+_MOST_PX = 3
+"""By which frames are moved: the network looks at pairs of pixels, and at every 16th at its
+lowest."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +51,14 @@ class RelightTrainConfig:
     """Weight of LPIPS beside that of colour, which is 1."""
     edges: float = 0.5
     """Weight of the edges' difference."""
-    error: float = 0.01
+    stability: float = 0.5
+    """Weight of how the picture changes when the frame moves by a few pixels, so that videos do not
+    flicker (single frames tell: Eilertsen et al. 2019, doi:10.1109/CVPR.2019.01143)."""
+    error: float = 0.05
     """Weight of the expected error's likelihood, on which the picture does not depend."""
     perception_crops: int = 2
-    """Crops of a step that LPIPS looks at: it costs ten times as much as the network."""
+    """Crops of a step that LPIPS looks at, which costs ten times as much as the network, and that
+    are moved."""
     seed: int = 0
     """Of first weights and batches."""
     workers: int = 0
@@ -77,7 +86,13 @@ def paper(config: RelightTrainConfig) -> RelightTrainConfig:
         config.data, sim_sim_fraction=0.45, sim_real_fraction=0.45, identity_fraction=0.1
     )
     return replace(
-        config, network=PaperNetConfig(), perception=1.0, edges=400.0, error=0.0, data=data
+        config,
+        network=PaperNetConfig(),
+        perception=1.0,
+        edges=400.0,
+        error=0.0,
+        stability=0.0,
+        data=data,
     )
 
 
@@ -118,7 +133,7 @@ def train_relight(
     count = session.processes.count
 
     def losses(step: int, draw: int) -> Iterator[Loss]:
-        total, terms = _loss(network, _on(batches.get(draw), device), perceptual, config)
+        total, terms = _loss(network, _on(batches.get(draw), device), perceptual, config, draw)
         yield "network", total, terms
 
     with Ahead(
@@ -137,30 +152,52 @@ def _loss(
     batch: RelightBatch,
     perceptual: Perceptual,
     config: RelightTrainConfig,
+    draw: int,
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Of the weights in `config`; the paper's network minimises squares."""
-    found = network(batch.planes)
+    count = len(batch.truth)
+    few = slice(config.perception_crops)
+    shift_px = (1 + draw % _MOST_PX, 1 + draw // _MOST_PX % _MOST_PX)
+    found = network(_with_moved(batch.planes, few, shift_px) if config.stability else batch.planes)
     is_paper = isinstance(found, Tensor)
-    made = found if is_paper else shown(srgb_of(found.picture))
+    pictures = found if is_paper else shown(srgb_of(found.picture))
+    made, moved = pictures[:count], pictures[count:]
     weight = batch.weight
     # What does not count looks like the truth.
     filled = weight * made + (1 - weight) * batch.truth
-    few = slice(config.perception_crops)
     terms = {
         "colour": colour_loss(made, batch.truth, weight),
         "edges": edge_loss(filled, batch.truth, torch.ones_like(weight)),
         "lpips": perceptual(filled[few], batch.truth[few]),
     }
+    if config.stability:
+        inside = (..., slice(_MOST_PX, -_MOST_PX), slice(_MOST_PX, -_MOST_PX))
+        back = moved.roll([-px for px in shift_px], (-2, -1))
+        terms["stability"] = colour_loss(back[inside], made[few][inside], weight[few][inside])
     if is_paper:
         total = terms["colour"].square() + config.edges * terms["edges"].square()
     else:
-        terms["error"] = error_loss(found.log_error, made, batch.truth, weight)
+        terms["error"] = error_loss(found.log_error[:count], made, batch.truth, weight)
         total = terms["colour"] + config.edges * terms["edges"] + config.error * terms["error"]
         if "target_physical" in batch.planes:
             # Beside what the physical estimate has, a step's colour tells what has been learned.
             physical = shown(srgb_of(batch.planes["target_physical"]))
             terms["physical"] = colour_loss(physical, batch.truth, weight).detach()
+    if config.stability:
+        total = total + config.stability * terms["stability"]
     return total + config.perception * terms["lpips"], terms
+
+
+def _with_moved(
+    planes: dict[str, Tensor], few: slice, shift_px: tuple[int, int]
+) -> dict[str, Tensor]:
+    """Some of the samples come again at the end, moved down and to the right."""
+    return {
+        name: torch.cat(
+            [value, value[few] if name.endswith(OF_SKIES) else value[few].roll(shift_px, (-2, -1))]
+        )
+        for name, value in planes.items()
+    }
 
 
 def _on(batch: RelightBatch, device: torch.device) -> RelightBatch:

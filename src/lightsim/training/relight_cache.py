@@ -57,12 +57,12 @@ def write_sample(path: Path, sample: RelightSample) -> None:
 
 
 def read_sample(path: Path) -> RelightSample:
-    """A sample that `write_sample` wrote, in half precision.
+    """A sample that `write_sample` wrote, in half precision; what is not looked at is not read.
 
     Raises:
         InputError: it is missing or damaged.
     """
-    arrays = load_arrays(path)
+    arrays = load_arrays(path, is_mapped=True)
     groups: dict[str, dict[str, np.ndarray]] = {}
     for name, value in arrays.items():
         group, _, plane = name.partition("/")

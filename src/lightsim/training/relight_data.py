@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +17,6 @@ from lightsim.relighting.network.channels import OF_SKIES, Planes
 from lightsim.relighting.network.features import linear_of, rendered, srgb_of, tensors_of
 from lightsim.training.relight_cache import RelightSample, RelightTargetSample, read_sample
 
-_MEMORY_FRAMES = 512
-"""Kept in memory once read, 15 MB each at 480 x 270 with three skies."""
 _VECTORS = ("normal", "position")
 _RADIANT = ("shaded", "reflected", "physical", "sky")
 _CLIPPED = 254 / 255
@@ -76,7 +74,7 @@ class RelightData:
                 where=", ".join(str(folder) for folder in folders),
                 remedy="Make them with lightsim train prepare relight.",
             )
-        self._read = lru_cache(_MEMORY_FRAMES)(read_sample)
+        self._read = cache(read_sample)
 
     def __len__(self) -> int:
         return len(self._files)

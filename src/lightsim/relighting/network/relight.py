@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float32
+from torch.nn import functional
 
 from lightsim.errors import InputError
+from lightsim.relighting.estimate import Estimate
 from lightsim.relighting.network.channels import scene_planes, shrunk, target_planes
 from lightsim.relighting.network.features import linear_of, tensors_of
 from lightsim.relighting.network.model import RelitNet
@@ -60,11 +61,8 @@ def _other(method: str, weights: Path | None) -> InputError:
     )
 
 
-def relit_by(
-    network: RelitNet, inputs: RelightInputs, config: RatioConfig
-) -> Float32[np.ndarray, "h w 3"]:
-    """Scene radiance of the frame under the target sky, linear, before camera gain: the physical
-    estimate, corrected.
+def relit_by(network: RelitNet, inputs: RelightInputs, config: RatioConfig) -> Estimate:
+    """The physical estimate, corrected, and the error that is expected of it.
 
     Raises:
         InputError: the inputs do not tell of camera and skies.
@@ -79,13 +77,13 @@ def relit_by(
     picture = found.picture[0].permute(1, 2, 0).numpy()
     # Sky and what the network leaves alone keep their radiance to the bit.
     is_same = inputs.sky_matte[..., None] >= 1
-    return np.where(is_same, physical, picture / seen.gain).astype(np.float32)
+    radiance = np.where(is_same, physical, picture / seen.gain).astype(np.float32)
+    log_error = functional.interpolate(found.log_error, picture.shape[:2], mode="bilinear")
+    return Estimate(radiance, log_error[0, 0].exp().numpy())
 
 
-def painted_by(
-    network: PaperNet, inputs: RelightInputs, config: RatioConfig
-) -> Float32[np.ndarray, "h w 3"]:
-    """Scene radiance whose picture the network painted, sky and all; at most the camera's white.
+def painted_by(network: PaperNet, inputs: RelightInputs, config: RatioConfig) -> Estimate:
+    """Radiance whose picture the network painted, sky and all; at most the camera's white.
 
     Args:
         config: of other methods; not looked at.
@@ -97,7 +95,7 @@ def painted_by(
     planes = scene_planes(inputs, seen) | target_planes(inputs, seen, inputs.target_sky)
     with torch.inference_mode():
         picture = linear_of(network(tensors_of(planes)))[0].permute(1, 2, 0).numpy()
-    return (picture / seen.gain).astype(np.float32)
+    return Estimate((picture / seen.gain).astype(np.float32))
 
 
 def _circumstances(inputs: RelightInputs) -> Circumstances:

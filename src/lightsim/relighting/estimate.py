@@ -1,0 +1,29 @@
+"""What a way of relighting says of a frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A frame under the target sky.
+
+    Args:
+        radiance: scene units, linear, before camera gain.
+        expected_error: mean absolute error expected of the picture's sRGB code, in [0, 1]; None
+            where the method does not tell.
+    """
+
+    radiance: Float32[np.ndarray, "h w 3"]
+    expected_error: Float32[np.ndarray, "h w"] | None = None
+
+
+Relight = Callable[[RelightInputs, RatioConfig], Estimate]
+"""(inputs of a frame, settings) -> the frame under the target sky."""
