@@ -18,7 +18,7 @@ Relight = Callable[[RelightInputs, RatioConfig], Float32[np.ndarray, "h w 3"]]
 
 
 def relight_by(method: Method, weights: Path | None = None) -> Relight:
-    """A way of relighting.
+    """A way of relighting; `nerf-osr` needs the field of its street (`baselines.relight`).
 
     Args:
         weights: of a network; None: those of the package.
@@ -31,8 +31,11 @@ def relight_by(method: Method, weights: Path | None = None) -> Relight:
     if method == "colour-transfer":
         return relight_colour_transfer
     # They bring torch, which the others do without.
+    from lightsim.relighting.baselines.relight import baseline_network, shown_by
     from lightsim.relighting.network import relight as networks
 
+    if method in ("self-osr", "epe"):
+        return partial(shown_by, baseline_network(method, weights))
     if method == "network":
         return partial(networks.relit_by, networks.correcting_network(weights))
     return partial(networks.painted_by, networks.painting_network(weights))

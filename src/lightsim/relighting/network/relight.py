@@ -69,7 +69,7 @@ def relit_by(
     Raises:
         InputError: the inputs do not tell of camera and skies.
     """
-    seen = _circumstances(inputs)
+    seen = circumstances_of(inputs)
     physical = relight_physical(inputs, config)
     planes = scene_planes(inputs, seen) | target_planes(inputs, seen, physical)
     working = shrunk(planes, network.config.working_columns)
@@ -93,14 +93,19 @@ def painted_by(
     Raises:
         InputError: the inputs do not tell of camera and skies.
     """
-    seen = _circumstances(inputs)
+    seen = circumstances_of(inputs)
     planes = scene_planes(inputs, seen) | target_planes(inputs, seen, inputs.target_sky)
     with torch.inference_mode():
         picture = linear_of(network(tensors_of(planes)))[0].permute(1, 2, 0).numpy()
     return (picture / seen.gain).astype(np.float32)
 
 
-def _circumstances(inputs: RelightInputs) -> Circumstances:
+def circumstances_of(inputs: RelightInputs) -> Circumstances:
+    """Camera and skies of a frame.
+
+    Raises:
+        InputError: the inputs do not tell of them.
+    """
     if inputs.circumstances is None:
         raise InputError(
             "relighting networks look at camera and skies",
