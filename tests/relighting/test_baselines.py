@@ -33,6 +33,7 @@ from lightsim.relighting.baselines.self_osr import (
 from lightsim.relighting.methods import relight_by
 from lightsim.relighting.network.features import rendered, srgb_of, tensors_of
 from lightsim.relighting.network.stored import network_of, tensors_of_network
+from lightsim.relighting.options import SHIPPED, Method
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs
 from lightsim.store.weights import WeightsRecord, write_weights
 
@@ -129,6 +130,14 @@ def test_a_method_takes_the_weights_of_its_own_network_alone(tmp_path: Path) -> 
         other = next(file for name, file in files.items() if name != method)
         with pytest.raises(InputError, match="another network"):
             relight_by(method, other)
+
+
+@pytest.mark.parametrize("method", [method for method in SHIPPED if method != "network"])
+def test_the_shipped_networks_relight(method: Method, inputs: RelightInputs) -> None:
+    made = relight_by(method)(inputs, RatioConfig())
+    assert np.isfinite(made).all()
+    is_surface = inputs.sky_matte < 1
+    assert 0.01 < made[is_surface].mean() < 2
 
 
 def test_a_field_is_lit_by_the_target_and_actors_by_the_twins_colours(

@@ -32,8 +32,10 @@ from lightsim.version import __version__
 
 _LOGGER = logging.getLogger(__name__)
 _KIND = "nerf-osr"
-_PIXELS = 600_000
-_RAYS = 2048
+_PIXELS = 1_500_000
+"""As many as the fields of `lightsim build` learn from."""
+_RAYS = 4096
+"""A step."""
 _MOST_STEPS = 10_000_000
 
 

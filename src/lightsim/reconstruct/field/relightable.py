@@ -26,8 +26,8 @@ _ENCODING_POWER = 2.2
 """Theirs, between light and pixel values."""
 _DENSITY_PER_M = 10.0
 """Densities begin near it: half of the light passes the first 7 cm."""
-_NORMAL_STEP_M = 0.1
-"""Of differences of density, as large as the finest cell."""
+_NORMAL_STEP_M = 0.2
+"""Of differences of density, twice the finest cell: over one, hashed features are noise."""
 _TETRAHEDRON = ((1.0, -1.0, -1.0), (-1.0, -1.0, 1.0), (-1.0, 1.0, -1.0), (1.0, 1.0, 1.0))
 _TINY = 1e-6
 _CHUNK = 16_384

@@ -65,11 +65,11 @@ class Decomposition:
         """Linear picture of the surfaces under a lighting (their image formation model)."""
         return self.albedo * shading(self.normal, light) * shadow
 
-    def parts(self, keep: slice) -> Decomposition:
-        """Some samples of the batch."""
-        return Decomposition(
-            *(x[keep] for x in (self.albedo, self.normal, self.shadow, self.light))
-        )
+    def part(self, samples: slice, step_px: int = 1) -> Decomposition:
+        """Some samples of the batch, at every so many rows and columns."""
+        few = (samples, slice(None), slice(None, None, step_px), slice(None, None, step_px))
+        maps = (self.albedo[few], self.normal[few], self.shadow[few])
+        return Decomposition(*maps, self.light[samples])
 
 
 @dataclass(frozen=True, eq=False)
