@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from lightsim.cli.options import Verbose
+from lightsim.cli.options import Verbose, say
 from lightsim.progress import terminal_progress
 from lightsim.training.options import (
     PrepareOptions,
@@ -130,12 +130,38 @@ class TrainRelight(RelightTrainingOptions):
         train(self)
 
 
+@dataclass(frozen=True)
+class TrainNerfOsr:
+    """Train the field of one street for relight --method nerf-osr, a method to compare with."""
+
+    work: tyro.conf.Positional[Path]
+    """Work folder of a finished build; the field is kept there."""
+    steps: int = 2500
+    """Training steps."""
+    seed: int = 0
+    """Of first weights and rays."""
+    allow_stale: bool = False
+    """Go on where the recording has changed since the build."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Train, or go on."""
+        from lightsim.simulation.nerf_osr import train_nerf_osr
+
+        path = train_nerf_osr(
+            self.work, self.steps, self.seed, terminal_progress(), allow_stale=self.allow_stale
+        )
+        say(f"field: {path}")
+
+
 _Train = (
     Annotated[PrepareGroup, tyro.conf.subcommand("prepare")]
     | Annotated[TrainInpaint, tyro.conf.subcommand("inpaint")]
     | Annotated[TrainSky, tyro.conf.subcommand("sky")]
     | Annotated[TrainRelight, tyro.conf.subcommand("relight")]
     | Annotated[TrainBaseline, tyro.conf.subcommand("baseline")]
+    | Annotated[TrainNerfOsr, tyro.conf.subcommand("nerf-osr")]
 )
 
 

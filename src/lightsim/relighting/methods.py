@@ -12,7 +12,7 @@ from lightsim.relighting.physical.ratio import relight_physical
 
 
 def relight_by(method: Method, weights: Path | None = None) -> Relight:
-    """A way of relighting.
+    """A way of relighting; `nerf-osr` needs the field of its street (`baselines.relight`).
 
     Args:
         weights: of a network; None: those of the package.
@@ -25,8 +25,11 @@ def relight_by(method: Method, weights: Path | None = None) -> Relight:
     if method == "colour-transfer":
         return lambda inputs, config: Estimate(relight_colour_transfer(inputs, config))
     # They bring torch, which the others do without.
+    from lightsim.relighting.baselines.relight import baseline_network, shown_by
     from lightsim.relighting.network import relight as networks
 
+    if method in ("self-osr", "epe"):
+        return partial(shown_by, baseline_network(method, weights))
     if method == "network":
         return partial(networks.relit_by, networks.correcting_network(weights))
     return partial(networks.painted_by, networks.painting_network(weights))

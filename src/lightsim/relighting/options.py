@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import Literal
 
-Method = Literal["physical", "network", "paper", "colour-transfer"]
-NETWORKS: tuple[Method, ...] = ("network", "paper")
+Method = Literal["physical", "network", "paper", "colour-transfer", "self-osr", "epe", "nerf-osr"]
+NETWORKS: tuple[Method, ...] = ("network", "paper", "self-osr", "epe", "nerf-osr")
 """Methods that have weights."""
 NETWORK_WEIGHTS = "relight-network"
 """Of the package, for `network`."""
+SHIPPED = MappingProxyType(
+    {"network": NETWORK_WEIGHTS, "self-osr": "relight-self-osr", "epe": "relight-epe"}
+)
+"""Weights of the package by method; `paper` has none, `nerf-osr` those of its street."""
+FIELD_WEIGHTS = "nerf_osr/weights.safetensors"
+"""In a work folder: of `nerf-osr` (`lightsim train nerf-osr`)."""

@@ -128,10 +128,11 @@ class RelightOptions(FrameOptions):
     """Name of the result: WORK/scenarios/NAME, or WORK/scenarios/NAME/<sky> with several skies."""
     method: Method = "physical"
     """How pixels are relit: shading ratios of the reconstructed scene; these, corrected by a
-    network; or, to compare with, the paper's network and the colours of the rendered target."""
+    network; or, to compare with, the paper's network, the colours of the rendered target, and
+    published methods (docs/models/baselines.md)."""
     weights: Path | None = None
     """Of the network that --method names, as lightsim train relight wrote them; by default the
-    package's."""
+    package's (nerf-osr: the work folder's)."""
     renderer: LightChoice = field(default_factory=LightChoice)
     """Who renders the light of source and target that relighting reads."""
     exposure_ev: float = 0.0

@@ -24,20 +24,19 @@ from lightsim.datasets.selection import FrameSelection
 from lightsim.errors import ArtefactError, InputError
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
-from lightsim.relighting.options import NETWORK_WEIGHTS
 from lightsim.render.options import LightChoice
 from lightsim.render.renderers import check_installed, transport_as_chosen
 from lightsim.scenario.apply import driven_beside
 from lightsim.scenario.replay import replay
 from lightsim.simulation.labels import write_labels
 from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relight_methods import weights_hash
 from lightsim.simulation.relighter import RelightConfig, Relighter, RelitFrame
 from lightsim.simulation.report import report_frames, write_relight_report, write_report_strip
 from lightsim.simulation.skies import TargetSky, made_from_sky, resolve_sky
 from lightsim.store.artefact import (
     RECORD_NAME,
     ArtefactKey,
-    hash_file,
     json_ready,
     make_artefact,
     open_attempt,
@@ -47,7 +46,6 @@ from lightsim.store.images import read_srgb8, write_exr, write_png
 from lightsim.store.lock import LOCK_NAME, locked
 from lightsim.store.mp4 import Mp4Writer
 from lightsim.store.scenario import write_scenario
-from lightsim.store.weights import list_weights
 
 _SCHEMA = 11
 _STAGE = "relight"
@@ -136,11 +134,12 @@ def make_frames(
     config = replace(config, transport=transport_as_chosen(options.renderer, config.transport))
     scale = _scale(workspace, options)
     base = workspace.root / "scenarios" / options.name
+    weights = weights_hash(workspace, options)
     skies = options.sky_by_name
     folders = [base] if len(skies) == 1 else [base / name for name in skies]
     jobs = []
     for folder, choice in zip(folders, skies.values(), strict=True):
-        settings = {**_settings(options, choice, scale), **made_of}
+        settings = {**_settings(options, choice, scale), **weights, **made_of}
         if not options.overwrite:
             _refuse_other_settings(folder, {**settings, "seed": options.seed})
         made_from = {**settings, "config": json_ready(config)}
@@ -166,7 +165,6 @@ def _settings(options: RelightOptions, sky: SkyChoice, image_scale: float) -> di
     return {
         "sky": made_from_sky(sky),
         "method": options.method,
-        **_weights(options),
         "exposure_ev": options.exposure_ev,
         "cameras": list(options.cameras),
         "frames": options.frames,
@@ -183,15 +181,6 @@ def _settings(options: RelightOptions, sky: SkyChoice, image_scale: float) -> di
 def _settings_of(choice: LightChoice) -> dict[str, Any]:
     """What decides the light; where Blender lies does not."""
     return {"name": choice.renderer, "rays": choice.rays, "bounces": choice.bounces}
-
-
-def _weights(options: RelightOptions) -> dict[str, str]:
-    """What tells the network apart, where there is one."""
-    if options.weights is not None:
-        return {"weights": hash_file(options.weights)}
-    if options.method == "network":
-        return {"weights": " ".join(list_weights()[NETWORK_WEIGHTS].values())}
-    return {}
 
 
 def _make_room(base: Path, folders: Sequence[Path], *, is_overwriting: bool) -> None:

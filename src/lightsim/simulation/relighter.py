@@ -15,7 +15,6 @@ from lightsim.core.log import DrivingLog
 from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.core.sensors import CameraFrame
 from lightsim.pipeline.workspace import Workspace
-from lightsim.relighting.methods import relight_by
 from lightsim.relighting.physical.compose import camera_image
 from lightsim.relighting.physical.glare import veiling_glare
 from lightsim.relighting.physical.ratio import Circumstances, RatioConfig, RelightInputs
@@ -24,6 +23,7 @@ from lightsim.render.renderers import Renderer, TracedFrame, make_reference
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.render.transport.sky import EnvironmentCells
 from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relight_methods import relight_of
 from lightsim.simulation.skies import TargetSky
 from lightsim.simulation.source_image import SourceImage, SourceImages
 
@@ -102,7 +102,7 @@ class Relighter:
         whose pictures do not help to show a view from elsewhere."""
         self.log = log
         self._options = options
-        self._relight = relight_by(options.method, options.weights)
+        self._relight = relight_of(workspace, options)
         self._workspace = workspace
         self._config = config
         self._renderer = FrameRenderer(

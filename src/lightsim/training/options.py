@@ -93,9 +93,9 @@ class RelightTrainingOptions(RunOptions):
 
     data: Path
     """Folder that lightsim train prepare relight wrote."""
-    network: Literal["network", "paper"] = "network"
+    network: Literal["network", "paper", "self-osr", "epe"] = "network"
     """network corrects the physical estimate; paper is the published form, with its pairs and
-    losses."""
+    losses; self-osr and epe are methods to compare with (docs/models/baselines.md)."""
     without: tuple[str, ...] = ()
     """Ablations: sim-real, identity, truth (pairs), buffers, shadow-maps, physical, confidence."""
     edge_weight: float | None = None

@@ -10,9 +10,12 @@ from typing import get_args
 from lightsim.core.checks import check_choice, check_number
 from lightsim.errors import InputError
 from lightsim.progress import terminal_progress
+from lightsim.relighting.baselines.epe import EpeConfig
+from lightsim.relighting.baselines.self_osr import SelfOsrConfig
 from lightsim.relighting.network.features import Unseen
 from lightsim.relighting.network.stored import tensors_of_network
 from lightsim.store.weights import WeightsRecord
+from lightsim.training.baseline_data import BaselineData
 from lightsim.training.options import RelightTrainingOptions
 from lightsim.training.relight import (
     Pairs,
@@ -22,6 +25,8 @@ from lightsim.training.relight import (
     paper,
     train_relight,
 )
+from lightsim.training.relight_baselines import BaselineTrainConfig, train_baseline
+from lightsim.training.relight_baselines import full as full_baseline
 from lightsim.training.relight_data import RelightData, RelightDataConfig
 from lightsim.training.relight_scores import score_relight
 from lightsim.training.run import command_line, loop_of, session_of, write_run
@@ -30,7 +35,10 @@ from lightsim.version import __version__
 _DESCRIPTION = {
     "network": "correction of physical relighting (docs/models/relight.md)",
     "paper": "RelitNet as the paper describes it (docs/models/relight.md)",
+    "self-osr": "re-implementation of Self-OSR (docs/models/baselines.md)",
+    "epe": "re-implementation of EPE (docs/models/baselines.md)",
 }
+_BASELINES = {"self-osr": SelfOsrConfig(), "epe": EpeConfig()}
 _MOST_EDGES = 1e4
 
 
@@ -42,16 +50,19 @@ def train(command: RelightTrainingOptions) -> None:
     """
     streets = _streets(command)
     config = _config(command)
-    data = RelightData([command.data / name for name in streets], config.data)
+    is_baseline = isinstance(config, BaselineTrainConfig)
+    data_of = BaselineData if is_baseline else RelightData
+    data = data_of([command.data / name for name in streets], config.data)
     with session_of(command) as session:
-        network, steps = train_relight(config, data, session)
+        train_it = train_baseline if is_baseline else train_relight
+        network, steps = train_it(config, data, session)  # type: ignore[arg-type]
     if not session.processes.is_first:
         return
     network.cpu()
     tensors = tensors_of_network(network)
     scores = {}
     if command.validation:
-        held_out = RelightData([command.data / n for n in command.validation], RelightDataConfig())
+        held_out = data_of([command.data / n for n in command.validation], RelightDataConfig())
         network.load_state_dict({k: v.half().float() for k, v in network.state_dict().items()})
         scores = score_relight(network, held_out, terminal_progress())
     record = WeightsRecord(
@@ -69,8 +80,28 @@ def train(command: RelightTrainingOptions) -> None:
     write_run(command, tensors, scores, record)
 
 
-def _config(command: RelightTrainingOptions) -> RelightTrainConfig:
+def _config(command: RelightTrainingOptions) -> RelightTrainConfig | BaselineTrainConfig:
     """What the command asks for."""
+    config = _baseline(command) if command.network in _BASELINES else _own(command)
+    if command.edge_weight is not None:
+        check_number("--edge-weight", command.edge_weight, 0.0, _MOST_EDGES)
+        config = replace(config, edges=command.edge_weight)
+    return replace(config, seed=command.seed, loop=loop_of(config.loop, command))
+
+
+def _baseline(command: RelightTrainingOptions) -> BaselineTrainConfig:
+    if command.without:
+        raise InputError(
+            "ablations are of the paper's network and of ours",
+            where="--without",
+            got=f"--network {command.network}",
+            expected="--network network or paper",
+        )
+    config = BaselineTrainConfig(_BASELINES[command.network])
+    return config if command.preset == "small" else full_baseline(config)
+
+
+def _own(command: RelightTrainingOptions) -> RelightTrainConfig:
     for part in command.without:
         check_choice("--without", part, (*get_args(Pairs), *get_args(Unseen)))
     has_estimate = command.network == "network" and "physical" not in command.without
@@ -83,11 +114,7 @@ def _config(command: RelightTrainingOptions) -> RelightTrainConfig:
     config = RelightTrainConfig() if command.preset == "small" else full()
     if command.network == "paper":
         config = paper(config)
-    config = ablated(config, command.without)  # type: ignore[arg-type]
-    if command.edge_weight is not None:
-        check_number("--edge-weight", command.edge_weight, 0.0, _MOST_EDGES)
-        config = replace(config, edges=command.edge_weight)
-    return replace(config, seed=command.seed, loop=loop_of(config.loop, command))
+    return ablated(config, command.without)  # type: ignore[arg-type]
 
 
 def _streets(command: RelightTrainingOptions) -> tuple[str, ...]:

@@ -67,7 +67,7 @@ def relit_by(network: RelitNet, inputs: RelightInputs, config: RatioConfig) -> E
     Raises:
         InputError: the inputs do not tell of camera and skies.
     """
-    seen = _circumstances(inputs)
+    seen = circumstances_of(inputs)
     physical = relight_physical(inputs, config)
     planes = scene_planes(inputs, seen) | target_planes(inputs, seen, physical)
     working = shrunk(planes, network.config.working_columns)
@@ -91,14 +91,19 @@ def painted_by(network: PaperNet, inputs: RelightInputs, config: RatioConfig) ->
     Raises:
         InputError: the inputs do not tell of camera and skies.
     """
-    seen = _circumstances(inputs)
+    seen = circumstances_of(inputs)
     planes = scene_planes(inputs, seen) | target_planes(inputs, seen, inputs.target_sky)
     with torch.inference_mode():
         picture = linear_of(network(tensors_of(planes)))[0].permute(1, 2, 0).numpy()
     return Estimate((picture / seen.gain).astype(np.float32))
 
 
-def _circumstances(inputs: RelightInputs) -> Circumstances:
+def circumstances_of(inputs: RelightInputs) -> Circumstances:
+    """Camera and skies of a frame.
+
+    Raises:
+        InputError: the inputs do not tell of them.
+    """
     if inputs.circumstances is None:
         raise InputError(
             "relighting networks look at camera and skies",

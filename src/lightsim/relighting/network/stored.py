@@ -1,4 +1,4 @@
-"""Both relighting networks by the kind that their weights carry."""
+"""Relighting networks by the kind that their weights carry."""
 
 from __future__ import annotations
 
@@ -9,16 +9,32 @@ from torch import Tensor
 
 from lightsim.errors import InputError
 from lightsim.networks.stored import load_stored, stored_config, stored_tensors
+from lightsim.relighting.baselines.epe import EpeConfig, EpeNet
+from lightsim.relighting.baselines.self_osr import SelfOsrConfig, SelfOsrNet
 from lightsim.relighting.network.model import RelitNet, RelitNetConfig
 from lightsim.relighting.network.paper_model import PaperNet, PaperNetConfig
 
-Network = RelitNet | PaperNet
-_KIND = {RelitNetConfig: "relight network", PaperNetConfig: "relight paper"}
+Network = RelitNet | PaperNet | SelfOsrNet | EpeNet
+NetworkConfig = RelitNetConfig | PaperNetConfig | SelfOsrConfig | EpeConfig
+_KIND = {
+    RelitNetConfig: "relight network",
+    PaperNetConfig: "relight paper",
+    SelfOsrConfig: "relight self-osr",
+    EpeConfig: "relight epe",
+}
 
 
-def make_network(config: RelitNetConfig | PaperNetConfig) -> Network:
+def make_network(config: NetworkConfig) -> Network:
     """With first weights."""
-    return RelitNet(config) if isinstance(config, RelitNetConfig) else PaperNet(config)
+    match config:
+        case RelitNetConfig():
+            return RelitNet(config)
+        case PaperNetConfig():
+            return PaperNet(config)
+        case SelfOsrConfig():
+            return SelfOsrNet(config)
+        case EpeConfig():
+            return EpeNet(config)
 
 
 def tensors_of_network(network: Network) -> dict[str, Tensor]:

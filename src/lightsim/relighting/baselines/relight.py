@@ -1,0 +1,122 @@
+"""`--method self-osr`, `epe` and `nerf-osr`: frames as the published methods show them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+
+from lightsim.core.dome import SkyDome, resized
+from lightsim.errors import InputError
+from lightsim.networks.spherical_harmonics import project, shading_basis
+from lightsim.relighting.baselines.epe import EpeNet
+from lightsim.relighting.baselines.self_osr import WHITE, SelfOsrNet
+from lightsim.relighting.estimate import Estimate
+from lightsim.relighting.network.channels import DOME_ROWS, scene_planes, target_planes
+from lightsim.relighting.network.features import linear_of, tensors_of
+from lightsim.relighting.network.relight import circumstances_of
+from lightsim.relighting.network.stored import network_of
+from lightsim.relighting.options import SHIPPED, Method
+from lightsim.relighting.physical.matte import composite
+from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs
+from lightsim.store.weights import load_weights, read_weights
+
+_KIND = {"self-osr": SelfOsrNet, "epe": EpeNet}
+
+
+def baseline_network(method: Method, weights: Path | None) -> SelfOsrNet | EpeNet:
+    """The network of a file, or the package's.
+
+    Raises:
+        InputError, ArtefactError: the weights are missing or damaged, or another network's.
+    """
+    stored = load_weights(SHIPPED[method]) if weights is None else read_weights(weights)
+    network = network_of(stored)
+    if isinstance(network, SelfOsrNet | EpeNet) and isinstance(network, _KIND[method]):
+        return network
+    raise InputError(
+        "these are the weights of another network",
+        where=weights,
+        expected=f"those of lightsim train relight --network {method}",
+    )
+
+
+def shown_by(network: SelfOsrNet | EpeNet, inputs: RelightInputs, config: RatioConfig) -> Estimate:
+    """Radiance whose picture the network shows; at most the camera's white.
+
+    Args:
+        config: of other methods; not looked at.
+
+    Raises:
+        InputError: the inputs do not tell of camera and skies.
+    """
+    seen = circumstances_of(inputs)
+    planes = scene_planes(inputs, seen) | target_planes(inputs, seen, inputs.target_sky)
+    size = inputs.sky_matte.shape
+    planes[WHITE] = np.broadcast_to(seen.gain[:, None, None], (3, *size)).copy()
+    with torch.inference_mode():
+        picture = linear_of(network(tensors_of(planes)).clamp(0, 1))[0].permute(1, 2, 0).numpy()
+    return Estimate((picture / seen.gain).astype(np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class FieldSurface:
+    """What a neural field shows along rays, frame `world`.
+
+    Args:
+        albedo: linear, in [0, 1].
+        normal_world: unit.
+        shadow: 1 is lit, 0 dark.
+    """
+
+    albedo: Float32[np.ndarray, "n 3"]
+    normal_world: Float32[np.ndarray, "n 3"]
+    shadow: Float32[np.ndarray, " n"]
+
+
+RelightableField = Callable[
+    [Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"], Float32[np.ndarray, "9 3"]],
+    FieldSurface,
+]
+"""(points on the twin's surface, unit directions of the rays, lighting), frame `world`."""
+
+
+def relit_field(field: RelightableField, inputs: RelightInputs, config: RatioConfig) -> Estimate:
+    """Radiance of a street's neural field under the target lighting of order 2; the target
+    sky stands behind the matte.
+
+    The field holds what never moves. Actors show the twin's base colour and normals under the same
+    lighting.
+
+    Args:
+        config: of other methods; not looked at.
+
+    Raises:
+        InputError: the inputs do not tell of camera and skies.
+    """
+    seen, buffers = circumstances_of(inputs), inputs.buffers
+    light = lighting_of(seen.target_sky)
+    rows = np.nonzero(buffers.has_surface)
+    points = buffers.position_world[rows].astype(np.float32)
+    offset = points - seen.world_from_camera.translation_m.astype(np.float32)
+    directions = offset / np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-6)
+    shown = field(points, directions.astype(np.float32), light)
+    is_actor = buffers.actor_index[rows] >= 0
+    normal = np.where(is_actor[:, None], buffers.normal_world[rows], shown.normal_world)
+    albedo = np.where(is_actor[:, None], buffers.base_colour[rows], shown.albedo)
+    shadow = np.where(is_actor, np.float32(1), shown.shadow)
+    functions = shading_basis(torch.from_numpy(normal.astype(np.float32))).numpy()
+    radiance = np.zeros_like(inputs.radiance)
+    radiance[rows] = albedo * np.maximum(functions @ light, 0) * shadow[:, None]
+    is_sky = np.where(buffers.has_surface, inputs.sky_matte, 1).astype(np.float32)
+    return Estimate(composite(radiance, inputs.target_sky, is_sky))
+
+
+def lighting_of(sky: SkyDome) -> Float32[np.ndarray, "9 3"]:
+    """Coefficients of a dome's radiance, frame `world`, sun included."""
+    radiance = np.moveaxis(resized(sky, DOME_ROWS).radiance, -1, 0)[None]
+    return project(torch.from_numpy(np.ascontiguousarray(radiance)))[0].numpy()
