@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -138,7 +137,7 @@ def _read(path: Path) -> dict[_Key, Samples]:
     found: dict[_Key, dict[tuple[Any, str], float]] = {}
     for file in files:
         log = file.stem if path.is_dir() else ""
-        for row in _rows(file):
+        for row in read_rows(file):
             for stem, scores in row.scores_by_stem.items():
                 for score in DIGITS:
                     value = getattr(scores, score)
@@ -150,7 +149,12 @@ def _read(path: Path) -> dict[_Key, Samples]:
     return dict(found)
 
 
-def _rows(file: Path) -> Iterable[FrameRow]:
+def read_rows(file: Path) -> list[FrameRow]:
+    """The rows that an evaluation wrote.
+
+    Raises:
+        InputError, ArtefactError: the file is none.
+    """
     try:
         return [FrameRow.from_json(row) for row in read_json(file)["rows"]]
     except (KeyError, TypeError, AttributeError) as error:

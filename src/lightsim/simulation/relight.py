@@ -50,7 +50,7 @@ from lightsim.store.weights import list_weights
 
 _SCHEMA = 11
 _STAGE = "relight"
-_OPTIONAL = ("labels", "weights", "renderer", "edits", "assets", "exposure_time_ms")
+_OPTIONAL = ("labels", "weights", "renderer", "source_sky", "edits", "assets", "exposure_time_ms")
 _PLAIN = RelightConfig()
 
 
@@ -167,6 +167,7 @@ def _settings(options: RelightOptions, sky: SkyChoice, image_scale: float) -> di
         "linear": options.linear,
         **({"labels": True} if options.labels else {}),
         **({"renderer": light} if light != _settings_of(LightChoice()) else {}),
+        **({"source_sky": hash_file(options.source_sky)} if options.source_sky else {}),
     }
 
 
