@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from lightsim.evaluate.compare import ComparedRow, compare_evaluations, read_rows
+from lightsim.evaluate.compare import ComparedRow, compare_samples, read_rows
 from lightsim.evaluate.frame_report import DIGITS, FrameRow, finite
 from lightsim.evaluate.report import Cost
-from lightsim.evaluate.statistics import Spread, clustered_mean
+from lightsim.evaluate.statistics import Samples, Spread, clustered_mean
 from lightsim.store.artefact import read_json
 
 MEAN = "mean"
@@ -128,28 +128,31 @@ def make_leaderboard(
     """
     reference = next(iter(folders))
     found = {method: _rows_by_street(folder) for method, folder in folders.items()}
-    methods: dict[str, tuple[Path, Mapping[str, list[FrameRow]]]] = {}
+    rows_by_method: dict[str, dict[str, list[FrameRow]]] = {}
+    costs: dict[str, Cost | None] = {}
     for name, streets in found.items():
-        for rows in streets.values():
+        for street, rows in streets.items():
+            # The first method of a file is the one whose frames were made: baselines cost nothing.
+            costs.setdefault(rows[0].method, _cost(folders[name]))
             for row in rows:
-                methods.setdefault(row.method, (folders[name], streets))
-    # An edit or a sky that only others have seen gets no column.
-    seen = {row.condition for rows in found[reference].values() for row in rows}
+                rows_by_method.setdefault(row.method, {}).setdefault(street, []).append(row)
+    first = next(iter(rows_by_method))
+    seen = {row.condition for rows in rows_by_method[first].values() for row in rows}
     conditions = [name for name in own_conditions if name in seen]
     columns = (*conditions, *([other] if seen - set(conditions) else []), MEAN)
-    first = next(row.method for row in next(iter(found[reference].values())))
+    against = _against(first, rows_by_method)
     entries = [
         Entry(
             method,
-            dict(_spreads(method, streets, conditions, other)),
-            {} if method == first else _against(first, folders[reference], method, folder),
-            _cost(folder) if method in _leaders(found) else None,
+            dict(_spreads(streets, conditions, other)),
+            {score: row for (name, score), row in against.items() if name == method},
+            costs.get(method),
         )
-        for method, (folder, streets) in methods.items()
+        for method, streets in rows_by_method.items()
     ]
     entries.sort(key=lambda e: (e.method != first, -e.spreads[MEAN, "psnr_db"].mean))
-    streets = tuple(sorted(found[reference], key=lambda name: (len(name), name)))
-    return Leaderboard(title, streets, columns, tuple(entries), tuple(notes))
+    names = tuple(sorted(found[reference], key=lambda name: (len(name), name)))
+    return Leaderboard(title, names, columns, tuple(entries), tuple(notes))
 
 
 def weakest(folder: Path, method: str, count: int) -> list[tuple[str, str, str, str, float]]:
@@ -174,35 +177,51 @@ def _rows_by_street(folder: Path) -> dict[str, list[FrameRow]]:
     }
 
 
-def _leaders(found: Mapping[str, Mapping[str, list[FrameRow]]]) -> set[str]:
-    """The methods whose frames were made: the first one of each file. Baselines cost nothing."""
-    return {rows[0].method for streets in found.values() for rows in streets.values()}
-
-
 def _spreads(
-    method: str, streets: Mapping[str, list[FrameRow]], conditions: Sequence[str], other: str
+    streets: Mapping[str, list[FrameRow]], conditions: Sequence[str], other: str
 ) -> Iterator[tuple[tuple[str, str], Spread]]:
     """Means by condition and score; a street is a sequence."""
-    samples: dict[tuple[str, str], dict[tuple[Any, str], float]] = {}
+    for score in SCORES:
+        samples: dict[str, dict[tuple[Any, str], float]] = {}
+        for (street, camera), frame, condition, value in _values(streets, score):
+            column = condition if condition in conditions else other
+            for name in (column, MEAN):
+                samples.setdefault(name, {})[street, f"{camera}/{frame}"] = value
+        for name, values in samples.items():
+            yield (name, score), clustered_mean(values)
+
+
+def _against(
+    first: str, rows_by_method: Mapping[str, Mapping[str, list[FrameRow]]]
+) -> dict[tuple[str, str], ComparedRow]:
+    """The others' differences by method and score, all adjusted together; frames of one camera of a
+    street, under all skies, are a sequence."""
+
+    def samples(method: str, score: str) -> Samples:
+        found = _values(rows_by_method[method], score)
+        return {(sequence, frame): value for sequence, frame, _, value in found}
+
+    pairs = {
+        ("masked", False, method, score): (samples(first, score), samples(method, score))
+        for method in rows_by_method
+        if method != first
+        for score in SCORES
+    }
+    known = {key: pair for key, pair in pairs.items() if pair[0] and pair[1]}
+    return {(row.method, row.score): row for row in compare_samples(known).rows}
+
+
+def _values(
+    streets: Mapping[str, list[FrameRow]], score: str
+) -> Iterator[tuple[tuple[str, str], str, str, float]]:
+    """(street, camera), frame, condition and value of every picture that has one."""
     for street, rows in streets.items():
         for row in rows:
-            if row.method != method:
-                continue
-            column = row.condition if row.condition in conditions else other
             for stem, scores in row.scores_by_stem.items():
-                frame = f"{row.condition}/{row.camera_name}/{stem}"
-                for score in SCORES:
-                    value = getattr(scores, score)
-                    if np.isfinite(value):
-                        samples.setdefault((column, score), {})[street, frame] = value
-                        samples.setdefault((MEAN, score), {})[street, frame] = value
-    for key, values in samples.items():
-        yield key, clustered_mean(values)
-
-
-def _against(first: str, reference: Path, method: str, folder: Path) -> dict[str, ComparedRow]:
-    report = compare_evaluations(reference, folder, (first, method))
-    return {row.score: row for row in report.rows if row.region == "masked" and not row.is_exposed}
+                value = getattr(scores, score)
+                if np.isfinite(value):
+                    frame = f"{row.condition}/{stem}"
+                    yield (street, row.camera_name), frame, row.condition, value
 
 
 def _cost(folder: Path) -> Cost | None:

@@ -22,8 +22,10 @@ from lightsim.simulation.benchmark_options import (
     BenchmarkSize,
     HeldOutSide,
 )
+from lightsim.simulation.benchmark_page import write_page
 from lightsim.simulation.relight_samples import skies_of_side, some_of
 from lightsim.simulation.shard import Shard
+from lightsim.store.artefact import write_text
 from lightsim.store.weights import WEIGHTS_FOLDER, list_weights, read_record
 from lightsim.synthetic.checksum import street_checksum
 from lightsim.synthetic.plan import Size, plan_street
@@ -70,8 +72,6 @@ def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
             streets than the committed ones, an option is wrong, or nothing was finished.
         ArtefactError: weights are damaged, or do not tell what they have learned from.
     """
-    from lightsim.simulation.benchmark_page import write_page
-
     seeds = Shard.parse(options.shard).of(options.seeds or tuple(HELD_OUT[options.side]))
     methods, notes = _methods(options)
     for seed in seeds:
@@ -80,7 +80,8 @@ def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
         _check_unseen(method, options)
     notes += _run(options, seeds, methods, progress)
     result = _leaderboards(options, methods, notes)
-    write_page(options, result)
+    write_text(options.root / "leaderboard.json", result.to_json() + "\n")
+    write_page(options, result.boards)
     return result
 
 

@@ -2,37 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from lightsim.evaluate.frames import FrameTask
-from lightsim.evaluate.leaderboard import weakest
+from lightsim.evaluate.leaderboard import Leaderboard, weakest
 from lightsim.simulation.benchmark_options import REFERENCE, BenchmarkOptions
 from lightsim.simulation.evaluation import OURS
 from lightsim.simulation.report import compared
-from lightsim.store.artefact import write_text
 from lightsim.store.images import read_srgb8
 from lightsim.view.report import Figure, Section, Table, write_report
-
-if TYPE_CHECKING:
-    from lightsim.simulation.benchmark import Benchmark
 
 _SHOWN = 5
 
 
-def write_page(options: BenchmarkOptions, result: Benchmark) -> Path:
-    """leaderboard.json and index.html."""
-    write_text(options.root / "leaderboard.json", result.to_json() + "\n")
+def write_page(options: BenchmarkOptions, boards: Sequence[Leaderboard]) -> Path:
+    """index.html of a side and size."""
     tables = [
         Table(columns, lines, caption)
-        for board in result.boards
+        for board in boards
         for caption, columns, lines in board.tables()
     ]
     cases = weakest(options.scores / REFERENCE, OURS, _SHOWN)
     figures = [_case(options, *case) for case in cases]
     sections = [
-        Section("Leaderboard", "\n\n".join(result.relighting.notes), tables=tables),
+        Section("Leaderboard", "\n\n".join(boards[0].notes), tables=tables),
         Section(f"The {len(figures)} weakest pictures of {OURS}", figures=figures),
     ]
     path = options.root / "index.html"

@@ -79,9 +79,9 @@ def more_sky_specs(plan: StreetPlan) -> tuple[SkySpec, ...]:
         return SolarPosition((azimuth + turn) % 360.0, elevation_deg)
 
     return (
-        SkySpec("opposite_sun", sun(150, 180, 36.0), 0.8, float(rng.uniform(0.0, 0.2)), 5),
-        SkySpec("broken_clouds", sun(40, 90, 46.0), 1.2, float(rng.uniform(0.7, 0.9)), 6),
-        SkySpec("veiled_sun", sun(60, 140, 40.0), 1.4, 0.6, 7, sun_factor=0.3),
+        SkySpec("opposite_sun", sun(150.0, 180.0, 36.0), 0.8, float(rng.uniform(0.0, 0.2)), 5),
+        SkySpec("broken_clouds", sun(40.0, 90.0, 46.0), 1.2, float(rng.uniform(0.7, 0.9)), 6),
+        SkySpec("veiled_sun", sun(60.0, 140.0, 40.0), 1.4, 0.6, 7, sun_factor=0.3),
     )
 
 
