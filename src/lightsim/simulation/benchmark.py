@@ -90,7 +90,8 @@ def _methods(options: BenchmarkOptions) -> tuple[list[Method], list[str]]:
     from lightsim.relighting.methods import relight_by
 
     asked: Sequence[Method] = options.methods or get_args(Method)  # type: ignore[assignment]
-    found, notes = [REFERENCE], []
+    found: list[Method] = [REFERENCE]
+    notes: list[str] = []
     for method in asked:
         try:
             relight_by(method, options.weights_by_method.get(method))
@@ -225,7 +226,7 @@ def _leaderboards(
     return Benchmark(relighting, make_leaderboard(f"Edits ({title})", {_EDITS: edits}, names))
 
 
-def _missing(options: BenchmarkOptions, made: Mapping[Method, Path]) -> dict[Method, list[str]]:
+def _missing(options: BenchmarkOptions, made: Mapping[str, Path]) -> dict[str, list[str]]:
     """Streets of the side that a method lacks."""
     return {
         method: [str(s) for s in HELD_OUT[options.side] if not (folder / f"{s}.json").is_file()]
