@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import binary_dilation, uniform_filter
+from scipy.ndimage import binary_dilation
 
 from lightsim.core.colour import linear_from_srgb8, luminance
 from lightsim.core.scenario import Scenario
@@ -33,18 +33,14 @@ from lightsim.evaluate.lpips import lpips_features, lpips_of_features
 from lightsim.evaluate.metrics import fill_invalid, psnr, ssim
 from lightsim.pipeline.workspace import Workspace
 from lightsim.scenario.edits import ScenarioRequest, read_scenario_request
+from lightsim.simulation.edit_evaluation import TrueView, true_views
 from lightsim.simulation.edited import asset_library, edited_scenario
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relight import replayed
 from lightsim.simulation.relighter import RelightConfig, Relighter
 from lightsim.simulation.skies import resolve_sky
-from lightsim.store.exr import read_exr
-from lightsim.store.images import read_srgb8, write_png
+from lightsim.store.images import write_png
 
-NO_EDIT = "none"
-_CHANGED = 6 / 255
-"""Of the true pictures' means over 3 x 3 pixels: more than the path tracer's grain."""
-_SUN_LOST = 0.05
 _DARKENED = 0.75
 """A pixel of our shadow has less than this fraction of its recorded radiance: half of the sun's
 share of the light is gone."""
@@ -52,61 +48,17 @@ _OUTLINE_PX = 2
 METHODS = ("LightSim", "no edit", "paste")
 
 
-@dataclass(frozen=True)
-class View:
-    """The truth of one view, before and after an edit."""
-
-    camera: str
-    stem: str
-    before: dict[str, np.ndarray]
-    after: dict[str, np.ndarray]
-    pictures: tuple[np.ndarray, np.ndarray]
-
-    @property
-    def is_other_surface(self) -> np.ndarray:
-        """Pixels that show something else."""
-        depth = [b["depth_z_m"] for b in (self.before, self.after)]
-        gap = np.abs(np.nan_to_num(depth[0], posinf=1e4) - np.nan_to_num(depth[1], posinf=1e4))
-        return (gap > 0.02) | (self.before["actor_index"] != self.after["actor_index"])
-
-    @property
-    def is_affected(self) -> np.ndarray:
-        """Pixels that the edit changes, actor and light."""
-        sun = np.abs(self.before["sun_visibility"] - self.after["sun_visibility"]) > _SUN_LOST
-        exact = binary_dilation(self.is_other_surface | sun, np.ones((3, 3)))
-        difference = np.subtract(*(p.astype(np.float32) / 255 for p in self.pictures))
-        smooth = np.abs(uniform_filter(difference, 3, axes=(0, 1))).max(axis=-1)
-        return exact | (smooth > _CHANGED)
-
-    @property
-    def is_new_shadow(self) -> np.ndarray:
-        """Pixels of the same surface that lose most of their sun."""
-        lost = self.before["sun_visibility"] - self.after["sun_visibility"]
-        return ~self.is_other_surface & (lost > 0.5)
-
-
-def views(truth: Path, name: str) -> Iterator[View]:
-    """The views of an edit that have been rendered."""
-
-    def read(edit: str, what: str, view: Path) -> np.ndarray:
-        image = read_exr(truth / "edits" / edit / what / view.parent.name / f"{view.stem}.exr")
-        return image.reshape(image.shape[:2])
-
-    for path in sorted((truth / "edits" / name / "frames").glob("*/*.png")):
-        unedited = truth / "edits" / NO_EDIT / "frames" / path.parent.name / path.name
-        before, after = (
-            {w: read(e, w, path) for w in ("depth_z_m", "actor_index", "sun_visibility")}
-            for e in (NO_EDIT, name)
-        )
-        pictures = read_srgb8(unedited), read_srgb8(path)
-        yield View(path.parent.name, path.stem, before, after, pictures)
+def is_new_shadow(view: TrueView) -> np.ndarray:
+    """Pixels of the same surface that lose most of their sun."""
+    lost = view.before["sun_visibility"] - view.after["sun_visibility"]
+    return ~view.is_other_surface & (lost > 0.5)
 
 
 @dataclass(frozen=True)
 class Made:
     """A view with our picture, the recorded one, pixels that we left alone, processor seconds."""
 
-    view: View
+    view: TrueView
     picture: np.ndarray
     recorded: np.ndarray
     is_kept: np.ndarray
@@ -125,7 +77,7 @@ class Bench:
         library = asset_library(None, request.source.parent)
         return edited_scenario(self.workspace, self.recorded, request, library)
 
-    def made(self, scenario: Scenario, seen: list[View]) -> Iterator[Made]:
+    def made(self, scenario: Scenario, seen: list[TrueView]) -> Iterator[Made]:
         """The views, one after the other."""
         log = self.workspace.log_at(1.0)
         relighter = Relighter(self.workspace, log, RelightConfig(), self.options, self.recorded)
@@ -152,15 +104,15 @@ def scores(made: np.ndarray, truth: np.ndarray, is_valid: np.ndarray) -> tuple[f
     )
 
 
-def shadow_iou(view: View, made: np.ndarray, recorded: np.ndarray) -> float:
+def shadow_iou(view: TrueView, made: np.ndarray, recorded: np.ndarray) -> float:
     """Of new shadows on surfaces that stay; NaN where the truth has none."""
     light = [luminance(linear_from_srgb8(p)) for p in (made, recorded)]
     darker = ~view.is_other_surface & (light[0] < _DARKENED * light[1])
-    true = view.is_new_shadow
+    true = is_new_shadow(view)
     return float((darker & true).sum() / (darker | true).sum()) if true.sum() > 20 else np.nan
 
 
-def pasted(view: View, made: np.ndarray, recorded: np.ndarray) -> np.ndarray:
+def pasted(view: TrueView, made: np.ndarray, recorded: np.ndarray) -> np.ndarray:
     """Our pixels within the true outline of the actor, the recorded ones elsewhere."""
     outline = binary_dilation(view.is_other_surface, iterations=_OUTLINE_PX)
     return np.where(outline[..., None], made, recorded)
@@ -179,7 +131,7 @@ def main() -> None:
     sys.stdout.write("| " + " | ".join(head) + " |\n|---|" + "---:|" * (len(head) - 1) + "\n")
     for path in sorted((options.truth / "edits").glob("*/SCENARIO.json")):
         name = path.parent.name
-        seen = list(views(options.truth, name))
+        seen = list(true_views(options.truth, name))
         if not seen or (options.edits and name not in options.edits):
             continue
         request = read_scenario_request(path)
@@ -198,7 +150,7 @@ def main() -> None:
 
 def _add(table: dict[Any, list[Any]], made: Made, *, is_ego: bool) -> None:
     view, truth = made.view, made.view.pictures[1]
-    region = np.isfinite(view.after["depth_z_m"]) if is_ego else view.is_affected
+    region = view.is_surface if is_ego else view.is_affected
     rivals = [made.picture, made.recorded]
     if not is_ego:
         rivals.append(pasted(view, made.picture, made.recorded))

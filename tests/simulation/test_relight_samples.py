@@ -83,8 +83,13 @@ def test_samples_hold_what_relighting_makes(
 
 
 def test_skies_need_a_split(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="which skies may train"):
+    with pytest.raises(InputError, match="on which side"):
         prepare_relight(PrepareRelightOptions(tmp_path, hdri=tmp_path), SilentProgress())
+
+
+def test_streets_of_the_benchmark_teach_nobody(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="measured on"):
+        prepare_relight(PrepareRelightOptions(tmp_path, streets=(201, 58)), SilentProgress())
 
 
 def test_the_shipped_network_relights_frames(built_street: BuiltStreet) -> None:

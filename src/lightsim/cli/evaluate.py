@@ -14,6 +14,7 @@ from lightsim.errors import InputError
 from lightsim.evaluate.options import MeasureOptions
 from lightsim.progress import terminal_progress
 from lightsim.relighting.options import Method
+from lightsim.simulation.benchmark_options import BenchmarkOptions
 from lightsim.simulation.paper_table import PaperTableOptions
 
 
@@ -78,6 +79,8 @@ class EvaluateRelight:
     """Of the network that --method names; by default the package's."""
     name: str = "truth"
     """Of the relit frames: WORK/scenarios/NAME, which is written over."""
+    source_sky: Path | None = None
+    """The light of the recording, where the method is told it (TRUTH/skies/source.exr)."""
     allow_stale: bool = False
     """Go on where the recording has changed since the build."""
     options: Annotated[MeasureOptions, tyro.conf.arg(name="")] = field(
@@ -97,10 +100,34 @@ class EvaluateRelight:
             name=self.name,
             method=self.method,
             weights=self.weights,
+            source_sky=self.source_sky,
             allow_stale=self.allow_stale,
         )
         progress = terminal_progress()
         show(evaluate_relit(self.work, self.truth, relighting, self.options, progress), self.out)
+
+
+@dataclass(frozen=True)
+class EvaluateEdits:
+    """Edited frames against ground truth, where the edit changes them."""
+
+    work: tyro.conf.Positional[Path]
+    """Work folder."""
+    truth: Path
+    """Ground truth of a synthetic log, made with --edits."""
+    options: Annotated[MeasureOptions, tyro.conf.arg(name="")] = field(
+        default_factory=MeasureOptions
+    )
+    out: Path | None = None
+    """Also write the table as JSON here."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Measure edited frames."""
+        from lightsim.simulation.edit_evaluation import evaluate_edits
+
+        show(evaluate_edits(self.work, self.truth, self.options, terminal_progress()), self.out)
 
 
 @dataclass(frozen=True)
@@ -240,15 +267,33 @@ class EvaluatePaperTable:
         show(paper_table(self.options, terminal_progress()), self.options.out / "table1.json")
 
 
+@dataclass(frozen=True)
+class EvaluateBenchmark:
+    """The leaderboard: every method on held-out synthetic streets with true pictures, resumable."""
+
+    options: Annotated[BenchmarkOptions, tyro.conf.arg(name="")]
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Make, build, relight and measure what is not finished."""
+        from lightsim.simulation.benchmark import benchmark
+
+        show(benchmark(self.options, terminal_progress()), None)
+        say(f"page: {self.options.root / 'index.html'}")
+
+
 Evaluate = (
     Annotated[EvaluateFrames, tyro.conf.subcommand("frames")]
     | Annotated[EvaluateRelight, tyro.conf.subcommand("relight")]
+    | Annotated[EvaluateEdits, tyro.conf.subcommand("edits")]
     | Annotated[EvaluateGeometry, tyro.conf.subcommand("geometry")]
     | Annotated[EvaluateSky, tyro.conf.subcommand("sky")]
     | Annotated[EvaluateBaseColour, tyro.conf.subcommand("base-colour")]
     | Annotated[EvaluateClosure, tyro.conf.subcommand("closure")]
     | Annotated[EvaluateCompare, tyro.conf.subcommand("compare")]
     | Annotated[EvaluatePaperTable, tyro.conf.subcommand("paper-table1")]
+    | Annotated[EvaluateBenchmark, tyro.conf.subcommand("benchmark")]
 )
 
 

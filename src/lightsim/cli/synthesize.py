@@ -18,13 +18,16 @@ class Synthesize:
     """Folder to write: log/ and truth/."""
     seed: int = 0
     """Another seed, another street."""
-    size: Literal["small", "medium", "full"] = "small"
+    size: Literal["small", "medium", "full", "benchmark"] = "small"
     """Image size and number of frames."""
     denoise: bool = False
     """Pictures without the grain of few light paths, as a good camera takes them
     (pip install 'lightsim[denoise]')."""
     paths: int | None = None
-    """Light paths a pixel; by default 24 of the log and 64 of the truth (full: 32 and 64)."""
+    """Light paths a pixel; by default 24 of the log and 64 of the truth (full: 32 and 64;
+    benchmark: 16)."""
+    more_skies: bool = False
+    """True pictures under three more skies than the usual three."""
     sky: tuple[Path, ...] = ()
     """HDR panoramas under which true pictures are made, too; turned and scaled at random."""
     edits: bool = False
@@ -47,6 +50,7 @@ class Synthesize:
             is_denoised=self.denoise,
             target_skies=self.sky,
             paths=self.paths,
+            has_more_skies=self.more_skies,
         )
         if self.edits:
             synthesize_edits(

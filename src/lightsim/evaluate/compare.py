@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from lightsim.evaluate.statistics import (
 from lightsim.store.artefact import read_json
 
 _HIGHER_IS_BETTER = {"psnr_db": True, "ssim": True, "lpips": False, "lpips_alex": False}
-_Key = tuple[str, bool, str, str]
+Key = tuple[str, bool, str, str]
 """Region, whether exposure was fitted, method, score."""
 
 
@@ -124,21 +124,29 @@ def compare_evaluations(
             where=f"{first}, {second}",
             expected="the same log and skies; other methods are paired by --methods A,B",
         )
-    found = [compare_paired(sides[0][key], sides[1][key]) for key in shared]
+    return compare_samples({key: (sides[0][key], sides[1][key]) for key in shared})
+
+
+def compare_samples(pairs: Mapping[Key, tuple[Samples, Samples]]) -> ComparisonReport:
+    """Paired differences, second minus first; p-values are adjusted for all of them together.
+
+    Raises:
+        InputError: a pair shares no frame.
+    """
+    found = [compare_paired(*pair) for pair in pairs.values()]
     adjusted = _adjusted([f.p_value for f in found])
-    rows = []
-    for (region, is_exposed, method, score), f, q in zip(shared, found, adjusted, strict=True):
-        rows.append(ComparedRow(region, is_exposed, method, score, f, q))
-    return ComparisonReport(tuple(rows))
+    return ComparisonReport(
+        tuple(ComparedRow(*key, f, q) for key, f, q in zip(pairs, found, adjusted, strict=True))
+    )
 
 
-def _read(path: Path) -> dict[_Key, Samples]:
+def _read(path: Path) -> dict[Key, Samples]:
     """Samples of every score of the files; sequences are named by file and camera."""
     files = sorted(path.glob("*.json")) if path.is_dir() else [path]
-    found: dict[_Key, dict[tuple[Any, str], float]] = {}
+    found: dict[Key, dict[tuple[Any, str], float]] = {}
     for file in files:
         log = file.stem if path.is_dir() else ""
-        for row in _rows(file):
+        for row in read_rows(file):
             for stem, scores in row.scores_by_stem.items():
                 for score in DIGITS:
                     value = getattr(scores, score)
@@ -150,7 +158,12 @@ def _read(path: Path) -> dict[_Key, Samples]:
     return dict(found)
 
 
-def _rows(file: Path) -> Iterable[FrameRow]:
+def read_rows(file: Path) -> list[FrameRow]:
+    """The rows that an evaluation wrote.
+
+    Raises:
+        InputError, ArtefactError: the file is none.
+    """
     try:
         return [FrameRow.from_json(row) for row in read_json(file)["rows"]]
     except (KeyError, TypeError, AttributeError) as error:

@@ -139,7 +139,7 @@ class FramesReport:
 
     def json_rows(self) -> list[dict[str, Any]]:
         """The rows of `to_json`."""
-        return [_finite(asdict(row)) for row in self.rows]
+        return [finite(asdict(row)) for row in self.rows]
 
 
 def samples(rows: list[FrameRow], score: str) -> Samples:
@@ -157,8 +157,10 @@ def _scores(values: Mapping[str, float | None]) -> ImageScores:
     return ImageScores(**{k: np.nan if v is None else v for k, v in values.items() if k in known})
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """JSON without NaN and infinity."""
     if isinstance(value, dict):
-        return {key: _finite(inner) for key, inner in value.items()}
+        return {key: finite(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [finite(inner) for inner in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value

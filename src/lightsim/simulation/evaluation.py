@@ -3,6 +3,7 @@ each other, and by their shadows."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -19,16 +20,18 @@ from lightsim.evaluate.frame_report import FramesReport
 from lightsim.evaluate.frames import FramesConfig, FrameTask, score_frames
 from lightsim.evaluate.left_shadows import score_left_shadows
 from lightsim.evaluate.options import MeasureOptions
-from lightsim.evaluate.report import EvaluationReport
+from lightsim.evaluate.report import Cost, EvaluationReport
 from lightsim.evaluate.shadows import TrueShadows, score_shadows
 from lightsim.pipeline.measures import held_out_frame_tasks
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
+from lightsim.relighting.options import Method
 from lightsim.simulation.against_truth import relit_folders
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.picture_consistency import RECORDED, picture_consistency
 from lightsim.simulation.report import write_evaluation_report
 from lightsim.simulation.true_surfaces import TrueSurfaces
+from lightsim.store.artefact import peak_memory_mb
 from lightsim.store.images import read_grey8
 from lightsim.synthetic.reader import true_sky
 
@@ -46,7 +49,7 @@ def evaluate_held_out(
         InputError: the build held nothing out.
     """
     tasks = held_out_frame_tasks(Workspace(work), with_field=with_field)
-    return _measured(tasks, options, progress, f"Held-out frames of {work.name}")
+    return measured(tasks, options, progress, f"Held-out frames of {work.name}")
 
 
 def evaluate_folders(
@@ -68,7 +71,7 @@ def evaluate_folders(
         InputError: a folder is missing, or they share no frame.
     """
     is_valid = None if masks is None else partial(_read_mask, masks)
-    baselines = BASELINES if "source" in folders else None
+    baselines = BASELINES if "source" in folders and options.baselines else None
     tasks = folder_tasks("frames", "predicted", folders, is_valid, baselines)
     rows: tuple[ConsistencyRow, ...] = ()
     if work is not None:
@@ -76,7 +79,7 @@ def evaluate_folders(
         shown = {names.get(name, name): folder for name, folder in folders.items()}
         rows = picture_consistency(Workspace(work), "frames", shown, progress)
     title = f"{folders['predicted']} against {folders['truth']}"
-    return _measured(tasks, options, progress, title, consistency=rows)
+    return measured(tasks, options, progress, title, consistency=rows)
 
 
 def evaluate_relit(
@@ -96,20 +99,26 @@ def evaluate_relit(
         InputError: `truth` is not a folder that `lightsim synthesize` wrote.
     """
     workspace = Workspace(work, is_stale_allowed=relighting.allow_stale)
+    # Frames that are kept cost nothing now.
+    kept = [work / "scenarios" / name for name in (relighting.name, f".{relighting.name}.partial")]
+    is_anew, began_s = not any(path.exists() for path in kept), time.process_time()
     folders = relit_folders(workspace, truth, relighting, progress)
     skies = {name: true_sky(truth, name) for name in (*folders, _SOURCE)}
+    count = sum(len(list(frames["predicted"].glob("*/*.png"))) for frames in folders.values())
+    cost = Cost((time.process_time() - began_s) / count, peak_memory_mb()) if is_anew else None
     surfaces = TrueSurfaces(truth / "scene.npz", workspace, skies)
-    method = OURS if relighting.method == "physical" else relighting.method
+    method = name_in_tables(relighting.method)
+    baselines = BASELINES if options.baselines else None
     tasks: list[FrameTask] = []
     consistency: list[ConsistencyRow] = []
     for sky, frames in folders.items():
         classes = partial(surfaces.classes, sky)
-        tasks += folder_tasks(sky, method, frames, surfaces.is_surface, BASELINES, classes)
+        tasks += folder_tasks(sky, method, frames, surfaces.is_surface, baselines, classes)
         if workspace.reading.image_scale == 1.0:
             names = {"predicted": method, "truth": "truth", "source": RECORDED}
             shown = {names[name]: folder for name, folder in frames.items()}
             consistency += picture_consistency(workspace, sky, shown, progress)
-    return _measured(
+    report = measured(
         tasks,
         options,
         progress,
@@ -117,9 +126,15 @@ def evaluate_relit(
         consistency=consistency,
         load_shadows=lambda sky, task: surfaces.shadows(sky, task.camera_name, task.stem),
     )
+    return replace(report, cost=cost)
 
 
-def _measured(
+def name_in_tables(method: Method) -> str:
+    """Of a method of relighting."""
+    return OURS if method == "physical" else method
+
+
+def measured(
     tasks: Sequence[FrameTask],
     options: MeasureOptions,
     progress: Progress,

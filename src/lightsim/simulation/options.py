@@ -135,6 +135,9 @@ class RelightOptions(FrameOptions):
     package's (nerf-osr: the work folder's)."""
     renderer: LightChoice = field(default_factory=LightChoice)
     """Who renders the light of source and target that relighting reads."""
+    source_sky: Path | None = None
+    """.hdr or .exr file of the light under which the log was recorded, where it is known, in scene
+    units; by default the estimate of the build. Base colours stay those of the build."""
     exposure_ev: float = 0.0
     """Exposure of the output, in stops."""
     glare: float = 0.0

@@ -37,6 +37,7 @@ from lightsim.simulation.skies import TargetSky, made_from_sky, resolve_sky
 from lightsim.store.artefact import (
     RECORD_NAME,
     ArtefactKey,
+    hash_file,
     json_ready,
     make_artefact,
     open_attempt,
@@ -50,8 +51,9 @@ from lightsim.store.scenario import write_scenario
 _SCHEMA = 11
 _STAGE = "relight"
 _OPTIONAL = (
-    "labels", "weights", "renderer", "edits", "assets", "exposure_time_ms", "ego_offset_m",
-)  # fmt: skip
+    *("labels", "weights", "renderer", "source_sky", "edits", "assets", "exposure_time_ms"),
+    *("ego_offset_m", "glare", "expected_error"),
+)
 _PLAIN = RelightConfig()
 
 
@@ -175,6 +177,7 @@ def _settings(options: RelightOptions, sky: SkyChoice, image_scale: float) -> di
         **({"glare": options.glare} if options.glare else {}),
         **({"expected_error": True} if options.expected_error else {}),
         **({"renderer": light} if light != _settings_of(LightChoice()) else {}),
+        **({"source_sky": hash_file(options.source_sky)} if options.source_sky else {}),
     }
 
 

@@ -28,13 +28,14 @@ from lightsim.relighting.physical.ratio import (
     relight_physical,
 )
 from lightsim.simulation.against_truth import as_truth
+from lightsim.simulation.benchmark_options import HELD_OUT
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relight import replayed
 from lightsim.simulation.relighter import RelightConfig, Relighter, RelitFrame
 from lightsim.simulation.skies import resolve_sky
 from lightsim.store.images import read_srgb8
 from lightsim.synthetic import synthesize
-from lightsim.training.hdr_skies import SplitEntry, read_split
+from lightsim.training.hdr_skies import Side, SplitEntry, read_split
 from lightsim.training.options import PrepareRelightOptions
 from lightsim.training.relight_cache import RelightSample, RelightTargetSample, write_sample
 
@@ -54,14 +55,22 @@ def prepare_relight(options: PrepareRelightOptions, progress: Progress) -> None:
     Raises:
         InputError: a file of skies is wrong, or nothing is asked for.
     """
-    skies = _training_skies(options)
+    held_out = {seed for seeds in HELD_OUT.values() for seed in seeds}
+    if held_out & set(options.streets):
+        raise InputError(
+            "these streets are measured on",
+            where="--streets",
+            got=sorted(held_out & set(options.streets)),
+            remedy="Give other seeds: the benchmark's streets teach nobody.",
+        )
+    skies = skies_of_side(options.hdri, options.split, "train")
     for seed in options.streets:
         done = options.out / str(seed)
         if done.is_dir():
             continue
         began, processor = time.monotonic(), time.process_time()
         street = options.out / STREETS / str(seed)
-        chosen = _some_of(skies, seed, options.skies_per_street)
+        chosen = some_of(skies, seed, options.skies_per_street)
         synthesize(
             street,
             seed=seed,
@@ -89,34 +98,39 @@ def prepare_relight(options: PrepareRelightOptions, progress: Progress) -> None:
         )
 
 
-def _training_skies(options: PrepareRelightOptions) -> list[Path]:
-    """Measured skies of the training side that show a sky of their own, in the order of names."""
-    if options.hdri is None:
+def skies_of_side(hdri: Path | None, split: Path | None, side: Side) -> list[Path]:
+    """Measured skies of a side that show a sky of their own, in the order of names; none without a
+    folder.
+
+    Raises:
+        InputError: there is no split, it is wrong, or the folder has no sky of the side.
+    """
+    if hdri is None:
         return []
-    if options.split is None:
+    if split is None:
         raise InputError(
-            "nobody tells which skies may train",
+            "nobody tells on which side a sky is",
             where="--hdri",
-            remedy="Give --split, too: skies of the validation and test side stay unseen.",
+            remedy="Give --split, too: what trains, what chooses and what tests stay apart.",
         )
-    entries = read_split(options.split)
-    files = sorted(p for p in options.hdri.iterdir() if p.suffix.lower() in (".hdr", ".exr"))
-    found = [p for p in files if p.stem in entries and _is_open(entries[p.stem])]
+    entries = read_split(split)
+    files = sorted(p for p in hdri.iterdir() if p.suffix.lower() in (".hdr", ".exr"))
+    found = [p for p in files if p.stem in entries and _is_open(entries[p.stem], side)]
     if not found:
         raise InputError(
-            "no sky of the training side is there",
-            where=options.hdri,
-            expected=f".hdr or .exr files that {options.split} names for training",
+            f"no sky of the {side} side is there",
+            where=hdri,
+            expected=f".hdr or .exr files that {split} names for it",
         )
     return found
 
 
-def _is_open(entry: SplitEntry) -> bool:
-    """Whether a sky is on the training side and whole: its sun not clipped, no roof of trees."""
-    return entry.split == "train" and entry.tier != "C" and entry.scene != "canopy"
+def _is_open(entry: SplitEntry, side: Side) -> bool:
+    """Whether a sky is on a side and whole: its sun not clipped, no roof of trees."""
+    return entry.split == side and entry.tier != "C" and entry.scene != "canopy"
 
 
-def _some_of(skies: Sequence[Path], seed: int, count: int) -> list[Path]:
+def some_of(skies: Sequence[Path], seed: int, count: int) -> list[Path]:
     """Of a street; the same whatever other streets are made."""
     order = np.random.default_rng([seed, 17]).permutation(len(skies))
     return [skies[k] for k in order[:count]]

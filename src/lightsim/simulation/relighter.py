@@ -14,6 +14,7 @@ from lightsim.core.dome import SkyDome, Sun
 from lightsim.core.log import DrivingLog
 from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.core.sensors import CameraFrame
+from lightsim.core.sky_choice import SkyChoice
 from lightsim.pipeline.workspace import Workspace
 from lightsim.relighting.physical.compose import camera_image
 from lightsim.relighting.physical.glare import veiling_glare
@@ -24,7 +25,7 @@ from lightsim.render.transport.matrix import TransportConfig
 from lightsim.render.transport.sky import EnvironmentCells
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relight_methods import relight_of
-from lightsim.simulation.skies import TargetSky
+from lightsim.simulation.skies import TargetSky, resolve_sky
 from lightsim.simulation.source_image import SourceImage, SourceImages
 
 
@@ -111,7 +112,11 @@ class Relighter:
             config.transport,
             options.seed,
         )
-        self._source = self._renderer.prepare(workspace.sky.dome)
+        self._source_sky = workspace.sky.dome
+        if options.source_sky is not None:
+            given = SkyChoice(str(options.source_sky), scale="none")
+            self._source_sky = resolve_sky(given, workspace).dome
+        self._source = self._renderer.prepare(self._source_sky)
         # Pictures of edits are always the light transport matrix's; what is relit is the chosen
         # renderer's.
         self._light: Renderer = self._renderer
@@ -122,7 +127,7 @@ class Relighter:
                 workspace.unobserved_occluders,
                 options.seed,
             )
-        self._light_source = self._prepared(workspace.sky.dome, self._source)
+        self._light_source = self._prepared(self._source_sky, self._source)
         self._images = SourceImages(
             workspace,
             log,
@@ -136,7 +141,7 @@ class Relighter:
 
     def target(self, sky: TargetSky) -> RelightTarget:
         """A target sky made ready."""
-        level = [d.horizontal_irradiance() for d in (self._workspace.sky.dome, sky.dome)]
+        level = [d.horizontal_irradiance() for d in (self._source_sky, sky.dome)]
         ratio = (level[1] / np.maximum(level[0], 1e-9)).astype(np.float32)
         cells = self._renderer.prepare(sky.dome, sky.behind)
         return RelightTarget(sky, cells, self._prepared(sky.dome, cells), ratio)
@@ -219,7 +224,7 @@ class Relighter:
             target_sun=target.cells.sun,
             found_visibility=traced.found_visibility(self._source.sun),
             circumstances=Circumstances(
-                gain, frame.world_from_camera, self._workspace.sky.dome, target.sky.dome
+                gain, frame.world_from_camera, self._source_sky, target.sky.dome
             ),
         )
         found = self._relight(inputs, self._config.ratio)

@@ -121,14 +121,14 @@ def write_evaluation_report(
     sequences: dict[tuple[str, str], list[FrameTask]] = {}
     for task in tasks:
         sequences.setdefault((task.condition, task.camera_name), []).append(task)
-    figures = [_compared(found[len(found) // 2]) for found in sequences.values()]
+    figures = [compared(found[len(found) // 2]) for found in sequences.values()]
     sections.insert(0, Section("Pictures", figures=figures))
     path = folder / "index.html"
     write_report(path, title, sections, subtitle="lightsim evaluate")
     return path
 
 
-def _compared(task: FrameTask) -> Figure:
+def compared(task: FrameTask) -> Figure:
     """Truth, then what each method made of it, each above its difference from the truth."""
     truth = task.load_truth()
     columns = [np.concatenate([truth, np.full_like(truth, 128)])]

@@ -12,7 +12,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.solar import SolarPosition, solar_position
 from lightsim.errors import InputError
 
-Size = Literal["small", "medium", "full"]
+Size = Literal["small", "medium", "full", "benchmark"]
 
 _PLACES = (
     (37.7749, -122.4194),
@@ -61,9 +61,12 @@ class StreetConfig:
 
 def config_of(size: Size) -> StreetConfig:
     """`small` fits into the package; `medium` has the length and the LiDAR of `full`, but small
-    images, for measuring reconstruction; `full` is for training and evaluation."""
+    images, for measuring reconstruction; `full` is for training and evaluation; `benchmark` is
+    `small` with less to render: one relit frame, no buffers, few paths, to be denoised."""
     if size == "small":
         return StreetConfig()
+    if size == "benchmark":
+        return StreetConfig(truth_stems=(3,), buffer_stems=(), samples=16, truth_samples=16)
     if size == "medium":
         stems = (12, 28)
         return StreetConfig(

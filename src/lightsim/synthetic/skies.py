@@ -42,6 +42,7 @@ class SkySpec:
         sun: azimuth from true north and elevation; None is overcast.
         sky_irradiance: luminous irradiance of the sky without its sun on level ground.
         cloud_amount: 0 to 1, thin clouds of a clear sky.
+        sun_factor: on the clear sun's irradiance: what cloud lets through.
     """
 
     name: str
@@ -49,6 +50,7 @@ class SkySpec:
     sky_irradiance: float
     cloud_amount: float
     seed: int
+    sun_factor: float = 1.0
 
 
 def sky_specs(plan: StreetPlan) -> tuple[SkySpec, ...]:
@@ -63,6 +65,23 @@ def sky_specs(plan: StreetPlan) -> tuple[SkySpec, ...]:
         SkySpec("low_sun", low, 0.62, float(rng.uniform(0.1, 0.5)), 2),
         SkySpec("high_sun", high, 1.0, float(rng.uniform(0.0, 0.3)), 3),
         SkySpec("overcast", None, 1.5, 1.0, 4),
+    )
+
+
+def more_sky_specs(plan: StreetPlan) -> tuple[SkySpec, ...]:
+    """Three further target skies: a sun from the other side, one between large clouds, and one
+    behind a veil."""
+    rng = np.random.default_rng([plan.seed, 11])
+    azimuth = plan.sun.azimuth_deg
+
+    def sun(low_deg: float, high_deg: float, elevation_deg: float) -> SolarPosition:
+        turn = float(rng.uniform(low_deg, high_deg)) * float(rng.choice([-1.0, 1.0]))
+        return SolarPosition((azimuth + turn) % 360.0, elevation_deg)
+
+    return (
+        SkySpec("opposite_sun", sun(150.0, 180.0, 36.0), 0.8, float(rng.uniform(0.0, 0.2)), 5),
+        SkySpec("broken_clouds", sun(40.0, 90.0, 46.0), 1.2, float(rng.uniform(0.7, 0.9)), 6),
+        SkySpec("veiled_sun", sun(60.0, 140.0, 40.0), 1.4, 0.6, 7, sun_factor=0.3),
     )
 
 
@@ -93,7 +112,8 @@ def build_sky(spec: SkySpec, plan: StreetPlan, height_px: int = 512) -> Sky:
     sun = None
     if spec.sun is not None:
         towards = direction_world(spec.sun.azimuth_deg, spec.sun.elevation_deg, plan.enu_from_world)
-        sun = Sun(towards, sun_irradiance(spec.sun.elevation_deg).astype(np.float32))
+        irradiance = spec.sun_factor * sun_irradiance(spec.sun.elevation_deg)
+        sun = Sun(towards, irradiance.astype(np.float32))
     directions = pixel_directions(height_px)
     radiance = _clear(directions, towards) if spec.sun else _overcast(directions)
     radiance = _with_clouds(radiance, directions, spec, plan.seed)

@@ -1,0 +1,234 @@
+"""`lightsim evaluate benchmark`: streets with true relit and edited pictures, made from seeds,
+built from their logs alone, relit by every method, and held together in one leaderboard."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+from lightsim.errors import InputError
+from lightsim.evaluate.leaderboard import Leaderboard, make_leaderboard
+from lightsim.progress import Progress
+from lightsim.relighting.options import NETWORK_WEIGHTS, NETWORKS, Method
+from lightsim.simulation.batch import BatchCommand, BatchOptions, log_of, run_batch
+from lightsim.simulation.benchmark_options import (
+    HELD_OUT,
+    REFERENCE,
+    BenchmarkOptions,
+    BenchmarkSize,
+    HeldOutSide,
+)
+from lightsim.simulation.benchmark_page import write_page
+from lightsim.simulation.relight_samples import skies_of_side, some_of
+from lightsim.simulation.shard import Shard
+from lightsim.store.artefact import write_text
+from lightsim.store.weights import WEIGHTS_FOLDER, list_weights, read_record
+from lightsim.synthetic.checksum import street_checksum
+from lightsim.synthetic.plan import Size, plan_street
+from lightsim.synthetic.skies import more_sky_specs, sky_specs
+
+_STREET_SIZE: dict[BenchmarkSize, Size] = {"small": "benchmark", "full": "full"}
+_BUILD: dict[BenchmarkSize, tuple[str, ...]] = {
+    # As streets of this size are built that networks learn from.
+    "small": ("--hold-out", "5", "--neural-steps", "150"),
+    "full": ("--hold-out", "8"),
+}
+_MEASURED_SKIES = 3
+_EDITS = "edits"
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """Relighting, and edits where their truth was made."""
+
+    relighting: Leaderboard
+    edits: Leaderboard | None
+
+    @property
+    def boards(self) -> tuple[Leaderboard, ...]:
+        """What there is."""
+        return (self.relighting,) if self.edits is None else (self.relighting, self.edits)
+
+    def to_table(self) -> str:
+        """Markdown."""
+        return "\n\n".join(board.to_table() for board in self.boards)
+
+    def to_json(self) -> str:
+        """Both leaderboards."""
+        return json.dumps([json.loads(board.to_json()) for board in self.boards], indent=2)
+
+
+def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
+    """Make, build and relight the streets of a side, score them, and show how the methods compare.
+    Each step of a street is a process of its own; what is finished is kept, and a street that fails
+    is named at the end while the others go on.
+
+    Raises:
+        InputError: a network has learned from a street of the side, the generator makes other
+            streets than the committed ones, an option is wrong, or nothing was finished.
+        ArtefactError: weights are damaged, or do not tell what they have learned from.
+    """
+    seeds = Shard.parse(options.shard).of(options.seeds or tuple(HELD_OUT[options.side]))
+    methods, notes = _methods(options)
+    for seed in seeds:
+        _check_street(seed, options.side)
+    for method in methods:
+        _check_unseen(method, options)
+    notes += _run(options, seeds, methods, progress)
+    result = _leaderboards(options, methods, notes)
+    write_text(options.root / "leaderboard.json", result.to_json() + "\n")
+    write_page(options, result.boards)
+    return result
+
+
+def _methods(options: BenchmarkOptions) -> tuple[list[Method], list[str]]:
+    """The reference, and what was asked for; notes on what is left out for want of weights."""
+    from lightsim.relighting.methods import relight_by
+
+    asked: Sequence[Method] = options.methods or get_args(Method)  # type: ignore[assignment]
+    found: list[Method] = [REFERENCE]
+    notes: list[str] = []
+    for method in asked:
+        try:
+            relight_by(method, options.weights_by_method.get(method))
+        except InputError as error:
+            if options.methods:
+                raise
+            notes.append(f"Left out: {method}: {error.what}.")
+            continue
+        found.append(method)
+    return list(dict.fromkeys(found)), notes
+
+
+def _check_street(seed: int, side: HeldOutSide) -> None:
+    """A generator that was changed makes other streets, whose figures are no longer comparable."""
+    found = street_checksum(seed)
+    if found != HELD_OUT[side][seed]:
+        raise InputError(
+            "this street is not the one of the leaderboard",
+            where=f"street {seed}",
+            got=found,
+            expected=HELD_OUT[side][seed],
+            remedy="Use the version of LightSim that the leaderboard names.",
+        )
+
+
+def _check_unseen(method: Method, options: BenchmarkOptions) -> None:
+    """No network may have learned from a street of the side, nor, of the test side, have been
+    chosen by one."""
+    if method not in NETWORKS:
+        return
+    path = options.weights_by_method.get(method)
+    if path is None:
+        path = WEIGHTS_FOLDER / next(iter(list_weights()[NETWORK_WEIGHTS]))
+    record = read_record(path)
+    named = record.training_data.partition("streets")[2]
+    if options.side == "test":
+        named += record.command.partition("--validation")[2].partition("--")[0]
+    seen = {int(word) for word in re.findall(r"\d+", named)} & set(HELD_OUT[options.side])
+    if seen:
+        raise InputError(
+            f"the network has learned from streets of the {options.side} side",
+            where=path,
+            got=sorted(seen),
+            expected="weights that saw none of them",
+        )
+
+
+def _run(
+    options: BenchmarkOptions, seeds: Sequence[int], methods: Sequence[Method], progress: Progress
+) -> list[str]:
+    """All steps of all streets; notes on what failed."""
+    batch = BatchOptions(out=options.root / "logs", jobs=options.jobs)
+    left, notes = list(seeds), []
+    for command, line_of in _steps(options, methods):
+        lines = {seed: line_of(seed) for seed in left}
+        if not lines:
+            break
+        failed = run_batch(command, list(lines.values()), batch, progress).failed
+        for seed, line in lines.items():
+            log = log_of(command, line, batch.out)
+            if log in failed:
+                notes.append(f"Failed: street {seed}: {failed[log]} ({log})")
+                # A method's failure is its own; without log or twin there is nothing to relight.
+                if command in ("synthesize", "build"):
+                    left.remove(seed)
+    return notes
+
+
+def _steps(
+    options: BenchmarkOptions, methods: Sequence[Method]
+) -> Iterator[tuple[BatchCommand, Callable[[int], tuple[str, ...]]]]:
+    """Commands, and their words for a street."""
+    yield "synthesize", lambda seed: _synthesize(options, seed)
+    log, work = (lambda seed: str(options.street(seed) / "log")), options.work
+    build = _BUILD[options.size]
+    yield "build", lambda seed: (log(seed), "--work", str(work(seed)), *build)
+    for method in methods:
+        yield "evaluate", lambda seed, method=method: _evaluate(options, method, seed)
+    yield "evaluate", lambda seed: ("edits", *_against_truth(options, seed, _EDITS))
+
+
+def _synthesize(options: BenchmarkOptions, seed: int) -> tuple[str, ...]:
+    size = _STREET_SIZE[options.size]
+    words = ("--out", str(options.street(seed)), "--seed", str(seed), "--size", size)
+    skies = skies_of_side(options.hdri, options.split, options.side)
+    if skies:
+        more = ("--sky", *map(str, some_of(skies, seed, _MEASURED_SKIES)))
+    else:
+        more = ("--more-skies",)
+    return (*words, "--denoise", "--edits", *more)
+
+
+def _evaluate(options: BenchmarkOptions, method: Method, seed: int) -> tuple[str, ...]:
+    words = _against_truth(options, seed, method)
+    name = f"benchmark-{method}-{options.source_sky}-sky"
+    more = ["--method", method, "--name", name]
+    if method in options.weights_by_method:
+        more += ["--weights", str(options.weights_by_method[method])]
+    if options.source_sky == "true":
+        more += ["--source-sky", str(options.street(seed) / "truth" / "skies" / "source.exr")]
+    if method != REFERENCE:
+        more.append("--no-baselines")
+    return ("relight", *words, *more)
+
+
+def _against_truth(options: BenchmarkOptions, seed: int, name: str) -> tuple[str, ...]:
+    truth = str(options.street(seed) / "truth")
+    out = str(options.scores / name / f"{seed}.json")
+    return (str(options.work(seed)), "--truth", truth, "--out", out)
+
+
+def _leaderboards(
+    options: BenchmarkOptions, methods: Sequence[Method], notes: Sequence[str]
+) -> Benchmark:
+    """What is finished, that of earlier runs and of other shards included."""
+    made = {m: options.scores / m for m in methods if any((options.scores / m).glob("*.json"))}
+    if REFERENCE not in made:
+        raise InputError(
+            "no street was finished", where=options.root, got="; ".join(notes) or None,
+            remedy="See the logs; the same command goes on.",
+        )  # fmt: skip
+    plan = plan_street(0)
+    own = [spec.name for spec in (*sky_specs(plan)[1:], *more_sky_specs(plan))]
+    missing = _missing(options, made)
+    lacking = [f"Not measured: {m} on {', '.join(s)}." for m, s in missing.items() if s]
+    title = f"{options.side}, {options.size}, source sky {options.source_sky}"
+    relighting = make_leaderboard(f"Relighting ({title})", made, own, notes=(*notes, *lacking))
+    edits = options.scores / _EDITS
+    if not any(edits.glob("*.json")):
+        return Benchmark(relighting, None)
+    names = ("remove-parked", "move-parked", "remove-moving", "move-moving", "insert", "ego-shift")
+    return Benchmark(relighting, make_leaderboard(f"Edits ({title})", {_EDITS: edits}, names))
+
+
+def _missing(options: BenchmarkOptions, made: Mapping[str, Path]) -> dict[str, list[str]]:
+    """Streets of the side that a method lacks."""
+    return {
+        method: [str(s) for s in HELD_OUT[options.side] if not (folder / f"{s}.json").is_file()]
+        for method, folder in made.items()
+    }

@@ -1,0 +1,148 @@
+"""The benchmark's bookkeeping, with commands that stand for the real ones."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightsim.errors import InputError
+from lightsim.progress import SilentProgress
+from lightsim.simulation import batch
+from lightsim.simulation import benchmark as module
+from lightsim.simulation.benchmark import benchmark
+from lightsim.simulation.benchmark_options import HELD_OUT, TRAINING, BenchmarkOptions
+from lightsim.store.images import write_png
+from lightsim.store.weights import WeightsRecord, write_weights
+from lightsim.synthetic.checksum import street_checksum
+
+FAKE = """
+import json, sys
+from pathlib import Path
+words = sys.argv[1:]
+asked = Path("{asked}")
+with asked.open("a") as file:
+    file.write(json.dumps(words) + chr(10))
+if words[0] == "build" and "/58/" in words[1] and not asked.with_name("mended").exists():
+    sys.exit("error: this street cannot be built")
+if words[0] == "evaluate":
+    out = Path(words[words.index("--out") + 1])
+    out.parent.mkdir(parents=True, exist_ok=True)
+    method = words[words.index("--method") + 1] if "--method" in words else "LightSim"
+    names = [{{"physical": "LightSim"}}.get(method, method)]
+    names += [] if "--no-baselines" in words else ["copy"]
+    rows = [
+        dict(condition=sky, camera_name="front_camera", method=name, region="masked",
+             is_exposed=False, exposure_factor=1.0, count=1, scores=dict(psnr_db=20.0, ssim=0.5),
+             scores_by_stem={{"03": dict(psnr_db=20.0 + len(name), ssim=0.5)}})
+        for name in names
+        for sky in ("low_sun", "overcast")
+    ]
+    out.write_text(json.dumps({{"rows": rows}}))
+"""
+"""Stands for lightsim: notes what it was asked for, and cannot build street 58."""
+
+
+@pytest.fixture
+def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    path = tmp_path / "asked.txt"
+    monkeypatch.setattr(batch, "_PROGRAM", (sys.executable, "-c", FAKE.format(asked=path)))
+    return path
+
+
+def options(folder: Path, seeds: Sequence[int]) -> BenchmarkOptions:
+    """Truth and recording of the pictures that the page shows are there."""
+    found = BenchmarkOptions(out=folder, seeds=tuple(seeds), methods=("colour-transfer",))
+    for seed in seeds:
+        truth = found.street(seed) / "truth" / "relit"
+        shown = [found.street(seed) / "log" / "camera"]
+        for place in (*shown, truth / "low_sun", truth / "overcast"):
+            path = place / "front_camera" / "03.jpg"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_png(path, np.zeros((20, 20, 3), np.uint8))
+    return found
+
+
+def commands(asked: Path) -> list[list[str]]:
+    lines = asked.read_text().splitlines()
+    asked.unlink()
+    return [json.loads(line) for line in lines]
+
+
+def test_a_street_that_fails_leaves_the_others_and_is_mended_later(asked: Path) -> None:
+    chosen = options(asked.parent / "out", (1, 58))
+    result = benchmark(chosen, SilentProgress())
+    done = commands(asked)
+    assert [words[:2] for words in done[:2]] == [["synthesize", "--out"]] * 2
+    assert [words[0] for words in done] == ["synthesize"] * 2 + ["build"] * 2 + ["evaluate"] * 3
+    assert all("works/1" in words[2] for words in done if words[0] == "evaluate")
+    relit = [words for words in done if "--method" in words]
+    assert ["--no-baselines" in words for words in relit] == [False, True]
+    board = result.relighting
+    assert board.streets == ("1",)
+    assert [entry.method for entry in board.entries] == ["LightSim", "colour-transfer", "copy"]
+    assert any("street 58: error: this street cannot be built" in note for note in board.notes)
+    assert any(note == "Not measured: physical on 0, 58, 904." for note in board.notes)
+    assert result.edits is not None
+    assert (chosen.root / "index.html").stat().st_size > 1000
+    assert len(json.loads((chosen.root / "leaderboard.json").read_text())) == 2
+    # The same command runs what is missing, and nothing else.
+    asked.with_name("mended").touch()
+    assert benchmark(chosen, SilentProgress()).relighting.streets == ("1", "58")
+    again = commands(asked)
+    assert [words[0] for words in again] == ["build"] + ["evaluate"] * 3
+    assert all("58" in words[1] + words[2] for words in again)
+    benchmark(chosen, SilentProgress())
+    assert not asked.exists()
+
+
+def record(training_data: str, command: str = "lightsim train relight") -> WeightsRecord:
+    return WeightsRecord("a network", command, training_data, "", 0, 1, {}, "Apache-2.0", "0.2.0")
+
+
+def test_networks_that_saw_a_street_are_refused(
+    asked: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import torch
+
+    monkeypatch.setattr("lightsim.relighting.methods.relight_by", lambda *_: None)
+    path = asked.parent / "weights.safetensors"
+
+    def run(side: str, told: WeightsRecord) -> None:
+        write_weights(path, {"w": torch.zeros(1)}, told)
+        chosen = BenchmarkOptions(
+            out=asked.parent,
+            side=side,  # type: ignore[arg-type]
+            methods=("network",),
+            weights=(f"network={path}",),
+        )
+        benchmark(chosen, SilentProgress())
+
+    with pytest.raises(InputError, match="has learned from streets of the validation side"):
+        run("validation", record("58 frames of the synthetic streets 77, 904 with truth"))
+    chosen_by = record("the synthetic streets 77", "train --streets 77 --validation 7003 --seed 1")
+    with pytest.raises(InputError, match="of the test side"):
+        run("test", chosen_by)
+    assert not asked.exists()
+    # Frames are counted in the words before the streets, and validation may choose.
+    for told in (record("58 frames of the synthetic streets 77"), chosen_by):
+        write_weights(path, {"w": torch.zeros(1)}, told)
+        chosen = BenchmarkOptions(out=asked.parent, weights=(f"network={path}",))
+        module._check_unseen("network", chosen)
+
+
+def test_sides_share_no_street_and_streets_are_the_committed_ones(tmp_path: Path) -> None:
+    seeds = [*TRAINING, *HELD_OUT["validation"], *HELD_OUT["test"]]
+    assert len(set(seeds)) == len(seeds)
+    assert min(len(side) for side in HELD_OUT.values()) >= 4
+    for side in HELD_OUT.values():
+        seed = next(iter(side))
+        assert street_checksum(seed) == side[seed]
+    with pytest.raises(InputError, match="no streets of this side"):
+        BenchmarkOptions(out=tmp_path, seeds=(7001,))
+    with pytest.raises(InputError, match="METHOD=FILE"):
+        BenchmarkOptions(out=tmp_path, weights=("physical=x",))
