@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -146,3 +147,11 @@ def test_sides_share_no_street_and_streets_are_the_committed_ones(tmp_path: Path
         BenchmarkOptions(out=tmp_path, seeds=(7001,))
     with pytest.raises(InputError, match="METHOD=FILE"):
         BenchmarkOptions(out=tmp_path, weights=("physical=x",))
+
+
+def test_the_field_of_a_street_is_trained_on_its_twin(asked: Path) -> None:
+    chosen = replace(options(asked.parent / "out", (1,)), methods=("nerf-osr",))
+    benchmark(chosen, SilentProgress())
+    done = commands(asked)
+    assert [words[0] for words in done] == ["synthesize", "build", "train"] + ["evaluate"] * 3
+    assert done[2][1:] == ["nerf-osr", str(chosen.work(1))]

@@ -17,7 +17,7 @@ from lightsim.simulation.batch import BatchCommand, BatchOptions
 
 @dataclass(frozen=True)
 class Batch:
-    """Build, relight or evaluate many logs: a process each, resumable."""
+    """Synthesize, build, train on, relight or evaluate many logs: a process each, resumable."""
 
     command: tyro.conf.Positional[BatchCommand]
     """What is done with each log."""

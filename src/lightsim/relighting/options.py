@@ -14,5 +14,6 @@ SHIPPED = MappingProxyType(
     {"network": NETWORK_WEIGHTS, "self-osr": "relight-self-osr", "epe": "relight-epe"}
 )
 """Weights of the package by method; `paper` has none, `nerf-osr` those of its street."""
+FIELD_METHOD: Method = "nerf-osr"
 FIELD_WEIGHTS = "nerf_osr/weights.safetensors"
 """In a work folder: of `nerf-osr` (`lightsim train nerf-osr`)."""

@@ -23,7 +23,7 @@ from lightsim.store.artefact import write_text
 from lightsim.store.reading import MAX_JSON_BYTES, read_bytes
 from lightsim.version import __version__
 
-BatchCommand = Literal["synthesize", "build", "relight", "evaluate"]
+BatchCommand = Literal["synthesize", "build", "train", "relight", "evaluate"]
 _PROGRAM = (sys.executable, "-c", "from lightsim.cli import main; main()")
 
 
@@ -137,8 +137,9 @@ def log_of(command: BatchCommand, line: tuple[str, ...], out: Path) -> Path:
 def _job(words: tuple[str, ...], out: Path) -> _Job:
     """Named by its first log and by all its words: lists may be reordered, and grow."""
     digest = hashlib.sha256("\0".join(words).encode()).hexdigest()[:8]
-    # What is evaluated comes after what is measured.
-    given = list(words[2:] if words[0] == "evaluate" and len(words) > 2 else words[1:])
+    # What is evaluated or trained on comes after what is measured or trained.
+    is_second = words[0] in ("evaluate", "train") and len(words) > 2
+    given = list(words[2:] if is_second else words[1:])
     paths = [word for word in given if "/" in word]
     named = Path(given[0] if not given[0].startswith("-") or not paths else paths[0]).name
     safe = "".join(c if c.isalnum() or c in "._-" else "_" for c in named)[:60]

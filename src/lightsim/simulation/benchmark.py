@@ -13,7 +13,7 @@ from typing import get_args
 from lightsim.errors import InputError
 from lightsim.evaluate.leaderboard import Leaderboard, make_leaderboard
 from lightsim.progress import Progress
-from lightsim.relighting.options import NETWORK_WEIGHTS, NETWORKS, Method
+from lightsim.relighting.options import FIELD_METHOD, SHIPPED, Method
 from lightsim.simulation.batch import BatchCommand, BatchOptions, log_of, run_batch
 from lightsim.simulation.benchmark_options import (
     HELD_OUT,
@@ -93,6 +93,10 @@ def _methods(options: BenchmarkOptions) -> tuple[list[Method], list[str]]:
     found: list[Method] = [REFERENCE]
     notes: list[str] = []
     for method in asked:
+        if method == FIELD_METHOD:
+            # Each street's is trained on it.
+            found.append(method)
+            continue
         try:
             relight_by(method, options.weights_by_method.get(method))
         except InputError as error:
@@ -120,11 +124,11 @@ def _check_street(seed: int, side: HeldOutSide) -> None:
 def _check_unseen(method: Method, options: BenchmarkOptions) -> None:
     """No network may have learned from a street of the side, nor, of the test side, have been
     chosen by one."""
-    if method not in NETWORKS:
-        return
     path = options.weights_by_method.get(method)
+    if path is None and method in SHIPPED:
+        path = WEIGHTS_FOLDER / next(iter(list_weights()[SHIPPED[method]]))
     if path is None:
-        path = WEIGHTS_FOLDER / next(iter(list_weights()[NETWORK_WEIGHTS]))
+        return
     record = read_record(path)
     named = record.training_data.partition("streets")[2]
     if options.side == "test":
@@ -168,6 +172,8 @@ def _steps(
     log, work = (lambda seed: str(options.street(seed) / "log")), options.work
     build = _BUILD[options.size]
     yield "build", lambda seed: (log(seed), "--work", str(work(seed)), *build)
+    if FIELD_METHOD in methods:
+        yield "train", lambda seed: (FIELD_METHOD, str(work(seed)))
     for method in methods:
         yield "evaluate", lambda seed, method=method: _evaluate(options, method, seed)
     yield "evaluate", lambda seed: ("edits", *_against_truth(options, seed, _EDITS))
