@@ -123,6 +123,28 @@ def test_deep_shadow_and_clipping_stay_finite(inputs: RelightInputs) -> None:
         assert relit.max() < 10
 
 
+def test_a_mesh_of_another_colour_leaves_no_stain(inputs: RelightInputs) -> None:
+    """A crown's mesh ends on the wall beside it, and the light turns warm: each channel weighed for
+    itself, green alone was left."""
+    factors = np.array([1.5, 1.0, 0.5], np.float32)
+    warm = {n: getattr(inputs.source, n) * factors for n in ("direct_sun", "sky", "shaded")}
+    base_colour = inputs.buffers.base_colour.copy()
+    block = np.s_[40:70, 20:60]
+    base_colour[block] = (0.05, 0.06, 0.02)
+    case = replace(
+        inputs,
+        target=replace(inputs.source, **warm),
+        target_sun=inputs.source_sun,
+        buffers=replace(inputs.buffers, base_colour=base_colour),
+    )
+    relit = relight_physical(case, RatioConfig(are_shadows_refined=False))
+    wanted = inputs.radiance * factors
+    off = np.log(np.maximum(relit[block], 1e-3) / wanted[block])
+    hue = off - off.mean(axis=-1, keepdims=True)
+    assert np.abs(hue).mean() < 0.05
+    assert np.abs(off).mean() < 0.25
+
+
 def test_clipped_pixels_take_the_base_colour(inputs: RelightInputs) -> None:
     """Over-exposed twice: the recorded value is only a lower bound."""
     radiance = np.minimum(inputs.radiance, 0.25)

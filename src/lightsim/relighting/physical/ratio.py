@@ -275,18 +275,21 @@ def _relit_surface(
     is_surface: Bool[np.ndarray, "h w"],
     config: RatioConfig,
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Ratio and base colour combined by the inverse of their variances. Where the picture tells
-    anything, what the base colour changes is smooth: details come from the picture."""
+    """Ratio and base colour combined by the inverse of their variances, the same for all channels,
+    or hues would shift. Where the picture tells anything, what the base colour changes is smooth:
+    details come from the picture."""
     by_ratio = foreground * ratio
     by_model = inputs.buffers.base_colour * target.shaded
     change = np.abs(np.log(np.maximum(ratio, np.float32(1e-8))))
     variance_ratio = np.square(by_ratio * change * np.float32(_SHADING_DEVIATION))
     variance_ratio += np.square(np.maximum(ratio - 1, 0) * np.float32(_RADIANCE_DEVIATION))
     variance_ratio += np.square(np.where(inputs.is_clipped[..., None], by_ratio, 0.0))
-    variance_model = np.square(by_model * np.float32(config.base_colour_deviation)) + 1e-8
-    weight = np.where(
-        is_surface[..., None], variance_model / (variance_model + variance_ratio), 1.0
+    doubt = np.float32(config.base_colour_deviation) ** 2 + _other_surface(
+        foreground, inputs, config
     )
+    variance_model = np.square(by_model) * doubt + np.float32(1e-8)
+    of_ratio, of_model = (v.sum(axis=-1, keepdims=True) for v in (variance_ratio, variance_model))
+    weight = np.where(is_surface[..., None], of_model / (of_model + of_ratio), 1.0)
     mixed = weight * by_ratio + (1 - weight) * by_model
     floor = np.float32(config.darkest_fraction) * _median_light(target.shaded, is_surface) + 1e-8
     correction = np.log(np.maximum(mixed, 0) + floor) - np.log(np.maximum(by_ratio, 0) + floor)
@@ -294,6 +297,37 @@ def _relit_surface(
     detailed = (np.maximum(by_ratio, 0) + floor) * np.exp(smooth) - floor
     is_told = is_surface & ~inputs.is_clipped
     return np.where(is_told[..., None], np.maximum(detailed, 0), mixed).astype(np.float32)
+
+
+def _other_surface(
+    foreground: Float32[np.ndarray, "h w 3"], inputs: RelightInputs, config: RatioConfig
+) -> Float32[np.ndarray, "h w 1"]:
+    """Square of how far, in logs, the picture is from what the model can show under the source: in
+    colour, and in brightness beyond all of the sun or none of it. Meshes end elsewhere than what
+    they stand for: a crown's green must not lie on the wall beside it."""
+    light = inputs.source
+    floor = np.float32(config.darkest_fraction) * _median_light(
+        light.shaded, inputs.buffers.has_surface
+    ) + np.float32(1e-8)
+    modelled = np.log(inputs.buffers.base_colour * light.shaded + floor)
+    apart = median_smoothed(
+        (np.log(np.maximum(foreground, 0) + floor) - modelled).astype(np.float32),
+        _CORRECTION_DETAIL,
+        inputs.width_px,
+    )
+    brighter = apart.mean(axis=-1, keepdims=True)
+    colour = np.square(apart - brighter).sum(axis=-1, keepdims=True)
+    most = least = light.shaded
+    if inputs.source_sun is not None:
+        sun = unoccluded_sun(inputs.buffers, light, inputs.source_sun)
+        visibility = light.sun_visibility[..., None]
+        most, least = light.shaded + (1 - visibility) * sun, light.shaded - visibility * sun
+    here, high, low = (
+        np.log(np.maximum(x, 0).mean(axis=-1, keepdims=True) + floor.mean())
+        for x in (light.shaded, most, least)
+    )
+    beyond = np.maximum(brighter - (high - here), 0) + np.maximum((low - here) - brighter, 0)
+    return (colour + np.square(beyond)).astype(np.float32)
 
 
 def _median_light(
