@@ -69,7 +69,7 @@ def _score(
     error, expected = (small[..., k][small[..., 2] > 0.99] for k in (0, 1))
     low, high = np.quantile(expected, [0.1, 0.9])
     worst, best = error[expected >= high].mean(), error[expected <= low].mean()
-    return float(spearmanr(error, expected).statistic), float(worst), float(best)
+    return float(spearmanr(error, expected)[0]), float(worst), float(best)
 
 
 if __name__ == "__main__":

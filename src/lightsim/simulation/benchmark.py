@@ -130,7 +130,7 @@ def _check_unseen(method: Method, options: BenchmarkOptions) -> None:
     if path is None:
         return
     record = read_record(path)
-    named = record.training_data.partition("streets")[2]
+    named = record.training_data.partition("streets")[2].partition(" with ")[0]
     if options.side == "test":
         named += record.command.partition("--validation")[2].partition("--")[0]
     seen = {int(word) for word in re.findall(r"\d+", named)} & set(HELD_OUT[options.side])

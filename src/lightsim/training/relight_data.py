@@ -79,6 +79,11 @@ class RelightData:
     def __len__(self) -> int:
         return len(self._files)
 
+    @property
+    def sky_names(self) -> list[str]:
+        """All target skies of all frames."""
+        return sorted({name for file in self._files for name in self._read(file).targets})
+
     def whole(self, index: int, sky: str) -> RelightBatch:
         """One frame as it is, under one of its skies."""
         return true_pair(self._read(self._files[index]), sky)

@@ -69,7 +69,8 @@ def train(command: RelightTrainingOptions) -> None:
         description=_DESCRIPTION[command.network],
         command=command_line("relight", command, session.processes.count),
         training_data=f"{len(data)} frames of the synthetic streets {', '.join(streets)} with "
-        "path-traced truth, seen through twins that were built from their logs",
+        "path-traced truth, seen through twins that were built from their logs; target skies: "
+        f"{', '.join(data.sky_names)}",
         split_hash=_hash(streets, command.validation),
         seed=command.seed,
         steps=steps,
