@@ -15,9 +15,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import rankdata
 
 from lightsim.core.resample import resize_area
+from lightsim.evaluate.statistics import rank_correlation
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import terminal_progress
 from lightsim.simulation.against_truth import relit_folders
@@ -69,8 +69,7 @@ def _score(
     error, expected = (small[..., k][small[..., 2] > 0.99] for k in (0, 1))
     low, high = np.quantile(expected, [0.1, 0.9])
     worst, best = error[expected >= high].mean(), error[expected <= low].mean()
-    ranks = np.corrcoef(rankdata(error), rankdata(expected))[0, 1]
-    return float(ranks), float(worst), float(best)
+    return rank_correlation(error, expected), float(worst), float(best)
 
 
 if __name__ == "__main__":

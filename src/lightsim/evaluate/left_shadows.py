@@ -48,14 +48,14 @@ def score_left_shadows(
         truth = task.load_truth()
         for method, load in task.load_prediction_by_method.items():
             key = (task.condition, method)
-            sums[key] = sums.get(key, np.zeros((2, 2))) + sum_logs(load(), truth, true)
+            sums[key] = sums.get(key, np.zeros((2, 2))) + _sum_logs(load(), truth, true)
     return tuple(
-        LeftShadowRow(*key, int(counts.sum()), contrast_of(np.stack([counts, logs])))
+        LeftShadowRow(*key, int(counts.sum()), _contrast(np.stack([counts, logs])))
         for key, (counts, logs) in sums.items()
     )
 
 
-def sum_logs(
+def _sum_logs(
     predicted: UInt8[np.ndarray, "h w 3"], truth: UInt8[np.ndarray, "h w 3"], source: TrueShadows
 ) -> np.ndarray:
     """Number of pixels, and sum of the log of predicted over true luminance, each of shadowed and
@@ -72,8 +72,8 @@ def sum_logs(
     return np.array([counts, [(here - there)[side].sum() for side in chosen]], dtype=np.float64)
 
 
-def contrast_of(sums: np.ndarray) -> float:
-    """Of sums as `sum_logs` gives them; nan where there are too few pixels."""
+def _contrast(sums: np.ndarray) -> float:
+    """Of sums as `_sum_logs` gives them; nan where there are too few pixels."""
     counts, logs = sums
     if counts.min() < _FEWEST:
         return float("nan")

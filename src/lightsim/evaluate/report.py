@@ -11,7 +11,7 @@ import numpy as np
 
 from lightsim.evaluate.consistency import ConsistencyRow
 from lightsim.evaluate.distribution import SetRow
-from lightsim.evaluate.frame_report import FramesReport
+from lightsim.evaluate.frame_report import FramesReport, finite
 from lightsim.evaluate.left_shadows import LeftShadowRow
 from lightsim.evaluate.shadows import ShadowRow
 
@@ -87,9 +87,7 @@ class EvaluationReport:
         found: dict[str, Any] = {"rows": self.frames.json_rows()}
         found["cost"] = None if self.cost is None else asdict(self.cost)
         for name, rows in parts.items():
-            found[name] = [
-                {k: None if _is_undefined(v) else v for k, v in asdict(row).items()} for row in rows
-            ]
+            found[name] = [finite(asdict(row)) for row in rows]
         return json.dumps(found, indent=2, allow_nan=False)
 
 
@@ -130,7 +128,3 @@ def _markdown(names: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
     rows = (names, *lines)
     text = [f"| {' | '.join(cells)} |" for cells in rows]
     return "\n".join([text[0], f"|{'|'.join(rule)}|", *text[1:]])
-
-
-def _is_undefined(value: object) -> bool:
-    return isinstance(value, float) and not np.isfinite(value)

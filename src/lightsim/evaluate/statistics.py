@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Shaped
+from scipy.stats import rankdata
 
 from lightsim.errors import InputError
 
@@ -154,3 +155,8 @@ def _need(samples: Mapping[tuple[Any, str], object]) -> None:
         raise InputError(
             "there is nothing to compare", expected="one frame or more that both have measured"
         )
+
+
+def rank_correlation(first: Shaped[np.ndarray, " n"], second: Shaped[np.ndarray, " n"]) -> float:
+    """Spearman's correlation of paired values; ties have their mean rank."""
+    return float(np.corrcoef(rankdata(first), rankdata(second))[0, 1])

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float32, UInt8
@@ -163,7 +163,7 @@ class Relighter:
         is_needed |= self._images.is_needed(frame, scenario)
         traced = self._renderer.trace(scenario, frame, camera) if is_needed else None
         source = self._images.of(frame, scenario, traced)
-        lit, own_light = None, None
+        lit, own_light, unveiled = None, None, None
         for target in targets:
             if target.sky.is_source:
                 image = source.srgb8
@@ -175,7 +175,9 @@ class Relighter:
             lit = lit or self._lit(traced, scenario)
             own_light = own_light or lit.light(self._light_source)
             lights = own_light, lit.light(target.lit_by)
-            yield self._relit(frame, traced, source, lights, target)
+            if unveiled is None:
+                unveiled = self._veiled(traced, source.radiance, self._source.sun, -1)
+            yield self._relit(frame, traced, replace(source, radiance=unveiled), lights, target)
 
     def _lit(self, traced: TransportFrame, scenario: Scenario) -> TracedFrame:
         """A frame as the renderer of light has it."""
@@ -189,19 +191,27 @@ class Relighter:
         gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
         return camera_image(radiance, gain, self._options.exposure_ev)
 
-    def _glare(self, traced: TransportFrame, sun: Sun | None) -> Float32[np.ndarray, "h w 3"]:
-        """Of a sun on the lens; nothing where none is asked for."""
-        frame, camera = traced.view
+    def _veiled(
+        self,
+        traced: TransportFrame,
+        radiance: Float32[np.ndarray, "h w 3"],
+        sun: Sun | None,
+        sign: Literal[-1, 1],
+    ) -> Float32[np.ndarray, "h w 3"]:
+        """A picture with the glare of a sun on the lens, or (-1) without; as it is where no glare
+        is asked for."""
         if sun is None or not self._options.glare:
-            return np.zeros((1, 1, 3), dtype=np.float32)
+            return radiance
+        frame, camera = traced.view
         rays = frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))[1]
-        return veiling_glare(
+        veil = veiling_glare(
             rays.reshape(camera.height_px, camera.width_px, 3),
             frame.world_from_camera.rotation[:, 2],
             sun,
             traced.sun_on_lens(sun),
             self._options.glare,
         )
+        return np.maximum(radiance + sign * veil, 0)
 
     def _relit(
         self,
@@ -213,7 +223,7 @@ class Relighter:
     ) -> RelitFrame:
         gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
         inputs = RelightInputs(
-            radiance=np.maximum(source.radiance - self._glare(traced, self._source.sun), 0),
+            radiance=source.radiance,
             is_clipped=source.is_clipped,
             sky_matte=source.sky_matte,
             buffers=traced.buffers,
@@ -233,7 +243,7 @@ class Relighter:
         if ego_vehicle is not None:
             # It moves with the camera and has no mesh: lit as a level surface in the open.
             radiance[ego_vehicle] = inputs.radiance[ego_vehicle] * target.level_ratio
-        radiance = radiance + self._glare(traced, target.cells.sun)
+        radiance = self._veiled(traced, radiance, target.cells.sun, 1)
         image = self._developed(frame, radiance)
         return RelitFrame(
             frame, image, radiance, traced, inputs, source, expected_error=found.expected_error

@@ -21,8 +21,8 @@ from lightsim.training.relight_data import RelightBatch, RelightData, RelightDat
 from lightsim.training.relight_losses import (
     Perceptual,
     colour_loss,
-    edge_loss,
     error_loss,
+    picture_terms,
     shown,
 )
 
@@ -133,7 +133,7 @@ def train_relight(
     count = session.processes.count
 
     def losses(step: int, draw: int) -> Iterator[Loss]:
-        total, terms = _loss(network, _on(batches.get(draw), device), perceptual, config, draw)
+        total, terms = _loss(network, batches.get(draw).on(device), perceptual, config, draw)
         yield "network", total, terms
 
     with Ahead(
@@ -163,13 +163,7 @@ def _loss(
     pictures = found if is_paper else shown(srgb_of(found.picture))
     made, moved = pictures[:count], pictures[count:]
     weight = batch.weight
-    # What does not count looks like the truth.
-    filled = weight * made + (1 - weight) * batch.truth
-    terms = {
-        "colour": colour_loss(made, batch.truth, weight),
-        "edges": edge_loss(filled, batch.truth, torch.ones_like(weight)),
-        "lpips": perceptual(filled[few], batch.truth[few]),
-    }
+    terms = picture_terms(made, batch.truth, weight, perceptual, config.perception_crops)
     if config.stability:
         inside = (..., slice(_MOST_PX, -_MOST_PX), slice(_MOST_PX, -_MOST_PX))
         back = moved.roll([-px for px in shift_px], (-2, -1))
@@ -198,8 +192,3 @@ def _with_moved(
         )
         for name, value in planes.items()
     }
-
-
-def _on(batch: RelightBatch, device: torch.device) -> RelightBatch:
-    planes = {name: value.to(device) for name, value in batch.planes.items()}
-    return RelightBatch(planes, batch.truth.to(device), batch.weight.to(device))

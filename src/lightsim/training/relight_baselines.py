@@ -17,7 +17,7 @@ from lightsim.training.ahead import Ahead
 from lightsim.training.baseline_data import BaselineData
 from lightsim.training.inpaint_losses import discriminator_loss, generator_loss
 from lightsim.training.relight_data import RelightBatch, RelightDataConfig
-from lightsim.training.relight_losses import Perceptual, colour_loss, edge_loss, shown
+from lightsim.training.relight_losses import Perceptual, colour_loss, picture_terms, shown
 
 Baseline = SelfOsrNet | EpeNet
 _CLIPPED = 254 / 255
@@ -99,7 +99,7 @@ def train_baseline(
     count = session.processes.count
 
     def losses(step: int, draw: int) -> Iterator[Loss]:
-        batch = _on(batches.get(draw), device)
+        batch = batches.get(draw).on(device)
         if isinstance(network, EpeNet):
             assert discriminator is not None
             yield from _epe_losses(network, discriminator, batch, perceptual, config)
@@ -182,18 +182,7 @@ def _picture_loss(
     made: Tensor, batch: RelightBatch, perceptual: nn.Module, config: BaselineTrainConfig
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Colour, edges and perception, as `--method network` minimises them."""
-    made, weight = shown(made), batch.weight
-    filled = weight * made + (1 - weight) * batch.truth
-    few = slice(config.perception_crops)
-    terms = {
-        "colour": colour_loss(made, batch.truth, weight),
-        "edges": edge_loss(filled, batch.truth, torch.ones_like(weight)),
-        "lpips": perceptual(filled[few], batch.truth[few]),
-    }
+    crops = config.perception_crops
+    terms = picture_terms(shown(made), batch.truth, batch.weight, perceptual, crops)
     total = terms["colour"] + config.edges * terms["edges"] + config.perception * terms["lpips"]
     return total, terms
-
-
-def _on(batch: RelightBatch, device: torch.device) -> RelightBatch:
-    planes = {name: value.to(device) for name, value in batch.planes.items()}
-    return RelightBatch(planes, batch.truth.to(device), batch.weight.to(device))

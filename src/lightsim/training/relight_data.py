@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,8 @@ from lightsim.relighting.network.channels import OF_SKIES, Planes
 from lightsim.relighting.network.features import linear_of, rendered, srgb_of, tensors_of
 from lightsim.training.relight_cache import RelightSample, RelightTargetSample, read_sample
 
+_OPEN_FILES = 512
+"""Each file that is mapped stays open; systems often allow 1024."""
 _VECTORS = ("normal", "position")
 _RADIANT = ("shaded", "reflected", "physical", "sky")
 _CLIPPED = 254 / 255
@@ -35,6 +37,11 @@ class RelightBatch:
     planes: dict[str, Tensor]
     truth: Float[Tensor, "n 3 h w"]
     weight: Float[Tensor, "n 1 h w"]
+
+    def on(self, device: torch.device) -> RelightBatch:
+        """The same on a device."""
+        planes = {name: value.to(device) for name, value in self.planes.items()}
+        return RelightBatch(planes, self.truth.to(device), self.weight.to(device))
 
 
 @dataclass(frozen=True)
@@ -74,7 +81,7 @@ class RelightData:
                 where=", ".join(str(folder) for folder in folders),
                 remedy="Make them with lightsim train prepare relight.",
             )
-        self._read = cache(read_sample)
+        self._read = lru_cache(_OPEN_FILES)(read_sample)
 
     def __len__(self) -> int:
         return len(self._files)

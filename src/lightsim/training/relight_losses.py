@@ -66,6 +66,27 @@ def error_loss(
     return (part * loss).sum() / (part.sum() + _TINY)
 
 
+def picture_terms(
+    made: Float[Tensor, "n 3 h w"],
+    truth: Float[Tensor, "n 3 h w"],
+    weight: Float[Tensor, "n 1 h w"],
+    perceptual: nn.Module,
+    perception_crops: int,
+) -> dict[str, Tensor]:
+    """Colour, edges and LPIPS of pictures as they are `shown`; what does not count looks like the
+    truth.
+
+    Args:
+        perception_crops: pictures that LPIPS looks at.
+    """
+    filled, few = weight * made + (1 - weight) * truth, slice(perception_crops)
+    return {
+        "colour": colour_loss(made, truth, weight),
+        "edges": edge_loss(filled, truth, torch.ones_like(weight)),
+        "lpips": perceptual(filled[few], truth[few]),
+    }
+
+
 class Perceptual(nn.Module):
     """LPIPS v0.1 on VGG-16 with a gradient (doi:10.1109/CVPR.2018.00068)."""
 

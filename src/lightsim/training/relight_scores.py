@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Bool, Float32
-from scipy.stats import rankdata
 from torch import Tensor
 from torch.nn import functional
 
 from lightsim.evaluate.lpips import Features, lpips_features, lpips_of_features
 from lightsim.evaluate.metrics import psnr
+from lightsim.evaluate.statistics import rank_correlation
 from lightsim.progress import Progress
 from lightsim.relighting.network.features import srgb_of
 from lightsim.relighting.network.stored import Network
@@ -88,8 +88,7 @@ def _correlation(made: Picture, truth: Picture, is_valid: Tensor, log_error: Ten
     size = log_error.shape[-2:]
     error = functional.interpolate(error, size, mode="area")[0, 0]
     whole = functional.interpolate(is_valid.float()[None, None], size, mode="area")[0, 0] > 0.99
-    ranks = [rankdata(values[whole].numpy()) for values in (error, log_error[0, 0])]
-    return float(np.corrcoef(*ranks)[0, 1])
+    return rank_correlation(error[whole].numpy(), log_error[0, 0][whole].numpy())
 
 
 def _mean(scores: list[tuple[float, float]]) -> tuple[float, ...]:

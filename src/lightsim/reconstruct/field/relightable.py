@@ -19,6 +19,7 @@ from torch.nn import functional
 from lightsim.networks.spherical_harmonics import COUNT, shading_basis
 from lightsim.reconstruct.field.hash_grid.grid import hash_encode, make_table
 from lightsim.reconstruct.field.hash_grid.spec import HashGridSpec
+from lightsim.reconstruct.field.sdf_field import mlp
 from lightsim.reconstruct.field.volume_rendering import composite
 
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
@@ -111,8 +112,8 @@ class RelightableField(nn.Module):
         self.config = config
         self.table = make_table(config.grid, generator)
         outputs = 1 + 3 + config.latent
-        self.head = _mlp(config.grid.output_dim, config.hidden, outputs, generator)
-        self.caster = _mlp(config.latent + COUNT, config.hidden // 2, 1, generator)
+        self.head = mlp(config.grid.output_dim, config.hidden, outputs, generator)
+        self.caster = mlp(config.latent + COUNT, config.hidden // 2, 1, generator)
         first = torch.zeros(COUNT, 3) if first_light is None else first_light.clone()
         self.light = nn.Parameter(first)
 
@@ -195,13 +196,3 @@ def field_surface(
         for name in ("albedo", "normal", "shadow")
     )
     return albedo**_ENCODING_POWER, normal, shadow**_ENCODING_POWER
-
-
-def _mlp(inputs: int, hidden: int, outputs: int, generator: torch.Generator) -> nn.Sequential:
-    """One hidden layer; He initialisation from the generator."""
-    first, last = nn.Linear(inputs, hidden), nn.Linear(hidden, outputs)
-    with torch.no_grad():
-        for layer in (first, last):
-            layer.weight.normal_(0.0, (2.0 / layer.in_features) ** 0.5, generator=generator)
-            layer.bias.zero_()
-    return nn.Sequential(first, nn.ReLU(inplace=True), last)

@@ -62,7 +62,7 @@ class SceneField(nn.Module):
         make_head = SeparateHeads if prior is None else _joint_head
         self.background_head = make_head(config.background_grid, generator)
         self.actor_head = make_head(config.actor_grid, generator)
-        self.sky_head = _mlp(15, 32, 3, generator)
+        self.sky_head = mlp(15, 32, 3, generator)
         self.log_gains = nn.Parameter(torch.zeros(max(len(camera_names), 1), 3))
         self.log_beta = nn.Parameter(torch.log(torch.tensor(_FIRST_BETA)))
         grids = [prior.actor(actor_id) if prior else (0, 0) for actor_id in actor_ids]
@@ -183,8 +183,8 @@ class SeparateHeads(nn.Module):
 
     def __init__(self, spec: HashGridSpec, generator: torch.Generator) -> None:
         super().__init__()
-        self.distance = _mlp(spec.output_dim, _HIDDEN, 1, generator)
-        self.colour = _mlp(spec.output_dim, _HIDDEN, 3, generator)
+        self.distance = mlp(spec.output_dim, _HIDDEN, 1, generator)
+        self.colour = mlp(spec.output_dim, _HIDDEN, 3, generator)
 
     def forward(self, features: Float[Tensor, "n f"]) -> Float[Tensor, "n 4"]:
         """Signed distance and colour, neither scaled yet."""
@@ -193,7 +193,7 @@ class SeparateHeads(nn.Module):
 
 def _joint_head(spec: HashGridSpec, generator: torch.Generator) -> nn.Sequential:
     """Features and position to (residual, colour); starts at residual 0."""
-    head = _mlp(spec.output_dim + 3, _HIDDEN, 4, generator)
+    head = mlp(spec.output_dim + 3, _HIDDEN, 4, generator)
     last = head[-1]
     assert isinstance(last, nn.Linear)
     with torch.no_grad():
@@ -202,7 +202,7 @@ def _joint_head(spec: HashGridSpec, generator: torch.Generator) -> nn.Sequential
     return head
 
 
-def _mlp(inputs: int, hidden: int, outputs: int, generator: torch.Generator) -> nn.Sequential:
+def mlp(inputs: int, hidden: int, outputs: int, generator: torch.Generator) -> nn.Sequential:
     """One hidden layer; He initialisation from the generator."""
     first, last = nn.Linear(inputs, hidden), nn.Linear(hidden, outputs)
     with torch.no_grad():
