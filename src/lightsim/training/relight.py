@@ -47,7 +47,7 @@ class RelightTrainConfig:
     """Highest learning rate (AdamW)."""
     weight_decay: float = 1e-2
     """Of AdamW."""
-    perception: float = 0.1
+    perception: float = 0.15
     """Weight of LPIPS beside that of colour, which is 1."""
     edges: float = 0.5
     """Weight of the edges' difference."""

@@ -91,9 +91,10 @@ class RelightData:
         """All target skies of all frames."""
         return sorted({name for file in self._files for name in self._read(file).targets})
 
-    def whole(self, index: int, sky: str) -> RelightBatch:
-        """One frame as it is, under one of its skies."""
-        return true_pair(self._read(self._files[index]), sky)
+    def whole(self, index: int, sky: str | None) -> RelightBatch:
+        """One frame as it is, under one of its skies; None: as it was recorded."""
+        sample = self._read(self._files[index])
+        return identity_pair(sample) if sky is None else true_pair(sample, sky)
 
     def skies(self, index: int) -> list[str]:
         """Target skies of a frame whose truth is known."""

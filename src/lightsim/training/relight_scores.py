@@ -26,27 +26,26 @@ def score_relight(network: Network, data: RelightData, progress: Progress) -> di
     """PSNR in dB and LPIPS by target sky and method, outside the sky that the matte knows; and, of
     a network that says what error it expects, its rank correlation (Spearman) with the true one.
 
-    Targets of measured skies come together as `measured`.
+    Targets of measured skies come together as `measured`; `identity` has the source for its target.
     """
     found: dict[str, dict[str, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
     correlations: list[float] = []
     network.eval()
     for index in progress.track(range(len(data)), "validate relighting"):
-        for sky in data.skies(index):
+        for sky in (*data.skies(index), None):
             batch = data.whole(index, sky)
             made, log_error = _made(network, batch)
             is_valid = (batch.weight[0, 0] > 0) & (batch.planes["matte"][0, 0] < 0.5)
             truth = _picture(batch.truth)
-            methods = {
-                "network": made,
-                "physical": _picture(srgb_of(batch.planes["target_physical"])),
-                "copy": _picture(batch.planes["source"]),
-            }
+            methods = {"network": made}
+            if sky is not None:
+                methods["physical"] = _picture(srgb_of(batch.planes["target_physical"]))
+                methods["copy"] = _picture(batch.planes["source"])
             features = lpips_features(truth)
             for method, picture in methods.items():
                 scores = _scores(picture, truth, features, is_valid.numpy())
                 found[_condition(sky)][method].append(scores)
-            if log_error is not None:
+            if log_error is not None and sky is not None:
                 correlations.append(_correlation(made, truth, is_valid, log_error))
     rows = {
         sky: {
@@ -58,8 +57,10 @@ def score_relight(network: Network, data: RelightData, progress: Progress) -> di
     return rows | ({"error_rank_correlation": float(np.mean(correlations))} if correlations else {})
 
 
-def _condition(sky: str) -> str:
-    """Of a target sky by its name: the streets' own three, or a measured one."""
+def _condition(sky: str | None) -> str:
+    """Of a target sky by its name: the streets' own three, a measured one, or the source's."""
+    if sky is None:
+        return "identity"
     return sky if sky in ("low_sun", "high_sun", "overcast") else "measured"
 
 
