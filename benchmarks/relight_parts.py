@@ -1,11 +1,14 @@
 """What each estimated part costs a relit frame: the truth put in for one part after the other.
 
     python benchmarks/relight_parts.py WORK --truth DIR [--cameras front_camera left_camera]
+                                       [--weights FILE]
 
 Parts, added in this order: the source sky (base colour is divided anew), camera gains, geometry
-with its base colour (light between true surfaces takes that of the twin). Scores outside the true
-sky, PSNR and LPIPS, mean over the frames that have exact buffers; and where the squared error lies,
-by what happens to the sun.
+with its base colour (light between true surfaces takes that of the twin). Beside them the network
+(the package's weights, or those of FILE) on what is estimated, and on the true source sky; and what
+needs no picture: Lambert's law from true geometry, base colour and target sky. Scores outside the
+true sky, PSNR and LPIPS, mean over the frames that have exact buffers; and where the squared error
+lies, by what happens to the sun.
 """
 
 from __future__ import annotations
@@ -28,8 +31,15 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.evaluate.lpips import lpips_features, lpips_of_features
 from lightsim.evaluate.metrics import fill_invalid, psnr
 from lightsim.pipeline.workspace import Workspace
+from lightsim.relighting.network.model import RelitNet
+from lightsim.relighting.network.relight import correcting_network, relit_by
 from lightsim.relighting.physical.compose import camera_image
-from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
+from lightsim.relighting.physical.ratio import (
+    Circumstances,
+    RatioConfig,
+    RelightInputs,
+    relight_physical,
+)
 from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
 from lightsim.render.image import sky_image
 from lightsim.scenario.replay import replay
@@ -41,6 +51,8 @@ from lightsim.store.images import read_srgb8
 from lightsim.synthetic.reader import true_sky
 
 PARTS = ("estimated", "+ sky", "+ gains", "+ geometry and base colour")
+BY_NETWORK = {"network": "estimated", "network, + sky": "+ sky"}
+LAMBERT = "Lambert from truth"
 
 
 @dataclass(frozen=True)
@@ -101,8 +113,17 @@ class Street:
             true.buffers.has_surface,
         )
 
-    def relit(self, seen: TracedFrame, part: str, target: str) -> np.ndarray:
-        """The frame under a target sky with the truth in all parts up to `part`."""
+    def lambert(self, seen: TracedFrame, target: str) -> np.ndarray:
+        """The frame under a target sky as Lambert's law has it, everything true."""
+        light = seen.true.light(self.skies[target])
+        radiance = (seen.base_colour * light.shaded).astype(np.float32)
+        return camera_image(radiance, self.gains[seen.frame.camera_name], 0.0)
+
+    def relit(
+        self, seen: TracedFrame, part: str, target: str, network: RelitNet | None = None
+    ) -> np.ndarray:
+        """The frame under a target sky with the truth in all parts up to `part`, physically or by
+        a network."""
         level = PARTS.index(part)
         name = seen.frame.camera_name
         source_sky = self.skies["source" if level >= 1 else "estimated"]
@@ -130,8 +151,16 @@ class Street:
             source_sun=source_sky.sun,
             target_sun=self.skies[target].sun,
             found_visibility=None if level >= 3 else traced.found_visibility(source_sky.sun),
+            circumstances=Circumstances(
+                gain, seen.frame.world_from_camera, source_sky, self.skies[target]
+            ),
         )
-        return camera_image(relight_physical(inputs, RatioConfig()), gain, 0.0)
+        made = (
+            relight_physical(inputs, RatioConfig())
+            if network is None
+            else relit_by(network, inputs, RatioConfig()).radiance
+        )
+        return camera_image(made, gain, 0.0)
 
 
 def _divided_anew(buffers: GBuffers, before: ShadowBuffers, now: ShadowBuffers) -> GBuffers:
@@ -174,7 +203,9 @@ def main() -> None:
     parser.add_argument("work", type=Path)
     parser.add_argument("--truth", type=Path, required=True)
     parser.add_argument("--cameras", nargs="*")
+    parser.add_argument("--weights", type=Path)
     options = parser.parse_args()
+    network = correcting_network(options.weights).eval()
     street = Street(options.work, options.truth)
     scores: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
     shares: dict[tuple[str, str, str], list[tuple[float, float, float]]] = defaultdict(list)
@@ -188,6 +219,12 @@ def main() -> None:
             truth = (read_srgb8(file) / 255).astype(np.float32)
             for name, baseline in BASELINES.items():
                 made = np.clip(baseline(source, truth, seen.is_surface), 0.0, 1.0)
+                scores[target, name].append(_scores(made, truth, seen.is_surface))
+            others = {LAMBERT: street.lambert(seen, target)} | {
+                name: street.relit(seen, part, target, network) for name, part in BY_NETWORK.items()
+            }
+            for name, picture in others.items():
+                made = (picture / 255).astype(np.float32)
                 scores[target, name].append(_scores(made, truth, seen.is_surface))
             sky = street.skies[target]
             classes = _error_classes(seen, seen.true.light(sky), sky.sun is not None)
@@ -214,7 +251,7 @@ def _tables(
     scores: Mapping[tuple[str, str], Sequence[tuple[float, float]]],
     shares: Mapping[tuple[str, str, str], Sequence[tuple[float, float, float]]],
 ) -> str:
-    names = [*BASELINES, *PARTS]
+    names = [*BASELINES, *PARTS, *BY_NETWORK, LAMBERT]
     lines = ["| target | " + " | ".join(names) + " |", "|---|" + "---:|" * len(names)]
     for target in targets:
         means = [np.mean(scores[target, name], axis=0) for name in names]
