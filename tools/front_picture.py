@@ -1,8 +1,7 @@
 """The README's picture: one recorded moment of the shipped street, and the same under other skies.
 
-    python tools/front_picture.py WORK --camera front_camera --frame 3 --out docs/pictures/skies.jpg
-
-WORK: `lightsim demo --full` leaves one in out/demo/work.
+lightsim build src/lightsim/data/street/log --work WORK --hold-out 5
+python tools/front_picture.py WORK --out docs/pictures/skies.jpg
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from PIL import Image, ImageDraw
 import lightsim
 from lightsim import RelightOptions
 from lightsim.progress import terminal_progress
+from lightsim.synthetic import shipped_street
 
 SKIES = {
     "source": "recorded",
@@ -22,7 +22,7 @@ SKIES = {
     "sun:180,60": "noon",
     "sun:250,12": "evening sun",
     "sun:300,30": "sun from the other side",
-    "OVERCAST": "overcast",
+    str(shipped_street() / "truth" / "skies" / "overcast.exr"): "overcast",
 }
 COLUMNS = 3
 
@@ -30,15 +30,14 @@ COLUMNS = 3
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("work", type=Path)
-    parser.add_argument("--camera", default="front_camera")
+    parser.add_argument("--camera", default="front_left_camera")
     parser.add_argument("--frame", type=int, default=3)
     parser.add_argument("--method", default="network")
-    parser.add_argument("--overcast", type=Path, required=True, help="a sky file")
     parser.add_argument("--out", type=Path, required=True)
     asked = parser.parse_args()
     options = RelightOptions(
         name="front-picture",
-        sky=tuple(str(asked.overcast) if sky == "OVERCAST" else sky for sky in SKIES),
+        sky=tuple(SKIES),
         cameras=(asked.camera,),
         frames=f"{asked.frame}:{asked.frame + 1}",
         method=asked.method,
