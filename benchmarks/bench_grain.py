@@ -1,63 +1,82 @@
-"""How far grainy truth lies from noise-free truth: few light paths, with and without denoising.
+"""What grainy truth costs, and how far it lies from noise-free truth, with and without denoising.
 
-    DRJIT_LIBLLVM_PATH=... python benchmarks/bench_grain.py [SEED]
+    DRJIT_LIBLLVM_PATH=... python benchmarks/bench_grain.py [SEED] [--paths 16 24 48 96]
+        [--reference 384]
 
 One view of the small street (front camera, stem 03, low sun) beside one of 384 paths a pixel:
-sRGB PSNR and LPIPS. Needs the extra `denoise`; some ten minutes on one core.
+sRGB PSNR and LPIPS; `--reference 0` only takes the time. Needs the extra `denoise`; some five
+minutes on one core.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
+import time
+from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 
 from lightsim.core.colour import srgb_from_linear
+from lightsim.denoise import denoise
 from lightsim.evaluate.lpips import lpips
 from lightsim.evaluate.metrics import psnr
-from lightsim.synthetic.generate import actor_poses_at
+from lightsim.synthetic.generate import actor_poses_at, guides_at, street_tracer
 from lightsim.synthetic.plan import config_of, plan_street
 from lightsim.synthetic.rig import SWEEP_S, mount_cameras
-from lightsim.synthetic.skies import build_sky, environment, sky_specs
+from lightsim.synthetic.skies import build_sky, sky_specs
 from lightsim.synthetic.street import build_street
-from lightsim.synthetic.tracer import PathTracer, Placed
 from lightsim.synthetic.writer import camera_pose
 
-_STEM, _REFERENCE = 3, 384
+_STEM = 3
+T = TypeVar("T")
 
 
 def main() -> None:
-    seed = int(sys.argv[1]) if len(sys.argv) > 1 else 631
-    config, plan = config_of("small"), plan_street(seed)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("seed", type=int, nargs="?", default=631)
+    parser.add_argument("--paths", type=int, nargs="+", default=[16, 24, 48, 96])
+    parser.add_argument("--reference", type=int, default=384)
+    options = parser.parse_args()
+    config, plan = config_of("small"), plan_street(options.seed)
     street = build_street(plan, config.ego_speed_m_s)
     mounted = next(m for m in mount_cameras(plan, config) if m.camera.name == "front_camera")
-    skies = {spec.name: build_sky(spec, plan) for spec in sky_specs(plan)}
+    sky = next(build_sky(spec, plan) for spec in sky_specs(plan) if spec.name == "low_sun")
     time_s = SWEEP_S * _STEM + mounted.time_offset_s
-    poses = actor_poses_at(street, time_s)
-    tracer = PathTracer(
-        [part.transformed(plan.world_from_street) for part in street.background],
-        [Placed(key, actor.parts) for key, actor in zip(poses, street.participants, strict=True)],
-        street.finishes,
-        environment(skies["low_sun"], config.environment_height_px),
-        skies["low_sun"].sun,
-    )
-    tracer.place(poses)
+    tracer = street_tracer(street, config, sky)
+    tracer.place(actor_poses_at(street, time_s))
     pose = camera_pose(plan, config, mounted, time_s)
 
-    def picture(paths: int, *, is_denoised: bool) -> np.ndarray:
-        radiance = tracer.render(
-            mounted.camera, mounted.margin_px, pose, paths, paths, is_denoised=is_denoised
-        )
+    def traced(paths: int) -> np.ndarray:
+        return tracer.render(mounted.camera, mounted.margin_px, pose, paths, paths)
+
+    def shown(radiance: np.ndarray) -> np.ndarray:
         return srgb_from_linear(np.clip(radiance * mounted.gain, 0, 1)).astype(np.float32)
 
-    truth = picture(_REFERENCE, is_denoised=False)
-    sys.stdout.write("| paths | denoised | PSNR dB | LPIPS |\n|---:|---|---:|---:|\n")
-    for paths in (24, 48, 96):
-        for is_denoised in (False, True):
-            made = picture(paths, is_denoised=is_denoised)
-            row = f"{paths} | {is_denoised} | {psnr(made, truth):.1f} | {lpips(made, truth):.3f}"
-            sys.stdout.write(f"| {row} |\n")
-            sys.stdout.flush()
+    def scores(radiance: np.ndarray) -> str:
+        if truth is None:
+            return "-"
+        return f"{psnr(shown(radiance), truth):.1f}, {lpips(shown(radiance), truth):.3f}"
+
+    truth = shown(traced(options.reference)) if options.reference else None
+    traced(1)  # Kernels are compiled.
+    guides, guides_s = timed(lambda: guides_at(street, config, mounted, time_s))
+    sys.stdout.write(f"{tracer.variant}; guides of a pose: {guides_s:.1f} processor s\n\n")
+    sys.stdout.write("| paths | processor s | PSNR dB, LPIPS | denoised | processor s |\n")
+    sys.stdout.write("|---:|---:|---:|---:|---:|\n")
+    for paths in options.paths:
+        made, paths_s = timed(lambda paths=paths: traced(paths))
+        clean, s = timed(lambda made=made: denoise(made, guides.base_colour, guides.normal_world))
+        row = f"{paths} | {paths_s:.1f} | {scores(made)} | {scores(clean)} | {s:.1f}"
+        sys.stdout.write(f"| {row} |\n")
+        sys.stdout.flush()
+
+
+def timed(make: Callable[[], T]) -> tuple[T, float]:
+    """What is made, and the processor seconds of all threads."""
+    started = time.process_time()
+    return make(), time.process_time() - started
 
 
 if __name__ == "__main__":

@@ -13,12 +13,19 @@ import pytest
 
 from lightsim.errors import InputError
 from lightsim.progress import SilentProgress
+from lightsim.relighting.options import SHIPPED
 from lightsim.simulation import batch
 from lightsim.simulation import benchmark as module
 from lightsim.simulation.benchmark import benchmark
 from lightsim.simulation.benchmark_options import HELD_OUT, TRAINING, BenchmarkOptions
 from lightsim.store.images import write_png
-from lightsim.store.weights import WeightsRecord, write_weights
+from lightsim.store.weights import (
+    WEIGHTS_FOLDER,
+    WeightsRecord,
+    list_weights,
+    read_record,
+    write_weights,
+)
 from lightsim.synthetic.checksum import street_checksum
 
 FAKE = """
@@ -101,8 +108,9 @@ def test_a_street_that_fails_leaves_the_others_and_is_mended_later(asked: Path) 
     assert not asked.exists()
 
 
-def record(training_data: str, command: str = "lightsim train relight") -> WeightsRecord:
-    return WeightsRecord("a network", command, training_data, "", 0, 1, {}, "Apache-2.0", "0.2.0")
+def record(streets: dict[str, list[str]] | str) -> WeightsRecord:
+    words = ("a network", "lightsim train relight", "streets", "", 0, 1, {}, "CC0", "0.2.0")
+    return WeightsRecord(*words, streets=streets)
 
 
 def test_networks_that_saw_a_street_are_refused(
@@ -124,16 +132,26 @@ def test_networks_that_saw_a_street_are_refused(
         benchmark(chosen, SilentProgress())
 
     with pytest.raises(InputError, match="has learned from streets of the validation side"):
-        run("validation", record("58 frames of the synthetic streets 77, 904 with truth"))
-    chosen_by = record("the synthetic streets 77", "train --streets 77 --validation 7003 --seed 1")
+        run("validation", record({"training": ["77", "904"], "validation": []}))
+    chosen_by = record({"training": ["77"], "validation": ["7003", "58"]})
     with pytest.raises(InputError, match="of the test side"):
         run("test", chosen_by)
+    with pytest.raises(InputError, match="do not tell which streets"):
+        run("validation", record("unknown"))
     assert not asked.exists()
-    # Frames are counted in the words before the streets, and validation may choose.
-    for told in (record("58 frames of the synthetic streets 77"), chosen_by):
-        write_weights(path, {"w": torch.zeros(1)}, told)
-        chosen = BenchmarkOptions(out=asked.parent, weights=(f"network={path}",))
-        module._check_unseen("network", chosen)
+    # Streets of the validation side may choose.
+    write_weights(path, {"w": torch.zeros(1)}, chosen_by)
+    chosen = BenchmarkOptions(out=asked.parent, weights=(f"network={path}",))
+    module._check_unseen("network", chosen)
+
+
+def test_shipped_networks_tell_their_streets() -> None:
+    for name in SHIPPED.values():
+        (file,) = list_weights()[name]
+        streets = read_record(WEIGHTS_FOLDER / file).streets
+        assert not isinstance(streets, str)
+        assert set(streets["training"]) <= {str(seed) for seed in TRAINING}
+        assert len(streets["training"]) >= 5
 
 
 def test_sides_share_no_street_and_streets_are_the_committed_ones(tmp_path: Path) -> None:

@@ -33,6 +33,7 @@ RECORD = WeightsRecord(
     scores={"angle_mean_deg": 1.25, "log_peak_error": None},
     licence="CC0",
     version="0.2.0",
+    streets={"training": ["77", "412"], "validation": []},
 )
 
 
@@ -44,6 +45,14 @@ def test_weights_and_record_come_back(tmp_path: Path) -> None:
     assert torch.equal(read_weights(paths[0])["w"], torch.tensor([0.5, -2.0]))
     assert paths[0].read_bytes() == paths[1].read_bytes()
     assert RECORD.line() == "two numbers; 12 steps, seed 3, lightsim 0.2.0; CC0"
+
+
+def test_a_record_without_streets_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "old.safetensors"
+    older = {key: value for key, value in asdict(RECORD).items() if key != "streets"}
+    header = json.dumps({"__metadata__": {"record": json.dumps(older)}}).encode()
+    path.write_bytes(len(header).to_bytes(8, "little") + header)
+    assert read_record(path) == replace(RECORD, streets=UNKNOWN)
 
 
 @pytest.mark.parametrize("header", [b"{}", b'{"__metadata__": {"record": "{}"}}', b"[1]", b"{"])

@@ -20,11 +20,13 @@ from lightsim.datasets.reader import read_log
 from lightsim.errors import InputError
 from lightsim.progress import SilentProgress
 from lightsim.store.images import read_exr
-from lightsim.synthetic import shipped_street, synthesize
+from lightsim.synthetic import generate, shipped_street, synthesize
+from lightsim.synthetic.generate import guides_at
 from lightsim.synthetic.geometry import Snapshot
+from lightsim.synthetic.guides import Guides, render_guides
 from lightsim.synthetic.lidar import scan
 from lightsim.synthetic.plan import StreetConfig, plan_street
-from lightsim.synthetic.rig import mount_cameras, street_from_ego
+from lightsim.synthetic.rig import MountedCamera, mount_cameras, street_from_ego
 from lightsim.synthetic.sensor import camera_isp
 from lightsim.synthetic.shapes import rectangle, tube
 from lightsim.synthetic.skies import build_sky, environment, sky_specs
@@ -172,6 +174,46 @@ def test_path_tracer_casts_a_poles_shadow_away_from_the_sun() -> None:
     shadow = offset[is_ring & is_dark].mean(axis=0)
     angle = np.degrees(np.arctan2(*np.flip(shadow)) - np.arctan2(-towards[1], -towards[0]))
     assert abs((angle + 180) % 360 - 180) < 3.0
+
+
+def test_guides_are_means_over_the_pixels_area() -> None:
+    """Of a plate whose edges cross pixels at known fractions, seen from above."""
+    plan = plan_street(5)
+    plate = rectangle("grey", (0.0, 0.0, 0.0), (1.03, 0, 0), (0, 0.57, 0))
+    snapshot = Snapshot(Street(plan, (plate,), (), {"grey": _grey()}), [])
+    # A pixel is 10 cm; the plate begins where two pixels meet.
+    camera = PinholeCamera("above", 24, 16, 100.0, 100.0, 4.0, 12.0)
+    down = plan.world_from_street.rotation @ np.diag([1.0, -1.0, -1.0])
+    pose = RigidTransform.from_rotation("world", "above", down, np.array([0.0, 0.0, 10.0]))
+    guides = render_guides(snapshot, camera, pose)
+    columns, rows = np.zeros(24), np.zeros(16)
+    columns[4:14], columns[14] = 1.0, 0.3
+    rows[7:12], rows[6] = 1.0, 0.7
+    expected = rows[:, None] * columns
+    np.testing.assert_allclose(guides.base_colour[..., 0], 0.6 * expected, atol=0.6 / 16 + 1e-3)
+    np.testing.assert_allclose(guides.normal_world[..., 2], expected, atol=1 / 16 + 1e-3)
+    inside = guides.base_colour[expected == 1.0]
+    np.testing.assert_allclose(inside, 0.6, atol=1e-6)
+
+
+def test_skies_of_a_pose_share_the_guides_of_their_denoising(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("pyoidn", reason="needs the extra `denoise`")
+    config = StreetConfig(48, 27, 2, 10, truth_stems=(1,), buffer_stems=(), dome_height_px=16)
+    config = replace(config, samples=1, truth_samples=1, environment_height_px=32)
+    monkeypatch.setattr(generate, "config_of", lambda _: config)
+    monkeypatch.setattr(generate, "sky_specs", lambda plan: sky_specs(plan)[:2])
+    asked = []
+
+    def noted(street: Street, _: StreetConfig, mounted: MountedCamera, time_s: float) -> Guides:
+        asked.append((mounted.camera.name, time_s))
+        return guides_at(street, config, mounted, time_s)
+
+    monkeypatch.setattr(generate, "guides_at", noted)
+    synthesize(tmp_path, seed=3, size="small", progress=SilentProgress(), is_denoised=True)
+    assert len(list(tmp_path.rglob("*.jpg"))) == 18
+    assert len(asked) == len(set(asked)) == 12
 
 
 # The street that ships with the package.

@@ -132,7 +132,7 @@ def test_the_command_learns_a_known_error_and_says_so(streets: Path, tmp_path: P
     row = scores["low_sun"]
     assert row["network"]["psnr_db"] > row["physical"]["psnr_db"] + 3
     weights = tmp_path / "weights.safetensors"
-    assert "streets 1 with" in read_record(weights).training_data
+    assert read_record(weights).streets == {"training": ["1"], "validation": ["2"]}
     assert network_of(read_weights(weights)).config.widths
 
 

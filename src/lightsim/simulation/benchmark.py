@@ -4,7 +4,6 @@ built from their logs alone, relit by every method, and held together in one lea
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,9 +67,10 @@ def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
     is named at the end while the others go on.
 
     Raises:
-        InputError: a network has learned from a street of the side, the generator makes other
-            streets than the committed ones, an option is wrong, or nothing was finished.
-        ArtefactError: weights are damaged, or do not tell what they have learned from.
+        InputError: a network has learned from a street of the side or does not tell from which,
+            the generator makes other streets than the committed ones, an option is wrong, or
+            nothing was finished.
+        ArtefactError: weights are damaged, or carry no record.
     """
     seeds = Shard.parse(options.shard).of(options.seeds or tuple(HELD_OUT[options.side]))
     methods, notes = _methods(options)
@@ -129,16 +129,21 @@ def _check_unseen(method: Method, options: BenchmarkOptions) -> None:
         path = WEIGHTS_FOLDER / next(iter(list_weights()[SHIPPED[method]]))
     if path is None:
         return
-    record = read_record(path)
-    named = record.training_data.partition("streets")[2].partition(" with ")[0]
-    if options.side == "test":
-        named += record.command.partition("--validation")[2].partition("--")[0]
-    seen = {int(word) for word in re.findall(r"\d+", named)} & set(HELD_OUT[options.side])
+    streets = read_record(path).streets
+    if isinstance(streets, str):
+        raise InputError(
+            "the weights do not tell which streets they have learned from",
+            where=path,
+            got=streets,
+            remedy="Train again, or tell it with tools/name_streets.py.",
+        )
+    named = [*streets["training"], *(streets["validation"] if options.side == "test" else ())]
+    seen = sorted(set(named) & {str(seed) for seed in HELD_OUT[options.side]})
     if seen:
         raise InputError(
             f"the network has learned from streets of the {options.side} side",
             where=path,
-            got=sorted(seen),
+            got=", ".join(seen),
             expected="weights that saw none of them",
         )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +36,8 @@ class WeightsRecord:
         scores: on held-out data, by name.
         licence: of the numbers.
         version: of lightsim.
+        streets: names of synthetic streets, `training` those that it learned from, `validation`
+            those that chose it.
     """
 
     description: str
@@ -47,6 +49,7 @@ class WeightsRecord:
     scores: dict[str, Any] | str
     licence: str
     version: str
+    streets: dict[str, list[str]] | str = UNKNOWN
 
     def metadata(self) -> dict[str, str]:
         """For the header of a safetensors file: one entry, whose order of fields is fixed."""
@@ -106,7 +109,8 @@ def read_record(path: Path) -> WeightsRecord:
         with open_regular(path, "weights file", _MAX_BYTES) as handle:
             size = int.from_bytes(handle.read(8), "little")
             header = json.loads(handle.read(min(size, MAX_JSON_BYTES)))
-        return WeightsRecord(**json.loads(header["__metadata__"]["record"]))
+        record = WeightsRecord(**json.loads(header["__metadata__"]["record"]))
+        return replace(record, streets=_by_side(record.streets))
     except (InputError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ArtefactError(
             "the weights carry no record of how they were made",
@@ -114,6 +118,12 @@ def read_record(path: Path) -> WeightsRecord:
             got=f"{type(error).__name__}: {error}"[:200],
             remedy="Train again; weights of lightsim 0.2 and before have none.",
         ) from error
+
+
+def _by_side(streets: Any) -> dict[str, list[str]] | str:
+    if isinstance(streets, str):
+        return streets
+    return {side: [str(name) for name in streets[side]] for side in ("training", "validation")}
 
 
 def list_weights(folder: Path = WEIGHTS_FOLDER) -> dict[str, dict[str, str]]:

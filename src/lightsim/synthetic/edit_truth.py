@@ -20,7 +20,7 @@ from lightsim.synthetic.edits import (
     choose_edits,
     staged_street,
 )
-from lightsim.synthetic.generate import actor_poses_at, street_tracer
+from lightsim.synthetic.generate import actor_poses_at, guides_at, street_tracer
 from lightsim.synthetic.geometry import Snapshot
 from lightsim.synthetic.lidar import scan
 from lightsim.synthetic.participants import Participant
@@ -163,6 +163,6 @@ def _picture(tracer: PathTracer, staged: _Staged, view: View, *, is_denoised: bo
         camera_pose(street.plan, config, mounted, view.time_s),
         config.truth_samples,
         view.index,
-        is_denoised=is_denoised,
+        guides_at(street, config, mounted, view.time_s) if is_denoised else None,
     )
     return camera_isp(radiance, mounted.gain, None)

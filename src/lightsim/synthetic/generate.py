@@ -17,6 +17,7 @@ from lightsim.progress import Progress
 from lightsim.store.atomic import whole_file
 from lightsim.store.images import write_exr
 from lightsim.synthetic.geometry import Snapshot
+from lightsim.synthetic.guides import Guides, render_guides
 from lightsim.synthetic.lidar import scan
 from lightsim.synthetic.plan import Size, StreetConfig, config_of, plan_street
 from lightsim.synthetic.rig import SWEEP_S, MountedCamera, mount_cameras
@@ -114,9 +115,10 @@ def synthesize(
     for sky in skies:
         write_sky(truth / "skies", sky, config.dome_height_px)
     _write_buffers(truth, street, config, cameras, skies[0], progress)
+    guide = _PoseGuides(street, config) if is_denoised else None
     for number, sky in enumerate(skies):
         shots = _shots(out, sky, number, config, cameras)
-        _render(street, config, sky, shots, progress, is_denoised=is_denoised)
+        _render(street, config, sky, shots, guide, progress)
 
 
 def _missing(path: Path, write: Callable[[Path], None]) -> None:
@@ -191,13 +193,12 @@ def _render(
     config: StreetConfig,
     sky: Sky,
     shots: list[_Shot],
+    guide: _PoseGuides | None,
     progress: Progress,
-    *,
-    is_denoised: bool,
 ) -> None:
     if not shots:
         return
-    if is_denoised:
+    if guide is not None:
         check_installed()
     tracer = street_tracer(street, config, sky)
     for shot in progress.track(shots, f"rendering '{sky.spec.name}' ({tracer.variant})"):
@@ -211,13 +212,41 @@ def _render(
             pose,
             shot.samples,
             shot.seed,
-            is_denoised=is_denoised,
+            None if guide is None else guide.of(shot),
         )
         rng = None
         if shot.has_sensor_noise:
             rng = np.random.default_rng([street.plan.seed, 9, shot.seed])
         shot.path.parent.mkdir(parents=True, exist_ok=True)
         _write_jpeg(shot.path, camera_isp(radiance, mounted.gain, rng))
+
+
+class _PoseGuides:
+    """Guides of the denoiser, which know nothing of the light: the skies of a pose share them."""
+
+    def __init__(self, street: Street, config: StreetConfig) -> None:
+        self._street, self._config = street, config
+        self._kept: dict[tuple[int, str], Guides] = {}
+
+    def of(self, shot: _Shot) -> Guides:
+        """Those of frames that only the log has are not kept: nobody asks for them again."""
+        key = (shot.index, shot.mounted.camera.name)
+        if key in self._kept:
+            return self._kept[key]
+        time_s = SWEEP_S * shot.index + shot.mounted.time_offset_s
+        guides = guides_at(self._street, self._config, shot.mounted, time_s)
+        if shot.index in self._config.truth_stems:
+            self._kept[key] = guides
+        return guides
+
+
+def guides_at(
+    street: Street, config: StreetConfig, mounted: MountedCamera, time_s: float
+) -> Guides:
+    """Guides of the denoiser for a camera of the ego vehicle."""
+    snapshot = Snapshot(street, list(actor_poses_at(street, time_s).values()))
+    pose = camera_pose(street.plan, config, mounted, time_s)
+    return render_guides(snapshot, mounted.camera, pose)
 
 
 def street_tracer(street: Street, config: StreetConfig, sky: Sky) -> PathTracer:

@@ -12,6 +12,7 @@ from jaxtyping import Float32
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.dome import Sun
 from lightsim.core.frames import RigidTransform
+from lightsim.denoise import denoise
 from lightsim.mitsuba_scene import (
     Variant,
     bitmap,
@@ -23,13 +24,13 @@ from lightsim.mitsuba_scene import (
     perspective_sensor,
     sun_disc,
 )
+from lightsim.synthetic.guides import Guides
 from lightsim.synthetic.shapes import Part
 from lightsim.synthetic.textures import Finish
 
 # From surface to surface: paths meet five surfaces before the light.
 _BOUNCES = 4
 _PASSES = 6
-_GUIDE_SAMPLES = 64
 _OUTLIER = 2.5
 """A pass may exceed the median of all passes by this factor: sun that panes and paint throw onto
 other surfaces reaches a path tracer as rare, very bright samples, and is left out."""
@@ -95,18 +96,19 @@ class PathTracer:
         world_from_camera: RigidTransform,
         samples: int,
         seed: int,
-        *,
-        is_denoised: bool = False,
+        guides: Guides | None = None,
     ) -> Float32[np.ndarray, "h w 3"]:
         """Radiance in scene units, box filtered over each pixel.
 
         Args:
-            is_denoised: the grain of few paths is taken out, guided by colours and normals of many.
+            guides: of this view; with them the grain of few paths is taken out.
         """
         with mitsuba_with(self.variant) as mi:
             sensor = perspective_sensor(mi, camera, margin_px, world_from_camera)
             radiance = self._radiance(mi, sensor, samples, seed)
-            return self._denoised(mi, sensor, radiance) if is_denoised else radiance
+        if guides is None:
+            return radiance
+        return denoise(radiance, guides.base_colour, guides.normal_world)
 
     def _radiance(
         self, mi: Any, sensor: Any, samples: int, seed: int
@@ -117,16 +119,6 @@ class PathTracer:
         images = np.stack([self._pass(mi, sensor, samples // _PASSES, one) for one in seeds])
         limit = _OUTLIER * np.median(images, axis=0) + 0.02
         return np.minimum(images, limit).mean(axis=0)
-
-    def _denoised(
-        self, mi: Any, sensor: Any, radiance: Float32[np.ndarray, "h w 3"]
-    ) -> Float32[np.ndarray, "h w 3"]:
-        from lightsim.denoise import denoise
-
-        wanted = mi.load_dict({"type": "aov", "aovs": "colour:albedo,normal:sh_normal"})
-        guide = mi.render(self._scene, sensor=sensor, spp=_GUIDE_SAMPLES, integrator=wanted)
-        guide = np.array(guide, dtype=np.float32)
-        return denoise(radiance, guide[..., :3], guide[..., 3:6])
 
     def _pass(self, mi: Any, sensor: Any, samples: int, seed: int) -> Float32[np.ndarray, "h w 3"]:
         image = mi.render(self._scene, sensor=sensor, spp=samples, seed=seed)

@@ -77,6 +77,7 @@ def train(command: RelightTrainingOptions) -> None:
         scores=scores or "no street was held out",
         licence=command.licence,
         version=__version__,
+        streets={"training": list(streets), "validation": list(command.validation)},
     )
     write_run(command, tensors, scores, record)
 
