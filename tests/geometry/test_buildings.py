@@ -120,7 +120,13 @@ def _complete(
 ) -> tuple[TriMesh, TriMesh]:
     returns = np.concatenate([s.points_world for s in sweeps or []] + [np.zeros((0, 3), "f4")])
     visible, rooflines = complete_buildings(
-        seen, lambda: views, sweeps or [], GROUND, returns, make_caster=EmbreeCaster
+        seen,
+        find_walls(seen),
+        lambda: views,
+        sweeps or [],
+        GROUND,
+        returns,
+        make_caster=EmbreeCaster,
     )
     background = concatenate_meshes([seen, visible])
     return visible, roof_casters(rooflines, background, make_caster=EmbreeCaster)

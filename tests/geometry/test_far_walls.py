@@ -25,6 +25,14 @@ ROW = Wall(
 )
 
 
+def test_places_on_a_wall_and_back() -> None:
+    s, z = ROW.grid(0.5, (40, 12))
+    back, out = ROW.place(ROW.at(s, z, 0.7))
+    np.testing.assert_allclose(back, s, atol=1e-12)
+    np.testing.assert_allclose(out, 0.7, atol=1e-12)
+    assert (s.min(), s.max(), z.min(), z.max()) == (0.25, 19.75, 0.25, 5.75)
+
+
 def _mesh() -> TriMesh:
     points = np.array([[0, 8, 0], [24, 8, 0], [24, 8, 6], [0, 8, 6]], np.float32)
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)

@@ -12,6 +12,7 @@ from lightsim.geometry.surface import (
     drop_floaters,
     extract_surface,
     make_mesh,
+    quad_mesh,
     smooth,
 )
 
@@ -77,3 +78,12 @@ def test_smoothing_removes_noise_and_keeps_size(rng: np.random.Generator) -> Non
     assert after.std() < 0.5 * before.std()
     assert abs(float(after.mean()) - RADIUS_M) < 0.005
     assert adjacency(mesh.faces, len(mesh.vertices)).diagonal().sum() == 0
+
+
+def test_quads_face_where_their_corners_turn_counter_clockwise() -> None:
+    """Two faces a quad, and no corner that none uses."""
+    corners = np.array([[9.0, 9, 9], [0, 0, 0], [2, 0, 0], [2, 3, 0], [0, 3, 0]])
+    mesh = quad_mesh(corners, np.array([[1, 2, 3, 4]]))
+    np.testing.assert_array_equal(mesh.vertices, corners[1:])
+    np.testing.assert_array_equal(mesh.face_normals(), [[0, 0, 1]] * 2)
+    assert mesh.face_areas_m2().sum() == 6

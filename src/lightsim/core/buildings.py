@@ -40,6 +40,24 @@ class Wall:
         place = s[..., None] * self.along + z[..., None] * up
         return self.origin_m + place + out_m * self.normal
 
+    def grid(
+        self, cell_m: float, shape: tuple[int, ...]
+    ) -> tuple[Float64[np.ndarray, "s z"], Float64[np.ndarray, "s z"]]:
+        """s and z of the middle of square cells, from the lowest corner on."""
+        s, z = (
+            low + (np.arange(count) + 0.5) * cell_m
+            for low, count in zip((self.span_m[0], self.height_m[0]), shape, strict=True)
+        )
+        s, z = np.meshgrid(s, z, indexing="ij")
+        return s, z
+
+    def place(
+        self, points_world: Float64[np.ndarray, "*n 3"]
+    ) -> tuple[Float64[np.ndarray, "*n"], Float64[np.ndarray, "*n"]]:
+        """s of points, and how far before the plane they lie."""
+        offset = points_world - self.origin_m
+        return offset @ self.along, offset @ self.normal
+
 
 @dataclass(frozen=True, eq=False)
 class Roofline:

@@ -12,9 +12,10 @@ from scipy.sparse.csgraph import connected_components
 
 from lightsim.core.adjacency import adjacency
 from lightsim.core.fields import BLOCK, SceneFields, TsdfGrid
-from lightsim.core.mesh import Texture, TriMesh
+from lightsim.core.mesh import Material, Texture, TriMesh
 
 _REGION_BLOCKS = 8
+MATTE = Material()
 _WELD_FRACTION = 1e-3
 _SHRINK, _SWELL = 0.5, -0.53
 
@@ -56,6 +57,22 @@ def make_mesh(
     """A black mesh."""
     black = np.zeros((len(vertices), 3), dtype=np.float32)
     return TriMesh(frame, vertices.astype(np.float32), faces.astype(np.int32), black)
+
+
+def quad_mesh(
+    corners: Float64[np.ndarray, "n 3"],
+    quads: Int64[np.ndarray, "m 4"],
+    material: Material = MATTE,
+) -> TriMesh:
+    """A black mesh in frame world: two triangles a quad, without corners that none uses.
+
+    Args:
+        quads: their corners, counter-clockwise seen from outside.
+    """
+    used, index = np.unique(quads, return_inverse=True)
+    index = index.reshape(-1, 4).astype(np.int64)
+    faces = np.concatenate([index[:, [0, 1, 2]], index[:, [0, 2, 3]]])
+    return replace(make_mesh("world", corners[used], faces), materials=(material,))
 
 
 def _complete_cells(is_known: Bool[np.ndarray, "a b c"]) -> Bool[np.ndarray, "_d _e _f"]:

@@ -92,10 +92,10 @@ def _crossings(
     if cosine > -_LEAST_COSINE or roofline.is_seen.all():
         return _Crossings(nothing, nothing, np.zeros(0))
     light, places = observed.light, observed.surfels.position.astype(np.float64)
-    front_m = (places - wall.origin_m) @ wall.normal
+    _, front_m = wall.place(places)
     crossing = places - (front_m / cosine)[:, None] * sun_world
-    column = (crossing - wall.origin_m) @ wall.along - wall.span_m[0]
-    column = np.floor(column / roofline.cell_m).astype(np.int64)
+    s, _ = wall.place(crossing)
+    column = np.floor((s - wall.span_m[0]) / roofline.cell_m).astype(np.int64)
     is_on = (front_m > _OFF_WALL_M) & (column >= 0) & (column < len(roofline.top))
     is_on &= light.is_lit_enough & (light.visibility[:, 0] > 0.5)
     column = np.where(is_on, column, 0)

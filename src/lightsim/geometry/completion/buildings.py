@@ -9,15 +9,15 @@ casts shadows and is kept apart (`prisms`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from lightsim.core.buildings import Roofline
+from lightsim.core.buildings import Roofline, Wall
 from lightsim.core.casting import MakeCaster, check_world
 from lightsim.core.fields import GroundMap
-from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
+from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.core.sensors import LidarSweep
 from lightsim.geometry.completion.far_walls import find_far_walls
 from lightsim.geometry.completion.free_space import find_free_space
@@ -27,8 +27,8 @@ from lightsim.geometry.completion.rooflines import find_rooflines
 from lightsim.geometry.completion.silhouettes import View
 from lightsim.geometry.completion.uprights import raise_uprights
 from lightsim.geometry.completion.wall_cells import MAX_HEIGHT_M, WallCells, gather_cells
-from lightsim.geometry.completion.walls import find_walls
 from lightsim.geometry.materials import FACADE
+from lightsim.geometry.surface import quad_mesh
 
 _OFFSET_LIMIT_M = 0.3
 _HOUSE_REACH_M = 2.0
@@ -41,6 +41,7 @@ _OVERLAP_M = 0.03
 
 def complete_buildings(
     background: TriMesh,
+    walls: Sequence[Wall],
     silhouettes: Callable[[], Iterable[View]],
     sweeps: Iterable[LidarSweep],
     ground: GroundMap,
@@ -53,6 +54,7 @@ def complete_buildings(
 
     Args:
         background: measured static surfaces, frame world, outward faces counter-clockwise.
+        walls: planes in it (`walls.find_walls`).
         silhouettes: gives frames with their camera (of the matte's size) and sky matte, any number
             of times.
         sweeps: beams that went over a wall tell that it ends there.
@@ -65,7 +67,6 @@ def complete_buildings(
         InputError: a matte does not fit its camera.
     """
     check_world([background])
-    walls = find_walls(background)
     parts: list[TriMesh] = []
     rooflines: list[Roofline] = []
     if walls:
@@ -88,10 +89,10 @@ def _visible_parts(cells: WallCells, roofline: Roofline) -> Iterator[TriMesh]:
     is_pane = find_panes(cells)
     is_upper = _unmeasured(cells, roofline) & ~is_pane
     if is_pane.any():
-        pane = _mesh_cells(cells, is_pane, offset, FACADE)
+        pane = _mesh_cells(cells, is_pane, offset)
         yield pane.with_provenance(Provenance.INTERPOLATED)
     if is_upper.any():
-        upper = _mesh_cells(cells, is_upper, offset, FACADE)
+        upper = _mesh_cells(cells, is_upper, offset)
         yield upper.with_provenance(Provenance.INFERRED)
 
 
@@ -139,7 +140,6 @@ def _mesh_cells(
     cells: WallCells,
     is_filled: Bool[np.ndarray, "s z"],
     offset: Float64[np.ndarray, "s z"],
-    material: Material,
 ) -> TriMesh:
     """Two triangles a cell, corners shared."""
     from scipy.ndimage import binary_dilation
@@ -151,18 +151,9 @@ def _mesh_cells(
     corner = i * across + j
     # `along` runs from left to right seen from outside.
     quads = np.stack([corner, corner + across, corner + across + 1, corner + 1], axis=1)
-    used, index = np.unique(quads, return_inverse=True)
-    index = index.reshape(-1, 4)
-    padded = np.pad(offset, ((0, 1), (0, 1)), mode="edge") - _OVERLAP_M
-    place = used // across, used % across
+    out = np.pad(offset, ((0, 1), (0, 1)), mode="edge") - _OVERLAP_M
+    place = np.indices(out.shape)
     s = cells.wall.span_m[0] + place[0] * cells.cell_m
     z = cells.wall.height_m[0] + place[1] * cells.cell_m
-    points = cells.wall.at(s, z) + padded[place][:, None] * cells.wall.normal
-    faces = np.concatenate([index[:, [0, 1, 2]], index[:, [0, 2, 3]]])
-    return TriMesh(
-        "world",
-        points.astype(np.float32),
-        faces.astype(np.int32),
-        np.zeros((len(points), 3), dtype=np.float32),
-        (material,),
-    )
+    points = cells.wall.at(s, z) + out[..., None] * cells.wall.normal
+    return quad_mesh(points.reshape(-1, 3), quads, FACADE)

@@ -15,17 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float64, Int64
 
-from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import MakeCaster, RayCaster, check_world
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
-from lightsim.core.sensors import CameraFrame
-from lightsim.geometry.completion.silhouettes import (
-    MIN_BASELINE_M,
-    View,
-    classify_matte,
-    spaced_views,
-)
+from lightsim.geometry.completion.silhouettes import ClassifiedView, View, classified_views
+from lightsim.geometry.surface import quad_mesh
 
 _SINK_M = 0.15
 _STEPS_DOWN = 3
@@ -99,11 +93,10 @@ def build_far_field(
     proxy = _empty_proxy(background, path_m)
     extended = _extend_ground(background, ground, path_m, proxy, make_caster)
     caster = make_caster([background, extended])
-    for frame, camera, matte in spaced_views(silhouettes, MIN_BASELINE_M):
-        kind = classify_matte(camera, matte)
-        _look(proxy, (frame, camera, kind), caster)
+    for view in classified_views(silhouettes):
+        _look(proxy, view, caster)
     panels = _mesh_panels(proxy, _skyline(proxy), ground)
-    return concatenate_meshes([extended, panels])
+    return concatenate_meshes([extended, panels]).with_provenance(Provenance.BACKGROUND_PROXY)
 
 
 def _empty_proxy(background: TriMesh, path_m: Float[np.ndarray, "k 3"]) -> _BackgroundProxy:
@@ -120,11 +113,7 @@ def _empty_proxy(background: TriMesh, path_m: Float[np.ndarray, "k 3"]) -> _Back
     return _BackgroundProxy(centre, radius, none, none.copy(), low)
 
 
-def _look(
-    proxy: _BackgroundProxy,
-    view: tuple[CameraFrame, PinholeCamera, Float[np.ndarray, "h w"] | np.ndarray],
-    caster: RayCaster,
-) -> None:
+def _look(proxy: _BackgroundProxy, view: ClassifiedView, caster: RayCaster) -> None:
     """Which cells of the background proxy one view shows as matter or as sky, each cell once."""
     frame, camera, kind = view
     step = _EVERY_NTH_PIXEL
@@ -191,8 +180,7 @@ def _mesh_panels(
     z = np.stack([z0, z0, z1, z1], axis=1)
     # Counter-clockwise seen from the middle: azimuth grows to the left.
     corners = np.concatenate([xy[row][:, [1, 0, 0, 1]], z[:, :, None]], axis=2).reshape(-1, 3)
-    start = 4 * np.arange(len(row))[:, None]
-    return _mesh(corners, np.concatenate([start + [[0, 1, 2]], start + [[0, 2, 3]]]))
+    return quad_mesh(corners, np.arange(len(corners)).reshape(-1, 4))
 
 
 def _extend_ground(
@@ -227,8 +215,7 @@ def _extend_ground(
     down = np.broadcast_to(np.array([0.0, 0.0, -1.0]), start.shape).copy()
     hits = make_caster([background]).intersect(start, down)
     is_covered = (hits.distance_m < 1.5).reshape(-1, 4).all(axis=1)
-    quads = quads[~is_covered]
-    return _mesh(points, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
+    return quad_mesh(points, quads[~is_covered])
 
 
 def _continued_height(
@@ -256,11 +243,3 @@ def _continued_height(
     fraction = np.exp(-np.asarray(distance) / _BLEND_M)
     far = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ plane
     return fraction * z[is_ground][nearest] + (1.0 - fraction) * far
-
-
-def _mesh(points: Float64[np.ndarray, "n 3"], faces: Int64[np.ndarray, "m 3"]) -> TriMesh:
-    used, index = np.unique(faces, return_inverse=True)
-    black = np.zeros((len(used), 3), dtype=np.float32)
-    corners = points[used].astype(np.float32).reshape(-1, 3)
-    mesh = TriMesh("world", corners, index.reshape(-1, 3).astype(np.int32), black)
-    return mesh.with_provenance(Provenance.BACKGROUND_PROXY)

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from lightsim.core.buildings import Wall
 from lightsim.core.casting import RayCaster
 from lightsim.core.fields import GroundMap
+from lightsim.geometry.completion.walls import surface_offset_m
 
 # Chosen while looking at log 002 and the streets of seeds 0, 77 and 412; what they bring is
 # measured (docs/benchmarks/reconstruction.md).
@@ -31,7 +32,7 @@ _COLUMN_M, _LEAST_RETURNS, _MAX_GAP_M = 1.0, 2, 3.0
 _WIDTH_M, _HEIGHT_M, _RETURNS = 4.0, 2.0, 15
 # A column is measured where the mesh has so much of its returns.
 _MEASURED = 0.5
-_MESH_FRONT_M, _MESH_BEHIND_M = 0.6, 0.6
+_MESH_NEAR_M = 0.6, 0.6
 _FOOT_M = 0.25
 
 
@@ -57,8 +58,7 @@ def find_far_walls(
         if wall.span_m[1] - wall.span_m[0] < _LEAST_WIDTH_M:
             continue
         rows = np.flatnonzero(is_free)
-        offset = points[rows] - wall.origin_m
-        s, out = offset @ wall.along, offset @ wall.normal
+        s, out = wall.place(points[rows])
         is_around = (np.abs(out) < _AROUND_M) & (s > wall.span_m[0] - _FOLLOWED_M)
         is_around &= s < wall.span_m[1] + _FOLLOWED_M
         rows, s, out = rows[is_around], s[is_around], out[is_around]
@@ -91,9 +91,7 @@ def _is_measured(
     caster: RayCaster,
 ) -> Bool[np.ndarray, " n"]:
     """Returns in columns that the mesh has already."""
-    on_plane = wall.at(s, points[:, 2], _MESH_FRONT_M)
-    hits = caster.intersect(on_plane, np.broadcast_to(-wall.normal, on_plane.shape).copy())
-    is_near = hits.distance_m < _MESH_FRONT_M + _MESH_BEHIND_M
+    is_near = np.isfinite(surface_offset_m(wall, s, points[:, 2], caster, _MESH_NEAR_M))
     column = _column(s)
     total = np.maximum(np.bincount(column), 1)
     return (np.bincount(column, is_near) / total > _MEASURED)[column]

@@ -120,10 +120,10 @@ def _on_wall(wall: Wall, points: Float[np.ndarray, "n 3"], around_m: float) -> _
     out = points @ wall.normal.astype(points.dtype) - wall.origin_m @ wall.normal
     is_on = (np.abs(out) < _MAX_DISTANCE_M) & (z <= wall.height_m[1] + ends)
     rows = np.flatnonzero(is_on & (z >= wall.height_m[0] - around_m))
-    offset = points[rows].astype(np.float64) - wall.origin_m
-    place = np.stack([offset @ wall.along, points[rows, 2]], axis=1)
-    is_between = (place[:, 0] >= wall.span_m[0] - ends) & (place[:, 0] <= wall.span_m[1] + ends)
-    return _OnWall(rows[is_between], place[is_between], (offset @ wall.normal)[is_between])
+    s, out = wall.place(points[rows].astype(np.float64))
+    place = np.stack([s, points[rows, 2]], axis=1)
+    is_between = (s >= wall.span_m[0] - ends) & (s <= wall.span_m[1] + ends)
+    return _OnWall(rows[is_between], place[is_between], out[is_between])
 
 
 def _flatten(
@@ -133,8 +133,7 @@ def _flatten(
     voxel_m: float,
 ) -> None:
     """Move the points of one wall in place."""
-    offset = points - wall.origin_m
-    s, out = offset @ wall.along, offset @ wall.normal
+    s, out = wall.place(points)
     z, cosine = points[:, 2], normals @ wall.normal
     is_near = (np.abs(out) < _MAX_DISTANCE_M) & (cosine > -_MIN_COSINE)
     is_near &= (s >= wall.span_m[0]) & (s <= wall.span_m[1])

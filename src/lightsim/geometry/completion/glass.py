@@ -20,6 +20,8 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import RayCaster
 from lightsim.core.colour import linear_from_srgb8, luminance
 from lightsim.core.sensors import CameraFrame
+from lightsim.geometry.completion.silhouettes import spaced_views
+from lightsim.geometry.completion.walls import surface_offset_m
 
 # Chosen while looking at the streets of seeds 0 and 77; benchmarks/panes.py says how many panes
 # are found.
@@ -123,12 +125,12 @@ def find_glass(
 
 def _is_among(pane: Pane, others: Sequence[Pane]) -> bool:
     """Whether a pane's middle lies in one of another wall: planes may lie close together."""
-    middle = pane.wall.at(np.array(np.mean(pane.span_m)), np.array(np.mean(pane.height_m)))
+    middle = pane.wall.at(np.array([np.mean(pane.span_m)]), np.array([np.mean(pane.height_m)]))
     for other in others:
-        way = middle - other.wall.origin_m
-        is_in = other.span_m[0] < way @ other.wall.along < other.span_m[1]
-        is_in &= other.height_m[0] < middle[2] < other.height_m[1]
-        if is_in and abs(way @ other.wall.normal) < _BEHIND_M:
+        (s,), (out,) = other.wall.place(middle)
+        is_in = other.span_m[0] < s < other.span_m[1]
+        is_in &= other.height_m[0] < middle[0, 2] < other.height_m[1]
+        if is_in and abs(out) < _BEHIND_M:
             return True
     return False
 
@@ -137,21 +139,7 @@ def _offsets(wall: Wall, caster: RayCaster) -> Float64[np.ndarray, "s z"]:
     """How far before the plane each cell's surface lies; NaN where there is none."""
     size = wall.span_m[1] - wall.span_m[0], wall.height_m[1] + _ABOVE_M - wall.height_m[0]
     shape = tuple(max(int(np.ceil(length / _CELL_M)), 1) for length in size)
-    start = _centres(wall, np.full(shape, _FRONT_M)).reshape(-1, 3)
-    hits = caster.intersect(start, np.broadcast_to(-wall.normal, start.shape).copy())
-    is_near = hits.is_hit & (hits.distance_m < _FRONT_M + _BEHIND_M)
-    distance = hits.distance_m.astype(np.float64)
-    return np.where(is_near, _FRONT_M - distance, np.nan).reshape(shape)
-
-
-def _centres(wall: Wall, out_m: Float64[np.ndarray, "s z"]) -> Float64[np.ndarray, "s z 3"]:
-    """Middle of each cell, that far before the plane."""
-    s, z = (
-        low + (np.arange(count) + 0.5) * _CELL_M
-        for low, count in zip((wall.span_m[0], wall.height_m[0]), out_m.shape, strict=True)
-    )
-    grid = np.meshgrid(s, z, indexing="ij")
-    return wall.at(grid[0], grid[1]) + out_m[..., None] * wall.normal
+    return surface_offset_m(wall, *wall.grid(_CELL_M, shape), caster, (_FRONT_M, _BEHIND_M))
 
 
 def _look(
@@ -163,23 +151,20 @@ def _look(
     """Of each wall, log luminance of its cells against the wall around in each view; NaN where the
     view does not show them."""
     looks: list[list[Float16[np.ndarray, "_ _"]]] = [[] for _ in walls]
-    points = [
-        _centres(wall, np.where(np.isfinite(offset), offset, _typical(offset)))
-        for wall, offset in zip(walls, offsets, strict=True)
-    ]
-    last: dict[str, np.ndarray] = {}
-    for frame, camera in frames:
-        eye = frame.world_from_camera.translation_m
-        before = last.get(frame.camera_name)
-        if before is not None and np.linalg.norm(eye - before) < _BASELINE_M:
-            continue
-        last[frame.camera_name] = eye
+    points = [_surface(wall, offset) for wall, offset in zip(walls, offsets, strict=True)]
+    for frame, camera in spaced_views(frames, _BASELINE_M):
         image = np.log(luminance(linear_from_srgb8(frame.load_srgb8())) + _DARKEST)
         for wall, place, look in zip(walls, points, looks, strict=True):
             seen = _seen(wall, place, (frame, camera), image, caster)
             if np.isfinite(seen).any():
                 look.append((seen - _mean_around(seen, _AROUND_M)).astype(np.float16))
     return looks
+
+
+def _surface(wall: Wall, offset_m: Float64[np.ndarray, "s z"]) -> Float64[np.ndarray, "s z 3"]:
+    """Middle of each cell as far before the plane as its surface, or as most of the wall."""
+    out = np.where(np.isfinite(offset_m), offset_m, _typical(offset_m))
+    return wall.at(*wall.grid(_CELL_M, offset_m.shape)) + out[..., None] * wall.normal
 
 
 def _seen(
@@ -241,9 +226,9 @@ def _on_wall(
     """Of the returns near a wall's plane: how far before it, and their place in cells."""
     out = returns_world @ wall.normal.astype(np.float32) - np.float32(wall.origin_m @ wall.normal)
     near = returns_world[(out > -_BEHIND_M) & (out < _FRONT_M)].astype(np.float64)
-    s = (near - wall.origin_m) @ wall.along - wall.span_m[0]
-    place = np.stack([s, near[:, 2] - wall.height_m[0]], axis=1) / _CELL_M
-    return (near - wall.origin_m) @ wall.normal, place
+    s, out = wall.place(near)
+    place = np.stack([s - wall.span_m[0], near[:, 2] - wall.height_m[0]], axis=1) / _CELL_M
+    return out, place
 
 
 def _missing(

@@ -11,7 +11,7 @@ from jaxtyping import Float64, Int64
 from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
 from lightsim.geometry.completion.glass import Pane
 from lightsim.geometry.materials import FACADE, GLASS
-from lightsim.geometry.surface import keep_faces, make_mesh
+from lightsim.geometry.surface import keep_faces, quad_mesh
 
 # Surface this far before and behind a wall is replaced by its panes.
 _FRONT_M, _BEHIND_M = 0.2, 0.7
@@ -132,8 +132,8 @@ def _local(
     points: Float64[np.ndarray, "n 3"], pane: Pane
 ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
     """Place along the wall, height, and distance before the wall around the pane."""
-    way = points - pane.wall.origin_m
-    return way @ pane.wall.along, points[:, 2], way @ pane.wall.normal - pane.wall_m
+    s, out = pane.wall.place(points)
+    return s, points[:, 2], out - pane.wall_m
 
 
 def _pane_mesh(pane: Pane) -> TriMesh:
@@ -168,7 +168,5 @@ def _grid(
     i, j = (k.reshape(-1, 1) for k in np.indices((count[0] + 1, count[1] + 1)))
     points = corner + i / count[0] * first + j / count[1] * second
     across = count[1] + 1
-    start = (np.arange(count[0])[:, None] * across + np.arange(count[1])).reshape(-1)
-    quad = [start, start + across, start + across + 1, start + 1]
-    faces = [np.stack([quad[k] for k in corners], axis=1) for corners in ((0, 1, 2), (0, 2, 3))]
-    return replace(make_mesh("world", points, np.concatenate(faces)), materials=(material,))
+    start = (np.arange(count[0])[:, None] * across + np.arange(count[1])).reshape(-1, 1)
+    return quad_mesh(points, start + [0, across, across + 1, 1], material)

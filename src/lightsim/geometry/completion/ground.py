@@ -11,7 +11,7 @@ from lightsim.core.fields import GroundMap
 from lightsim.core.laplace import fill_smoothly
 from lightsim.core.mesh import Provenance, TriMesh
 from lightsim.geometry.simplify import simplify_planar
-from lightsim.geometry.surface import border_vertices, keep_faces, make_mesh, path_distance_m
+from lightsim.geometry.surface import border_vertices, keep_faces, path_distance_m, quad_mesh
 
 _SINK_M = 0.003
 _MIN_UP = 0.5
@@ -73,7 +73,7 @@ def ground_patches(
     is_hole = ~is_known & is_near.reshape(shape) & (gap_m < _GROUND_REACH_M)
     z = fill_smoothly(np.where(is_known, observed.reshape(shape), 0.0), is_known)
     corners = is_hole[1:, 1:] | is_hole[:-1, 1:] | is_hole[1:, :-1] | is_hole[:-1, :-1]
-    patches, node = _quads(background.frame, xy, z - _SINK_M * is_known, corners)
+    patches, node = _quads(xy, z - _SINK_M * is_known, corners)
     # Beside measured ground light changes quickly (edges of vehicles); far inside it is dark.
     edge_m = np.where(gap_m.reshape(-1)[node] < _FINE_M, _GROUND_CELL_M, _COARSE_EDGE_M)
     return simplify_planar(patches, edge_m=edge_m).with_provenance(Provenance.INTERPOLATED)
@@ -114,7 +114,6 @@ def _cast_down(
 
 
 def _quads(
-    frame: str,
     xy: Float64[np.ndarray, "nx ny 2"],
     z: Float64[np.ndarray, "nx ny"],
     is_drawn: Bool[np.ndarray, "_mx _my"],
@@ -122,8 +121,6 @@ def _quads(
     """Squares of the grid, and the node that each vertex is."""
     index = np.arange(z.size).reshape(z.shape)
     i, j = np.nonzero(is_drawn)
-    a, b, c, d = index[i, j], index[i + 1, j], index[i + 1, j + 1], index[i, j + 1]
-    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-    used, faces = np.unique(faces, return_inverse=True)
-    points = np.concatenate([xy.reshape(-1, 2), z.reshape(-1, 1)], axis=1)[used]
-    return make_mesh(frame, points, faces.reshape(-1, 3).astype(np.int64)), used
+    quads = np.stack([index[i, j], index[i + 1, j], index[i + 1, j + 1], index[i, j + 1]], axis=1)
+    points = np.concatenate([xy.reshape(-1, 2), z.reshape(-1, 1)], axis=1)
+    return quad_mesh(points, quads), np.unique(quads)

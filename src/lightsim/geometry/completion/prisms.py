@@ -13,6 +13,7 @@ from lightsim.core.casting import MakeCaster, RayCaster
 from lightsim.core.mesh import Provenance, TriMesh
 from lightsim.geometry.completion.neighbours import INSET_M
 from lightsim.geometry.materials import FACADE
+from lightsim.geometry.surface import quad_mesh
 
 _RETREAT_M = 0.15
 """Hidden parts of a wall stand this far behind: they must not shade what was measured of it."""
@@ -41,10 +42,8 @@ def roof_casters(
         for run in _runs(roofline.top, roofline.depth_m, roofline.shown)
         for quad in (*_prism(roofline, run), *_free_walls(roofline, run, caster, normals))
     ]
-    points = np.array(quads, dtype=np.float32).reshape(-1, 3)
-    start = 4 * np.arange(len(quads), dtype=np.int32)[:, None]
-    faces = np.concatenate([start + [[0, 1, 2]], start + [[0, 2, 3]]]).astype(np.int32)
-    mesh = TriMesh("world", points, faces, np.zeros_like(points), (FACADE,))
+    corners = np.array(quads, dtype=np.float64).reshape(-1, 3)
+    mesh = quad_mesh(corners, np.arange(len(corners)).reshape(-1, 4), FACADE)
     return mesh.with_provenance(Provenance.INFERRED)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float32, Int8
@@ -21,18 +22,35 @@ SKY_ALPHA = 0.8
 SOLID_ALPHA = 0.2
 
 View = tuple[CameraFrame, PinholeCamera, Float32[np.ndarray, "h w"]]
+ClassifiedView = tuple[CameraFrame, PinholeCamera, Int8[np.ndarray, "h w"]]
+"""With what `classify_matte` makes of the matte."""
 
 
-def spaced_views(views: Iterable[View], min_baseline_m: float) -> Iterator[View]:
-    """Views without those whose camera moved less than this since its last used view."""
+_FrameFirst = TypeVar("_FrameFirst", bound=tuple[Any, ...])
+
+
+def spaced_views(views: Iterable[_FrameFirst], min_baseline_m: float) -> Iterator[_FrameFirst]:
+    """Views, tuples that begin with a frame, without those whose camera moved less than this since
+    its last used view."""
     last: dict[str, np.ndarray] = {}
-    for frame, camera, matte in views:
+    for view in views:
+        frame: CameraFrame = view[0]
         position = frame.world_from_camera.translation_m
         before = last.get(frame.camera_name)
         if before is not None and np.linalg.norm(position - before) < min_baseline_m:
             continue
         last[frame.camera_name] = position
-        yield frame, camera, matte
+        yield view
+
+
+def classified_views(views: Iterable[View]) -> Iterator[ClassifiedView]:
+    """Views apart by `MIN_BASELINE_M`, classified.
+
+    Raises:
+        InputError: a matte does not fit its camera.
+    """
+    for frame, camera, matte in spaced_views(views, MIN_BASELINE_M):
+        yield frame, camera, classify_matte(camera, matte)
 
 
 def check_matte(camera: PinholeCamera, matte: Float32[np.ndarray, "h w"]) -> None:

@@ -15,17 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import RayCaster
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import Material, Provenance, TriMesh
-from lightsim.core.sensors import CameraFrame
-from lightsim.geometry.completion.silhouettes import (
-    MIN_BASELINE_M,
-    View,
-    classify_matte,
-    spaced_views,
-)
+from lightsim.geometry.completion.silhouettes import ClassifiedView, View, classified_views
+from lightsim.geometry.surface import quad_mesh
 
 MATERIAL = Material(0.8, 0.0, "upright")
 
@@ -93,9 +87,8 @@ def raise_uprights(
     levels = round(_MOST_ADDED_M / _CELL_M)
     # Most columns end in their first cells, where the background explains the pictures.
     for first, last in ((0, 2), (2, levels)):
-        for frame, camera, matte in spaced_views(silhouettes(), MIN_BASELINE_M):
-            kinds = classify_matte(camera, matte)
-            _look(columns, (first, last), (frame, camera, kinds), caster)
+        for view in classified_views(silhouettes()):
+            _look(columns, (first, last), view, caster)
         is_alive = (_height(columns, last) == last) & (columns.matter[:, 0] >= _LEAST_VIEWS)
         columns = columns.some(is_alive if last < levels else columns.matter[:, 0] > 0)
     return _boxes(columns, _height(columns, levels))
@@ -121,7 +114,7 @@ def _find_columns(background: TriMesh, ground: GroundMap) -> _Columns:
 def _look(
     columns: _Columns,
     levels: tuple[int, int],
-    view: tuple[CameraFrame, PinholeCamera, Int8[np.ndarray, "h w"]],
+    view: ClassifiedView,
     caster: RayCaster,
 ) -> None:
     """What one view shows at some levels of the columns; what is hidden says nothing, nor does
@@ -180,9 +173,8 @@ def _boxes(columns: _Columns, height: Int64[np.ndarray, " n"]) -> TriMesh:
     cells = np.concatenate([columns.cell[repeated], (first[repeated] + level)[:, None]], axis=1)[
         is_filled
     ]
-    nothing = np.zeros((0, 3), dtype=np.float32)
     if not len(cells):
-        return TriMesh("world", nothing, np.zeros((0, 3), np.int32), nothing, (MATERIAL,))
+        return quad_mesh(np.zeros((0, 3)), np.zeros((0, 4), dtype=np.int64), MATERIAL)
     low = cells.min(axis=0) - 1
     shape = tuple((cells.max(axis=0) - low + 2).tolist())
     is_in = np.zeros(shape, dtype=bool)
@@ -191,10 +183,7 @@ def _boxes(columns: _Columns, height: Int64[np.ndarray, " n"]) -> TriMesh:
         _open_sides(is_in, axis, is_upper=is_upper) for axis in range(3) for is_upper in (0, 1)
     ]
     corners, index = np.unique(np.concatenate(quads).reshape(-1, 3), axis=0, return_inverse=True)
-    index = index.reshape(-1, 4).astype(np.int32)
-    faces = np.concatenate([index[:, [0, 1, 2]], index[:, [0, 2, 3]]])
-    vertices = ((corners + low) * _CELL_M).astype(np.float32)
-    mesh = TriMesh("world", vertices, faces, np.zeros_like(vertices), (MATERIAL,))
+    mesh = quad_mesh((corners + low) * _CELL_M, index.reshape(-1, 4), MATERIAL)
     return mesh.with_provenance(Provenance.INFERRED)
 
 

@@ -6,19 +6,19 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int8, Int32, Int64
+from jaxtyping import Bool, Float64, Int32, Int64
 from scipy.ndimage import maximum_filter
 
 from lightsim.core.buildings import Wall
-from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import RayCaster
-from lightsim.core.sensors import CameraFrame, LidarSweep
+from lightsim.core.sensors import LidarSweep
 from lightsim.geometry.completion.silhouettes import (
     MIN_BASELINE_M,
+    ClassifiedView,
     View,
-    classify_matte,
-    spaced_views,
+    classified_views,
 )
+from lightsim.geometry.completion.walls import surface_offset_m
 
 FRONT_M = 0.5
 """Measured surface up to this far in front of the plane lies on the wall."""
@@ -119,11 +119,9 @@ class WallCells:
         is_inside = (i >= 0) & (i < shape[0]) & (j >= 0) & (j < shape[1])
         return i[is_inside].astype(np.int64), j[is_inside].astype(np.int64)
 
-    def centres(self, out_m: float = 0.0) -> Float64[np.ndarray, "s z 3"]:
-        """Middle of each cell in frame world, `out_m` in front of the wall's plane."""
-        z = self.wall.height_m[0] + (np.arange(self.sky.shape[1]) + 0.5) * self.cell_m
-        grid = np.meshgrid(self.s_m, z, indexing="ij")
-        return self.wall.at(grid[0], grid[1], out_m)
+    def centres(self) -> Float64[np.ndarray, "s z 3"]:
+        """Middle of each cell on the wall's plane, frame world."""
+        return self.wall.at(*self.wall.grid(self.cell_m, self.sky.shape))
 
 
 def gather_cells(
@@ -147,10 +145,9 @@ def gather_cells(
     """
     cells = [_measure(wall, caster) for wall in walls]
     cells += [replace(_measure(wall, caster), is_far=True) for wall in far_walls]
-    for frame, camera, matte in spaced_views(silhouettes, MIN_BASELINE_M):
-        kind = classify_matte(camera, matte)
+    for view in classified_views(silhouettes):
         for wall_cells in cells:
-            _look(wall_cells, (frame, camera, kind), caster)
+            _look(wall_cells, view, caster)
     returns = [np.zeros_like(wall_cells.is_covered) for wall_cells in cells]
     last = np.full(3, np.inf)
     for sweep in sweeps:
@@ -171,27 +168,20 @@ def gather_cells(
 
 
 def _measure(wall: Wall, caster: RayCaster) -> WallCells:
-    """Which cells have a measured surface, by rays square to the plane from just before it."""
+    """Which cells have a measured surface."""
     cell = _CELL_M
     ns = max(int(np.ceil((wall.span_m[1] - wall.span_m[0]) / cell)), 1)
     shape = (ns, int(np.ceil(MAX_HEIGHT_M / cell)))
     counts = [np.zeros(shape, dtype=np.int32) for _ in range(5)]
     no, nothing = np.zeros(shape, dtype=bool), np.zeros(shape)
     cells = WallCells(wall, cell, no, nothing, *counts, sights=[], is_met=no.copy())
-    start = cells.centres(FRONT_M).reshape(-1, 3)
-    hits = caster.intersect(start, np.broadcast_to(-wall.normal, start.shape).copy())
-    is_near = hits.is_hit & (hits.distance_m < FRONT_M + BEHIND_M)
-    cells.is_covered[:] = cells.is_met[:] = is_near.reshape(shape)
-    distance = np.where(is_near, hits.distance_m, FRONT_M).astype(np.float64)
-    cells.offset_m[:] = (FRONT_M - distance).reshape(shape)
+    offset = surface_offset_m(wall, *wall.grid(cell, shape), caster, (FRONT_M, BEHIND_M))
+    cells.is_covered[:] = cells.is_met[:] = np.isfinite(offset)
+    cells.offset_m[:] = np.nan_to_num(offset)
     return cells
 
 
-def _look(
-    cells: WallCells,
-    view: tuple[CameraFrame, PinholeCamera, Int8[np.ndarray, "h w"]],
-    caster: RayCaster,
-) -> None:
+def _look(cells: WallCells, view: ClassifiedView, caster: RayCaster) -> None:
     """What one view shows at the cells without measured surface."""
     frame, camera, kinds = view
     eye = frame.world_from_camera.translation_m

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from lightsim.core.buildings import Wall
+from lightsim.core.casting import RayCaster
 from lightsim.core.mesh import TriMesh
 
 _SEEDS = 120
@@ -60,6 +61,26 @@ def find_walls(mesh: TriMesh) -> list[Wall]:
         walls.extend(found)
         is_free[chosen] = False
     return walls
+
+
+def surface_offset_m(
+    wall: Wall,
+    s: Float64[np.ndarray, "*n"],
+    z: Float64[np.ndarray, "*n"],
+    caster: RayCaster,
+    near_m: tuple[float, float],
+) -> Float64[np.ndarray, "*n"]:
+    """How far before a wall's plane the surface at (s, z) lies, by rays square to the plane; NaN
+    where there is none.
+
+    Args:
+        near_m: how far before and how far behind the plane surface belongs to the wall.
+    """
+    start = wall.at(s, z, near_m[0]).reshape(-1, 3)
+    hits = caster.intersect(start, np.broadcast_to(-wall.normal, start.shape).copy())
+    is_near = hits.is_hit & (hits.distance_m < sum(near_m))
+    out = near_m[0] - hits.distance_m.astype(np.float64)
+    return np.where(is_near, out, np.nan).reshape(s.shape)
 
 
 def _best_plane(

@@ -55,15 +55,16 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
     poles = find_poles(returns.points, returns.origins, fields.ground, fields.path_m)
     poles = raise_poles(poles, views)
     background = with_poles(meshes.background, poles)
+    walls = find_walls(background)
     facades, rooflines = complete_buildings(
         background,
+        walls,
         views,
         (sweep.load() for sweep in context.progress.track(log.sweeps, "walls and roofs")),
         fields.ground,
         returns.points,
         make_caster=make_embree_caster,
     )
-    walls = find_walls(background)
     background = concatenate_meshes([background, simplify_planar(facades)])
     panes = find_glass(
         walls,
