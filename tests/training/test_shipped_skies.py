@@ -1,0 +1,35 @@
+"""Shipped relighting weights learned from nothing that chooses or tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lightsim.relighting.options import NETWORK_WEIGHTS, SHIPPED
+from lightsim.simulation.benchmark_options import HELD_OUT
+from lightsim.store.weights import WEIGHTS_FOLDER, WeightsRecord, list_weights, read_record
+from lightsim.training.hdr_skies import read_split
+
+SPLIT = Path(__file__).resolve().parents[2] / "benchmarks" / "hdri_split.csv"
+OF_STREETS = {"low_sun", "high_sun", "overcast"}
+
+
+def test_skies_that_taught_are_of_the_training_side() -> None:
+    """Weights that a hand-made data set taught once had seen two skies of the test side."""
+    named = _record(NETWORK_WEIGHTS).training_data.partition("target skies: ")[2].split(", ")
+    sides = read_split(SPLIT)
+    assert {sides[sky].split for sky in set(named) - OF_STREETS} == {"train"}
+
+
+@pytest.mark.parametrize("name", SHIPPED.values())
+def test_streets_that_taught_are_not_measured_on(name: str) -> None:
+    streets = _record(name).streets
+    assert isinstance(streets, dict)
+    held_out = {str(seed) for seeds in HELD_OUT.values() for seed in seeds}
+    assert streets["training"]
+    assert not held_out & set(streets["training"])
+
+
+def _record(name: str) -> WeightsRecord:
+    return read_record(WEIGHTS_FOLDER / next(iter(list_weights()[name])))
