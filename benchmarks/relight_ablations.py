@@ -25,6 +25,7 @@ from lightsim.training.run_relight import train
 ROWS: dict[str, dict[str, dict[str, Any]]] = {
     "network": {
         "all": {},
+        "without ground-truth pairs": {"without": ("truth",)},
         "without identity": {"without": ("identity",)},
         "without buffers": {"without": ("buffers",)},
         "without shadow maps": {"without": ("shadow-maps",)},

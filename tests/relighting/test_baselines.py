@@ -22,7 +22,6 @@ from lightsim.relighting.baselines.relight import (
     shown_by,
 )
 from lightsim.relighting.baselines.self_osr import (
-    WHITE,
     Decomposition,
     SelfOsrConfig,
     SelfOsrNet,
@@ -42,10 +41,7 @@ EPE = EpeConfig(widths=(8, 16), buffer_width=8)
 
 
 def batch_of(inputs: RelightInputs) -> dict[str, torch.Tensor]:
-    assert inputs.circumstances is not None
-    batch = tensors_of(planes_of(inputs)[0])
-    gain = torch.from_numpy(inputs.circumstances.gain)[:, None, None]
-    return batch | {WHITE: gain.expand(1, 3, *inputs.sky_matte.shape).clone()}
+    return tensors_of(planes_of(inputs)[0])
 
 
 def trained(network: SelfOsrNet | EpeNet) -> SelfOsrNet | EpeNet:
@@ -78,7 +74,7 @@ def test_an_exactly_decomposed_lambert_scene_is_relit_exactly(inputs: RelightInp
 
 def test_self_osr_sees_the_picture_and_the_target_sky_alone(inputs: RelightInputs) -> None:
     network, batch = trained(SelfOsrNet(SELF_OSR)), batch_of(inputs)
-    seen = {"source", "matte", "target_dome", "target_sky", WHITE}
+    seen = {"source", "matte", "target_dome", "target_sky"}
     check_what_it_sees(network, batch, seen)
 
 

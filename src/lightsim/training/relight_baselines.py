@@ -14,7 +14,6 @@ from lightsim.relighting.baselines.epe import EpeConfig, EpeNet, PatchDiscrimina
 from lightsim.relighting.baselines.self_osr import SelfOsrConfig, SelfOsrNet
 from lightsim.relighting.network.features import srgb_of
 from lightsim.training.ahead import Ahead
-from lightsim.training.baseline_data import BaselineData
 from lightsim.training.inpaint_losses import discriminator_loss, generator_loss
 from lightsim.training.relight_data import RelightBatch, RelightDataConfig
 from lightsim.training.relight_losses import Perceptual, colour_loss, picture_terms, shown
@@ -75,7 +74,7 @@ def full(config: BaselineTrainConfig) -> BaselineTrainConfig:
 
 
 def train_baseline(
-    config: BaselineTrainConfig, data: BaselineData, session: Session
+    config: BaselineTrainConfig, data: RelightData, session: Session
 ) -> tuple[Baseline, int]:
     """The network, and the number of steps done.
 

@@ -20,7 +20,7 @@ from lightsim.training.relight_cache import RelightSample, RelightTargetSample, 
 _OPEN_FILES = 512
 """Each file that is mapped stays open; systems often allow 1024."""
 _VECTORS = ("normal", "position")
-_RADIANT = ("shaded", "reflected", "physical", "sky")
+_RADIANT = ("shaded", "reflected", "physical", "sky", OF_SKIES)
 _CLIPPED = 254 / 255
 
 

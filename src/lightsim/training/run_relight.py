@@ -15,7 +15,6 @@ from lightsim.relighting.baselines.self_osr import SelfOsrConfig
 from lightsim.relighting.network.features import Unseen
 from lightsim.relighting.network.stored import tensors_of_network
 from lightsim.store.weights import WeightsRecord
-from lightsim.training.baseline_data import BaselineData
 from lightsim.training.options import RelightTrainingOptions
 from lightsim.training.relight import (
     Pairs,
@@ -51,8 +50,7 @@ def train(command: RelightTrainingOptions) -> None:
     streets = _streets(command)
     config = _config(command)
     is_baseline = isinstance(config, BaselineTrainConfig)
-    data_of = BaselineData if is_baseline else RelightData
-    data = data_of([command.data / name for name in streets], config.data)
+    data = RelightData([command.data / name for name in streets], config.data)
     with session_of(command) as session:
         train_it = train_baseline if is_baseline else train_relight
         network, steps = train_it(config, data, session)  # type: ignore[arg-type]
@@ -62,7 +60,7 @@ def train(command: RelightTrainingOptions) -> None:
     tensors = tensors_of_network(network)
     scores = {}
     if command.validation:
-        held_out = data_of([command.data / n for n in command.validation], RelightDataConfig())
+        held_out = RelightData([command.data / n for n in command.validation], RelightDataConfig())
         network.load_state_dict({k: v.half().float() for k, v in network.state_dict().items()})
         scores = score_relight(network, held_out, terminal_progress())
     record = WeightsRecord(

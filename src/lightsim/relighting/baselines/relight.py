@@ -14,7 +14,7 @@ from lightsim.core.dome import SkyDome, resized
 from lightsim.errors import InputError
 from lightsim.networks.spherical_harmonics import project, shading_basis
 from lightsim.relighting.baselines.epe import EpeNet
-from lightsim.relighting.baselines.self_osr import WHITE, SelfOsrNet
+from lightsim.relighting.baselines.self_osr import SelfOsrNet
 from lightsim.relighting.estimate import Estimate
 from lightsim.relighting.network.channels import DOME_ROWS, scene_planes, target_planes
 from lightsim.relighting.network.features import linear_of, tensors_of
@@ -56,8 +56,6 @@ def shown_by(network: SelfOsrNet | EpeNet, inputs: RelightInputs, config: RatioC
     """
     seen = circumstances_of(inputs)
     planes = scene_planes(inputs, seen) | target_planes(inputs, seen, inputs.target_sky)
-    size = inputs.sky_matte.shape
-    planes[WHITE] = np.broadcast_to(seen.gain[:, None, None], (3, *size)).copy()
     with torch.inference_mode():
         picture = linear_of(network(tensors_of(planes)).clamp(0, 1))[0].permute(1, 2, 0).numpy()
     return Estimate((picture / seen.gain).astype(np.float32))

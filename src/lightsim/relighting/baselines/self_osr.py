@@ -26,8 +26,6 @@ from lightsim.networks.spherical_harmonics import (
 from lightsim.relighting.baselines.unet import UNet
 from lightsim.relighting.network.features import Batch, linear_of, srgb_of
 
-WHITE = "white_sky"
-"""Plane: what the camera shows of radiance 1, so that a dome's light is in the picture's units."""
 _LIGHTS = 3 * COUNT
 _FIRST_ALBEDO, _FIRST_SHADOW = -1.4, 2.0
 """Before the sigmoid: a fifth is reflected, and all lies in the light."""
@@ -134,8 +132,7 @@ class SelfOsrNet(nn.Module):
 
 def lighting_of(batch: Batch, which: str) -> Float[Tensor, "n 9 3"]:
     """Lighting of the source's or the target's dome in units of the camera's white."""
-    white = batch[WHITE].mean((2, 3))
-    return project(turned_to_right(batch[f"{which}_dome"])) * white[:, None]
+    return project(turned_to_right(batch[f"{which}_dome"]))
 
 
 def _coded(light: Float[Tensor, "n 9 3"]) -> Float[Tensor, "n 9 3"]:

@@ -78,7 +78,9 @@ def scene_planes(inputs: RelightInputs, seen: Circumstances) -> Planes:
         "actor": buffers.actor_index >= 0,
         "found": np.where(np.isfinite(found), found, -1),
     }
-    light = _light_planes(inputs.source, seen.gain) | {"dome": _dome(seen.source_sky, axes)}
+    light = _light_planes(inputs.source, seen.gain) | {
+        "dome": _dome(seen.source_sky, seen.gain, axes)
+    }
     own = {f"source_{name}": value for name, value in light.items()}
     return {name: _plane(value) for name, value in {**planes, **own}.items()}
 
@@ -95,7 +97,7 @@ def target_planes(
         "physical": physical * seen.gain,
         "sky": inputs.target_sky * seen.gain,
         **_light_planes(inputs.target, seen.gain),
-        "dome": _dome(seen.target_sky, _level_axes(seen.world_from_camera)),
+        "dome": _dome(seen.target_sky, seen.gain, _level_axes(seen.world_from_camera)),
     }
     return {f"target_{name}": _plane(value) for name, value in planes.items()}
 
@@ -134,11 +136,13 @@ def _level_axes(world_from_camera: RigidTransform) -> Float32[np.ndarray, "3 3"]
     return np.array([[y, x, 0], [-x, y, 0], [0, 0, length]], np.float32) / np.float32(length)
 
 
-def _dome(dome: SkyDome, axes: Float32[np.ndarray, "3 3"]) -> Float32[np.ndarray, "r c 3"]:
-    """Small, in scene units, its centre column towards the camera's forward."""
+def _dome(
+    dome: SkyDome, gain: Float32[np.ndarray, "3"], axes: Float32[np.ndarray, "3 3"]
+) -> Float32[np.ndarray, "r c 3"]:
+    """Small, as the camera shows it, its centre column towards the camera's forward."""
     small = resize_area(dome.radiance, DOME_ROWS, 2 * DOME_ROWS)
     azimuth_deg = float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1])))
-    return SkyDome(small, None).rotated(-azimuth_deg).radiance
+    return SkyDome(small * gain, None).rotated(-azimuth_deg).radiance
 
 
 def _plane(values: np.ndarray) -> Float32[np.ndarray, "c h w"]:
