@@ -15,7 +15,7 @@ from lightsim.relighting.baselines.self_osr import SelfOsrConfig, SelfOsrNet
 from lightsim.relighting.network.features import srgb_of
 from lightsim.training.ahead import Ahead
 from lightsim.training.inpaint_losses import discriminator_loss, generator_loss
-from lightsim.training.relight_data import RelightBatch, RelightDataConfig
+from lightsim.training.relight_data import RelightBatch, RelightData, RelightDataConfig
 from lightsim.training.relight_losses import Perceptual, colour_loss, picture_terms, shown
 
 Baseline = SelfOsrNet | EpeNet
