@@ -25,7 +25,7 @@ from lightsim.training.run_relight import train
 ROWS: dict[str, dict[str, dict[str, Any]]] = {
     "network": {
         "all": {},
-        "without ground-truth pairs": {"without": ("truth",)},
+        "without true pairs and physical estimate": {"without": ("truth", "physical")},
         "without identity": {"without": ("identity",)},
         "without buffers": {"without": ("buffers",)},
         "without shadow maps": {"without": ("shadow-maps",)},

@@ -41,7 +41,7 @@ if words[0] == "evaluate":
     out = Path(words[words.index("--out") + 1])
     out.parent.mkdir(parents=True, exist_ok=True)
     method = words[words.index("--method") + 1] if "--method" in words else "LightSim"
-    names = [{{"physical": "LightSim"}}.get(method, method)]
+    names = [method]
     names += [] if "--no-baselines" in words else ["copy"]
     rows = [
         dict(condition=sky, camera_name="front_camera", method=name, region="masked",
@@ -92,9 +92,9 @@ def test_a_street_that_fails_leaves_the_others_and_is_mended_later(asked: Path) 
     assert ["--no-baselines" in words for words in relit] == [False, True]
     board = result.relighting
     assert board.streets == ("1",)
-    assert [entry.method for entry in board.entries] == ["LightSim", "colour-transfer", "copy"]
+    assert [entry.method for entry in board.entries] == ["network", "colour-transfer", "copy"]
     assert any("street 58: error: this street cannot be built" in note for note in board.notes)
-    assert any(note == "Not measured: physical on 0, 58, 904." for note in board.notes)
+    assert any(note == "Not measured: network on 0, 58, 904." for note in board.notes)
     assert result.edits is not None
     assert (chosen.root / "index.html").stat().st_size > 1000
     assert len(json.loads((chosen.root / "leaderboard.json").read_text())) == 2

@@ -42,7 +42,9 @@ def recorded(sky: SkyDome) -> TinyWorkspace:
 
 def relit(work: TinyWorkspace, sky: SkyDome, number: int) -> tuple[np.ndarray, np.ndarray]:
     """Radiance and 8-bit picture of one frame under another sky."""
-    relighter = Relighter(work, work.log, RelightConfig(), RelightOptions(name="tiny"))
+    relighter = Relighter(
+        work, work.log, RelightConfig(), RelightOptions(name="tiny", method="physical")
+    )
     target = relighter.target(TargetSky(sky, {}))
     scenario = scenario_of(work)
     (found,) = relighter.relit(scenario.frames[number], scenario, [target])

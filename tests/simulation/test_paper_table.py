@@ -83,9 +83,10 @@ def test_what_is_there_is_built_relit_and_compared_once(
     ]
     assert asked[0][-2:] == ("--preset", "draft")
     relights = [words for words in asked if words[0] == "relight"]
-    assert [words[-3:] for words in relights] == [("--sky", "sun:100,30", "sky.exr")] * 4
+    assert [words[-3:] for words in relights] == [("--sky", "sun:100,30", "sky.exr")] * 6
     assert all("6:25:6" in words and "front_camera" in words for words in relights)
     assert [(r.method, r.count, r.reference_count) for r in table.rows] == [
+        ("network", 4, 9),
         ("physical", 4, 9),
         ("colour-transfer", 4, 9),
     ]
@@ -93,9 +94,9 @@ def test_what_is_there_is_built_relit_and_compared_once(
     assert "2 of 15 sequences: 002, 053." in text
     assert "2 skies; the paper has 23." in text
     assert "it failed" in text
-    assert FakeNetwork.seen == 9 + 2 * 4
+    assert FakeNetwork.seen == 9 + 3 * 4
     assert paper_table(options, SilentProgress()).rows == table.rows
-    assert FakeNetwork.seen == 9 + 2 * 4  # Features are kept.
+    assert FakeNetwork.seen == 9 + 3 * 4  # Features are kept.
 
 
 def test_nothing_to_do_is_said(pandaset: Path, monkeypatch: pytest.MonkeyPatch) -> None:

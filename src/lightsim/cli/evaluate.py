@@ -73,7 +73,7 @@ class EvaluateRelight:
     """Work folder."""
     truth: Path
     """Ground truth of a synthetic log: the folder `truth` that `lightsim synthesize` writes."""
-    method: Method = "physical"
+    method: Method = "network"
     """How pixels are relit."""
     weights: Path | None = None
     """Of the network that --method names; by default the package's."""

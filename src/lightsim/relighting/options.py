@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import MappingProxyType
 from typing import Literal
 
-Method = Literal["physical", "network", "paper", "colour-transfer", "self-osr", "epe", "nerf-osr"]
+Method = Literal["network", "physical", "paper", "colour-transfer", "self-osr", "epe", "nerf-osr"]
 NETWORKS: tuple[Method, ...] = ("network", "paper", "self-osr", "epe", "nerf-osr")
 """Methods that have weights."""
 NETWORK_WEIGHTS = "relight-network"

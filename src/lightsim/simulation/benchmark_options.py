@@ -17,9 +17,9 @@ from lightsim.simulation.shard import Shard
 SourceSky = Literal["estimated", "true"]
 BenchmarkSize = Literal["small", "full"]
 HeldOutSide = Literal["validation", "test"]
-REFERENCE: Method = "physical"
+REFERENCE: Method = "network"
 """Whom the others are held against: what relight does by itself."""
-TRAINING = (77, 412, 1203, 3001, 4007, 5021, 6143, *range(201, 213))
+TRAINING = (77, 412, 1203, 3001, 4007, 5021, 6143, 7351, 8209, *range(201, 213))
 """Seeds of the streets that relighting networks learn from."""
 HELD_OUT: Mapping[HeldOutSide, Mapping[int, str]] = MappingProxyType(
     {
@@ -53,7 +53,7 @@ class BenchmarkOptions:
     side: HeldOutSide = "validation"
     """Whose streets: validation chooses; test is for releases alone."""
     methods: Names = ()
-    """Comma-separated methods of relight; by default all that have their weights. physical is
+    """Comma-separated methods of relight; by default all that have their weights. network is
     always among them."""
     weights: tuple[str, ...] = ()
     """METHOD=FILE of networks whose weights are not the package's."""

@@ -25,7 +25,6 @@ from lightsim.evaluate.shadows import TrueShadows, score_shadows
 from lightsim.pipeline.measures import held_out_frame_tasks
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
-from lightsim.relighting.options import Method
 from lightsim.simulation.against_truth import relit_folders
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.picture_consistency import RECORDED, picture_consistency
@@ -37,7 +36,7 @@ from lightsim.synthetic.reader import true_sky
 
 _SOURCE = "source"
 OURS = "LightSim"
-"""Frames of the physical method in tables."""
+"""Edited frames in tables; relit ones have the name of their method."""
 
 
 def evaluate_held_out(
@@ -107,7 +106,7 @@ def evaluate_relit(
     count = sum(len(list(frames["predicted"].glob("*/*.png"))) for frames in folders.values())
     cost = Cost((time.process_time() - began_s) / count, peak_memory_mb()) if is_anew else None
     surfaces = TrueSurfaces(truth / "scene.npz", workspace, skies)
-    method = name_in_tables(relighting.method)
+    method = relighting.method
     baselines = BASELINES if options.baselines else None
     tasks: list[FrameTask] = []
     consistency: list[ConsistencyRow] = []
@@ -127,11 +126,6 @@ def evaluate_relit(
         load_shadows=lambda sky, task: surfaces.shadows(sky, task.camera_name, task.stem),
     )
     return replace(report, cost=cost)
-
-
-def name_in_tables(method: Method) -> str:
-    """Of a method of relighting."""
-    return OURS if method == "physical" else method
 
 
 def measured(

@@ -126,10 +126,10 @@ class RelightOptions(FrameOptions):
 
     name: str
     """Name of the result: WORK/scenarios/NAME, or WORK/scenarios/NAME/<sky> with several skies."""
-    method: Method = "physical"
-    """How pixels are relit: shading ratios of the reconstructed scene; these, corrected by a
-    network; or, to compare with, the paper's network, the colours of the rendered target, and
-    published methods (docs/models/baselines.md)."""
+    method: Method = "network"
+    """How pixels are relit: shading ratios of the reconstructed scene, corrected by a network, or
+    as physics has them; or, to compare with, the paper's network, the colours of the rendered
+    target, and published methods (docs/models/baselines.md)."""
     weights: Path | None = None
     """Of the network that --method names, as lightsim train relight wrote them; by default the
     package's (nerf-osr: the work folder's)."""

@@ -57,14 +57,14 @@ class PaperTableOptions:
     """Folder for works, logs of the commands and features; what is there is kept."""
     sequences: SequenceSet = "15"
     """The main paper's sequences, or those of the supplement."""
-    methods: Names = ("physical", "colour-transfer")
+    methods: Names = ("network", "physical", "colour-transfer")
     """Comma-separated methods of relight."""
     frames: str = "6:25:6"
     """START:STOP[:STEP]; the paper's are 6, 12, 18 and 24."""
     build: str = ""
-    """Options for all builds, in one quoted text."""
+    """Options for all builds, in one text behind an equals sign: --build="--preset paper"."""
     relight: str = ""
-    """Options for all relights."""
+    """Options for all relights, likewise."""
     jobs: int = 1
     """Logs at a time."""
     kid_subset_size: int = 1000
