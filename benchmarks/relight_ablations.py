@@ -5,7 +5,7 @@
 
 DATA: of `lightsim train prepare relight`. Every row is a run of `lightsim train relight` in a
 folder of OUT; what is finished stays. Scores are of the validation streets: PSNR dB and LPIPS
-outside the sky, mean over the target skies.
+outside the sky, mean over the target skies; and the PSNR of a picture relit by its own sky.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 
 from lightsim.store.artefact import read_json
 from lightsim.training.options import RelightTrainingOptions
+from lightsim.training.relight_scores import IDENTITY
 from lightsim.training.run_relight import train
 
 # Parts left out, or the weight of the edges' loss.
@@ -55,7 +56,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=2000)
     parser.add_argument("--network", choices=sorted(ROWS), default="network")
     options = parser.parse_args()
-    sys.stdout.write("| row | PSNR dB | LPIPS |\n|---|---:|---:|\n")
+    sys.stdout.write("| row | PSNR dB | LPIPS | identity dB |\n|---|---:|---:|---:|\n")
     for name, changes in ROWS[options.network].items():
         run = options.out / f"{options.network}-{name.replace(' ', '-')}"
         if not (run / "scores.json").exists():
@@ -70,9 +71,10 @@ def main() -> None:
                 )
             )
         scores = read_json(run / "scores.json")
-        skies = [row["network"] for row in scores.values() if isinstance(row, dict)]
-        psnr, lpips = (np.mean([sky[key] for sky in skies]) for key in ("psnr_db", "lpips"))
-        sys.stdout.write(f"| {name} | {psnr:.2f} | {lpips:.3f} |\n")
+        found = {sky: row["network"] for sky, row in scores.items() if isinstance(row, dict)}
+        same_db = found.pop(IDENTITY)["psnr_db"]
+        psnr_db, lpips = (np.mean([s[key] for s in found.values()]) for key in ("psnr_db", "lpips"))
+        sys.stdout.write(f"| {name} | {psnr_db:.2f} | {lpips:.3f} | {same_db:.1f} |\n")
 
 
 if __name__ == "__main__":

@@ -20,6 +20,8 @@ from lightsim.relighting.network.stored import Network
 from lightsim.training.relight_data import RelightBatch, RelightData
 
 Picture = Float32[np.ndarray, "h w 3"]
+IDENTITY = "identity"
+"""Row of pictures relit by their own skies."""
 
 
 def score_relight(network: Network, data: RelightData, progress: Progress) -> dict[str, Any]:
@@ -60,7 +62,7 @@ def score_relight(network: Network, data: RelightData, progress: Progress) -> di
 def _condition(sky: str | None) -> str:
     """Of a target sky by its name: the streets' own three, a measured one, or the source's."""
     if sky is None:
-        return "identity"
+        return IDENTITY
     return sky if sky in ("low_sun", "high_sun", "overcast") else "measured"
 
 
