@@ -32,7 +32,8 @@ from lightsim.evaluate.lpips import lpips_features, lpips_of_features
 from lightsim.evaluate.metrics import fill_invalid, psnr
 from lightsim.pipeline.workspace import Workspace
 from lightsim.relighting.network.model import RelitNet
-from lightsim.relighting.network.relight import correcting_network, relit_by
+from lightsim.relighting.network.relight import relit_by
+from lightsim.relighting.network.stored import network_for
 from lightsim.relighting.physical.compose import camera_image
 from lightsim.relighting.physical.ratio import (
     Circumstances,
@@ -205,7 +206,7 @@ def main() -> None:
     parser.add_argument("--cameras", nargs="*")
     parser.add_argument("--weights", type=Path)
     options = parser.parse_args()
-    network = correcting_network(options.weights).eval()
+    network = network_for(RelitNet, options.weights).eval()
     street = Street(options.work, options.truth)
     scores: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
     shares: dict[tuple[str, str, str], list[tuple[float, float, float]]] = defaultdict(list)

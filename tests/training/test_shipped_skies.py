@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from lightsim.relighting.options import NETWORK_WEIGHTS, SHIPPED
+from lightsim.relighting.options import SHIPPED
 from lightsim.simulation.benchmark_options import HELD_OUT
 from lightsim.store.weights import WEIGHTS_FOLDER, WeightsRecord, list_weights, read_record
 from lightsim.training.hdr_skies import read_split
@@ -15,11 +15,15 @@ SPLIT = Path(__file__).resolve().parents[2] / "benchmarks" / "hdri_split.csv"
 OF_STREETS = {"low_sun", "high_sun", "overcast"}
 
 
-def test_skies_that_taught_are_of_the_training_side() -> None:
+@pytest.mark.parametrize("method", ["network", "paper"])
+def test_skies_that_taught_are_of_the_training_side(method: str) -> None:
     """Weights that a hand-made data set taught once had seen two skies of the test side."""
-    named = _record(NETWORK_WEIGHTS).training_data.partition("target skies: ")[2].split(", ")
+    named = _record(SHIPPED[method]).training_data.partition("target skies: ")[2].split(", ")
     sides = read_split(SPLIT)
-    assert {sides[sky].split for sky in set(named) - OF_STREETS} == {"train"}
+    skies = set(named) - OF_STREETS
+    assert {sides[sky].split for sky in skies} == {"train"}
+    notice = (SPLIT.parents[1] / "NOTICE").read_text()
+    assert all(sky in notice for sky in skies)
 
 
 @pytest.mark.parametrize("name", SHIPPED.values())

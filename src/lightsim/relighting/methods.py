@@ -25,11 +25,18 @@ def relight_by(method: Method, weights: Path | None = None) -> Relight:
     if method == "colour-transfer":
         return lambda inputs, config: Estimate(relight_colour_transfer(inputs, config))
     # They bring torch, which the others do without.
-    from lightsim.relighting.baselines.relight import baseline_network, shown_by
-    from lightsim.relighting.network import relight as networks
+    from lightsim.relighting.baselines.epe import EpeNet
+    from lightsim.relighting.baselines.relight import shown_by
+    from lightsim.relighting.baselines.self_osr import SelfOsrNet
+    from lightsim.relighting.network.model import RelitNet
+    from lightsim.relighting.network.paper_model import PaperNet
+    from lightsim.relighting.network.relight import painted_by, relit_by
+    from lightsim.relighting.network.stored import network_for
 
-    if method in ("self-osr", "epe"):
-        return partial(shown_by, baseline_network(method, weights))
-    if method == "network":
-        return partial(networks.relit_by, networks.correcting_network(weights))
-    return partial(networks.painted_by, networks.painting_network(weights))
+    if method == "self-osr":
+        return partial(shown_by, network_for(SelfOsrNet, weights))
+    if method == "epe":
+        return partial(shown_by, network_for(EpeNet, weights))
+    if method == "paper":
+        return partial(painted_by, network_for(PaperNet, weights))
+    return partial(relit_by, network_for(RelitNet, weights))

@@ -8,12 +8,8 @@ from typing import Literal
 Method = Literal["network", "physical", "paper", "colour-transfer", "self-osr", "epe", "nerf-osr"]
 NETWORKS: tuple[Method, ...] = ("network", "paper", "self-osr", "epe", "nerf-osr")
 """Methods that have weights."""
-NETWORK_WEIGHTS = "relight-network"
-"""Of the package, for `network`."""
-SHIPPED = MappingProxyType(
-    {"network": NETWORK_WEIGHTS, "self-osr": "relight-self-osr", "epe": "relight-epe"}
-)
-"""Weights of the package by method; `paper` has none, `nerf-osr` those of its street."""
+SHIPPED = MappingProxyType({m: f"relight-{m}" for m in NETWORKS if m != "nerf-osr"})
+"""Weights of the package by method; `nerf-osr` has those of its street."""
 FIELD_METHOD: Method = "nerf-osr"
 FIELD_WEIGHTS = "nerf_osr/weights.safetensors"
 """In a work folder: of `nerf-osr` (`lightsim train nerf-osr`)."""

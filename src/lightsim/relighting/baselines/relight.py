@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Float32
 
 from lightsim.core.dome import SkyDome, resized
-from lightsim.errors import InputError
 from lightsim.networks.spherical_harmonics import project, shading_basis
 from lightsim.relighting.baselines.epe import EpeNet
 from lightsim.relighting.baselines.self_osr import SelfOsrNet
@@ -19,30 +17,8 @@ from lightsim.relighting.estimate import Estimate
 from lightsim.relighting.network.channels import DOME_ROWS, scene_planes, target_planes
 from lightsim.relighting.network.features import linear_of, tensors_of
 from lightsim.relighting.network.relight import circumstances_of
-from lightsim.relighting.network.stored import network_of
-from lightsim.relighting.options import SHIPPED, Method
 from lightsim.relighting.physical.matte import composite
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs
-from lightsim.store.weights import load_weights, read_weights
-
-_KIND = {"self-osr": SelfOsrNet, "epe": EpeNet}
-
-
-def baseline_network(method: Method, weights: Path | None) -> SelfOsrNet | EpeNet:
-    """The network of a file, or the package's.
-
-    Raises:
-        InputError, ArtefactError: the weights are missing or damaged, or another network's.
-    """
-    stored = load_weights(SHIPPED[method]) if weights is None else read_weights(weights)
-    network = network_of(stored)
-    if isinstance(network, SelfOsrNet | EpeNet) and isinstance(network, _KIND[method]):
-        return network
-    raise InputError(
-        "these are the weights of another network",
-        where=weights,
-        expected=f"those of lightsim train relight --network {method}",
-    )
 
 
 def shown_by(network: SelfOsrNet | EpeNet, inputs: RelightInputs, config: RatioConfig) -> Estimate:

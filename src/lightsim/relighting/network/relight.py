@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import torch
 from torch.nn import functional
@@ -14,51 +12,12 @@ from lightsim.relighting.network.channels import scene_planes, shrunk, target_pl
 from lightsim.relighting.network.features import linear_of, tensors_of
 from lightsim.relighting.network.model import RelitNet
 from lightsim.relighting.network.paper_model import PaperNet
-from lightsim.relighting.network.stored import network_of
-from lightsim.relighting.options import NETWORK_WEIGHTS
 from lightsim.relighting.physical.ratio import (
     Circumstances,
     RatioConfig,
     RelightInputs,
     relight_physical,
 )
-from lightsim.store.weights import load_weights, read_weights
-
-
-def correcting_network(weights: Path | None) -> RelitNet:
-    """The network of a file, or the package's.
-
-    Raises:
-        InputError, ArtefactError: the weights are missing or damaged, or another network's.
-    """
-    network = network_of(
-        load_weights(NETWORK_WEIGHTS) if weights is None else read_weights(weights)
-    )
-    if not isinstance(network, RelitNet):
-        raise _other("network", weights)
-    return network
-
-
-def painting_network(weights: Path | None) -> PaperNet:
-    """The network of the paper's form of a file; raises as `correcting_network`."""
-    if weights is None:
-        raise InputError(
-            "the package has no weights of the paper's network",
-            where="--method paper",
-            remedy="Train them (lightsim train relight --network paper) and give --weights.",
-        )
-    network = network_of(read_weights(weights))
-    if not isinstance(network, PaperNet):
-        raise _other("paper", weights)
-    return network
-
-
-def _other(method: str, weights: Path | None) -> InputError:
-    return InputError(
-        "these are the weights of another network",
-        where=weights,
-        expected=f"those of lightsim train relight --network {method}",
-    )
 
 
 def relit_by(network: RelitNet, inputs: RelightInputs, config: RatioConfig) -> Estimate:

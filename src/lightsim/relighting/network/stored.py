@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -13,33 +15,30 @@ from lightsim.relighting.baselines.epe import EpeConfig, EpeNet
 from lightsim.relighting.baselines.self_osr import SelfOsrConfig, SelfOsrNet
 from lightsim.relighting.network.model import RelitNet, RelitNetConfig
 from lightsim.relighting.network.paper_model import PaperNet, PaperNetConfig
+from lightsim.relighting.options import SHIPPED, Method
+from lightsim.store.weights import load_weights, read_weights
 
 Network = RelitNet | PaperNet | SelfOsrNet | EpeNet
 NetworkConfig = RelitNetConfig | PaperNetConfig | SelfOsrConfig | EpeConfig
-_KIND = {
-    RelitNetConfig: "relight network",
-    PaperNetConfig: "relight paper",
-    SelfOsrConfig: "relight self-osr",
-    EpeConfig: "relight epe",
+AnyNetwork = TypeVar("AnyNetwork", RelitNet, PaperNet, SelfOsrNet, EpeNet)
+_OF_METHOD: Mapping[Method, tuple[type[Any], type[Any]]] = {
+    "network": (RelitNet, RelitNetConfig),
+    "paper": (PaperNet, PaperNetConfig),
+    "self-osr": (SelfOsrNet, SelfOsrConfig),
+    "epe": (EpeNet, EpeConfig),
 }
+_KIND = "relight {}"
+"""What a file says, by method."""
 
 
 def make_network(config: NetworkConfig) -> Network:
     """With first weights."""
-    match config:
-        case RelitNetConfig():
-            return RelitNet(config)
-        case PaperNetConfig():
-            return PaperNet(config)
-        case SelfOsrConfig():
-            return SelfOsrNet(config)
-        case EpeConfig():
-            return EpeNet(config)
+    return next(net(config) for net, of in _OF_METHOD.values() if isinstance(config, of))
 
 
 def tensors_of_network(network: Network) -> dict[str, Tensor]:
     """What a weights file of a network holds."""
-    return stored_tensors(network, network.config, _KIND[type(network.config)])
+    return stored_tensors(network, network.config, _KIND.format(_method_of(type(network))))
 
 
 def network_of(tensors: Mapping[str, Tensor]) -> Network:
@@ -49,11 +48,34 @@ def network_of(tensors: Mapping[str, Tensor]) -> Network:
         InputError: they are those of another network.
     """
     kind, values = stored_config(tensors)
-    by_kind = {name: config for config, name in _KIND.items()}
-    if kind not in by_kind:
+    configs = {_KIND.format(method): config for method, (_, config) in _OF_METHOD.items()}
+    if kind not in configs:
         raise InputError(
-            "these are weights of another network", got=kind, expected=", ".join(by_kind)
+            "these are weights of another network", got=kind, expected=", ".join(configs)
         )
-    network = make_network(by_kind[kind](**values))
+    network = make_network(configs[kind](**values))
     load_stored(network, tensors)
     return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+
+def network_for(kind: type[AnyNetwork], weights: Path | None) -> AnyNetwork:
+    """A network of a file, or the package's.
+
+    Raises:
+        InputError, ArtefactError: the weights are missing or damaged, or another network's.
+    """
+    method = _method_of(kind)
+    network = network_of(
+        load_weights(SHIPPED[method]) if weights is None else read_weights(weights)
+    )
+    if isinstance(network, kind):
+        return network
+    raise InputError(
+        "these are the weights of another network",
+        where=weights,
+        expected=f"those of lightsim train relight --network {method}",
+    )
+
+
+def _method_of(kind: type[Network]) -> Method:
+    return next(method for method, (net, _) in _OF_METHOD.items() if net is kind)
