@@ -25,10 +25,10 @@ from lightsim.training.run_relight import train
 
 def test_light_of_domes_follows_the_exposure(streets: Path) -> None:
     """Brighter pictures have brighter light, whichever way it is told."""
-    plain = RelightDataConfig(exposure_ev=0.0, identity_fraction=0.0, light_error_ev=0.0)
+    plain = RelightDataConfig(exposure_ev=(0.0, 0.0), identity_fraction=0.0, light_error_ev=0.0)
     varied, one = (
         RelightData([streets / "1"], config).batch(0, 0).planes
-        for config in (replace(plain, exposure_ev=2.0), plain)
+        for config in (replace(plain, exposure_ev=(-2.0, 2.0)), plain)
     )
     shaded = varied["target_shaded"].mean((1, 2, 3)) / one["target_shaded"].mean((1, 2, 3))
     assert float(shaded.std()) > 0.1

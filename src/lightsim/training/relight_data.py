@@ -58,8 +58,9 @@ class RelightDataConfig:
     """Of the samples: the twin rendered under one sky, and under another (paper, Sec. 4)."""
     sim_real_fraction: float = 0.0
     """Of the samples: the twin rendered under another sky, and the recorded picture."""
-    exposure_ev: float = 0.35
-    """Samples are up to so many stops brighter or darker."""
+    exposure_ev: tuple[float, float] = (-3.0, 0.5)
+    """Samples are so many stops brighter: streets of a log in the evening, or in the shade of a high
+    sun, are darker than most that the generator makes."""
     light_error_ev: float = 0.2
     """Standard deviation by which target light and estimate are off: twins err by street, and a
     network that has seen few of them would learn their errors instead of doubting them."""
@@ -119,7 +120,7 @@ class RelightData:
             one = _mirrored(one)
         if "target_physical" in one.planes:
             one = _misjudged(one, 2.0 ** float(rng.normal() * self._config.light_error_ev))
-        return _exposed(one, 2.0 ** float(rng.uniform(-1, 1) * self._config.exposure_ev))
+        return _exposed(one, 2.0 ** float(rng.uniform(*self._config.exposure_ev)))
 
     def _pair(self, sample: RelightSample, rng: np.random.Generator) -> RelightBatch:
         """A frame with a source and a target, of one of the kinds."""
