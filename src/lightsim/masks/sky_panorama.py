@@ -63,9 +63,12 @@ class Agreement:
     against: Float[np.ndarray, "h w"]
 
     def split(self, labels: Int[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
-        """Regions cut where the kind changes: a thin cloud between wires is not a wire."""
-        _, parts = np.unique(labels * 3 + self.kind, return_inverse=True)
-        return parts.reshape(labels.shape)
+        """Regions cut where the kind changes: a thin cloud between wires is not a wire. Each part
+        holds together: specks of glare, too, look like another thing than the sky."""
+        from skimage.measure import label
+
+        parts = label(labels * 3 + self.kind, background=-1, connectivity=2)
+        return np.asarray(parts, np.int64) - 1
 
     def applied_to(
         self, labels: Int[np.ndarray, "h w"], own: Float[np.ndarray, " n"]
