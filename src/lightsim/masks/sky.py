@@ -2,7 +2,8 @@
 
 The image is cut into small regions of even colour. Each region gets log-odds of being sky from
 LiDAR returns and their absence, ray elevation, colour and texture; the odds spread between
-regions that meet without an edge; a matting step at full resolution gives soft borders.
+regions that meet without an edge; what other frames saw of the sky at the same directions corrects
+them; a matting step at full resolution gives soft borders.
 """
 
 from __future__ import annotations
@@ -22,6 +23,13 @@ from lightsim.core.resample import resize_area
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
 from lightsim.masks.sky_matting import refine_matte
+from lightsim.masks.sky_panorama import (
+    CameraSky,
+    SkyPanorama,
+    SkyView,
+    frames_apart,
+    panoramas,
+)
 from lightsim.masks.sky_regions import (
     ColourCounts,
     ImageEvidence,
@@ -77,6 +85,7 @@ def estimate_sky_matte(
     lidar_points_world: Float[np.ndarray, "n 3"],
     ego_vehicle_mask: Bool[np.ndarray, "h w"] | None,
     log_colours: ColourCounts | None = None,
+    panorama: SkyPanorama | None = None,
 ) -> Float32[np.ndarray, "h w"]:
     """Fraction of each pixel that is sky: 1 sky, 0 anything else.
 
@@ -91,6 +100,7 @@ def estimate_sky_matte(
         ego_vehicle_mask: True where the camera sees the ego vehicle.
         log_colours: of sky and anything else, learnt from a whole log; None learns from the
             image, which cannot tell a pale gable in its corner from a cloud.
+        panorama: the sky as this camera saw it from other places; None where it did not move.
 
     Raises:
         InputError: image and camera differ in size.
@@ -106,11 +116,7 @@ def estimate_sky_matte(
     evidence = _gather(srgb8, camera, world_from_camera, lidar_points_world, ego_vehicle_mask)
     if not (evidence.elevation_deg > _HORIZON_DEG).any():
         return np.zeros((height, width), np.float32)
-    labels, graph, own, first = _before_colours(evidence)
-    odds = first[labels]
-    own_colours = ColourCounts.of(evidence, odds > _LIKELY_SKY, odds < _LIKELY_NONE)
-    own = with_colours(labels, evidence, own, own_colours, log_colours)
-    sky = spread_log_odds(graph, own, _SMOOTHING)
+    labels, sky = _judge(evidence, log_colours, panorama)
     min_px = int(_MIN_SKY_FRACTION * labels.size)
     probability = keep_open_sky(labels, sky, evidence, max(min_px, 1))
     return refine_matte(srgb8, probability, evidence, _BORDER_PX)
@@ -119,10 +125,13 @@ def estimate_sky_matte(
 def sky_mattes(
     log: DrivingLog, frames: Sequence[CameraFrame], progress: Progress
 ) -> Iterator[tuple[CameraFrame, Float32[np.ndarray, "h w"]]]:
-    """Some frames of the log with their mattes, few in memory at a time; what they know of colours
-    is all of the log's."""
+    """Some frames with their mattes, few in memory at a time; what they know of colours and of the
+    sky's directions is all of the log's, of which they need not be frames."""
+    if not frames:
+        return
     points_world = gather_high_points(log)
     colours = learn_colours(log, points_world)
+    panorama_by_camera = learn_panoramas(log, points_world, colours)
 
     def matte_of(frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
         return estimate_sky_matte(
@@ -132,6 +141,7 @@ def sky_mattes(
             points_world,
             log.ego_vehicle_masks.get(frame.camera_name),
             colours,
+            panorama_by_camera.get(frame.camera_name),
         )
 
     # Array operations leave Python's lock, so threads do share the work.
@@ -150,19 +160,52 @@ def learn_colours(log: DrivingLog, points_world: Float[np.ndarray, "n 3"]) -> Co
     alone would count bright clouds to it), in some frames of each camera; None where a log shows
     too little of either."""
     total: ColourCounts | None = None
-    for name, camera in log.cameras.items():
+    for name in log.cameras:
         frames = log.frames_of(name)
         for frame in frames[:: max(1, len(frames) // _COLOUR_FRAMES)]:
-            ego_vehicle = log.ego_vehicle_masks.get(name)
-            evidence = _gather(
-                frame.load_srgb8(), camera, frame.world_from_camera, points_world, ego_vehicle
-            )
+            evidence = _gather_frame(log, frame, points_world)
             if (evidence.elevation_deg > _HORIZON_DEG).any():
                 labels, _, _, first = _before_colours(evidence)
                 is_sky = first[labels] > _SURELY_SKY
                 counts = ColourCounts.of(evidence, is_sky, evidence.has_hit)
                 total = counts if total is None else total + counts
     return total if total is not None and total.are_enough else None
+
+
+def learn_panoramas(
+    log: DrivingLog, points_world: Float[np.ndarray, "n 3"], log_colours: ColourCounts | None
+) -> dict[str, SkyPanorama]:
+    """The sky that each camera saw, by direction; of cameras that moved."""
+    skies: dict[str, CameraSky] = {}
+    for name in log.cameras:
+        views = []
+        for frame in frames_apart(log.frames_of(name)):
+            evidence = _gather_frame(log, frame, points_world)
+            if (evidence.elevation_deg > _HORIZON_DEG).any():
+                labels, sky = _judge(evidence, log_colours, None)
+                views.append(SkyView(evidence, sky[labels]))
+        if views:
+            skies[name] = CameraSky.of(views)
+    return panoramas(skies)
+
+
+def _judge(
+    evidence: ImageEvidence, log_colours: ColourCounts | None, panorama: SkyPanorama | None
+) -> tuple[Int[np.ndarray, "h w"], Float[np.ndarray, " n"]]:
+    """Regions and their log-odds of being sky, by all that is known."""
+    labels, graph, own, first = _before_colours(evidence)
+    odds = first[labels]
+    colours = ColourCounts.of(evidence, odds > _LIKELY_SKY, odds < _LIKELY_NONE)
+    if panorama is None:
+        own = with_colours(labels, evidence, own, colours, log_colours)
+    else:
+        agreement = panorama.compare(evidence)
+        labels = agreement.split(labels)
+        graph = region_graph(labels, evidence.lab, _EDGE_CONTRAST, agreement.expected_lab)
+        own = region_log_odds(labels, evidence)
+        own = with_colours(labels, evidence, own, colours, log_colours)
+        own = agreement.applied_to(labels, own)
+    return labels, spread_log_odds(graph, own, _SMOOTHING)
 
 
 def _before_colours(
@@ -198,6 +241,14 @@ def gather_high_points(log: DrivingLog) -> Float32[np.ndarray, "n 3"]:
     return points_world[first]
 
 
+def _gather_frame(
+    log: DrivingLog, frame: CameraFrame, points_world: Float[np.ndarray, "n 3"]
+) -> ImageEvidence:
+    name = frame.camera_name
+    ego_vehicle, pose = log.ego_vehicle_masks.get(name), frame.world_from_camera
+    return _gather(frame.load_srgb8(), log.cameras[name], pose, points_world, ego_vehicle)
+
+
 def _gather(
     srgb8: UInt8[np.ndarray, "h w 3"],
     camera: PinholeCamera,
@@ -225,6 +276,7 @@ def _gather(
         is_silent = in_band & ~_near_hits(hits, small, _LIDAR_BEAM_GAP_DEG)
     return ImageEvidence(
         lab=rgb2lab(rgb).astype(np.float32),
+        directions_world=directions.astype(np.float32),
         elevation_deg=elevation_deg.astype(np.float32),
         has_hit=hits,
         is_scanned=elevation_deg < high,

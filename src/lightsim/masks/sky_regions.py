@@ -23,7 +23,8 @@ class ImageEvidence:
 
     Args:
         lab: CIE L*a*b* (D65).
-        elevation_deg: of the pixel's ray above the horizontal.
+        directions_world: of the pixel's ray, unit length.
+        elevation_deg: the ray's angle above the horizontal.
         has_hit: a LiDAR return falls into the pixel.
         is_scanned: below the top of the LiDAR's field of view, as far as that is certain.
         is_silent: inside the LiDAR's field of view, without a return nearby.
@@ -31,6 +32,7 @@ class ImageEvidence:
     """
 
     lab: Float32[np.ndarray, "h w 3"]
+    directions_world: Float32[np.ndarray, "h w 3"]
     elevation_deg: Float32[np.ndarray, "h w"]
     has_hit: Bool[np.ndarray, "h w"]
     is_scanned: Bool[np.ndarray, "h w"]
@@ -49,11 +51,19 @@ class RegionGraph:
 
 
 def region_graph(
-    labels: Int[np.ndarray, "h w"], lab: Float32[np.ndarray, "h w 3"], edge_contrast: float
+    labels: Int[np.ndarray, "h w"],
+    lab: Float32[np.ndarray, "h w 3"],
+    edge_contrast: float,
+    expected_lab: Float32[np.ndarray, "h w 3"] | None = None,
 ) -> RegionGraph:
     """Adjacency of the regions; each border pixel counts exp(-(step / edge_contrast)^2), times
     the mean of that along the border, so that a few gaps in an edge do not open it, and
-    falls with the difference of the regions' mean colours."""
+    falls with the difference of the regions' mean colours.
+
+    Steps that `expected_lab` (the sky's own colours; NaN where unknown) has as well are no edges:
+    clouds have outlines. Regions must not mix known and unknown.
+    """
+    known = np.full_like(lab, np.nan) if expected_lab is None else expected_lab
     count = int(labels.max()) + 1
     pairs, weights = [], []
     for axis in (0, 1):
@@ -61,7 +71,9 @@ def region_graph(
         a, b = _shifted(labels, axis)
         is_border = a != b
         before, after = _shifted(lab, axis)
-        step = np.linalg.norm(before[is_border] - after[is_border], axis=-1)
+        known_before, known_after = _shifted(known, axis)
+        expected = np.nan_to_num(known_before[is_border] - known_after[is_border])
+        step = np.linalg.norm(before[is_border] - after[is_border] - expected, axis=-1)
         pairs.append(np.stack([a[is_border], b[is_border]], axis=1))
         weights.append(0.5 * np.exp(-((step / edge_contrast) ** 2)))
     ordered = np.sort(np.concatenate(pairs), axis=1)
@@ -70,9 +82,9 @@ def region_graph(
     agreement = np.bincount(inverse, np.concatenate(weights), len(keys)).astype(np.float64)
     agreement *= agreement / (0.5 * np.bincount(inverse, minlength=len(keys)))
     i, j = keys // count, keys % count
-    mean = _RegionMean(labels)
-    colour = np.stack([mean(lab[..., k]) for k in range(3)], axis=1)
-    difference = np.linalg.norm(colour[i] - colour[j], axis=1)
+    mean = RegionMean(labels)
+    colour, own = (np.stack([mean(x[..., k]) for k in range(3)], axis=1) for x in (lab, known))
+    difference = np.linalg.norm(colour[i] - colour[j] - np.nan_to_num(own[i] - own[j]), axis=1)
     agreement *= np.exp(-((difference / (4.0 * edge_contrast)) ** 2))
     area = np.bincount(labels.ravel(), minlength=count).astype(np.float64)
     return RegionGraph(area, i, j, agreement)
@@ -86,7 +98,7 @@ def region_log_odds(
     labels: Int[np.ndarray, "h w"], evidence: ImageEvidence
 ) -> Float[np.ndarray, " n"]:
     """Log-odds that each region is sky, from its own pixels only."""
-    mean = _RegionMean(labels)
+    mean = RegionMean(labels)
     has_lidar = bool(evidence.has_hit.any())
     odds = np.clip(mean(_colour_log_odds(evidence)), -3.0, 4.0)
     odds -= np.clip((mean(_texture(evidence.lab)) - 2.0) / 2.0, -0.5, 2.0)
@@ -216,7 +228,7 @@ def with_colours(
     if of_log is not None and of_log.are_enough:
         against = of_log.log_ratio()[bins]
         ratio = np.where(against < 0, np.minimum(against, ratio), ratio)
-    odds = own + _RegionMean(labels)(ratio)
+    odds = own + RegionMean(labels)(ratio)
     is_certain = own <= -_CERTAIN + 1e-6
     return np.clip(np.where(is_certain, -_CERTAIN, odds), -_CERTAIN, _CERTAIN)
 
@@ -287,7 +299,7 @@ def keep_open_sky(
     return np.where(kept, probability, 0.0).astype(np.float32)
 
 
-class _RegionMean:
+class RegionMean:
     """Averages of pixel values over the regions of one labelling."""
 
     def __init__(self, labels: Int[np.ndarray, "h w"]) -> None:

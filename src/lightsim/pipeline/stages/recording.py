@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -58,29 +58,32 @@ def make_alignment(
 
 def make_masks(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
     """One matte for every frame that building may look at."""
-    _write_mattes(work.recorded_training_log, folder, context)
+    log = work.recorded_training_log
+    _write_mattes(log, log.frames, folder, context)
     return ()
 
 
 def make_held_out_masks(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
     """The mattes of held-out frames: measuring and relighting need them, building must not.
 
-    Their surfaces are known from the sweeps of the build alone, like those of the others.
+    What they know of surfaces, colours and sky is what building looks at.
     """
     frames = tuple(f for f in work.recorded_log.frames if f.stem in work.held_out)
-    _write_mattes(work.recorded_training_log.with_frames(frames), folder, context)
+    _write_mattes(work.recorded_training_log, frames, folder, context)
     return ()
 
 
-def _write_mattes(log: DrivingLog, folder: Path, context: Context) -> None:
-    """One matte a frame of the log; those that an interrupted run left are kept."""
+def _write_mattes(
+    log: DrivingLog, frames: Sequence[CameraFrame], folder: Path, context: Context
+) -> None:
+    """Mattes of frames by what the log shows; those that an interrupted run left are kept."""
 
     def path_of(frame: CameraFrame) -> Path:
         return folder / frame.camera_name / f"{frame.stem}.png"
 
     for camera in log.cameras:
         (folder / camera).mkdir(exist_ok=True)
-    wanted = [frame for frame in log.frames if not path_of(frame).exists()]
+    wanted = [frame for frame in frames if not path_of(frame).exists()]
     for frame, matte in sky_mattes(log, wanted, context.progress):
         write_png(path_of(frame), np.round(matte * 255).astype(np.uint8))
 
