@@ -59,8 +59,8 @@ class RelightDataConfig:
     sim_real_fraction: float = 0.0
     """Of the samples: the twin rendered under another sky, and the recorded picture."""
     exposure_ev: tuple[float, float] = (-3.0, 0.5)
-    """Samples are so many stops brighter: streets of a log in the evening, or in the shade of a high
-    sun, are darker than most that the generator makes."""
+    """Samples are so many stops brighter: a log of the evening, or a street in the shade of a high
+    sun, is darker than most that the generator makes."""
     light_error_ev: float = 0.2
     """Standard deviation by which target light and estimate are off: twins err by street, and a
     network that has seen few of them would learn their errors instead of doubting them."""
