@@ -120,7 +120,7 @@ class RelightData:
             one = _mirrored(one)
         if "target_physical" in one.planes:
             one = _misjudged(one, 2.0 ** float(rng.normal() * self._config.light_error_ev))
-        return _exposed(one, 2.0 ** float(rng.uniform(*self._config.exposure_ev)))
+        return exposed(one, 2.0 ** float(rng.uniform(*self._config.exposure_ev)))
 
     def _pair(self, sample: RelightSample, rng: np.random.Generator) -> RelightBatch:
         """A frame with a source and a target, of one of the kinds."""
@@ -240,7 +240,7 @@ def _misjudged(one: RelightBatch, factor: float) -> RelightBatch:
     return RelightBatch(planes, one.truth, one.weight)
 
 
-def _exposed(one: RelightBatch, factor: float) -> RelightBatch:
+def exposed(one: RelightBatch, factor: float) -> RelightBatch:
     """As a camera of another exposure would have shown it; what was clipped and would not be does
     not count."""
     planes = dict(one.planes)

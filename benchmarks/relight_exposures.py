@@ -1,0 +1,76 @@
+"""How relighting networks bear pictures that are darker or brighter than those that taught them.
+
+    python benchmarks/relight_exposures.py WORK --truth S/truth [--weights FILE ...]
+
+Frames of a street with true pictures, shown to the networks at other exposures; what they make is
+brought back and scored as recorded: PSNR dB outside sky and clipped pixels, mean over target skies.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import defaultdict
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lightsim.progress import terminal_progress
+from lightsim.relighting.network.features import srgb_of
+from lightsim.relighting.network.model import RelitNet
+from lightsim.relighting.network.stored import network_for
+from lightsim.simulation.relight_samples import write_samples
+from lightsim.training.relight_data import RelightBatch, RelightData, RelightDataConfig, exposed
+
+STOPS = (-3, -2, -1, 0, 1)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--truth", type=Path, required=True)
+    parser.add_argument("--weights", type=Path, nargs="*", default=[None])
+    options = parser.parse_args()
+    with TemporaryDirectory() as made:
+        folder = Path(made)
+        write_samples(options.work, options.truth, folder, terminal_progress())
+        for other_source in folder.glob("*_under_*.npz"):
+            other_source.unlink()
+        data = RelightData([folder], RelightDataConfig())
+        sys.stdout.write(f"| weights | {' | '.join(f'{ev:+d} EV' for ev in STOPS)} | physical |\n")
+        sys.stdout.write(f"|---|{'---:|' * (len(STOPS) + 1)}\n")
+        for path in options.weights:
+            scores = score(network_for(RelitNet, path).eval(), data)
+            cells = " | ".join(f"{value:.2f}" for value in scores)
+            sys.stdout.write(f"| {path or 'shipped'} | {cells} |\n")
+
+
+def score(network: RelitNet, data: RelightData) -> list[float]:
+    """PSNR at each of STOPS, and of the physical estimate."""
+    errors: dict[str, list[list[float]]] = defaultdict(list)
+    for index in range(len(data)):
+        for sky in data.skies(index):
+            batch = data.whole(index, sky)
+            physical = srgb_of(batch.planes["target_physical"])
+            pictures = [*(at_exposure(network, batch, 2.0**ev) for ev in STOPS), physical]
+            errors[sky].append([mean_square(picture, batch) for picture in pictures])
+    by_sky = [-10 * np.log10(np.mean(rows, axis=0)) for rows in errors.values()]
+    return np.mean(by_sky, axis=0).tolist()
+
+
+def at_exposure(network: RelitNet, batch: RelightBatch, factor: float) -> Tensor:
+    with torch.inference_mode():
+        return srgb_of(network(exposed(batch, factor).planes).picture / factor)
+
+
+def mean_square(picture: Tensor, batch: RelightBatch) -> float:
+    planes = batch.planes
+    is_valid = (batch.weight > 0) & (planes["matte"] < 0.5) & (planes["clipped"] < 0.5)
+    return float(((picture.clamp(0, 1) - batch.truth)[0][:, is_valid[0, 0]] ** 2).mean())
+
+
+if __name__ == "__main__":
+    main()
