@@ -118,4 +118,4 @@ def test_a_street_uses_the_field_in_its_own_folder(tmp_path: Path) -> None:
     write_weights(path, stored_tensors(new_field(), SMALL, "nerf-osr"), record)
     assert relight_of(work, options)
     assert weights_hash(work, options) == {"weights": hash_file(path)}
-    assert weights_hash(work, RelightOptions(name="x")) == {}
+    assert weights_hash(work, RelightOptions(name="x", method="physical")) == {}
