@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any, Literal
@@ -174,18 +175,24 @@ def dome_from_array(radiance: Float32[np.ndarray, "h w 3"], name: str) -> SkyDom
 
 
 def scale_to_source(
-    dome: SkyDome, source: SkyDome | None, mode: Literal["auto", "none"] | float
+    dome: SkyDome,
+    source: SkyDome | None,
+    mode: Literal["auto", "none"] | float,
+    luminance_of: Callable[[SkyDome], float] | None = None,
 ) -> tuple[SkyDome, float]:
     """The dome times a factor, and the factor.
 
-    "auto" gives the dome the source's luminance on level ground; "none" keeps scene units as
-    stored (a clear sky then lights a white level surface to a luminance of about 1 at a sun of 45
-    degrees); a number multiplies.
+    "auto" gives the dome the source's luminance; "none" keeps scene units as stored (a clear sky
+    then lights a white level surface to a luminance of about 1 at a sun of 45 degrees); a number
+    multiplies.
+
+    Args:
+        luminance_of: of what a dome lights; by default that of white level ground.
 
     Raises:
         InputError: the number is not positive, a sky is black, or "auto" has no source.
     """
-    if mode == "none":
+    if mode == "none" or (mode == "auto" and dome is source):
         return dome, 1.0
     if isinstance(mode, str):
         if source is None:
@@ -193,13 +200,14 @@ def scale_to_source(
                 "there is no source sky to match",
                 remedy="Give --sky-scale none or a number.",
             )
-        target, wanted = _level_luminance(dome), _level_luminance(source)
+        measure = luminance_of or _level_luminance
+        target, wanted = measure(dome), measure(source)
         if target <= 0 or wanted <= 0:
             raise InputError(
-                "a sky without light from above cannot be matched",
+                "a sky that lights nothing cannot be matched",
                 where="--sky-scale",
                 got=f"luminance {target:g} of the sky, {wanted:g} of the source",
-                expected="both above 0 on level ground",
+                expected="both above 0",
                 remedy="Give --sky-scale none or a number.",
             )
         factor = wanted / target

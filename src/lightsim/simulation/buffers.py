@@ -29,6 +29,7 @@ from lightsim.scenario.replay import replay
 from lightsim.simulation.options import GEOMETRY, LIGHT, RenderOptions
 from lightsim.simulation.picture_images import PictureImages, shown_by_pictures
 from lightsim.simulation.relight import select_frames
+from lightsim.simulation.seen_light import SeenLight
 from lightsim.simulation.shard import Shard
 from lightsim.simulation.skies import TargetSky, made_from_sky, resolve_sky
 from lightsim.store.artefact import hash_names, json_ready, read_json, write_json
@@ -39,7 +40,7 @@ from lightsim.store.scenario import write_scenario
 
 _RECORD = "render.json"
 _SKY_RECORD = "sky.json"
-_SCHEMA = 8
+_SCHEMA = 9
 
 
 @dataclass(frozen=True)
@@ -240,8 +241,9 @@ def _resolve_skies(
     scenario: Scenario,
 ) -> dict[str, TargetSky]:
     targets: dict[str, TargetSky] = {}
+    seen = SeenLight(workspace)
     for name, sky in skies.items():
-        target = resolve_sky(sky, workspace)
+        target = resolve_sky(sky, workspace, seen)
         folder = layout.sky_folder(name)
         write_json(folder / _SKY_RECORD, {**made_from_sky(sky), "facts": target.facts})
         write_scenario(folder, replace(scenario, sky=sky), target_sky=target.facts)

@@ -33,6 +33,7 @@ from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relight_methods import weights_hash
 from lightsim.simulation.relighter import RelightConfig, Relighter, RelitFrame
 from lightsim.simulation.report import report_frames, write_relight_report, write_report_strip
+from lightsim.simulation.seen_light import SeenLight
 from lightsim.simulation.skies import TargetSky, made_from_sky, resolve_sky
 from lightsim.store.artefact import (
     RECORD_NAME,
@@ -48,7 +49,7 @@ from lightsim.store.lock import LOCK_NAME, locked
 from lightsim.store.mp4 import Mp4Writer
 from lightsim.store.scenario import write_scenario
 
-_SCHEMA = 12
+_SCHEMA = 13
 _STAGE = "relight"
 _OPTIONAL = (
     *("labels", "weights", "renderer", "source_sky", "edits", "assets", "exposure_time_ms"),
@@ -139,7 +140,7 @@ def make_frames(
     weights = weights_hash(workspace, options)
     skies = options.sky_by_name
     folders = [base] if len(skies) == 1 else [base / name for name in skies]
-    jobs = []
+    jobs, seen = [], SeenLight(workspace)
     for folder, choice in zip(folders, skies.values(), strict=True):
         settings = {**_settings(options, choice, scale), **weights, **made_of}
         if not options.overwrite:
@@ -147,7 +148,7 @@ def make_frames(
         made_from = {**settings, "config": json_ready(config)}
         inputs = {"twin": workspace.record("twin")["key"]}
         artefact_key = ArtefactKey(_STAGE, _SCHEMA, made_from, inputs, options.seed)
-        target = resolve_sky(choice, workspace)
+        target = resolve_sky(choice, workspace, seen)
         jobs.append(_Job(folder, settings, artefact_key, replace(scenario, sky=choice), target))
     _make_room(base, folders, is_overwriting=options.overwrite)
     attempts = [(job, open_attempt(job.folder, job.artefact_key)) for job in jobs]

@@ -163,7 +163,7 @@ def write_samples(work: Path, truth: Path, out: Path, progress: Progress) -> int
         How many there are.
     """
     skies = sorted(p.name for p in (truth / "relit").iterdir() if p.is_dir())
-    options = as_truth(truth, skies, RelightOptions(name="truth"))
+    options = as_truth(truth, skies, RelightOptions(name="truth", method="physical"))
     workspace = Workspace(work, is_stale_allowed=True)
     scenario = replayed(workspace, options)
     relighter = Relighter(workspace, workspace.log_at(1.0), RelightConfig(), options)

@@ -30,6 +30,7 @@ from lightsim.lighting.target_sky import (
 )
 from lightsim.masks.sky import estimate_sky_matte
 from lightsim.pipeline.workspace import Workspace
+from lightsim.simulation.seen_light import SeenLight
 from lightsim.store.artefact import hash_file
 from lightsim.store.images import read_sky
 from lightsim.store.reading import is_file
@@ -66,10 +67,15 @@ def made_from_sky(choice: SkyChoice) -> dict[str, Any]:
     return {**asdict(choice), "sky": key}
 
 
-def resolve_sky(choice: SkyChoice, workspace: Workspace) -> TargetSky:
+def resolve_sky(
+    choice: SkyChoice, workspace: Workspace, seen: SeenLight | None = None
+) -> TargetSky:
     """The dome that a user's words name, for the log of a workspace: a file that knows its north
     is turned to the log's; then it is turned as asked, scaled, and then its
     sun edited, so that the rest of the sky is as bright as without the edit.
+
+    Args:
+        seen: of the workspace, shared by skies that are scaled by it.
 
     Raises:
         InputError: the words or the file are wrong, the sun is below the horizon, or there is none
@@ -82,7 +88,9 @@ def resolve_sky(choice: SkyChoice, workspace: Workspace) -> TargetSky:
         facts["notes"] += notes
     if choice.yaw_deg:
         dome = dome.rotated(-choice.yaw_deg)
-    dome, factor = scale_to_source(dome, workspace.sky.dome, choice.scale_mode)
+    seen = seen or SeenLight(workspace)
+    source = workspace.sky.dome
+    dome, factor = scale_to_source(dome, source, choice.scale_mode, seen.mean_luminance)
     facts |= {"yaw_deg": choice.yaw_deg, "scale": choice.scale, "scale_factor": factor}
     if choice.has_edited_sun:
         dome, edited = _with_edited_sun(dome, choice, geo)
