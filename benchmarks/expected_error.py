@@ -5,7 +5,8 @@
 Frames of a synthetic log under all skies of its truth, relit at WORK/scenarios/expected-error.
 Rank correlation (Spearman) of expected and true mean absolute error of the codes, over the pixels
 of a frame that show surfaces, in parts of 2 x 2; mean over frames. Then the error of the tenth that
-is expected to be worst, and of the tenth expected to be best. Markdown.
+is expected to be worst, and of the tenth expected to be best, and the mean expected error over the
+mean true one. Markdown.
 """
 
 from __future__ import annotations
@@ -42,11 +43,12 @@ def main() -> None:
     )
     folders = relit_folders(workspace, options.truth, relighting, terminal_progress())
     surfaces = TrueSurfaces(options.truth / "scene.npz", workspace)
-    sys.stdout.write("| target | rank correlation | worst tenth x 255 | best tenth x 255 |\n")
-    sys.stdout.write("|---|---:|---:|---:|\n")
+    columns = "rank correlation | worst tenth x 255 | best tenth x 255 | expected over true"
+    sys.stdout.write(f"| target | {columns} |\n")
+    sys.stdout.write("|---|---:|---:|---:|---:|\n")
     for sky, frames in folders.items():
         found = np.mean([_score(frames, path, surfaces) for path in _made(frames)], axis=0)
-        row = " | ".join(f"{x:.{n}f}" for x, n in zip(found, (2, 1, 1), strict=True))
+        row = " | ".join(f"{x:.{n}f}" for x, n in zip(found, (2, 1, 1, 2), strict=True))
         sys.stdout.write(f"| {sky} | {row} |\n")
 
 
@@ -56,7 +58,7 @@ def _made(frames: dict[str, Path]) -> list[Path]:
 
 def _score(
     frames: dict[str, Path], path: Path, surfaces: TrueSurfaces
-) -> tuple[float, float, float]:
+) -> tuple[float, float, float, float]:
     """Of one frame."""
     camera, stem = path.parent.name, path.stem
     truth = read_srgb8(frames["truth"] / camera / f"{stem}.jpg").astype(np.float32)
@@ -69,7 +71,8 @@ def _score(
     error, expected = (small[..., k][small[..., 2] > 0.99] for k in (0, 1))
     low, high = np.quantile(expected, [0.1, 0.9])
     worst, best = error[expected >= high].mean(), error[expected <= low].mean()
-    return rank_correlation(error, expected), float(worst), float(best)
+    ratio = expected.mean() / error.mean()
+    return rank_correlation(error, expected), float(worst), float(best), float(ratio)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from torch.nn import functional
 from lightsim.errors import InputError
 from lightsim.relighting.estimate import Estimate
 from lightsim.relighting.network.channels import scene_planes, shrunk, target_planes
+from lightsim.relighting.network.expected_error import expected_error
 from lightsim.relighting.network.features import linear_of, tensors_of
 from lightsim.relighting.network.model import RelitNet
 from lightsim.relighting.network.paper_model import PaperNet
@@ -32,13 +33,15 @@ def relit_by(network: RelitNet, inputs: RelightInputs, config: RatioConfig) -> E
     working = shrunk(planes, network.config.working_columns)
     with torch.inference_mode():
         batch = tensors_of(planes)
-        found = network(batch, None if working is planes else tensors_of(working))
+        small = batch if working is planes else tensors_of(working)
+        found = network(batch, None if working is planes else small)
+        error = expected_error(found, small)
     picture = found.picture[0].permute(1, 2, 0).numpy()
     # Sky and what the network leaves alone keep their radiance to the bit.
     is_same = inputs.sky_matte[..., None] >= 1
     radiance = np.where(is_same, physical, picture / seen.gain).astype(np.float32)
-    log_error = functional.interpolate(found.log_error, picture.shape[:2], mode="bilinear")
-    return Estimate(radiance, log_error[0, 0].exp().numpy())
+    error = functional.interpolate(error, picture.shape[:2], mode="bilinear")
+    return Estimate(radiance, error[0, 0].numpy())
 
 
 def painted_by(network: PaperNet, inputs: RelightInputs, config: RatioConfig) -> Estimate:

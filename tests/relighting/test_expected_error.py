@@ -1,0 +1,60 @@
+"""What error is expected: the network's word, times contrast and disagreement with the twin."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from lightsim.relighting.network.expected_error import expected_error
+from lightsim.relighting.network.features import srgb_of
+from lightsim.relighting.network.model import Correction
+
+ROWS, COLUMNS = 20, 30
+
+
+def expected(
+    picture: torch.Tensor, modelled: torch.Tensor | None = None, log_error: float = -4.0
+) -> torch.Tensor:
+    """Of a linear picture, where the twin's rendering is the same or another one."""
+    modelled = picture if modelled is None else modelled
+    working = {
+        "source": torch.zeros(1, 3, ROWS, COLUMNS),
+        "base_colour": torch.ones(1, 3, ROWS, COLUMNS),
+        "target_shaded": modelled,
+        "target_reflected": torch.zeros(1, 3, ROWS, COLUMNS),
+    }
+    found = Correction(picture, torch.full((1, 1, ROWS // 2, COLUMNS // 2), log_error))
+    return expected_error(found, working)
+
+
+def test_edges_are_expected_to_be_wrong() -> None:
+    picture = torch.full((1, 3, ROWS, COLUMNS), 0.1)
+    picture[..., 20:] = 0.8
+    error = expected(picture)[0, 0]
+    assert torch.all(error[:, 9:11] > 2 * error[:, :1])
+    # Contrast reaches two pixels, one here.
+    torch.testing.assert_close(error[:, :8], error[:1, :1].expand(ROWS // 2, 8))
+    contrast = float(srgb_of(torch.tensor(0.8)) - srgb_of(torch.tensor(0.1)))
+    ratio = ((contrast + 0.02) / 0.02) ** 0.5
+    assert float(error[0, 9] / error[0, 0]) == pytest.approx(ratio, rel=1e-3)
+
+
+def test_disagreement_with_the_twin_is_doubt() -> None:
+    picture = torch.full((1, 3, ROWS, COLUMNS), 0.3)
+    near, far = (expected(picture, picture * f) for f in (1.1, 2.0))
+    assert torch.all(expected(picture) < near)
+    assert torch.all(near < far)
+
+
+def test_the_networks_word_is_a_factor() -> None:
+    picture = torch.rand((1, 3, ROWS, COLUMNS), generator=torch.Generator().manual_seed(0))
+    low, high = (expected(picture, log_error=value) for value in (-5.0, -4.0))
+    torch.testing.assert_close(high / low, torch.full_like(low, torch.e))
+    assert expected(picture, log_error=3.0).max() <= 1
+
+
+def test_larger_pictures_are_brought_to_the_working_size() -> None:
+    small = torch.rand((1, 3, ROWS, COLUMNS), generator=torch.Generator().manual_seed(1))
+    # Codes are averaged, and those of a block are the same.
+    large = small.repeat_interleave(4, 2).repeat_interleave(4, 3)
+    torch.testing.assert_close(expected(large, small), expected(small))
