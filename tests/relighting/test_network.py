@@ -83,6 +83,24 @@ def test_an_untrained_network_is_physical_relighting(inputs: RelightInputs) -> N
     np.testing.assert_allclose(made, relight_physical(inputs, RatioConfig()), atol=1e-6)
 
 
+def test_a_frame_under_its_own_sky_comes_back(inputs: RelightInputs) -> None:
+    """However the weights were trained; and small changes of light are corrected little."""
+    circumstances = inputs.circumstances
+    assert circumstances is not None
+    source = circumstances.source_sky
+    same = replace(
+        inputs, target=inputs.source, circumstances=replace(circumstances, target_sky=source)
+    )
+    planes, physical = planes_of(same)
+    made = relit_by(random_network(), same, RatioConfig()).radiance
+    np.testing.assert_allclose(made, physical, atol=1e-6)
+    factor = {name: 1.3 for name in ("target_shaded", "target_reflected", "target_physical")}
+    batch = tensors_of({name: factor.get(name, 1.0) * value for name, value in planes.items()})
+    with torch.inference_mode():
+        brighter = random_network()(batch).picture
+    assert (brighter - batch["target_physical"]).abs().max() > 1e-3
+
+
 def test_the_sky_stays_to_the_bit(inputs: RelightInputs) -> None:
     made = relit_by(random_network(), inputs, RatioConfig()).radiance
     physical = planes_of(inputs)[1]

@@ -48,6 +48,8 @@ def made_sample(rng: np.random.Generator) -> RelightSample:
     # Pixels of 8 x 8, as a picture has parts.
     physical = 0.02 + 0.5 * plane(3)[:, ::8, ::8].repeat(8, 1).repeat(8, 2)
     target = {f"target_{k}": v for k, v in {**light, **sky}.items()}
+    # Under the recorded light a network has nothing to mend.
+    target |= {"target_shaded": 1.5 * light["shaded"]}
     target |= {"target_physical": physical, "target_sky": plane(3)}
     truth = srgb_of(torch.from_numpy(physical * ERROR)).clamp(0, 1).numpy()
     return RelightSample(

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from lightsim.relighting.network.blocks import Residual, Rise, padded
-from lightsim.relighting.network.features import Batch, Unseen, features, without
+from lightsim.relighting.network.features import Batch, Unseen, features, grey, without
 
 _FEATURES = 39
 _COLOURS = 3
@@ -28,6 +28,8 @@ _MOST_EXACT = 6.0
 """The expected error lies between exp of minus this, less than a code of 8 bits, and 1."""
 _LARGEST = 2.5
 """Log of the largest factor."""
+_SMALL_CHANGE = 0.1
+"""Of the log of light, in the mean over a frame: less than this hardly shows."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,7 @@ class RelitNet(nn.Module):
             factors.unflatten(1, (_COLOURS, self.config.guide_count)) * followed[:, None]
         ).sum(2)
         change = _LARGEST * torch.tanh(change / _LARGEST) * (1 - batch["matte"])
+        change = change * _how_new(working)
         picture = (physical.clamp_min(0.0) + _FLOOR) * torch.exp(change) - _FLOOR
         return Correction(picture.clamp_min(0.0), log_error)
 
@@ -128,3 +131,13 @@ class RelitNet(nn.Module):
         confidence = 1.0 if is_sure else torch.sigmoid(found[:, -2:-1] + 1.0)
         # Bounded, or one surprise of a likelihood ends the training.
         return found[:, :-2] * confidence, -_MOST_EXACT * torch.sigmoid(found[:, -1:])
+
+
+def _how_new(batch: Batch) -> Float[Tensor, "n 1 1 1"]:
+    """0 under the recorded light, where the recorded picture is right and so is the physical
+    estimate, which gives it back; 1 under any other: twice _SMALL_CHANGE is .98."""
+    source, target = (grey(batch[f"{which}_shaded"]) for which in ("source", "target"))
+    surface, axes = batch["surface"], (1, 2, 3)
+    change = torch.log((target + _FLOOR) / (source + _FLOOR)).abs() * surface
+    mean = change.sum(axes, keepdim=True) / surface.sum(axes, keepdim=True).clamp_min(1.0)
+    return 1 - torch.exp(-((mean / _SMALL_CHANGE) ** 2))
