@@ -129,7 +129,7 @@ STAGES = (
     ),
     Stage(
         "geometry",
-        20,
+        21,
         ("log", "masks", "alignment", "neural"),
         _no_settings,
         surfaces.make_geometry,

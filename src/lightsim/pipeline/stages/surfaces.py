@@ -11,15 +11,19 @@ import numpy as np
 from jaxtyping import Float32
 
 from lightsim.appearance.build import AssetConfig, build_assets
+from lightsim.appearance.intrinsic.surfels import LidarReturns
 from lightsim.core.camera import PinholeCamera
+from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import SceneAssets
 from lightsim.geometry.completion.buildings import complete_buildings
+from lightsim.geometry.completion.crowns import Beams, find_crowns
 from lightsim.geometry.completion.far_field import build_far_field
 from lightsim.geometry.completion.flatten import flatten_walls
 from lightsim.geometry.completion.glass import find_glass
 from lightsim.geometry.completion.glazing import glaze
+from lightsim.geometry.completion.leaf_cards import crown_cards, without_shreds
 from lightsim.geometry.completion.pole_meshes import with_poles
 from lightsim.geometry.completion.poles import find_poles, raise_poles
 from lightsim.geometry.completion.walls import find_walls
@@ -35,6 +39,8 @@ from lightsim.store.rooflines import write_rooflines
 
 _WALL_RETURNS = 3_000_000
 """LiDAR returns that walls are drawn onto, at most."""
+_BOX_MARGIN_M = 0.3
+"""Returns this near the box of a vehicle at rest are its own."""
 
 
 def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
@@ -54,8 +60,11 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
 
     poles = find_poles(returns.points, returns.origins, fields.ground, fields.path_m)
     poles = raise_poles(poles, views)
-    background = with_poles(meshes.background, poles)
-    walls = find_walls(background)
+    walls = find_walls(meshes.background)
+    crowns = find_crowns(_beams(log, returns), walls, fields.ground, fields.path_m)
+    background = with_poles(without_shreds(meshes.background, crowns), poles)
+    cards = crown_cards(crowns, np.random.default_rng(context.seed))
+    background = concatenate_meshes([background, cards])
     facades, rooflines = complete_buildings(
         background,
         walls,
@@ -63,6 +72,7 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
         (sweep.load() for sweep in context.progress.track(log.sweeps, "walls and roofs")),
         fields.ground,
         returns.points,
+        crowns,
         make_caster=make_embree_caster,
     )
     background = concatenate_meshes([background, simplify_planar(facades)])
@@ -89,7 +99,18 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
         f"beyond the LiDAR's reach; {len(rooflines)} walls have a roof: inferred, not measured",
         f"{len(panes)} panes of glass are set into walls",
         f"{len(poles)} poles, posts and trunks stand as rods",
+        f"{len(crowns)} crowns are drawn by {len(cards.faces) // 2} cards",
     )
+
+
+def _beams(log: DrivingLog, returns: LidarReturns) -> Beams:
+    """Beams without those that ended on vehicles at rest."""
+    is_used = np.ones(len(returns.points), dtype=bool)
+    for track in log.actors:
+        if not track.is_moving:
+            start_ns = track.trajectory.start_ns
+            is_used &= ~track.contains(returns.points.astype(np.float64), start_ns, _BOX_MARGIN_M)
+    return Beams(returns.origins[is_used], returns.points[is_used])
 
 
 def make_assets(
