@@ -157,7 +157,7 @@ STAGES = (
     ),
     Stage(
         "twin",
-        14,
+        15,
         ("log", "alignment", "assets", "sky"),
         lambda o: light.TwinConfig(),
         light.make_twin,
