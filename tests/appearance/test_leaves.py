@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, patches_of
 from lightsim.appearance.intrinsic.leaves import leaf_colours, leaf_vertices
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 
@@ -40,6 +41,16 @@ def test_colours_of_leaves_are_those_around() -> None:
     fill = leaf_colours(mesh, colour, is_leaf, is_seen)
     np.testing.assert_allclose(fill[is_leaf], np.tile([0.05, 0.1, 0.03], (520, 1)))
     np.testing.assert_array_equal(fill[:16], colour[:16])
+
+
+def test_leaves_tell_nothing_of_shadows() -> None:
+    """Patches, which carry labels, lie on the wall alone."""
+    rng = np.random.default_rng(0)
+    wall = _wall()
+    mesh = concatenate_meshes([wall, _quads(rng.random((300, 3)), 0.2)])
+    patches = patches_of(mesh, IntrinsicConfig(), rng)
+    assert patches is not None
+    assert patches.surfels.position[:, 1].min() > 2.9
 
 
 def test_a_street_without_leaves_keeps_its_colours() -> None:

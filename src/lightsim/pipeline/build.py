@@ -150,7 +150,7 @@ STAGES = (
     ),
     Stage(
         "sky",
-        13,
+        14,
         ("log", "alignment", "geometry", "assets", "panorama"),
         _sky_config,
         light.make_sky,

@@ -216,8 +216,10 @@ def patches_of(
 def _labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:
     """Faces on which the pictures say where shadows lie: not those that no picture shows, nor those
     of the background proxy, on which shadows fall where they happen to, and which is larger than
-    all that was measured; nor panes, which are dark in any light."""
+    all that was measured; nor panes, which are dark in any light; nor leaves, which shade each
+    other below the size of a patch."""
     is_told = ~mesh.comes_from(Provenance.BACKGROUND_PROXY)
+    is_told &= ~leaf_vertices(mesh)[mesh.faces[:, 0]]
     if mesh.confidence is not None:
         is_told &= (mesh.confidence[mesh.faces] > 0).any(axis=1)
     return np.flatnonzero(is_told & (mesh.face_roughness() >= MIRROR_ROUGHNESS))
