@@ -16,6 +16,7 @@ from lightsim.core.profiles import best_profile, energy_of_filling, least_energi
 from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.errors import FrameMismatchError, InputError
 from lightsim.geometry.completion.buildings import complete_buildings
+from lightsim.geometry.completion.crowns import Crowns
 from lightsim.geometry.completion.neighbours import raised_to_neighbours
 from lightsim.geometry.completion.prisms import roof_casters
 from lightsim.geometry.completion.walls import find_walls
@@ -30,6 +31,7 @@ RIGHT_HOUSE = (-10.0, -22.0, 25.0, -9.25, 7.0)
 LAMP = (12.0, 5.0, 12.3, 5.3, 8.0)
 # Parts of a wall: low x, high x, low z, high z.
 WINDOW, GATE = (9.0, 11.0, 1.5, 2.5), (20.0, 22.0, 0.0, 10.0)
+NO_CROWNS = Crowns.none(np.zeros((1, 3)))
 GROUND = GroundMap(
     np.zeros(2), 1.0, np.zeros((2, 2), dtype=np.float32), np.ones((2, 2), dtype=bool)
 )
@@ -126,6 +128,7 @@ def _complete(
         sweeps or [],
         GROUND,
         returns,
+        NO_CROWNS,
         make_caster=EmbreeCaster,
     )
     background = concatenate_meshes([seen, visible])

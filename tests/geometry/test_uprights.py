@@ -6,9 +6,19 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from tests.geometry.test_buildings import GROUND, WIDE, Box, View, _house, _street, _views
+from tests.geometry.test_buildings import (
+    GROUND,
+    NO_CROWNS,
+    WIDE,
+    Box,
+    View,
+    _house,
+    _street,
+    _views,
+)
 
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
+from lightsim.geometry.completion.crowns import Crowns
 from lightsim.geometry.completion.uprights import raise_uprights
 from lightsim.render.casters.embree import EmbreeCaster
 
@@ -18,7 +28,9 @@ _BUSH: Box = (4.0, 5.0, 6.0, 6.0, 3.0)
 _HALL: Box = (-5.0, 8.25, 25.0, 20.0, 14.0)
 
 
-def _raised(true: Sequence[Box], seen: Sequence[Box], measured: Sequence[Box]) -> TriMesh:
+def _raised(
+    true: Sequence[Box], seen: Sequence[Box], measured: Sequence[Box], crowns: Crowns = NO_CROWNS
+) -> TriMesh:
     """What rises on `measured` boxes in a street of `true` ones; `seen` stops beams."""
     truth = concatenate_meshes([_street(), *(_house(b, b[4], True) for b in true)])
     parts = [_street(), *(_house(b, b[4], True) for b in (*seen, *measured))]
@@ -28,7 +40,7 @@ def _raised(true: Sequence[Box], seen: Sequence[Box], measured: Sequence[Box]) -
     def silhouettes() -> list[View]:
         return views
 
-    return raise_uprights(background, silhouettes, GROUND, EmbreeCaster([background]))
+    return raise_uprights(background, silhouettes, GROUND, EmbreeCaster([background]), crowns)
 
 
 def _cut(box: Box, height_m: float) -> Box:
@@ -48,6 +60,25 @@ def test_what_the_highest_beam_cut_off_rises_to_its_top(box: Box, seen_m: float)
     volume = np.einsum("nc,nc->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
     wanted = (box[2] - box[0]) * (box[3] - box[1]) * (box[4] - seen_m)
     assert 0.5 * wanted < volume < 2.5 * wanted
+
+
+def test_what_stands_on_a_crown_is_leaves() -> None:
+    """As dense as the crown below, whose voxels reach up to 3 m."""
+    box = (14.0, 4.0, 15.2, 5.2, 6.0)
+    cells = np.argwhere(np.ones((3, 3, 2), bool))
+    crowns = Crowns(
+        np.array([14.0, 4.0, 2.2]), 0.4, cells, np.zeros(18, np.int64), np.full(18, 2.0),
+        np.zeros((0, 3)), np.zeros(19, np.int64), np.array([[14.0, 0.0, 0.0]]),
+    )  # fmt: skip
+    leaves = _raised([box], [], [_cut(box, 3.0)], crowns)
+    assert leaves.comes_from(Provenance.INFERRED).all()
+    middle = leaves.vertices[leaves.faces].mean(axis=1)
+    assert middle[:, 2].min() > 2.8
+    assert middle[:, 2].max() == pytest.approx(6.0, abs=0.4)
+    boxes = _raised([box], [], [_cut(box, 3.0)])
+    corners = boxes.vertices[boxes.faces].astype(np.float64)
+    volume = np.einsum("nc,nc->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+    assert leaves.face_areas_m2().sum() == pytest.approx(2.0 / 0.5 * volume, rel=0.2)
 
 
 def test_a_bush_before_a_hall_stays_a_bush() -> None:

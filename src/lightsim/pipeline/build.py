@@ -129,7 +129,7 @@ STAGES = (
     ),
     Stage(
         "geometry",
-        20,
+        21,
         ("log", "masks", "alignment", "neural"),
         _no_settings,
         surfaces.make_geometry,
@@ -150,14 +150,14 @@ STAGES = (
     ),
     Stage(
         "sky",
-        13,
+        14,
         ("log", "alignment", "geometry", "assets", "panorama"),
         _sky_config,
         light.make_sky,
     ),
     Stage(
         "twin",
-        14,
+        15,
         ("log", "alignment", "assets", "sky"),
         lambda o: light.TwinConfig(),
         light.make_twin,

@@ -32,6 +32,7 @@ from lightsim.appearance.intrinsic.labels import (
     predict_reflectance_steps,
     rendered_visibility,
 )
+from lightsim.appearance.intrinsic.leaves import leaf_colours, leaf_vertices
 from lightsim.appearance.intrinsic.light import LightAt, SeenPoints, SurfaceLight
 from lightsim.appearance.intrinsic.panes import pane_colours, pane_vertices
 from lightsim.appearance.intrinsic.reflectance import Members, materials_of
@@ -75,6 +76,8 @@ _LEAST_SURFELS = 50
 # Of what a pane of a building shows diffusely, the part that is believed to be its own curtain or
 # room: chosen by the base colour of true panes of street 77.
 _PANE_TRUST = 0.3
+# The same of what a leaf shows, of which a part is what stands behind.
+_LEAF_TRUST = 0.3
 
 # Size of the patches that carry labels, and how far above their centres light is asked for.
 _SURFEL_M, _LIFT_M = 0.25, 0.08
@@ -213,8 +216,10 @@ def patches_of(
 def _labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:
     """Faces on which the pictures say where shadows lie: not those that no picture shows, nor those
     of the background proxy, on which shadows fall where they happen to, and which is larger than
-    all that was measured; nor panes, which are dark in any light."""
+    all that was measured; nor panes, which are dark in any light; nor leaves, which shade each
+    other below the size of a patch."""
     is_told = ~mesh.comes_from(Provenance.BACKGROUND_PROXY)
+    is_told &= ~leaf_vertices(mesh)[mesh.faces[:, 0]]
     if mesh.confidence is not None:
         is_told &= (mesh.confidence[mesh.faces] > 0).any(axis=1)
     return np.flatnonzero(is_told & (mesh.face_roughness() >= MIRROR_ROUGHNESS))
@@ -271,10 +276,10 @@ def _finished(
     else:
         is_pane = pane_vertices(mesh)
         fill = pane_colours(mesh, shade.blended(colour), is_pane, seen > 0)
-        shade = DeepShade(
-            np.where(is_pane, np.minimum(shade.trust, _PANE_TRUST), shade.trust),
-            np.where(is_pane[:, None], fill, shade.fill),
-        )
+        shade = shade.where(is_pane, _PANE_TRUST, fill)
+        is_leaf = leaf_vertices(mesh) & ~is_pane
+        fill = leaf_colours(mesh, colour, is_leaf, shade.trust > 0)
+        shade = shade.where(is_leaf, _LEAF_TRUST, fill)
     texture, texel = mesh.texture, None
     if texture is not None:
         limits = (LOWEST_BASE_COLOUR, HIGHEST_BASE_COLOUR)

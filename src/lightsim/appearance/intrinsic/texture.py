@@ -46,6 +46,13 @@ class DeepShade:
         trust = self.trust[:, None]
         return trust * colour + (1.0 - trust) * self.fill
 
+    def where(
+        self, chosen: Bool[np.ndarray, " n"], most: float, fill: Float64[np.ndarray, "n 3"]
+    ) -> DeepShade:
+        """With another fill and no more trust than `most` at chosen points."""
+        trust = np.where(chosen, np.minimum(self.trust, most), self.trust)
+        return DeepShade(trust, np.where(chosen[:, None], fill, self.fill))
+
     def between(
         self, corners: Int32[np.ndarray, "t 3"], barycentric: Float32[np.ndarray, "t 3"]
     ) -> DeepShade:

@@ -19,6 +19,7 @@ from lightsim.core.casting import MakeCaster, check_world
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.core.sensors import LidarSweep
+from lightsim.geometry.completion.crowns import Crowns
 from lightsim.geometry.completion.far_walls import find_far_walls
 from lightsim.geometry.completion.free_space import find_free_space
 from lightsim.geometry.completion.neighbours import raised_to_neighbours
@@ -46,6 +47,7 @@ def complete_buildings(
     sweeps: Iterable[LidarSweep],
     ground: GroundMap,
     returns_world: Float32[np.ndarray, "n 3"],
+    crowns: Crowns,
     *,
     make_caster: MakeCaster,
 ) -> tuple[TriMesh, list[Roofline]]:
@@ -60,6 +62,7 @@ def complete_buildings(
         sweeps: beams that went over a wall tell that it ends there.
         ground: heights count from it.
         returns_world: of what stands still; walls go on where they lie on their planes.
+        crowns: go on upward as leaves.
         make_caster: builds the ray caster.
 
     Raises:
@@ -79,7 +82,7 @@ def complete_buildings(
             parts.extend(_visible_parts(*pair))
     # Raised walls explain what views show above things that stand before them.
     raised = concatenate_meshes([background, *parts])
-    uprights = raise_uprights(raised, silhouettes, ground, make_caster([raised]))
+    uprights = raise_uprights(raised, silhouettes, ground, make_caster([raised]), crowns)
     return concatenate_meshes([*parts, uprights]), rooflines
 
 

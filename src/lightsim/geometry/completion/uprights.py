@@ -17,7 +17,9 @@ from jaxtyping import Bool, Float64, Int8, Int64
 
 from lightsim.core.casting import RayCaster
 from lightsim.core.fields import GroundMap
-from lightsim.core.mesh import Material, Provenance, TriMesh
+from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
+from lightsim.geometry.completion.crowns import Crowns
+from lightsim.geometry.completion.leaf_cards import cards_above
 from lightsim.geometry.completion.silhouettes import ClassifiedView, View, classified_views
 from lightsim.geometry.surface import quad_mesh
 
@@ -71,14 +73,17 @@ def raise_uprights(
     silhouettes: Callable[[], Iterable[View]],
     ground: GroundMap,
     caster: RayCaster,
+    crowns: Crowns,
 ) -> TriMesh:
-    """The cells on top of measured columns that views show, as their open sides; inferred, black.
+    """The cells on top of measured columns that views show, as their open sides, or full of leaves
+    where they stand on a crown; inferred, black.
 
     Args:
         background: measured static surfaces, and walls as far as they were raised, frame world.
         silhouettes: gives frames with their camera (of the matte's size) and sky matte, twice.
         ground: heights count from it.
         caster: over the background.
+        crowns: go on upward as leaves.
 
     Raises:
         InputError: a matte does not fit its camera.
@@ -91,7 +96,17 @@ def raise_uprights(
             _look(columns, (first, last), view, caster)
         is_alive = (_height(columns, last) == last) & (columns.matter[:, 0] >= _LEAST_VIEWS)
         columns = columns.some(is_alive if last < levels else columns.matter[:, 0] > 0)
-    return _boxes(columns, _height(columns, levels))
+    height, is_crown = _height(columns, levels), crowns.contain(columns.place_m)
+    boxes = _boxes(columns.some(~is_crown), height[~is_crown])
+    column = np.repeat(np.flatnonzero(is_crown), height[is_crown])
+    if not len(column):
+        return boxes
+    level = np.concatenate([np.arange(count) for count in height[is_crown]])
+    middle = columns.place_m[column]
+    middle[:, :2] = (columns.cell[column] + 0.5) * _CELL_M
+    middle[:, 2] += (level + 0.5) * _CELL_M
+    leaves = cards_above(crowns, middle, _CELL_M, np.random.default_rng(0))
+    return concatenate_meshes([boxes, leaves])
 
 
 def _find_columns(background: TriMesh, ground: GroundMap) -> _Columns:

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
 
 from lightsim.appearance.build import AssetConfig, build_assets
-from lightsim.core.camera import PinholeCamera
+from lightsim.appearance.intrinsic.surfels import LidarReturns
+from lightsim.core.buildings import Roofline, Wall
+from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh, concatenate_meshes
-from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import SceneAssets
 from lightsim.geometry.completion.buildings import complete_buildings
+from lightsim.geometry.completion.crowns import Beams, Crowns, find_crowns
 from lightsim.geometry.completion.far_field import build_far_field
 from lightsim.geometry.completion.flatten import flatten_walls
 from lightsim.geometry.completion.glass import find_glass
 from lightsim.geometry.completion.glazing import glaze
+from lightsim.geometry.completion.leaf_cards import crown_cards, without_shreds
 from lightsim.geometry.completion.pole_meshes import with_poles
 from lightsim.geometry.completion.poles import find_poles, raise_poles
+from lightsim.geometry.completion.silhouettes import View
 from lightsim.geometry.completion.walls import find_walls
 from lightsim.geometry.mesh_scene import mesh_scene
 from lightsim.geometry.simplify import simplify_planar
@@ -35,6 +38,8 @@ from lightsim.store.rooflines import write_rooflines
 
 _WALL_RETURNS = 3_000_000
 """LiDAR returns that walls are drawn onto, at most."""
+_BOX_MARGIN_M = 0.3
+"""Returns this near the box of a vehicle at rest are its own."""
 
 
 def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
@@ -48,21 +53,52 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
         progress=context.progress,
         smooth_planes=partial(flatten_walls, returns_world=returns.points),
     )
-
-    def views() -> Iterable[tuple[CameraFrame, PinholeCamera, Float32[np.ndarray, "h w"]]]:
-        return ((f, log.cameras[f.camera_name], work.sky_matte(f)) for f in log.frames)
-
+    walls = find_walls(meshes.background)
+    crowns = find_crowns(_beams(log, returns), walls, fields.ground, fields.path_m)
     poles = find_poles(returns.points, returns.origins, fields.ground, fields.path_m)
-    poles = raise_poles(poles, views)
-    background = with_poles(meshes.background, poles)
-    walls = find_walls(background)
+    poles = raise_poles(poles, partial(_views, work))
+    cards = crown_cards(crowns, np.random.default_rng(context.seed))
+    background = with_poles(without_shreds(meshes.background, crowns), poles)
+    background = concatenate_meshes([background, cards])
+    background, rooflines, notes = _completed(work, background, (walls, crowns), returns, context)
+    write_assets(folder, replace(meshes, background=background))
+    write_rooflines(folder / "rooflines.npz", rooflines)
+    return (
+        *meshes.notes,
+        *notes,
+        f"{len(poles)} poles, posts and trunks stand as rods",
+        f"{len(crowns)} crowns are drawn by {len(cards.faces) // 2} cards",
+    )
+
+
+def _views(work: Workspace) -> Iterable[View]:
+    """Frames with their camera and sky matte."""
+    log = work.training_log
+    return ((f, log.cameras[f.camera_name], work.sky_matte(f)) for f in log.frames)
+
+
+def _completed(
+    work: Workspace,
+    background: TriMesh,
+    found: tuple[Sequence[Wall], Crowns],
+    returns: LidarReturns,
+    context: Context,
+) -> tuple[TriMesh, list[Roofline], tuple[str, ...]]:
+    """The measured background with buildings, panes and the far field; roofs, and notes.
+
+    Args:
+        found: walls and crowns in it.
+    """
+    log, fields = work.training_log, work.fields
+    walls, crowns = found
     facades, rooflines = complete_buildings(
         background,
         walls,
-        views,
+        partial(_views, work),
         (sweep.load() for sweep in context.progress.track(log.sweeps, "walls and roofs")),
         fields.ground,
         returns.points,
+        crowns,
         make_caster=make_embree_caster,
     )
     background = concatenate_meshes([background, simplify_planar(facades)])
@@ -74,22 +110,24 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
     )
     background = glaze(background, panes)
     far = build_far_field(
-        background,
-        views(),
-        fields.ground,
-        fields.path_m,
-        make_caster=make_embree_caster,
+        background, _views(work), fields.ground, fields.path_m, make_caster=make_embree_caster
     )
-    background = concatenate_meshes([background, far])
-    write_assets(folder, replace(meshes, background=background))
-    write_rooflines(folder / "rooflines.npz", rooflines)
-    return (
-        *meshes.notes,
+    notes = (
         f"{len(facades.faces)} faces close windows and raise facades, {len(far.faces)} stand "
         f"beyond the LiDAR's reach; {len(rooflines)} walls have a roof: inferred, not measured",
         f"{len(panes)} panes of glass are set into walls",
-        f"{len(poles)} poles, posts and trunks stand as rods",
     )
+    return concatenate_meshes([background, far]), rooflines, notes
+
+
+def _beams(log: DrivingLog, returns: LidarReturns) -> Beams:
+    """Beams without those that ended on vehicles at rest."""
+    is_used = np.ones(len(returns.points), dtype=bool)
+    for track in log.actors:
+        if not track.is_moving:
+            start_ns = track.trajectory.start_ns
+            is_used &= ~track.contains(returns.points.astype(np.float64), start_ns, _BOX_MARGIN_M)
+    return Beams(returns.origins[is_used], returns.points[is_used])
 
 
 def make_assets(

@@ -1,0 +1,51 @@
+"""Base colours of leaves: those of a crown are alike, and a picture of one shows what is behind it,
+too."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float64
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from lightsim.core.adjacency import adjacency
+from lightsim.core.mesh import TriMesh
+
+_AROUND, _AROUND_M = 64, 2.0
+"""Corners of leaves around one, no further away, whose median is its colour. Not measured alone."""
+
+
+def leaf_vertices(mesh: TriMesh) -> Bool[np.ndarray, " n"]:
+    """Vertices of cards: pieces of no more than four corners. Other surface hangs together."""
+    count, piece = connected_components(adjacency(mesh.faces, len(mesh.vertices)), directed=False)
+    size = np.bincount(piece, minlength=int(count))[piece]
+    return size <= 4
+
+
+def leaf_colours(
+    mesh: TriMesh,
+    colour: Float64[np.ndarray, "n 3"],
+    is_leaf: Bool[np.ndarray, " n"],
+    is_seen: Bool[np.ndarray, " n"],
+) -> Float64[np.ndarray, "n 3"]:
+    """For each leaf the median of those seen around it, or of all where none is; the given colours
+    elsewhere.
+
+    Args:
+        is_leaf: vertices (`leaf_vertices`).
+    """
+    fill = colour.copy()
+    seen = is_leaf & is_seen
+    if not seen.any():
+        return fill
+    places, known = mesh.vertices[is_leaf], colour[seen]
+    distance, index = KDTree(mesh.vertices[seen]).query(
+        places, min(_AROUND, len(known)), distance_upper_bound=_AROUND_M
+    )
+    distance, index = distance.reshape(len(places), -1), index.reshape(len(places), -1)
+    is_near = np.isfinite(distance)[..., None]
+    near = np.where(is_near, known[np.minimum(index, len(known) - 1)], np.nan)
+    has_near = is_near.any(axis=(1, 2))
+    fill[is_leaf] = np.median(known, axis=0)
+    fill[np.flatnonzero(is_leaf)[has_near]] = np.nanmedian(near[has_near], axis=1)
+    return fill

@@ -1,0 +1,242 @@
+"""Crowns of trees and bushes: volumes in which beams both stop and pass.
+
+A grid of signed distances makes shreds of leaves. What beams tell of a crown is how dense it is:
+returns a metre of free way, place by place. Leaves are then drawn as cards of that density
+(`leaf_cards`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+from scipy import ndimage
+from scipy.spatial import KDTree
+
+from lightsim.core.buildings import Wall
+from lightsim.core.fields import GroundMap
+from lightsim.geometry.completion.free_space_kernels import walk_beams
+from lightsim.geometry.surface import path_distance_m
+
+# Chosen while looking at the street of seed 0; what they bring is measured
+# (docs/benchmarks/reconstruction.md).
+
+# Edge of a voxel: one of a tree 30 m away has some returns.
+_VOXEL_M = 0.4
+# Beams are too far apart beyond.
+_REACH_M = 60.0
+_LOWEST_M, _HIGHEST_M = 0.8, 25.0
+# Returns around a place, no further away, tell whether it lies on a surface: leaves scatter by so
+# much about the best plane, absolutely and as a fraction of their whole variance.
+_AROUND, _AROUND_M, _LEAST_AROUND = 24, 0.7, 8
+_SCATTER_M, _SCATTER = 0.05, 0.04
+# Scattered returns of a voxel and the 26 around, as a fraction; beams that passed, likewise.
+_LEAST_SCATTERED, _LEAST_PASSED = 0.5, 0.25
+# Of a crown: returns, and extent along each axis.
+_LEAST_RETURNS, _LEAST_EXTENT_M = 20, 1.2
+# Walls with what stands out of them are no crowns.
+_WALL_M = 0.5
+# Extinction of a voxel is that of the crown with the weight of so much free way.
+_PRIOR_WAY_M = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Crowns:
+    """Voxels of foliage, frame world.
+
+    Args:
+        low_m: lowest corner of voxel (0, 0, 0).
+        voxel_m: edge of a voxel.
+        cells: of the voxels, unique.
+        crown: number of the crown that each belongs to, from 0.
+        extinction: of beams, by leaves, 1 / m.
+        returns_m: LiDAR returns within, grouped by voxel.
+        first_return: where each voxel's returns begin; the last is their number.
+        path_m: of the recording, from where crowns were seen.
+    """
+
+    low_m: Float64[np.ndarray, "3"]
+    voxel_m: float
+    cells: Int64[np.ndarray, "n 3"]
+    crown: Int64[np.ndarray, " n"]
+    extinction: Float64[np.ndarray, " n"]
+    returns_m: Float64[np.ndarray, "r 3"]
+    first_return: Int64[np.ndarray, " n_plus_1"]
+    path_m: Float64[np.ndarray, "k 3"]
+
+    @staticmethod
+    def none(path_m: Float64[np.ndarray, "k 3"]) -> Crowns:
+        """A street without trees."""
+        whole, nothing = np.zeros(0, np.int64), np.zeros((0, 3))
+        voxels = whole.reshape(0, 3), whole, nothing[:, 0]
+        return Crowns(np.zeros(3), _VOXEL_M, *voxels, nothing, np.zeros(1, np.int64), path_m)
+
+    def __len__(self) -> int:
+        """Number of crowns."""
+        return int(self.crown.max(initial=-1)) + 1
+
+    def nearest_eyes(self, points: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]:
+        """Places of the path from which points were seen best."""
+        return self.path_m[KDTree(self.path_m[:, :2]).query(points[:, :2])[1]]
+
+    def contain(self, points: Float64[np.ndarray, "p 3"]) -> Bool[np.ndarray, " p"]:
+        """Points in a voxel, or beside one."""
+        if not len(self.cells):
+            return np.zeros(len(points), dtype=bool)
+        low = self.cells.min(axis=0) - 1
+        shape = self.cells.max(axis=0) - low + 2
+        is_in = np.zeros(tuple(shape.tolist()), dtype=bool)
+        is_in[tuple((self.cells - low).T)] = True
+        is_in = ndimage.binary_dilation(is_in, np.ones((3, 3, 3)))
+        cell = np.floor((points - self.low_m) / self.voxel_m).astype(np.int64) - low
+        is_near = ((cell >= 0) & (cell < shape)).all(axis=1)
+        found = np.zeros(len(points), dtype=bool)
+        found[is_near] = is_in[tuple(cell[is_near].T)]
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Beams:
+    """Straight ways of light, frame world, metres.
+
+    Args:
+        origins: where they started.
+        ends: where they met something.
+    """
+
+    origins: Float32[np.ndarray, "b 3"]
+    ends: Float32[np.ndarray, "b 3"]
+
+
+def find_crowns(
+    beams: Beams,
+    walls: Sequence[Wall],
+    ground: GroundMap,
+    path_m: Float64[np.ndarray, "k 3"],
+) -> Crowns:
+    """Where beams both stop and pass, on no surface; with the extinction there.
+
+    Extinction is returns over the free way of all beams within a voxel, the maximum likelihood
+    estimate under Beer and Lambert's law (Pimont et al. 2019, doi:10.3390/rs11131580).
+
+    Args:
+        beams: of what stands still; more of them tell more.
+        walls: upright planes of the measured background, on which is no crown.
+        ground: heights count from it.
+        path_m: of the recording.
+    """
+    is_used = _may_be_leaves(beams.ends, walls, ground, path_m)
+    points = beams.ends[is_used].astype(np.float64)
+    low = points.min(axis=0, initial=np.inf) - 2 * _VOXEL_M
+    if len(points) < _LEAST_RETURNS:
+        return Crowns.none(path_m)
+    shape = np.ceil((points.max(axis=0) - low) / _VOXEL_M).astype(np.int64) + 2
+    cell = np.floor((points - low) / _VOXEL_M).astype(np.int64)
+    is_scattered = _is_scattered(points, beams.ends)
+    count, scattered = (np.zeros(tuple(shape.tolist()), np.float32) for _ in range(2))
+    np.add.at(count, tuple(cell.T), 1)
+    np.add.at(scattered, tuple(cell.T), is_scattered)
+    stops, entries = (np.zeros(count.shape, np.int32) for _ in range(2))
+    way = np.zeros(count.shape, np.float32)
+    origins, ends = ((p.astype(np.float64) - low) / _VOXEL_M for p in (beams.origins, beams.ends))
+    walk_beams(origins, ends, stops, entries, way)
+    passed = 1 - _around(stops) / np.maximum(_around(entries), 1)
+    is_crown = (count > 0) & (_around(scattered) > _LEAST_SCATTERED * _around(stops))
+    is_crown &= passed > _LEAST_PASSED
+    label = _pieces(is_crown, cell)
+    return _measured(label, (stops, way * _VOXEL_M), (low, cell), points, path_m)
+
+
+def _may_be_leaves(
+    points: Float32[np.ndarray, "n 3"],
+    walls: Sequence[Wall],
+    ground: GroundMap,
+    path_m: Float64[np.ndarray, "k 3"],
+) -> Bool[np.ndarray, " n"]:
+    """Returns near the path, above the ground and away from walls."""
+    height = points[:, 2] - ground.look_up(points[:, :2].astype(np.float64))
+    is_used = (height > _LOWEST_M) & (height < _HIGHEST_M)
+    is_used &= path_distance_m(points, path_m) < _REACH_M
+    for wall in walls:
+        rows = np.flatnonzero(is_used)
+        s, out = wall.place(points[rows].astype(np.float64))
+        is_on = (np.abs(out) < _WALL_M) & (s > wall.span_m[0] - _WALL_M)
+        is_on &= (s < wall.span_m[1] + _WALL_M) & (points[rows, 2] < wall.height_m[1] + _WALL_M)
+        is_used[rows[is_on]] = False
+    return is_used
+
+
+def _is_scattered(
+    points: Float64[np.ndarray, "n 3"], returns: Float32[np.ndarray, "r 3"]
+) -> Bool[np.ndarray, " n"]:
+    """Points around which returns fill a volume, not a surface or a line."""
+    tree = KDTree(returns)
+    found = np.zeros(len(points), dtype=bool)
+    for start in range(0, len(points), 1 << 16):
+        part = slice(start, start + (1 << 16))
+        distance, index = tree.query(points[part], _AROUND, distance_upper_bound=_AROUND_M)
+        is_near = np.isfinite(distance)
+        near = returns[np.where(is_near, index, 0)].astype(np.float64)
+        weight = is_near / np.maximum(is_near.sum(axis=1, keepdims=True), 1)
+        offset = near - (weight[..., None] * near).sum(axis=1, keepdims=True)
+        spread = np.linalg.eigvalsh(np.einsum("nk,nki,nkj->nij", weight, offset, offset))
+        thin = np.maximum(spread[:, 0], 0.0)
+        is_volume = (np.sqrt(thin) > _SCATTER_M) & (thin > _SCATTER * spread.sum(axis=1))
+        found[part] = is_volume & (is_near.sum(axis=1) >= _LEAST_AROUND)
+    return found
+
+
+def _around(values: np.ndarray) -> Float32[np.ndarray, "x y z"]:
+    """Sum over each voxel and the 26 around."""
+    return 27 * ndimage.uniform_filter(values.astype(np.float32), 3, mode="constant")
+
+
+def _pieces(
+    is_crown: Bool[np.ndarray, "x y z"], cell: Int64[np.ndarray, "n 3"]
+) -> Int64[np.ndarray, "x y z"]:
+    """Number of the connected piece that each voxel belongs to, from 1; 0 for those of none, and of
+    pieces that are too small.
+
+    Args:
+        cell: voxels of the returns.
+    """
+    label = np.zeros(is_crown.shape, dtype=np.int64)
+    number = int(np.asarray(ndimage.label(is_crown, np.ones((3, 3, 3)), output=label)))
+    count = np.bincount(label[tuple(cell.T)], minlength=number + 1)
+    boxes = ndimage.find_objects(label)
+    is_large = np.array(
+        [min(s.stop - s.start for s in box) * _VOXEL_M > _LEAST_EXTENT_M - 1e-6 for box in boxes],
+        dtype=bool,
+    )
+    is_kept = np.r_[False, is_large & (count[1:] >= _LEAST_RETURNS)]
+    return np.where(is_kept, np.cumsum(is_kept), 0)[label]
+
+
+def _measured(
+    label: Int64[np.ndarray, "x y z"],
+    counts: tuple[np.ndarray, np.ndarray],
+    grid: tuple[Float64[np.ndarray, "3"], Int64[np.ndarray, "n 3"]],
+    points: Float64[np.ndarray, "n 3"],
+    path_m: Float64[np.ndarray, "k 3"],
+) -> Crowns:
+    """Extinction of each voxel, drawn towards that of its crown where few beams tell.
+
+    Args:
+        counts: returns of each voxel, and free way, metres.
+        grid: its lowest corner, and the voxel of each point.
+    """
+    low, cell = grid
+    stops, way = (a[label > 0].astype(np.float64) for a in counts)
+    crown = label[label > 0] - 1
+    usual = np.bincount(crown, stops) / np.maximum(np.bincount(crown, way), 1e-6)
+    extinction = (stops + _PRIOR_WAY_M * usual[crown]) / (way + _PRIOR_WAY_M)
+    number = np.full(label.shape, -1, np.int64)
+    number[label > 0] = np.arange(len(crown))
+    own = number[tuple(cell.T)]
+    order = np.argsort(own, kind="stable")
+    order = order[own[order] >= 0]
+    first = np.searchsorted(own[order], np.arange(len(crown) + 1))
+    voxels = np.argwhere(label > 0), crown, extinction
+    return Crowns(low, _VOXEL_M, *voxels, points[order], first, path_m)
