@@ -1,11 +1,13 @@
 """What is wrong with each pixel of a relit frame, and what it costs.
 
-    python benchmarks/relight_faults.py WORK --truth DIR
+    python benchmarks/relight_faults.py WORK --truth DIR [--made WORK/scenarios/NAME]
+        [--only low_sun/front_camera ...]
 
 Pixels of the frames that have exact buffers, each counted with the first fault that it has: the
 target sun's shadow, the source sun's visibility, depth (0.3 m or 2 %), normal (20 degrees), and
-then by what it shows. Share of the surface, share of the squared error and root of its mean (sRGB,
-0 to 1); Markdown.
+then by what it shows. --made: pictures that a method made under several skies (those of `lightsim
+evaluate relight`) instead of the physical estimate; --only: a table of single pictures. Fraction of
+the surface, fraction of the squared error and root of its mean (sRGB, 0 to 1); Markdown.
 """
 
 from __future__ import annotations
@@ -31,20 +33,39 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("work", type=Path)
     parser.add_argument("--truth", type=Path, required=True)
+    parser.add_argument("--made", type=Path)
+    parser.add_argument("--only", nargs="+", default=())
     options = parser.parse_args()
     street = Street(options.work, options.truth)
     counts: dict[tuple[str, str], np.ndarray] = defaultdict(lambda: np.zeros(2))
     for path in sorted((options.truth / "base_colour").glob("*/*.exr")):
-        seen = street.frame(path.parent.name, path.stem)
-        for target in street.targets():
-            file = options.truth / "relit" / target / path.parent.name / f"{path.stem}.jpg"
-            made = street.relit(seen, "estimated", target) / 255
-            square = np.square(made - read_srgb8(file) / 255).mean(axis=-1)
+        camera, stem = path.parent.name, path.stem
+        targets = [
+            t for t in street.targets() if not options.only or f"{t}/{camera}" in options.only
+        ]
+        if not targets:
+            continue
+        seen = street.frame(camera, stem)
+        for target in targets:
+            file = options.truth / "relit" / target / camera / f"{stem}.jpg"
+            square = np.square(_made(options, street, seen, target) - read_srgb8(file) / 255)
+            square = square.mean(axis=-1)
+            row = f"{target}, {camera}" if options.only else target
             left = seen.is_surface.copy()
             for fault, members in _faults(street, seen, street.skies[target]):
-                counts[target, fault] += [(left & members).sum(), square[left & members].sum()]
+                counts[row, fault] += [(left & members).sum(), square[left & members].sum()]
                 left &= ~members
     sys.stdout.write(_table(counts))
+
+
+def _made(
+    options: argparse.Namespace, street: Street, seen: TracedFrame, target: str
+) -> np.ndarray:
+    """The relit picture, sRGB from 0 to 1."""
+    if options.made is None:
+        return street.relit(seen, "estimated", target) / 255
+    folder = options.made / target / "frames" / seen.frame.camera_name
+    return read_srgb8(folder / f"{seen.frame.stem}.png") / 255
 
 
 def _faults(street: Street, seen: TracedFrame, target: SkyDome) -> Iterator[tuple[str, np.ndarray]]:
