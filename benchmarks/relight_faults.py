@@ -3,11 +3,12 @@
     python benchmarks/relight_faults.py WORK --truth DIR [--made WORK/scenarios/NAME]
         [--only low_sun/front_camera ...]
 
-Pixels of the frames that have exact buffers, each counted with the first fault that it has: the
-target sun's shadow, the source sun's visibility, depth (0.3 m or 2 %), normal (20 degrees), and
-then by what it shows. --made: pictures that a method made under several skies (those of `lightsim
-evaluate relight`) instead of the physical estimate; --only: a table of single pictures. Fraction of
-the surface, fraction of the squared error and root of its mean (sRGB, 0 to 1); Markdown.
+Pixels of the frames that have exact buffers (of streets of the benchmark, which have none: of all
+frames that are relit), each counted with the first fault that it has: the target sun's shadow, the
+source sun's visibility, depth (0.3 m or 2 %), normal (20 degrees), and then by what it shows.
+--made: pictures that a method made under several skies (those of `lightsim evaluate relight`)
+instead of the physical estimate; --only: a table of single pictures. Fraction of the surface,
+fraction of the squared error and root of its mean (sRGB, 0 to 1); Markdown.
 """
 
 from __future__ import annotations
@@ -38,8 +39,7 @@ def main() -> None:
     options = parser.parse_args()
     street = Street(options.work, options.truth)
     counts: dict[tuple[str, str], np.ndarray] = defaultdict(lambda: np.zeros(2))
-    for path in sorted((options.truth / "base_colour").glob("*/*.exr")):
-        camera, stem = path.parent.name, path.stem
+    for camera, stem in _frames(options.truth):
         targets = [
             t for t in street.targets() if not options.only or f"{t}/{camera}" in options.only
         ]
@@ -56,6 +56,14 @@ def main() -> None:
                 counts[row, fault] += [(left & members).sum(), square[left & members].sum()]
                 left &= ~members
     sys.stdout.write(_table(counts))
+
+
+def _frames(truth: Path) -> list[tuple[str, str]]:
+    """Camera and stem of frames that have exact buffers; of streets of the benchmark, which have
+    none, of all that were relit."""
+    buffers = sorted((truth / "base_colour").glob("*/*.exr"))
+    pictures = buffers or (truth / "relit").glob("*/*/*.jpg")
+    return sorted({(path.parent.name, path.stem) for path in pictures})
 
 
 def _made(
