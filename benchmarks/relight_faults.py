@@ -1,7 +1,7 @@
 """What is wrong with each pixel of a relit frame, and what it costs.
 
     python benchmarks/relight_faults.py WORK --truth DIR [--made WORK/scenarios/NAME]
-        [--only low_sun/front_camera ...]
+        [--only low_sun/front_camera/03 ...]
 
 Pixels of the frames that have exact buffers (of streets of the benchmark, which have none: of all
 frames that are relit), each counted with the first fault that it has: the target sun's shadow, the
@@ -39,18 +39,16 @@ def main() -> None:
     options = parser.parse_args()
     street = Street(options.work, options.truth)
     counts: dict[tuple[str, str], np.ndarray] = defaultdict(lambda: np.zeros(2))
-    for camera, stem in _frames(options.truth):
-        targets = [
-            t for t in street.targets() if not options.only or f"{t}/{camera}" in options.only
-        ]
-        if not targets:
-            continue
+    named = {(words.split("/")[1], words.split("/")[2]) for words in options.only}
+    for camera, stem in sorted(named) or _frames(options.truth):
+        is_asked = {t: f"{t}/{camera}/{stem}" in options.only for t in street.targets()}
+        targets = [target for target, is_wanted in is_asked.items() if is_wanted or not named]
         seen = street.frame(camera, stem)
         for target in targets:
             file = options.truth / "relit" / target / camera / f"{stem}.jpg"
             square = np.square(_made(options, street, seen, target) - read_srgb8(file) / 255)
             square = square.mean(axis=-1)
-            row = f"{target}, {camera}" if options.only else target
+            row = f"{target}, {camera} {stem}" if named else target
             left = seen.is_surface.copy()
             for fault, members in _faults(street, seen, street.skies[target]):
                 counts[row, fault] += [(left & members).sum(), square[left & members].sum()]
@@ -107,8 +105,13 @@ def _faults(street: Street, seen: TracedFrame, target: SkyDome) -> Iterator[tupl
 
 def _table(counts: dict[tuple[str, str], np.ndarray]) -> str:
     lines = ["| target | fault | surface | squared error | rms |", "|---|---|---:|---:|---:|"]
+    told: set[str] = set()
     for (target, fault), (area, error) in counts.items():
         total = np.sum([found for (name, _), found in counts.items() if name == target], axis=0)
+        if target not in told:
+            told.add(target)
+            rms = np.sqrt(total[1] / total[0])
+            lines.append(f"| {target} | all, {-20 * np.log10(rms):.1f} dB | 1 | 1 | {rms:.3f} |")
         lines.append(
             f"| {target} | {fault} | {area / total[0]:.3f} | {error / total[1]:.3f} |"
             f" {np.sqrt(error / max(area, 1)):.3f} |"
