@@ -125,7 +125,7 @@ def _make_masks(options: argparse.Namespace) -> None:
 def _build_and_measure(options: argparse.Namespace, name: str) -> None:
     """Build one variant as far as the sky, and write its scores.json."""
     work = options.out / name
-    _take_from_siblings(options.out, work, _options(options, name))
+    take_from_siblings(options.out, work, _options(options, name))
     pipeline.build(work, _options(options, name), LineProgress(), until="sky")
     frames = held_out_frames(
         Workspace(work),
@@ -155,7 +155,7 @@ def _build_and_measure(options: argparse.Namespace, name: str) -> None:
     (work / "scores.json").write_text(json.dumps(scores, indent=1))
 
 
-def _take_from_siblings(out: Path, work: Path, options: BuildOptions) -> None:
+def take_from_siblings(out: Path, work: Path, options: BuildOptions) -> None:
     """Artefacts that another variant has made from the same recipe need not be made again."""
     source_key = hash_names(hash_recording(Path(options.reading.source)))
     for stage, artefact_key in pipeline.artefact_keys(options, source_key).items():

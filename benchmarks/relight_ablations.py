@@ -1,7 +1,8 @@
-"""The paper's table A2 and ours: relighting networks without one part each, on the same data.
+"""Relighting networks without one part each, trained on the same data, against the truth: what the
+paper's table A2 (`lightsim evaluate paper-tableA2`) has no figure for.
 
     python benchmarks/relight_ablations.py DATA OUT --validation 412 [--steps 2000]
-        [--network network]
+        [--network network] [--jobs 1]
 
 DATA: of `lightsim train prepare relight`. Every row is a run of `lightsim train relight` in a
 folder of OUT; what is finished stays. Scores are of the validation streets: PSNR dB and LPIPS
@@ -13,39 +14,14 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from lightsim.progress import LineProgress
+from lightsim.simulation.batch import BatchOptions
+from lightsim.simulation.paper_ablations import ABLATIONS, train_rows
 from lightsim.store.artefact import read_json
-from lightsim.training.options import RelightTrainingOptions
 from lightsim.training.relight_scores import IDENTITY
-from lightsim.training.run_relight import train
-
-# Parts left out, or the weight of the edges' loss.
-ROWS: dict[str, dict[str, dict[str, Any]]] = {
-    "network": {
-        "all": {},
-        "without true pairs and physical estimate": {"without": ("truth", "physical")},
-        "without identity": {"without": ("identity",)},
-        "without buffers": {"without": ("buffers",)},
-        "without shadow maps": {"without": ("shadow-maps",)},
-        "without the physical estimate": {"without": ("physical",)},
-        "without confidence": {"without": ("confidence",)},
-        "edges 0": {"edge_weight": 0.0},
-        "edges 1": {"edge_weight": 1.0},
-    },
-    "paper": {
-        "all": {},
-        "without sim-real": {"without": ("sim-real",)},
-        "without identity": {"without": ("identity",)},
-        "without buffers": {"without": ("buffers",)},
-        "without shadow maps": {"without": ("shadow-maps",)},
-        "edges 0": {"edge_weight": 0.0},
-        "edges 200": {"edge_weight": 200.0},
-        "edges 800": {"edge_weight": 800.0},
-    },
-}
 
 
 def main() -> None:
@@ -54,27 +30,22 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--validation", nargs="+", required=True)
     parser.add_argument("--steps", type=int, default=2000)
-    parser.add_argument("--network", choices=sorted(ROWS), default="network")
+    parser.add_argument("--network", choices=sorted(ABLATIONS), default="network")
+    parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
+    weights, notes = train_rows(
+        options.network, options.data, options.out,
+        ("--steps", str(options.steps), "--validation", *options.validation),
+        BatchOptions(out=options.out / "batch", jobs=options.jobs), LineProgress(),
+    )  # fmt: skip
     sys.stdout.write("| row | PSNR dB | LPIPS | identity dB |\n|---|---:|---:|---:|\n")
-    for name, changes in ROWS[options.network].items():
-        run = options.out / f"{options.network}-{name.replace(' ', '-')}"
-        if not (run / "scores.json").exists():
-            train(
-                RelightTrainingOptions(
-                    data=options.data,
-                    out=run,
-                    network=options.network,
-                    steps=options.steps,
-                    validation=tuple(options.validation),
-                    **changes,
-                )
-            )
-        scores = read_json(run / "scores.json")
+    for name, path in weights.items():
+        scores = read_json(path.with_name("scores.json"))
         found = {sky: row["network"] for sky, row in scores.items() if isinstance(row, dict)}
         same_db = found.pop(IDENTITY)["psnr_db"]
         psnr_db, lpips = (np.mean([s[key] for s in found.values()]) for key in ("psnr_db", "lpips"))
         sys.stdout.write(f"| {name} | {psnr_db:.2f} | {lpips:.3f} | {same_db:.1f} |\n")
+    sys.stdout.writelines(f"{note}\n" for note in notes)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,14 @@
 """What is wrong with each pixel of a relit frame, and what it costs.
 
-    python benchmarks/relight_faults.py WORK --truth DIR
+    python benchmarks/relight_faults.py WORK --truth DIR [--made WORK/scenarios/NAME]
+        [--only low_sun/front_camera/03 ...]
 
-Pixels of the frames that have exact buffers, each counted with the first fault that it has: the
-target sun's shadow, the source sun's visibility, depth (0.3 m or 2 %), normal (20 degrees), and
-then by what it shows. Share of the surface, share of the squared error and root of its mean (sRGB,
-0 to 1); Markdown.
+Pixels of the frames that have exact buffers (of streets of the benchmark, which have none: of all
+frames that are relit), each counted with the first fault that it has: the target sun's shadow, the
+source sun's visibility, depth (0.3 m or 2 %), normal (20 degrees), and then by what it shows.
+--made: pictures that a method made under several skies (those of `lightsim evaluate relight`)
+instead of the physical estimate; --only: a table of single pictures. Fraction of the surface,
+fraction of the squared error and root of its mean (sRGB, 0 to 1); Markdown.
 """
 
 from __future__ import annotations
@@ -31,20 +34,44 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("work", type=Path)
     parser.add_argument("--truth", type=Path, required=True)
+    parser.add_argument("--made", type=Path)
+    parser.add_argument("--only", nargs="+", default=())
     options = parser.parse_args()
     street = Street(options.work, options.truth)
     counts: dict[tuple[str, str], np.ndarray] = defaultdict(lambda: np.zeros(2))
-    for path in sorted((options.truth / "base_colour").glob("*/*.exr")):
-        seen = street.frame(path.parent.name, path.stem)
-        for target in street.targets():
-            file = options.truth / "relit" / target / path.parent.name / f"{path.stem}.jpg"
-            made = street.relit(seen, "estimated", target) / 255
-            square = np.square(made - read_srgb8(file) / 255).mean(axis=-1)
+    named = {(words.split("/")[1], words.split("/")[2]) for words in options.only}
+    for camera, stem in sorted(named) or _frames(options.truth):
+        is_asked = {t: f"{t}/{camera}/{stem}" in options.only for t in street.targets()}
+        targets = [target for target, is_wanted in is_asked.items() if is_wanted or not named]
+        seen = street.frame(camera, stem)
+        for target in targets:
+            file = options.truth / "relit" / target / camera / f"{stem}.jpg"
+            square = np.square(_made(options, street, seen, target) - read_srgb8(file) / 255)
+            square = square.mean(axis=-1)
+            row = f"{target}, {camera} {stem}" if named else target
             left = seen.is_surface.copy()
             for fault, members in _faults(street, seen, street.skies[target]):
-                counts[target, fault] += [(left & members).sum(), square[left & members].sum()]
+                counts[row, fault] += [(left & members).sum(), square[left & members].sum()]
                 left &= ~members
     sys.stdout.write(_table(counts))
+
+
+def _frames(truth: Path) -> list[tuple[str, str]]:
+    """Camera and stem of frames that have exact buffers; of streets of the benchmark, which have
+    none, of all that were relit."""
+    buffers = sorted((truth / "base_colour").glob("*/*.exr"))
+    pictures = buffers or (truth / "relit").glob("*/*/*.jpg")
+    return sorted({(path.parent.name, path.stem) for path in pictures})
+
+
+def _made(
+    options: argparse.Namespace, street: Street, seen: TracedFrame, target: str
+) -> np.ndarray:
+    """The relit picture, sRGB from 0 to 1."""
+    if options.made is None:
+        return street.relit(seen, "estimated", target) / 255
+    folder = options.made / target / "frames" / seen.frame.camera_name
+    return read_srgb8(folder / f"{seen.frame.stem}.png") / 255
 
 
 def _faults(street: Street, seen: TracedFrame, target: SkyDome) -> Iterator[tuple[str, np.ndarray]]:
@@ -78,8 +105,13 @@ def _faults(street: Street, seen: TracedFrame, target: SkyDome) -> Iterator[tupl
 
 def _table(counts: dict[tuple[str, str], np.ndarray]) -> str:
     lines = ["| target | fault | surface | squared error | rms |", "|---|---|---:|---:|---:|"]
+    told: set[str] = set()
     for (target, fault), (area, error) in counts.items():
         total = np.sum([found for (name, _), found in counts.items() if name == target], axis=0)
+        if target not in told:
+            told.add(target)
+            rms = np.sqrt(total[1] / total[0])
+            lines.append(f"| {target} | all, {-20 * np.log10(rms):.1f} dB | 1 | 1 | {rms:.3f} |")
         lines.append(
             f"| {target} | {fault} | {area / total[0]:.3f} | {error / total[1]:.3f} |"
             f" {np.sqrt(error / max(area, 1)):.3f} |"

@@ -16,7 +16,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -101,16 +101,21 @@ class Street:
         camera = self.log.cameras[camera_name]
         scenario = replay(self.workspace.twin, "as recorded", (frame,), "recorded", 0)
 
-        def read(what: str) -> np.ndarray:
-            return read_exr(self.truth / what / camera_name / f"{stem}.exr")
-
         true = self.true.trace(self.surfaces.scenario, frame, camera)
+
+        def read(what: str, traced: Callable[[], np.ndarray]) -> np.ndarray:
+            """What the street wrote; streets of the benchmark have no buffers."""
+            path = self.truth / what / camera_name / f"{stem}.exr"
+            return read_exr(path) if path.is_file() else traced()
+
         return TracedFrame(
             frame,
             self.estimated.trace(scenario, frame, camera),
             true,
-            read("base_colour"),
-            read("sun_visibility").reshape(true.buffers.depth_z_m.shape),
+            read("base_colour", lambda: true.buffers.base_colour),
+            read("sun_visibility", lambda: true.light(self.skies["source"]).sun_visibility).reshape(
+                true.buffers.depth_z_m.shape
+            ),
             true.buffers.has_surface,
         )
 

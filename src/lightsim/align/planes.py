@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -13,6 +13,8 @@ _LEAST_NEIGHBOURS = 8
 _RADIUS_M = 0.6
 _LEAST_WIDTH_M = 0.1
 _LARGEST_RESIDUAL_M = 0.4
+_AT_ONCE = 20_000
+"""Returns whose neighbours are in memory: 12 MB for each array of them, however long the log."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +59,21 @@ def match_planes(cloud: Cloud, reference: Cloud, tree: KDTree, flat_m: float) ->
     Only neighbours of other sweeps count, and only where they are flat (a deviation below
     `flat_m`) and no line.
     """
-    distance, near = tree.query(
-        cloud.points_world, k=_NEIGHBOURS, distance_upper_bound=_RADIUS_M, workers=2
-    )
+    parts = [
+        _match_some(cloud, slice(start, start + _AT_ONCE), reference, tree, flat_m)
+        for start in range(0, max(len(cloud.sweep), 1), _AT_ONCE)
+    ]
+    return Matches(*[np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Matches)])
+
+
+def _match_some(
+    cloud: Cloud, part: slice, reference: Cloud, tree: KDTree, flat_m: float
+) -> Matches:
+    points, sweep = cloud.points_world[part], cloud.sweep[part]
+    distance, near = tree.query(points, k=_NEIGHBOURS, distance_upper_bound=_RADIUS_M, workers=2)
     is_found = np.isfinite(distance)
     near = np.where(is_found, near, 0)
-    is_found &= reference.sweep[near] != cloud.sweep[:, None]
+    is_found &= reference.sweep[near] != sweep[:, None]
     rows = np.flatnonzero(is_found.sum(axis=1) >= _LEAST_NEIGHBOURS)
     near, is_found = near[rows], is_found[rows]
     weights = is_found / is_found.sum(axis=1, keepdims=True)
@@ -72,11 +83,11 @@ def match_planes(cloud: Cloud, reference: Cloud, tree: KDTree, flat_m: float) ->
     values, vectors = np.linalg.eigh(covariance)
     deviation = np.sqrt(np.maximum(values, 0.0))
     normals = vectors[:, :, 0]
-    residuals = np.einsum("ni,ni->n", normals, cloud.points_world[rows] - mean)
+    residuals = np.einsum("ni,ni->n", normals, points[rows] - mean)
     is_good = (deviation[:, 0] < flat_m) & (deviation[:, 1] > _LEAST_WIDTH_M)
     is_good &= (deviation[:, 1] > 3.0 * deviation[:, 0]) & (np.abs(residuals) < _LARGEST_RESIDUAL_M)
     return Matches(
-        rows[is_good],
+        part.start + rows[is_good],
         np.where(is_found, near, -1)[is_good].astype(np.int64),
         normals[is_good],
         residuals[is_good],

@@ -42,6 +42,7 @@ from lightsim.core.casting import MakeCaster
 from lightsim.core.colour import linear_from_srgb8
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import Texture, TriMesh
+from lightsim.core.sensors import CameraFrame
 from lightsim.progress import Progress
 
 _WEIGHT_UNIT_PX = 30.0
@@ -95,14 +96,11 @@ def bake(
     frames = [
         frame for name in log.cameras for frame in log.frames_of(name)[:: config.every_nth_frame]
     ]
-    views = [
-        look(scene, frame, log.cameras[frame.camera_name])
-        for frame in progress.track(frames, "look at the meshes", len(frames))
-    ]
+    views, footprint_m = _look_at_all(scene, frames, log, progress)
     edges = edge_lengths_m(scene.vertices, scene.faces)
     resolution = choose_resolution(
         edges,
-        footprints_m(views, len(scene.faces)),
+        footprint_m,
         _TEXEL_M,
         _MAX_RESOLUTION,
         config.max_texels,
@@ -140,12 +138,20 @@ class _Table:
         return self.resolution, self.corner, self.first
 
 
-def footprints_m(views: Sequence[View], face_count: int) -> Float32[np.ndarray, " face_count"]:
-    """Size of the finest pixel on each face; inf where no image shows it."""
-    best = np.zeros(face_count, dtype=np.float32)
-    for view in views:
-        best[view.faces] = np.maximum(best[view.faces], view.pixels_per_m)
-    return np.where(best > 0, 1.0 / np.maximum(best, 1e-9), np.inf).astype(np.float32)
+def _look_at_all(
+    scene: PlacedScene, frames: Sequence[CameraFrame], log: DrivingLog, progress: Progress
+) -> tuple[list[View], Float32[np.ndarray, " m"]]:
+    """Views of all frames, and the size of the finest pixel on each face; inf where none shows it.
+
+    How sharp a view is on its faces is not kept: of a long log that is a third of all views' bytes.
+    """
+    views, best = [], np.zeros(len(scene.faces), dtype=np.float32)
+    for frame in progress.track(frames, "look at the meshes", len(frames)):
+        view, pixels_per_m = look(scene, frame, log.cameras[frame.camera_name])
+        best[view.faces] = np.maximum(best[view.faces], pixels_per_m)
+        views.append(view)
+    footprint_m = np.where(best > 0, 1.0 / np.maximum(best, 1e-9), np.inf)
+    return views, footprint_m.astype(np.float32)
 
 
 def _collect(

@@ -55,14 +55,12 @@ class View:
             0 where nothing was hit.
         moving_bits: whether that is a moving actor, packed.
         faces: of the scene, seen or beside a seen one.
-        pixels_per_m: see `pixels_per_metre`, of each of these faces.
     """
 
     frame: CameraFrame
     inverse_depth: Float16[np.ndarray, "h w"]
     moving_bits: UInt8[np.ndarray, " b"]
     faces: Int32[np.ndarray, " c"]
-    pixels_per_m: Float32[np.ndarray, " c"]
 
     def beside_moving(self, focal_px: float) -> Bool[np.ndarray, "h w"]:
         """Rays that a moving actor may hide beyond its reconstruction."""
@@ -155,8 +153,14 @@ class PlacedScene:
         return mesh
 
 
-def look(scene: PlacedScene, frame: CameraFrame, camera: PinholeCamera) -> View:
-    """Cast one ray for `depth_step_px` x `depth_step_px` pixels."""
+def look(
+    scene: PlacedScene, frame: CameraFrame, camera: PinholeCamera
+) -> tuple[View, Float32[np.ndarray, " c"]]:
+    """Cast one ray for `depth_step_px` x `depth_step_px` pixels.
+
+    Returns:
+        The view, and `pixels_per_metre` of each of its faces.
+    """
     step = DEPTH_STEP_PX
     shape = (-(-camera.height_px // step), -(-camera.width_px // step))
     v, u = np.indices(shape).reshape(2, -1)
@@ -178,7 +182,8 @@ def look(scene: PlacedScene, frame: CameraFrame, camera: PinholeCamera) -> View:
     normals = scene.normals[scene.faces[faces]].mean(axis=1)
     sharp = pixels_per_metre(corners, normals, frame.world_from_camera, camera)
     inverse = inverse.astype(np.float16).reshape(shape)
-    return View(frame, inverse, np.packbits(is_moving), faces.astype(np.int32), sharp)
+    view = View(frame, inverse, np.packbits(is_moving), faces.astype(np.int32))
+    return view, sharp
 
 
 def _scene_faces(

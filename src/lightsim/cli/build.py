@@ -20,6 +20,8 @@ class Build:
     work: Path
     """Work folder to make or to go on with."""
     options: Annotated[BuildOptions, tyro.conf.arg(name="")]
+    until: str = "report"
+    """Last stage to make, such as sky or twin; lightsim status names them all."""
     verbose: Verbose = False
     """Show the trace of an error."""
 
@@ -27,6 +29,9 @@ class Build:
         """Make what is missing or stale in the work folder."""
         from lightsim.pipeline import build as pipeline
 
-        pipeline.build(self.work, self.options, terminal_progress())
-        say(f"twin:   {self.work / 'twin' / 'twin.json'}")
-        say(f"report: {self.work / 'report' / 'index.html'}")
+        pipeline.build(self.work, self.options, terminal_progress(), self.until)
+        if self.until == "report":
+            say(f"twin:   {self.work / 'twin' / 'twin.json'}")
+            say(f"report: {self.work / 'report' / 'index.html'}")
+        else:
+            say(f"made up to {self.until}: {self.work}")

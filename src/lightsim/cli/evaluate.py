@@ -15,6 +15,8 @@ from lightsim.evaluate.options import MeasureOptions
 from lightsim.progress import terminal_progress
 from lightsim.relighting.options import Method
 from lightsim.simulation.benchmark_options import BenchmarkOptions
+from lightsim.simulation.paper_ablations import PaperAblationOptions
+from lightsim.simulation.paper_skies import PaperSkyOptions
 from lightsim.simulation.paper_table import PaperTableOptions
 
 
@@ -254,7 +256,8 @@ class EvaluateCompare:
 
 @dataclass(frozen=True)
 class EvaluatePaperTable:
-    """The paper's table 1: FID and KID of relit PandaSet logs, built and relit as needed."""
+    """The paper's tables 1 and A1: FID and KID of relit PandaSet logs, built and relit as
+    needed."""
 
     options: Annotated[PaperTableOptions, tyro.conf.arg(name="")]
     verbose: Verbose = False
@@ -265,6 +268,37 @@ class EvaluatePaperTable:
         from lightsim.simulation.paper_table import paper_table
 
         show(paper_table(self.options, terminal_progress()), self.options.out / "table1.json")
+
+
+@dataclass(frozen=True)
+class EvaluatePaperAblations:
+    """The paper's table A2: networks without one part each, trained, relighting one sequence."""
+
+    options: Annotated[PaperAblationOptions, tyro.conf.arg(name="")]
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Train, build, relight and measure what is not finished."""
+        from lightsim.simulation.paper_ablations import paper_ablations
+
+        show(paper_ablations(self.options, terminal_progress()), self.options.out / "tableA2.json")
+
+
+@dataclass(frozen=True)
+class EvaluatePaperSkies:
+    """The paper's table A4: sky networks on all PandaSet logs by day, trained and built as
+    needed."""
+
+    options: Annotated[PaperSkyOptions, tyro.conf.arg(name="")]
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Build, train and compare what is not finished."""
+        from lightsim.simulation.paper_skies import paper_skies
+
+        show(paper_skies(self.options, terminal_progress()), self.options.out / "tableA4.json")
 
 
 @dataclass(frozen=True)
@@ -293,6 +327,8 @@ Evaluate = (
     | Annotated[EvaluateClosure, tyro.conf.subcommand("closure")]
     | Annotated[EvaluateCompare, tyro.conf.subcommand("compare")]
     | Annotated[EvaluatePaperTable, tyro.conf.subcommand("paper-table1")]
+    | Annotated[EvaluatePaperAblations, tyro.conf.subcommand("paper-tableA2")]
+    | Annotated[EvaluatePaperSkies, tyro.conf.subcommand("paper-tableA4")]
     | Annotated[EvaluateBenchmark, tyro.conf.subcommand("benchmark")]
 )
 

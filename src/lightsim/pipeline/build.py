@@ -15,6 +15,7 @@ from typing import Any
 
 from lightsim.align.config import AlignConfig
 from lightsim.appearance import config as asset_config
+from lightsim.core.checks import check_choice
 from lightsim.datasets.fingerprint import hash_recording
 from lightsim.datasets.reader import check_layout
 from lightsim.errors import ArtefactError, InputError
@@ -251,10 +252,11 @@ def build(
     artefacts are kept, damaged ones are made anew.
 
     Raises:
-        InputError: the log is broken, or an option is out of range.
+        InputError: the log is broken, an option is out of range, or there is no such stage.
         ArtefactError: another command is at work in `work`, or what must be replaced there is not
             ours.
     """
+    check_choice("--until", until, [stage.name for stage in STAGES])
     source = Path(options.reading.source).resolve()
     options = replace(options, reading=replace(options.reading, source=str(source)))
     _check_places(source, work)

@@ -16,7 +16,7 @@ from lightsim.core.mesh import TriMesh
 from lightsim.core.resample import resize_area
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.solar import direction_world, solar_position
-from lightsim.core.twin import DigitalTwin
+from lightsim.core.twin import DigitalTwin, SkyEstimate
 from lightsim.errors import ArtefactError, InputError
 from lightsim.evaluate.frame_report import FrameRow, FramesReport
 from lightsim.evaluate.frames import FramesConfig, FrameTask, score_frames
@@ -166,17 +166,22 @@ def nearest_recorded(workspace: Workspace) -> Show:
     return nearest
 
 
-def observed_radiance(workspace: Workspace) -> Show:
-    """Pictures of the twin as it was seen, its estimated sky behind."""
-    log, assets, dome = workspace.log, workspace.assets, workspace.sky.dome
+def observed_radiance(workspace: Workspace, sky: SkyEstimate | None = None) -> Show:
+    """Pictures of the twin as it was seen, its estimated sky behind.
+
+    Args:
+        sky: stands there instead; of builds up to the assets, or so that builds differ by their
+            surfaces alone.
+    """
+    log, assets, sky = workspace.log, workspace.assets, sky or workspace.sky
     renderer = FrameRenderer(assets.background, workspace.inferred, TransportConfig(), 0)
-    scenario = replay(DigitalTwin(log, assets, workspace.sky), "held-out", log.frames)
+    scenario = replay(DigitalTwin(log, assets, sky), "held-out", log.frames)
 
     def render(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
         camera = log.cameras[frame.camera_name]
         buffers = renderer.geometry(scenario, frame, camera)
-        sky = sky_image(dome, camera, frame)
-        radiance = np.where(buffers.has_surface[..., None], buffers.base_colour, sky)
+        behind = sky_image(sky.dome, camera, frame)
+        radiance = np.where(buffers.has_surface[..., None], buffers.base_colour, behind)
         return srgb8_from_linear(radiance * assets.camera_gains[frame.camera_name])
 
     return render

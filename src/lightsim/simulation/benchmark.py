@@ -33,10 +33,12 @@ from lightsim.synthetic.skies import more_sky_specs, sky_specs
 _STREET_SIZE: dict[BenchmarkSize, Size] = {"small": "benchmark", "full": "full"}
 _BUILD: dict[BenchmarkSize, tuple[str, ...]] = {
     # As streets of this size are built that networks learn from.
-    "small": ("--hold-out", "5", "--neural-steps", "150"),
-    "full": ("--hold-out", "8"),
+    "small": ("--image-scale", "1", "--hold-out", "5", "--neural-steps", "150"),
+    "full": ("--image-scale", "1", "--hold-out", "8"),
 }
 _MEASURED_SKIES = 3
+_Step = tuple[BatchCommand, Callable[[int], tuple[str, ...]]]
+"""A command, and its words for a street."""
 _EDITS = "edits"
 
 
@@ -151,10 +153,19 @@ def _check_unseen(method: Method, options: BenchmarkOptions) -> None:
 def _run(
     options: BenchmarkOptions, seeds: Sequence[int], methods: Sequence[Method], progress: Progress
 ) -> list[str]:
-    """All steps of all streets; notes on what failed."""
+    """All steps of all streets, as many streets at a time as processes: what is interrupted has
+    whole streets. Notes on what failed."""
     batch = BatchOptions(out=options.root / "logs", jobs=options.jobs)
+    groups = [seeds[i : i + options.jobs] for i in range(0, len(seeds), options.jobs)]
+    steps = [*_steps(options, methods)]
+    return [note for group in groups for note in _run_streets(steps, group, batch, progress)]
+
+
+def _run_streets(
+    steps: Sequence[_Step], seeds: Sequence[int], batch: BatchOptions, progress: Progress
+) -> list[str]:
     left, notes = list(seeds), []
-    for command, line_of in _steps(options, methods):
+    for command, line_of in steps:
         lines = {seed: line_of(seed) for seed in left}
         if not lines:
             break
@@ -169,10 +180,7 @@ def _run(
     return notes
 
 
-def _steps(
-    options: BenchmarkOptions, methods: Sequence[Method]
-) -> Iterator[tuple[BatchCommand, Callable[[int], tuple[str, ...]]]]:
-    """Commands, and their words for a street."""
+def _steps(options: BenchmarkOptions, methods: Sequence[Method]) -> Iterator[_Step]:
     yield "synthesize", lambda seed: _synthesize(options, seed)
     log, work = (lambda seed: str(options.street(seed) / "log")), options.work
     build = _BUILD[options.size]

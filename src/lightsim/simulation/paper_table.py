@@ -1,31 +1,29 @@
-"""Table 1 of the paper: FID and KID of relit PandaSet frames against real ones, many logs at
-once, resumable."""
+"""Tables 1 and A1 of the paper: FID and KID of relit PandaSet frames against real ones, over many
+logs, resumable."""
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
-from jaxtyping import Float64
 
 from lightsim.arguments import Names
 from lightsim.core.checks import check_choice
 from lightsim.errors import InputError
 from lightsim.progress import Progress
-from lightsim.relighting.options import Method
+from lightsim.relighting.options import FIELD_METHOD, Method
 from lightsim.simulation.batch import BatchOptions, read_list, run_batch
-from lightsim.store.arrays import load_arrays
-from lightsim.store.atomic import whole_file
-from lightsim.store.images import read_srgb8
-
-if TYPE_CHECKING:
-    from lightsim.evaluate.distribution import SetRow
-    from lightsim.evaluate.inception import Inception
+from lightsim.simulation.paper_pictures import (
+    CAMERA,
+    PaperTable,
+    front_pictures,
+    kept_features,
+    relit_pictures,
+)
 
 SequenceSet = Literal["15", "47"]
 _FIFTEEN = "001 002 011 021 023 024 027 028 029 030 032 033 035 040 053"
@@ -40,7 +38,6 @@ SEQUENCES: dict[SequenceSet, tuple[str, ...]] = {
 }
 """Those of the main paper and of its appendix. The list of the 47 has 48 names there; 004, where
 the car stands still and which its text leaves out, is left out."""
-CAMERA = "front_camera"
 _SKIES = 23
 
 
@@ -58,7 +55,7 @@ class PaperTableOptions:
     sequences: SequenceSet = "15"
     """The main paper's sequences, or those of the supplement."""
     methods: Names = ("network", "physical", "colour-transfer")
-    """Comma-separated methods of relight."""
+    """Comma-separated methods of relight; the fields of nerf-osr are trained, one a log."""
     frames: str = "6:25:6"
     """START:STOP[:STEP]; the paper's are 6, 12, 18 and 24."""
     build: str = ""
@@ -79,30 +76,6 @@ class PaperTableOptions:
             check_choice("--methods", method, get_args(Method))
 
 
-@dataclass(frozen=True)
-class PaperTable:
-    """Rows of methods, and what the table lacks beside the paper's."""
-
-    rows: tuple[SetRow, ...]
-    notes: tuple[str, ...]
-
-    def to_table(self) -> str:
-        """Markdown."""
-        lines = [
-            "| method | FID | KID x 1000 | pictures | reference |",
-            "|---|---:|---:|---:|---:|",
-        ]
-        for r in self.rows:
-            figures = (f"{r.fid:.1f}", r.kid_text, str(r.count), str(r.reference_count))
-            lines.append(f"| {r.method} | {' | '.join(figures)} |")
-        return "\n".join([*lines, "", *self.notes])
-
-    def to_json(self) -> str:
-        """Rows and notes."""
-        rows = [asdict(row) for row in self.rows]
-        return json.dumps({"sets": rows, "notes": self.notes}, indent=2)
-
-
 def paper_table(options: PaperTableOptions, progress: Progress) -> PaperTable:
     """Builds the logs that are there, relights their frames by each method under all skies, and
     compares with every front picture of PANDASET. Started again, it goes on.
@@ -114,7 +87,7 @@ def paper_table(options: PaperTableOptions, progress: Progress) -> PaperTable:
     from lightsim.evaluate.distribution import compare_sets
     from lightsim.evaluate.inception import Inception
 
-    network = Inception(options.inception)
+    network, features = Inception(options.inception), options.out / "features"
     skies = [word for line in read_list(options.skies) for word in line]
     wanted = SEQUENCES[options.sequences]
     present = [name for name in wanted if (options.pandaset / name).is_dir()]
@@ -128,19 +101,25 @@ def paper_table(options: PaperTableOptions, progress: Progress) -> PaperTable:
     notes = _run(options, present, skies, progress)
     reference = np.concatenate(
         [
-            _features(network, options.out, f"real-{log.name}", _pictures(log / "camera"))
+            kept_features(network, features / f"real-{log.name}.npz", front_pictures(log))
             for log in progress.track(sorted(_logs(options.pandaset)), "features of real frames")
         ]
     )
     rows = []
     for method in progress.track(options.methods, "features of relit frames"):
-        made = [
-            _features(network, options.out, f"{method}-{name}", _relit(options.out, name, method))
+        pictures = {
+            name: relit_pictures(_work(options.out, name), _scenario(method), skies)
             for name in present
+        }
+        if sum(map(len, pictures.values())) < 2:
+            notes.append(f"{method} has relit nothing.")
+            continue
+        made = [
+            kept_features(network, features / f"{method}-{name}.npz", paths)
+            for name, paths in pictures.items()
         ]
-        features = np.concatenate(made)
         names = (f"table 1, {options.sequences} sequences", method)
-        rows.append(compare_sets(names, features, reference, options.kid_subset_size))
+        rows.append(compare_sets(names, np.concatenate(made), reference, options.kid_subset_size))
     if len(present) < len(wanted):
         notes.append(f"{len(present)} of {len(wanted)} sequences: {', '.join(present)}.")
     if len(skies) != _SKIES:
@@ -151,7 +130,7 @@ def paper_table(options: PaperTableOptions, progress: Progress) -> PaperTable:
 def _run(
     options: PaperTableOptions, present: Sequence[str], skies: Sequence[str], progress: Progress
 ) -> list[str]:
-    """All builds and relights; what failed."""
+    """All builds, trainings and relights; what failed."""
     batch = BatchOptions(out=options.out / "batch", jobs=options.jobs)
     builds, relights = [], []
     for name in present:
@@ -163,6 +142,9 @@ def _run(
             more = shlex.split(options.relight)
             relights.append((*words, *chosen, *more, "--sky", *skies))
     failed = dict(run_batch("build", builds, batch, progress).failed)
+    if FIELD_METHOD in options.methods:
+        fields = [(FIELD_METHOD, str(_work(options.out, name))) for name in present]
+        failed |= run_batch("train", fields, batch, progress).failed
     failed |= run_batch("relight", relights, batch, progress).failed
     return [f"Failed: {log}: {last}" for log, last in failed.items()]
 
@@ -177,31 +159,3 @@ def _scenario(method: str) -> str:
 
 def _logs(pandaset: Path) -> Iterator[Path]:
     return (path.parents[1] for path in pandaset.glob(f"*/camera/{CAMERA}"))
-
-
-def _relit(out: Path, name: str, method: str) -> list[Path]:
-    """Frames of one sky lie in the scenario's folder, those of several in folders in it."""
-    scenario = _work(out, name) / "scenarios" / _scenario(method)
-    return sorted(scenario.glob(f"**/frames/{CAMERA}/*.png"))
-
-
-def _pictures(folder: Path) -> list[Path]:
-    return sorted((folder / CAMERA).glob("*.jpg"))
-
-
-def _features(
-    network: Inception, out: Path, name: str, pictures: Sequence[Path]
-) -> Float64[np.ndarray, "n 2048"]:
-    """Of some pictures; kept, with what tells whether they are still the same."""
-    path = out / "features" / f"{name}.npz"
-    facts = [(p, p.stat()) for p in pictures]
-    state = np.array([[s.st_size, s.st_mtime_ns] for _, s in facts], np.int64).reshape(-1, 2)
-    if path.is_file():
-        known = load_arrays(path)
-        if np.array_equal(known["state"], state):
-            return known["features"]
-    features = network.features(read_srgb8(p) for p in pictures)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, features=features, state=state)
-    return features
