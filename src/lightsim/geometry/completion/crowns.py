@@ -36,8 +36,8 @@ _SCATTER_M, _SCATTER = 0.05, 0.04
 _LEAST_SCATTERED, _LEAST_PASSED = 0.5, 0.25
 # Of a crown: returns, and extent along each axis.
 _LEAST_RETURNS, _LEAST_EXTENT_M = 20, 1.2
-# Walls with what stands out of them, and rooms that beams enter through panes, are no crowns.
-_WALL_M, _ROOM_M = 0.5, 6.0
+# Walls with what stands out of them are no crowns.
+_WALL_M = 0.5
 # Extinction of a voxel is that of the crown with the weight of so much free way.
 _PRIOR_WAY_M = 2.0
 
@@ -155,14 +155,14 @@ def _may_be_leaves(
     ground: GroundMap,
     path_m: Float64[np.ndarray, "k 3"],
 ) -> Bool[np.ndarray, " n"]:
-    """Returns near the path, above the ground, away from walls and not behind them."""
+    """Returns near the path, above the ground and away from walls."""
     height = points[:, 2] - ground.look_up(points[:, :2].astype(np.float64))
     is_used = (height > _LOWEST_M) & (height < _HIGHEST_M)
     is_used &= path_distance_m(points, path_m) < _REACH_M
     for wall in walls:
         rows = np.flatnonzero(is_used)
         s, out = wall.place(points[rows].astype(np.float64))
-        is_on = (out < _WALL_M) & (out > -_ROOM_M) & (s > wall.span_m[0] - _WALL_M)
+        is_on = (np.abs(out) < _WALL_M) & (s > wall.span_m[0] - _WALL_M)
         is_on &= (s < wall.span_m[1] + _WALL_M) & (points[rows, 2] < wall.height_m[1] + _WALL_M)
         is_used[rows[is_on]] = False
     return is_used
