@@ -80,7 +80,8 @@ def classify_background(mesh: TriMesh, log: DrivingLog, ground: GroundMap) -> Tr
     """A mesh (frame world) whose faces know their material.
 
     A face takes the label of the nearest labelled returns within 0.6 m. Elsewhere level faces
-    near the ground map are ground, and smooth upright ones facade; the rest stays matte.
+    near the ground map are asphalt, for logs are driven on roads: as rough as soil, a road would
+    not shine before a low sun. Smooth upright ones are facade; the rest stays matte.
     """
     if len(mesh.faces) == 0:
         return mesh
@@ -111,7 +112,7 @@ def _by_shape(
     height = centres[:, 2] - ground.look_up(centres[:, :2])
     is_ground = (normals[:, 2] > _LEVEL) & (np.abs(height) < _GROUND_BAND_M)
     is_wall = (np.abs(normals[:, 2]) < 0.3) & (height > _WALL_HEIGHT_M) & _is_coherent(mesh)
-    return np.select([is_ground, is_wall], [_CLASSES.index(GROUND), _CLASSES.index(FACADE)], 0)
+    return np.select([is_ground, is_wall], [_CLASSES.index(ASPHALT), _CLASSES.index(FACADE)], 0)
 
 
 def _is_coherent(mesh: TriMesh) -> Bool[np.ndarray, " m"]:
