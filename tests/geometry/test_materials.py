@@ -81,10 +81,10 @@ def test_labels_win_near_returns_and_shape_elsewhere() -> None:
     x, y, z = np.eye(3)
     mesh = concatenate_meshes([_sheet(x, y), _sheet(y, z)])
     ground = GroundMap(np.zeros(2), 1.0, np.zeros((5, 5), np.float32), np.ones((5, 5), dtype=bool))
-    log = _log(np.array([[3.5, b, 0.0] for b in np.linspace(0, 4, 33)]), {7: "Road"})
+    log = _log(np.array([[3.5, b, 0.0] for b in np.linspace(0, 4, 33)]), {7: "Sidewalk"})
     found = classify_background(mesh, log, ground)
     names = np.array([m.name for m in found.materials])[found.face_material]
     centre = mesh.vertices[mesh.faces].mean(axis=1)
-    assert (names[centre[:, 0] > 3.2] == "asphalt").all()
+    assert (names[centre[:, 0] > 3.2] == "pavement").all()
     assert (names[(centre[:, 2] == 0) & (centre[:, 0] < 2)] == "asphalt").all()
     assert (names[centre[:, 2] > 1.2] == "facade").all()
