@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, patches_of
 from lightsim.appearance.intrinsic.leaves import leaf_colours, leaf_vertices
-from lightsim.core.mesh import TriMesh, concatenate_meshes
+from lightsim.core.mesh import Material, TriMesh, concatenate_meshes
 
 
 def _quads(middle: np.ndarray, size_m: float) -> TriMesh:
@@ -14,7 +16,8 @@ def _quads(middle: np.ndarray, size_m: float) -> TriMesh:
     vertices = (middle[:, None] + corner).reshape(-1, 3).astype(np.float32)
     first = 4 * np.arange(len(middle))[:, None]
     faces = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]]).astype(np.int32)
-    return TriMesh("world", vertices, faces, np.zeros_like(vertices))
+    leaves = (Material(0.7, 0.0, "vegetation"),)
+    return TriMesh("world", vertices, faces, np.zeros_like(vertices), leaves)
 
 
 def _wall() -> TriMesh:
@@ -31,6 +34,8 @@ def test_colours_of_leaves_are_those_around() -> None:
     mesh = concatenate_meshes([_wall(), _quads(near, 0.1), _quads(far, 0.1)])
     is_leaf = leaf_vertices(mesh)
     np.testing.assert_array_equal(is_leaf, np.arange(len(is_leaf)) >= 16)
+    billboards = replace(_quads(near, 5.0), materials=(Material(0.8, 0.0, "matte"),))
+    assert not leaf_vertices(billboards).any()
     colour = np.tile([0.05, 0.1, 0.03], (len(is_leaf), 1))
     colour[:16] = 0.5
     # A third of the leaves show the wall behind; of the far crown nothing was seen.

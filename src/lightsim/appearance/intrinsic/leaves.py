@@ -11,15 +11,24 @@ from scipy.spatial import KDTree
 from lightsim.core.adjacency import adjacency
 from lightsim.core.mesh import TriMesh
 
+_FOLIAGE = "vegetation"
+"""Name of the material class."""
 _AROUND, _AROUND_M = 64, 2.0
 """Corners of leaves around one, no further away, whose median is its colour. Not measured alone."""
 
 
 def leaf_vertices(mesh: TriMesh) -> Bool[np.ndarray, " n"]:
-    """Vertices of cards: pieces of no more than four corners. Other surface hangs together."""
+    """Vertices of cards: pieces of vegetation of no more than four corners. Its other surface hangs
+    together, and the far field has such pieces of its own."""
     count, piece = connected_components(adjacency(mesh.faces, len(mesh.vertices)), directed=False)
     size = np.bincount(piece, minlength=int(count))[piece]
-    return size <= 4
+    is_foliage = np.array([material.name == _FOLIAGE for material in mesh.materials], dtype=bool)
+    chosen = (
+        np.zeros(len(mesh.faces), np.int64) if mesh.face_material is None else mesh.face_material
+    )
+    is_leaf = np.zeros(len(mesh.vertices), dtype=bool)
+    is_leaf[mesh.faces[is_foliage[chosen]]] = True
+    return is_leaf & (size <= 4)
 
 
 def leaf_colours(
