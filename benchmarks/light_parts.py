@@ -3,12 +3,11 @@
     python benchmarks/light_parts.py WORK --truth DIR [--parts gloss exposure]
 
 WORK: a build up to the stage panorama. Sky and base colour are found anew without one part at a
-time: light between surfaces ("observed bounce"), published reflectances ("class priors", "red walls
-apart"), labels in place of rendered shadows ("soft visibility"), what LiDAR intensity tells of
-them, one exposure for each camera ("exposure": textures and panorama are made anew), specular lobes
-("gloss"). Errors of sun and level sky in stops, base colour over the true one (all, ground,
-facades), spread of its log at the best scale, and base colour where the sun shone over where it did
-not (ground, facades).
+time: light between surfaces ("observed bounce"), published reflectances ("class priors"), labels in
+place of rendered shadows ("soft visibility"), what LiDAR intensity tells of them, one exposure for
+each camera ("exposure": textures and panorama are made anew), specular lobes ("gloss"). Errors of
+sun and level sky in stops, base colour over the true one (all, ground, facades), spread of its log
+at the best scale, and base colour where the sun shone over where it did not (ground, facades).
 """
 
 from __future__ import annotations
@@ -62,7 +61,6 @@ STAND_INS: dict[str, list[tuple[ModuleType, str, Callable[..., Any]]]] = {
         (balance, "class_members", lambda *_: ()),
         (decompose, "materials_of", lambda *_: ()),
     ],
-    "red walls apart": [(balance, "told_apart_by_colour", lambda classes, _: list(classes))],
     "soft visibility": [(balance, "infer_labels", lambda observed, light, prior, *_: prior)],
     "LiDAR intensity": [
         (decompose, "lidar_log_reflectance", lambda surfels, *_: np.full(len(surfels), np.nan))
@@ -75,7 +73,6 @@ PARTS = (
     "soft visibility",
     "exposure",
     "gloss",
-    "red walls apart",
     "LiDAR intensity",
 )
 

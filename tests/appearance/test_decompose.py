@@ -232,20 +232,6 @@ def test_bright_patches_behind_cloud_are_no_sun():
     assert balance.sun[0] < 0.3
 
 
-def test_red_walls_are_told_from_others_by_base_colour():
-    kinds = (reflectance.PAVEMENT, reflectance.WALLS)
-    classes = [
-        reflectance.Members(kind, np.arange(start, start + 120))
-        for kind, start in zip(kinds, (0, 120), strict=True)
-    ]
-    colour = np.full((240, 3), 0.2)
-    colour[60:180, 0] *= 1.4
-    told = reflectance.told_apart_by_colour(classes, colour)
-    assert [members.kind.name for members in told] == ["pavement", "walls", "red walls"]
-    assert [len(members.rows) for members in told] == [120, 60, 60]
-    assert (told[2].rows < 180).all()
-
-
 def test_lidar_intensity_keeps_dark_patches_from_becoming_shadows():
     mesh, lit, albedo = _recorded(sun=1.0)
     rng = np.random.default_rng(2)

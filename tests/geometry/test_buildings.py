@@ -225,6 +225,23 @@ def test_a_roof_that_no_view_reaches_gets_the_height_of_the_street() -> None:
     assert _is_wall(casting, 3.0, 9.0) or _height_m((casting,), 3.0, 9.5) > 11.0
 
 
+def test_panes_that_mirror_the_sky_at_the_border_of_a_picture_are_wall() -> None:
+    """Log 002: a strip of windows that the side camera saw the foot of cut its house down."""
+    boxes = [LEFT_HOUSE]
+    caster = EmbreeCaster([truth := _truth(boxes)])
+    views: list[View] = []
+    for frame, camera, matte in _views(truth, WIDE):
+        origins, rays = frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))
+        met = origins + caster.intersect(origins, rays).distance_m[:, None] * rays
+        is_pane = np.abs(met - [14.0, LEFT_HOUSE[1], 6.5]) < [1.9, 0.1, 0.8]
+        is_mirror = is_pane.all(axis=1).reshape(matte.shape) & (frame.camera_name == "camera1")
+        views.append((frame, camera, np.where(is_mirror, np.float32(1.0), matte)))
+    assert max(matte[0].mean() for frame, _, matte in views if frame.stem == "8.0") > 0.7
+    meshes = _complete(_seen(boxes), views)
+    for x_m in np.arange(6.1, 29.0, 1.7):
+        assert _height_m(meshes, float(x_m), 9.0) == pytest.approx(10.0, abs=0.51)
+
+
 def test_a_wall_that_beams_pass_over_ends_there() -> None:
     boxes = [LEFT_HOUSE]
     blind = [(f, c, np.full_like(m, 0.5)) for f, c, m in _views(_truth(boxes), WIDE)]

@@ -18,11 +18,7 @@ from jaxtyping import Float, Float64, Int64
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
 from lightsim.appearance.intrinsic.labels import Observed, infer_labels, visibility_prior
 from lightsim.appearance.intrinsic.light import LightBalance
-from lightsim.appearance.intrinsic.reflectance import (
-    ReflectanceClass,
-    class_members,
-    told_apart_by_colour,
-)
+from lightsim.appearance.intrinsic.reflectance import ReflectanceClass, class_members
 from lightsim.appearance.intrinsic.shadow_pairs import (
     LOG_SUN,
     ShadowPairs,
@@ -76,12 +72,7 @@ def balance_light(
             observed = own.reflecting(found, lit)
             lit = infer_labels(observed, found, prior, config, messages)
         pairs = shadow_pairs(observed, lit, block)
-        light = observed.light.balanced(found)
-        colour = np.exp(observed.log_radiance) / np.maximum(light.total(lit), 1e-6)
-        members = [
-            ClassRadiance.of(c.kind, c.rows, observed, lit)
-            for c in told_apart_by_colour(classes, colour)
-        ]
+        members = [ClassRadiance.of(c.kind, c.rows, observed, lit) for c in classes]
         found = solve_balance(pairs, members, freedom)
     return found
 

@@ -9,7 +9,7 @@ concrete 0.10 to 0.35, brick 0.20 to 0.40, stone 0.20 to 0.35, red, brown and gr
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,11 +71,6 @@ WALLS = ReflectanceClass(
     "walls", 0.28, 0.45, mixture=((0.75, 0.27, 0.5), (0.1, 0.7, 0.25), (0.15, 0.06, 0.6))
 )
 """Brick, stone, concrete and paint of all colours; white paint; panes between."""
-RED_WALLS = ReflectanceClass("red walls", 0.28, 0.2)
-"""Brick 0.20 to 0.40, red and brown paint 0.20 to 0.35: half the spread of walls of any colour."""
-_RED = 0.25
-"""Log of red over green from which on a wall is red: that of light stone and grey paint stays below
-0.15, that of fired clay lies near 0.5. The estimated light's cast is about 0.1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,27 +101,6 @@ def class_members(surfels: Surfels, path_world: Float[np.ndarray, "p 3"]) -> Ite
         rows = np.flatnonzero(walls & is_usable)
         if len(rows) >= _LEAST:
             yield Members(WALLS, _thinned(rows))
-
-
-def told_apart_by_colour(
-    classes: Sequence[Members], base_colour: Float64[np.ndarray, "n 3"]
-) -> list[Members]:
-    """The classes, red walls apart from all others where there are enough of them.
-
-    Args:
-        base_colour: of all surfels, under the light as it is known so far.
-    """
-    told: list[Members] = []
-    for members in classes:
-        red, green = base_colour[members.rows, 0], base_colour[members.rows, 1]
-        is_red = np.log(np.maximum(red, 1e-6) / np.maximum(green, 1e-6)) > _RED
-        is_red &= members.kind is WALLS
-        parts = (
-            Members(members.kind, members.rows[~is_red]),
-            Members(RED_WALLS, members.rows[is_red]),
-        )
-        told += [part for part in parts if len(part.rows) >= _LEAST]
-    return told
 
 
 def materials_of(surfels: Surfels, path_world: Float[np.ndarray, "p 3"]) -> tuple[Members, ...]:

@@ -24,7 +24,7 @@ from lightsim.geometry.completion.far_walls import find_far_walls
 from lightsim.geometry.completion.free_space import find_free_space
 from lightsim.geometry.completion.neighbours import raised_to_neighbours
 from lightsim.geometry.completion.panes import find_panes
-from lightsim.geometry.completion.rooflines import find_rooflines
+from lightsim.geometry.completion.rooflines import find_rooflines, with_depths
 from lightsim.geometry.completion.silhouettes import View
 from lightsim.geometry.completion.uprights import raise_uprights
 from lightsim.geometry.completion.wall_cells import MAX_HEIGHT_M, WallCells, gather_cells
@@ -76,18 +76,24 @@ def complete_buildings(
         caster = make_caster([background])
         far_walls = find_far_walls(walls, returns_world, ground, caster)
         cells = gather_cells(walls, caster, silhouettes(), sweeps, far_walls)
-        space = find_free_space(background, silhouettes(), caster, MAX_HEIGHT_M)
-        rooflines = find_rooflines(cells, ground, space)
-        for pair in zip(cells, raised_to_neighbours(rooflines), strict=True):
-            parts.extend(_visible_parts(*pair))
+        rooflines = find_rooflines(cells, ground)
+        fronts = concatenate_meshes([background, *_visible_parts(cells, rooflines)])
+        space = find_free_space(fronts, silhouettes(), make_caster([fronts]), MAX_HEIGHT_M)
+        rooflines = with_depths(rooflines, space)
+        parts.extend(_visible_parts(cells, raised_to_neighbours(rooflines)))
     # Raised walls explain what views show above things that stand before them.
     raised = concatenate_meshes([background, *parts])
     uprights = raise_uprights(raised, silhouettes, ground, make_caster([raised]), crowns)
     return concatenate_meshes([*parts, uprights]), rooflines
 
 
-def _visible_parts(cells: WallCells, roofline: Roofline) -> Iterator[TriMesh]:
-    """Panes, and the wall above the highest beam as far as a view shows it."""
+def _visible_parts(walls: Sequence[WallCells], rooflines: Sequence[Roofline]) -> Iterator[TriMesh]:
+    """Of each wall panes, and what is above the highest beam as far as a view shows it."""
+    for cells, roofline in zip(walls, rooflines, strict=True):
+        yield from _visible_parts_of(cells, roofline)
+
+
+def _visible_parts_of(cells: WallCells, roofline: Roofline) -> Iterator[TriMesh]:
     offset = _spread_offset(cells)
     is_pane = find_panes(cells)
     is_upper = _unmeasured(cells, roofline) & ~is_pane

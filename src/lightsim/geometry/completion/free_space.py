@@ -65,8 +65,8 @@ class FreeSpace:
 def find_free_space(
     background: TriMesh, silhouettes: Iterable[View], caster: RayCaster, height_m: float
 ) -> FreeSpace:
-    """Voxels that rays to sky pixels and to reconstructed surfaces crossed (silhouette carving,
-    Laurentini 1994, doi:10.1109/34.273735).
+    """Voxels that rays crossed to reconstructed surfaces, and to sky where there is none
+    (silhouette carving, Laurentini 1994, doi:10.1109/34.273735).
 
     Args:
         background: gives the box: all of it but its outermost 0.2 %, and `height_m` high.
@@ -101,7 +101,9 @@ def _carve(space: FreeSpace, view: View, caster: RayCaster) -> None:
     directions = _directions(frame, small)
     eye = frame.world_from_camera.translation_m
     hits = caster.intersect(np.broadcast_to(eye, directions.shape).copy(), directions)
-    ends_m = np.where(is_sky, np.inf, np.where(is_solid & hits.is_hit, hits.distance_m, 0.0))
+    # Sky on a surface is mirrored by it.
+    is_end = is_sky | (is_solid & hits.is_hit)
+    ends_m = np.where(is_end, hits.distance_m, 0.0)
     ends_m -= _SURFACE_MARGIN_M
     used = (ends_m > 0) & (directions[:, 2] > _LOWEST_RAY)
     walk_rays(

@@ -49,11 +49,9 @@ _FREE, _SLICE = 3.0, 0.15
 _REAR_STEP, _REAR_STEP_PER_SLICE = 2.0, 0.1
 
 
-def find_rooflines(
-    walls: Sequence[WallCells], ground: GroundMap, space: FreeSpace
-) -> list[Roofline]:
-    """The most probable height of every column, with the prior that the log's own roofs give, and
-    the depth of the building behind it."""
+def find_rooflines(walls: Sequence[WallCells], ground: GroundMap) -> list[Roofline]:
+    """The most probable height of every column, with the prior that the log's own roofs give;
+    nothing behind it yet (`with_depths`)."""
     if not walls:
         return []
     # At first views show nothing that a neighbour could not explain.
@@ -67,7 +65,12 @@ def find_rooflines(
             for before, now in zip(own, unexplained(walls, found), strict=True)
         ]
         found = [_roofline(*pair, ground, prior) for pair in zip(walls, own, strict=True)]
-    return [replace(roofline, depth_m=_depth_m(roofline, space)) for roofline in found]
+    return found
+
+
+def with_depths(rooflines: Sequence[Roofline], space: FreeSpace) -> list[Roofline]:
+    """With how deep the building behind each column is."""
+    return [replace(roofline, depth_m=_depth_m(roofline, space)) for roofline in rooflines]
 
 
 def _height_prior(rooflines: Sequence[Roofline]) -> tuple[float, float]:

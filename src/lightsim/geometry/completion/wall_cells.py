@@ -33,6 +33,8 @@ _CELL_M = 0.25
 
 MAX_HEIGHT_M = 40.0
 """No building is higher than this above the lowest measured part of its wall."""
+# Where a picture shows no more sky than this up a wall, it may be mirrored in a pane.
+_REFLECTED_M = 0.5
 # Views from further away do not count.
 _MAX_VIEW_M = 90.0
 # Walls from further away give no certain return.
@@ -145,9 +147,13 @@ def gather_cells(
     """
     cells = [_measure(wall, caster) for wall in walls]
     cells += [replace(_measure(wall, caster), is_far=True) for wall in far_walls]
+    glimpses = [np.zeros_like(wall_cells.sky) for wall_cells in cells]
     for view in classified_views(silhouettes):
-        for wall_cells in cells:
-            _look(wall_cells, view, caster)
+        for pair in zip(cells, glimpses, strict=True):
+            _look(*pair, view, caster)
+    for wall_cells, glimpse in zip(cells, glimpses, strict=True):
+        # Panes mirror the sky to few views; most show that the wall is there.
+        wall_cells.sky += np.where(glimpse > wall_cells.matter, glimpse, 0)
     returns = [np.zeros_like(wall_cells.is_covered) for wall_cells in cells]
     last = np.full(3, np.inf)
     for sweep in sweeps:
@@ -181,8 +187,11 @@ def _measure(wall: Wall, caster: RayCaster) -> WallCells:
     return cells
 
 
-def _look(cells: WallCells, view: ClassifiedView, caster: RayCaster) -> None:
-    """What one view shows at the cells without measured surface."""
+def _look(
+    cells: WallCells, glimpses: Int32[np.ndarray, "s z"], view: ClassifiedView, caster: RayCaster
+) -> None:
+    """What one view shows at the cells without measured surface; `glimpses` counts sky that ends
+    a little further up the wall, at the picture's border or something that hangs over."""
     frame, camera, kinds = view
     eye = frame.world_from_camera.translation_m
     if (eye - cells.wall.origin_m) @ cells.wall.normal < FRONT_M:
@@ -195,7 +204,6 @@ def _look(cells: WallCells, view: ClassifiedView, caster: RayCaster) -> None:
     rows, points, uv = rows[is_inside], points[is_inside], uv[is_inside]
     distance = distance[is_inside]
     kind = kinds[uv[:, 1].astype(np.int64), uv[:, 0].astype(np.int64)]
-    cells.sky.reshape(-1)[rows[kind > 0]] += 1
     matter = np.flatnonzero(kind < 0)
     rays = (points[matter] - eye) / distance[matter, None]
     hits = caster.intersect(np.broadcast_to(eye, rays.shape).copy(), rays)
@@ -207,6 +215,12 @@ def _look(cells: WallCells, view: ClassifiedView, caster: RayCaster) -> None:
     cells.sights.append(Sight(eye, shown.astype(np.int32)))
     is_through = hits.is_hit & (hits.distance_m > distance[matter] + 2 * BEHIND_M)
     cells.through.reshape(-1)[rows[matter[is_through]]] += 1
+    is_sky = np.zeros(cells.sky.size, dtype=bool)
+    is_sky[rows[kind > 0]] = True
+    is_sky = is_sky.reshape(cells.sky.shape)
+    above_m = np.cumsum(is_sky[:, ::-1], axis=1)[:, ::-1] * cells.cell_m
+    cells.sky[is_sky & (above_m > _REFLECTED_M)] += 1
+    glimpses[is_sky & (above_m <= _REFLECTED_M)] += 1
 
 
 def _pass(cells: WallCells, sweep: LidarSweep, has_return: Bool[np.ndarray, "s z"]) -> None:
