@@ -214,9 +214,11 @@ def test_without_hard_shadows_none_are_invented():
     assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.05)
 
 
-def test_bright_patches_behind_cloud_are_no_sun():
+@pytest.mark.parametrize("cloud", [0.8, 0.99])
+def test_bright_patches_behind_cloud_are_no_sun(cloud: float):
     """Labels that follow the pictures call bright patches lit, and their pairs asked for a sun of
-    the sky's colour, three times as blue as the clear one."""
+    the sky's colour, three times as blue as the clear one; once again as soon as cloud was a little
+    less than certain."""
     mesh = _ground()
     x, y = mesh.vertices[:, 0], mesh.vertices[:, 1]
     blobs = np.sin(0.8 * x + 1) * np.cos(y) + 0.5 * np.sin(1.7 * y + x)
@@ -226,10 +228,10 @@ def test_bright_patches_behind_cloud_are_no_sun():
     def light_at(seen: SeenPoints) -> SurfaceLight:
         return _light(seen.position, _is_lit(seen.position), sun=0.5)
 
-    balance = _balance(mesh, light_at, _freedom(sun=0.5, cloud=0.99))
+    balance = _balance(mesh, light_at, _freedom(sun=0.5, cloud=cloud))
     assert balance.pair_count == 0
-    np.testing.assert_allclose(balance.sun, balance.sun[0], rtol=1e-6)
-    assert balance.sun[0] < 0.3
+    assert balance.sun[2] < 1.5 * balance.sun[0]
+    assert balance.sun[1] < 0.3
 
 
 def test_lidar_intensity_keeps_dark_patches_from_becoming_shadows():
