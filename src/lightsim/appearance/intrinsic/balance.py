@@ -185,10 +185,14 @@ def _log_pairs(
     did."""
     unseen = np.linspace(_LOG_UNSEEN[0], _LOG_UNSEEN[-1], _PAIR_FITS)
     fits = [fit_sun_to_pairs(pairs, float(np.exp(value))) for value in unseen]
-    values = [(np.log(f) @ _WEIGHTS, np.log(f[2] / f[0]), error) for f, error in fits]
-    sun, hue, error = (
-        np.interp(_LOG_UNSEEN, unseen, part)[:, None] for part in np.transpose(values)
-    )
+    log_factor = np.log([factor for factor, _ in fits])
+
+    def at_candidates(values: Float64[np.ndarray, " f"]) -> Float64[np.ndarray, "u 1"]:
+        return np.interp(_LOG_UNSEEN, unseen, values)[:, None]
+
+    sun = at_candidates(log_factor @ _WEIGHTS)
+    hue = at_candidates(log_factor[:, 2] - log_factor[:, 0])
+    error = at_candidates(np.array([error for _, error in fits]))
     std = np.hypot(error, _PAIR_LOG_STD)
     by_sun = np.log(_normal(LOG_SUN - sun, std) * _normal(hue, np.hypot(std, _PAIR_HUE_STD)))
     by_chance = np.log(_normal(sun, _CHANCE_LOG_STD) * _normal(hue, _CHANCE_LOG_STD))
