@@ -138,24 +138,6 @@ def test_the_command_learns_a_known_error_and_says_so(streets: Path, tmp_path: P
     assert network_of(read_weights(weights)).config.widths
 
 
-def test_training_goes_on_from_weights_of_its_own_network_alone(
-    streets: Path, tmp_path: Path
-) -> None:
-    words = ["train", "relight", "--data", str(streets), "--streets", "1", "--steps"]
-    cli.main([*words, "3", "--out", str(tmp_path / "a")])
-    first = tmp_path / "a" / "weights.safetensors"
-    cli.main([*words, "1", "--out", str(tmp_path / "b"), "--start", str(first)])
-    made, before = (read_weights(tmp_path / k / "weights.safetensors") for k in ("b", "a"))
-    # One step of the warm-up moves little; random weights would be anywhere.
-    name = "stem.1.weight"
-    assert (made[name] - before[name]).abs().max() < 0.01 * before[name].abs().max()
-    command = RelightTrainingOptions(
-        data=streets, out=tmp_path / "c", streets=("1",), network="paper", start=first
-    )
-    with pytest.raises(InputError, match="another network"):
-        train(command)
-
-
 def test_rendered_pairs_show_the_twin_under_both_skies(
     streets: Path, rng: np.random.Generator
 ) -> None:

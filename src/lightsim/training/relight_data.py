@@ -61,10 +61,9 @@ class RelightDataConfig:
     exposure_ev: tuple[float, float] = (-3.0, 0.5)
     """Samples are so many stops brighter: a log of the evening, or a street in the shade of a high
     sun, is darker than most that the generator makes."""
-    light_error_ev: float = 0.3
-    """Standard deviation by which the source light is off, beside what the twins' already is: they
-    err by street, and a network that has seen few of them would learn their errors instead of
-    doubting them."""
+    light_error_ev: float = 0.2
+    """Standard deviation by which target light and estimate are off: twins err by street, and a
+    network that has seen few of them would learn their errors instead of doubting them."""
 
 
 class RelightData:
@@ -119,6 +118,8 @@ class RelightData:
         one = self._pair(_cut(sample, self._config.crop_px, rng), rng)
         if rng.random() < 0.5:
             one = _mirrored(one)
+        if "target_physical" in one.planes:
+            one = _misjudged(one, 2.0 ** float(rng.normal() * self._config.light_error_ev))
         return exposed(one, 2.0 ** float(rng.uniform(*self._config.exposure_ev)))
 
     def _pair(self, sample: RelightSample, rng: np.random.Generator) -> RelightBatch:
@@ -136,8 +137,7 @@ class RelightData:
         known = _with_truth(sample)
         if kind == 2 or not known:
             return identity_pair(sample)
-        pair = true_pair(sample, known[int(rng.integers(len(known)))])
-        return _misjudged(pair, 2.0 ** float(rng.normal() * config.light_error_ev))
+        return true_pair(sample, known[int(rng.integers(len(known)))])
 
 
 def _with_truth(sample: RelightSample) -> list[str]:
@@ -231,14 +231,12 @@ def _mirrored(one: RelightBatch) -> RelightBatch:
 
 
 def _misjudged(one: RelightBatch, factor: float) -> RelightBatch:
-    """As if the source light had been found so much stronger: base colour and the estimate are
-    darker, the target sky is known."""
+    """As if the target light were so much stronger than it is; the sky is known."""
     planes = dict(one.planes)
-    for name in ("source_shaded", "source_reflected", f"source{OF_SKIES}"):
+    for name in ("target_shaded", "target_reflected"):
         planes[name] = planes[name] * factor
-    planes["base_colour"] = planes["base_colour"] / factor
-    matte = planes["matte"]
-    planes["target_physical"] = planes["target_physical"] * (matte + (1 - matte) / factor)
+    surface = 1 - planes["matte"]
+    planes["target_physical"] = planes["target_physical"] * (1 + surface * (factor - 1))
     return RelightBatch(planes, one.truth, one.weight)
 
 

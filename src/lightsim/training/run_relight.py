@@ -39,8 +39,6 @@ _DESCRIPTION = {
 }
 _BASELINES = {"self-osr": SelfOsrConfig(), "epe": EpeConfig()}
 _MOST_EDGES = 1e4
-_RATE_GOING_ON = 0.3
-"""Learning rate from weights that know something, over that from random ones."""
 
 
 def train(command: RelightTrainingOptions) -> None:
@@ -51,12 +49,11 @@ def train(command: RelightTrainingOptions) -> None:
     """
     streets = _streets(command)
     config = _config(command)
+    is_baseline = isinstance(config, BaselineTrainConfig)
     data = RelightData([command.data / name for name in streets], config.data)
     with session_of(command) as session:
-        if isinstance(config, BaselineTrainConfig):
-            network, steps = train_baseline(config, data, session)
-        else:
-            network, steps = train_relight(config, data, session, command.start)
+        train_it = train_baseline if is_baseline else train_relight
+        network, steps = train_it(config, data, session)  # type: ignore[arg-type]
     if not session.processes.is_first:
         return
     network.cpu()
@@ -93,10 +90,10 @@ def _config(command: RelightTrainingOptions) -> RelightTrainConfig | BaselineTra
 
 
 def _baseline(command: RelightTrainingOptions) -> BaselineTrainConfig:
-    if command.without or command.start:
+    if command.without:
         raise InputError(
-            "ablations and first weights are of the paper's network and of ours",
-            where="--without" if command.without else "--start",
+            "ablations are of the paper's network and of ours",
+            where="--without",
             got=f"--network {command.network}",
             expected="--network network or paper",
         )
@@ -117,8 +114,6 @@ def _own(command: RelightTrainingOptions) -> RelightTrainConfig:
     config = RelightTrainConfig() if command.preset == "small" else full()
     if command.network == "paper":
         config = paper(config)
-    if command.start is not None:
-        config = replace(config, rate=config.rate * _RATE_GOING_ON)
     return ablated(config, command.without)  # type: ignore[arg-type]
 
 

@@ -21,7 +21,6 @@ twin's own picture stands for it), or the gain on the network's confidence."""
 _DARK = 0.02
 """Of white: the code of radiance is logarithmic above it and linear below."""
 _FAR_M = 200.0
-_LEVEL = 0.5
 
 
 def tensors_of(planes: Planes, device: torch.device | str = "cpu") -> dict[str, Tensor]:
@@ -76,37 +75,8 @@ def modelled(batch: Batch, which: str) -> Float[Tensor, "n 3 h w"]:
     return batch["base_colour"] * batch[f"{which}_shaded"] + batch[f"{which}_reflected"]
 
 
-def level(batch: Batch, which: str) -> Float[Tensor, "n 1 1 1"]:
-    """Factor that brings the mean of a sky, without its sun, to a luminance that skies often have
-    in pictures.
-
-    Light is linear: a brighter source sky, or target sky, or exposure asks for the same correction
-    in log space. What is seen at such levels does not tell them.
-    """
-    dome = grey(batch[f"{which}_dome"])
-    rows = dome.shape[-2]
-    angle = (torch.arange(rows, dtype=dome.dtype, device=dome.device) + 0.5) * (math.pi / rows)
-    weight = angle.sin()[:, None] / angle.sin().mean()
-    return _LEVEL / (dome * weight).mean((-2, -1), keepdim=True).clamp_min(1e-6)
-
-
-def _levelled(batch: Batch) -> dict[str, Tensor]:
-    """Source and target each at its level; the recorded picture in linear values."""
-    levels = {which: level(batch, which) for which in ("source", "target")}
-    radiant = ("shaded", "reflected", "physical", "sky")
-    seen = dict(batch) | {
-        name: batch[name] * factor
-        for which, factor in levels.items()
-        for name in (f"{which}_{part}" for part in radiant)
-        if name in batch
-    }
-    seen["source"] = linear_of(batch["source"]) * levels["source"]
-    return seen
-
-
 def features(batch: Batch) -> Float[Tensor, "n 39 h w"]:
     """All that the network sees pixel by pixel, each within a few units of 0."""
-    batch = _levelled(batch)
     found = batch["found"]
     lights = [
         plane
@@ -123,7 +93,7 @@ def features(batch: Batch) -> Float[Tensor, "n 39 h w"]:
         [
             coded(batch["target_physical"]),
             coded(grey(batch["target_sky"])),
-            srgb_of(batch["source"]),
+            batch["source"],
             batch["clipped"],
             batch["matte"],
             batch["surface"],

@@ -18,12 +18,12 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from lightsim.relighting.network.blocks import Residual, Rise, padded
-from lightsim.relighting.network.features import Batch, Unseen, features, grey, level, without
+from lightsim.relighting.network.features import Batch, Unseen, features, grey, without
 
 _FEATURES = 39
 _COLOURS = 3
 _FLOOR = 0.01
-"""Of the target's level: darker pixels change by an addition rather than by a factor."""
+"""Of white: darker pixels change by an addition rather than by a factor."""
 _MOST_EXACT = 6.0
 """The expected error lies between exp of minus this, less than a code of 8 bits, and 1."""
 _LARGEST = 2.5
@@ -112,8 +112,7 @@ class RelitNet(nn.Module):
         ).sum(2)
         change = _LARGEST * torch.tanh(change / _LARGEST) * (1 - batch["matte"])
         change = change * _how_new(working)
-        floor = _FLOOR / level(batch, "target")
-        picture = (physical.clamp_min(0.0) + floor) * torch.exp(change) - floor
+        picture = (physical.clamp_min(0.0) + _FLOOR) * torch.exp(change) - _FLOOR
         return Correction(picture.clamp_min(0.0), log_error)
 
     def _look(self, seen: Float[Tensor, "n f h w"]) -> tuple[Tensor, Tensor]:
