@@ -241,12 +241,13 @@ def _lifted_sun(dome: SkyDome) -> _LiftedSun | None:
 def disc_directions(
     centre: Float[np.ndarray, "3"], radius_deg: float, count: int
 ) -> Float[np.ndarray, "n 3"]:
-    """Unit vectors spread evenly over a small disc on the sphere (Vogel's spiral)."""
+    """Unit vectors spread evenly over a small disc on the sphere (Vogel's spiral), which turns with
+    the centre about the vertical but at the very pole."""
     k = np.arange(count) + 0.5
     radius = np.radians(radius_deg) * np.sqrt(k / count)
     angle = k * np.pi * (3.0 - np.sqrt(5.0))
     z = centre / np.linalg.norm(centre)
-    helper = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    helper = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.9999 else np.array([0.0, 1.0, 0.0])
     x = np.cross(helper, z)
     x /= np.linalg.norm(x)
     y = np.cross(z, x)
