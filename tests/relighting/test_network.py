@@ -27,7 +27,7 @@ from lightsim.relighting.network.features import features, linear_of, srgb_of, t
 from lightsim.relighting.network.model import RelitNet, RelitNetConfig
 from lightsim.relighting.network.paper_model import PaperNet, PaperNetConfig
 from lightsim.relighting.network.relight import painted_by, relit_by
-from lightsim.relighting.network.stored import network_of, tensors_of_network
+from lightsim.relighting.network.stored import network_for, network_of, probe, tensors_of_network
 from lightsim.relighting.physical.ratio import (
     Circumstances,
     RatioConfig,
@@ -35,7 +35,12 @@ from lightsim.relighting.physical.ratio import (
     relight_physical,
 )
 from lightsim.simulation.options import RelightOptions
-from lightsim.store.weights import WeightsRecord, write_weights
+from lightsim.store.weights import (
+    WEIGHTS_FOLDER,
+    WeightsRecord,
+    read_record,
+    write_weights,
+)
 
 SMALL = RelitNetConfig(widths=(8, 16), guide_count=2, working_columns=64)
 
@@ -99,6 +104,17 @@ def test_a_frame_under_its_own_sky_comes_back(inputs: RelightInputs) -> None:
     with torch.inference_mode():
         brighter = random_network()(batch).picture
     assert (brighter - batch["target_physical"]).abs().max() > 1e-3
+
+
+def test_shipped_weights_meet_the_planes_that_they_were_trained_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Old weights under new inputs gave pictures, worse ones, and no test said so."""
+    network = network_for(RelitNet, None)
+    told = read_record(WEIGHTS_FOLDER / "relight-network.safetensors").probe
+    assert probe(network) == pytest.approx(told, rel=1e-4)
+    monkeypatch.setattr("lightsim.relighting.network.features._DARK", 0.03)
+    assert probe(network) != pytest.approx(told, rel=1e-3)
 
 
 def test_the_sky_stays_to_the_bit(inputs: RelightInputs) -> None:

@@ -12,7 +12,7 @@ import torch
 from lightsim import cli
 from lightsim.errors import InputError
 from lightsim.relighting.network.channels import DOME_ROWS, LIGHT, SCENE
-from lightsim.relighting.network.features import srgb_of
+from lightsim.relighting.network.features import linear_of, modelled, srgb_of
 from lightsim.relighting.network.model import RelitNet
 from lightsim.relighting.network.paper_model import PaperNet
 from lightsim.relighting.network.stored import network_of
@@ -24,7 +24,13 @@ from lightsim.training.relight_cache import (
     read_sample,
     write_sample,
 )
-from lightsim.training.relight_data import RelightData, RelightDataConfig, rendered_pair
+from lightsim.training.relight_data import (
+    RelightBatch,
+    RelightData,
+    RelightDataConfig,
+    exposed,
+    rendered_pair,
+)
 from lightsim.training.relight_losses import Perceptual, colour_loss, edge_loss
 from lightsim.training.run_relight import train
 
@@ -102,6 +108,27 @@ def test_the_identity_asks_for_the_source(streets: Path) -> None:
         assert torch.equal(batch.planes[f"target_{name}"], batch.planes[f"source_{name}"])
 
 
+def test_light_and_paint_may_be_any_and_the_picture_stays_their_sum(streets: Path) -> None:
+    """Sources that are base colour times light, plus mirrors: still so in another exposure, with
+    other paint; the sky behind has no paint, and truth and estimate change alike."""
+    one = RelightData([streets / "1"], RelightDataConfig()).whole(0, "low_sun")
+    planes = one.planes | {"matte": torch.zeros_like(one.planes["matte"])}
+    planes["matte"][..., :8] = 1.0
+    planes["source"] = srgb_of(modelled(planes, "source") / 4)
+    planes |= {"source_shaded": planes["source_shaded"] / 4}
+    planes |= {"source_reflected": planes["source_reflected"] / 4}
+    paint = np.array([0.5, 0.8, 1.1])
+    made = exposed(RelightBatch(planes, one.truth, one.weight), 0.7, paint)
+    coat = torch.from_numpy(paint.astype(np.float32))[:, None, None]
+    shown = linear_of(made.planes["source"])
+    torch.testing.assert_close(shown[..., 8:], modelled(made.planes, "source")[..., 8:])
+    before = linear_of(planes["source"])
+    torch.testing.assert_close(shown[..., :8], 0.7 * before[..., :8])
+    for after, was in ((made.truth, one.truth), (made.planes["source"], planes["source"])):
+        change = (linear_of(after) / linear_of(was))[..., 8:]
+        torch.testing.assert_close(change, (0.7 * coat).expand_as(change), rtol=1e-3, atol=1e-3)
+
+
 def test_losses_are_what_they_say() -> None:
     torch.manual_seed(0)
     one = torch.rand(1, 3, 64, 64)
@@ -136,6 +163,27 @@ def test_the_command_learns_a_known_error_and_says_so(streets: Path, tmp_path: P
     weights = tmp_path / "weights.safetensors"
     assert read_record(weights).streets == {"training": ["1"], "validation": ["2"]}
     assert network_of(read_weights(weights)).config.widths
+
+
+def test_training_goes_on_from_weights_of_its_own_network_alone(
+    streets: Path, tmp_path: Path
+) -> None:
+    words = ["train", "relight", "--data", str(streets), "--streets"]
+    cli.main([*words, "1", "--steps", "3", "--out", str(tmp_path / "a")])
+    first = tmp_path / "a" / "weights.safetensors"
+    cli.main([*words, "2", "--steps", "1", "--out", str(tmp_path / "b"), "--start", str(first)])
+    # What the first weights learned from, these have learned from.
+    record = read_record(tmp_path / "b" / "weights.safetensors")
+    assert record.streets == {"training": ["1", "2"], "validation": []}
+    made, before = (read_weights(tmp_path / k / "weights.safetensors") for k in ("b", "a"))
+    # One step of the warm-up moves little; random weights would be anywhere.
+    name = "stem.1.weight"
+    assert (made[name] - before[name]).abs().max() < 0.01 * before[name].abs().max()
+    command = RelightTrainingOptions(
+        data=streets, out=tmp_path / "c", streets=("1",), network="paper", start=first
+    )
+    with pytest.raises(InputError, match="another network"):
+        train(command)
 
 
 def test_rendered_pairs_show_the_twin_under_both_skies(

@@ -38,6 +38,8 @@ class WeightsRecord:
         version: of lightsim.
         streets: names of synthetic streets, `training` those that it learned from, `validation`
             those that chose it.
+        probe: what a relighting network makes of planes of noise (`relighting.network.stored`):
+            code that uses its planes in another way makes another number.
     """
 
     description: str
@@ -50,6 +52,7 @@ class WeightsRecord:
     licence: str
     version: str
     streets: dict[str, list[str]] | str = UNKNOWN
+    probe: float | str = UNKNOWN
 
     def metadata(self) -> dict[str, str]:
         """For the header of a safetensors file: one entry, whose order of fields is fixed."""

@@ -104,3 +104,5 @@ class RelightTrainingOptions(RunOptions):
     """Its folders to learn from; by default all but those for validation."""
     validation: tuple[str, ...] = ()
     """Its folders that tell how good the network is; nothing is learned from them."""
+    start: Path | None = None
+    """Weights to go on from, of the same network and size; by default random ones."""

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Literal, get_args
 
 import torch
 from torch import Tensor
 
+from lightsim.errors import InputError
 from lightsim.networks.devices import choose_device
 from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
 from lightsim.relighting.network.channels import OF_SKIES
 from lightsim.relighting.network.features import Unseen, srgb_of
 from lightsim.relighting.network.model import RelitNetConfig
 from lightsim.relighting.network.paper_model import PaperNetConfig
-from lightsim.relighting.network.stored import Network, make_network
+from lightsim.relighting.network.stored import Network, NetworkConfig, make_network, network_of
+from lightsim.store.weights import read_weights
 from lightsim.training.ahead import Ahead
 from lightsim.training.relight_data import RelightBatch, RelightData, RelightDataConfig
 from lightsim.training.relight_losses import (
@@ -116,17 +119,21 @@ def ablated(config: RelightTrainConfig, parts: Collection[Pairs | Unseen]) -> Re
 
 
 def train_relight(
-    config: RelightTrainConfig, data: RelightData, session: Session
+    config: RelightTrainConfig, data: RelightData, session: Session, start: Path | None = None
 ) -> tuple[Network, int]:
     """The network, and the number of steps done.
 
+    Args:
+        start: weights to go on from, where there is no checkpoint.
+
     Raises:
-        ArtefactError: the checkpoint belongs to another network.
+        ArtefactError: the checkpoint belongs to another network, or the start is damaged.
+        InputError: the start belongs to another network.
     """
     device = choose_device(session.device)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        network = make_network(config.network)
+        network = make_network(config.network) if start is None else _read(config.network, start)
     network = network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     adam = torch.optim.AdamW(network.parameters(), config.rate, weight_decay=config.weight_decay)
     perceptual = Perceptual().to(device)
@@ -145,6 +152,19 @@ def train_relight(
         learners = {"network": Learner(network, (adam,), is_averaged=True)}
         done = run_training(learners, losses, config.loop, session, "train relighting")
     return network, done
+
+
+def _read(config: NetworkConfig, start: Path) -> Network:
+    network = network_of(read_weights(start))
+    if network.config == config:
+        return network
+    raise InputError(
+        "these are weights of another network",
+        where=start,
+        got=network.config,
+        expected=config,
+        remedy="Train from random weights, or give others for --start.",
+    )
 
 
 def _loss(

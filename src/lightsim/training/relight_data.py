@@ -21,6 +21,8 @@ _OPEN_FILES = 512
 """Each file that is mapped stays open; systems often allow 1024."""
 _VECTORS = ("normal", "position")
 _RADIANT = ("shaded", "reflected", "physical", "sky", OF_SKIES)
+_PAINTED = ("reflected", "physical")
+"""What grows with the colour of surfaces; mirrors do, so that the picture stays their sum."""
 _CLIPPED = 254 / 255
 
 
@@ -64,6 +66,10 @@ class RelightDataConfig:
     light_error_ev: float = 0.2
     """Standard deviation by which target light and estimate are off: twins err by street, and a
     network that has seen few of them would learn their errors instead of doubting them."""
+    paint_ev: tuple[float, float] = (0.25, 0.1)
+    """Standard deviations by which all surfaces are lighter, and each channel of them: streets of
+    one generator are as light as it makes them, and a network that knows how light that is takes
+    any other street for one whose light was found wrong."""
 
 
 class RelightData:
@@ -120,7 +126,9 @@ class RelightData:
             one = _mirrored(one)
         if "target_physical" in one.planes:
             one = _misjudged(one, 2.0 ** float(rng.normal() * self._config.light_error_ev))
-        return exposed(one, 2.0 ** float(rng.uniform(*self._config.exposure_ev)))
+        lighter, tint = self._config.paint_ev
+        paint = 2.0 ** (lighter * rng.normal() + tint * rng.normal(size=3))
+        return exposed(one, 2.0 ** float(rng.uniform(*self._config.exposure_ev)), paint)
 
     def _pair(self, sample: RelightSample, rng: np.random.Generator) -> RelightBatch:
         """A frame with a source and a target, of one of the kinds."""
@@ -240,19 +248,29 @@ def _misjudged(one: RelightBatch, factor: float) -> RelightBatch:
     return RelightBatch(planes, one.truth, one.weight)
 
 
-def exposed(one: RelightBatch, factor: float) -> RelightBatch:
+def exposed(
+    one: RelightBatch, factor: float, paint: Float[np.ndarray, "3"] | None = None
+) -> RelightBatch:
     """As a camera of another exposure would have shown it; what was clipped and would not be does
-    not count."""
-    planes = dict(one.planes)
+    not count.
+
+    Args:
+        paint: what surfaces reflect is so many times as much, by channel; the sky stays.
+    """
+    planes, matte = dict(one.planes), one.planes["matte"]
+    coat = torch.ones(3) if paint is None else torch.from_numpy(paint)
+    coat = coat.to(matte)[:, None, None]
+    of_pixel = factor * (matte + (1 - matte) * coat)
     for name in planes:
         if name.endswith(_RADIANT):
-            planes[name] = planes[name] * factor
-    source = linear_of(planes["source"]) * factor
+            planes[name] = planes[name] * (of_pixel if name.endswith(_PAINTED) else factor)
+    planes["base_colour"] = planes["base_colour"] * coat
+    source = linear_of(planes["source"]) * of_pixel
     planes["clipped"] = torch.maximum(
         planes["clipped"], (source.amax(1, keepdim=True) >= 1).to(source)
     )
     planes["source"] = srgb_of(source).clamp(0, 1)
-    truth = srgb_of(linear_of(one.truth) * factor).clamp(0, 1)
+    truth = srgb_of(linear_of(one.truth) * of_pixel).clamp(0, 1)
     was_clipped = one.truth.amax(1, keepdim=True) >= _CLIPPED
     is_known = ~was_clipped | (truth.amin(1, keepdim=True) >= _CLIPPED)
     return RelightBatch(planes, truth, one.weight * is_known)

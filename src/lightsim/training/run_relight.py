@@ -13,8 +13,9 @@ from lightsim.progress import terminal_progress
 from lightsim.relighting.baselines.epe import EpeConfig
 from lightsim.relighting.baselines.self_osr import SelfOsrConfig
 from lightsim.relighting.network.features import Unseen
-from lightsim.relighting.network.stored import tensors_of_network
-from lightsim.store.weights import WeightsRecord
+from lightsim.relighting.network.model import RelitNet
+from lightsim.relighting.network.stored import probe, tensors_of_network
+from lightsim.store.weights import UNKNOWN, WeightsRecord, read_record
 from lightsim.training.options import RelightTrainingOptions
 from lightsim.training.relight import (
     Pairs,
@@ -39,6 +40,8 @@ _DESCRIPTION = {
 }
 _BASELINES = {"self-osr": SelfOsrConfig(), "epe": EpeConfig()}
 _MOST_EDGES = 1e4
+_RATE_GOING_ON = 0.3
+"""Learning rate from weights that know something, over that from random ones."""
 
 
 def train(command: RelightTrainingOptions) -> None:
@@ -49,33 +52,42 @@ def train(command: RelightTrainingOptions) -> None:
     """
     streets = _streets(command)
     config = _config(command)
-    is_baseline = isinstance(config, BaselineTrainConfig)
     data = RelightData([command.data / name for name in streets], config.data)
     with session_of(command) as session:
-        train_it = train_baseline if is_baseline else train_relight
-        network, steps = train_it(config, data, session)  # type: ignore[arg-type]
+        if isinstance(config, BaselineTrainConfig):
+            network, steps = train_baseline(config, data, session)
+        else:
+            network, steps = train_relight(config, data, session, command.start)
     if not session.processes.is_first:
         return
     network.cpu()
     tensors = tensors_of_network(network)
+    # As it is stored.
+    network.load_state_dict({k: v.half().float() for k, v in network.state_dict().items()})
     scores = {}
     if command.validation:
         held_out = RelightData([command.data / n for n in command.validation], RelightDataConfig())
-        network.load_state_dict({k: v.half().float() for k, v in network.state_dict().items()})
         scores = score_relight(network, held_out, terminal_progress())
+    first = None if command.start is None else read_record(command.start)
+    before = [] if first is None else _streets_of(first)
     record = WeightsRecord(
         description=_DESCRIPTION[command.network],
         command=command_line("relight", command, session.processes.count),
         training_data=f"{len(data)} frames of the synthetic streets {', '.join(streets)} with "
         "path-traced truth, seen through twins that were built from their logs; target skies: "
-        f"{', '.join(data.sky_names)}",
+        f"{', '.join(data.sky_names)}"
+        + ("" if first is None else f"; the weights before: {first.training_data}"),
         split_hash=_hash(streets, command.validation),
         seed=command.seed,
         steps=steps,
         scores=scores or "no street was held out",
         licence=command.licence,
         version=__version__,
-        streets={"training": list(streets), "validation": list(command.validation)},
+        streets={
+            "training": sorted({*before, *streets}, key=_by_number),
+            "validation": list(command.validation),
+        },
+        probe=probe(network) if isinstance(network, RelitNet) else UNKNOWN,
     )
     write_run(command, tensors, scores, record)
 
@@ -90,10 +102,10 @@ def _config(command: RelightTrainingOptions) -> RelightTrainConfig | BaselineTra
 
 
 def _baseline(command: RelightTrainingOptions) -> BaselineTrainConfig:
-    if command.without:
+    if command.without or command.start:
         raise InputError(
-            "ablations are of the paper's network and of ours",
-            where="--without",
+            "ablations and first weights are of the paper's network and of ours",
+            where="--without" if command.without else "--start",
             got=f"--network {command.network}",
             expected="--network network or paper",
         )
@@ -114,6 +126,8 @@ def _own(command: RelightTrainingOptions) -> RelightTrainConfig:
     config = RelightTrainConfig() if command.preset == "small" else full()
     if command.network == "paper":
         config = paper(config)
+    if command.start is not None:
+        config = replace(config, rate=config.rate * _RATE_GOING_ON)
     return ablated(config, command.without)  # type: ignore[arg-type]
 
 
@@ -137,6 +151,25 @@ def _streets(command: RelightTrainingOptions) -> tuple[str, ...]:
             " prepare relight.",
         )
     return tuple(names)
+
+
+def _streets_of(first: WeightsRecord) -> list[str]:
+    """What the weights that a training begins with have learned from: the next ones know it, too.
+
+    Raises:
+        InputError: nobody knows.
+    """
+    if isinstance(first.streets, str):
+        raise InputError(
+            "these weights do not tell what streets they learned from",
+            where="--start",
+            remedy="Give weights that lightsim train relight made.",
+        )
+    return first.streets["training"]
+
+
+def _by_number(name: str) -> tuple[int, str]:
+    return (int(name) if name.isdigit() else 0, name)
 
 
 def _hash(train: Sequence[str], validation: Sequence[str]) -> str:

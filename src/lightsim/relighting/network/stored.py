@@ -13,6 +13,7 @@ from lightsim.errors import InputError
 from lightsim.networks.stored import load_stored, stored_config, stored_tensors
 from lightsim.relighting.baselines.epe import EpeConfig, EpeNet
 from lightsim.relighting.baselines.self_osr import SelfOsrConfig, SelfOsrNet
+from lightsim.relighting.network.channels import LIGHT, OF_SKIES, SCENE, TARGET
 from lightsim.relighting.network.model import RelitNet, RelitNetConfig
 from lightsim.relighting.network.paper_model import PaperNet, PaperNetConfig
 from lightsim.relighting.options import SHIPPED, Method
@@ -56,6 +57,26 @@ def network_of(tensors: Mapping[str, Tensor]) -> Network:
     network = make_network(configs[kind](**values))
     load_stored(network, tensors)
     return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+
+def probe(network: RelitNet) -> float:
+    """Mean of what a network makes of planes of noise, which is the same for every network.
+
+    Weights carry it in their record: code that shows or uses planes in another way than they were
+    trained with makes another one.
+    """
+    noise = torch.Generator().manual_seed(0)
+    channels = dict(SCENE) | {f"target_{name}": count for name, count in TARGET.items()}
+    for which in ("source", "target"):
+        channels |= {f"{which}_{name}": count for name, count in LIGHT.items()}
+    batch = {name: torch.rand((1, n, 16, 16), generator=noise) for name, n in channels.items()}
+    batch |= {f"{which}{OF_SKIES}": torch.ones(1, 3, 2, 4) for which in ("source", "target")}
+    was_training = network.training
+    network.eval()
+    with torch.inference_mode():
+        made = network(batch).picture.mean()
+    network.train(was_training)
+    return float(made)
 
 
 def network_for(kind: type[AnyNetwork], weights: Path | None) -> AnyNetwork:
