@@ -79,7 +79,7 @@ class Street:
         transport = RelightConfig().transport
         self.estimated = FrameRenderer(
             twin.background, self.workspace.unobserved_occluders, transport, 0
-        )
+        ).with_roofs(self.workspace.uncertain_roofs)
         coloured = _with_colour(self.surfaces.meshes["background"], twin.background)
         empty = replace(coloured, faces=coloured.faces[:0])
         self.true = FrameRenderer(coloured, empty, transport, 0)

@@ -45,6 +45,7 @@ class TinyWorkspace(Workspace):
     def __init__(self, **values: Any) -> None:
         super().__init__(Path("tiny"))
         self.__dict__.update(held_out=frozenset(), inferred=NOTHING, rooflines=[], **values)
+        self.__dict__.update(uncertain_roofs=None)
         self.mattes: Mapping[str, np.ndarray] = {}
 
     @property

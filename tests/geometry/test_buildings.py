@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -12,13 +13,19 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.fields import GroundMap
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
-from lightsim.core.profiles import best_profile, energy_of_filling, least_energies
+from lightsim.core.profiles import (
+    best_profile,
+    energy_of_filling,
+    label_probabilities,
+    least_energies,
+)
 from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.errors import FrameMismatchError, InputError
 from lightsim.geometry.completion.buildings import complete_buildings
 from lightsim.geometry.completion.crowns import Crowns
 from lightsim.geometry.completion.neighbours import raised_to_neighbours
 from lightsim.geometry.completion.prisms import roof_casters
+from lightsim.geometry.completion.rooflines import tops_at
 from lightsim.geometry.completion.walls import find_walls
 from lightsim.render.casters.embree import EmbreeCaster
 
@@ -324,6 +331,40 @@ def test_the_best_profile_is_the_best_of_all() -> None:
         with_it = min(total(p) for p in profiles if p[s] == label)
         without = min(total(p) for p in profiles if p[s] == 0)
         assert least[s, label] - least[s, 0] == pytest.approx(with_it - without)
+
+
+def test_probabilities_of_labels_sum_over_all_profiles() -> None:
+    rng = np.random.default_rng(1)
+    energy, fresh = rng.uniform(0, 2, (4, 3)), rng.uniform(0.1, 1, (4, 3))
+    fresh /= fresh.sum(axis=1, keepdims=True)
+    kept = np.array([[0.95, 0.05, 0.0], [0.05, 0.9, 0.05], [0.0, 0.05, 0.95]])
+    wanted = np.zeros((4, 3))
+    for profile in product(range(3), repeat=4):
+        weight = float(np.exp(-energy[np.arange(4), profile].sum())) * fresh[0, profile[0]]
+        for s in range(1, 4):
+            weight *= 0.8 * kept[profile[s - 1], profile[s]] + 0.2 * fresh[s, profile[s]]
+        wanted[np.arange(4), profile] += weight
+    found = label_probabilities(energy, fresh, 0.2)
+    np.testing.assert_allclose(found, wanted / wanted.sum(axis=1, keepdims=True), rtol=1e-9)
+
+
+def test_an_unseen_roof_is_its_neighbours_near_it_and_any_of_the_street_further_on() -> None:
+    """The most probable profile alone stays at 16 m for all 40 m: it never begins a house."""
+    wall = Wall(np.zeros(3), np.array([0.0, -1, 0]), np.array([1.0, 0, 0]), (0.0, 40.0), (0.0, 4.0))
+    known = _roofline(wall, np.full(80, 32), 12.0)
+    # As rooflines carry it, a building every 10 m.
+    pull = 0.5 * (np.log(np.maximum(0.5 * np.arange(61), 0.5) / 10.0) / 0.3) ** 2
+    energy = np.tile(0.05 * pull, (80, 1)).astype(np.float32)
+    energy[:10] += 8.0 * np.abs(np.arange(61) - 32)
+    roofline = replace(known, energy=energy, is_seen=np.arange(80) < 10)
+    low, middle, high = 0.5 * tops_at(roofline, (10.0, 0.3), np.array([0.159, 0.5, 0.841]))
+    np.testing.assert_array_equal(middle[:10], 16.0)
+    assert middle[12] == pytest.approx(16.0, abs=0.5)
+    # Four houses on it is the street's own: a log-normal, up to half a cell.
+    assert middle[-1] == pytest.approx(10.0, abs=0.6)
+    assert low[-1] == pytest.approx(10.0 * np.exp(-0.3), abs=0.6)
+    assert high[-1] == pytest.approx(10.0 * np.exp(0.3), abs=0.9)
+    assert (np.diff(high - low)[12:40:7] >= -0.5).all()
 
 
 def test_walls_are_upright_planes() -> None:

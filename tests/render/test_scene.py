@@ -20,6 +20,7 @@ from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.composite import CompositeCaster
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.gbuffers import render_gbuffers
+from lightsim.render.roofs import UncertainRoofs
 from lightsim.render.scene import FrameScene, make_static_scene, place, without_actors
 from lightsim.render.transport.light import light
 from lightsim.render.transport.matrix import TransportConfig, exact, trace_transport
@@ -200,3 +201,25 @@ def test_the_recorded_sun_is_rendered_as_found_and_another_is_not() -> None:
         np.testing.assert_allclose(visibility[x < -0.3], in_shade, atol=0.01)
         brightness = image[x < -0.3].mean() / image[x > 0.3].mean()
         assert abs(brightness - in_shade) < 0.05
+
+
+def test_a_shadow_is_as_soft_as_its_roof_is_uncertain() -> None:
+    """Walls 4 or 8 m tall before a sun 45 degrees high: ground is dark up to 4 m behind, half lit
+    up to 8 m; under the sun of the recording the one that its shadows chose is taken."""
+    sky, elsewhere = sun_sky(0.0, 45.0), sun_sky(np.radians(3.0), 45.0)
+    low, tall = (box((0.0, 0.0, height / 2), (0.02, 60.0, height)) for height in (4.0, 8.0))
+    guesses = [make_embree_caster([guess]) for guess in (low, tall)]
+    frame = CameraFrame("test", "00", 0, _ABOVE, lambda: np.zeros((96, 96, 3), np.uint8))
+    config = TransportConfig(sky_rays=1, face_rays=0, glossy_rays=0)
+    for told_by, half in ((elsewhere.sun, 0.5), (sky.sun, 0.0), (None, 0.5)):
+        roofs = UncertainRoofs(guesses, told_by)
+        for is_sampled in (False, True):
+            renderer = FrameRenderer(plane(20.0, 4), tall, config, 0, is_sampled=is_sampled)
+            renderer = renderer.with_roofs(roofs)
+            traced = renderer.trace(Scenario("s", (), ()), frame, camera(96, 96, 100.0))
+            lit, x = traced.light(sky), traced.buffers.position_world[..., 0]
+            for behind_m, wanted in ((2.0, 0.0), (6.0, half), (10.0, 1.0)):
+                there = np.abs(x + behind_m) < 1.0
+                np.testing.assert_allclose(lit.sun_visibility[there], wanted, atol=1e-5)
+                level = np.sin(np.radians(45.0)) * wanted
+                np.testing.assert_allclose(lit.direct_sun[there], level, rtol=1e-3, atol=1e-5)

@@ -115,4 +115,5 @@ class Roofline:
         if further is not None:
             energy = energy + np.where(self.is_seen[:, None], 0.0, further)
         top = best_profile(energy, _STEP, _STEP_PER_M * self.cell_m)
-        return replace(self, top=top if further is None else np.where(self.is_seen, self.top, top))
+        top = top if further is None else np.where(self.is_seen, self.top, top)
+        return replace(self, top=top, energy=energy.astype(np.float32))

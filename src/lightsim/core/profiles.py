@@ -48,6 +48,42 @@ def least_energies(
     return energy + before + after
 
 
+def label_probabilities(
+    energy: Float64[np.ndarray, "s t"], fresh: Float64[np.ndarray, "s t"], chance: float
+) -> Float64[np.ndarray, "s t"]:
+    """Of each label in each column, over all profiles: the best one alone has no steps where
+    nothing speaks for one.
+
+    A column has its neighbour's label (or, one in ten times, the next), but with a chance it
+    begins something new; sums over all profiles by the forward-backward algorithm (Rabiner 1989,
+    doi:10.1109/5.18626).
+
+    Args:
+        energy: of each column at each label, nats.
+        fresh: probability of each label where something new begins.
+        chance: of that, for each column.
+    """
+    likelihood = np.exp(energy.min(axis=1, keepdims=True) - energy)
+    before, after = likelihood * fresh, np.ones_like(energy)
+    before[0] /= before[0].sum()
+    for s in range(1, len(energy)):
+        kept = (1 - chance) * _wandering(before[s - 1])
+        before[s] = (kept + chance * fresh[s]) * likelihood[s]
+        before[s] /= before[s].sum()
+    for s in range(len(energy) - 2, -1, -1):
+        told = after[s + 1] * likelihood[s + 1]
+        after[s] = (1 - chance) * _wandering(told) + chance * (fresh[s + 1] @ told)
+        after[s] /= after[s].max()
+    both = before * after
+    return both / both.sum(axis=1, keepdims=True)
+
+
+def _wandering(weight: Float64[np.ndarray, " t"]) -> Float64[np.ndarray, " t"]:
+    """One in ten moves to a label beside it."""
+    padded = np.pad(weight, 1, mode="edge")
+    return 0.9 * weight + 0.05 * (padded[2:] + padded[:-2])
+
+
 def _change(labels: int, step: float, step_per_label: float) -> Float64[np.ndarray, "t t"]:
     """Energy of every pair of neighbours' labels."""
     levels = np.arange(labels)

@@ -3,23 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from lightsim.appearance.colour import colour_of_nearest
 from lightsim.core.buildings import Roofline
+from lightsim.core.dome import Sun
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
 from lightsim.core.twin import DigitalTwin, SceneAssets, SkyEstimate
 from lightsim.errors import FrameMismatchError, InputError
 from lightsim.geometry.completion.prisms import roof_casters
+from lightsim.geometry.completion.rooflines import height_prior, tops_at
 from lightsim.render.casters.embree import make_embree_caster
+from lightsim.render.roofs import UncertainRoofs
+
+_GUESSES = 8
+"""Of what no view shows; a shadow that they do not share has so many steps."""
 
 
 def roofs_over(background: TriMesh, rooflines: Sequence[Roofline]) -> TriMesh:
     """Casters that no image shows, in the colours of the nearest background."""
     casters = roof_casters(rooflines, background, make_caster=make_embree_caster)
     return colour_of_nearest(casters, background)
+
+
+def uncertain_roofs(
+    background: TriMesh, rooflines: Sequence[Roofline], recorded_sun: Sun | None
+) -> UncertainRoofs | None:
+    """Guesses of what `roofs_over` gives the most probable one of; None where every roof was
+    seen."""
+    if all(r.is_seen.all() for r in rooflines):
+        return None
+    prior = height_prior(rooflines)
+    levels = (np.arange(_GUESSES) + 0.5) / _GUESSES
+    tops = [tops_at(r, prior, levels) for r in rooflines]
+    guesses = [
+        roof_casters(
+            [replace(r, top=top[k]) for r, top in zip(rooflines, tops, strict=True)],
+            background,
+            make_caster=make_embree_caster,
+        )
+        for k in range(_GUESSES)
+    ]
+    return UncertainRoofs([make_embree_caster([mesh]) for mesh in guesses], recorded_sun)
 
 
 def build_twin(log: DrivingLog, assets: SceneAssets, sky: SkyEstimate) -> DigitalTwin:

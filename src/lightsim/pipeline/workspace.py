@@ -41,6 +41,7 @@ from lightsim.store.twin import read_twin_assets
 
 if TYPE_CHECKING:
     from lightsim.reconstruct.field.sdf_field import SceneField
+    from lightsim.render.roofs import UncertainRoofs
 
 T = TypeVar("T")
 FIELD_NAME = "field.safetensors"
@@ -332,6 +333,14 @@ class Workspace:
     def unobserved_occluders(self) -> TriMesh:
         """The inferred casters with their base colour."""
         return self._twin_assets[1]
+
+    @made_of("sky", "twin")
+    def uncertain_roofs(self) -> UncertainRoofs | None:
+        """How else the inferred casters may be; None where all was seen."""
+        from lightsim.pipeline.assemble import uncertain_roofs
+
+        background = self._twin_assets[0].background
+        return uncertain_roofs(background, self.rooflines, self.sky.dome.sun)
 
     @made_of("log", "alignment", "sky", "twin")
     def twin(self) -> DigitalTwin:

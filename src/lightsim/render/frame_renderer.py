@@ -27,6 +27,7 @@ from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.coverage import actor_coverage
 from lightsim.render.gbuffers import render_gbuffers, with_ambient_occlusion
 from lightsim.render.image import scene_image
+from lightsim.render.roofs import UncertainRoofs
 from lightsim.render.scene import (
     FrameScene,
     grown,
@@ -46,7 +47,7 @@ from lightsim.render.transport.matrix import (
 )
 from lightsim.render.transport.samples import render_samples, sample_offsets
 from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
-from lightsim.render.transport.sun import sun_visibility
+from lightsim.render.transport.sun import sun_in_scene, sun_visibility
 from lightsim.render.window import WindowFrame, seen_through
 
 SHADOW_ERROR_M = 0.25
@@ -233,8 +234,7 @@ class TransportFrame:
         """Fraction of the sun's disc that the camera sees, whether or not it looks there."""
         place = np.asarray(self.view[0].world_from_camera.translation_m, np.float32)[None]
         towards = (sun.direction_world / np.linalg.norm(sun.direction_world)).astype(np.float32)
-        seen = sun_visibility(self._scene.caster, place, towards[None], sun, self._config)
-        return float(seen[0])
+        return float(sun_in_scene(self._scene, place, towards[None], sun, self._config)[0])
 
     def coverage(self, numbers: Collection[int]) -> Float32[np.ndarray, "h w"]:
         """Fraction of each pixel that shows one of these actors, by their numbers."""
@@ -302,6 +302,13 @@ class FrameRenderer:
         self._make_caster = make_caster
         faces = static_face_table(without_actors(self._static), transport, seed)
         self._tracing = Tracing(transport, seed, faces, is_sampled, recorded_sun)
+
+    def with_roofs(self, roofs: UncertainRoofs | None) -> FrameRenderer:
+        """The same where what is inferred may be otherwise, for suns whose shadows no picture
+        shows."""
+        other = copy(self)
+        other._static = replace(self._static, roofs=roofs)
+        return other
 
     def sampled(
         self,

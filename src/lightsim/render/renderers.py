@@ -17,6 +17,7 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.render.casters.choice import choose_caster, resolve_backend
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.options import LightChoice, RendererChoice
+from lightsim.render.roofs import UncertainRoofs
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.render.transport.matrix_torch import has_torch_cuda
 
@@ -87,6 +88,7 @@ def make_renderer(
     *,
     has_images: bool,
     recorded_sun: Sun | None = None,
+    roofs: UncertainRoofs | None = None,
 ) -> Renderer:
     """The renderer that the user chose.
 
@@ -94,6 +96,7 @@ def make_renderer(
         has_images: whether images are asked for, which takes rays for reflections.
         recorded_sun: where light transport renders this sun, its shadows fall as the twin found
             them in the pictures; the reference renderers trace them.
+        roofs: how else what is inferred may be; the reference renderers take it as it is.
 
     Raises:
         InputError: its backend is not available here.
@@ -105,8 +108,9 @@ def make_renderer(
         denoise.check_installed()
         noisy = replace(choice, denoise=False)
         renderer = make_renderer(
-            noisy, background, inferred, seed, has_images=True, recorded_sun=recorded_sun
-        )
+            noisy, background, inferred, seed, has_images=True, recorded_sun=recorded_sun,
+            roofs=roofs,
+        )  # fmt: skip
         return _Denoised(renderer)
     if choice.renderer != "transport":
         return make_reference(choice, background, inferred, seed)
@@ -125,7 +129,7 @@ def make_renderer(
         make_caster=make_caster,
         is_sampled=True,
         recorded_sun=recorded_sun,
-    )
+    ).with_roofs(roofs)
 
 
 def check_installed(choice: LightChoice) -> None:

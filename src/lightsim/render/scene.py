@@ -10,10 +10,12 @@ from jaxtyping import Float32, Int32
 
 from lightsim.core.buffers import BACKGROUND
 from lightsim.core.casting import MakeCaster, RayCaster
+from lightsim.core.dome import Sun
 from lightsim.core.mesh import TriMesh
 from lightsim.core.scenario import ActorPlacement, Scenario
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.composite import CompositeCaster
+from lightsim.render.roofs import UncertainRoofs
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +28,7 @@ class StaticScene:
         visible_caster: over `visible`, for cameras.
         caster: over `visible`, then `shadow_only`: what light meets.
         normals: vertex normals of `visible`, then of `shadow_only`.
+        roofs: how else `shadow_only` may be, for suns whose shadows no picture shows.
     """
 
     visible: tuple[TriMesh, ...]
@@ -33,6 +36,7 @@ class StaticScene:
     visible_caster: RayCaster
     caster: RayCaster
     normals: tuple[Float32[np.ndarray, "_ 3"], ...]
+    roofs: UncertainRoofs | None = None
 
     @property
     def meshes(self) -> tuple[TriMesh, ...]:
@@ -71,6 +75,13 @@ class FrameScene:
     def caster(self) -> CompositeCaster:
         """What light meets; mesh_index counts `meshes`."""
         return CompositeCaster([self.static.caster, self.actor_caster])
+
+    def before_sun(self, sun: Sun) -> tuple[RayCaster, UncertainRoofs | None]:
+        """What may stand before a sun: all that is certain, and roofs that are not."""
+        roofs = self.static.roofs
+        if roofs is None or roofs.are_told(sun):
+            return self.caster, None
+        return CompositeCaster([self.static.visible_caster, self.actor_caster]), roofs
 
     @property
     def camera_caster(self) -> CompositeCaster:

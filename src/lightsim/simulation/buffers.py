@@ -166,6 +166,7 @@ def _render(
             options.seed,
             has_images="image" in options.what and not options.has_pictures,
             recorded_sun=workspace.sky.dome.sun,
+            roofs=workspace.uncertain_roofs,
         )
         # Not before: a renderer that is not installed must leave no claim behind.
         _claim(layout, settings, skies)

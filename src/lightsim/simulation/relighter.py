@@ -111,7 +111,7 @@ class Relighter:
             workspace.unobserved_occluders,
             config.transport,
             options.seed,
-        )
+        ).with_roofs(workspace.uncertain_roofs)
         self._source_sky = workspace.sky.dome
         if options.source_sky is not None:
             given = SkyChoice(str(options.source_sky), scale="none")

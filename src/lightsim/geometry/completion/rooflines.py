@@ -17,7 +17,7 @@ from jaxtyping import Float64, Int64
 
 from lightsim.core.buildings import Roofline
 from lightsim.core.fields import GroundMap
-from lightsim.core.profiles import best_profile, energy_of_filling
+from lightsim.core.profiles import best_profile, energy_of_filling, label_probabilities
 from lightsim.geometry.completion.free_space import FreeSpace
 from lightsim.geometry.completion.neighbours import HOUSE_DEPTH_M, INSET_M, unexplained
 from lightsim.geometry.completion.wall_cells import WallCells
@@ -59,7 +59,7 @@ def find_rooflines(walls: Sequence[WallCells], ground: GroundMap) -> list[Roofli
     prior = (_HEIGHT_M, _LOG_STD)
     found = [_roofline(*pair, ground, prior) for pair in zip(walls, own, strict=True)]
     for _ in range(_ROUNDS):
-        prior = _height_prior(found)
+        prior = height_prior(found)
         own = [
             (1.0 - _DAMPING) * before + _DAMPING * now
             for before, now in zip(own, unexplained(walls, found), strict=True)
@@ -73,7 +73,40 @@ def with_depths(rooflines: Sequence[Roofline], space: FreeSpace) -> list[Rooflin
     return [replace(roofline, depth_m=_depth_m(roofline, space)) for roofline in rooflines]
 
 
-def _height_prior(rooflines: Sequence[Roofline]) -> tuple[float, float]:
+def tops_at(
+    roofline: Roofline, prior: tuple[float, float], levels: Float64[np.ndarray, " l"]
+) -> Int64[np.ndarray, "l s"]:
+    """Tops that the roof lies below with these probabilities; a roof that some view shows keeps
+    its own.
+
+    Along a row of houses a new height begins with each house, so that a roof which nothing was
+    seen of is as high as its neighbour for a few metres, and further on as high as any of the
+    street.
+
+    Args:
+        prior: median and log spread of heights of the street (`height_prior`).
+    """
+    cell, count = roofline.cell_m, roofline.energy.shape[1]
+    tops_m = roofline.wall.height_m[0] + cell * np.arange(count) - roofline.ground_m[:, None]
+    pull = _pull(tops_m, cell, prior)
+    fresh = np.exp(-pull) / np.maximum(tops_m, cell)
+    evidence = roofline.energy - cell / _BUILDING_M * pull
+    chance = min(cell / _BUILDING_M, 1.0)
+    fresh /= fresh.sum(axis=1, keepdims=True)
+    below = np.cumsum(label_probabilities(evidence, fresh, chance), axis=1)
+    tops = (below < levels[:, None, None]).sum(axis=2)
+    return np.where(roofline.is_seen, roofline.top, tops)
+
+
+def _pull(
+    tops_m: Float64[np.ndarray, "s t"], cell_m: float, prior: tuple[float, float]
+) -> Float64[np.ndarray, "s t"]:
+    """Nats against heights for one building: a log-normal's."""
+    height_m, log_std = prior
+    return 0.5 * (np.log(np.maximum(tops_m, cell_m) / height_m) / log_std) ** 2
+
+
+def height_prior(rooflines: Sequence[Roofline]) -> tuple[float, float]:
     """Median and log spread of heights of this street's buildings: conjugate update of the prior,
     every wall with a seen roof as one draw."""
     draws = [
@@ -98,10 +131,8 @@ def _roofline(
     foot = wall.at(cells.s_m, np.zeros_like(cells.s_m), 1.0)
     ground_m = np.minimum(ground.look_up(foot[:, :2]).astype(np.float64), wall.height_m[0])
     energy = _energy(cells, own)
-    height_m, log_std = prior
     tops_m = wall.height_m[0] + cell * np.arange(energy.shape[1]) - ground_m[:, None]
-    z_score = np.log(np.maximum(tops_m, cell) / height_m) / log_std
-    energy += cell / _BUILDING_M * 0.5 * z_score**2
+    energy += cell / _BUILDING_M * _pull(tops_m, cell, prior)
     found = Roofline(
         wall,
         cell,
@@ -111,7 +142,7 @@ def _roofline(
         np.zeros(len(energy), dtype=np.int64),
         np.zeros(len(energy), dtype=bool),
         np.zeros(len(energy)),
-        log_std,
+        prior[1],
     ).solved()
     reach = max(round(_SEEN_WITHIN_M / cell), 1)
     levels = np.arange(cells.sky.shape[1])

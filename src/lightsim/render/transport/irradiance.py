@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float32
 
-from lightsim.core.casting import RayCaster
 from lightsim.core.dome import SkyDome
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import FaceSamples, FaceTable, hashed_shifts
@@ -125,7 +124,7 @@ def _tile(
     points, normals = surface.ray_starts_world, surface.normal_world
     cells, part_cells, face_table = shared
     table = trace_points(scene, surface, shifts, config.transport, face_table)
-    radiosity = _radiosity(table.faces, scene.caster, cells, config.unseen_albedo)
+    radiosity = _radiosity(table.faces, scene, cells, config.unseen_albedo)
     lit = light_points(table, radiosity, scene, points, normals, cells, config.transport)
     sky_part, reflected, reflected_part, reflected_sun = (np.zeros_like(lit.sky) for _ in range(4))
     if table.reflections is not None:
@@ -151,11 +150,11 @@ def _tile(
 
 
 def _radiosity(
-    faces: FaceSamples, caster: RayCaster, cells: EnvironmentCells, unseen_albedo: float | None
+    faces: FaceSamples, scene: FrameScene, cells: EnvironmentCells, unseen_albedo: float | None
 ) -> Float32[np.ndarray, "f 3"]:
     """What each face sends: as it was seen, or one grey bounce where it was not."""
     if unseen_albedo is None:
         return np.zeros_like(faces.base_colour)
     grey = replace(faces, base_colour=np.full_like(faces.base_colour, unseen_albedo))
     is_seen = faces.confidence[:, None] > 0
-    return np.where(is_seen, faces.base_colour, face_radiosity(grey, caster, cells))
+    return np.where(is_seen, faces.base_colour, face_radiosity(grey, scene, cells))

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float32
 
 from lightsim.core.buffers import GBuffers, ShadowBuffers
-from lightsim.core.casting import RayCaster
 from lightsim.core.dome import SkyDome, Sun
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import FaceSamples
@@ -16,7 +15,7 @@ from lightsim.render.transport.lobes import pixel_lobes, sun_in_lobes
 from lightsim.render.transport.matrix import PointTransport, TransportConfig, TransportMatrix
 from lightsim.render.transport.resolve import resolve
 from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
-from lightsim.render.transport.sun import sun_visibility, unshadowed_sun
+from lightsim.render.transport.sun import sun_in_scene, unshadowed_sun
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +49,7 @@ def light(
         sky: a dome, or the result of `prepare_sky`, which saves time for many frames.
     """
     cells = prepare_sky(sky) if isinstance(sky, SkyDome) else sky
-    radiosity = face_radiosity(table.points.faces, scene.caster, cells)
+    radiosity = face_radiosity(table.points.faces, scene, cells)
     sums = table_sums(table.points, cells, radiosity)
     images = np.zeros((gbuffers.depth_z_m.size, 9), dtype=np.float32)
     table.upsampling.add(sums, images, table.pixel)
@@ -107,8 +106,8 @@ def _at_centres(
     if cells.sun is not None:
         has_surface = gbuffers.has_surface
         normals = gbuffers.normal_world[has_surface]
-        visibility[has_surface] = sun_visibility(
-            scene.caster, gbuffers.ray_starts_world[has_surface], normals, cells.sun, config
+        visibility[has_surface] = sun_in_scene(
+            scene, gbuffers.ray_starts_world[has_surface], normals, cells.sun, config
         )
         sun_image[has_surface] = unshadowed_sun(normals, cells.sun)
     direct_sun = sun_image * visibility[..., None]
@@ -136,7 +135,7 @@ def light_points(
     visibility = np.zeros(len(points_world), dtype=np.float32)
     sun = np.zeros((len(points_world), 3), dtype=np.float32)
     if cells.sun is not None:
-        visibility = sun_visibility(scene.caster, points_world, normals_world, cells.sun, config)
+        visibility = sun_in_scene(scene, points_world, normals_world, cells.sun, config)
         sun = unshadowed_sun(normals_world, cells.sun) * visibility[:, None]
     return PointLight(visibility, sun, sums[:, :3], sums[:, 3:6], sums[:, 6:])
 
@@ -155,7 +154,7 @@ def table_sums(
 
 
 def face_radiosity(
-    faces: FaceSamples, caster: RayCaster, cells: EnvironmentCells
+    faces: FaceSamples, scene: FrameScene, cells: EnvironmentCells
 ) -> Float32[np.ndarray, "f 3"]:
     """Radiance that each face sends out: base colour x (sky + sun + other faces) irradiance / pi.
 
@@ -170,7 +169,7 @@ def face_radiosity(
     arriving = np.zeros_like(faces.base_colour)
     face_light(faces.sky_cells, cells.radiance, arriving)
     if cells.sun is not None and len(arriving):
-        arriving += _sun_on_faces(faces, caster, cells.sun)
+        arriving += _sun_on_faces(faces, scene, cells.sun)
     first = (faces.base_colour * arriving).astype(np.float32)
     radiosity = first
     if faces.next_rows is None:
@@ -182,13 +181,16 @@ def face_radiosity(
     return radiosity
 
 
-def _sun_on_faces(faces: FaceSamples, caster: RayCaster, sun: Sun) -> Float32[np.ndarray, "f 3"]:
+def _sun_on_faces(faces: FaceSamples, scene: FrameScene, sun: Sun) -> Float32[np.ndarray, "f 3"]:
     """Irradiance / pi of the sun's centre, mean over each face's sun points."""
     arriving = unshadowed_sun(faces.normals_world, sun)
     lit = np.flatnonzero(arriving.any(axis=1))
     count = faces.sun_points_world.shape[1]
     origins = faces.sun_points_world[lit].reshape(-1, 3)
     towards = np.broadcast_to(sun.direction_world.astype(np.float32), origins.shape)
-    is_open = ~caster.is_occluded(origins, towards)
-    arriving[lit] *= is_open.reshape(-1, count).mean(axis=1, dtype=np.float32)[:, None]
+    caster, roofs = scene.before_sun(sun)
+    seen = (~caster.is_occluded(origins, towards)).astype(np.float32)
+    if roofs is not None:
+        seen *= roofs.open_fraction(origins, sun)
+    arriving[lit] *= seen.reshape(-1, count).mean(axis=1)[:, None]
     return arriving

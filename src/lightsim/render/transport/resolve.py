@@ -106,7 +106,7 @@ def _add_sun(
     patterns = disc_patterns(sun, rays * samples.per_pixel)
     direction = (sun.direction_world / np.linalg.norm(sun.direction_world)).astype(np.float32)
     centre_normals = gbuffers.normal_world.reshape(-1, 3)
-    caster = scene.caster
+    caster, roofs = scene.before_sun(sun)
     visible = np.zeros(len(samples.pixel), dtype=np.float32)
     edge_rows = samples.edge.rows
     tile = max(1, TILE_RAYS // rays)
@@ -123,7 +123,10 @@ def _add_sun(
         which = samples.number[part][facing, None] + samples.per_pixel * np.arange(rays)
         directions = patterns[chosen[:, None], which].reshape(-1, 3)
         occluded = caster.is_occluded(np.repeat(origins, rays, axis=0), directions)
-        visible[start + facing] = 1 - occluded.reshape(-1, rays).mean(axis=1, dtype=np.float32)
+        open_rays = 1 - occluded.reshape(-1, rays).mean(axis=1, dtype=np.float32)
+        if roofs is not None:
+            open_rays *= roofs.open_fraction(origins, sun)
+        visible[start + facing] = open_rays
         seen = visible[part]
         samples.add_means(image, part, np.stack([seen, cosine * seen, cosine], axis=1), fraction)
     return visible

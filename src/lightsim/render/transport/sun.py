@@ -8,6 +8,7 @@ from jaxtyping import Float, Float32
 from lightsim.core.casting import RayCaster
 from lightsim.core.dome import Sun, disc_directions
 from lightsim.render.casters.embree import offset_origins
+from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import TILE_RAYS, TransportConfig, hashed_shifts
 
 PATTERNS = 64
@@ -46,6 +47,23 @@ def sun_visibility(
         )
         visible[rows] = 1 - occluded.reshape(-1, config.sun_rays).mean(axis=1, dtype=np.float32)
     return visible
+
+
+def sun_in_scene(
+    scene: FrameScene,
+    points_world: Float32[np.ndarray, "n 3"],
+    normals_world: Float32[np.ndarray, "n 3"],
+    sun: Sun,
+    config: TransportConfig,
+) -> Float32[np.ndarray, " n"]:
+    """`sun_visibility` in a scene: its mean, where roofs are uncertain."""
+    caster, roofs = scene.before_sun(sun)
+    seen = sun_visibility(caster, points_world, normals_world, sun, config)
+    if roofs is not None:
+        rows = np.flatnonzero(seen > 0)
+        origins = offset_origins(points_world[rows], normals_world[rows])
+        seen[rows] *= roofs.open_fraction(origins, sun)
+    return seen
 
 
 def disc_patterns(sun: Sun, count: int) -> Float32[np.ndarray, "p k 3"]:

@@ -1,0 +1,50 @@
+"""Roofs that no view reaches, as uncertain as they are: what lets the sun by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.core.casting import RayCaster
+from lightsim.core.dome import Sun
+from lightsim.core.solar import angle_between_deg
+
+_TOLD_DEG = 1.0
+"""Shadows of a sun this near to the recorded one lie where the pictures show them."""
+
+
+@dataclass(frozen=True, eq=False)
+class UncertainRoofs:
+    """Equally probable guesses of what no view shows of buildings.
+
+    A shadow is the mean over all of them: expected light. It is soft where nobody knows where it
+    ends, and a false edge costs less than a hard one would.
+
+    Args:
+        guesses: a caster over the hidden parts of each guess.
+        told_by: sun of the recording, whose shadows chose the one guess that is used for it.
+    """
+
+    guesses: Sequence[RayCaster]
+    told_by: Sun | None
+
+    def are_told(self, sun: Sun) -> bool:
+        """Whether the pictures show the shadows of this sun."""
+        if self.told_by is None:
+            return False
+        angle_deg = angle_between_deg(sun.direction_world, self.told_by.direction_world)
+        return bool(angle_deg < _TOLD_DEG)
+
+    def open_fraction(
+        self, points_world: Float32[np.ndarray, "n 3"], sun: Sun
+    ) -> Float32[np.ndarray, " n"]:
+        """Fraction of the guesses that let the centre of the sun's disc be seen from points."""
+        direction = sun.direction_world / np.linalg.norm(sun.direction_world)
+        towards = np.broadcast_to(direction.astype(np.float32), points_world.shape)
+        stopped = np.zeros(len(points_world), dtype=np.float32)
+        for caster in self.guesses:
+            stopped += caster.is_occluded(points_world, towards)
+        return 1.0 - stopped / np.float32(len(self.guesses))
