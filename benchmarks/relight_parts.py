@@ -197,7 +197,9 @@ def _error_classes(
     }
 
 
-def _scores(made: np.ndarray, truth: np.ndarray, is_valid: np.ndarray) -> tuple[float, float]:
+def picture_scores(
+    made: np.ndarray, truth: np.ndarray, is_valid: np.ndarray
+) -> tuple[float, float]:
     """PSNR and LPIPS over the valid pixels."""
     filled = lpips_features(fill_invalid(made, truth, is_valid).astype(np.float32))
     distance = lpips_of_features(filled, lpips_features(truth), is_valid)
@@ -225,18 +227,18 @@ def main() -> None:
             truth = (read_srgb8(file) / 255).astype(np.float32)
             for name, baseline in BASELINES.items():
                 made = np.clip(baseline(source, truth, seen.is_surface), 0.0, 1.0)
-                scores[target, name].append(_scores(made, truth, seen.is_surface))
+                scores[target, name].append(picture_scores(made, truth, seen.is_surface))
             others = {LAMBERT: street.lambert(seen, target)} | {
                 name: street.relit(seen, part, target, network) for name, part in BY_NETWORK.items()
             }
             for name, picture in others.items():
                 made = (picture / 255).astype(np.float32)
-                scores[target, name].append(_scores(made, truth, seen.is_surface))
+                scores[target, name].append(picture_scores(made, truth, seen.is_surface))
             sky = street.skies[target]
             classes = _error_classes(seen, seen.true.light(sky), sky.sun is not None)
             for part in PARTS:
                 made = (street.relit(seen, part, target) / 255).astype(np.float32)
-                scores[target, part].append(_scores(made, truth, seen.is_surface))
+                scores[target, part].append(picture_scores(made, truth, seen.is_surface))
                 error = made.astype(float) - truth
                 square, bias = (error**2).mean(axis=-1), error.mean(axis=-1)
                 total = square[seen.is_surface].sum()

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.colour import luminance
 from lightsim.core.dome import SkyDome, Sun
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import FaceSamples
@@ -106,8 +107,9 @@ def _at_centres(
     if cells.sun is not None:
         has_surface = gbuffers.has_surface
         normals = gbuffers.normal_world[has_surface]
+        shade = luminance((open_sky + bounce)[has_surface])
         visibility[has_surface] = sun_in_scene(
-            scene, gbuffers.ray_starts_world[has_surface], normals, cells.sun, config
+            scene, gbuffers.ray_starts_world[has_surface], normals, cells.sun, config, shade
         )
         sun_image[has_surface] = unshadowed_sun(normals, cells.sun)
     direct_sun = sun_image * visibility[..., None]

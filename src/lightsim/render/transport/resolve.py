@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from lightsim.core.buffers import GBuffers, ShadowBuffers
+from lightsim.core.colour import luminance
 from lightsim.core.dome import Sun
 from lightsim.render.casters.embree import offset_origins
 from lightsim.render.scene import FrameScene
@@ -15,7 +16,13 @@ from lightsim.render.transport.lobes import sun_in_lobes
 from lightsim.render.transport.matrix import SampleTable
 from lightsim.render.transport.samples import PixelSamples
 from lightsim.render.transport.sky import EnvironmentCells
-from lightsim.render.transport.sun import PATTERNS, TILE_RAYS, disc_patterns, unshadowed_sun
+from lightsim.render.transport.sun import (
+    PATTERNS,
+    TILE_RAYS,
+    as_seen,
+    disc_patterns,
+    unshadowed_sun,
+)
 
 
 def resolve(
@@ -52,7 +59,8 @@ def resolve(
     sunlight = np.zeros(3, np.float32)
     if cells.sun is not None:
         sunlight = (cells.sun.irradiance / np.pi).astype(np.float32)
-        visible = _add_sun(sun, fraction, (samples, scene, gbuffers), cells.sun, config)
+        shade = luminance(open_sky + bounce).reshape(-1)
+        visible = _add_sun(sun, fraction, (samples, scene, gbuffers), (cells.sun, shade), config)
         edge_shaded += _sun_at_edges(samples, visible, cells.sun)
     direct_sun = sun[..., 1:2] * sunlight
     shaded = direct_sun + open_sky + bounce
@@ -93,15 +101,19 @@ def _add_sun(
     image: Float32[np.ndarray, "h w 3"],
     fraction: Float32[np.ndarray, " p"],
     frame: tuple[PixelSamples, FrameScene, GBuffers],
-    sun: Sun,
+    arriving: tuple[Sun, Float32[np.ndarray, " p"]],
     config: TransportConfig,
 ) -> Float32[np.ndarray, " n"]:
     """Fraction of the solar disc that each sample sees, 0 where the sun stands behind it; adds to
     `image` the means of that, of it times the sun's cosine, and of the cosine.
 
     The samples of a pixel share `sun_rays` points on the disc, at least one each.
+
+    Args:
+        arriving: the sun, and the luminance of other light at each pixel.
     """
     samples, scene, gbuffers = frame
+    sun, shade = arriving
     rays = max(1, config.sun_rays // samples.per_pixel)
     patterns = disc_patterns(sun, rays * samples.per_pixel)
     direction = (sun.direction_world / np.linalg.norm(sun.direction_world)).astype(np.float32)
@@ -125,7 +137,8 @@ def _add_sun(
         occluded = caster.is_occluded(np.repeat(origins, rays, axis=0), directions)
         open_rays = 1 - occluded.reshape(-1, rays).mean(axis=1, dtype=np.float32)
         if roofs is not None:
-            open_rays *= roofs.open_fraction(origins, sun)
+            sunlight = float(luminance(sun.irradiance / np.pi)) * cosine[facing] * open_rays
+            open_rays *= as_seen(roofs.open_fraction(origins, sun), shade[pixel], sunlight)
         visible[start + facing] = open_rays
         seen = visible[part]
         samples.add_means(image, part, np.stack([seen, cosine * seen, cosine], axis=1), fraction)

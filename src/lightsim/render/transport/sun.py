@@ -6,12 +6,15 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from lightsim.core.casting import RayCaster
+from lightsim.core.colour import luminance
 from lightsim.core.dome import Sun, disc_directions
 from lightsim.render.casters.embree import offset_origins
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import TILE_RAYS, TransportConfig, hashed_shifts
 
 PATTERNS = 64
+_CODE_POWER = 1 / 2.2
+"""Codes of pictures grow with this power of light, about (IEC 61966-2-1)."""
 
 
 def unshadowed_sun(normals_world: Float[np.ndarray, "n 3"], sun: Sun) -> Float32[np.ndarray, "n 3"]:
@@ -55,15 +58,43 @@ def sun_in_scene(
     normals_world: Float32[np.ndarray, "n 3"],
     sun: Sun,
     config: TransportConfig,
+    shade: Float32[np.ndarray, " n"] | None = None,
 ) -> Float32[np.ndarray, " n"]:
-    """`sun_visibility` in a scene: its mean, where roofs are uncertain."""
+    """`sun_visibility` in a scene whose roofs may be uncertain.
+
+    Args:
+        shade: luminance of all other light on the points, for `as_seen`; None: the mean of light.
+    """
     caster, roofs = scene.before_sun(sun)
     seen = sun_visibility(caster, points_world, normals_world, sun, config)
     if roofs is not None:
         rows = np.flatnonzero(seen > 0)
-        origins = offset_origins(points_world[rows], normals_world[rows])
-        seen[rows] *= roofs.open_fraction(origins, sun)
+        chance = roofs.open_fraction(offset_origins(points_world[rows], normals_world[rows]), sun)
+        if shade is not None:
+            sunlight = luminance(unshadowed_sun(normals_world[rows], sun)) * seen[rows]
+            chance = as_seen(chance, shade[rows], sunlight)
+        seen[rows] *= chance
     return seen
+
+
+def as_seen(
+    chance: Float32[np.ndarray, " n"],
+    shade: Float32[np.ndarray, " n"],
+    sunlight: Float32[np.ndarray, " n"],
+) -> Float32[np.ndarray, " n"]:
+    """Part of the sunlight that shows the mean of what pictures would show.
+
+    Pictures are judged by codes, which are steep in the dark: a tenth of a low sun's light makes
+    shade more than twice as bright, and the mean of light would be far from what is likely.
+
+    Args:
+        chance: that the sun is seen.
+        shade, sunlight: luminances of other light, and of the sun's.
+    """
+    total = np.maximum(shade + sunlight, 1e-12)
+    dark = (shade / total) ** _CODE_POWER
+    mean = (dark + (1 - dark) * chance) ** (1 / _CODE_POWER)
+    return np.clip((mean * total - shade) / np.maximum(sunlight, 1e-12), 0, 1).astype(np.float32)
 
 
 def disc_patterns(sun: Sun, count: int) -> Float32[np.ndarray, "p k 3"]:
