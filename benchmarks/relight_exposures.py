@@ -1,9 +1,12 @@
-"""How relighting networks bear pictures that are darker or brighter than those that taught them.
+"""How relighting networks bear pictures and surfaces that are darker or brighter than those that
+taught them.
 
     python benchmarks/relight_exposures.py WORK --truth S/truth [--weights FILE ...]
 
 Frames of a street with true pictures, shown to the networks at other exposures; what they make is
 brought back and scored as recorded: PSNR dB outside sky and clipped pixels, mean over target skies.
+Then the same street with all surfaces so many times as light, which light's linearity gives
+exactly; in brackets what the physical estimate has there.
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ from lightsim.simulation.relight_samples import write_samples
 from lightsim.training.relight_data import RelightBatch, RelightData, RelightDataConfig, exposed
 
 STOPS = (-3, -2, -1, 0, 1)
+PAINTS = (0.6, 1.6)
 
 
 def main() -> None:
@@ -40,12 +44,15 @@ def main() -> None:
         for other_source in folder.glob("*_under_*.npz"):
             other_source.unlink()
         data = RelightData([folder], RelightDataConfig())
-        sys.stdout.write(f"| weights | {' | '.join(f'{ev:+d} EV' for ev in STOPS)} | physical |\n")
-        sys.stdout.write(f"|---|{'---:|' * (len(STOPS) + 1)}\n")
+        columns = [*(f"{ev:+d} EV" for ev in STOPS), "physical", *(f"x {k}" for k in PAINTS)]
+        sys.stdout.write(f"| weights | {' | '.join(columns)} |\n|---|{'---:|' * len(columns)}\n")
         for path in options.weights:
-            scores = score(network_for(RelitNet, path).eval(), data)
-            cells = " | ".join(f"{value:.2f}" for value in scores)
-            sys.stdout.write(f"| {path or 'shipped'} | {cells} |\n")
+            network = network_for(RelitNet, path).eval()
+            cells = [f"{value:.2f}" for value in score(network, data)]
+            for paint in PAINTS:
+                found, physical = score_painted(network, data, paint)
+                cells.append(f"{found:.2f} ({physical:.2f})")
+            sys.stdout.write(f"| {path or 'shipped'} | {' | '.join(cells)} |\n")
 
 
 def score(network: RelitNet, data: RelightData) -> list[float]:
@@ -56,6 +63,20 @@ def score(network: RelitNet, data: RelightData) -> list[float]:
             batch = data.whole(index, sky)
             physical = srgb_of(batch.planes["target_physical"])
             pictures = [*(at_exposure(network, batch, 2.0**ev) for ev in STOPS), physical]
+            errors[sky].append([mean_square(picture, batch) for picture in pictures])
+    by_sky = [-10 * np.log10(np.mean(rows, axis=0)) for rows in errors.values()]
+    return np.mean(by_sky, axis=0).tolist()
+
+
+def score_painted(network: RelitNet, data: RelightData, paint: float) -> list[float]:
+    """PSNR of network and physical estimate where all surfaces are so many times as light, lighter
+    ones in so much less light."""
+    errors: dict[str, list[list[float]]] = defaultdict(list)
+    for index in range(len(data)):
+        for sky in data.skies(index):
+            batch = exposed(data.whole(index, sky), 1 / max(paint, 1.0), np.full(3, paint))
+            physical = srgb_of(batch.planes["target_physical"])
+            pictures = at_exposure(network, batch, 1.0), physical
             errors[sky].append([mean_square(picture, batch) for picture in pictures])
     by_sky = [-10 * np.log10(np.mean(rows, axis=0)) for rows in errors.values()]
     return np.mean(by_sky, axis=0).tolist()

@@ -197,7 +197,13 @@ def _disc_radiance(
     """Flat indices of the pixels that the disc covers, and the radiance that it adds to each."""
     across_px = 2 * sun.angular_radius_deg / 180.0 * height_px
     count = int(max(256, 32 * across_px**2))
-    uv = uv_from_directions(disc_directions(sun.direction_world, sun.angular_radius_deg, count))
+    # The points turn with the sun, so that a turned dome is the dome of the turned sun.
+    azimuth = float(np.arctan2(sun.direction_world[1], sun.direction_world[0]))
+    turned = sun.rotated(-np.degrees(azimuth))
+    disc = disc_directions(turned.direction_world, sun.angular_radius_deg, count)
+    c, s = np.cos(azimuth), np.sin(azimuth)
+    x, y, z = disc.T
+    uv = uv_from_directions(np.stack([c * x - s * y, s * x + c * y, z], axis=1))
     column = np.minimum((uv[:, 0] * 2 * height_px).astype(np.int64), 2 * height_px - 1)
     row = np.minimum((uv[:, 1] * height_px).astype(np.int64), height_px - 1)
     index, hits = np.unique(row * 2 * height_px + column, return_counts=True)
@@ -241,13 +247,12 @@ def _lifted_sun(dome: SkyDome) -> _LiftedSun | None:
 def disc_directions(
     centre: Float[np.ndarray, "3"], radius_deg: float, count: int
 ) -> Float[np.ndarray, "n 3"]:
-    """Unit vectors spread evenly over a small disc on the sphere (Vogel's spiral), which turns with
-    the centre about the vertical but at the very pole."""
+    """Unit vectors spread evenly over a small disc on the sphere (Vogel's spiral)."""
     k = np.arange(count) + 0.5
     radius = np.radians(radius_deg) * np.sqrt(k / count)
     angle = k * np.pi * (3.0 - np.sqrt(5.0))
     z = centre / np.linalg.norm(centre)
-    helper = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.9999 else np.array([0.0, 1.0, 0.0])
+    helper = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     x = np.cross(helper, z)
     x /= np.linalg.norm(x)
     y = np.cross(z, x)
