@@ -39,11 +39,13 @@ def uncertain_roofs(
     prior = height_prior(rooflines)
     levels = (np.arange(_GUESSES) + 0.5) / _GUESSES
     tops = [tops_at(r, prior, levels) for r in rooflines]
+    # Of the background, once for all guesses.
+    caster = make_embree_caster([background])
     guesses = [
         roof_casters(
             [replace(r, top=top[k]) for r, top in zip(rooflines, tops, strict=True)],
             background,
-            make_caster=make_embree_caster,
+            make_caster=lambda _: caster,
         )
         for k in range(_GUESSES)
     ]
