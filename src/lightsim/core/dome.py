@@ -197,13 +197,7 @@ def _disc_radiance(
     """Flat indices of the pixels that the disc covers, and the radiance that it adds to each."""
     across_px = 2 * sun.angular_radius_deg / 180.0 * height_px
     count = int(max(256, 32 * across_px**2))
-    # The points turn with the sun, so that a turned dome is the dome of the turned sun.
-    azimuth = float(np.arctan2(sun.direction_world[1], sun.direction_world[0]))
-    turned = sun.rotated(-np.degrees(azimuth))
-    disc = disc_directions(turned.direction_world, sun.angular_radius_deg, count)
-    c, s = np.cos(azimuth), np.sin(azimuth)
-    x, y, z = disc.T
-    uv = uv_from_directions(np.stack([c * x - s * y, s * x + c * y, z], axis=1))
+    uv = uv_from_directions(disc_directions(sun.direction_world, sun.angular_radius_deg, count))
     column = np.minimum((uv[:, 0] * 2 * height_px).astype(np.int64), 2 * height_px - 1)
     row = np.minimum((uv[:, 1] * height_px).astype(np.int64), height_px - 1)
     index, hits = np.unique(row * 2 * height_px + column, return_counts=True)
