@@ -73,8 +73,8 @@ def test_turning_turns_the_irradiance_of_every_normal(
 
 
 # The same examples each time: where the points of the disc lie about its centre depends on the
-# azimuth, and rare suns exceed the bound by a point (azimuth 0, z .0508, turned by 90 degrees). Discs
-# that turn with the sun would mend it and change the benchmark's committed streets.
+# azimuth, and rare suns exceed the bound by a point (azimuth 0, z .0508, turned by 90 degrees).
+# Discs that turn with the sun would mend it and change the benchmark's committed streets.
 @settings(derandomize=True, database=None)
 @given(azimuths, st.floats(0.05, 0.98), st.floats(-400, 400))
 def test_turning_does_not_smear_the_disc(azimuth: float, z: float, yaw_deg: float) -> None:
