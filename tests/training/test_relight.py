@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -184,6 +185,11 @@ def test_training_goes_on_from_weights_of_its_own_network_alone(
     )
     with pytest.raises(InputError, match="another network"):
         train(command)
+    # Before anything is trained.
+    seen = replace(command, network="network", streets=("2",), validation=("1",))
+    with pytest.raises(InputError, match="learned from streets for validation"):
+        train(seen)
+    assert not list((tmp_path / "c").glob("*.safetensors"))
 
 
 def test_rendered_pairs_show_the_twin_under_both_skies(

@@ -48,10 +48,12 @@ def train(command: RelightTrainingOptions) -> None:
     """Train, write the weights, and score them on the validation streets.
 
     Raises:
-        InputError: a street is missing, or one is on both sides.
+        InputError: a street is missing, or one is on both sides, that of first weights included.
     """
     streets = _streets(command)
     config = _config(command)
+    first = None if command.start is None else read_record(command.start)
+    before = [] if first is None else _streets_of(first, command)
     data = RelightData([command.data / name for name in streets], config.data)
     with session_of(command) as session:
         if isinstance(config, BaselineTrainConfig):
@@ -68,8 +70,6 @@ def train(command: RelightTrainingOptions) -> None:
     if command.validation:
         held_out = RelightData([command.data / n for n in command.validation], RelightDataConfig())
         scores = score_relight(network, held_out, terminal_progress())
-    first = None if command.start is None else read_record(command.start)
-    before = [] if first is None else _streets_of(first)
     record = WeightsRecord(
         description=_DESCRIPTION[command.network],
         command=command_line("relight", command, session.processes.count),
@@ -153,19 +153,24 @@ def _streets(command: RelightTrainingOptions) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _streets_of(first: WeightsRecord) -> list[str]:
+def _streets_of(first: WeightsRecord, command: RelightTrainingOptions) -> list[str]:
     """What the weights that a training begins with have learned from: the next ones know it, too.
 
     Raises:
-        InputError: nobody knows.
+        InputError: nobody knows, or a street for validation is among them.
     """
-    if isinstance(first.streets, str):
+    told = first.streets
+    seen = [] if isinstance(told, str) else sorted({*told["training"]} & {*command.validation})
+    if isinstance(told, str) or seen:
         raise InputError(
-            "these weights do not tell what streets they learned from",
-            where="--start",
-            remedy="Give weights that lightsim train relight made.",
+            "these weights have learned from streets for validation"
+            if seen
+            else "these weights do not tell what streets they learned from",
+            where=command.start,
+            got=", ".join(seen) or None,
+            remedy="Give weights of lightsim train relight, and other streets for --validation.",
         )
-    return first.streets["training"]
+    return told["training"]
 
 
 def _by_number(name: str) -> tuple[int, str]:
