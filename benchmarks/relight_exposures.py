@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -57,27 +58,35 @@ def main() -> None:
 
 def score(network: RelitNet, data: RelightData) -> list[float]:
     """PSNR at each of STOPS, and of the physical estimate."""
-    errors: dict[str, list[list[float]]] = defaultdict(list)
-    for index in range(len(data)):
-        for sky in data.skies(index):
-            batch = data.whole(index, sky)
-            physical = srgb_of(batch.planes["target_physical"])
-            pictures = [*(at_exposure(network, batch, 2.0**ev) for ev in STOPS), physical]
-            errors[sky].append([mean_square(picture, batch) for picture in pictures])
-    by_sky = [-10 * np.log10(np.mean(rows, axis=0)) for rows in errors.values()]
-    return np.mean(by_sky, axis=0).tolist()
+
+    def pictures(batch: RelightBatch) -> list[Tensor]:
+        physical = srgb_of(batch.planes["target_physical"])
+        return [*(at_exposure(network, batch, 2.0**ev) for ev in STOPS), physical]
+
+    return psnr_of(pictures, data, 1.0)
 
 
 def score_painted(network: RelitNet, data: RelightData, paint: float) -> list[float]:
     """PSNR of network and physical estimate where all surfaces are so many times as light, lighter
     ones in so much less light."""
+
+    def pictures(batch: RelightBatch) -> list[Tensor]:
+        return [at_exposure(network, batch, 1.0), srgb_of(batch.planes["target_physical"])]
+
+    return psnr_of(pictures, data, paint)
+
+
+def psnr_of(
+    pictures: Callable[[RelightBatch], list[Tensor]], data: RelightData, paint: float
+) -> list[float]:
+    """Of each picture, mean over target skies."""
     errors: dict[str, list[list[float]]] = defaultdict(list)
     for index in range(len(data)):
         for sky in data.skies(index):
-            batch = exposed(data.whole(index, sky), 1 / max(paint, 1.0), np.full(3, paint))
-            physical = srgb_of(batch.planes["target_physical"])
-            pictures = at_exposure(network, batch, 1.0), physical
-            errors[sky].append([mean_square(picture, batch) for picture in pictures])
+            batch = data.whole(index, sky)
+            if paint != 1:
+                batch = exposed(batch, 1 / max(paint, 1.0), np.full(3, paint))
+            errors[sky].append([mean_square(picture, batch) for picture in pictures(batch)])
     by_sky = [-10 * np.log10(np.mean(rows, axis=0)) for rows in errors.values()]
     return np.mean(by_sky, axis=0).tolist()
 
