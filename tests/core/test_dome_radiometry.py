@@ -72,6 +72,12 @@ def test_turning_turns_the_irradiance_of_every_normal(
     assert_allclose(energy_of(turned), energy_of(dome), rtol=1e-5)
 
 
+def test_no_turn_leaves_every_pixel() -> None:
+    dome = sunny(0.3, 0.5)
+    for yaw_deg in (0.0, 360.0, -1e-12):
+        np.testing.assert_array_equal(dome.rotated(yaw_deg).radiance, dome.radiance)
+
+
 @given(azimuths, st.floats(0.05, 0.98), st.floats(-400, 400))
 @example(0.0, 0.05078125, 90.0)
 def test_turning_does_not_smear_the_disc(azimuth: float, z: float, yaw_deg: float) -> None:

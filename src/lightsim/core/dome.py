@@ -137,6 +137,8 @@ class SkyDome:
             )
         yaw_deg = float(np.fmod(yaw_deg, 360.0))
         shift = -yaw_deg / 360.0 * self.radiance.shape[1]
+        if abs(shift) < _WHOLE_COLUMN:
+            return self
         if self.sun is None and abs(shift - round(shift)) < _WHOLE_COLUMN:
             return SkyDome(np.roll(self.radiance, round(shift), axis=1), None)
         lifted = _lifted_sun(self)
