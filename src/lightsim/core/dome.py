@@ -138,7 +138,7 @@ class SkyDome:
         yaw_deg = float(np.fmod(yaw_deg, 360.0))
         shift = -yaw_deg / 360.0 * self.radiance.shape[1]
         if abs(shift) < _WHOLE_COLUMN:
-            return self
+            return SkyDome(self.radiance, self.sun and self.sun.rotated(yaw_deg))
         if self.sun is None and abs(shift - round(shift)) < _WHOLE_COLUMN:
             return SkyDome(np.roll(self.radiance, round(shift), axis=1), None)
         lifted = _lifted_sun(self)
