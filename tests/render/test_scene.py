@@ -214,7 +214,7 @@ def test_a_shadow_is_as_soft_as_its_roof_is_uncertain() -> None:
     frame = CameraFrame("test", "00", 0, _ABOVE, lambda: np.zeros((96, 96, 3), np.uint8))
     config = TransportConfig(sky_rays=1, face_rays=0, glossy_rays=0)
     for told_by, half in ((elsewhere.sun, 0.5), (sky.sun, 0.0), (None, 0.5)):
-        roofs = UncertainRoofs(guesses, told_by)
+        roofs = UncertainRoofs(lambda: guesses, told_by)
         for is_sampled in (False, True):
             renderer = FrameRenderer(plane(20.0, 4), tall, config, 0, is_sampled=is_sampled)
             renderer = renderer.with_roofs(roofs)

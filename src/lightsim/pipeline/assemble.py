@@ -9,6 +9,7 @@ import numpy as np
 
 from lightsim.appearance.colour import colour_of_nearest
 from lightsim.core.buildings import Roofline
+from lightsim.core.casting import RayCaster
 from lightsim.core.dome import Sun
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
@@ -36,20 +37,22 @@ def uncertain_roofs(
     seen."""
     if all(r.is_seen.all() for r in rooflines):
         return None
-    prior = height_prior(rooflines)
-    levels = (np.arange(_GUESSES) + 0.5) / _GUESSES
-    tops = [tops_at(r, prior, levels) for r in rooflines]
-    # Of the background, once for all guesses.
-    caster = make_embree_caster([background])
-    guesses = [
-        roof_casters(
-            [replace(r, top=top[k]) for r, top in zip(rooflines, tops, strict=True)],
-            background,
-            make_caster=lambda _: caster,
-        )
-        for k in range(_GUESSES)
-    ]
-    return UncertainRoofs([make_embree_caster([mesh]) for mesh in guesses], recorded_sun)
+
+    def guesses() -> list[RayCaster]:
+        prior = height_prior(rooflines)
+        levels = (np.arange(_GUESSES) + 0.5) / _GUESSES
+        tops = [tops_at(r, prior, levels) for r in rooflines]
+        # Of the background, once for all guesses.
+        caster = make_embree_caster([background])
+        return [
+            make_embree_caster([roof_casters(guess, background, make_caster=lambda _: caster)])
+            for guess in (
+                [replace(r, top=top[k]) for r, top in zip(rooflines, tops, strict=True)]
+                for k in range(_GUESSES)
+            )
+        ]
+
+    return UncertainRoofs(guesses, recorded_sun)
 
 
 def build_twin(log: DrivingLog, assets: SceneAssets, sky: SkyEstimate) -> DigitalTwin:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float32
@@ -24,12 +25,17 @@ class UncertainRoofs:
     ends, and a false edge costs less than a hard one would.
 
     Args:
-        guesses: a caster over the hidden parts of each guess.
+        make_guesses: a caster over the hidden parts of each guess; called when a sun first asks.
         told_by: sun of the recording, whose shadows chose the one guess that is used for it.
     """
 
-    guesses: Sequence[RayCaster]
+    make_guesses: Callable[[], Sequence[RayCaster]]
     told_by: Sun | None
+
+    @cached_property
+    def guesses(self) -> Sequence[RayCaster]:
+        """Made once; the recorded sun asks for none."""
+        return self.make_guesses()
 
     def are_told(self, sun: Sun) -> bool:
         """Whether the pictures show the shadows of this sun."""

@@ -193,6 +193,7 @@ def _sun_on_faces(faces: FaceSamples, scene: FrameScene, sun: Sun) -> Float32[np
     caster, roofs = scene.before_sun(sun)
     seen = (~caster.is_occluded(origins, towards)).astype(np.float32)
     if roofs is not None:
-        seen *= roofs.open_fraction(origins, sun)
+        rows = np.flatnonzero(seen)
+        seen[rows] *= roofs.open_fraction(origins[rows], sun)
     arriving[lit] *= seen.reshape(-1, count).mean(axis=1)[:, None]
     return arriving
