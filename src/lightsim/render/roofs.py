@@ -25,7 +25,8 @@ class UncertainRoofs:
     ends, and a false edge costs less than a hard one would.
 
     Args:
-        make_guesses: a caster over the hidden parts of each guess; called when a sun first asks.
+        make_guesses: a caster over the hidden parts of each guess, from the lowest roofs to the
+            highest; called when a sun first asks.
         told_by: sun of the recording, whose shadows chose the one guess that is used for it.
     """
 
@@ -50,7 +51,10 @@ class UncertainRoofs:
         """Fraction of the guesses that let the centre of the sun's disc be seen from points."""
         direction = sun.direction_world / np.linalg.norm(sun.direction_world)
         towards = np.broadcast_to(direction.astype(np.float32), points_world.shape)
-        stopped = np.zeros(len(points_world), dtype=np.float32)
-        for caster in self.guesses:
-            stopped += caster.is_occluded(points_world, towards)
-        return 1.0 - stopped / np.float32(len(self.guesses))
+        count = np.full(len(points_world), len(self.guesses), dtype=np.float32)
+        rows = np.arange(len(points_world))
+        # What passes roofs passes all lower ones.
+        for number, caster in reversed(list(enumerate(self.guesses))):
+            rows = rows[caster.is_occluded(points_world[rows], towards[rows])]
+            count[rows] = number
+        return count / np.float32(len(self.guesses))

@@ -24,7 +24,7 @@ from lightsim.store.reading import MAX_JSON_BYTES, read_bytes
 from lightsim.version import __version__
 
 BatchCommand = Literal["synthesize", "build", "train", "relight", "evaluate"]
-_PROGRAM = (sys.executable, "-c", "from lightsim.cli import main; main()")
+_PROGRAM = (sys.executable, "-m", "lightsim")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,5 @@
+"""`python -m lightsim`."""
+
+from lightsim.cli import main
+
+main()
