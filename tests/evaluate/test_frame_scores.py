@@ -41,9 +41,9 @@ def _scores(
     folders: Path, *names: str, config: FramesConfig = QUICK, **options: Any
 ) -> FramesReport:
     paired: dict[str, Path] = {}
-    for role, name in zip(("predicted", "truth", "source"), names, strict=False):
+    for role, name in zip(("relit", "truth", "source"), names, strict=False):
         paired[role] = folders / name
-    return score_frames(folder_tasks("truth", "relit", paired, **options), config)
+    return score_frames(folder_tasks("truth", ["relit"], paired, **options), config)
 
 
 def test_scores_of_a_known_error(folders: Path) -> None:
@@ -66,8 +66,8 @@ def test_classes_are_scored_apart_where_a_frame_shows_them(folders: Path) -> Non
 
     tasks = folder_tasks(
         "truth",
-        "relit",
-        {"predicted": folders / "predicted", "truth": folders / "truth"},
+        ["relit"],
+        {"relit": folders / "predicted", "truth": folders / "truth"},
         load_classes=classes,
     )
     report = score_frames(tasks, QUICK)

@@ -12,11 +12,15 @@ import pytest
 from lightsim.evaluate.frame_report import FrameRow, FramesReport
 from lightsim.evaluate.leaderboard import make_leaderboard, weakest
 from lightsim.evaluate.metrics import ImageScores
+from lightsim.evaluate.report import Cost, EvaluationReport
 
 CAMERAS = [f"camera {i}" for i in range(4)]
+GAINS = {"net": 2.0, "ours": 0.0}
 
 
-def evaluation(path: Path, decibels: Mapping[str, Mapping[str, float]], seconds: float) -> None:
+def evaluation(
+    path: Path, decibels: Mapping[str, Mapping[str, float]], seconds: Mapping[str, float]
+) -> None:
     """PSNR by method and sky, the same in four cameras but for 0.1 dB; with what must not count."""
     rows = []
     for method, by_sky in decibels.items():
@@ -31,27 +35,23 @@ def evaluation(path: Path, decibels: Mapping[str, Mapping[str, float]], seconds:
                     rows.append(
                         FrameRow(sky, camera, method, region, is_exposed, 1.0, 1, shown, frames)
                     )
-    found = json.loads(FramesReport(tuple(rows)).to_json())
-    found["cost"] = {"seconds_a_frame": seconds, "peak_memory_mb": int(100 * seconds)}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(found))
+    costs = {method: Cost(s, int(100 * s)) for method, s in seconds.items()}
+    path.write_text(EvaluationReport(FramesReport(tuple(rows)), costs=costs).to_json())
 
 
 @pytest.fixture
-def folders(tmp_path: Path) -> dict[str, Path]:
-    """Two streets; a method that is 2 dB better everywhere, and a baseline in the reference's
-    files."""
+def folder(tmp_path: Path) -> Path:
+    """Two streets; a method that is 2 dB better everywhere, and a baseline."""
     for street, level, sky in (("7", 20.0, "beach"), ("12", 24.0, "forest")):
-        for method, gain in (("ours", 0.0), ("net", 2.0)):
-            shown = {method: {"noon": level + gain, sky: level + gain - 6}}
-            if method == "ours":
-                shown["copy"] = {"noon": 10.0, sky: 10.0}
-            evaluation(tmp_path / method / f"{street}.json", shown, level / 10)
-    return {name: tmp_path / name for name in ("ours", "net")}
+        shown = {m: {"noon": level + gain, sky: level + gain - 6} for m, gain in GAINS.items()}
+        shown["copy"] = {"noon": 10.0, sky: 10.0}
+        evaluation(tmp_path / f"{street}.json", shown, dict.fromkeys(GAINS, level / 10))
+    return tmp_path
 
 
-def test_means_errors_and_differences_are_known(folders: Mapping[str, Path]) -> None:
-    board = make_leaderboard("Relighting", folders, ("dusk", "noon"), notes=("a note",))
+def test_means_errors_and_differences_are_known(folder: Path) -> None:
+    wanted, notes = ("7", "12", "30"), ("a note",)
+    board = make_leaderboard("Relighting", folder, "ours", ("dusk", "noon"), wanted, notes)
     assert board.streets == ("7", "12")
     assert board.conditions == ("noon", "measured", "mean")
     assert [entry.method for entry in board.entries] == ["ours", "net", "copy"]
@@ -74,20 +74,21 @@ def test_means_errors_and_differences_are_known(folders: Mapping[str, Path]) -> 
     assert copy.cost is None
     text = board.to_table()
     assert "| net | 21.15 ± 2.00 | 0.500 ± 0.000 | 0.200 ± 0.000 | +2.00 [+2.00, +2.00] |" in text
+    lacking = {f"Not measured: {method} on 30." for method in ("ours", "net", "copy")}
+    assert set(board.notes) == {"a note", *lacking}
     assert "a note" in text
     assert json.loads(board.to_json())["entries"][0]["method"] == "ours"
 
 
-def test_the_weakest_pictures_come_first(folders: Mapping[str, Path]) -> None:
-    cases = weakest(folders["ours"], "ours", 3)
+def test_the_weakest_pictures_come_first(folder: Path) -> None:
+    cases = weakest(folder, "ours", 3)
     assert [case[:3] for case in cases] == [("7", "beach", camera) for camera in CAMERAS[:3]]
     assert [case[-1] for case in cases] == pytest.approx([14.0, 14.1, 14.2])
 
 
-def test_one_street_has_the_spread_of_its_pictures(folders: Mapping[str, Path]) -> None:
-    for folder in folders.values():
-        (folder / "12.json").unlink()
-    (ours, *_) = make_leaderboard("Relighting", folders, ("noon",)).entries
+def test_one_street_has_the_spread_of_its_pictures(folder: Path) -> None:
+    (folder / "12.json").unlink()
+    (ours, *_) = make_leaderboard("Relighting", folder, "ours", ("noon",)).entries
     spread = ours.spreads["noon", "psnr_db"]
     assert spread.unit == "frames"
     assert spread.standard_error == pytest.approx(np.std([0, 0.1, 0.2, 0.3], ddof=1) / 2)

@@ -37,12 +37,13 @@ with asked.open("a") as file:
     file.write(json.dumps(words) + chr(10))
 if words[0] == "build" and "/58/" in words[1] and not asked.with_name("mended").exists():
     sys.exit("error: this street cannot be built")
-if words[0] == "evaluate":
+if "self-osr" in words:
+    sys.exit("error: this method fails")
+if words[0] == "evaluate" and "--out" in words:
     out = Path(words[words.index("--out") + 1])
     out.parent.mkdir(parents=True, exist_ok=True)
-    method = words[words.index("--method") + 1] if "--method" in words else "LightSim"
-    names = [method]
-    names += [] if "--no-baselines" in words else ["copy"]
+    methods = words[words.index("--method") + 1] if "--method" in words else "LightSim"
+    names = [*methods.split(","), "copy"]
     rows = [
         dict(condition=sky, camera_name="front_camera", method=name, region="masked",
              is_exposed=False, exposure_factor=1.0, count=1, scores=dict(psnr_db=20.0, ssim=0.5),
@@ -52,7 +53,8 @@ if words[0] == "evaluate":
     ]
     out.write_text(json.dumps({{"rows": rows}}))
 """
-"""Stands for lightsim: notes what it was asked for, and cannot build street 58."""
+"""Stands for lightsim: notes what it was asked for, cannot build street 58 nor relight by
+self-osr."""
 
 
 @pytest.fixture
@@ -85,13 +87,24 @@ def test_a_street_that_fails_leaves_the_others_and_is_mended_later(asked: Path) 
     chosen = options(asked.parent / "out", (1, 58))
     result = benchmark(chosen, SilentProgress())
     done = commands(asked)
-    whole = ["synthesize", "build", "evaluate", "evaluate", "evaluate"]
+    whole = ["synthesize", "build", *["evaluate"] * 4]
     assert [words[0] for words in done] == [*whole, "synthesize", "build"]
     # Twins are built from whole pictures, as those that networks learn from.
     assert all(words[4:6] == ["--image-scale", "1"] for words in done if words[0] == "build")
     assert all("works/1" in words[2] for words in done if words[0] == "evaluate")
     relit = [words for words in done if "--method" in words]
-    assert ["--no-baselines" in words for words in relit] == [False, True]
+    # A process for each method, and one for all their scores.
+    assert [words[words.index("--method") + 1] for words in relit] == [
+        "network",
+        "colour-transfer",
+        "network,colour-transfer",
+    ]
+    assert ["--no-scores" in words for words in relit] == [True, True, False]
+    assert [words[words.index("--name") + 1] for words in relit] == [
+        "benchmark-estimated-sky-network",
+        "benchmark-estimated-sky-colour-transfer",
+        "benchmark-estimated-sky",
+    ]
     board = result.relighting
     assert board.streets == ("1",)
     assert [entry.method for entry in board.entries] == ["network", "colour-transfer", "copy"]
@@ -104,7 +117,7 @@ def test_a_street_that_fails_leaves_the_others_and_is_mended_later(asked: Path) 
     asked.with_name("mended").touch()
     assert benchmark(chosen, SilentProgress()).relighting.streets == ("1", "58")
     again = commands(asked)
-    assert [words[0] for words in again] == ["build"] + ["evaluate"] * 3
+    assert [words[0] for words in again] == ["build"] + ["evaluate"] * 4
     assert all("58" in words[1] + words[2] for words in again)
     benchmark(chosen, SilentProgress())
     assert not asked.exists()
@@ -169,9 +182,16 @@ def test_sides_share_no_street_and_streets_are_the_committed_ones(tmp_path: Path
         BenchmarkOptions(out=tmp_path, weights=("physical=x",))
 
 
+def test_a_method_that_fails_leaves_the_others(asked: Path) -> None:
+    chosen = replace(options(asked.parent / "out", (1,)), methods=("self-osr", "physical"))
+    board = benchmark(chosen, SilentProgress()).relighting
+    assert [entry.method for entry in board.entries] == ["network", "physical", "copy"]
+    assert any("error: this method fails" in note for note in board.notes)
+
+
 def test_the_field_of_a_street_is_trained_on_its_twin(asked: Path) -> None:
     chosen = replace(options(asked.parent / "out", (1,)), methods=("nerf-osr",))
     benchmark(chosen, SilentProgress())
     done = commands(asked)
-    assert [words[0] for words in done] == ["synthesize", "build", "train"] + ["evaluate"] * 3
+    assert [words[0] for words in done] == ["synthesize", "build", "train"] + ["evaluate"] * 4
     assert done[2][1:] == ["nerf-osr", str(chosen.work(1))]

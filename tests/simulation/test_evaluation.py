@@ -192,7 +192,9 @@ def test_relit_frames_are_measured_in_every_way(
     monkeypatch.setattr(evaluation, "Workspace", lambda root, **options: work)
     monkeypatch.setattr(against_truth, "relight", relight)
     wanted = RelightOptions(name="judged", method="colour-transfer")
-    report = evaluation.evaluate_relit(Path("w"), truth, wanted, MeasureOptions(), SilentProgress())
+    (tmp_path / "scenarios").mkdir()
+    given = tmp_path, truth, [wanted], MeasureOptions(), SilentProgress()
+    report = evaluation.evaluate_relit(*given)
     assert [(o.name, o.method, o.sky_scale) for o in asked] == [
         ("judged", "colour-transfer", "none")
     ]
@@ -210,3 +212,7 @@ def test_relit_frames_are_measured_in_every_way(
     assert "| noon | shadowed | raw |" not in report.to_table()
     rows = json.loads(report.to_json())
     assert len(rows["shadows"]) == len(report.shadows)
+    # What the frames took is known, and still is when they are scored again.
+    assert report.costs.keys() == {"colour-transfer"}
+    (tmp_path / "scenarios" / "judged").mkdir()
+    assert evaluation.evaluate_relit(*given).costs == report.costs

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import tyro
 
 from lightsim.arguments import Names
 from lightsim.cli.options import Verbose, say, show
+from lightsim.core.checks import check_choice
 from lightsim.errors import InputError
 from lightsim.evaluate.options import MeasureOptions
 from lightsim.progress import terminal_progress
 from lightsim.relighting.options import Method
-from lightsim.simulation.benchmark_options import BenchmarkOptions
+from lightsim.simulation.benchmark_options import BenchmarkOptions, weights_by_method
 from lightsim.simulation.paper_ablations import PaperAblationOptions
 from lightsim.simulation.paper_skies import PaperSkyOptions
 from lightsim.simulation.paper_table import PaperTableOptions
+
+if TYPE_CHECKING:
+    from lightsim.simulation.options import RelightOptions
 
 
 @dataclass(frozen=True)
@@ -75,16 +80,20 @@ class EvaluateRelight:
     """Work folder."""
     truth: Path
     """Ground truth of a synthetic log: the folder `truth` that `lightsim synthesize` writes."""
-    method: Method = "network"
-    """How pixels are relit."""
-    weights: Path | None = None
-    """Of the network that --method names; by default the package's."""
+    method: Names = ("network",)
+    """Comma-separated: how pixels are relit."""
+    weights: tuple[str, ...] = ()
+    """METHOD=FILE of networks whose weights are not the package's; one method needs FILE alone."""
     name: str = "truth"
-    """Of the relit frames: WORK/scenarios/NAME, which is written over."""
+    """Of the relit frames: WORK/scenarios/NAME, which is written over; NAME-METHOD of several
+    methods."""
     source_sky: Path | None = None
     """The light of the recording, where the method is told it (TRUTH/skies/source.exr)."""
     allow_stale: bool = False
     """Go on where the recording has changed since the build."""
+    scores: bool = True
+    """Without, frames are relit alone: a process for each method, whose cost is its own, and then
+    one for all their scores, which looks at the truth once."""
     options: Annotated[MeasureOptions, tyro.conf.arg(name="")] = field(
         default_factory=MeasureOptions
     )
@@ -95,18 +104,37 @@ class EvaluateRelight:
 
     def run(self) -> None:
         """Measure relit frames."""
-        from lightsim.simulation.evaluation import evaluate_relit
+        from lightsim.simulation.evaluation import evaluate_relit, relit_with_cost
+
+        progress, relighting = terminal_progress(), self._relighting()
+        if self.scores:
+            report = evaluate_relit(self.work, self.truth, relighting, self.options, progress)
+            show(report, self.out)
+            return
+        for one in relighting:
+            relit_with_cost(self.work, self.truth, one, progress)
+
+    def _relighting(self) -> list[RelightOptions]:
+        """Of each method."""
         from lightsim.simulation.options import RelightOptions
 
-        relighting = RelightOptions(
-            name=self.name,
-            method=self.method,
-            weights=self.weights,
-            source_sky=self.source_sky,
-            allow_stale=self.allow_stale,
-        )
-        progress = terminal_progress()
-        show(evaluate_relit(self.work, self.truth, relighting, self.options, progress), self.out)
+        for method in self.method:
+            check_choice("--method", method, get_args(Method))
+        methods: Sequence[Method] = self.method  # type: ignore[assignment]
+        is_alone = len(methods) == 1
+        plain = is_alone and len(self.weights) == 1 and "=" not in self.weights[0]
+        words = (f"{methods[0]}={self.weights[0]}",) if plain else self.weights
+        files = weights_by_method(words)
+        return [
+            RelightOptions(
+                name=self.name if is_alone else f"{self.name}-{method}",
+                method=method,
+                weights=files.get(method),
+                source_sky=self.source_sky,
+                allow_stale=self.allow_stale,
+            )
+            for method in methods
+        ]
 
 
 @dataclass(frozen=True)

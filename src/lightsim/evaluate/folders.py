@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -27,7 +27,7 @@ Baseline = Callable[
 
 def folder_tasks(
     condition: str,
-    method: str,
+    methods: Sequence[str],
     folders: Mapping[str, Path],
     is_valid: Callable[[str, str], Bool[np.ndarray, "h w"]] | None = None,
     baselines: Mapping[str, Baseline] | None = None,
@@ -36,7 +36,7 @@ def folder_tasks(
     """What there is to score in folders of frames (<camera>/<frame>.png).
 
     Args:
-        method: what made the frames of the folder "predicted"; compared with those of "truth".
+        methods: names of the folders that are compared with "truth".
         is_valid: (camera, frame stem) -> pixels that count; all where it is None.
         baselines: (source, truth, valid pixels) -> image, by name; need the folder "source".
         load_classes: (camera, frame stem) -> pixels of further regions.
@@ -48,11 +48,11 @@ def folder_tasks(
     for camera, stem, files in pair_folders(folders):
         load = {name: partial(read_srgb8, path) for name, path in files.items()}
         valid = None if is_valid is None else partial(is_valid, camera, stem)
-        methods: dict[str, LoadImage] = {method: load["predicted"]}
+        shown: dict[str, LoadImage] = {method: load[method] for method in methods}
         for name, baseline in (baselines or {}).items():
-            methods[name] = partial(_apply_baseline, baseline, load["source"], load["truth"], valid)
+            shown[name] = partial(_apply_baseline, baseline, load["source"], load["truth"], valid)
         classes = None if load_classes is None else partial(load_classes, camera, stem)
-        tasks.append(FrameTask(condition, camera, stem, load["truth"], methods, valid, classes))
+        tasks.append(FrameTask(condition, camera, stem, load["truth"], shown, valid, classes))
     return tasks
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from lightsim.errors import InputError
 from lightsim.evaluate.compare import ComparedRow, compare_samples, read_rows
 from lightsim.evaluate.frame_report import DIGITS, FrameRow, finite
 from lightsim.evaluate.report import Cost
@@ -110,37 +111,36 @@ class Leaderboard:
 
 def make_leaderboard(
     title: str,
-    folders: Mapping[str, Path],
+    folder: Path,
+    reference: str,
     own_conditions: Sequence[str],
-    other: str = "measured",
+    wanted: Sequence[str] = (),
     notes: Sequence[str] = (),
+    other: str = "measured",
 ) -> Leaderboard:
-    """A leaderboard of evaluations, one JSON file of `lightsim evaluate` a street.
+    """A leaderboard of evaluations.
 
     Args:
-        folders: of the files, by method; the first one is the reference, and what its files hold
-            beside it (baselines) stands in the table, too.
+        folder: of the JSON file of `lightsim evaluate` of each street.
+        reference: method that stands first; the others are held against it.
         own_conditions: names of skies that get a column; all others share the column `other`.
+        wanted: streets that every method should have; what is missing is noted.
 
     Raises:
-        InputError, ArtefactError: a folder holds no evaluation, or has no frame in common with the
-            reference.
+        InputError, ArtefactError: the folder holds no evaluation of the reference.
     """
-    reference = next(iter(folders))
-    found = {method: _rows_by_street(folder) for method, folder in folders.items()}
-    rows_by_method: dict[str, dict[str, list[FrameRow]]] = {}
-    costs: dict[str, Cost | None] = {}
-    for name, streets in found.items():
-        for street, rows in streets.items():
-            # The first method of a file is the one whose frames were made: baselines cost nothing.
-            costs.setdefault(rows[0].method, _cost(folders[name]))
-            for row in rows:
-                rows_by_method.setdefault(row.method, {}).setdefault(street, []).append(row)
-    first = next(iter(rows_by_method))
-    seen = {row.condition for rows in rows_by_method[first].values() for row in rows}
+    rows_by_method: dict[str, dict[str, list[FrameRow]]] = {reference: {}}
+    found = _rows_by_street(folder)
+    for street, rows in found.items():
+        for row in rows:
+            rows_by_method.setdefault(row.method, {}).setdefault(street, []).append(row)
+    if not rows_by_method[reference]:
+        raise InputError(f"no evaluation of {reference}", where=folder)
+    costs = _costs(folder)
+    seen = {row.condition for rows in rows_by_method[reference].values() for row in rows}
     conditions = [name for name in own_conditions if name in seen]
     columns = (*conditions, *([other] if seen - set(conditions) else []), MEAN)
-    against = _against(first, rows_by_method)
+    against = _against(reference, rows_by_method)
     entries = [
         Entry(
             method,
@@ -150,9 +150,11 @@ def make_leaderboard(
         )
         for method, streets in rows_by_method.items()
     ]
-    entries.sort(key=lambda e: (e.method != first, -e.spreads[MEAN, "psnr_db"].mean))
-    names = tuple(sorted(found[reference], key=lambda name: (len(name), name)))
-    return Leaderboard(title, names, columns, tuple(entries), tuple(notes))
+    entries.sort(key=lambda e: (e.method != reference, -e.spreads[MEAN, "psnr_db"].mean))
+    names = tuple(sorted(found, key=lambda name: (len(name), name)))
+    missing = {m: [s for s in wanted if s not in has] for m, has in rows_by_method.items()}
+    lacking = [f"Not measured: {m} on {', '.join(s)}." for m, s in missing.items() if s]
+    return Leaderboard(title, names, columns, tuple(entries), (*notes, *lacking))
 
 
 def weakest(folder: Path, method: str, count: int) -> list[tuple[str, str, str, str, float]]:
@@ -224,13 +226,19 @@ def _values(
                     yield (street, row.camera_name), frame, row.condition, value
 
 
-def _cost(folder: Path) -> Cost | None:
-    found = [read_json(file).get("cost") for file in sorted(folder.glob("*.json"))]
-    costs = [Cost(**cost) for cost in found if cost is not None]
-    if not costs:
-        return None
-    seconds = float(np.mean([cost.seconds_a_frame for cost in costs]))
-    return Cost(seconds, max(cost.peak_memory_mb for cost in costs))
+def _costs(folder: Path) -> dict[str, Cost]:
+    """By method: mean seconds and largest memory."""
+    found: dict[str, list[Cost]] = {}
+    for file in sorted(folder.glob("*.json")):
+        for method, cost in read_json(file).get("costs", {}).items():
+            found.setdefault(method, []).append(Cost(**cost))
+    return {
+        method: Cost(
+            float(np.mean([cost.seconds_a_frame for cost in costs])),
+            max(cost.peak_memory_mb for cost in costs),
+        )
+        for method, costs in found.items()
+    }
 
 
 def _counted(board: Leaderboard) -> str:

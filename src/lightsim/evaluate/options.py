@@ -7,6 +7,9 @@ from pathlib import Path
 
 from lightsim.errors import InputError
 
+OURS = "LightSim"
+"""Edited frames in tables; relit ones have the name of their method."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class MeasureOptions:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -46,14 +46,14 @@ class Cost:
 
 @dataclass(frozen=True)
 class EvaluationReport:
-    """Scores of frames, and what was asked for besides; the cost where it is known."""
+    """Scores of frames, and what was asked for besides; by method the cost, where it is known."""
 
     frames: FramesReport
     sets: tuple[SetRow, ...] = ()
     shadows: tuple[ShadowRow, ...] = ()
     left_shadows: tuple[LeftShadowRow, ...] = ()
     consistency: tuple[ConsistencyRow, ...] = ()
-    cost: Cost | None = None
+    costs: Mapping[str, Cost] = field(default_factory=dict)
 
     def tables(self) -> list[tuple[str, tuple[str, ...], list[tuple[str, ...]]]]:
         """Title, columns and lines of each table that has any lines."""
@@ -85,7 +85,7 @@ class EvaluationReport:
             "consistency": self.consistency,
         }
         found: dict[str, Any] = {"rows": self.frames.json_rows()}
-        found["cost"] = None if self.cost is None else asdict(self.cost)
+        found["costs"] = {method: asdict(cost) for method, cost in self.costs.items()}
         for name, rows in parts.items():
             found[name] = [finite(asdict(row)) for row in rows]
         return json.dumps(found, indent=2, allow_nan=False)

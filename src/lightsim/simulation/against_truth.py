@@ -57,7 +57,8 @@ def relit_frames(
     surfaces = TrueSurfaces(truth / "scene.npz", workspace)
     tasks: list[FrameTask] = []
     for name, frames in folders.items():
-        tasks += folder_tasks(name, "LightSim", frames, surfaces.is_surface, BASELINES)
+        named = {"LightSim": frames["predicted"], **frames}
+        tasks += folder_tasks(name, ["LightSim"], named, surfaces.is_surface, BASELINES)
     return score_frames(tasks, config or FramesConfig(), progress=progress)
 
 

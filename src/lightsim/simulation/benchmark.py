@@ -4,13 +4,13 @@ built from their logs alone, relit by every method, and held together in one lea
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import get_args
+from typing import Literal, get_args
 
 from lightsim.errors import InputError
 from lightsim.evaluate.leaderboard import Leaderboard, make_leaderboard
+from lightsim.evaluate.options import OURS
 from lightsim.progress import Progress
 from lightsim.relighting.options import FIELD_METHOD, SHIPPED, Method
 from lightsim.simulation.batch import BatchCommand, BatchOptions, log_of, run_batch
@@ -37,9 +37,20 @@ _BUILD: dict[BenchmarkSize, tuple[str, ...]] = {
     "full": ("--image-scale", "1", "--hold-out", "8"),
 }
 _MEASURED_SKIES = 3
-_Step = tuple[BatchCommand, Callable[[int], tuple[str, ...]]]
-"""A command, and its words for a street."""
-_EDITS = "edits"
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A command of each street.
+
+    Args:
+        line_of: its words, by street and by methods that have relit it; None: nothing to do.
+        relights: the method that it relights by.
+    """
+
+    command: BatchCommand
+    line_of: Callable[[int, Sequence[Method]], tuple[str, ...] | None]
+    relights: Method | None = None
 
 
 @dataclass(frozen=True)
@@ -81,7 +92,7 @@ def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
     for method in methods:
         _check_unseen(method, options)
     notes += _run(options, seeds, methods, progress)
-    result = _leaderboards(options, methods, notes)
+    result = _leaderboards(options, notes)
     write_text(options.root / "leaderboard.json", result.to_json() + "\n")
     write_page(options, result.boards)
     return result
@@ -157,39 +168,57 @@ def _run(
     whole streets. Notes on what failed."""
     batch = BatchOptions(out=options.root / "logs", jobs=options.jobs)
     groups = [seeds[i : i + options.jobs] for i in range(0, len(seeds), options.jobs)]
-    steps = [*_steps(options, methods)]
-    return [note for group in groups for note in _run_streets(steps, group, batch, progress)]
+    return [
+        note
+        for group in groups
+        for note in _run_streets(_steps(options, methods), group, batch, progress)
+    ]
 
 
 def _run_streets(
-    steps: Sequence[_Step], seeds: Sequence[int], batch: BatchOptions, progress: Progress
+    steps: Iterator[_Step], seeds: Sequence[int], batch: BatchOptions, progress: Progress
 ) -> list[str]:
-    left, notes = list(seeds), []
-    for command, line_of in steps:
-        lines = {seed: line_of(seed) for seed in left}
+    left: dict[int, list[Method]] = {seed: [] for seed in seeds}
+    """Streets that can be relit, and by whom they were."""
+    notes = []
+    for step in steps:
+        asked = {seed: step.line_of(seed, done) for seed, done in left.items()}
+        lines = {seed: line for seed, line in asked.items() if line is not None}
         if not lines:
-            break
-        failed = run_batch(command, list(lines.values()), batch, progress).failed
+            continue
+        failed = run_batch(step.command, list(lines.values()), batch, progress).failed
         for seed, line in lines.items():
-            log = log_of(command, line, batch.out)
+            log = log_of(step.command, line, batch.out)
             if log in failed:
                 notes.append(f"Failed: street {seed}: {failed[log]} ({log})")
                 # A method's failure is its own; without log or twin there is nothing to relight.
-                if command in ("synthesize", "build"):
-                    left.remove(seed)
+                if step.command in ("synthesize", "build"):
+                    del left[seed]
+            elif step.relights is not None:
+                left[seed].append(step.relights)
     return notes
 
 
 def _steps(options: BenchmarkOptions, methods: Sequence[Method]) -> Iterator[_Step]:
-    yield "synthesize", lambda seed: _synthesize(options, seed)
-    log, work = (lambda seed: str(options.street(seed) / "log")), options.work
-    build = _BUILD[options.size]
-    yield "build", lambda seed: (log(seed), "--work", str(work(seed)), *build)
+    work, build = options.work, _BUILD[options.size]
+    yield _Step("synthesize", lambda seed, _: _synthesize(options, seed))
+    yield _Step(
+        "build",
+        lambda seed, _: (str(options.street(seed) / "log"), "--work", str(work(seed)), *build),
+    )
     if FIELD_METHOD in methods:
-        yield "train", lambda seed: (FIELD_METHOD, str(work(seed)))
+        yield _Step("train", lambda seed, _: (FIELD_METHOD, str(work(seed))))
+    # A process for each method, whose cost is its own; then one for all scores, since half of their
+    # time goes into the truth.
     for method in methods:
-        yield "evaluate", lambda seed, method=method: _evaluate(options, method, seed)
-    yield "evaluate", lambda seed: ("edits", *_against_truth(options, seed, _EDITS))
+        name = ("--name", options.scenario(method), "--no-scores")
+        yield _Step(
+            "evaluate",
+            lambda seed, _, m=method, name=name: (*_relight(options, seed, [m]), *name),
+            method,
+        )
+    yield _Step("evaluate", lambda seed, done: _score(options, seed, done))
+    yield _Step("evaluate", lambda seed, _: ("edits", *_against_truth(options, seed, "edits")))
 
 
 def _synthesize(options: BenchmarkOptions, seed: int) -> tuple[str, ...]:
@@ -203,51 +232,50 @@ def _synthesize(options: BenchmarkOptions, seed: int) -> tuple[str, ...]:
     return (*words, "--denoise", "--edits", *more)
 
 
-def _evaluate(options: BenchmarkOptions, method: Method, seed: int) -> tuple[str, ...]:
-    words = _against_truth(options, seed, method)
-    name = f"benchmark-{method}-{options.source_sky}-sky"
-    more = ["--method", method, "--name", name]
-    if method in options.weights_by_method:
-        more += ["--weights", str(options.weights_by_method[method])]
+def _relight(options: BenchmarkOptions, seed: int, methods: Sequence[Method]) -> tuple[str, ...]:
+    truth = options.street(seed) / "truth"
+    words = ["relight", str(options.work(seed)), "--truth", str(truth)]
+    words += ["--method", ",".join(methods)]
+    files = options.weights_by_method
+    chosen = [f"{method}={files[method]}" for method in methods if method in files]
+    words += ["--weights", *chosen] if chosen else []
     if options.source_sky == "true":
-        more += ["--source-sky", str(options.street(seed) / "truth" / "skies" / "source.exr")]
-    if method != REFERENCE:
-        more.append("--no-baselines")
-    return ("relight", *words, *more)
+        words += ["--source-sky", str(truth / "skies" / "source.exr")]
+    return tuple(words)
 
 
-def _against_truth(options: BenchmarkOptions, seed: int, name: str) -> tuple[str, ...]:
-    truth = str(options.street(seed) / "truth")
-    out = str(options.scores / name / f"{seed}.json")
-    return (str(options.work(seed)), "--truth", truth, "--out", out)
+def _score(
+    options: BenchmarkOptions, seed: int, methods: Sequence[Method]
+) -> tuple[str, ...] | None:
+    """Of those by whom the street was relit."""
+    if not methods:
+        return None
+    name = options.scenario(methods[0]) if len(methods) == 1 else options.scenario("")[:-1]
+    out = options.scores("relighting") / f"{seed}.json"
+    return (*_relight(options, seed, methods), "--name", name, "--out", str(out))
 
 
-def _leaderboards(
-    options: BenchmarkOptions, methods: Sequence[Method], notes: Sequence[str]
-) -> Benchmark:
+def _against_truth(
+    options: BenchmarkOptions, seed: int, what: Literal["relighting", "edits"]
+) -> tuple[str, ...]:
+    truth, out = options.street(seed) / "truth", options.scores(what) / f"{seed}.json"
+    return (str(options.work(seed)), "--truth", str(truth), "--out", str(out))
+
+
+def _leaderboards(options: BenchmarkOptions, notes: Sequence[str]) -> Benchmark:
     """What is finished, that of earlier runs and of other shards included."""
-    made = {m: options.scores / m for m in methods if any((options.scores / m).glob("*.json"))}
-    if REFERENCE not in made:
+    relit, edits = options.scores("relighting"), options.scores("edits")
+    if not any(relit.glob("*.json")):
         raise InputError(
             "no street was finished", where=options.root, got="; ".join(notes) or None,
             remedy="See the logs; the same command goes on.",
         )  # fmt: skip
     plan = plan_street(0)
     own = [spec.name for spec in (*sky_specs(plan)[1:], *more_sky_specs(plan))]
-    missing = _missing(options, made)
-    lacking = [f"Not measured: {m} on {', '.join(s)}." for m, s in missing.items() if s]
     title = f"{options.side}, {options.size}, source sky {options.source_sky}"
-    relighting = make_leaderboard(f"Relighting ({title})", made, own, notes=(*notes, *lacking))
-    edits = options.scores / _EDITS
+    streets = [str(seed) for seed in HELD_OUT[options.side]]
+    relighting = make_leaderboard(f"Relighting ({title})", relit, REFERENCE, own, streets, notes)
     if not any(edits.glob("*.json")):
         return Benchmark(relighting, None)
     names = ("remove-parked", "move-parked", "remove-moving", "move-moving", "insert", "ego-shift")
-    return Benchmark(relighting, make_leaderboard(f"Edits ({title})", {_EDITS: edits}, names))
-
-
-def _missing(options: BenchmarkOptions, made: Mapping[str, Path]) -> dict[str, list[str]]:
-    """Streets of the side that a method lacks."""
-    return {
-        method: [str(s) for s in HELD_OUT[options.side] if not (folder / f"{s}.json").is_file()]
-        for method, folder in made.items()
-    }
+    return Benchmark(relighting, make_leaderboard(f"Edits ({title})", edits, OURS, names, streets))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -93,25 +93,20 @@ class BenchmarkOptions:
         Raises:
             InputError: they are not spelt METHOD=FILE, or the method has no weights.
         """
-        pairs = [word.partition("=") for word in self.weights]
-        if not all(name in NETWORKS and path for name, _, path in pairs):
-            raise InputError(
-                "the weights cannot be read",
-                where="--weights",
-                got=" ".join(self.weights),
-                expected=f"METHOD=FILE, METHOD one of {', '.join(NETWORKS)}",
-            )
-        return {name: Path(path) for name, _, path in pairs}
+        return weights_by_method(self.weights)
 
     @property
     def root(self) -> Path:
         """Of one side and size."""
         return self.out / f"{self.side}-{self.size}"
 
-    @property
-    def scores(self) -> Path:
-        """Folder of a folder for each method."""
-        return self.root / f"scores-{self.source_sky}-sky"
+    def scores(self, what: Literal["relighting", "edits"]) -> Path:
+        """Folder of a file for each street."""
+        return self.root / f"scores-{self.source_sky}-sky" / what
+
+    def scenario(self, method: str) -> str:
+        """Name of the relit frames in a work folder."""
+        return f"benchmark-{self.source_sky}-sky-{method}"
 
     def street(self, seed: int) -> Path:
         """Log and truth."""
@@ -120,3 +115,20 @@ class BenchmarkOptions:
     def work(self, seed: int) -> Path:
         """Twin."""
         return self.root / "works" / str(seed)
+
+
+def weights_by_method(words: Sequence[str]) -> dict[str, Path]:
+    """METHOD=FILE ...
+
+    Raises:
+        InputError: they are not spelt so, or a method has no weights.
+    """
+    pairs = [word.partition("=") for word in words]
+    if not all(name in NETWORKS and path for name, _, path in pairs):
+        raise InputError(
+            "the weights cannot be read",
+            where="--weights",
+            got=" ".join(words),
+            expected=f"METHOD=FILE, METHOD one of {', '.join(NETWORKS)}",
+        )
+    return {name: Path(path) for name, _, path in pairs}

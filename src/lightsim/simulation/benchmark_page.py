@@ -23,7 +23,7 @@ def write_page(options: BenchmarkOptions, boards: Sequence[Leaderboard]) -> Path
         for board in boards
         for caption, columns, lines in board.tables()
     ]
-    cases = weakest(options.scores / REFERENCE, REFERENCE, _SHOWN)
+    cases = weakest(options.scores("relighting"), REFERENCE, _SHOWN)
     figures = [_case(options, *case) for case in cases]
     sections = [
         Section("Leaderboard", "\n\n".join(boards[0].notes), tables=tables),
@@ -41,14 +41,12 @@ def _case(
     left out."""
     folder = options.root / "streets" / street
     recorded = folder / "log" / "camera" / camera / f"{stem}.jpg"
-    ending = f"-{options.source_sky}-sky"
+    beginning = options.scenario("")
     pictures = {"recorded": recorded}
-    for made in sorted(
-        (options.root / "works" / street / "scenarios").glob(f"benchmark-*{ending}")
-    ):
+    for made in sorted((options.work(int(street)) / "scenarios").glob(f"{beginning}*")):
         picture = made / sky / "frames" / camera / f"{stem}.png"
         if picture.is_file():
-            pictures[made.name.removeprefix("benchmark-").removesuffix(ending)] = picture
+            pictures[made.name.removeprefix(beginning)] = picture
     truth = folder / "truth" / "relit" / sky / camera / f"{stem}.jpg"
     load = {name: partial(read_srgb8, path) for name, path in pictures.items()}
     task = FrameTask(f"street {street}, {sky}", camera, stem, partial(read_srgb8, truth), load)

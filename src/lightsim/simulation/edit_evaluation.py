@@ -15,13 +15,13 @@ from lightsim.baselines.colour_transfer import copy_source
 from lightsim.errors import InputError
 from lightsim.evaluate.folders import folder_tasks
 from lightsim.evaluate.frames import FrameTask
-from lightsim.evaluate.options import MeasureOptions
+from lightsim.evaluate.options import OURS, MeasureOptions
 from lightsim.evaluate.report import EvaluationReport
 from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress
 from lightsim.scenario.edits import read_scenario_request
 from lightsim.simulation.edited import simulate
-from lightsim.simulation.evaluation import OURS, measured
+from lightsim.simulation.evaluation import measured
 from lightsim.simulation.options import SimulateOptions
 from lightsim.store.exr import read_exr
 from lightsim.store.images import read_srgb8
@@ -125,8 +125,8 @@ def _edit_tasks(work: Path, truth: Path, request: Path, progress: Progress) -> l
         return view.is_surface if is_ego else view.is_affected
 
     folders = {
-        "predicted": made / "frames",
+        OURS: made / "frames",
         "truth": truth / "edits" / name / "frames",
         "source": Path(Workspace(work).reading.source) / "camera",
     }
-    return folder_tasks(name, OURS, folders, counts, {UNEDITED: copy_source})
+    return folder_tasks(name, [OURS], folders, counts, {UNEDITED: copy_source})

@@ -3,7 +3,6 @@ each other, and by their shadows."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -28,15 +27,13 @@ from lightsim.progress import Progress
 from lightsim.simulation.against_truth import relit_folders
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.picture_consistency import RECORDED, picture_consistency
+from lightsim.simulation.relight_cost import Folders, with_cost
 from lightsim.simulation.report import write_evaluation_report
 from lightsim.simulation.true_surfaces import TrueSurfaces
-from lightsim.store.artefact import peak_memory_mb
 from lightsim.store.images import read_grey8
 from lightsim.synthetic.reader import true_sky
 
 _SOURCE = "source"
-OURS = "LightSim"
-"""Edited frames in tables; relit ones have the name of their method."""
 
 
 def evaluate_held_out(
@@ -71,7 +68,7 @@ def evaluate_folders(
     """
     is_valid = None if masks is None else partial(_read_mask, masks)
     baselines = BASELINES if "source" in folders and options.baselines else None
-    tasks = folder_tasks("frames", "predicted", folders, is_valid, baselines)
+    tasks = folder_tasks("frames", ["predicted"], folders, is_valid, baselines)
     rows: tuple[ConsistencyRow, ...] = ()
     if work is not None:
         names = {"source": RECORDED}
@@ -84,7 +81,7 @@ def evaluate_folders(
 def evaluate_relit(
     work: Path,
     truth: Path,
-    relighting: RelightOptions,
+    relighting: Sequence[RelightOptions],
     options: MeasureOptions,
     progress: Progress,
 ) -> EvaluationReport:
@@ -92,30 +89,32 @@ def evaluate_relit(
     reach: scores by class of surface, shadows, and agreement between pictures.
 
     Args:
-        relighting: name and method; skies and frames are those of the truth.
+        relighting: name and method of each; skies and frames are those of the truth. What is told
+            of the truth is found once for all.
 
     Raises:
         InputError: `truth` is not a folder that `lightsim synthesize` wrote.
     """
-    workspace = Workspace(work, is_stale_allowed=relighting.allow_stale)
-    # Frames that are kept cost nothing now.
-    kept = [work / "scenarios" / name for name in (relighting.name, f".{relighting.name}.partial")]
-    is_anew, began_s = not any(path.exists() for path in kept), time.process_time()
-    folders = relit_folders(workspace, truth, relighting, progress)
+    workspace = Workspace(work, is_stale_allowed=any(r.allow_stale for r in relighting))
+    folders: dict[str, dict[str, Path]] = {}
+    costs: dict[str, Cost] = {}
+    for one in relighting:
+        made, cost = relit_with_cost(work, truth, one, progress)
+        for sky, frames in made.items():
+            shown = {one.method: frames["predicted"], "truth": frames["truth"]}
+            folders.setdefault(sky, {}).update({**shown, _SOURCE: frames["source"]})
+        costs |= {} if cost is None else {one.method: cost}
     skies = {name: true_sky(truth, name) for name in (*folders, _SOURCE)}
-    count = sum(len(list(frames["predicted"].glob("*/*.png"))) for frames in folders.values())
-    cost = Cost((time.process_time() - began_s) / count, peak_memory_mb()) if is_anew else None
     surfaces = TrueSurfaces(truth / "scene.npz", workspace, skies)
-    method = relighting.method
+    methods = [one.method for one in relighting]
     baselines = BASELINES if options.baselines else None
     tasks: list[FrameTask] = []
     consistency: list[ConsistencyRow] = []
     for sky, frames in folders.items():
         classes = partial(surfaces.classes, sky)
-        tasks += folder_tasks(sky, method, frames, surfaces.is_surface, baselines, classes)
+        tasks += folder_tasks(sky, methods, frames, surfaces.is_surface, baselines, classes)
         if workspace.reading.image_scale == 1.0:
-            names = {"predicted": method, "truth": "truth", "source": RECORDED}
-            shown = {names[name]: folder for name, folder in frames.items()}
+            shown = {RECORDED if name == _SOURCE else name: path for name, path in frames.items()}
             consistency += picture_consistency(workspace, sky, shown, progress)
     report = measured(
         tasks,
@@ -125,7 +124,23 @@ def evaluate_relit(
         consistency=consistency,
         load_shadows=lambda sky, task: surfaces.shadows(sky, task.camera_name, task.stem),
     )
-    return replace(report, cost=cost)
+    return replace(report, costs=costs)
+
+
+def relit_with_cost(
+    work: Path, truth: Path, relighting: RelightOptions, progress: Progress
+) -> tuple[Folders, Cost | None]:
+    """Folders of frames relit as the truth is, by sky, and what they cost where that is known.
+
+    Raises:
+        InputError: `truth` is not a folder that `lightsim synthesize` wrote.
+    """
+
+    def relight() -> Folders:
+        workspace = Workspace(work, is_stale_allowed=relighting.allow_stale)
+        return relit_folders(workspace, truth, relighting, progress)
+
+    return with_cost(work, relighting.name, relight)
 
 
 def measured(
