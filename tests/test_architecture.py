@@ -13,8 +13,8 @@ from lightsim import errors
 
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "lightsim"
 FLOORS = (
-    "cli", "api", "simulation", "pipeline", "training", "evaluate", "view", "relighting",
-    "baselines", "render", "scenario", "lighting", "appearance", "geometry", "reconstruct", "align",
+    "__main__", "cli", "api", "simulation", "pipeline", "training", "evaluate", "view",
+    "relighting", "baselines", "render", "scenario", "lighting", "appearance", "geometry", "reconstruct", "align",
     "masks", "synthetic", "datasets", "networks", "store", "mitsuba_scene", "denoise", "core",
     "arguments", "progress", "optional", "errors", "version",
 )  # fmt: skip

@@ -135,7 +135,13 @@ def make_leaderboard(
         for row in rows:
             rows_by_method.setdefault(row.method, {}).setdefault(street, []).append(row)
     if not rows_by_method[reference]:
-        raise InputError(f"no evaluation of {reference}", where=folder)
+        raise InputError(
+            "the method that others are held against was not evaluated",
+            where=folder,
+            got=", ".join(m for m in rows_by_method if m != reference) or "nothing",
+            expected=reference,
+            remedy="Run lightsim evaluate benchmark again: it goes on with what failed.",
+        )
     costs = _costs(folder)
     seen = {row.condition for rows in rows_by_method[reference].values() for row in rows}
     conditions = [name for name in own_conditions if name in seen]
