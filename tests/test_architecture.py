@@ -14,9 +14,9 @@ from lightsim import errors
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "lightsim"
 FLOORS = (
     "__main__", "cli", "api", "simulation", "pipeline", "training", "evaluate", "view",
-    "relighting", "baselines", "render", "scenario", "lighting", "appearance", "geometry", "reconstruct", "align",
-    "masks", "synthetic", "datasets", "networks", "store", "mitsuba_scene", "denoise", "core",
-    "arguments", "progress", "optional", "errors", "version",
+    "relighting", "baselines", "render", "scenario", "lighting", "appearance", "geometry",
+    "reconstruct", "align", "masks", "synthetic", "datasets", "networks", "store", "mitsuba_scene",
+    "denoise", "core", "arguments", "progress", "optional", "errors", "version",
 )  # fmt: skip
 """Packages and modules of the top level, from the top down: an import only ever leads down.
 
