@@ -80,9 +80,9 @@ class RelightData:
     """
 
     def __init__(self, folders: Sequence[Path], config: RelightDataConfig) -> None:
-        self._files = [path for folder in folders for path in sorted(folder.glob("*.npz"))]
+        self.files = [path for folder in folders for path in sorted(folder.glob("*.npz"))]
         self._config = config
-        if not self._files:
+        if not self.files:
             raise InputError(
                 "there are no samples of relighting",
                 where=", ".join(str(folder) for folder in folders),
@@ -91,21 +91,21 @@ class RelightData:
         self._read = lru_cache(_OPEN_FILES)(read_sample)
 
     def __len__(self) -> int:
-        return len(self._files)
+        return len(self.files)
 
     @property
     def sky_names(self) -> list[str]:
         """All target skies of all frames."""
-        return sorted({name for file in self._files for name in self._read(file).targets})
+        return sorted({name for file in self.files for name in self._read(file).targets})
 
     def whole(self, index: int, sky: str | None) -> RelightBatch:
         """One frame as it is, under one of its skies; None: as it was recorded."""
-        sample = self._read(self._files[index])
+        sample = self._read(self.files[index])
         return identity_pair(sample) if sky is None else true_pair(sample, sky)
 
     def skies(self, index: int) -> list[str]:
         """Target skies of a frame whose truth is known."""
-        return _with_truth(self._read(self._files[index]))
+        return _with_truth(self._read(self.files[index]))
 
     def batch(self, draw: int, seed: int) -> RelightBatch:
         """The crops of a draw; they depend on nothing else."""
@@ -120,7 +120,7 @@ class RelightData:
         )
 
     def _one(self, rng: np.random.Generator) -> RelightBatch:
-        sample = self._read(self._files[int(rng.integers(len(self._files)))])
+        sample = self._read(self.files[int(rng.integers(len(self.files)))])
         one = self._pair(_cut(sample, self._config.crop_px, rng), rng)
         if rng.random() < 0.5:
             one = _mirrored(one)
