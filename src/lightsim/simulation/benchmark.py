@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
 from lightsim.errors import InputError
 from lightsim.evaluate.leaderboard import Leaderboard, make_leaderboard
@@ -211,14 +211,14 @@ def _steps(options: BenchmarkOptions, methods: Sequence[Method]) -> Iterator[_St
     # A process for each method, whose cost is its own; then one for all scores, since half of their
     # time goes into the truth.
     for method in methods:
-        name = ("--name", options.scenario(method), "--no-scores")
+        name = ("--name", f"{options.scenarios}-{method}", "--no-scores")
         yield _Step(
             "evaluate",
             lambda seed, _, m=method, name=name: (*_relight(options, seed, [m]), *name),
             method,
         )
     yield _Step("evaluate", lambda seed, done: _score(options, seed, done))
-    yield _Step("evaluate", lambda seed, _: ("edits", *_against_truth(options, seed, "edits")))
+    yield _Step("evaluate", lambda seed, _: _score_edits(options, seed))
 
 
 def _synthesize(options: BenchmarkOptions, seed: int) -> tuple[str, ...]:
@@ -250,16 +250,14 @@ def _score(
     """Of those by whom the street was relit."""
     if not methods:
         return None
-    name = options.scenario(methods[0]) if len(methods) == 1 else options.scenario("")[:-1]
+    name = options.scenarios if len(methods) > 1 else f"{options.scenarios}-{methods[0]}"
     out = options.scores("relighting") / f"{seed}.json"
     return (*_relight(options, seed, methods), "--name", name, "--out", str(out))
 
 
-def _against_truth(
-    options: BenchmarkOptions, seed: int, what: Literal["relighting", "edits"]
-) -> tuple[str, ...]:
-    truth, out = options.street(seed) / "truth", options.scores(what) / f"{seed}.json"
-    return (str(options.work(seed)), "--truth", str(truth), "--out", str(out))
+def _score_edits(options: BenchmarkOptions, seed: int) -> tuple[str, ...]:
+    truth, out = options.street(seed) / "truth", options.scores("edits") / f"{seed}.json"
+    return ("edits", str(options.work(seed)), "--truth", str(truth), "--out", str(out))
 
 
 def _leaderboards(options: BenchmarkOptions, notes: Sequence[str]) -> Benchmark:

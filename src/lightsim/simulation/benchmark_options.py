@@ -104,9 +104,10 @@ class BenchmarkOptions:
         """Folder of a file for each street."""
         return self.root / f"scores-{self.source_sky}-sky" / what
 
-    def scenario(self, method: str) -> str:
-        """Name of the relit frames in a work folder."""
-        return f"benchmark-{self.source_sky}-sky-{method}"
+    @property
+    def scenarios(self) -> str:
+        """Beginning of the names of relit frames in a work folder, before -METHOD."""
+        return f"benchmark-{self.source_sky}-sky"
 
     def street(self, seed: int) -> Path:
         """Log and truth."""

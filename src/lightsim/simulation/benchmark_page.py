@@ -41,7 +41,7 @@ def _case(
     left out."""
     folder = options.root / "streets" / street
     recorded = folder / "log" / "camera" / camera / f"{stem}.jpg"
-    beginning = options.scenario("")
+    beginning = f"{options.scenarios}-"
     pictures = {"recorded": recorded}
     for made in sorted((options.work(int(street)) / "scenarios").glob(f"{beginning}*")):
         picture = made / sky / "frames" / camera / f"{stem}.png"
