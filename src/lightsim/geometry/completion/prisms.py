@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float, Float64, Shaped
+from jaxtyping import Bool, Float, Float64, Shaped
 
 from lightsim.core.buildings import Roofline
 from lightsim.core.casting import MakeCaster, RayCaster
@@ -34,17 +34,30 @@ def roof_casters(
         background: what is visible; where a wall of it stands already, none is added.
         make_caster: builds the ray caster.
     """
-    caster = make_caster([background])
-    normals = background.face_normals()
-    quads = [
-        quad
-        for roofline in rooflines
-        for run in _runs(roofline.top, roofline.depth_m, roofline.shown)
-        for quad in (*_prism(roofline, run), *_free_walls(roofline, run, caster, normals))
-    ]
-    corners = np.array(quads, dtype=np.float64).reshape(-1, 3)
+    parts = [_parts(roofline) for roofline in rooflines]
+    quads = np.concatenate([np.zeros((0, 4, 3)), *(quads for quads, _ in parts)])
+    is_kept = np.concatenate([np.zeros(0, dtype=bool), *(is_hidden for _, is_hidden in parts)])
+    asked = np.flatnonzero(~is_kept)
+    caster, normals = make_caster([background]), background.face_normals()
+    is_kept[asked] = ~_stand_already(quads[asked], caster, normals)
+    corners = quads[is_kept].reshape(-1, 3)
     mesh = quad_mesh(corners, np.arange(len(corners)).reshape(-1, 4), FACADE)
     return mesh.with_provenance(Provenance.INFERRED)
+
+
+def _parts(roofline: Roofline) -> tuple[Float64[np.ndarray, "q 4 3"], Bool[np.ndarray, " q"]]:
+    """All that no view shows of a building, corners in frame world, and which of it no measured
+    wall can stand for."""
+    quads: list[Quad] = []
+    is_hidden: list[bool] = []
+    for run in _runs(roofline.top, roofline.depth_m, roofline.shown):
+        for made, sure in ((_prism(roofline, run), True), (_free_walls(roofline, run), False)):
+            for quad in made:
+                quads.append(quad)
+                is_hidden.append(sure)
+    s, z, out = np.array(quads, dtype=np.float64).reshape(-1, 3).T
+    places = roofline.wall.at(s, z) + out[:, None] * roofline.wall.normal
+    return places.reshape(-1, 4, 3), np.array(is_hidden, dtype=bool)
 
 
 def _runs(*profiles: Shaped[np.ndarray, " s"]) -> list[tuple[int, int]]:
@@ -56,15 +69,11 @@ def _runs(*profiles: Shaped[np.ndarray, " s"]) -> list[tuple[int, int]]:
 
 Corner = tuple[float, float, float]
 """s, z, and metres in front of the wall's plane."""
+Quad = tuple[Corner, Corner, Corner, Corner]
+"""Counter-clockwise from outside."""
 
 
-def _quad(roofline: Roofline, *corners: Corner) -> Float64[np.ndarray, "4 3"]:
-    """Corners in frame world, counter-clockwise from outside if they are given so."""
-    s, z, out = np.array(corners).T
-    return roofline.wall.at(s, z) + out[:, None] * roofline.wall.normal
-
-
-def _prism(roofline: Roofline, run: tuple[int, int]) -> Iterator[Float64[np.ndarray, "4 3"]]:
+def _prism(roofline: Roofline, run: tuple[int, int]) -> Iterator[Quad]:
     """The front that no view shows, and the roof of one stretch."""
     first, end = run
     wall, cell = roofline.wall, roofline.cell_m
@@ -72,43 +81,40 @@ def _prism(roofline: Roofline, run: tuple[int, int]) -> Iterator[Float64[np.ndar
     low = wall.height_m[0] + cell * (float(roofline.shown[first]) - 1)
     high, out = float(roofline.top_m[first]), -_RETREAT_M
     if roofline.top[first] > roofline.shown[first]:
-        yield _quad(roofline, (s0, low, out), (s1, low, out), (s1, high, out), (s0, high, out))
+        yield (s0, low, out), (s1, low, out), (s1, high, out), (s0, high, out)
     if roofline.depth_m[first] > 0 and roofline.top[first] > 0:
         rear = -INSET_M - float(roofline.depth_m[first])
-        yield _quad(roofline, (s0, high, out), (s1, high, out), (s1, high, rear), (s0, high, rear))
+        yield (s0, high, out), (s1, high, out), (s1, high, rear), (s0, high, rear)
 
 
-def _free_walls(
-    roofline: Roofline,
-    run: tuple[int, int],
-    caster: RayCaster,
-    normals: Float[np.ndarray, "m 3"],
-) -> Iterator[Float64[np.ndarray, "4 3"]]:
-    """Rear and side walls of one stretch where none was measured."""
+def _free_walls(roofline: Roofline, run: tuple[int, int]) -> Iterator[Quad]:
+    """Rear and side walls of one stretch."""
     first, end = run
     if roofline.depth_m[first] == 0 or roofline.top[first] == 0:
         return
     s0, s1 = roofline.wall.span_m[0] + roofline.cell_m * np.array([first, end])
     low, high = float(roofline.ground_m[first:end].min()), float(roofline.top_m[first])
     near, far = -_CLEARANCE_M, -INSET_M - float(roofline.depth_m[first])
-    rear = _quad(roofline, (s1, low, far), (s0, low, far), (s0, high, far), (s1, high, far))
-    left = _quad(roofline, (s0, low, far), (s0, low, near), (s0, high, near), (s0, high, far))
-    right = _quad(roofline, (s1, low, near), (s1, low, far), (s1, high, far), (s1, high, near))
-    walls = (rear, left, right) if far < near else (rear,)
-    yield from (q for q in walls if not _stands_already(q, caster, normals))
+    yield (s1, low, far), (s0, low, far), (s0, high, far), (s1, high, far)
+    if far < near:
+        yield (s0, low, far), (s0, low, near), (s0, high, near), (s0, high, far)
+        yield (s1, low, near), (s1, low, far), (s1, high, far), (s1, high, near)
 
 
-def _stands_already(
-    quad: Float64[np.ndarray, "4 3"], caster: RayCaster, normals: Float[np.ndarray, "m 3"]
-) -> bool:
-    """Whether a measured wall stands where the quad would."""
-    across, up = quad[1] - quad[0], quad[3] - quad[0]
+def _stand_already(
+    quads: Float64[np.ndarray, "q 4 3"], caster: RayCaster, normals: Float[np.ndarray, "m 3"]
+) -> Bool[np.ndarray, " q"]:
+    """Whether measured walls stand where the quads would."""
+    across, up = quads[:, 1] - quads[:, 0], quads[:, 3] - quads[:, 0]
     normal = np.cross(across, up)
-    normal /= max(float(np.linalg.norm(normal)), 1e-9)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
     steps = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
     u, v = (grid.reshape(-1, 1) for grid in np.meshgrid(steps, steps, indexing="ij"))
-    start = quad[0] + u * across + v * up - _CLEARANCE_M * normal
-    hits = caster.intersect(start, np.broadcast_to(normal, start.shape).copy())
+    start = (quads[:, 0] - _CLEARANCE_M * normal)[:, None] + u * across[:, None] + v * up[:, None]
+    towards = np.broadcast_to(normal[:, None], start.shape).reshape(-1, 3)
+    hits = caster.intersect(start.reshape(-1, 3), towards)
     is_near = hits.is_hit & (hits.distance_m < 2 * _CLEARANCE_M)
-    cosine = np.abs(normals[hits.face_index[is_near]] @ normal)
-    return bool((cosine > _PARALLEL).sum() > _STANDING * len(start))
+    is_wall = np.zeros(len(towards), dtype=bool)
+    cosine = (normals[hits.face_index[is_near]] * towards[is_near]).sum(axis=1)
+    is_wall[is_near] = np.abs(cosine) > _PARALLEL
+    return is_wall.reshape(-1, _SAMPLES**2).mean(axis=1) > _STANDING
