@@ -22,6 +22,7 @@ from tests.tiny_world import (
     tiny_world,
 )
 
+from lightsim import cli
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.dome import SkyDome
 from lightsim.core.frames import RigidTransform
@@ -216,3 +217,24 @@ def test_relit_frames_are_measured_in_every_way(
     assert report.costs.keys() == {"colour-transfer"}
     (tmp_path / "scenarios" / "judged").mkdir()
     assert evaluation.evaluate_relit(*given).costs == report.costs
+
+
+def test_weights_belong_to_the_methods_that_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[RelightOptions] = []
+    monkeypatch.setattr(
+        evaluation, "relit_with_cost", lambda work, truth, one, _: asked.append(one)
+    )
+
+    def relit(*words: str) -> list[tuple[str, str, str | None]]:
+        asked.clear()
+        cli.main(["evaluate", "relight", "w", "--truth", "t", "--no-scores", *words])
+        return [(one.name, one.method, one.weights and str(one.weights)) for one in asked]
+
+    assert relit() == [("truth", "network", None)]
+    # A path may hold an equals sign.
+    assert relit("--weights", "lr=1/w") == [("truth", "network", "lr=1/w")]
+    both = relit("--method", "physical,epe", "--name", "n", "--weights", "epe=e")
+    assert both == [("n-physical", "physical", None), ("n-epe", "epe", "e")]
+    for words in (["--weights", "paper=p"], ["--method", "physical", "--weights", "f"]):
+        with pytest.raises(SystemExit):
+            relit(*words)

@@ -15,7 +15,7 @@ from lightsim.core.checks import check_choice
 from lightsim.errors import InputError
 from lightsim.evaluate.options import MeasureOptions
 from lightsim.progress import terminal_progress
-from lightsim.relighting.options import Method
+from lightsim.relighting.options import NETWORKS, Method
 from lightsim.simulation.benchmark_options import BenchmarkOptions, weights_by_method
 from lightsim.simulation.paper_ablations import PaperAblationOptions
 from lightsim.simulation.paper_skies import PaperSkyOptions
@@ -121,10 +121,13 @@ class EvaluateRelight:
         for method in self.method:
             check_choice("--method", method, get_args(Method))
         methods: Sequence[Method] = self.method  # type: ignore[assignment]
-        is_alone = len(methods) == 1
-        plain = is_alone and len(self.weights) == 1 and "=" not in self.weights[0]
-        words = (f"{methods[0]}={self.weights[0]}",) if plain else self.weights
+        is_alone, words = len(methods) == 1, self.weights
+        # A path may hold an equals sign.
+        if is_alone and len(words) == 1 and words[0].partition("=")[0] not in NETWORKS:
+            words = (f"{methods[0]}={words[0]}",)
         files = weights_by_method(words)
+        for method in files:
+            check_choice("--weights", method, methods)
         return [
             RelightOptions(
                 name=self.name if is_alone else f"{self.name}-{method}",
