@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool, Float32
 
+from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.core.sensors import CameraFrame
-from lightsim.masks.ego_vehicle import _small_grey, find_ego_vehicle
+from lightsim.masks.ego_vehicle import _small_grey, find_ego_vehicle, moves_as_road
 
 H, W = 90, 160
+CAMERA = PinholeCamera("left", W, H, 80.0, 80.0, W / 2, H / 2)
+POSE_ASIDE = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], dtype=float)
+"""Looks along world +y, rows downwards."""
 
 
 def pictures(rng: np.random.Generator, *, has_car: bool) -> Float32[np.ndarray, "n h w"]:
@@ -41,6 +47,34 @@ def test_a_kerb_along_the_motion_is_no_ego_vehicle(rng: np.random.Generator) -> 
     images = pictures(rng, has_car=False)
     images[:, 70:73] = 250.0
     assert not find_ego_vehicle(images).any()
+
+
+def road_pictures(*, has_bonnet: bool) -> list[CameraFrame]:
+    """A camera 1.6 m above plain road with dashes, looking aside, which drives 1 m a picture; where
+    it has a bonnet, that is as plain but for a line."""
+    frames = []
+    for i in range(10):
+        pose = RigidTransform("world", "camera", POSE_ASIDE.copy())
+        pose.matrix[:3, 3] = i, 0.0, 1.6
+        blank = CameraFrame("left", str(i), i, pose, lambda: np.zeros((H, W, 3), np.uint8))
+        origins, rays = blank.pixel_rays(CAMERA, CAMERA.pixel_centres().reshape(-1, 2))
+        reach_m = np.where(rays[:, 2] < -0.05, -1.6 / np.minimum(rays[:, 2], -0.05), np.inf)
+        x, y = (origins[:, k] + rays[:, k] * np.minimum(reach_m, 1e3) for k in (0, 1))
+        is_dash = (np.abs(y - 2.6) < 0.3) & (x % 4.0 < 1.0)
+        grey = np.where(reach_m > 20.0, 200, np.where(is_dash, 120, 60)).reshape(H, W)
+        if has_bonnet:
+            grey[70:] = 60
+            grey[80:82] = 90
+        picture = np.repeat(grey[..., None], 3, axis=-1).astype(np.uint8)
+        frames.append(replace(blank, load_srgb8=lambda picture=picture: picture))
+    return frames
+
+
+def test_plain_road_is_no_ego_vehicle() -> None:
+    """Road in even shade passed for one on two of four streets, and was not relit."""
+    mask = np.arange(H)[:, None] >= np.full(W, 70)
+    assert moves_as_road(mask, CAMERA, road_pictures(has_bonnet=False))
+    assert not moves_as_road(mask, CAMERA, road_pictures(has_bonnet=True))
 
 
 def test_narrow_pictures_are_not_enlarged() -> None:

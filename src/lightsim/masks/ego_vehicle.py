@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
@@ -15,6 +15,7 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
 
 _SMALL_WIDTH_PX = 480
+_TINY = 1e-3
 _HOLD_S = 1.0
 """Pictures may be taken a little before the first pose of the ego and after the last."""
 
@@ -38,15 +39,29 @@ _MIN_COLUMNS = 0.3
 _MAX_CHANGE = 2.0
 # The mask is grown upwards by this many reduced pixels.
 _MARGIN_PX = 2
+# Of the picture's height, below the outline: a car that follows ends there.
+_BELOW_OUTLINE = 0.06
+# Pairs of pictures in which the road is looked for, and how far the ego drives between them.
+_PAIRS = 8
+_PAIR_PATH_M = 0.5
+# Where the road may lie below a camera, metres.
+_ROAD_BELOW_M = np.geomspace(0.8, 4.0, 24)
+# Squared change along the road's motion over that in place: noise alone gives 1. Roads in plain
+# shade gave .10 to .32, the bonnet of log 002 23 (docs/datasets.md).
+_ROAD_RATIO = 0.7
+# Mean square of the difference of two rounded grey levels.
+_ROUNDING = 1 / 6
 
 
 def find_ego_vehicle(images: Float32[np.ndarray, "n h w"]) -> Bool[np.ndarray, "h w"]:
     """True where the ego vehicle covers the picture; all False where none is found.
 
+    Plain road between standing edges passes for one (`moves_as_road`).
+
     Outside, edges wander while the ego moves; those of the ego vehicle stand still. So for every
     column the row of the strongest standing edge is sought, joined to one outline from left to
     right by dynamic programming in which a column without ego vehicle costs nothing. What lies
-    below must moreover hardly change, which a kerb parallel to the motion does not pass.
+    below must moreover hardly change, which a kerb beside textured road does not pass.
 
     Args:
         images: grey pictures (0 to 255) of one camera, taken along the drive and reduced to a few
@@ -69,6 +84,65 @@ def find_ego_vehicle(images: Float32[np.ndarray, "n h w"]) -> Bool[np.ndarray, "
     if float(np.median(change[mask])) > _MAX_CHANGE:
         return np.zeros((height, width), dtype=bool)
     return _grown_upwards(mask, _MARGIN_PX)
+
+
+def moves_as_road(
+    mask: Bool[np.ndarray, "h w"], camera: PinholeCamera, frames: Sequence[CameraFrame]
+) -> bool:
+    """Whether what a mask covers moves as road below the camera does, and not with the ego.
+
+    Road in even shade hardly changes and its kerb stands still, as does a car that follows the ego:
+    then they look like an ego vehicle. But the little that they show of dashes and patches moves
+    with a level plane, at one height for all pairs of pictures.
+
+    Args:
+        mask: at the size of reduced pictures.
+        frames: of the camera, in order of time.
+    """
+    height, width = mask.shape
+    rows = round(_BELOW_OUTLINE * height)
+    inner = np.zeros_like(mask)
+    inner[rows:] = mask[rows:] & mask[:-rows] if rows else mask
+    v, u = np.nonzero(inner)
+    full_from_small = np.array([camera.width_px / width, camera.height_px / height])
+    pixels_uv = np.stack([u + 0.5, v + 0.5], axis=1) * full_from_small
+    ratios = []
+    for first, second in _pairs(frames):
+        before, after = _small_grey(first), _small_grey(second)
+        origins, directions = first.pixel_rays(camera, pixels_uv)
+        is_down = directions[:, 2] < -_TINY
+        seen = before[inner]
+        in_place = np.square(seen - after[inner])
+        ratio = np.ones(len(_ROAD_BELOW_M))
+        for k, below_m in enumerate(_ROAD_BELOW_M):
+            reach_m = below_m / np.where(is_down, -directions[:, 2], 1.0)
+            points = (origins + directions * reach_m[:, None]).astype(np.float32)
+            found_uv, is_inside = second.project(camera, points)
+            told = is_inside & is_down
+            if told.any():
+                along = np.square(seen[told] - _at(after, found_uv[told] / full_from_small))
+                ratio[k] = (along.mean() + _ROUNDING) / (in_place[told].mean() + _ROUNDING)
+        ratios.append(ratio)
+    return bool(ratios) and float(np.mean(ratios, axis=0).min()) < _ROAD_RATIO
+
+
+def _pairs(frames: Sequence[CameraFrame]) -> Iterator[tuple[CameraFrame, CameraFrame]]:
+    """Spread over the drive; the next picture from a place a little further on."""
+    for i in np.unique(np.linspace(0, len(frames) - 1, _PAIRS).round().astype(int)):
+        start_m = frames[i].world_from_camera.translation_m
+        for later in frames[i + 1 :]:
+            if np.linalg.norm(later.world_from_camera.translation_m - start_m) > _PAIR_PATH_M:
+                yield frames[i], later
+                break
+
+
+def _at(
+    image: Float32[np.ndarray, "h w"], uv: Float64[np.ndarray, "n 2"]
+) -> Float32[np.ndarray, " n"]:
+    """The picture between its pixels."""
+    from scipy.ndimage import map_coordinates
+
+    return map_coordinates(image, uv[:, ::-1].T - 0.5, order=1, mode="nearest")
 
 
 def _standing_edges(images: Float32[np.ndarray, "n h w"]) -> Float64[np.ndarray, "h w"]:
@@ -126,7 +200,7 @@ def ego_vehicle_masks(
             continue
         chosen = np.unique(np.linspace(0, len(frames) - 1, _PICTURES).round().astype(int))
         small = find_ego_vehicle(np.stack([_small_grey(frames[i]) for i in chosen]))
-        if small.any():
+        if small.any() and not moves_as_road(small, camera, frames):
             masks[camera.name] = _enlarged(small, camera)
     return masks, tuple(notes)
 
