@@ -29,7 +29,13 @@ from lightsim.synthetic.plan import StreetConfig, plan_street
 from lightsim.synthetic.rig import MountedCamera, mount_cameras, street_from_ego
 from lightsim.synthetic.sensor import camera_isp
 from lightsim.synthetic.shapes import rectangle, tube
-from lightsim.synthetic.skies import build_sky, environment, sky_specs
+from lightsim.synthetic.skies import (
+    FurtherSkies,
+    build_sky,
+    drawn_sky_specs,
+    environment,
+    sky_specs,
+)
 from lightsim.synthetic.street import (
     Street,
     build_background,
@@ -94,9 +100,23 @@ def test_gains_have_geometric_mean_one(street: Street) -> None:
     assert 0.03 < np.log(gains).std() < 0.2
 
 
+def test_drawn_suns_stand_anywhere_and_more_of_them_keep_the_first(street: Street) -> None:
+    specs = drawn_sky_specs(street.plan, 200)
+    suns = [spec.sun for spec in specs if spec.sun is not None]
+    assert len({spec.name for spec in specs}) == len(suns) == 200
+    turns = np.radians([sun.azimuth_deg for sun in suns])
+    assert np.hypot(np.cos(turns).mean(), np.sin(turns).mean()) < 0.15
+    heights = np.array([sun.elevation_deg for sun in suns])
+    assert heights.min() >= 10.0
+    assert heights.max() <= 60.0
+    assert specs[:3] == drawn_sky_specs(street.plan, 3)
+    with pytest.raises(InputError, match="drawn-suns"):
+        FurtherSkies(drawn_suns=-1)
+
+
 def test_skies_keep_their_energy(street: Street) -> None:
     up = np.array([0.0, 0.0, 1.0])
-    for spec in sky_specs(street.plan):
+    for spec in (*sky_specs(street.plan), *drawn_sky_specs(street.plan, 4)):
         sky = build_sky(spec, street.plan)
         expected = sky.sky_irradiance()
         assert (sky.sun is None) == (spec.sun is None), spec.name

@@ -28,6 +28,8 @@ class Synthesize:
     benchmark: 16)."""
     more_skies: bool = False
     """True pictures under three more skies than the usual three."""
+    drawn_suns: int = 0
+    """True pictures under so many skies whose suns stand anywhere, too: to learn from."""
     sky: tuple[Path, ...] = ()
     """HDR panoramas under which true pictures are made, too; turned and scaled at random."""
     edits: bool = False
@@ -40,6 +42,7 @@ class Synthesize:
         """Make the street."""
         from lightsim.synthetic import synthesize as make_street
         from lightsim.synthetic import synthesize_edits
+        from lightsim.synthetic.skies import FurtherSkies
 
         progress = terminal_progress()
         make_street(
@@ -48,9 +51,8 @@ class Synthesize:
             size=self.size,
             progress=progress,
             is_denoised=self.denoise,
-            target_skies=self.sky,
             paths=self.paths,
-            has_more_skies=self.more_skies,
+            further=FurtherSkies(self.more_skies, self.drawn_suns, self.sky),
         )
         if self.edits:
             synthesize_edits(

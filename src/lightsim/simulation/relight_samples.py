@@ -35,6 +35,7 @@ from lightsim.simulation.relighter import RelightConfig, Relighter, RelitFrame
 from lightsim.simulation.skies import resolve_sky
 from lightsim.store.images import read_srgb8
 from lightsim.synthetic import synthesize
+from lightsim.synthetic.skies import FurtherSkies
 from lightsim.training.hdr_skies import Side, SplitEntry, read_split
 from lightsim.training.options import PrepareRelightOptions
 from lightsim.training.relight_cache import RelightSample, RelightTargetSample, write_sample
@@ -77,8 +78,8 @@ def prepare_relight(options: PrepareRelightOptions, progress: Progress) -> None:
             size=options.size,
             progress=progress,
             is_denoised=True,
-            target_skies=chosen,
             paths=options.paths,
+            further=FurtherSkies(drawn_suns=options.drawn_suns, panoramas=tuple(chosen)),
         )
         reading = LogReading(source=str(street / "log"), image_scale=1.0, hold_out=5)
         build(street / "work", BuildOptions(reading=reading, neural_steps=_NEURAL_STEPS), progress)
@@ -91,7 +92,7 @@ def prepare_relight(options: PrepareRelightOptions, progress: Progress) -> None:
             "street %d: %d frames under %d skies, %.0f s, %.0f processor seconds, %.0f MB",
             seed,
             count,
-            3 + len(chosen),
+            3 + options.drawn_suns + len(chosen),
             time.monotonic() - began,
             time.process_time() - processor,
             sum(p.stat().st_size for p in done.iterdir()) / 1e6,

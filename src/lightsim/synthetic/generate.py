@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,14 +22,7 @@ from lightsim.synthetic.lidar import scan
 from lightsim.synthetic.plan import Size, StreetConfig, config_of, plan_street
 from lightsim.synthetic.rig import SWEEP_S, MountedCamera, mount_cameras
 from lightsim.synthetic.sensor import camera_isp
-from lightsim.synthetic.skies import (
-    Sky,
-    build_sky,
-    environment,
-    measured_sky,
-    more_sky_specs,
-    sky_specs,
-)
+from lightsim.synthetic.skies import FurtherSkies, Sky, build_sky, environment, sky_specs
 from lightsim.synthetic.street import Street, build_street
 from lightsim.synthetic.tracer import PathTracer, Placed
 from lightsim.synthetic.truth import (
@@ -72,18 +65,16 @@ def synthesize(
     size: Size,
     progress: Progress,
     is_denoised: bool = False,
-    target_skies: Sequence[Path] = (),
     paths: int | None = None,
-    has_more_skies: bool = False,
+    further: FurtherSkies | None = None,
 ) -> None:
     """Write OUT/log (PandaSet's layout) and OUT/truth; finished files are kept, so that an
     interrupted run can be started again.
 
     Args:
         is_denoised: the pictures, of log and truth, have no grain of few light paths.
-        target_skies: HDR panoramas under which there are true pictures, too, by their stems.
         paths: a pixel, of log and truth; by default those of the size.
-        has_more_skies: true pictures under three further skies, too (`more_sky_specs`).
+        further: skies under which there are true pictures, besides the usual three.
 
     Raises:
         InputError: the seed is negative, there are no paths, a panorama cannot be read, or OUT
@@ -104,14 +95,12 @@ def synthesize(
     command = f"lightsim synthesize --seed {seed} --size {size}"
     command += " --denoise" if is_denoised else ""
     command += f" --paths {paths}" if paths is not None else ""
-    command += " --more-skies" if has_more_skies else ""
-    command += f" --sky {' '.join(path.name for path in target_skies)}" if target_skies else ""
+    further = further or FurtherSkies()
+    command += further.words
     write_truth_json(truth / "truth.json", street, config, cameras, command)
     _missing(truth / "scene.npz", lambda path: write_geometry(path, street))
     _write_sweeps(log, street, config, progress)
-    specs = sky_specs(plan) + (more_sky_specs(plan) if has_more_skies else ())
-    skies = [build_sky(spec, plan) for spec in specs]
-    skies += [measured_sky(path, plan) for path in target_skies]
+    skies = [build_sky(spec, plan) for spec in sky_specs(plan)] + further.of(plan)
     for sky in skies:
         write_sky(truth / "skies", sky, config.dome_height_px)
     _write_buffers(truth, street, config, cameras, skies[0], progress)

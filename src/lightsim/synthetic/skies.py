@@ -14,6 +14,7 @@ from zlib import crc32
 import numpy as np
 from jaxtyping import Float, Float32
 
+from lightsim.core.checks import check_number
 from lightsim.core.colour import luminance
 from lightsim.core.dome import SkyDome, Sun, add_sun, find_sun, split_sun
 from lightsim.core.equirect import pixel_directions, sample_bilinear, solid_angles_sr
@@ -28,6 +29,7 @@ _SUN_AT_ZENITH = 6.3
 _EXTINCTION_RGB = np.array([0.17, 0.22, 0.33])
 _LEVEL_OF_MEASURED = (1.5, 6.0)
 """Luminous irradiance of level ground under measured skies, scene units."""
+_MOST_SUNS = 1000
 _CLEAR = (-1.0, -0.32, 10.0, -3.0, 0.45)
 """CIE S 011 type 12: clear, low turbidity (Darula & Kittler 2002)."""
 _OVERCAST = (4.0, -0.70, 0.0, -1.0, 0.0)
@@ -83,6 +85,19 @@ def more_sky_specs(plan: StreetPlan) -> tuple[SkySpec, ...]:
         SkySpec("broken_clouds", sun(40.0, 90.0, 46.0), 1.2, float(rng.uniform(0.7, 0.9)), 6),
         SkySpec("veiled_sun", sun(60.0, 140.0, 40.0), 1.4, 0.6, 7, sun_factor=0.3),
     )
+
+
+def drawn_sky_specs(plan: StreetPlan, count: int) -> tuple[SkySpec, ...]:
+    """Skies to learn from: suns anywhere from 10 to 60 degrees high, every fourth behind a veil."""
+    rng = np.random.default_rng([plan.seed, 13])
+    specs = []
+    for number in range(count):
+        sun = SolarPosition(float(rng.uniform(0, 360)), float(rng.uniform(10, 60)))
+        level, cloud, factor = rng.uniform(0.5, 1.4), rng.uniform(0, 0.7), rng.uniform(0.2, 0.8)
+        let_through = float(factor) if number % 4 == 3 else 1.0
+        name = f"drawn_{number}"
+        specs.append(SkySpec(name, sun, float(level), float(cloud), 8 + number, let_through))
+    return tuple(specs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,6 +161,41 @@ def measured_sky(path: Path, plan: StreetPlan, height_px: int = 512) -> Sky:
     rows = min(height_px, len(rest))
     spec = SkySpec(path.stem, None, wanted, 0.0, 0)
     return Sky(spec, resize_area(rest, rows, 2 * rows), sun)
+
+
+@dataclass(frozen=True)
+class FurtherSkies:
+    """Skies under which a street has true pictures, besides its own three."""
+
+    has_more: bool = False
+    """Those of `more_sky_specs`."""
+    drawn_suns: int = 0
+    """So many of `drawn_sky_specs`."""
+    panoramas: tuple[Path, ...] = ()
+    """HDR files, by their stems (`measured_sky`)."""
+
+    def __post_init__(self) -> None:
+        check_number("--drawn-suns", self.drawn_suns, 0, _MOST_SUNS)
+
+    @property
+    def words(self) -> str:
+        """Of the command that asks for them, a space before each."""
+        words = " --more-skies" if self.has_more else ""
+        words += f" --drawn-suns {self.drawn_suns}" if self.drawn_suns else ""
+        return words + (
+            f" --sky {' '.join(p.name for p in self.panoramas)}" if self.panoramas else ""
+        )
+
+    def of(self, plan: StreetPlan) -> list[Sky]:
+        """Those of a street.
+
+        Raises:
+            InputError: a file is no panorama that can be read.
+        """
+        specs = more_sky_specs(plan) if self.has_more else ()
+        specs += drawn_sky_specs(plan, self.drawn_suns)
+        drawn = [build_sky(spec, plan) for spec in specs]
+        return drawn + [measured_sky(path, plan) for path in self.panoramas]
 
 
 def sun_irradiance(elevation_deg: float) -> Float[np.ndarray, "3"]:

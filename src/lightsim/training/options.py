@@ -45,8 +45,11 @@ class PrepareRelightOptions:
     """CSV that names those of the training side."""
     skies_per_street: int = 2
     """Measured skies of a street, beside its own three."""
-    size: Literal["small", "medium", "full"] = "small"
-    """Of the streets' pictures."""
+    drawn_suns: int = 0
+    """Skies of a street whose suns stand anywhere, besides: whether a wall that a sun newly lights
+    is lit in truth is known of as many walls as there are suns."""
+    size: Literal["small", "medium", "full", "benchmark"] = "small"
+    """Of the streets' pictures; benchmark relights half as many frames as small."""
     paths: int = 16
     """Light paths a pixel, denoised: pictures as from 64 but for errors of 35 dB, in a third of the
     time."""
