@@ -176,15 +176,14 @@ def test_a_moved_box_leaves_one_place_for_the_other() -> None:
 
 
 def test_an_edited_street_is_relit_as_if_it_had_been_recorded() -> None:
-    """As the street without the box is relit; by physics, as the truth is, too. A network has never
-    seen a world of one grey plane: how near it comes to the truth, streets tell."""
+    """As the street without the box is relit, and as the truth is: by default and by physics."""
     work, evening = photographed(SUNNY), sun_sky(np.radians(170.0), 60.0, 0.15)
     wanted = photographed(evening, BOX_GONE).log.frames[1].load_srgb8()
     for method in ("network", "physical"):
         found = simulated(work, BOX_GONE, evening, method)
         recorded = simulated(photographed(SUNNY, BOX_GONE), BOX_GONE, evening, method)
         assert psnr_db(found.image_srgb8, recorded.image_srgb8) > 40
-    assert psnr_db(found.image_srgb8, wanted) > 35
+        assert psnr_db(found.image_srgb8, wanted) > 35
 
 
 def test_frames_without_edits_are_the_recorded_bytes_and_cost_no_ray(

@@ -28,7 +28,7 @@ PYTHON = Path("python-with-blender")
 
 
 def relit(work: TinyWorkspace, choice: LightChoice) -> RelitFrame:
-    options = RelightOptions(name="tiny", renderer=choice, method="physical")
+    options = RelightOptions(name="tiny", renderer=choice)
     relighter = Relighter(work, work.log, RelightConfig(), options)
     scenario = scenario_of(work)
     targets = [relighter.target(TargetSky(SKY, {}))]

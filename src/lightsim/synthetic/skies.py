@@ -182,9 +182,8 @@ class FurtherSkies:
         """Of the command that asks for them, a space before each."""
         words = " --more-skies" if self.has_more else ""
         words += f" --drawn-suns {self.drawn_suns}" if self.drawn_suns else ""
-        return words + (
-            f" --sky {' '.join(p.name for p in self.panoramas)}" if self.panoramas else ""
-        )
+        names = " ".join(path.name for path in self.panoramas)
+        return words + (f" --sky {names}" if names else "")
 
     def of(self, plan: StreetPlan) -> list[Sky]:
         """Those of a street.
