@@ -86,7 +86,11 @@ def paper(config: RelightTrainConfig) -> RelightTrainConfig:
     details": lambda_lpips = 1, lambda_edge = 400 on squared differences), with the loop of another
     config. In what parts pairs are mixed is not published."""
     data = replace(
-        config.data, sim_sim_fraction=0.45, sim_real_fraction=0.45, identity_fraction=0.1
+        config.data,
+        sim_sim_fraction=0.45,
+        sim_real_fraction=0.45,
+        true_twin_fraction=0.0,
+        identity_fraction=0.1,
     )
     return replace(
         config,
@@ -112,8 +116,8 @@ def ablated(config: RelightTrainConfig, parts: Collection[Pairs | Unseen]) -> Re
     if "identity" in parts:
         data = replace(data, identity_fraction=0.0)
     if "truth" in parts:
-        rest = 1 - data.identity_fraction
-        data = replace(data, sim_sim_fraction=rest / 2, sim_real_fraction=rest / 2)
+        half = (1 - data.identity_fraction) / 2
+        data = replace(data, sim_sim_fraction=half, sim_real_fraction=half, true_twin_fraction=0.0)
     unseen = tuple(part for part in parts if part in get_args(Unseen))
     return replace(config, data=data, network=replace(config.network, unseen=unseen))
 

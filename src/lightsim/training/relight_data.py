@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -60,6 +60,9 @@ class RelightDataConfig:
     """Of the samples: the twin rendered under one sky, and under another (paper, Sec. 4)."""
     sim_real_fraction: float = 0.0
     """Of the samples: the twin rendered under another sky, and the recorded picture."""
+    true_twin_fraction: float = 0.1
+    """Of the samples: the same, beside a physical estimate without an error. All twins of streets
+    have the errors of streets, and a network that meets no others mends what is right."""
     exposure_ev: tuple[float, float] = (-3.0, 0.5)
     """Samples are so many stops brighter: a log of the evening, or a street in the shade of a high
     sun, is darker than most that the generator makes."""
@@ -133,17 +136,23 @@ class RelightData:
     def _pair(self, sample: RelightSample, rng: np.random.Generator) -> RelightBatch:
         """A frame with a source and a target, of one of the kinds."""
         config, skies = self._config, list(sample.targets)
-        kinds = [config.sim_real_fraction, config.sim_sim_fraction, config.identity_fraction]
+        kinds = [
+            config.sim_real_fraction,
+            config.sim_sim_fraction,
+            config.true_twin_fraction,
+            config.identity_fraction,
+        ]
         kind = int(np.searchsorted(np.cumsum(kinds), rng.random(), side="right"))
         first, second = (skies[int(rng.integers(len(skies)))] for _ in range(2))
         if kind == 0:
             return rendered_pair(sample, first, None)
-        if kind == 1:
+        if kind in (1, 2):
             # Any of all skies, the recorded one among them, may be either.
             ends = [None if rng.random() < 1 / (len(skies) + 1) else s for s in (first, second)]
-            return rendered_pair(sample, *ends, is_real=False)
+            one = rendered_pair(sample, *ends, is_real=False)
+            return with_exact_estimate(one) if kind == 2 else one
         known = _with_truth(sample)
-        if kind == 2 or not known:
+        if kind == 3 or not known:
             return identity_pair(sample)
         return true_pair(sample, known[int(rng.integers(len(known)))])
 
@@ -183,6 +192,14 @@ def rendered_pair(
     planes["clipped"] = (pictures[0].amax(1, keepdim=True) >= _CLIPPED).float()
     wanted = recorded if is_real and target is None else pictures[1]
     return RelightBatch(planes, wanted, weight)
+
+
+def with_exact_estimate(one: RelightBatch) -> RelightBatch:
+    """A pair of the twin's own pictures, as if the twin were the truth: the physical estimate is
+    what is wanted, and the recorded sun is seen where the twin has it."""
+    seen = torch.where(one.planes["found"] < 0, one.planes["found"], one.planes["source_sun"])
+    estimate = rendered(one.planes, "target")
+    return replace(one, planes=one.planes | {"found": seen, "target_physical": estimate})
 
 
 def _light_of(
