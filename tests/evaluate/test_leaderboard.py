@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lightsim.errors import ArtefactError
 from lightsim.evaluate.frame_report import FrameRow, FramesReport
 from lightsim.evaluate.leaderboard import make_leaderboard, weakest
 from lightsim.evaluate.metrics import ImageScores
@@ -84,6 +85,16 @@ def test_the_weakest_pictures_come_first(folder: Path) -> None:
     cases = weakest(folder, "ours", 3)
     assert [case[:3] for case in cases] == [("7", "beach", camera) for camera in CAMERAS[:3]]
     assert [case[-1] for case in cases] == pytest.approx([14.0, 14.1, 14.2])
+
+
+def test_a_cost_that_was_edited_is_named(folder: Path) -> None:
+    file = folder / "12.json"
+    whole = json.loads(file.read_text())
+    for cost in ({"seconds_a_frame": 2.0}, {"seconds_a_frame": "2", "peak_memory_mb": 200}, 2.0):
+        file.write_text(json.dumps(whole | {"costs": {"ours": cost}}))
+        with pytest.raises(ArtefactError, match=r"12\.json") as caught:
+            make_leaderboard("Relighting", folder, "ours", ())
+        assert "evaluate again" in str(caught.value)
 
 
 def test_one_street_has_the_spread_of_its_pictures(folder: Path) -> None:

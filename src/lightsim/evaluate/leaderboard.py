@@ -17,6 +17,7 @@ from lightsim.evaluate.frame_report import DIGITS, FrameRow, finite
 from lightsim.evaluate.report import Cost
 from lightsim.evaluate.statistics import Samples, Spread, clustered_mean
 from lightsim.store.artefact import read_json
+from lightsim.store.entries import Entries
 
 MEAN = "mean"
 """Of all skies, picture by picture."""
@@ -236,8 +237,11 @@ def _costs(folder: Path) -> dict[str, Cost]:
     """By method: mean seconds and largest memory."""
     found: dict[str, list[Cost]] = {}
     for file in sorted(folder.glob("*.json")):
-        for method, cost in read_json(file).get("costs", {}).items():
-            found.setdefault(method, []).append(Cost(**cost))
+        report = Entries(read_json(file), file, remedy="Remove the file, and evaluate again.")
+        if "costs" in report:
+            costs = report.object("costs")
+            for method in costs:
+                found.setdefault(method, []).append(Cost.read(costs.object(method)))
     return {
         method: Cost(
             float(np.mean([cost.seconds_a_frame for cost in costs])),

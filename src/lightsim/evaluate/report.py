@@ -14,6 +14,7 @@ from lightsim.evaluate.distribution import SetRow
 from lightsim.evaluate.frame_report import FramesReport, finite
 from lightsim.evaluate.left_shadows import LeftShadowRow
 from lightsim.evaluate.shadows import ShadowRow
+from lightsim.store.entries import Entries
 
 _WORDS = {"condition", "region", "exposure", "method", "between"}
 """Columns of text; the others are numbers."""
@@ -42,6 +43,16 @@ class Cost:
 
     seconds_a_frame: float
     peak_memory_mb: int
+
+    @staticmethod
+    def read(entries: Entries) -> Cost:
+        """What a file of ours says.
+
+        Raises:
+            ArtefactError: a figure is missing, or is none.
+        """
+        seconds, memory = entries.number("seconds_a_frame"), entries.number("peak_memory_mb")
+        return Cost(seconds, int(memory))
 
 
 @dataclass(frozen=True)

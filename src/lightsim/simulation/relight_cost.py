@@ -9,6 +9,7 @@ from pathlib import Path
 
 from lightsim.evaluate.report import Cost
 from lightsim.store.artefact import peak_memory_mb, read_json, read_record, write_json
+from lightsim.store.entries import Entries
 
 Folders = Mapping[str, Mapping[str, Path]]
 """By sky: the folder of frames "predicted", and others."""
@@ -33,8 +34,9 @@ def with_cost(work: Path, name: str, relight: Callable[[], Folders]) -> tuple[Fo
         cost = Cost((time.process_time() - began_s) / count, peak_memory_mb())
         write_json(path, {"keys": keys, **asdict(cost)})
         return folders, cost
-    found = read_json(path) if path.is_file() else {}
-    # Those of other frames of this name tell nothing.
-    if found.pop("keys", None) != keys:
+    if not path.is_file():
         return folders, None
-    return folders, Cost(**found)
+    found = Entries(read_json(path), path, remedy="Remove the file: the cost is then unknown.")
+    # Those of other frames of this name tell nothing.
+    is_of_these = found.mapping().get("keys") == keys
+    return folders, Cost.read(found) if is_of_these else None
