@@ -152,3 +152,9 @@ def test_what_can_be_edited_and_inserted_is_listed(
     out = tmp_path / "stalled.json"
     cli.main(["scenario", "stalled", str(work), "--out", str(out), "--ahead-m", "15"])
     assert len(read_scenario_request(out).edits) == 4
+    # What the frames would lack is told before a file is written.
+    missing = tmp_path / "missing.json"
+    with pytest.raises(SystemExit):
+        cli.main(["scenario", "cut-in", str(work), "--out", str(missing), "--asset", "none.glb"])
+    assert "none.glb" in capsys.readouterr().err
+    assert not missing.exists()

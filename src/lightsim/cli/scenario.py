@@ -34,15 +34,24 @@ class _Generator:
         from lightsim.pipeline.workspace import Workspace
         from lightsim.scenario.edits import VERSION, parse_scenario
         from lightsim.scenario.generators import EgoLane
+        from lightsim.scenario.replay import replay
+        from lightsim.simulation.edited import asset_library, edited_scenario
         from lightsim.store.artefact import write_json
 
-        log = Workspace(self.work).log
+        workspace = Workspace(self.work)
+        log = workspace.log
         edits = make(EgoLane.of(log, self.lane_width_m), log)
         scenario = {"version": VERSION, "name": self.out.stem, "sky": self.sky, "edits": edits}
-        parse_scenario(scenario, self.out)
+        request = parse_scenario(scenario, self.out)
+        # A missing asset, or who stands in the way, is told now and not when frames are made.
+        recorded = replay(workspace.twin, request.name, log.frames)
+        library = asset_library(None, self.out.parent)
+        odd = edited_scenario(workspace, recorded, request, library).notes
         self.out.parent.mkdir(parents=True, exist_ok=True)
         write_json(self.out, scenario)
         say(f"{len(edits)} edits: {self.out}")
+        if odd:
+            say("take out who is in the way (a 'remove' edit), or move the scene by its options")
         say(f"next: lightsim simulate {self.work} {self.out}")
 
 

@@ -273,6 +273,11 @@ class Trajectory:
         """Interpolated pose; beyond an end, the pose of that end."""
         return self.at(min(max(time_ns, self.start_ns), self.end_ns))
 
+    def held_position_m(self, time_ns: int) -> Float64[np.ndarray, "3"]:
+        """As `held`, where alone: a fraction of the work."""
+        seconds, knots_s = (time_ns - self.start_ns) * 1e-9, (self.times_ns - self.start_ns) * 1e-9
+        return np.array([np.interp(seconds, knots_s, axis) for axis in self.positions_m.T])
+
     def held_at(self, times_ns: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, "m 4 4"]:
         """As `held`, of many times."""
         if len(self) == 1:

@@ -81,7 +81,7 @@ def _sky_section(work: Workspace) -> Section:
     return Section(
         "Sky",
         f"The cameras saw {seen} of the upper hemisphere as sky. Centre column along world +x.\n\n"
-        + " ".join(f"{note}." for note in sky.notes),
+        + "\n\n".join(f"{note}." for note in sky.notes),
         figures=[
             Figure("stitched panorama", srgb8_from_linear(panorama.radiance)),
             Figure("estimated sky, tone-mapped, ring around the sun", dome_preview(sky.dome)),
@@ -148,7 +148,8 @@ def _stage_section(work: Workspace, stage_names: Sequence[str]) -> Section:
         record = read_record(work.folder(name))
         if record is not None:
             rows.append([name, record["seconds"], record["peak_memory_mb"]])
-            notes += [f"{name}: {note}." for note in record["notes"]]
+            # Those of the sky stand beside its picture.
+            notes += [f"{name}: {note}." for note in record["notes"] if name != "sky"]
     summary = read_json(work.need("log") / "log.json")
     text = f"Held out: {', '.join(summary['held_out']) or 'nothing'}.\n\n" + "\n\n".join(notes[:30])
     return Section("Stages", text, tables=[Table(["stage", "seconds", "peak MB so far"], rows)])
