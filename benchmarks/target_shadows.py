@@ -1,12 +1,14 @@
 """Shadows of the twin under suns it was not recorded under, against those of the true street.
 
-    python benchmarks/target_shadows.py WORK --truth DIR
+    python benchmarks/target_shadows.py WORK --truth DIR [--with-true-parts]
 
 Suns at eight azimuths and two elevations. A pixel is shadowed where its surface faces away from the
 sun or something stands before it; each geometry is asked at its own surface, as relighting does.
 IoU of the shadows cast onto surfaces that truly face the sun, and what is wrong with the rest. Then
 how far roofs are off: those that views show, and those that no view shows before and after the
-recorded sun's shadows were asked.
+recorded sun's shadows were asked. --with-true-parts: instead, the twin with the true surfaces of a
+material beside its own, material after material: what shadows lack (what the twin has too much of
+stays).
 """
 
 from __future__ import annotations
@@ -20,14 +22,18 @@ from pathlib import Path
 import numpy as np
 
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.mesh import TriMesh
+from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
+from lightsim.geometry.surface import keep_faces
 from lightsim.pipeline.workspace import Workspace
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.scene import FrameScene, make_static_scene, place
 from lightsim.scenario.replay import replay
 from lightsim.simulation.true_surfaces import TrueSurfaces
+from lightsim.store.artefact import read_json
+from lightsim.synthetic.plan import plan_street
 from lightsim.synthetic.reader import read_true_meshes
+from lightsim.synthetic.street import build_background
 
 ELEVATIONS_DEG = (20.0, 45.0)
 AZIMUTHS_DEG = tuple(np.arange(0.0, 360.0, 45.0) + 10.0)
@@ -59,8 +65,16 @@ class Shadows:
         return self.both / max(self.both + self.missing + self.false, 1)
 
     def row(self, name: str) -> str:
-        wrong = (100 * count / max(self.seen, 1) for count in (self.missing, self.false))
-        return f"| {name} | {self.iou:.3f} | " + " | ".join(f"{w:.1f}" for w in wrong) + " |\n"
+        missing, false = self._wrong()
+        return f"| {name} | {self.iou:.3f} | {missing:.1f} | {false:.1f} |\n"
+
+    def cell(self) -> str:
+        missing, false = self._wrong()
+        return f"{self.iou:.3f} ({missing:.1f}, {false:.1f})"
+
+    def _wrong(self) -> tuple[float, float]:
+        """Missing and false, percent."""
+        return 100 * self.missing / max(self.seen, 1), 100 * self.false / max(self.seen, 1)
 
 
 def suns() -> Iterator[tuple[float, np.ndarray]]:
@@ -134,6 +148,21 @@ def _is_dark(
     return (normals @ sun <= _GRAZING) | is_blocked
 
 
+def true_parts(truth: Path) -> dict[str, TriMesh]:
+    """The true background by what it is made of, which the street's plan tells."""
+    mesh = read_true_meshes(truth / "scene.npz")["background"]
+    parts = build_background(plan_street(read_json(truth / "truth.json")["seed"]))
+    names = [part.material.rstrip("0123456789") for part in parts]
+    kind = np.repeat(names, [len(part.faces) for part in parts])
+    assert len(kind) == len(mesh.faces)
+    return {name: _bare(keep_faces(mesh, kind == name)) for name in dict.fromkeys(names)}
+
+
+def _bare(mesh: TriMesh) -> TriMesh:
+    """The shape alone."""
+    return TriMesh(mesh.frame, mesh.vertices, mesh.faces, np.zeros_like(mesh.vertices))
+
+
 def roof_errors(workspace: Workspace, truth: Path) -> str:
     """Median, mean and 90 % of how far roofs' edges are off, m, over columns of walls whose true
     house is higher than a fence."""
@@ -158,13 +187,29 @@ def roof_errors(workspace: Workspace, truth: Path) -> str:
     return "".join(lines)
 
 
+def _print_with_parts(workspace: Workspace, truth: Path) -> None:
+    """A line for the twin, and for the twin with each part of the truth."""
+    twin, casters = _bare(workspace.twin.assets.background), workspace.unobserved_occluders
+    columns = " | ".join(f"{elevation:.0f} degrees" for elevation in ELEVATIONS_DEG)
+    sys.stdout.write(f"| | {columns} |\n|---|{'---:|' * len(ELEVATIONS_DEG)}\n")
+    for name, mesh in {"the twin": None, **true_parts(truth)}.items():
+        with_it = twin if mesh is None else concatenate_meshes([twin, mesh])
+        found = score(workspace, truth, with_it, casters).values()
+        sys.stdout.write(f"| {name} | {' | '.join(shadows.cell() for shadows in found)} |\n")
+        sys.stdout.flush()
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("work", type=Path)
     parser.add_argument("--truth", type=Path, required=True)
+    parser.add_argument("--with-true-parts", action="store_true")
     options = parser.parse_args()
     workspace = Workspace(options.work)
     meshes = workspace.twin.assets.background, workspace.unobserved_occluders
+    if options.with_true_parts:
+        _print_with_parts(workspace, options.truth)
+        return
     sys.stdout.write("| sun's elevation | IoU | missing % | false % |\n|---|---:|---:|---:|\n")
     for elevation, shadows in score(workspace, options.truth, *meshes).items():
         sys.stdout.write(shadows.row(f"{elevation:.0f} degrees"))
