@@ -26,7 +26,7 @@ class LightChoice:
     """Rays over the hemisphere of each traced pixel, or paths of each pixel; more are less
     noisy. By default the renderer's own number."""
     bounces: int | None = None
-    """Of light between surfaces, 1 to 64; by default 1 with the light transport matrix (2 where a
+    """Of light between surfaces, 1 to 64; by default 1 with the light transport matrix (4 where a
     log is relit), 4 with the others."""
     blender_python: Path | None = None
     """Python 3.11 that has bpy 4.5, for --renderer cycles."""

@@ -33,7 +33,7 @@ from lightsim.simulation.source_image import SourceImage, SourceImages
 class RelightConfig:
     """How frames are relit: settings that no option of all commands names."""
 
-    transport: TransportConfig = field(default_factory=lambda: TransportConfig(bounces=2))
+    transport: TransportConfig = field(default_factory=lambda: TransportConfig(bounces=4))
     """Light of source and target sky on the twin."""
     ratio: RatioConfig = field(default_factory=RatioConfig)
     """From the two lights to the relit pixels."""
