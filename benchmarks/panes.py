@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from true_materials import material_names
 
 from lightsim.core.buffers import BACKGROUND, GBuffers
 from lightsim.core.mesh import MIRROR_ROUGHNESS, Material, TriMesh
@@ -23,9 +24,6 @@ from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.scenario.replay import replay
 from lightsim.simulation.true_surfaces import TrueSurfaces
-from lightsim.store.artefact import read_json
-from lightsim.synthetic.plan import plan_street
-from lightsim.synthetic.street import build_background
 
 _UPRIGHT, _EVERY = 0.3, 3
 _NEAR_M = 30.0
@@ -64,11 +62,8 @@ def main() -> None:
 
 
 def _with_glass(mesh: TriMesh, truth: Path) -> TriMesh:
-    """The true background with the materials of its faces, which the street's plan tells."""
-    parts = build_background(plan_street(read_json(truth / "truth.json")["seed"]))
-    kinds = [np.full(len(part.faces), part.material.startswith("glass")) for part in parts]
-    is_glass = np.concatenate(kinds)
-    assert len(is_glass) == len(mesh.faces)
+    """The true background with its glass told from the rest."""
+    is_glass = np.char.startswith(material_names(mesh, truth), "glass")
     materials = (Material(), Material(0.1, 0.0, "glass"))
     return replace(mesh, materials=materials, face_material=is_glass.astype(np.uint8))
 

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from true_materials import material_names
 
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.mesh import TriMesh, concatenate_meshes
@@ -30,10 +31,7 @@ from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.scene import FrameScene, make_static_scene, place
 from lightsim.scenario.replay import replay
 from lightsim.simulation.true_surfaces import TrueSurfaces
-from lightsim.store.artefact import read_json
-from lightsim.synthetic.plan import plan_street
 from lightsim.synthetic.reader import read_true_meshes
-from lightsim.synthetic.street import build_background
 
 ELEVATIONS_DEG = (20.0, 45.0)
 AZIMUTHS_DEG = tuple(np.arange(0.0, 360.0, 45.0) + 10.0)
@@ -149,13 +147,10 @@ def _is_dark(
 
 
 def true_parts(truth: Path) -> dict[str, TriMesh]:
-    """The true background by what it is made of, which the street's plan tells."""
+    """The true background by what it is made of; materials that differ in colour alone are one."""
     mesh = read_true_meshes(truth / "scene.npz")["background"]
-    parts = build_background(plan_street(read_json(truth / "truth.json")["seed"]))
-    names = [part.material.rstrip("0123456789") for part in parts]
-    kind = np.repeat(names, [len(part.faces) for part in parts])
-    assert len(kind) == len(mesh.faces)
-    return {name: _bare(keep_faces(mesh, kind == name)) for name in dict.fromkeys(names)}
+    kind = np.char.rstrip(material_names(mesh, truth), "0123456789")
+    return {name: _bare(keep_faces(mesh, kind == name)) for name in dict.fromkeys(kind.tolist())}
 
 
 def _bare(mesh: TriMesh) -> TriMesh:

@@ -89,8 +89,7 @@ def test_held_poses_are_those_of_the_ends_and_of_many_times_at_once() -> None:
     times_ns = np.array([0, 100, 130, 200, 900])
     one_by_one = np.stack([path.held(int(time_ns)).matrix for time_ns in times_ns])
     np.testing.assert_allclose(path.held_at(times_ns), one_by_one, atol=1e-12)
-    places = [path.held_position_m(int(t)) for t in times_ns]
-    np.testing.assert_allclose(places, one_by_one[:, :3, 3], atol=1e-12)
+    np.testing.assert_allclose(path.held_positions_m(times_ns), one_by_one[:, :3, 3], atol=1e-12)
     np.testing.assert_array_equal(one_by_one[[0, -1]], ends)
 
 

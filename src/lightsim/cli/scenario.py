@@ -51,7 +51,7 @@ class _Generator:
         write_json(self.out, scenario)
         say(f"{len(edits)} edits: {self.out}")
         if odd:
-            say("take out who is in the way (a 'remove' edit), or move the scene by its options")
+            say("change the edits (take out who is in the way), or move the scene by its options")
         say(f"next: lightsim simulate {self.work} {self.out}")
 
 

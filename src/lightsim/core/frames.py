@@ -273,21 +273,23 @@ class Trajectory:
         """Interpolated pose; beyond an end, the pose of that end."""
         return self.at(min(max(time_ns, self.start_ns), self.end_ns))
 
-    def held_position_m(self, time_ns: int) -> Float64[np.ndarray, "3"]:
-        """As `held`, where alone: a fraction of the work."""
-        seconds, knots_s = (time_ns - self.start_ns) * 1e-9, (self.times_ns - self.start_ns) * 1e-9
-        return np.array([np.interp(seconds, knots_s, axis) for axis in self.positions_m.T])
+    def held_positions_m(self, times_ns: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, "m 3"]:
+        """As `held_at`, where alone: a fraction of the work."""
+        seconds, knots_s = self._seconds(times_ns), self._seconds(self.times_ns)
+        return np.stack([np.interp(seconds, knots_s, k) for k in self.positions_m.T], axis=1)
 
     def held_at(self, times_ns: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, "m 4 4"]:
         """As `held`, of many times."""
         if len(self) == 1:
             return np.repeat(self.matrices, len(times_ns), axis=0)
-        # Seconds from the start: nanoseconds since 1970 exceed the precision of a float.
-        knots_s = (self.times_ns - self.start_ns) * 1e-9
-        seconds = np.clip((times_ns - self.start_ns) * 1e-9, 0.0, knots_s[-1])
+        knots_s = self._seconds(self.times_ns)
+        seconds = np.clip(self._seconds(times_ns), 0.0, knots_s[-1])
         poses = np.tile(np.eye(4), (len(times_ns), 1, 1))
         turns = Slerp(knots_s, Rotation.from_matrix(self.matrices[:, :3, :3]))
         poses[:, :3, :3] = turns(seconds).as_matrix()
-        for axis in range(3):
-            poses[:, axis, 3] = np.interp(seconds, knots_s, self.matrices[:, axis, 3])
+        poses[:, :3, 3] = self.held_positions_m(times_ns)
         return poses
+
+    def _seconds(self, times_ns: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, " m"]:
+        """From the start: nanoseconds since 1970 exceed the precision of a float."""
+        return (times_ns - self.start_ns) * 1e-9

@@ -16,7 +16,6 @@ from lightsim.evaluate.compare import ComparedRow, compare_samples, read_rows
 from lightsim.evaluate.frame_report import DIGITS, FrameRow, finite
 from lightsim.evaluate.report import Cost
 from lightsim.evaluate.statistics import Samples, Spread, clustered_mean
-from lightsim.store.artefact import read_json
 from lightsim.store.entries import Entries
 
 MEAN = "mean"
@@ -237,7 +236,7 @@ def _costs(folder: Path) -> dict[str, Cost]:
     """By method: mean seconds and largest memory."""
     found: dict[str, list[Cost]] = {}
     for file in sorted(folder.glob("*.json")):
-        report = Entries(read_json(file), file, remedy="Remove the file, and evaluate again.")
+        report = Entries.of_file(file, "Remove the file, and evaluate again.")
         if "costs" in report:
             costs = report.object("costs")
             for method in costs:

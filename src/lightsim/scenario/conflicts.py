@@ -71,7 +71,8 @@ def boxes_overlap(a: ActorTrack, b: ActorTrack, time_ns: int) -> bool:
     By separating axes (Gottschalk, Lin & Manocha 1996, doi:10.1145/237170.237244): two boxes are
     apart where their shadows on a face normal or on a product of two edges are.
     """
-    places = [track.trajectory.held_position_m(time_ns) for track in (a, b)]
+    now_ns = np.array([time_ns])
+    places = [track.trajectory.held_positions_m(now_ns)[0] for track in (a, b)]
     reach_m = float(sum(np.linalg.norm(track.size_lwh_m) for track in (a, b))) / 2
     if np.linalg.norm(places[1] - places[0]) > reach_m:
         # Most of a street: turns need not be known.

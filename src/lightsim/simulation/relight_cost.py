@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from lightsim.evaluate.report import Cost
-from lightsim.store.artefact import peak_memory_mb, read_json, read_record, write_json
+from lightsim.store.artefact import peak_memory_mb, read_record, write_json
 from lightsim.store.entries import Entries
 
 Folders = Mapping[str, Mapping[str, Path]]
@@ -36,7 +36,7 @@ def with_cost(work: Path, name: str, relight: Callable[[], Folders]) -> tuple[Fo
         return folders, cost
     if not path.is_file():
         return folders, None
-    found = Entries(read_json(path), path, remedy="Remove the file: the cost is then unknown.")
+    found = Entries.of_file(path, "Remove the file: the cost is then unknown.")
     # Those of other frames of this name tell nothing.
     is_of_these = found.mapping().get("keys") == keys
     return folders, Cost.read(found) if is_of_these else None

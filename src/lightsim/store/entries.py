@@ -42,9 +42,9 @@ class Entries:
         self._value: dict[str, Any] = value
 
     @staticmethod
-    def of_file(path: Path) -> Entries:
+    def of_file(path: Path, remedy: str = _REMEDY) -> Entries:
         """The object that a JSON file holds."""
-        return Entries(read_json(path), path)
+        return Entries(read_json(path), path, remedy=remedy)
 
     def __contains__(self, key: str) -> bool:
         return key in self._value
