@@ -23,9 +23,10 @@ from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.errors import FrameMismatchError, InputError
 from lightsim.geometry.completion.buildings import complete_buildings
 from lightsim.geometry.completion.crowns import Crowns
-from lightsim.geometry.completion.neighbours import raised_to_neighbours
+from lightsim.geometry.completion.neighbours import raised_to_neighbours, unexplained
 from lightsim.geometry.completion.prisms import roof_casters
 from lightsim.geometry.completion.rooflines import tops_at
+from lightsim.geometry.completion.wall_cells import Sight, WallCells
 from lightsim.geometry.completion.walls import find_walls
 from lightsim.render.casters.embree import EmbreeCaster
 
@@ -279,6 +280,43 @@ def test_the_side_of_a_tall_neighbour_is_not_the_low_house(side: int) -> None:
         assert _height_m(meshes, side * float(x_m), 9.5) == pytest.approx(SEEN_M, abs=0.6)
     for x_m in (19.0, 22.0, 25.0, 29.0):
         assert _height_m(meshes, side * x_m, 9.5) == pytest.approx(14.0, abs=0.6)
+
+
+@pytest.mark.parametrize(
+    ("tall_y_m", "faces", "share"), [(8.25, -1.0, 0.0), (8.25, 1.0, 1.0), (12.0, -1.0, 1.0)]
+)
+def test_what_shows_above_a_front_belongs_to_the_row_behind_it(tall_y_m, faces, share) -> None:
+    """A low front set back by half a metre has a plane of its own; above it a view shows the next
+    house of the row, which once raised it by 6 m. Houses of other rows do not speak."""
+    north, east = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    low = Wall(np.array([0.0, 8.75, 0.0]), -north, east, (6.0, 18.0), (0.0, 7.0))
+    span = (18.0, 30.0) if faces < 0 else (-30.0, -18.0)
+    place = np.array([0.0, tall_y_m, 0.0])
+    tall = Wall(place, faces * north, -faces * east, span, (0.0, 7.0))
+    rooflines = [_sure_roofline(low, 28), _sure_roofline(tall, 56)]
+    cells = [_cells_of(r) for r in rooflines]
+    rows = 160 * 24 + np.arange(30, 38)  # 6 m along, 7.5 to 9.5 m up
+    cells[0].matter.reshape(-1)[rows] = 1
+    cells[0].sights.append(Sight(np.array([0.0, 0.0, 1.6]), rows.astype(np.int32)))
+    own = unexplained(cells, rooflines)[0].reshape(-1)
+    np.testing.assert_allclose(own[rows], share, atol=0.01)
+    assert own.sum() == pytest.approx(own.size - len(rows) * (1 - share), abs=0.1)
+
+
+def _sure_roofline(wall: Wall, top: int) -> Roofline:
+    count = round((wall.span_m[1] - wall.span_m[0]) / CELL_M)
+    flat, no = np.zeros(count), np.zeros(count, dtype=bool)
+    energy = np.full((count, 161), 40.0, np.float32)
+    energy[:, top] = 0.0
+    tops = np.full(count, top)
+    return Roofline(wall, CELL_M, flat, energy, tops, tops, no, np.full(count, 12.0), 0.3)
+
+
+def _cells_of(roofline: Roofline) -> WallCells:
+    shape = (len(roofline.top), 160)
+    no = np.zeros(shape, dtype=bool)
+    counts = [np.zeros(shape, dtype=np.int32) for _ in range(5)]
+    return WallCells(roofline.wall, CELL_M, no, np.zeros(shape), *counts, sights=[], is_met=no)
 
 
 def _roofline(wall: Wall, top: np.ndarray, depth_m: float) -> Roofline:

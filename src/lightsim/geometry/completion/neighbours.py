@@ -23,6 +23,9 @@ INSET_M = 0.35
 _PLAN_M = 0.5
 # Behind a point of a wall's plane a ray is in its own house first, and leaves a street's houses.
 _BEHIND_M = (2.0, 60.0)
+# Walls whose feet lie this near each other's plane, and face alike, are fronts of one row: bays,
+# recesses and panes make two walls of one front.
+_ROW_M, _ROW_COSINE = 1.5, 0.9
 # Views show matter where no house stands, too: trees, masts, faults of the mattes.
 _UNKNOWN_MATTER = 0.1
 # Where a house that stands behind a wall is looked for.
@@ -63,6 +66,42 @@ class PrismPlan:
         return np.where(is_inside, self.column[i, j], np.int16(-1))
 
 
+@dataclass(frozen=True, eq=False)
+class _Prisms:
+    """Houses behind one wall as likely as they are.
+
+    Args:
+        filled: probability of each cell of the wall to lie below the roof.
+    """
+
+    plan: PrismPlan
+    filled: Float64[np.ndarray, "s c"]
+    base_m: float
+    cell_m: float
+
+    @classmethod
+    def of(cls, roofline: Roofline) -> _Prisms:
+        """As deep as houses are."""
+        base_m = roofline.wall.height_m[0]
+        return cls(PrismPlan.of(roofline), roofline.filled(), base_m, roofline.cell_m)
+
+    def met(
+        self, eye_m: Float64[np.ndarray, "3"], points: Float64[np.ndarray, "n 3"]
+    ) -> Float64[np.ndarray, " n"]:
+        """The most probable matter that rays from an eye meet behind points."""
+        corner = np.append(self.plan.low_m, 0.0)
+        out = np.zeros(len(points))
+        prism = (self.plan.column, self.filled, self.base_m, (_PLAN_M, self.cell_m))
+        most_filled(eye_m - corner, points - corner, *prism, _BEHIND_M, out)
+        return out
+
+
+def _is_of_row(roofline: Roofline, other: Roofline) -> bool:
+    wall, foot = other.wall, other.wall.at(other.s_m, np.zeros_like(other.s_m))
+    away_m = np.abs((foot - roofline.wall.origin_m)[:, :2] @ roofline.wall.normal[:2])
+    return bool(wall.normal @ roofline.wall.normal > _ROW_COSINE and away_m.min() < _ROW_M)
+
+
 def _behind(
     roofline: Roofline, inward_m: Float64[np.ndarray, " d"]
 ) -> Float64[np.ndarray, "s d 2"]:
@@ -77,22 +116,24 @@ def unexplained(
     """Of what views show as matter at each cell, how much speaks for the cell's own column.
 
     The log-likelihood ratio of matter there against none, given how probably each ray meets what
-    stands behind other columns of the wall further on, over that of a ray that meets nothing; mean
-    over the views, and one without a view. Other walls do not count: of two in a row, each would
-    explain what the views show of the other, and the front one could vanish.
+    stands behind other columns of the row further on, over that of a ray that meets nothing; mean
+    over the views, and one without a view. Walls of another row do not count: of two, one behind
+    the other, each would explain what the views show of the other, and the front one could vanish.
     """
+    prisms = [_Prisms.of(roofline) for roofline in rooflines]
     found = []
     for wall_cells, roofline in zip(cells, rooflines, strict=True):
-        plan = PrismPlan.of(roofline)
-        corner = np.append(plan.low_m, 0.0)
-        points = wall_cells.centres().reshape(-1, 3) - corner
-        prism = (plan.column, roofline.filled(), roofline.wall.height_m[0])
-        sizes = (_PLAN_M, wall_cells.cell_m)
+        row = [
+            prism
+            for prism, other in zip(prisms, rooflines, strict=True)
+            if other is roofline or _is_of_row(roofline, other)
+        ]
+        points = wall_cells.centres().reshape(-1, 3)
         total = np.zeros(len(points))
         for sight in wall_cells.sights:
             met = np.zeros(len(sight.rows))
-            eye = sight.eye_m - corner
-            most_filled(eye, points[sight.rows], *prism, sizes, _BEHIND_M, met)
+            for prism in row:
+                np.maximum(met, prism.met(sight.eye_m, points[sight.rows]), out=met)
             by_others = _UNKNOWN_MATTER + (1.0 - _UNKNOWN_MATTER) * met
             total[sight.rows] += np.log(by_others) / np.log(_UNKNOWN_MATTER)
         shape = wall_cells.matter.shape

@@ -32,7 +32,7 @@ def most_filled(eye, points, column, filled, base_m, sizes_m, reach_m, out):
             t += plan_m / 2
             i, j = math.floor(place[0] / plan_m), math.floor(place[1] / plan_m)
             if i < 0 or j < 0 or i >= column.shape[0] or j >= column.shape[1]:
-                break
+                continue
             level = math.floor((place[2] - base_m) / level_m)
             if column[i, j] >= 0 and level < filled.shape[1]:
                 out[r] = max(out[r], filled[column[i, j], max(level, 0)])
