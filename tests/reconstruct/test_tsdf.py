@@ -219,3 +219,23 @@ def test_ground_map_ignores_walls_and_follows_slopes(rng: np.random.Generator) -
     ground = builder.build()
     probe = np.array([[0.0, 0.0], [5.0, 5.0], [-8.0, -3.0], [3.2, 5.3]])
     np.testing.assert_allclose(ground.look_up(probe), 0.1 * probe[:, 0], atol=0.06)
+
+
+def test_ground_behind_parked_cars_is_no_facade_and_no_mirror_image(
+    rng: np.random.Generator,
+) -> None:
+    """Nothing returns from between the road, which climbs in rings, and a wall that is seen from
+    1.5 m up; what a window mirrors lies 4 m below. Ground there once rose to the wall's returns."""
+    x, y = rng.uniform(-20, 20, (2, 60000))
+    is_ring = (x < 6) | (np.floor(x) % 4 == 0)
+    road = np.stack([x, y, 0.15 * x], axis=1)[is_ring & (np.abs(y) < 3)]
+    x = rng.uniform(-20, 20, 8000)
+    wall = np.stack([x, rng.uniform(7.0, 7.2, 8000), 0.15 * x + rng.uniform(1.5, 6, 8000)], axis=1)
+    few = np.stack([x, np.full(8000, -7.0), 0.15 * x + 0.9], axis=1)
+    mirrored = np.stack([x[:400], rng.uniform(10, 11, 400), 0.15 * x[:400] - 4.0], axis=1)
+    builder = GroundBuilder(np.linspace([-8, 0, 2], [4, 0, 2], 20), 16.0, 0.5)
+    builder.add(np.concatenate([road, wall, few, mirrored]))
+    ground = builder.build()
+    probe = np.array([[0.0, 5.0], [-5.0, 7.1], [2.0, 10.5], [-3.0, -6.0], [16.5, 0.0]])
+    np.testing.assert_allclose(ground.look_up(probe), 0.15 * probe[:, 0], atol=0.12)
+    assert not ground.is_observed[:, np.abs(ground.origin_m[1] + 0.5 * np.arange(65)) > 4].any()

@@ -120,7 +120,7 @@ STAGES = (
         lambda o: AlignConfig().without(o.no_refine),
         recording.make_alignment,
     ),
-    Stage("fields", 2, ("log", "alignment"), lambda o: _FUSE[o.preset](), recording.make_fields),
+    Stage("fields", 3, ("log", "alignment"), lambda o: _FUSE[o.preset](), recording.make_fields),
     Stage(
         "neural",
         1,
@@ -182,7 +182,7 @@ STAGES = (
 PUBLISHED = (
     Stage(
         "fields",
-        1,
+        2,
         ("log", "alignment"),
         lambda o: fuse_config.paper(),
         published.make_fields,

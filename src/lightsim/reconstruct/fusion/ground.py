@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Int32
 from scipy import ndimage
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
 
 from lightsim.core.fields import GroundMap
 from lightsim.core.laplace import fill_smoothly, nearest_known
@@ -13,6 +15,13 @@ from lightsim.errors import InputError
 _MAX_SLOPE = 0.25
 _OPENING_M = 6.0
 _STEP_M = 0.2
+# Returns of one cell that are further apart, in height, are not the ground's alone: a wall's foot
+# is no higher than this over the ground beside it.
+_UPRIGHT_M, _FOOT_M = 0.5, 0.1
+# Over a gap the ground rises and falls no more than this; gaps as they are bridged, in turn.
+_GAP_SLOPE, _GAPS_M = 0.1, (2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+# The recording's own ground: the first distance from its path within which there is some.
+_OWN_M, _LEAST_CELLS = (3.0, 6.0, 12.0, 24.0), 10
 
 
 class GroundBuilder:
@@ -27,7 +36,9 @@ class GroundBuilder:
         self.origin_m = low
         self.cell_m = cell_m
         self.shape = tuple(int(n) for n in np.ceil((high - low) / cell_m) + 1)
+        self._path_m = path_m
         self._minima: list[Float32[np.ndarray, "nx ny"]] = []
+        self._highest = np.full(self.shape, -np.inf, dtype=np.float32)
 
     def add(self, points_world: Float[np.ndarray, "n 3"]) -> None:
         """Static returns of one sweep."""
@@ -36,6 +47,7 @@ class GroundBuilder:
         lowest = np.full(self.shape, np.inf, dtype=np.float32)
         z = points_world[is_in, 2].astype(np.float32)
         np.minimum.at(lowest, (cell[is_in, 0], cell[is_in, 1]), z)
+        np.maximum.at(self._highest, (cell[is_in, 0], cell[is_in, 1]), z)
         self._minima.append(lowest)
 
     def build(self) -> GroundMap:
@@ -53,10 +65,78 @@ class GroundBuilder:
         ordered = np.sort(stack, axis=0)
         middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[None] // 2, axis=0)[0]
         is_ground = _is_ground(middle, count > 0, self.cell_m)
+        is_upright = self._highest > middle + _UPRIGHT_M
+        is_ground &= _goes_on(
+            middle, is_ground, is_upright, self._own_ground(is_ground), self.cell_m
+        )
         filled = fill_smoothly(np.where(is_ground, middle, 0.0).astype(np.float64), is_ground)
         return GroundMap(
             self.origin_m.astype(np.float64), self.cell_m, filled.astype(np.float32), is_ground
         )
+
+    def _own_ground(self, is_ground: Bool[np.ndarray, "nx ny"]) -> Bool[np.ndarray, "nx ny"]:
+        """Cells of ground beside the path."""
+        cell = np.rint((self._path_m[:, :2] - self.origin_m) / self.cell_m).astype(np.int64)
+        is_path = np.zeros(self.shape, dtype=bool)
+        is_path[tuple(np.clip(cell, 0, np.array(self.shape) - 1).T)] = True
+        away_m = np.asarray(ndimage.distance_transform_edt(~is_path)) * self.cell_m
+        for reach_m in _OWN_M:
+            own = is_ground & (away_m <= reach_m)
+            if own.sum() >= _LEAST_CELLS:
+                return own
+        return is_ground
+
+
+def _goes_on(
+    height: Float[np.ndarray, "nx ny"],
+    is_ground: Bool[np.ndarray, "nx ny"],
+    is_upright: Bool[np.ndarray, "nx ny"],
+    is_own: Bool[np.ndarray, "nx ny"],
+    cell_m: float,
+) -> Bool[np.ndarray, "nx ny"]:
+    """Cells that the ground of the path reaches without a step, over gaps without a steep slope.
+
+    Behind parked cars the lowest returns are a facade's, metres above the ground; in windows and
+    puddles they are mirrored, metres below.
+    """
+    allowed = np.where(is_upright, _FOOT_M, _STEP_M + _MAX_SLOPE * cell_m)
+    part = _connected(np.where(is_ground, height, np.inf), allowed)
+    reached = np.isin(part, np.unique(part[is_own & ~is_upright])) & is_ground
+    for gap_m in _GAPS_M:
+        while reached.any():
+            nearest = np.zeros((2, *reached.shape), dtype=np.int32)
+            away = np.asarray(
+                ndimage.distance_transform_edt(~reached, return_indices=True, indices=nearest)
+            )
+            rise = height - height[tuple(nearest)]
+            step = np.where(is_upright, _FOOT_M, _STEP_M)
+            is_new = is_ground & ~reached & (away * cell_m <= gap_m)
+            is_new &= np.abs(rise) <= step + _GAP_SLOPE * away * cell_m
+            if not is_new.any():
+                break
+            reached |= is_ground & np.isin(part, np.unique(part[is_new]))
+    return reached
+
+
+def _connected(
+    height: Float[np.ndarray, "nx ny"], allowed: Float[np.ndarray, "nx ny"]
+) -> Int32[np.ndarray, "nx ny"]:
+    """Numbers of the parts whose neighbouring cells differ by no more than both allow."""
+    index = np.arange(height.size).reshape(height.shape)
+    pairs = []
+    for a, b in (
+        (np.s_[1:, :], np.s_[:-1, :]),
+        (np.s_[:, 1:], np.s_[:, :-1]),
+        (np.s_[1:, 1:], np.s_[:-1, :-1]),
+        (np.s_[1:, :-1], np.s_[:-1, 1:]),
+    ):
+        is_both = np.isfinite(height[a]) & np.isfinite(height[b])
+        step = np.where(is_both, height[a], 0.0) - np.where(is_both, height[b], 0.0)
+        is_level = is_both & (np.abs(step) <= np.minimum(allowed[a], allowed[b]))
+        pairs.append(np.stack([index[a][is_level], index[b][is_level]]))
+    i, j = np.concatenate(pairs, axis=1)
+    graph = csr_matrix((np.ones(len(i), dtype=bool), (i, j)), shape=(height.size,) * 2)
+    return connected_components(graph, directed=False)[1].reshape(height.shape)
 
 
 def _is_ground(
