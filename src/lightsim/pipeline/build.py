@@ -137,7 +137,7 @@ STAGES = (
     ),
     Stage(
         "assets",
-        10,
+        11,
         ("log", "masks", "alignment", "fields", "neural", "geometry"),
         _asset_config,
         surfaces.make_assets,
@@ -158,8 +158,8 @@ STAGES = (
     ),
     Stage(
         "twin",
-        15,
-        ("log", "alignment", "assets", "sky"),
+        16,
+        ("log", "alignment", "neural", "assets", "sky"),
         lambda o: light.TwinConfig(),
         light.make_twin,
     ),

@@ -26,6 +26,7 @@ from lightsim.appearance.intrinsic.edges import (
     label_field,
     refine_visibility,
 )
+from lightsim.appearance.intrinsic.hidden_ground import Road, with_hidden_ground
 from lightsim.appearance.intrinsic.labels import (
     Observed,
     label_shadows,
@@ -59,6 +60,7 @@ __all__ = [
     "IntrinsicConfig",
     "LidarReturns",
     "Patches",
+    "Road",
     "SurfaceLight",
     "decompose",
     "patches_of",
@@ -108,6 +110,7 @@ def decompose(
     rng: np.random.Generator,
     *,
     returns: LidarReturns | None = None,
+    road: Road | None = None,
     is_symmetric: bool = False,
 ) -> Decomposition:
     """The mesh with base colour in place of the radiance that it must hold.
@@ -117,6 +120,7 @@ def decompose(
             `confidence`, where there is one, says which vertices were seen.
         light_at: the source light at points of the mesh's frame.
         returns: LiDAR, whose intensity knows no shadows, and whose path tells pavement.
+        road: along which the ground of a street goes on where nobody saw it.
         is_symmetric: one half mirrors the other, which tells the colours that nobody saw.
 
     Raises:
@@ -138,7 +142,7 @@ def decompose(
     patches = Patches.of(mesh, faces, config, rng, returns)
     if patches is None:
         found = VertexLight(light, light.visibility[:, 1])
-        return _finished(mesh, found, None, config, is_symmetric=is_symmetric)
+        return _finished(mesh, found, None, config, road, is_symmetric=is_symmetric)
     observed, reflectance_gain = patches.under(light_at)
     labels = label_shadows(observed, config)
     field = label_field(faces, observed, labels)
@@ -146,7 +150,7 @@ def decompose(
     found = VertexLight(light, _visibility(mesh, vertices.normal, light, field))
     note = f"LiDAR intensity predicts base colour with exponent {reflectance_gain:.2f}"
     notes = () if returns is None else (note,)
-    done = _finished(mesh, found, field, config, is_symmetric=is_symmetric)
+    done = _finished(mesh, found, field, config, road, is_symmetric=is_symmetric)
     return replace(
         done, notes=notes, lidar_exponent=None if returns is None else float(reflectance_gain)
     )
@@ -255,6 +259,7 @@ def _finished(
     found: VertexLight,
     field: LabelField | None,
     config: IntrinsicConfig,
+    road: Road | None,
     *,
     is_symmetric: bool,
 ) -> Decomposition:
@@ -291,6 +296,8 @@ def _finished(
         texture=texture,
         sun_visibility=SunVisibility(in_255ths(found.visibility), texel),
     )
+    if road is not None:
+        done = with_hidden_ground(done, shade.trust, road)
     return Decomposition(done, found.visibility, ())
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Float32
 
 from lightsim.appearance.colour import colour_of_nearest
 from lightsim.appearance.intrinsic.balance import balance_light
-from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, decompose, patches_of
+from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, Road, decompose, patches_of
 from lightsim.appearance.intrinsic.labels import Observed
 from lightsim.appearance.intrinsic.light import LightBalance
 from lightsim.appearance.intrinsic.roofs import carve_roofs
@@ -231,6 +231,7 @@ def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Contex
         config.intrinsic,
         rng,
         returns=static_returns(log, LIDAR_RETURNS, rng),
+        road=Road(work.fields.path_m, work.fields.ground),
     )
     tracks = {track.actor_id: track for track in log.actors}
     actors = {}
