@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -21,7 +22,7 @@ from lightsim.core.profiles import (
 )
 from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.errors import FrameMismatchError, InputError
-from lightsim.geometry.completion.buildings import complete_buildings
+from lightsim.geometry.completion.buildings import MeasuredScene, complete_buildings
 from lightsim.geometry.completion.crowns import Crowns
 from lightsim.geometry.completion.neighbours import raised_to_neighbours, unexplained
 from lightsim.geometry.completion.prisms import roof_casters
@@ -126,17 +127,18 @@ def _sweep(points: np.ndarray) -> LidarSweep:
 
 
 def _complete(
-    seen: TriMesh, views: list[View], sweeps: list[LidarSweep] | None = None
+    seen: TriMesh,
+    views: list[View],
+    sweeps: list[LidarSweep] | None = None,
+    parked: Sequence[TriMesh] = (),
 ) -> tuple[TriMesh, TriMesh]:
     returns = np.concatenate([s.points_world for s in sweeps or []] + [np.zeros((0, 3), "f4")])
     visible, rooflines = complete_buildings(
-        seen,
-        find_walls(seen),
+        MeasuredScene(seen, find_walls(seen), NO_CROWNS, parked),
         lambda: views,
         sweeps or [],
         GROUND,
         returns,
-        NO_CROWNS,
         make_caster=EmbreeCaster,
     )
     background = concatenate_meshes([seen, visible])
@@ -197,6 +199,21 @@ def test_gates_that_show_what_lies_behind_stay_open() -> None:
     seen = concatenate_meshes([_street(), yard, _wall(*ends, SEEN_M, (GATE,))])
     for mesh in _complete(seen, _views(truth, WIDE)):
         assert not any(_is_wall(mesh, 21.1, z_m) for z_m in (1.1, 3.1, 6.1, 9.1))
+
+
+def test_a_wall_goes_on_behind_a_parked_car() -> None:
+    """Nothing of its foot was measured, and rays that go through the car meet the room behind:
+    the wall once hung above the ground."""
+    car, foot, room = (6.0, 4.0, 28.0, 7.0, 1.55), (7.0, 27.0, 0.0, 1.25), 12.0
+    boxes = [LEFT_HOUSE, car]
+    front = _wall(np.array([5.0, 8.25]), np.array([30.0, 8.25]), SEEN_M, (foot,))
+    behind = _wall(np.array([5.0, room]), np.array([30.0, room]), SEEN_M, ())
+    seen = concatenate_meshes([_street(), front, behind])
+    views = _views(_truth(boxes), WIDE)
+    assert not _is_wall(_complete(seen, views)[0], 14.0, 0.6)
+    visible, _ = _complete(seen, views, parked=[_house(car, car[4], True)])
+    for x_m, z_m in ((13.0, 0.3), (14.0, 0.6), (15.0, 1.2)):
+        assert _is_wall(visible, x_m, z_m)
 
 
 def test_no_sky_is_covered(canyon) -> None:

@@ -10,6 +10,7 @@ casts shadows and is kept apart (`prisms`).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
@@ -40,14 +41,29 @@ _OVERLAP_M = 0.03
 """Fillings reach one cell behind the measured wall around them, this deep."""
 
 
+@dataclass(frozen=True, eq=False)
+class MeasuredScene:
+    """What beams met, frame world.
+
+    Args:
+        background: static surfaces, outward faces counter-clockwise.
+        walls: planes in it (`walls.find_walls`).
+        crowns: go on upward as leaves.
+        parked: vehicles at rest, which hide what is behind them.
+    """
+
+    background: TriMesh
+    walls: Sequence[Wall]
+    crowns: Crowns
+    parked: Sequence[TriMesh] = ()
+
+
 def complete_buildings(
-    background: TriMesh,
-    walls: Sequence[Wall],
+    scene: MeasuredScene,
     silhouettes: Callable[[], Iterable[View]],
     sweeps: Iterable[LidarSweep],
     ground: GroundMap,
     returns_world: Float32[np.ndarray, "n 3"],
-    crowns: Crowns,
     *,
     make_caster: MakeCaster,
 ) -> tuple[TriMesh, list[Roofline]]:
@@ -55,27 +71,26 @@ def complete_buildings(
     measured (holes interpolated, the rest inferred; frame world, black), and how high walls rise.
 
     Args:
-        background: measured static surfaces, frame world, outward faces counter-clockwise.
-        walls: planes in it (`walls.find_walls`).
+        scene: what was measured.
         silhouettes: gives frames with their camera (of the matte's size) and sky matte, any number
             of times.
         sweeps: beams that went over a wall tell that it ends there.
         ground: heights count from it.
         returns_world: of what stands still; walls go on where they lie on their planes.
-        crowns: go on upward as leaves.
         make_caster: builds the ray caster.
 
     Raises:
         FrameMismatchError: the mesh is not in frame world.
         InputError: a matte does not fit its camera.
     """
+    background, walls = scene.background, scene.walls
     check_world([background])
     parts: list[TriMesh] = []
     rooflines: list[Roofline] = []
     if walls:
-        caster = make_caster([background])
-        far_walls = find_far_walls(walls, returns_world, ground, caster)
-        cells = gather_cells(walls, caster, silhouettes(), sweeps, far_walls)
+        far_walls = find_far_walls(walls, returns_world, ground, make_caster([background]))
+        evidence = (silhouettes(), sweeps, far_walls, scene.parked)
+        cells = gather_cells(walls, background, *evidence, make_caster=make_caster)
         rooflines = find_rooflines(cells, ground)
         fronts = concatenate_meshes([background, *_visible_parts(cells, rooflines)])
         space = find_free_space(fronts, silhouettes(), make_caster([fronts]), MAX_HEIGHT_M)
@@ -83,7 +98,7 @@ def complete_buildings(
         parts.extend(_visible_parts(cells, raised_to_neighbours(rooflines)))
     # Raised walls explain what views show above things that stand before them.
     raised = concatenate_meshes([background, *parts])
-    uprights = raise_uprights(raised, silhouettes, ground, make_caster([raised]), crowns)
+    uprights = raise_uprights(raised, silhouettes, ground, make_caster([raised]), scene.crowns)
     return concatenate_meshes([*parts, uprights]), rooflines
 
 
@@ -107,12 +122,14 @@ def _visible_parts_of(cells: WallCells, roofline: Roofline) -> Iterator[TriMesh]
 
 def _unmeasured(cells: WallCells, roofline: Roofline) -> Bool[np.ndarray, "s z"]:
     """Cells that some view shows: above the measured part of the wall up to its roof, and those
-    below it, far down the street, that nothing contradicts."""
+    below it, far down the street, that nothing contradicts; and what parked cars hide of its
+    foot."""
     levels = np.arange(cells.sky.shape[1])
     end = np.minimum(roofline.top, roofline.shown)
     if cells.is_far:
         return ~cells.is_covered & (cells.sky == 0) & (levels < end[:, None])
-    is_plain = (cells.matter > 0) & (cells.sky == 0) & (cells.passes == 0) & ~cells.is_covered
+    is_plain = (cells.matter > 0) | (cells.through == 0)
+    is_plain &= (cells.sky == 0) & (cells.passes == 0) & ~cells.is_covered
     is_plain &= levels < cells.measured_top[:, None]
     return (is_plain | (levels > cells.front_top[:, None])) & (levels < end[:, None])
 

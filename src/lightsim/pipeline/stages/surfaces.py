@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,12 +11,12 @@ import numpy as np
 
 from lightsim.appearance.build import AssetConfig, build_assets
 from lightsim.appearance.intrinsic.surfels import LidarReturns
-from lightsim.core.buildings import Roofline, Wall
+from lightsim.core.buildings import Roofline
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.twin import SceneAssets
-from lightsim.geometry.completion.buildings import complete_buildings
-from lightsim.geometry.completion.crowns import Beams, Crowns, find_crowns
+from lightsim.geometry.completion.buildings import MeasuredScene, complete_buildings
+from lightsim.geometry.completion.crowns import Beams, find_crowns
 from lightsim.geometry.completion.far_field import build_far_field
 from lightsim.geometry.completion.flatten import flatten_walls
 from lightsim.geometry.completion.glass import find_glass
@@ -60,7 +60,8 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
     cards = crown_cards(crowns, np.random.default_rng(context.seed))
     background = with_poles(without_shreds(meshes.background, crowns), poles)
     background = concatenate_meshes([background, cards])
-    background, rooflines, notes = _completed(work, background, (walls, crowns), returns, context)
+    scene = MeasuredScene(background, walls, crowns, _parked(log, meshes))
+    background, rooflines, notes = _completed(work, scene, returns, context)
     write_assets(folder, replace(meshes, background=background))
     write_rooflines(folder / "rooflines.npz", rooflines)
     return (
@@ -71,6 +72,17 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
     )
 
 
+def _parked(log: DrivingLog, meshes: SceneAssets) -> list[TriMesh]:
+    """Vehicles at rest, frame world."""
+    return [
+        meshes.actors[track.actor_id].mesh.transformed(
+            track.trajectory.at(track.trajectory.start_ns)
+        )
+        for track in log.actors
+        if not track.is_moving and track.actor_id in meshes.actors
+    ]
+
+
 def _views(work: Workspace) -> Iterable[View]:
     """Frames with their camera and sky matte."""
     log = work.training_log
@@ -78,32 +90,21 @@ def _views(work: Workspace) -> Iterable[View]:
 
 
 def _completed(
-    work: Workspace,
-    background: TriMesh,
-    found: tuple[Sequence[Wall], Crowns],
-    returns: LidarReturns,
-    context: Context,
+    work: Workspace, scene: MeasuredScene, returns: LidarReturns, context: Context
 ) -> tuple[TriMesh, list[Roofline], tuple[str, ...]]:
-    """The measured background with buildings, panes and the far field; roofs, and notes.
-
-    Args:
-        found: walls and crowns in it.
-    """
+    """The measured background with buildings, panes and the far field; roofs, and notes."""
     log, fields = work.training_log, work.fields
-    walls, crowns = found
     facades, rooflines = complete_buildings(
-        background,
-        walls,
+        scene,
         partial(_views, work),
         (sweep.load() for sweep in context.progress.track(log.sweeps, "walls and roofs")),
         fields.ground,
         returns.points,
-        crowns,
         make_caster=make_embree_caster,
     )
-    background = concatenate_meshes([background, simplify_planar(facades)])
+    background = concatenate_meshes([scene.background, simplify_planar(facades)])
     panes = find_glass(
-        walls,
+        scene.walls,
         lambda: ((frame, log.cameras[frame.camera_name]) for frame in log.frames),
         returns.points,
         make_embree_caster([background]),
