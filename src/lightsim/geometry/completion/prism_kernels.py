@@ -22,14 +22,24 @@ def most_filled(eye, points, column, filled, base_m, sizes_m, reach_m, out):
     plan and of a level; `reach_m` are the first and last metre behind the point.
     """
     plan_m, level_m = sizes_m
+    step_m = plan_m / 2
     for r in range(points.shape[0]):
         across = points[r] - eye
         distance = math.hypot(across[0], across[1])
         out[r] = 0.0
-        t = distance + reach_m[0]
-        while t < distance + reach_m[1]:
+        first, last = distance + reach_m[0], distance + reach_m[1]
+        enters, leaves = first, last
+        for axis in range(2):
+            if across[axis] != 0.0:
+                at_low = -eye[axis] / across[axis] * distance
+                at_high = (column.shape[axis] * plan_m - eye[axis]) / across[axis] * distance
+                enters = max(enters, min(at_low, at_high))
+                leaves = min(leaves, max(at_low, at_high))
+        # Whole steps, so that a ray meets the same places however large the plan is.
+        t = first + math.floor((enters - first) / step_m) * step_m
+        while t < last and t < leaves + step_m:
             place = eye + t / distance * across
-            t += plan_m / 2
+            t += step_m
             i, j = math.floor(place[0] / plan_m), math.floor(place[1] / plan_m)
             if i < 0 or j < 0 or i >= column.shape[0] or j >= column.shape[1]:
                 continue
