@@ -82,7 +82,7 @@ def test_returns_stand_for_the_measured_surface_of_far_walls() -> None:
     zero, none = np.zeros(len(points), np.float32), np.full(len(points), -1, np.int16)
     origins = np.tile(np.array([[10.0, 0.0, 1.8]], np.float32), (len(points), 1))
     sweep = LidarSweep("0", 0, points.astype(np.float32), origins, zero, zero, none, none)
-    near, other = gather_cells([ROW], _mesh(), [], [sweep], [far], make_caster=EmbreeCaster)
+    near, other = gather_cells([ROW], EmbreeCaster([_mesh()]), [], [sweep], [far])
     assert not near.is_far
     assert other.is_far
     np.testing.assert_array_equal(near.is_met, near.is_covered)

@@ -23,7 +23,7 @@ from lightsim.appearance.bake_kernels import (
     vertex_sums,
 )
 from lightsim.appearance.colour import fill_unseen
-from lightsim.appearance.config import AssetConfig
+from lightsim.appearance.config import HIDDEN_GROUND_REACH_M, LEVEL_NORMAL, AssetConfig
 from lightsim.appearance.gains import solve_gains
 from lightsim.appearance.observe import (
     DEPTH_STEP_PX,
@@ -47,10 +47,8 @@ from lightsim.progress import Progress
 
 _WEIGHT_UNIT_PX = 30.0
 _UNSEEN = 0.2
-_HIDDEN_TEXEL_M, _BESIDE_PATH_M = 0.05, 14.0
-"""Level surface this near the cameras, below them, that none of them shows: what later completes
-the ground under parked cars needs texels there."""
-_LEVEL_NORMAL = 0.8
+_HIDDEN_TEXEL_M = 0.05
+"""Of ground that no image shows: what later completes it needs texels there."""
 
 
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
@@ -163,15 +161,12 @@ def _may_be_ground(scene: PlacedScene, frames: Sequence[CameraFrame]) -> Bool[np
     """Level faces of the background beside the path, below the cameras."""
     from scipy.spatial import KDTree
 
-    count = scene.first_face[1]
-    corners = scene.vertices[scene.faces[:count]].astype(np.float64)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normal, axis=1)
-    level = np.flatnonzero(normal[:, 2] > _LEVEL_NORMAL * np.maximum(length, 1e-12))
-    middle = corners[level].mean(axis=1)
+    background = scene.meshes[0]
+    level = np.flatnonzero(background.face_normals()[:, 2] > LEVEL_NORMAL)
+    middle = background.vertices[background.faces[level]].astype(np.float64).mean(axis=1)
     eyes = np.array([frame.world_from_camera.translation_m for frame in frames])
     away_m, nearest = KDTree(eyes[:, :2]).query(middle[:, :2])
-    is_near = (away_m < _BESIDE_PATH_M) & (middle[:, 2] < eyes[nearest, 2])
+    is_near = (away_m < HIDDEN_GROUND_REACH_M) & (middle[:, 2] < eyes[nearest, 2])
     is_ground = np.zeros(len(scene.faces), dtype=bool)
     is_ground[level[is_near]] = True
     return is_ground

@@ -25,18 +25,17 @@ from scipy.ndimage import (
 from scipy.spatial import KDTree
 
 from lightsim.appearance.atlas import texel_parts
+from lightsim.appearance.config import HIDDEN_GROUND_REACH_M, LEVEL_NORMAL
 from lightsim.appearance.intrinsic.divide import HIGHEST_BASE_COLOUR, LOWEST_BASE_COLOUR
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import Texture, TriMesh
 
-# Chosen while looking at street 1; measured on the others (docs/benchmarks/reconstruction.md).
+# Chosen while looking at street 1; what they do together: docs/benchmarks/leaderboard.md (edits).
 
-REACH_M = 14.0
-"""As far beside the path ground is completed."""
 # The path is smoothed over this length, and goes straight on at its ends.
 _SMOOTH_M, _ONWARD_M, _STEP_M = 4.0, 60.0, 0.1
-# Ground faces up and lies this near its level.
-_LEVEL_NORMAL, _LEVEL_M = 0.8, 0.3
+# Ground lies this near its level.
+_LEVEL_M = 0.3
 # Of the map; and how far a texel speaks for places without any.
 _CELL_M, _SPREAD_M = 0.05, 0.3
 # Places are known from the first trust on, and hidden below the second.
@@ -100,12 +99,9 @@ class Road:
         along = _STEP_M * nearest + (offset * way).sum(axis=1)
         return np.stack([along, offset[:, 1] * way[:, 0] - offset[:, 0] * way[:, 1]], axis=1)
 
-    def is_ground(
-        self, points: Float[np.ndarray, "n 3"], up: Float[np.ndarray, " n"]
-    ) -> Bool[np.ndarray, " n"]:
-        """Level places at the ground's height; `up`: of their normals."""
-        height = self.ground.look_up(points[:, :2])
-        return (up > _LEVEL_NORMAL) & (np.abs(points[:, 2] - height) < _LEVEL_M)
+    def is_ground(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Whether points lie at the ground's height."""
+        return np.abs(points[:, 2] - self.ground.look_up(points[:, :2])) < _LEVEL_M
 
 
 def with_hidden_ground(mesh: TriMesh, trust: Float64[np.ndarray, " n"], road: Road) -> TriMesh:
@@ -120,7 +116,8 @@ def with_hidden_ground(mesh: TriMesh, trust: Float64[np.ndarray, " n"], road: Ro
     texture = mesh.texture
     if texture is None:
         return mesh
-    texels = _GroundTexels.of(mesh, texture, trust, road)
+    is_level = mesh.vertex_normals()[:, 2] > LEVEL_NORMAL
+    texels = _GroundTexels.of(mesh, texture, (is_level, trust), road)
     if not texels.is_hidden.any() or not texels.is_known.any():
         return mesh
     completed = _RoadMap.of(texels).completed()
@@ -128,9 +125,8 @@ def with_hidden_ground(mesh: TriMesh, trust: Float64[np.ndarray, " n"], road: Ro
     hidden = texels.is_hidden
     colour, is_told = completed.at(texels.places[hidden])
     image[texels.pixel[hidden][is_told]] = colour[is_told]
-    vertex = np.flatnonzero(trust < _HIDDEN)
-    normals = mesh.vertex_normals()[vertex]
-    vertex = vertex[road.is_ground(mesh.vertices[vertex], normals[:, 2])]
+    vertex = np.flatnonzero(is_level & (trust < _HIDDEN))
+    vertex = vertex[road.is_ground(mesh.vertices[vertex])]
     colour, is_told = completed.at(road.place(mesh.vertices[vertex, :2]))
     base_colour = mesh.base_colour.copy()
     base_colour[vertex[is_told]] = colour[is_told]
@@ -156,17 +152,22 @@ class _GroundTexels:
 
     @classmethod
     def of(
-        cls, mesh: TriMesh, texture: Texture, trust: Float64[np.ndarray, " n"], road: Road
+        cls,
+        mesh: TriMesh,
+        texture: Texture,
+        known: tuple[Bool[np.ndarray, " n"], Float64[np.ndarray, " n"]],
+        road: Road,
     ) -> _GroundTexels:
-        image, up = texture.image.reshape(-1, 3), mesh.vertex_normals()[:, 2]
-        is_level = up[mesh.faces].min(axis=1) > _LEVEL_NORMAL
+        """Args: `known`: of the vertices, whether they face up, and how far they are trusted."""
+        image, (faces_up, trust) = texture.image.reshape(-1, 3), known
+        is_level = faces_up[mesh.faces].min(axis=1)
         found = []
         for texels in texel_parts(texture, 1 << 18):
             rows = np.flatnonzero(is_level[texels.face])
             corners, weight = mesh.faces[texels.face[rows]], texels.barycentric[rows]
             points = (weight[:, :, None] * mesh.vertices[corners]).sum(axis=1)
             places = road.place(points[:, :2])
-            is_used = (np.abs(places[:, 1]) < REACH_M) & road.is_ground(points, np.ones(len(rows)))
+            is_used = (np.abs(places[:, 1]) < HIDDEN_GROUND_REACH_M) & road.is_ground(points)
             trusted = (weight * trust[corners]).sum(axis=1)
             found.append((texels.pixel[rows], places, trusted, is_used))
         pixel, places, trusted, is_used = (
@@ -277,6 +278,15 @@ class _RoadMap:
         there = np.stack([cells[:, 0], np.where(is_inside, column, 0)], axis=1)
         return is_inside & self.is_known[tuple(there.T)], there
 
+    def _gap(
+        self, cells: Int64[np.ndarray, "n 2"], shift: int
+    ) -> tuple[Int64[np.ndarray, "m 2"], Float32[np.ndarray, "m 3"]]:
+        """Those of the cells that are known this far along the road, and how much their colours
+        differ from those there."""
+        is_there, there = self._shifted(cells, shift)
+        here = cells[is_there]
+        return here, self.colour[tuple(here.T)] - self.colour[tuple(there[is_there].T)]
+
     def _best_shifts(self, ring: Int64[np.ndarray, "n 2"]) -> list[int]:
         """Shifts along the road under which a hole's surroundings agree, best first."""
         ring = ring[:: max(1, len(ring) // _RING_CELLS)]
@@ -284,11 +294,10 @@ class _RoadMap:
         steps = np.arange(low, high + 1, _SHIFT_STEP)
         costs = []
         for shift in np.concatenate([steps, -steps]).tolist():
-            is_there, there = self._shifted(ring, shift)
-            fraction = float(is_there.mean()) if len(ring) else 0.0
+            here, gap = self._gap(ring, shift)
+            fraction = len(here) / max(len(ring), 1)
             if fraction < _LEAST_RING:
                 continue
-            gap = self.colour[tuple(ring[is_there].T)] - self.colour[tuple(there[is_there].T)]
             gap = np.abs(gap - np.median(gap, axis=0)).mean(axis=1)
             cost = float(np.minimum(gap, _RING_LIMIT).mean()) + _UNKNOWN_COST * (1 - fraction)
             costs.append((cost + _COST_PER_M * _CELL_M * abs(shift), shift))
@@ -299,9 +308,7 @@ class _RoadMap:
     ) -> Float32[np.ndarray, "h w 3"]:
         """By how much (log) the surroundings here differ from those there: near them as they do,
         further in by their median."""
-        is_there, there = self._shifted(ring, shift)
-        here = ring[is_there]
-        gap = self.colour[tuple(here.T)] - self.colour[tuple(there[is_there].T)]
+        here, gap = self._gap(ring, shift)
         gap = np.clip(gap, -_LEVEL_LIMIT, _LEVEL_LIMIT)
         middle = np.median(gap, axis=0)
         inside = tuple((here - [side.start for side in window]).T)

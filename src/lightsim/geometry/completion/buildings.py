@@ -88,9 +88,10 @@ def complete_buildings(
     parts: list[TriMesh] = []
     rooflines: list[Roofline] = []
     if walls:
-        far_walls = find_far_walls(walls, returns_world, ground, make_caster([background]))
-        evidence = (silhouettes(), sweeps, far_walls, scene.parked)
-        cells = gather_cells(walls, background, *evidence, make_caster=make_caster)
+        caster = make_caster([background])
+        before = make_caster([background, *scene.parked])
+        far_walls = find_far_walls(walls, returns_world, ground, caster)
+        cells = gather_cells(walls, caster, silhouettes(), sweeps, far_walls, before)
         rooflines = find_rooflines(cells, ground)
         fronts = concatenate_meshes([background, *_visible_parts(cells, rooflines)])
         space = find_free_space(fronts, silhouettes(), make_caster([fronts]), MAX_HEIGHT_M)

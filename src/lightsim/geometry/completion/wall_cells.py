@@ -10,8 +10,7 @@ from jaxtyping import Bool, Float64, Int32, Int64
 from scipy.ndimage import maximum_filter
 
 from lightsim.core.buildings import Wall
-from lightsim.core.casting import MakeCaster, RayCaster
-from lightsim.core.mesh import TriMesh
+from lightsim.core.casting import RayCaster
 from lightsim.core.sensors import LidarSweep
 from lightsim.geometry.completion.silhouettes import (
     MIN_BASELINE_M,
@@ -129,32 +128,29 @@ class WallCells:
 
 def gather_cells(
     walls: Sequence[Wall],
-    background: TriMesh,
+    caster: RayCaster,
     silhouettes: Iterable[View],
     sweeps: Iterable[LidarSweep],
     far_walls: Sequence[Wall] = (),
-    parked: Sequence[TriMesh] = (),
-    *,
-    make_caster: MakeCaster,
+    before: RayCaster | None = None,
 ) -> list[WallCells]:
     """The evidence of all views and sweeps, wall by wall.
 
     Args:
         walls: of the measured background.
-        background: measured surfaces, frame world.
+        caster: over the measured background.
         silhouettes: frames with their camera (of the matte's size) and sky matte.
         sweeps: beams that went over a wall tell that it ends there.
         far_walls: known from returns alone; they come last.
-        parked: vehicles at rest, frame world: what they hide no view shows and no beam reaches.
-        make_caster: builds the ray caster.
+        before: over the measured background and the vehicles at rest: what they hide no view shows
+            and no beam reaches.
 
     Raises:
         InputError: a matte does not fit its camera.
     """
-    caster = make_caster([background])
     cells = [_measure(wall, caster) for wall in walls]
     cells += [replace(_measure(wall, caster), is_far=True) for wall in far_walls]
-    caster = make_caster([background, *parked]) if parked else caster
+    caster = before or caster
     glimpses = [np.zeros_like(wall_cells.sky) for wall_cells in cells]
     for view in classified_views(silhouettes):
         for pair in zip(cells, glimpses, strict=True):

@@ -66,9 +66,8 @@ class GroundBuilder:
         middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[None] // 2, axis=0)[0]
         is_ground = _is_ground(middle, count > 0, self.cell_m)
         is_upright = self._highest > middle + _UPRIGHT_M
-        is_ground &= _goes_on(
-            middle, is_ground, is_upright, self._own_ground(is_ground), self.cell_m
-        )
+        own = self._own_ground(is_ground)
+        is_ground = _goes_on(middle, is_ground, is_upright, own, self.cell_m)
         filled = fill_smoothly(np.where(is_ground, middle, 0.0).astype(np.float64), is_ground)
         return GroundMap(
             self.origin_m.astype(np.float64), self.cell_m, filled.astype(np.float32), is_ground
@@ -102,6 +101,7 @@ def _goes_on(
     allowed = np.where(is_upright, _FOOT_M, _STEP_M + _MAX_SLOPE * cell_m)
     part = _connected(np.where(is_ground, height, np.inf), allowed)
     reached = np.isin(part, np.unique(part[is_own & ~is_upright])) & is_ground
+    step = np.where(is_upright, _FOOT_M, _STEP_M)
     for gap_m in _GAPS_M:
         while reached.any():
             nearest = np.zeros((2, *reached.shape), dtype=np.int32)
@@ -109,7 +109,6 @@ def _goes_on(
                 ndimage.distance_transform_edt(~reached, return_indices=True, indices=nearest)
             )
             rise = height - height[tuple(nearest)]
-            step = np.where(is_upright, _FOOT_M, _STEP_M)
             is_new = is_ground & ~reached & (away * cell_m <= gap_m)
             is_new &= np.abs(rise) <= step + _GAP_SLOPE * away * cell_m
             if not is_new.any():
