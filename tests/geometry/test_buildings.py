@@ -216,6 +216,23 @@ def test_a_wall_goes_on_behind_a_parked_car() -> None:
         assert _is_wall(visible, x_m, z_m)
 
 
+def test_a_window_closes_whose_sill_a_parked_car_hides() -> None:
+    """Beams went through its upper part; with the hidden foot it was one hole, too open for a
+    window, and rays met the ground behind the house."""
+    car, foot, pane = (6.0, 4.0, 28.0, 7.0, 1.55), (7.0, 27.0, 0.0, 1.25), (12.0, 14.0, 0.0, 2.75)
+    front = _wall(np.array([5.0, 8.25]), np.array([30.0, 8.25]), SEEN_M, (foot, pane))
+    room = _wall(np.array([5.0, 12.0]), np.array([30.0, 12.0]), SEEN_M, ())
+    seen = concatenate_meshes([_street(), front, room])
+    origin = np.array([2.0, 0.0, 1.8])
+    x, z = np.meshgrid(np.arange(12.1, 14.0, 0.05), np.arange(1.4, 2.7, 0.05))
+    way = np.stack([x, np.full_like(x, 8.25), z], axis=-1).reshape(-1, 3) - origin
+    inside = _sweep(origin + way * (12.0 / 8.25))
+    views = _views(_truth([LEFT_HOUSE, car]), WIDE)
+    visible, _ = _complete(seen, views, [inside], parked=[_house(car, car[4], True)])
+    for z_m in (0.4, 1.3, 1.9, 2.4):
+        assert _is_wall(visible, 13.1, z_m)
+
+
 def test_no_sky_is_covered(canyon) -> None:
     meshes, views = canyon
     caster = EmbreeCaster(list(meshes))

@@ -7,8 +7,9 @@ from typing import Literal
 
 Colour = Literal["texture", "vertex", "field"]
 
-HIDDEN_GROUND_REACH_M = 14.0
-"""As far beside the path ground that nobody saw has texels, and is completed along the road."""
+HIDDEN_REACH_M = 14.0
+"""As far beside the path, ground and fronts that nobody saw have texels, and are completed along
+it."""
 LEVEL_NORMAL = 0.8
 """Ground faces up at least this much."""
 

@@ -26,7 +26,7 @@ from lightsim.appearance.intrinsic.edges import (
     label_field,
     refine_visibility,
 )
-from lightsim.appearance.intrinsic.hidden_ground import Road, with_hidden_ground
+from lightsim.appearance.intrinsic.hidden_surfaces import Road, with_hidden_surfaces
 from lightsim.appearance.intrinsic.labels import (
     Observed,
     label_shadows,
@@ -273,6 +273,7 @@ def _finished(
     seen = np.ones(len(unsure)) if mesh.confidence is None else mesh.confidence
     open_sky = float(np.percentile(found.light.diffuse @ _WEIGHTS, 95))
     shade = _deep_shade(mesh, colour, total @ _WEIGHTS / max(open_sky, 1e-9), seen > 0, config)
+    trust = shade.trust
     if is_symmetric:
         is_known = (shade.trust >= 1.0) & (seen > 0)
         # The quotient of a colour that was filled in and of its own light says nothing.
@@ -297,7 +298,7 @@ def _finished(
         sun_visibility=SunVisibility(in_255ths(found.visibility), texel),
     )
     if road is not None:
-        done = with_hidden_ground(done, shade.trust, road)
+        done = with_hidden_surfaces(done, trust, road)
     return Decomposition(done, found.visibility, ())
 
 

@@ -13,23 +13,24 @@ from lightsim.geometry.completion.wall_cells import WallCells
 
 # Larger holes stay open.
 _MAX_HOLE_M2 = 40.0
-# Fraction of a hole's border, and of its lintel, that must be measured wall.
+# Fraction of a hole's border, and of its lintel, that must be wall.
 _MIN_BORDER = 0.6
 # Cells that more than this fraction of the views shows as sky are open; glass reflects it too.
 _MAX_SKY_FRACTION = 0.7
 
 
 def find_panes(cells: WallCells) -> Bool[np.ndarray, "s z"]:
-    """Missing parts that measured wall surrounds, with a measured lintel."""
+    """Missing parts that wall surrounds, with a lintel: measured, or what no view looked at."""
     from scipy.ndimage import find_objects
     from skimage.measure import label
 
     seen = np.maximum(cells.sky + cells.matter, 1)
     levels = np.arange(cells.is_covered.shape[1])
-    is_missing = (levels <= cells.measured_top[:, None]) & ~cells.is_covered
+    is_wall = cells.is_covered | cells.is_hidden
+    is_missing = (levels <= cells.measured_top[:, None]) & ~is_wall
     is_missing &= cells.sky <= _MAX_SKY_FRACTION * seen
     pieces = np.asarray(label(is_missing, connectivity=1))
-    covered = np.pad(cells.is_covered, 1)
+    covered = np.pad(is_wall, 1)
     kept = np.zeros_like(is_missing)
     for number, box in enumerate(find_objects(pieces), start=1):
         piece = pieces[box] == number

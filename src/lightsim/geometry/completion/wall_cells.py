@@ -105,6 +105,14 @@ class WallCells:
         return np.where(self.is_met, levels, -1).max(axis=1)
 
     @property
+    def is_hidden(self) -> Bool[np.ndarray, "s z"]:
+        """Below what was measured, where nothing was and no view or beam came: parked cars hide the
+        wall's foot."""
+        levels = np.arange(self.sky.shape[1])
+        is_seen = self.is_met | (self.sky + self.matter + self.through + self.passes > 0)
+        return ~is_seen & (levels < self.measured_top[:, None])
+
+    @property
     def front_top(self) -> Float64[np.ndarray, " s"]:
         """The same, and between measured columns what they say."""
         top = self.measured_top

@@ -1,4 +1,4 @@
-"""Ground under parked cars: the street goes on there as it does further along."""
+"""Ground under parked cars, and walls behind them: the street goes on there as it does around."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from tests.appearance.plane_mesh import plane_mesh
 
 from lightsim.appearance.atlas import edge_lengths_m, pack, patches_of, texels_of
-from lightsim.appearance.intrinsic.hidden_ground import Road, with_hidden_ground
+from lightsim.appearance.intrinsic.hidden_surfaces import Road, with_hidden_surfaces
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import Texture, TriMesh
 
@@ -54,7 +54,7 @@ def _street(bearing_deg: float, hole_colour: float) -> tuple[TriMesh, np.ndarray
 @pytest.mark.parametrize("bearing_deg", [0.0, 30.0])
 def test_kerbs_and_lines_go_on_under_what_hid_them(bearing_deg: float) -> None:
     mesh, trust, places, road = _street(bearing_deg, 0.6)
-    done = with_hidden_ground(mesh, trust, road)
+    done = with_hidden_surfaces(mesh, trust, road)
     assert done.texture is not None
     assert mesh.texture is not None
     pixel = texels_of(patches_of(done.texture)).pixel
@@ -73,27 +73,66 @@ def test_kerbs_and_lines_go_on_under_what_hid_them(bearing_deg: float) -> None:
 
 def test_the_vertices_follow_and_nothing_comes_of_nothing() -> None:
     mesh, trust, _, road = _street(0.0, 0.6)
-    done = with_hidden_ground(mesh, trust, road)
+    done = with_hidden_surfaces(mesh, trust, road)
     hidden = trust == 0
     wanted = _street_colour(mesh.vertices[:, 1].astype(np.float64), 1 - 0.01 * mesh.vertices[:, 0])
     error = np.abs(np.log(done.base_colour / wanted)).mean(axis=1)
     assert np.median(error[hidden]) < 0.02
     np.testing.assert_array_equal(done.base_colour[~hidden], mesh.base_colour[~hidden])
-    assert with_hidden_ground(mesh, np.zeros_like(trust), road) is mesh
-    assert with_hidden_ground(mesh, np.ones_like(trust), road) is mesh
+    assert with_hidden_surfaces(mesh, np.zeros_like(trust), road) is mesh
+    assert with_hidden_surfaces(mesh, np.ones_like(trust), road) is mesh
     bare = replace(mesh, texture=None)
-    assert with_hidden_ground(bare, trust, road) is bare
+    assert with_hidden_surfaces(bare, trust, road) is bare
 
 
 def test_what_stands_above_the_ground_or_far_from_the_path_stays() -> None:
     mesh, trust, _, road = _street(0.0, 0.6)
     roof = replace(mesh, vertices=mesh.vertices + np.array([0, 0, 3.0], np.float32))
-    assert with_hidden_ground(roof, trust, road) is roof
+    assert with_hidden_surfaces(roof, trust, road) is roof
     beside = Road(road.path_m + np.array([0.0, 40.0, 0.0]), road.ground)
-    assert with_hidden_ground(mesh, trust, beside) is mesh
+    assert with_hidden_surfaces(mesh, trust, beside) is mesh
 
 
 def test_a_car_that_never_moved_has_a_road_too() -> None:
     mesh, trust, _, road = _street(0.0, 0.6)
-    done = with_hidden_ground(mesh, trust, Road(road.path_m[:1], road.ground))
+    done = with_hidden_surfaces(mesh, trust, Road(road.path_m[:1], road.ground))
     assert np.median(done.base_colour[trust == 0]) != pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_front_goes_on_downward_behind_what_hid_its_foot(side: float) -> None:
+    """Windows' stripes above, nothing known below 1.5 m."""
+    plane = plane_mesh(24.0, 0.25)
+    along, up = plane.vertices[:, 0].copy(), plane.vertices[:, 1] + 11.0
+    # The front is on the left at +8, on the right at -8, and faces the path between.
+    points = np.stack([side * along, np.full_like(along, 8.0 * side), up], axis=1)
+    edges = edge_lengths_m(plane.vertices, plane.faces)
+    patches = pack(np.full(len(plane.faces), 5, np.int32), edges)
+    texels = texels_of(patches)
+    places = (
+        texels.barycentric[:, :, None] * points[plane.faces[texels.face]].astype(np.float64)
+    ).sum(axis=1)
+
+    def stripes(x: np.ndarray) -> np.ndarray:
+        return np.repeat(np.where(np.sin(2 * x) > 0, 0.5, 0.1)[:, None], 3, axis=1)
+
+    trust = np.where(up < 1.5, 0.0, 1.0)
+    seen = (texels.barycentric * trust[plane.faces[texels.face]]).sum(axis=1)
+    image = np.zeros((patches.height_px * patches.width_px, 3), np.float32)
+    image[texels.pixel] = np.where(seen[:, None] < 1, 0.9, stripes(places[:, 0]))
+    texture = Texture(image.reshape(patches.height_px, patches.width_px, 3), patches.corner_uv())
+    vertex = np.where(trust[:, None] < 1, 0.9, stripes(points[:, 0])).astype(np.float32)
+    mesh = replace(plane, vertices=points.astype(np.float32), base_colour=vertex, texture=texture)
+    np.testing.assert_allclose(mesh.face_normals()[:, 1], -side, atol=1e-5)
+    ground = GroundMap(np.zeros(2), 1.0, np.zeros((2, 2), np.float32), np.ones((2, 2), bool))
+    road = Road(np.linspace(-8.0, 8.0, 9)[:, None] * np.array([1.0, 0.0, 0.0]), ground)
+    done = with_hidden_surfaces(mesh, trust, road)
+    assert done.texture is not None
+    made = done.texture.image.reshape(-1, 3)[texels.pixel]
+    is_plain = np.abs(np.sin(2 * places[:, 0])) > 0.3
+    is_foot = (places[:, 2] < 1.0) & (np.abs(places[:, 0]) < 8.0)
+    np.testing.assert_allclose(
+        made[is_foot & is_plain], stripes(places[:, 0])[is_foot & is_plain], rtol=1e-3
+    )
+    is_above = places[:, 2] > 1.8
+    np.testing.assert_array_equal(made[is_above], image[texels.pixel][is_above])
