@@ -71,7 +71,7 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class ShiftMap:
-    """A surface unrolled, its rows along the street; `complete_along` and `complete_down` fill its holes.
+    """A surface unrolled, its rows along the street, with holes that are filled in place.
 
     Args:
         low_m: its corner, along and across.
