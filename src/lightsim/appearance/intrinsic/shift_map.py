@@ -31,9 +31,9 @@ from lightsim.core.outline import nearest_of
 _CELL_M, _SPREAD_M = 0.05, 0.3
 # Narrower holes, such as jambs of windows, stay as they are.
 _NARROW_M = 0.5
-# Holes are filled piece by piece of this length along the street, from where they are best
+# Longer holes are filled piece by piece of this length along the street, from where they are best
 # surrounded, so many times over at most: what is filled tells what lies beyond it.
-_PIECE_M, _ROUNDS = 4.0, 12
+_PIECE_M, _ROUNDS = 12.0, 6
 # Least and greatest shift, and its step in cells.
 _SHIFT_M, _SHIFT_STEP = (1.0, 40.0), 2
 # Width of a piece's surroundings; what must be known of them both here and there, cells of them
@@ -43,8 +43,8 @@ _RING_M, _LEAST_RING, _RING_CELLS, _RING_LIMIT = 0.6, 0.25, 1000, 0.4
 _UNKNOWN_COST, _COST_PER_M = 0.1, 0.001
 # Shifts that are tried, and the least that one must add, as a fraction of the piece.
 _TRIED, _LEAST_GAIN = 40, 0.03
-# Smaller holes stay as they are.
-_LEAST_HOLE_M2 = 0.1
+# Smaller holes stay as they are (.1 m2).
+_LEAST_CELLS = 40
 # Levels differ by no more (log), and follow the surroundings this far.
 _LEVEL_LIMIT, _LEVEL_REACH_M, _LEVEL_FADE = 0.5, 0.5, 0.03
 # A front goes on downward as it is within this height.
@@ -143,17 +143,16 @@ class ShiftMap:
                 break
 
     def _pieces(self) -> list[_Piece]:
+        """Holes, long ones cut."""
+        number = np.zeros(self.is_hole.shape, np.int32)
+        label(self.is_hole, np.ones((3, 3)), output=number)
         pieces = []
-        step = _cells(_PIECE_M)
-        for start in range(0, self.is_hole.shape[1], step):
-            part = self.is_hole[:, start : start + step]
-            number = np.zeros(part.shape, np.int32)
-            label(part, np.ones((3, 3)), output=number)
-            for index, (rows, columns) in enumerate(find_objects(number), 1):
-                inside = number[rows, columns] == index
-                if inside.sum() * _CELL_M**2 >= _LEAST_HOLE_M2:
-                    first = np.array([rows.start, columns.start + start])
-                    pieces.append(_Piece.of(np.argwhere(inside) + first, self.is_hole.shape))
+        for index, box in enumerate(find_objects(number), 1):
+            cells = np.argwhere(number[box] == index)
+            part = cells[:, 1] // _cells(_PIECE_M)
+            first = np.array([side.start for side in box])
+            chosen = (cells[part == k] + first for k in range(int(part.max()) + 1))
+            pieces += [_Piece.of(c, number.shape) for c in chosen if len(c) >= _LEAST_CELLS]
         return pieces
 
     def _surrounded(self, piece: _Piece) -> float:
