@@ -23,7 +23,7 @@ from lightsim.appearance.bake_kernels import (
     vertex_sums,
 )
 from lightsim.appearance.colour import fill_unseen
-from lightsim.appearance.config import HIDDEN_REACH_M, LEVEL_NORMAL, AssetConfig
+from lightsim.appearance.config import FRONT_FACING, HIDDEN_REACH_M, LEVEL_NORMAL, AssetConfig
 from lightsim.appearance.gains import solve_gains
 from lightsim.appearance.observe import (
     DEPTH_STEP_PX,
@@ -49,8 +49,8 @@ _WEIGHT_UNIT_PX = 30.0
 _UNSEEN = 0.2
 _HIDDEN_TEXEL_M = 0.05
 """Of street that no image shows: what later completes it needs texels there."""
-# Fronts face the path at least this much (cosine), and vehicles hide them up to here.
-_FACING, _FOOT_ABOVE_EYES_M = 0.7, 2.0
+_FOOT_ABOVE_EYES_M = 2.0
+"""Up to here vehicles hide fronts."""
 
 
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
@@ -155,26 +155,27 @@ def _look_at_all(
         best[view.faces] = np.maximum(best[view.faces], pixels_per_m)
         views.append(view)
     footprint_m = np.where(best > 0, 1.0 / np.maximum(best, 1e-9), np.inf)
-    footprint_m[(best == 0) & _may_be_street(scene, frames)] = _HIDDEN_TEXEL_M
+    footprint_m[_hidden_street(scene, frames, best == 0)] = _HIDDEN_TEXEL_M
     return views, footprint_m.astype(np.float32)
 
 
-def _may_be_street(scene: PlacedScene, frames: Sequence[CameraFrame]) -> Bool[np.ndarray, " m"]:
-    """Faces of the background beside the path that may be ground, or the foot of a front."""
+def _hidden_street(
+    scene: PlacedScene, frames: Sequence[CameraFrame], is_hidden: Bool[np.ndarray, " m"]
+) -> Int64[np.ndarray, " k"]:
+    """Hidden faces of the background beside the path that may be ground, or the foot of a front."""
     from scipy.spatial import KDTree
 
     background = scene.meshes[0]
-    normals = background.face_normals()
-    middle = background.vertices[background.faces].astype(np.float64).mean(axis=1)
+    hidden = np.flatnonzero(is_hidden[: len(background.faces)])
+    normals = background.face_normals()[hidden]
+    middle = background.vertices[background.faces[hidden]].astype(np.float64).mean(axis=1)
     eyes = np.array([frame.world_from_camera.translation_m for frame in frames])
     away_m, nearest = KDTree(eyes[:, :2]).query(middle[:, :2])
     towards, above_m = eyes[nearest, :2] - middle[:, :2], middle[:, 2] - eyes[nearest, 2]
     is_ground = (normals[:, 2] > LEVEL_NORMAL) & (above_m < 0)
-    faces_path = (normals[:, :2] * towards).sum(axis=1) > _FACING * away_m
+    faces_path = (normals[:, :2] * towards).sum(axis=1) > FRONT_FACING * away_m
     is_front = faces_path & (above_m < _FOOT_ABOVE_EYES_M)
-    may_be = np.zeros(len(scene.faces), dtype=bool)
-    may_be[: len(middle)] = (away_m < HIDDEN_REACH_M) & (is_ground | is_front)
-    return may_be
+    return hidden[(away_m < HIDDEN_REACH_M) & (is_ground | is_front)]
 
 
 def _collect(

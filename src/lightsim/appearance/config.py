@@ -12,6 +12,8 @@ HIDDEN_REACH_M = 14.0
 it."""
 LEVEL_NORMAL = 0.8
 """Ground faces up at least this much."""
+FRONT_FACING = 0.7
+"""Fronts face the path at least this much (cosine)."""
 
 
 @dataclass(frozen=True)

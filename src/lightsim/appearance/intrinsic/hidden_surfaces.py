@@ -4,6 +4,7 @@ them: ground goes on as it does further along the street, a front downward (shif
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,7 +14,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 
 from lightsim.appearance.atlas import texel_parts
-from lightsim.appearance.config import HIDDEN_REACH_M, LEVEL_NORMAL
+from lightsim.appearance.config import FRONT_FACING, HIDDEN_REACH_M, LEVEL_NORMAL
 from lightsim.appearance.intrinsic.divide import HIGHEST_BASE_COLOUR, LOWEST_BASE_COLOUR
 from lightsim.appearance.intrinsic.shift_map import Samples, ShiftMap
 from lightsim.core.fields import GroundMap
@@ -27,8 +28,8 @@ _SMOOTH_M, _ONWARD_M, _STEP_M = 4.0, 60.0, 0.1
 _LEVEL_M = 0.3
 # Places are known from the first trust on, and hidden below the second.
 _KNOWN, _HIDDEN = 0.99, 0.5
-# A front faces the path at least this much, and stands upright (cosines).
-_FACING, _UPRIGHT = 0.7, 0.3
+# A front stands upright (cosine).
+_UPRIGHT = 0.3
 # Of all that faces the path on one side, the front is where most of its surface stands within the
 # first width across the path (and the second along it); it takes in what lies this near.
 _ACROSS_M, _ALONG_M, _FRONT_M = 0.25, 1.0, 0.6
@@ -102,10 +103,9 @@ def with_hidden_surfaces(mesh: TriMesh, trust: Float64[np.ndarray, " n"], road: 
     texture = mesh.texture
     if texture is None:
         return mesh
-    surfaces = [_ground(mesh, road), *(_front(mesh, road, side) for side in (1.0, -1.0))]
     image, base_colour = texture.image.reshape(-1, 3), mesh.base_colour
     has_changed = False
-    for surface in surfaces:
+    for surface in (_ground(mesh, road), *_fronts(mesh, road)):
         texels = _Texels.of(mesh, texture, surface, trust)
         if not texels.samples.is_hidden.any() or not texels.samples.is_known.any():
             continue
@@ -174,21 +174,26 @@ def _ground(mesh: TriMesh, road: Road) -> _Surface:
     return _Surface(road, np.asarray(is_level[mesh.faces].all(axis=1)))
 
 
-def _front(mesh: TriMesh, road: Road, side: float) -> _Surface:
-    """The fronts on one side of the path; `side`: 1 on the left, -1 on the right."""
+def _fronts(mesh: TriMesh, road: Road) -> Iterator[_Surface]:
+    """Those on the left of the path, and those on the right."""
     normals = mesh.face_normals()
-    middle = mesh.vertices[mesh.faces].astype(np.float64).mean(axis=1)
+    upright = np.flatnonzero(np.abs(normals[:, 2]) < _UPRIGHT)
+    normals, area_m2 = normals[upright], mesh.face_areas_m2()[upright]
+    middle = mesh.vertices[mesh.faces[upright]].astype(np.float64).mean(axis=1)
     places, left = road.place(middle[:, :2]), road.left(middle[:, :2])
-    facing = -side * (normals[:, :2] * left).sum(axis=1)
-    is_face = (facing > _FACING) & (np.abs(normals[:, 2]) < _UPRIGHT) & (side * places[:, 1] > 0)
-    is_face &= np.abs(places[:, 1]) < HIDDEN_REACH_M
-    rows, columns = _metre(places), (np.abs(places[:, 1]) / _ACROSS_M).astype(np.int64)
+    facing_right = -(normals[:, :2] * left).sum(axis=1)
+    away_m = np.abs(places[:, 1])
+    rows, columns = _metre(places), (away_m / _ACROSS_M).astype(np.int64)
     shape = (max(int(rows.max(initial=0)), 0) + 1, round(HIDDEN_REACH_M / _ACROSS_M))
-    is_face &= rows >= 0
-    area = np.zeros(shape)
-    np.add.at(area, (rows[is_face], columns[is_face]), mesh.face_areas_m2()[is_face])
-    dense = np.asarray(gaussian_filter(area, (_ALONG_M, 1.0)))
-    return _Surface(road, is_face, side * (dense.argmax(axis=1) + 0.5) * _ACROSS_M)
+    for side in (1.0, -1.0):
+        is_front = (side * facing_right > FRONT_FACING) & (side * places[:, 1] > 0)
+        is_front &= (away_m < HIDDEN_REACH_M) & (rows >= 0)
+        area = np.zeros(shape)
+        np.add.at(area, (rows[is_front], columns[is_front]), area_m2[is_front])
+        dense = np.asarray(gaussian_filter(area, (_ALONG_M, 1.0)))
+        is_face = np.zeros(len(mesh.faces), dtype=bool)
+        is_face[upright[is_front]] = True
+        yield _Surface(road, is_face, side * (dense.argmax(axis=1) + 0.5) * _ACROSS_M)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,10 @@
 """What a surface that goes on along a street looks like where nobody saw it.
 
-Lanes, kerbs, pavements and rows of windows run along the street. A hole takes over what lies
-further along, by the shifts for which its surroundings agree best (shift maps, Pritch et al. 2009,
+Lanes, kerbs and pavements run along it. A hole takes over what lies further along, by the shifts
+for which its surroundings agree best (shift maps, Pritch et al. 2009,
 doi:10.1109/ICCV.2009.5459159; few shifts explain a picture, He and Sun 2012,
-doi:10.1007/978-3-642-33709-3_2), at the level of those surroundings.
+doi:10.1007/978-3-642-33709-3_2), at the level of those surroundings. Panes and pillars stand
+upright: a front's foot takes over what is seen above it.
 """
 
 from __future__ import annotations
@@ -204,8 +205,9 @@ class ShiftMap:
         shifts = np.concatenate([shifts, -shifts])
         gap, fraction = ring_gaps(self.colour, self.is_known, ring, shifts, _RING_LIMIT)
         cost = gap + _UNKNOWN_COST * (1 - fraction) + _COST_PER_M * _CELL_M * np.abs(shifts)
-        order = np.argsort(np.where(fraction < _LEAST_RING, np.inf, cost), kind="stable")[:_TRIED]
-        return [int(shifts[k]) for k in order if fraction[k] >= _LEAST_RING]
+        is_told = fraction >= _LEAST_RING
+        best = np.argsort(cost[is_told], kind="stable")[:_TRIED]
+        return shifts[is_told][best].tolist()
 
     def _level(
         self, ring: Int64[np.ndarray, "n 2"], shift: int, piece: _Piece
