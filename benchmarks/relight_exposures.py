@@ -41,9 +41,7 @@ def main() -> None:
     options = parser.parse_args()
     with TemporaryDirectory() as made:
         folder = Path(made)
-        write_samples(options.work, options.truth, folder, terminal_progress())
-        for other_source in folder.glob("*_under_*.npz"):
-            other_source.unlink()
+        write_samples(options.work, options.truth, folder, terminal_progress(), true_sources=0)
         data = RelightData([folder], RelightDataConfig())
         columns = [*(f"{ev:+d} EV" for ev in STOPS), "physical", *(f"x {k}" for k in PAINTS)]
         sys.stdout.write(f"| weights | {' | '.join(columns)} |\n|---|{'---:|' * len(columns)}\n")

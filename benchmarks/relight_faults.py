@@ -7,8 +7,9 @@ Pixels of the frames that have exact buffers (of streets of the benchmark, which
 frames that are relit), each counted with the first fault that it has: the target sun's shadow, the
 source sun's visibility, depth (0.3 m or 2 %), normal (20 degrees), and then by what it shows.
 --made: pictures that a method made under several skies (those of `lightsim evaluate relight`)
-instead of the physical estimate; --only: a table of single pictures. Fraction of the surface,
-fraction of the squared error and root of its mean (sRGB, 0 to 1); Markdown.
+instead of the physical estimate; --only: a table of single pictures, TARGET/CAMERA/STEM each.
+Fraction of the surface, fraction of the squared error and root of its mean (sRGB, 0 to 1), and the
+median of the log of made over true luminance, which tells too bright from too dark; Markdown.
 """
 
 from __future__ import annotations
@@ -22,12 +23,14 @@ from pathlib import Path
 import numpy as np
 from relight_parts import Street, TracedFrame
 
+from lightsim.core.colour import linear_from_srgb, luminance
 from lightsim.core.dome import SkyDome
 from lightsim.store.images import read_srgb8
 
 _DEPTH_M, _DEPTH_FRACTION = 0.3, 0.02
 _LEAST_COSINE = float(np.cos(np.radians(20.0)))
 _LEVEL, _UPRIGHT = 0.9, 0.3
+_DARKEST = 1 / 255
 
 
 def main() -> None:
@@ -37,8 +40,11 @@ def main() -> None:
     parser.add_argument("--made", type=Path)
     parser.add_argument("--only", nargs="+", default=())
     options = parser.parse_args()
+    if any(words.count("/") != 2 for words in options.only):
+        parser.error("--only takes pictures as TARGET/CAMERA/STEM: low_sun/front_camera/03")
     street = Street(options.work, options.truth)
     counts: dict[tuple[str, str], np.ndarray] = defaultdict(lambda: np.zeros(2))
+    ratios: dict[tuple[str, str], list[np.ndarray]] = defaultdict(list)
     named = {(words.split("/")[1], words.split("/")[2]) for words in options.only}
     for camera, stem in sorted(named) or _frames(options.truth):
         is_asked = {t: f"{t}/{camera}/{stem}" in options.only for t in street.targets()}
@@ -46,14 +52,17 @@ def main() -> None:
         seen = street.frame(camera, stem)
         for target in targets:
             file = options.truth / "relit" / target / camera / f"{stem}.jpg"
-            square = np.square(_made(options, street, seen, target) - read_srgb8(file) / 255)
-            square = square.mean(axis=-1)
+            made, true = _made(options, street, seen, target), read_srgb8(file) / 255
+            square = np.square(made - true).mean(axis=-1)
+            here, there = (luminance(linear_from_srgb(picture)) for picture in (made, true))
+            ratio = np.log(np.maximum(here, _DARKEST) / np.maximum(there, _DARKEST))
             row = f"{target}, {camera} {stem}" if named else target
             left = seen.is_surface.copy()
             for fault, members in _faults(street, seen, street.skies[target]):
                 counts[row, fault] += [(left & members).sum(), square[left & members].sum()]
+                ratios[row, fault].append(ratio[left & members].astype(np.float32))
                 left &= ~members
-    sys.stdout.write(_table(counts))
+    sys.stdout.write(_table(counts, {key: np.concatenate(own) for key, own in ratios.items()}))
 
 
 def _frames(truth: Path) -> list[tuple[str, str]]:
@@ -103,18 +112,24 @@ def _faults(street: Street, seen: TracedFrame, target: SkyDome) -> Iterator[tupl
     yield "none, other", np.ones_like(is_elsewhere)
 
 
-def _table(counts: dict[tuple[str, str], np.ndarray]) -> str:
-    lines = ["| target | fault | surface | squared error | rms |", "|---|---|---:|---:|---:|"]
+def _median(values: np.ndarray) -> float:
+    return float(np.median(values)) if len(values) else 0.0
+
+
+def _table(
+    counts: dict[tuple[str, str], np.ndarray], ratios: dict[tuple[str, str], np.ndarray]
+) -> str:
+    lines = ["| target | fault | surface | squared error | rms | log |", f"|---|---|{'---:|' * 4}"]
     told: set[str] = set()
     for (target, fault), (area, error) in counts.items():
         total = np.sum([found for (name, _), found in counts.items() if name == target], axis=0)
         if target not in told:
             told.add(target)
             rms = np.sqrt(total[1] / total[0])
-            lines.append(f"| {target} | all, {-20 * np.log10(rms):.1f} dB | 1 | 1 | {rms:.3f} |")
+            lines.append(f"| {target} | all, {-20 * np.log10(rms):.1f} dB | 1 | 1 | {rms:.3f} | |")
         lines.append(
             f"| {target} | {fault} | {area / total[0]:.3f} | {error / total[1]:.3f} |"
-            f" {np.sqrt(error / max(area, 1)):.3f} |"
+            f" {np.sqrt(error / max(area, 1)):.3f} | {_median(ratios[target, fault]):+.2f} |"
         )
     return "\n".join(lines) + "\n"
 

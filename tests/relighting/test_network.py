@@ -41,6 +41,7 @@ from lightsim.store.weights import (
     read_record,
     write_weights,
 )
+from lightsim.training.relight_data import RelightBatch, exposed
 
 SMALL = RelitNetConfig(widths=(8, 16), guide_count=2, working_columns=64)
 
@@ -123,6 +124,26 @@ def test_the_sky_stays_to_the_bit(inputs: RelightInputs) -> None:
     is_sky = inputs.sky_matte >= 1
     assert np.array_equal(made[is_sky], physical[is_sky])
     assert np.abs(made - physical)[~is_sky].max() > 1e-3
+
+
+@pytest.mark.parametrize("factor", [0.25, 1.5])
+def test_a_darker_or_brighter_exposure_is_corrected_alike(
+    inputs: RelightInputs, factor: float
+) -> None:
+    """A network that saw absolute brightness mended what was brighter than the streets it had
+    learned from: facades under a low sun came out half as bright as they are."""
+    batch = tensors_of(planes_of(inputs)[0])
+    batch["source"] = batch["source"].clamp(0, 0.7)
+    one = RelightBatch(batch, batch["source"], batch["surface"])
+    network = random_network()
+    with torch.inference_mode():
+        made = network(batch)
+        other = network(exposed(one, factor).planes)
+    torch.testing.assert_close(other.picture, factor * made.picture, atol=1e-5, rtol=1e-4)
+    is_bounded = (made.log_error > -5.9) & (made.log_error < -0.5)
+    assert is_bounded.any()
+    more = other.log_error[is_bounded] - made.log_error[is_bounded]
+    torch.testing.assert_close(more, torch.full_like(more, np.log(factor) / 2.4), atol=1e-4, rtol=0)
 
 
 def test_the_unit_of_the_scene_does_not_matter(inputs: RelightInputs) -> None:
@@ -248,7 +269,7 @@ def test_what_an_ablation_leaves_out_is_not_seen(inputs: RelightInputs) -> None:
 def test_codes_are_inverse_and_features_are_finite(inputs: RelightInputs) -> None:
     linear = torch.linspace(0, 1, 1001)
     torch.testing.assert_close(linear_of(srgb_of(linear)), linear, atol=1e-6, rtol=1e-5)
-    seen = features(tensors_of(planes_of(inputs)[0]))
+    seen = features(tensors_of(planes_of(inputs)[0]), torch.ones(1, 1, 1, 1))
     assert bool(torch.isfinite(seen).all())
     assert seen.abs().max() < 10
 

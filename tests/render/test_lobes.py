@@ -12,6 +12,7 @@ from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.dome import SkyDome, split_sun
 from lightsim.core.equirect import pixel_directions, solid_angles_sr
 from lightsim.core.mesh import Material
+from lightsim.geometry.materials import ASPHALT
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.image import scene_image
 from lightsim.render.scene import make_static_scene, without_actors
@@ -102,3 +103,23 @@ def test_what_reflects_nothing_stays_without() -> None:
     assert out.glossy is None
     assert not out.reflected.any()
     np.testing.assert_allclose(out.shaded[gbuffers.has_surface], 1.0, rtol=1e-5)
+
+
+def test_asphalt_is_as_glossy_as_roads_are() -> None:
+    """Class R III of CIE 144:2001, usual asphalt: specular factor S1 from .85 to 1.35. It compares
+    reduced luminance coefficients q cos^3 (tan gamma = 2, ahead) and q (overhead), seen at 1
+    degree; q is the BRDF, of albedo .1."""
+
+    def q(tan_gamma: float) -> float:
+        low = np.radians(1.0)
+        view = np.array([[np.cos(low), 0.0, np.sin(low)]], np.float32)
+        light = np.array([[-tan_gamma, 0.0, 1.0]], np.float32)
+        light /= np.linalg.norm(light)
+        up = np.array([[0.0, 0.0, 1.0]], np.float32)
+        alpha = np.array([ASPHALT.roughness**2], np.float32)
+        lobe, grazing = specular_lobe(up, view, light, alpha)[0]
+        f0 = normal_reflectance(np.zeros((1, 3), np.float32), np.zeros(1, np.float32))[0, 0]
+        return float(lobe * (f0 + (1 - f0) * grazing) / light[0, 2] + 0.1 / np.pi)
+
+    s1 = q(2.0) * np.cos(np.arctan(2.0)) ** 3 / q(0.0)
+    assert 0.85 < s1 < 1.35

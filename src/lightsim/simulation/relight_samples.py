@@ -44,7 +44,7 @@ _LOGGER = logging.getLogger(__name__)
 STREETS = "streets"
 _CLIPPED = 254
 _SOURCES = 2
-"""True pictures of a frame that are sources, too: every further one is a file of some 25 MB."""
+"""True pictures of a frame that are sources, too: every further one is a file of some 50 MB."""
 _NEURAL_STEPS = 150
 """As the streets are built that relighting is measured on (docs/benchmarks/relighting.md)."""
 
@@ -152,13 +152,16 @@ class _Frame:
         return self.inputs.circumstances
 
 
-def write_samples(work: Path, truth: Path, out: Path, progress: Progress) -> int:
+def write_samples(
+    work: Path, truth: Path, out: Path, progress: Progress, *, true_sources: int = _SOURCES
+) -> int:
     """Every frame of a twin that has true relit pictures: the recorded picture under the true skies
-    (OUT/<camera>_<stem>.npz), and two of the true pictures as sources for the other skies
+    (OUT/<camera>_<stem>.npz), and some of the true pictures as sources for the other skies
     (OUT/<camera>_<stem>_under_<sky>.npz), other ones of every frame. Those that are there stay.
 
     Args:
         truth: folder `truth` of a synthetic log.
+        true_sources: true pictures of a frame that are sources, too.
 
     Returns:
         How many there are.
@@ -184,17 +187,17 @@ def write_samples(work: Path, truth: Path, out: Path, progress: Progress) -> int
             )
         }
         ego = relighter.log.ego_vehicle_masks.get(frame.camera_name)
-        for sky in _in_turn(skies, number) if len(skies) > 1 else ():
+        for sky in _in_turn(skies, number, true_sources) if len(skies) > 1 else ():
             sample = _sample(_under(made, sky), ego)
             write_sample(out / f"{name}_under_{sky}.npz", sample)
         write_sample(out / f"{name}.npz", _sample(made, ego))
     return len(list(out.glob("*.npz")))
 
 
-def _in_turn(skies: Sequence[str], number: int) -> set[str]:
+def _in_turn(skies: Sequence[str], number: int, count: int) -> set[str]:
     """Those under which a frame is a source."""
-    first = number * _SOURCES
-    return {skies[k % len(skies)] for k in range(first, first + _SOURCES)}
+    first = number * count
+    return {skies[k % len(skies)] for k in range(first, first + count)}
 
 
 def _frame(relit: RelitFrame, truth: Path) -> _Frame:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Bool, Float, UInt8
 
+from lightsim.core.colour import LUMINANCE_WEIGHTS, linear_from_srgb
 from lightsim.errors import InputError
 from lightsim.relighting.network.channels import Planes
 from lightsim.store.arrays import load_arrays
@@ -31,6 +33,12 @@ class RelightTargetSample:
     planes: Planes
     truth: UInt8[np.ndarray, "3 h w"] | None
 
+    @cached_property
+    def level(self) -> float:
+        """Mean of the physical estimate over surfaces (`features.level`)."""
+        is_surface = self.planes["target_shaded"].any(axis=0)
+        return _mean_over(is_surface, self.planes["target_physical"])
+
 
 @dataclass(frozen=True, eq=False)
 class RelightSample:
@@ -43,6 +51,12 @@ class RelightSample:
 
     scene: Planes
     targets: Mapping[str, RelightTargetSample]
+
+    @cached_property
+    def level(self) -> float:
+        """The same of the recorded picture."""
+        source = linear_from_srgb(self.scene["source"].astype(np.float32))
+        return _mean_over(self.scene["surface"][0] > 0, source)
 
 
 def write_sample(path: Path, sample: RelightSample) -> None:
@@ -75,6 +89,13 @@ def read_sample(path: Path) -> RelightSample:
         for sky, own in groups.items()
     }
     return RelightSample(scene, targets)
+
+
+def _mean_over(chosen: Bool[np.ndarray, "h w"], picture: Float[np.ndarray, "3 h w"]) -> float:
+    """Mean luminance; 0 of nothing."""
+    if not chosen.any():
+        return 0.0
+    return float(LUMINANCE_WEIGHTS @ picture[:, chosen].mean(axis=1, dtype=np.float64))
 
 
 def _half(values: np.ndarray) -> np.ndarray:

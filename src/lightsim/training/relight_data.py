@@ -20,7 +20,9 @@ from lightsim.training.relight_cache import RelightSample, RelightTargetSample, 
 _OPEN_FILES = 512
 """Each file that is mapped stays open; systems often allow 1024."""
 _VECTORS = ("normal", "position")
-_RADIANT = ("shaded", "reflected", "physical", "sky", OF_SKIES)
+_LEVEL = "_level"
+"""End of the name of what a crop tells of its whole frame (`features.level`)."""
+_RADIANT = ("shaded", "reflected", "physical", "sky", OF_SKIES, _LEVEL)
 _PAINTED = ("reflected", "physical")
 """What grows with the colour of surfaces; mirrors do, so that the picture stays their sum."""
 _CLIPPED = 254 / 255
@@ -63,7 +65,7 @@ class RelightDataConfig:
     true_twin_fraction: float = 0.1
     """Of the samples: the same, beside a physical estimate without an error. All twins of streets
     have the errors of streets, and a network that meets no others mends what is right."""
-    exposure_ev: tuple[float, float] = (-3.0, 0.5)
+    exposure_ev: tuple[float, float] = (-2.0, 0.5)
     """Samples are so many stops brighter: a log of the evening, or a street in the shade of a high
     sun, is darker than most that the generator makes."""
     light_error_ev: float = 0.2
@@ -224,27 +226,28 @@ def identity_pair(sample: RelightSample) -> RelightBatch:
 
 
 def _cut(sample: RelightSample, most: tuple[int, int], rng: np.random.Generator) -> RelightSample:
-    """A part of the picture, domes whole."""
+    """A part of the picture, domes whole, which knows how bright the whole is."""
     slices = []
     for length, part in zip(sample.scene["source"].shape[1:], most, strict=True):
         at = int(rng.integers(max(length - part, 0) + 1))
         slices.append(slice(at, at + part))
     rows, columns = slices
 
-    def part_of(planes: Planes) -> Planes:
-        return {
+    def part_of(planes: Planes, which: str, level: float) -> Planes:
+        part = {
             name: value if name.endswith(OF_SKIES) else value[:, rows, columns]
             for name, value in planes.items()
         }
+        return part | {f"{which}{_LEVEL}": np.full((1, 1, 1), level, np.float32)}
 
     targets = {
         sky: RelightTargetSample(
-            part_of(target.planes),
+            part_of(target.planes, "target", target.level),
             None if target.truth is None else target.truth[:, rows, columns],
         )
         for sky, target in sample.targets.items()
     }
-    return RelightSample(part_of(sample.scene), targets)
+    return RelightSample(part_of(sample.scene, "source", sample.level), targets)
 
 
 def _mirrored(one: RelightBatch) -> RelightBatch:
@@ -258,8 +261,9 @@ def _mirrored(one: RelightBatch) -> RelightBatch:
 def _misjudged(one: RelightBatch, factor: float) -> RelightBatch:
     """As if the target light were so much stronger than it is; the sky is known."""
     planes = dict(one.planes)
-    for name in ("target_shaded", "target_reflected"):
-        planes[name] = planes[name] * factor
+    for name in ("target_shaded", "target_reflected", f"target{_LEVEL}"):
+        if name in planes:
+            planes[name] = planes[name] * factor
     surface = 1 - planes["matte"]
     planes["target_physical"] = planes["target_physical"] * (1 + surface * (factor - 1))
     return RelightBatch(planes, one.truth, one.weight)

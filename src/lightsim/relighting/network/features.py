@@ -75,25 +75,40 @@ def modelled(batch: Batch, which: str) -> Float[Tensor, "n 3 h w"]:
     return batch["base_colour"] * batch[f"{which}_shaded"] + batch[f"{which}_reflected"]
 
 
-def features(batch: Batch) -> Float[Tensor, "n 39 h w"]:
-    """All that the network sees pixel by pixel, each within a few units of 0."""
+def level(batch: Batch) -> Float[Tensor, "n 1 1 1"]:
+    """How bright the physical estimate of a frame is: its mean over surfaces, 1 is white."""
+    surface, axes = batch["surface"], (1, 2, 3)
+    total = (surface * grey(batch["target_physical"])).sum(axes, keepdim=True)
+    return total / surface.sum(axes, keepdim=True).clamp_min(1.0)
+
+
+def features(batch: Batch, exposure: Float[Tensor, "n 1 1 1"]) -> Float[Tensor, "n 39 h w"]:
+    """All that the network sees pixel by pixel, each within a few units of 0.
+
+    Args:
+        exposure: the frame is shown as a camera with so many times its gain would show it.
+    """
     found = batch["found"]
+
+    def light(name: str) -> Tensor:
+        return batch[name] * exposure
+
     lights = [
         plane
         for which in ("source", "target")
         for plane in (
-            coded(batch[f"{which}_shaded"]),
+            coded(light(f"{which}_shaded")),
             batch[f"{which}_sun"],
             grey(batch[f"{which}_ratio"]),
-            coded(grey(batch[f"{which}_reflected"])),
-            coded(modelled(batch, which)),
+            coded(grey(light(f"{which}_reflected"))),
+            coded(modelled(batch, which) * exposure),
         )
     ]
     return torch.cat(
         [
-            coded(batch["target_physical"]),
-            coded(grey(batch["target_sky"])),
-            batch["source"],
+            coded(light("target_physical")),
+            coded(grey(light("target_sky"))),
+            srgb_of(linear_of(batch["source"]) * exposure),
             batch["clipped"],
             batch["matte"],
             batch["surface"],

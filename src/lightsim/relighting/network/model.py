@@ -18,12 +18,19 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from lightsim.relighting.network.blocks import Residual, Rise, padded
-from lightsim.relighting.network.features import Batch, Unseen, features, grey, without
+from lightsim.relighting.network.features import Batch, Unseen, features, grey, level, without
 
 _FEATURES = 39
 _COLOURS = 3
+_LEVEL = 0.05
+"""Mean of the physical estimate, of white, to which the network's own exposure brings every frame:
+one that knows how bright streets are takes any brighter one for wrong."""
+_LEAST_LEVEL = 1e-3
+"""Of white: a frame that is black but for a few codes is not brought up to day."""
 _FLOOR = 0.01
-"""Of white: darker pixels change by an addition rather than by a factor."""
+"""Of white at the network's exposure: darker pixels change by an addition rather than a factor."""
+_CODE_POWER = 2.4
+"""sRGB codes grow as light to one over this."""
 _MOST_EXACT = 6.0
 """The expected error lies between exp of minus this, less than a code of 8 bits, and 1."""
 _LARGEST = 2.5
@@ -95,24 +102,30 @@ class RelitNet(nn.Module):
         """The batch corrected.
 
         Args:
-            batch: planes at the size of the picture.
+            batch: planes at the size of the picture; `target_level`, where they are crops, is that
+                of their whole frames (`features.level`).
             working: the same at the working size; None: the picture has it.
         """
         batch = without(batch, self.config.unseen)
         working = batch if working is None else without(working, self.config.unseen)
-        seen = features(working)
+        known = working.get("target_level")
+        frame_level = level(working) if known is None else known
+        exposure = _LEVEL / frame_level.clamp_min(_LEAST_LEVEL)
+        seen = features(working, exposure)
         coefficients, log_error = self._look(seen)
         physical = batch["target_physical"]
         size = physical.shape[-2:]
         spread = functional.interpolate(coefficients, size, mode="bilinear")
         constant, factors = spread[:, :_COLOURS], spread[:, _COLOURS:]
-        followed = self.guide(seen if working is batch else features(batch))
+        followed = self.guide(seen if working is batch else features(batch, exposure))
         change = constant + (
             factors.unflatten(1, (_COLOURS, self.config.guide_count)) * followed[:, None]
         ).sum(2)
         change = _LARGEST * torch.tanh(change / _LARGEST) * (1 - batch["matte"])
-        change = change * _how_new(working)
-        picture = (physical.clamp_min(0.0) + _FLOOR) * torch.exp(change) - _FLOOR
+        floor = _FLOOR / exposure
+        change = change * _how_new(working, floor)
+        picture = (physical.clamp_min(0.0) + floor) * torch.exp(change) - floor
+        log_error = (log_error - torch.log(exposure) / _CODE_POWER).clamp(-_MOST_EXACT, 0.0)
         return Correction(picture.clamp_min(0.0), log_error)
 
     def _look(self, seen: Float[Tensor, "n f h w"]) -> tuple[Tensor, Tensor]:
@@ -133,11 +146,11 @@ class RelitNet(nn.Module):
         return found[:, :-2] * confidence, -_MOST_EXACT * torch.sigmoid(found[:, -1:])
 
 
-def _how_new(batch: Batch) -> Float[Tensor, "n 1 1 1"]:
+def _how_new(batch: Batch, floor: Float[Tensor, "n 1 1 1"]) -> Float[Tensor, "n 1 1 1"]:
     """0 under the recorded light, where the recorded picture is right and so is the physical
     estimate, which gives it back; 1 under any other: twice _SMALL_CHANGE is .98."""
     source, target = (grey(batch[f"{which}_shaded"]) for which in ("source", "target"))
     surface, axes = batch["surface"], (1, 2, 3)
-    change = torch.log((target + _FLOOR) / (source + _FLOOR)).abs() * surface
+    change = torch.log((target + floor) / (source + floor)).abs() * surface
     mean = change.sum(axes, keepdim=True) / surface.sum(axes, keepdim=True).clamp_min(1.0)
     return 1 - torch.exp(-((mean / _SMALL_CHANGE) ** 2))
