@@ -36,7 +36,7 @@ class RelightTargetSample:
     @cached_property
     def level(self) -> float:
         """Mean of the physical estimate over surfaces (`features.level`)."""
-        is_surface = self.planes["target_shaded"].any(axis=0)
+        is_surface = np.asarray(self.planes["target_shaded"].any(axis=0))
         return _mean_over(is_surface, self.planes["target_physical"])
 
 

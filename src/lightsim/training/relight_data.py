@@ -65,7 +65,7 @@ class RelightDataConfig:
     true_twin_fraction: float = 0.1
     """Of the samples: the same, beside a physical estimate without an error. All twins of streets
     have the errors of streets, and a network that meets no others mends what is right."""
-    exposure_ev: tuple[float, float] = (-2.0, 0.5)
+    exposure_ev: tuple[float, float] = (-3.0, 0.5)
     """Samples are so many stops brighter: a log of the evening, or a street in the shade of a high
     sun, is darker than most that the generator makes."""
     light_error_ev: float = 0.2
