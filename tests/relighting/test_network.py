@@ -130,8 +130,8 @@ def test_the_sky_stays_to_the_bit(inputs: RelightInputs) -> None:
 def test_a_darker_or_brighter_exposure_is_corrected_alike(
     inputs: RelightInputs, factor: float
 ) -> None:
-    """A network that saw absolute brightness mended what was brighter than the streets it had
-    learned from: facades under a low sun came out half as bright as they are."""
+    """A network that saw absolute brightness mended what was brighter than the streets that it had
+    learned from."""
     batch = tensors_of(planes_of(inputs)[0])
     batch["source"] = batch["source"].clamp(0, 0.7)
     one = RelightBatch(batch, batch["source"], batch["surface"])

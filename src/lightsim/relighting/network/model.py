@@ -24,7 +24,7 @@ _FEATURES = 39
 _COLOURS = 3
 _LEVEL = 0.05
 """Mean of the physical estimate, of white, to which the network's own exposure brings every frame:
-one that knows how bright streets are takes any brighter one for wrong."""
+one that sees absolute brightness takes what is brighter than its streets for wrong."""
 _LEAST_LEVEL = 1e-3
 """Of white: a frame that is black but for a few codes is not brought up to day."""
 _FLOOR = 0.01
