@@ -5,6 +5,7 @@ taught them.
 
 Frames of a street with true pictures, shown to the networks at other exposures; what they make is
 brought back and scored as recorded: PSNR dB outside sky and clipped pixels, mean over target skies.
+The network looks at every frame at one exposure: what differs there is what clips.
 Then the same street with all surfaces so many times as light, which light's linearity gives
 exactly; in brackets what the physical estimate has there.
 """

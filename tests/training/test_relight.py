@@ -13,7 +13,7 @@ import torch
 from lightsim import cli
 from lightsim.errors import InputError
 from lightsim.relighting.network.channels import DOME_ROWS, LIGHT, SCENE
-from lightsim.relighting.network.features import linear_of, modelled, srgb_of
+from lightsim.relighting.network.features import level, linear_of, modelled, srgb_of
 from lightsim.relighting.network.model import RelitNet
 from lightsim.relighting.network.paper_model import PaperNet
 from lightsim.relighting.network.stored import network_of
@@ -98,6 +98,20 @@ def test_a_draw_is_the_same_every_time_and_another_is_not(streets: Path) -> None
     assert not torch.equal(one.truth, other.truth)
     assert one.truth.shape == (8, 3, 16, 24)
     assert one.planes["target_dome"].shape[-2:] == (DOME_ROWS, 2 * DOME_ROWS)
+
+
+def test_a_crop_knows_how_bright_its_whole_frame_is(streets: Path) -> None:
+    still = {"exposure_ev": (0.0, 0.0), "paint_ev": (0.0, 0.0), "light_error_ev": 0.0}
+    config = RelightDataConfig(
+        crop_px=(16, 24), identity_fraction=0.0, true_twin_fraction=0.0, **still
+    )
+    data = RelightData([streets / "1"], config)
+    whole = torch.cat([level(data.whole(k, "low_sun").planes) for k in range(len(data))]).ravel()
+    batch = data.batch(0, 0)
+    told = batch.planes["target_level"].ravel()
+    away = (told[:, None] - whole).abs().amin(dim=1)
+    torch.testing.assert_close(away, torch.zeros_like(away), atol=1e-6, rtol=0)
+    assert (told - level(batch.planes).ravel()).abs().max() > 1e-3
 
 
 def test_the_identity_asks_for_the_source(streets: Path) -> None:

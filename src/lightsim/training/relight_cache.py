@@ -8,11 +8,12 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import UInt8
+from torch import Tensor
 
-from lightsim.core.colour import LUMINANCE_WEIGHTS, linear_from_srgb
 from lightsim.errors import InputError
 from lightsim.relighting.network.channels import Planes
+from lightsim.relighting.network.features import level, linear_of, tensors_of
 from lightsim.store.arrays import load_arrays
 from lightsim.store.atomic import whole_file
 
@@ -33,12 +34,6 @@ class RelightTargetSample:
     planes: Planes
     truth: UInt8[np.ndarray, "3 h w"] | None
 
-    @cached_property
-    def level(self) -> float:
-        """Mean of the physical estimate over surfaces (`features.level`)."""
-        is_surface = np.asarray(self.planes["target_shaded"].any(axis=0))
-        return _mean_over(is_surface, self.planes["target_physical"])
-
 
 @dataclass(frozen=True, eq=False)
 class RelightSample:
@@ -53,10 +48,17 @@ class RelightSample:
     targets: Mapping[str, RelightTargetSample]
 
     @cached_property
-    def level(self) -> float:
-        """The same of the recorded picture."""
-        source = linear_from_srgb(self.scene["source"].astype(np.float32))
-        return _mean_over(self.scene["surface"][0] > 0, source)
+    def levels(self) -> Mapping[str | None, float]:
+        """How bright the frame is (`features.level`) under each target sky, by its name, and as it
+        was recorded: None."""
+        scene = tensors_of({name: self.scene[name] for name in ("surface", "source")})
+
+        def of(linear: Tensor) -> float:
+            return float(level({"surface": scene["surface"], "target_physical": linear}))
+
+        estimates = {sky: target.planes["target_physical"] for sky, target in self.targets.items()}
+        found: dict[str | None, float] = {None: of(linear_of(scene["source"]))}
+        return found | {sky: of(plane) for sky, plane in tensors_of(estimates).items()}
 
 
 def write_sample(path: Path, sample: RelightSample) -> None:
@@ -89,13 +91,6 @@ def read_sample(path: Path) -> RelightSample:
         for sky, own in groups.items()
     }
     return RelightSample(scene, targets)
-
-
-def _mean_over(chosen: Bool[np.ndarray, "h w"], picture: Float[np.ndarray, "3 h w"]) -> float:
-    """Mean luminance; 0 of nothing."""
-    if not chosen.any():
-        return 0.0
-    return float(LUMINANCE_WEIGHTS @ picture[:, chosen].mean(axis=1, dtype=np.float64))
 
 
 def _half(values: np.ndarray) -> np.ndarray:

@@ -242,12 +242,12 @@ def _cut(sample: RelightSample, most: tuple[int, int], rng: np.random.Generator)
 
     targets = {
         sky: RelightTargetSample(
-            part_of(target.planes, "target", target.level),
+            part_of(target.planes, "target", sample.levels[sky]),
             None if target.truth is None else target.truth[:, rows, columns],
         )
         for sky, target in sample.targets.items()
     }
-    return RelightSample(part_of(sample.scene, "source", sample.level), targets)
+    return RelightSample(part_of(sample.scene, "source", sample.levels[None]), targets)
 
 
 def _mirrored(one: RelightBatch) -> RelightBatch:
@@ -262,8 +262,7 @@ def _misjudged(one: RelightBatch, factor: float) -> RelightBatch:
     """As if the target light were so much stronger than it is; the sky is known."""
     planes = dict(one.planes)
     for name in ("target_shaded", "target_reflected", f"target{_LEVEL}"):
-        if name in planes:
-            planes[name] = planes[name] * factor
+        planes[name] = planes[name] * factor
     surface = 1 - planes["matte"]
     planes["target_physical"] = planes["target_physical"] * (1 + surface * (factor - 1))
     return RelightBatch(planes, one.truth, one.weight)
