@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,6 +21,7 @@ from lightsim.masks.sky_panorama import (
     panoramas,
 )
 from lightsim.masks.sky_regions import ImageEvidence, region_graph
+from lightsim.masks.sure_sky import SureSky, log_ratios
 
 CAMERA = PinholeCamera("front", 480, 270, 240.0, 240.0, 240.0, 135.0)
 PLACES_M = np.arange(0.0, 12.0, 2.0)
@@ -112,7 +115,7 @@ def test_what_hides_a_sky_that_was_seen_is_none(rng: np.random.Generator) -> Non
     """A dull pane high above all beams, which passes for a cloud."""
     image, _ = draw(4.0, rng)
     pane = (slice(0, 40), slice(180, 300))
-    image[pane] = np.clip(rng.normal([130, 130, 132], 1.5, (40, 120, 3)), 0, 255)
+    image[pane] = np.clip(rng.normal([150, 150, 154], 1.5, (40, 120, 3)), 0, 255)
     points = returns(with_wires=False)
     alone = estimate_sky_matte(image, CAMERA, pose(4.0), points, None)
     assert alone[pane].mean() > 0.9
@@ -120,6 +123,42 @@ def test_what_hides_a_sky_that_was_seen_is_none(rng: np.random.Generator) -> Non
     matte = estimate_sky_matte(image, CAMERA, pose(4.0), points, None, panorama=panorama)
     assert matte[3:37, 183:297].max() < 0.1
     assert matte[5:25, :120].min() > 0.9
+
+
+def test_a_picture_learns_its_sky_from_what_is_surely_sky(rng: np.random.Generator) -> None:
+    """A darker pane looks a little like a sky, and would tell so of itself."""
+    image, _ = draw(4.0, rng)
+    pane = (slice(0, 40), slice(180, 300))
+    image[pane] = np.clip(rng.normal([130, 130, 132], 1.5, (40, 120, 3)), 0, 255)
+    alone = estimate_sky_matte(image, CAMERA, pose(4.0), returns(with_wires=False), None)
+    assert alone[pane].max() < 0.1
+    assert alone[5:25, :120].min() > 0.9
+
+
+def gable_beside(gap_deg: float, deepest_deg: float, sky_lab: np.ndarray) -> np.ndarray:
+    """Log-likelihood ratios of a pale gable's pixels, right of a sky that ends somewhere: the sky's
+    colours from the gable's edge to the left, by degrees; and returns of a house of its colour."""
+    azimuth = np.radians(np.arange(len(sky_lab)) * 1.5)
+    flat = np.zeros_like(azimuth)
+    sky = SureSky.of(np.stack([np.cos(azimuth), np.sin(azimuth), flat], axis=1), sky_lab)
+    beside = np.radians(np.linspace(-gap_deg, -deepest_deg, 200))
+    nothing = np.zeros_like(beside)
+    directions = np.stack([np.cos(beside), np.sin(beside), nothing], axis=1)
+    pale = np.full((200, 3), (88.0, 0.0, -5.0))
+    ratio = log_ratios(sky.sky_count(), sky.other_count(directions, pale))
+    return sky.against(directions, pale, ratio)
+
+
+def test_beside_a_clear_sky_what_is_pale_is_none() -> None:
+    """A clear sky pales slowly; nothing is told under clouds, nor far from what was seen."""
+    steps = np.arange(120.0)
+    clear = np.stack([55.0 + 0.1 * steps, 4.0 + 0 * steps, -25.0 + 0.05 * steps], axis=1)
+    assert gable_beside(1.5, 20.0, clear).max() < -3.0
+    is_cloud = steps % 4 < 2
+    clouded = np.where(is_cloud[:, None], [88.0, 0.0, -5.0], clear)
+    assert gable_beside(1.5, 20.0, clouded).min() > -2.0
+    assert not gable_beside(30.0, 60.0, clear).any()
+    assert not gable_beside(1.5, 20.0, np.zeros((0, 3))).any()
 
 
 def evidence_of(lab: np.ndarray, rotation: np.ndarray) -> ImageEvidence:
@@ -142,7 +181,7 @@ def test_the_same_thing_seen_again_gains_nothing(rng: np.random.Generator) -> No
     views = [SkyView(evidence_of(lab, LOOKING_Y), np.full((270, 480), 0.7))] * 4
     sky = CameraSky.of(views)
     ratio = np.where(np.arange(len(sky.sky_count)) < 8, 4.0, -4.0)
-    panorama = SkyPanorama(sky.lab, panoramas({"front": sky})["front"].log_odds, ratio)
+    panorama = replace(panoramas({"front": sky})["front"], log_ratio=ratio)
     agreement = panorama.compare(views[0].evidence)
     is_up = views[0].evidence.directions_world[..., 2] > 0
     assert (agreement.kind[is_up] == SAME).all()

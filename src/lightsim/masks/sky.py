@@ -68,8 +68,9 @@ _SMOOTHING = 1.5
 _BORDER_PX = 3
 # Image fraction of the smallest sky that does not touch the top of the image.
 _MIN_SKY_FRACTION = 0.0015
-# Log-odds from which on colours of sky are learnt from one image, and from a whole log.
-_LIKELY_SKY, _SURELY_SKY = 1.5, 3.5
+# Log-odds from which on colours of sky are learnt: what is less sure would speak for itself, as a
+# pale blue front did on street 1.
+_SURELY_SKY = 3.5
 # The same of anything else, up to which one image's are learnt; a log's are those of returns.
 _LIKELY_NONE = -1.5
 # Frames of each camera from which colours are learnt.
@@ -195,7 +196,7 @@ def _judge(
     """Regions and their log-odds of being sky, by all that is known."""
     labels, graph, own, first = _before_colours(evidence)
     odds = first[labels]
-    colours = ColourCounts.of(evidence, odds > _LIKELY_SKY, odds < _LIKELY_NONE)
+    colours = ColourCounts.of(evidence, odds > _SURELY_SKY, odds < _LIKELY_NONE)
     if panorama is None:
         own = with_colours(labels, evidence, own, colours, log_colours)
     else:
@@ -203,7 +204,7 @@ def _judge(
         labels = agreement.split(labels)
         graph = region_graph(labels, evidence.lab, _EDGE_CONTRAST, agreement.expected_lab)
         own = region_log_odds(labels, evidence)
-        own = with_colours(labels, evidence, own, colours, log_colours)
+        own = with_colours(labels, evidence, own, colours, log_colours, agreement.beside)
         own = agreement.applied_to(labels, own)
     return labels, spread_log_odds(graph, own, _SMOOTHING)
 

@@ -4,7 +4,8 @@ The sky has no parallax: what is sky shows the same colour at the same direction
 stands, and what hides it from one place does not from another. What agrees with the sky seen at its
 direction is the same thing, whose log-odds are averaged over all places (they are of the same
 colours, so a sum would count them twice); what differs from it hides it. How much an agreement or
-a difference is worth, the log itself shows: by sure sky, and by pixels that returned a beam.
+a difference is worth, the log itself shows: by sure sky, and by pixels that returned a beam. Beside
+the directions at which sky was seen it can be told apart, too (`sure_sky`).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from lightsim.core.sensors import CameraFrame
 from lightsim.masks.sky_regions import ImageEvidence, RegionMean
+from lightsim.masks.sure_sky import RESIDUALS_LAB, SURELY_SKY, SureSky, log_ratios, ratio_at
 
 _CELL_DEG = 0.25
 """About a pixel at working width: clouds have sharp edges."""
@@ -26,10 +28,6 @@ _LEAST_STEP_M = 1.0
 _MOST_FRAMES = 8
 _LEAST_FRAMES = 3
 """In which a direction was sky: one and the picture in question could be mistaken together."""
-_RESIDUALS_LAB = np.geomspace(0.5, 60.0, 25)
-"""Borders of the classes of residuals, CIE Lab."""
-_SURELY_SKY = 3.5
-"""Log-odds of sky from which residuals of sky are learnt."""
 _MOST_LOG_ODDS = 8.0
 """That no place may exceed in the mean, as in regions."""
 UNKNOWN, SAME, OTHER = 0, 1, 2
@@ -54,6 +52,7 @@ class Agreement:
         is_same: probability that it is the same thing.
         log_odds: of the thing seen there, mean over the places that saw it; 0 where UNKNOWN.
         against: log-likelihood ratio (at most 0) of what differs from what was sky.
+        beside: where UNKNOWN, the same of what differs from the sky that was seen beside it.
     """
 
     kind: Int[np.ndarray, "h w"]
@@ -61,6 +60,7 @@ class Agreement:
     is_same: Float[np.ndarray, "h w"]
     log_odds: Float[np.ndarray, "h w"]
     against: Float[np.ndarray, "h w"]
+    beside: Float[np.ndarray, "h w"]
 
     def split(self, labels: Int[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
         """Regions cut where the kind changes: a thin cloud between wires is not a wire. Each part
@@ -87,33 +87,43 @@ class SkyPanorama:
         lab: median over the frames in which the cell was sky; NaN where they were too few.
         log_odds: of being sky, mean over all frames that saw this colour there.
         log_ratio: of sky against anything else, by class of the residual.
+        sure: where it was surely sky.
+        beside_log_ratio: the same as `log_ratio` of residuals to the sky beside, by class of angle.
     """
 
     lab: Float32[np.ndarray, "c 3"]
     log_odds: Float[np.ndarray, " c"]
     log_ratio: Float[np.ndarray, " r"]
+    sure: SureSky
+    beside_log_ratio: Float[np.ndarray, "a r"]
 
     def compare(self, evidence: ImageEvidence) -> Agreement:
         """A picture of this camera with what it saw elsewhere."""
         residual, expected = _nearest(self.lab, evidence)
         is_known = np.isfinite(residual)
-        ratio = np.where(is_known, _at(self.log_ratio, residual), 0.0)
+        ratio = np.where(is_known, ratio_at(self.log_ratio, residual), 0.0)
         kind = np.where(is_known, np.where(ratio > 0, SAME, OTHER), UNKNOWN)
         odds = np.where(is_known, self.log_odds[_cells(evidence)], 0.0)
         # Marginal of what hides the cell's thing, which is sky itself only so far as `odds` tell.
         hiding = np.logaddexp(odds + ratio, 0.0) - np.logaddexp(odds, 0.0)
+        beside, asked = np.zeros(kind.shape), ~is_known & ~evidence.is_excluded
+        beside[asked] = self.sure.against(
+            evidence.directions_world[asked], evidence.lab[asked], self.beside_log_ratio
+        )
         return Agreement(
             kind,
             np.where((kind == SAME)[..., None], expected, np.float32(np.nan)),
             1.0 / (1.0 + np.exp(-ratio)),
             odds,
             np.where(kind == OTHER, hiding, 0.0),
+            beside,
         )
 
 
 @dataclass(frozen=True, eq=False)
 class CameraSky:
-    """What a panorama is made of: the frames of one camera, by cell, and counts of residuals."""
+    """What a panorama is made of: the frames of one camera, by cell, and counts of residuals at the
+    same direction and beside sure sky."""
 
     lab: Float32[np.ndarray, "c 3"]
     seen: Int[np.ndarray, " s"]
@@ -121,6 +131,9 @@ class CameraSky:
     frames_log_odds: Float32[np.ndarray, "f s"]
     sky_count: Float[np.ndarray, " r"]
     other_count: Float[np.ndarray, " r"]
+    sure: SureSky
+    beside_sky_count: Float[np.ndarray, "a r"]
+    beside_other_count: Float[np.ndarray, "a r"]
 
     @staticmethod
     def of(views: Sequence[SkyView]) -> CameraSky:
@@ -137,16 +150,28 @@ class CameraSky:
         lab = np.full((_ROWS * _COLUMNS, 3), np.nan, np.float32)
         if len(seen):
             lab[seen] = np.nanmedian(np.stack([sky[seen] for sky in skies]), axis=0)
-        counts = np.zeros((2, len(_RESIDUALS_LAB) + 1))
+        counts = np.zeros((2, len(RESIDUALS_LAB) + 1))
         for view in views:
             residual, _ = _nearest(lab, view.evidence)
             hit, is_known = view.evidence.has_hit, np.isfinite(residual)
-            is_sky = is_known & (view.log_odds > _SURELY_SKY) & ~hit
+            is_sky = is_known & (view.log_odds > SURELY_SKY) & ~hit
             for row, chosen in enumerate((is_sky, is_known & hit)):
-                classes = np.digitize(residual[chosen], _RESIDUALS_LAB)
+                classes = np.digitize(residual[chosen], RESIDUALS_LAB)
                 counts[row] += np.bincount(classes, minlength=counts.shape[1])
         frames_lab = np.stack([frame[seen] for frame in everything])
-        return CameraSky(lab, seen, frames_lab, np.stack([o[seen] for o in odds]), *counts)
+        frames_odds = np.stack([o[seen] for o in odds])
+        surely = seen[np.nanmean(frames_odds, axis=0) > SURELY_SKY]
+        sure = SureSky.of(_directions(surely), lab[surely])
+        hits = [v.evidence.has_hit & ~v.evidence.is_excluded for v in views]
+        seen_in = list(zip(views, hits, strict=True))
+        beside = sure.other_count(
+            np.concatenate([view.evidence.directions_world[hit] for view, hit in seen_in]),
+            np.concatenate([view.evidence.lab[hit] for view, hit in seen_in]),
+        )
+        of_sky, of_other = counts
+        return CameraSky(
+            lab, seen, frames_lab, frames_odds, of_sky, of_other, sure, sure.sky_count(), beside
+        )
 
 
 def frames_apart(frames: Sequence[CameraFrame]) -> tuple[CameraFrame, ...]:
@@ -168,29 +193,26 @@ def panoramas(sky_by_camera: Mapping[str, CameraSky]) -> dict[str, SkyPanorama]:
     if not sky_by_camera:
         return {}
     skies = sky_by_camera.values()
-    # One more of each: a log shows few of the rare residuals.
-    sky = np.sum([s.sky_count for s in skies], axis=0) + 1.0
-    other = np.sum([s.other_count for s in skies], axis=0) + 1.0
-    ratio = np.log((sky / sky.sum()) / (other / other.sum()))
-    return {name: _panorama(s, ratio) for name, s in sky_by_camera.items()}
+    ratio, beside = (
+        log_ratios(np.sum(sky, axis=0), np.sum(other, axis=0))
+        for sky, other in (
+            ([s.sky_count for s in skies], [s.other_count for s in skies]),
+            ([s.beside_sky_count for s in skies], [s.beside_other_count for s in skies]),
+        )
+    )
+    return {name: _panorama(s, ratio, beside) for name, s in sky_by_camera.items()}
 
 
-def _panorama(sky: CameraSky, log_ratio: Float[np.ndarray, " r"]) -> SkyPanorama:
+def _panorama(
+    sky: CameraSky, log_ratio: Float[np.ndarray, " r"], beside: Float[np.ndarray, "a r"]
+) -> SkyPanorama:
     residual = np.linalg.norm(sky.frames_lab - sky.lab[sky.seen], axis=2)
-    is_same = 1.0 / (1.0 + np.exp(-_at(log_ratio, residual)))
+    is_same = 1.0 / (1.0 + np.exp(-ratio_at(log_ratio, residual)))
     weight = np.where(np.isfinite(residual), is_same, 0.0)
     odds = np.clip(np.nan_to_num(sky.frames_log_odds), -_MOST_LOG_ODDS, _MOST_LOG_ODDS)
     log_odds = np.zeros(len(sky.lab))
     log_odds[sky.seen] = (weight * odds).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-6)
-    return SkyPanorama(sky.lab, log_odds, log_ratio)
-
-
-def _at(log_ratio: Float[np.ndarray, " r"], residual: np.ndarray) -> np.ndarray:
-    """The log ratio at a residual, linear in its logarithm between the middles of classes."""
-    step = _RESIDUALS_LAB[1] / _RESIDUALS_LAB[0]
-    borders = np.log(_RESIDUALS_LAB)
-    middles = np.append(borders, borders[-1] + np.log(step)) - 0.5 * np.log(step)
-    return np.interp(np.log(np.maximum(residual, 1e-3)), middles, log_ratio)
+    return SkyPanorama(sky.lab, log_odds, log_ratio, sky.sure, beside)
 
 
 def _cells(evidence: ImageEvidence) -> Int[np.ndarray, "h w"]:
@@ -200,6 +222,14 @@ def _cells(evidence: ImageEvidence) -> Int[np.ndarray, "h w"]:
     column = np.degrees(np.arctan2(y, x)) / _CELL_DEG
     rows = np.minimum(row.astype(np.int64), _ROWS - 1)
     return rows * _COLUMNS + np.floor(column).astype(np.int64) % _COLUMNS
+
+
+def _directions(cells: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+    """Middles of cells, frame world."""
+    row, column = np.divmod(cells, _COLUMNS)
+    up, right = np.radians((row + 0.5) * _CELL_DEG), np.radians((column + 0.5) * _CELL_DEG)
+    flat = np.stack([np.cos(right), np.sin(right)], axis=1) * np.cos(up)[:, None]
+    return np.concatenate([flat, np.sin(up)[:, None]], axis=1)
 
 
 def _cell_means(

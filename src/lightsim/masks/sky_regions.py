@@ -217,17 +217,19 @@ def with_colours(
     own: Float[np.ndarray, " n"],
     of_image: ColourCounts,
     of_log: ColourCounts | None,
+    beside: Float[np.ndarray, "h w"] | float = 0.0,
 ) -> Float[np.ndarray, " n"]:
     """`own` plus what the colours of sky and ground say.
 
-    The image's own sky speaks for a colour, the whole log's against it: panes mirror the colours of
-    a sky that is elsewhere.
+    The image's own sky speaks for a colour, the whole log's against it (panes mirror the colours of
+    a sky that is elsewhere), and so does the sky `beside` it.
     """
     bins = colour_bins(evidence.lab)
     ratio = of_image.log_ratio()[bins] if of_image.are_enough else np.zeros(bins.shape)
     if of_log is not None and of_log.are_enough:
         against = of_log.log_ratio()[bins]
         ratio = np.where(against < 0, np.minimum(against, ratio), ratio)
+    ratio = np.where(beside < 0, np.minimum(beside, ratio), ratio)
     odds = own + RegionMean(labels)(ratio)
     is_certain = own <= -_CERTAIN + 1e-6
     return np.clip(np.where(is_certain, -_CERTAIN, odds), -_CERTAIN, _CERTAIN)
