@@ -40,6 +40,7 @@ from lightsim.masks.sky_regions import (
     spread_log_odds,
     with_colours,
 )
+from lightsim.masks.sure_sky import SURELY_SKY
 from lightsim.progress import Progress
 
 _WORKERS = 2
@@ -68,10 +69,9 @@ _SMOOTHING = 1.5
 _BORDER_PX = 3
 # Image fraction of the smallest sky that does not touch the top of the image.
 _MIN_SKY_FRACTION = 0.0015
-# Log-odds from which on colours of sky are learnt: what is less sure would speak for itself, as a
+# Log-odds up to which colours of anything else are learnt from one image; a log's are those of
+# returns. Sky's are learnt from what is surely sky: what is less sure would speak for itself, as a
 # pale blue front did on street 1.
-_SURELY_SKY = 3.5
-# The same of anything else, up to which one image's are learnt; a log's are those of returns.
 _LIKELY_NONE = -1.5
 # Frames of each camera from which colours are learnt.
 _COLOUR_FRAMES = 4
@@ -167,7 +167,7 @@ def learn_colours(log: DrivingLog, points_world: Float[np.ndarray, "n 3"]) -> Co
             evidence = _gather_frame(log, frame, points_world)
             if (evidence.elevation_deg > _HORIZON_DEG).any():
                 labels, _, _, first = _before_colours(evidence)
-                is_sky = first[labels] > _SURELY_SKY
+                is_sky = first[labels] > SURELY_SKY
                 counts = ColourCounts.of(evidence, is_sky, evidence.has_hit)
                 total = counts if total is None else total + counts
     return total if total is not None and total.are_enough else None
@@ -196,7 +196,7 @@ def _judge(
     """Regions and their log-odds of being sky, by all that is known."""
     labels, graph, own, first = _before_colours(evidence)
     odds = first[labels]
-    colours = ColourCounts.of(evidence, odds > _SURELY_SKY, odds < _LIKELY_NONE)
+    colours = ColourCounts.of(evidence, odds > SURELY_SKY, odds < _LIKELY_NONE)
     if panorama is None:
         own = with_colours(labels, evidence, own, colours, log_colours)
     else:

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 RESIDUALS_LAB = np.geomspace(0.5, 60.0, 25)
 """Borders of the classes of residuals, CIE Lab."""
 SURELY_SKY = 3.5
-"""Log-odds of sky from which residuals of sky are learnt."""
+"""Log-odds of sky from which its colours and residuals are learnt."""
 _BLOCK_DEG = 1.5
 """Sure sky is kept in blocks of directions about this wide."""
 _ANGLES_DEG = np.array([3.0, 6.0, 12.0, 24.0])
