@@ -22,7 +22,9 @@ from pathlib import Path
 import numpy as np
 from true_materials import material_names
 
+from lightsim.core.buildings import Roofline
 from lightsim.core.camera import PinholeCamera
+from lightsim.core.casting import RayCaster
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
 from lightsim.geometry.surface import keep_faces
@@ -39,8 +41,10 @@ _EVERY_NTH_PIXEL = 3
 _OFF_SURFACE_M = 0.03
 _GRAZING = 0.05
 """Cosine between normal and sun below which a surface counts as facing away."""
-_ABOVE_M, _BEHIND_M, _FENCE_M = 90.0, 1.0, 3.0
-"""Where rays down onto true roofs start, how far behind the wall, and what is no house."""
+_HIGHEST_M, _STEP_M, _FENCE_M = 60.0, 0.05, 3.0
+"""Rays onto true fronts: up to where, how far apart; and what is no house."""
+_BEFORE_M, _BEHIND_M = 0.6, 1.0
+"""Where these rays start before a wall's plane, and how far behind it they may meet the front."""
 
 
 @dataclass
@@ -159,9 +163,10 @@ def _bare(mesh: TriMesh) -> TriMesh:
 
 
 def roof_errors(workspace: Workspace, truth: Path) -> str:
-    """Median, mean and 90 % of how far roofs' edges are off, m, over columns of walls whose true
-    house is higher than a fence."""
-    caster = make_embree_caster([read_true_meshes(truth / "scene.npz")["background"]])
+    """Median, mean and 90 % of how far the upper edges of fronts are off, m, over columns of walls
+    whose true house is higher than a fence."""
+    parts = true_parts(truth)
+    caster = make_embree_caster([parts[name] for name in ("wall", "trim")])
     lines = ["\n| roofs | m of wall | median m | mean m | 90 % m |\n|---|---:|---:|---:|---:|\n"]
     for name, rooflines, is_seen in (
         ("shown by views", workspace.rooflines, True),
@@ -170,9 +175,7 @@ def roof_errors(workspace: Workspace, truth: Path) -> str:
     ):
         errors = [np.zeros(0)]
         for roofline in rooflines:
-            start = roofline.wall.at(roofline.s_m, np.full_like(roofline.s_m, _ABOVE_M), -_BEHIND_M)
-            down = np.broadcast_to([0.0, 0.0, -1.0], start.shape).copy()
-            true_m = _ABOVE_M - caster.intersect(start, down).distance_m
+            true_m = _true_edge_m(roofline, caster)
             chosen = (roofline.is_seen == is_seen) & (true_m > roofline.ground_m + _FENCE_M)
             errors.append(np.abs(roofline.top_m - true_m)[chosen])
         found = np.concatenate(errors)
@@ -180,6 +183,18 @@ def roof_errors(workspace: Workspace, truth: Path) -> str:
         figures = (np.median(found), found.mean(), np.percentile(found, 90)) if len(found) else ()
         lines.append(f"| {name} | {width:.0f} | {' | '.join(f'{f:.2f}' for f in figures)} |\n")
     return "".join(lines)
+
+
+def _true_edge_m(roofline: Roofline, caster: RayCaster) -> np.ndarray:
+    """Where the true front ends, parapet and all, for each column; the ground's height where there
+    is none. (A roof lies lower than its parapet: rays down onto it do not tell.)"""
+    heights = np.arange(roofline.ground_m.min(), _HIGHEST_M, _STEP_M)
+    s, z = (grid.ravel() for grid in np.meshgrid(roofline.s_m, heights, indexing="ij"))
+    start = roofline.wall.at(s, z, _BEFORE_M)
+    back = np.broadcast_to(-roofline.wall.normal, start.shape).copy()
+    met = caster.intersect(start, back).distance_m < _BEFORE_M + _BEHIND_M
+    met = met.reshape(len(roofline.s_m), -1)
+    return np.where(met, heights, roofline.ground_m[:, None]).max(axis=1) + _STEP_M / 2
 
 
 def _print_with_parts(workspace: Workspace, truth: Path) -> None:

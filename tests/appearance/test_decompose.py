@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -271,7 +272,13 @@ def test_broken_light_is_refused():
         replace(short, sky=-short.sky)
 
 
-def _textured(mesh: TriMesh, texel_m: float) -> tuple[TriMesh, np.ndarray, np.ndarray]:
+def _all_shadows(points: np.ndarray) -> np.ndarray:
+    return _is_lit(points) & ~_unknown_shadow(points)
+
+
+def _textured(
+    mesh: TriMesh, texel_m: float, is_lit: Callable[[np.ndarray], np.ndarray] = _all_shadows
+) -> tuple[TriMesh, np.ndarray, np.ndarray]:
     """The mesh with a radiance texture; where its texels lie, and their pixels."""
     edges = edge_lengths_m(mesh.vertices, mesh.faces)
     seen = np.full(len(mesh.faces), texel_m, np.float32)
@@ -279,7 +286,7 @@ def _textured(mesh: TriMesh, texel_m: float) -> tuple[TriMesh, np.ndarray, np.nd
     texels = texels_of(patches)
     corners = mesh.vertices[mesh.faces[texels.face]]
     points = (texels.barycentric[:, :, None] * corners).sum(axis=1)
-    lit = (_is_lit(points) & ~_unknown_shadow(points)).astype(float)
+    lit = is_lit(points).astype(float)
     radiance = _albedo(points)[:, None] * (_SKY + lit[:, None] * _SUN)
     image = np.zeros((patches.height_px * patches.width_px, 3), np.float32)
     image[texels.pixel] = radiance
@@ -312,6 +319,30 @@ def test_a_texture_loses_its_shadows_texel_by_texel_on_coarse_faces():
     assert (found == (_is_lit(points) & ~_unknown_shadow(points))).mean() > 0.98
     assert done.confidence is not None
     assert np.median(done.confidence) > 0.9
+
+
+def test_a_post_narrower_than_patches_leaves_no_shadow_in_the_texture():
+    """Labels of patches average a shadow of 12 cm away: it was dark base colour under any sun."""
+
+    def is_lit(points: np.ndarray, shift_m: float = 0.0) -> np.ndarray:
+        return np.abs(points[:, 0] - shift_m - 0.3 * points[:, 1]) > 0.06
+
+    mesh = _ground(cells=100)
+    radiance = _albedo(mesh.vertices)[:, None] * (_SKY + is_lit(mesh.vertices)[:, None] * _SUN)
+    mesh = replace(mesh, base_colour=radiance.astype(np.float32))
+    mesh, points, pixel = _textured(mesh, 0.05, is_lit)
+
+    def light_at(seen: SeenPoints) -> SurfaceLight:
+        return _light(seen.position, is_lit(seen.position, shift_m=0.15), sun=1.0)
+
+    done = decompose(mesh, light_at, IntrinsicConfig(), np.random.default_rng(0)).mesh
+    assert done.texture is not None
+    colour = done.texture.image.reshape(-1, 3)[pixel]
+    error = np.log(colour / _albedo(points)[:, None]).mean(axis=1)
+    is_dark = ~is_lit(points)
+    assert np.abs(np.median(error[is_dark])) < 0.05
+    assert (error[is_dark] < -0.5).mean() < 0.15
+    assert (np.abs(error[~is_dark]) > 0.4).mean() < 0.005
 
 
 def test_what_surfaces_reflect_is_no_base_colour():

@@ -75,6 +75,23 @@ def quad_mesh(
     return replace(make_mesh("world", corners[used], faces), materials=(material,))
 
 
+def parallelogram(
+    corner: Float64[np.ndarray, "3"],
+    first: Float64[np.ndarray, "3"],
+    second: Float64[np.ndarray, "3"],
+    edge_m: float,
+    material: Material = MATTE,
+) -> TriMesh:
+    """A black parallelogram in frame world, of cells whose edges are at most `edge_m` long; seen
+    from where the cross product of its edges points to."""
+    count = [max(1, int(np.ceil(np.linalg.norm(edge) / edge_m))) for edge in (first, second)]
+    i, j = (k.reshape(-1, 1) for k in np.indices((count[0] + 1, count[1] + 1)))
+    points = corner + i / count[0] * first + j / count[1] * second
+    across = count[1] + 1
+    start = (np.arange(count[0])[:, None] * across + np.arange(count[1])).reshape(-1, 1)
+    return quad_mesh(points, start + [0, across, across + 1, 1], material)
+
+
 def _complete_cells(is_known: Bool[np.ndarray, "a b c"]) -> Bool[np.ndarray, "_d _e _f"]:
     cells = is_known[1:] & is_known[:-1]
     cells = cells[:, 1:] & cells[:, :-1]

@@ -130,7 +130,7 @@ STAGES = (
     ),
     Stage(
         "geometry",
-        23,
+        24,
         ("log", "masks", "alignment", "neural"),
         _no_settings,
         surfaces.make_geometry,
@@ -158,7 +158,7 @@ STAGES = (
     ),
     Stage(
         "twin",
-        16,
+        17,
         ("log", "alignment", "neural", "assets", "sky"),
         lambda o: light.TwinConfig(),
         light.make_twin,

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
+from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.geometry.completion.glass import Pane
 from lightsim.geometry.materials import FACADE, GLASS
-from lightsim.geometry.surface import keep_faces, quad_mesh
+from lightsim.geometry.surface import keep_faces, parallelogram
 
 # Surface this far before and behind a wall is replaced by its panes.
 _FRONT_M, _BEHIND_M = 0.2, 0.7
@@ -148,25 +148,10 @@ def _pane_mesh(pane: Pane) -> TriMesh:
     across, up = np.array(pane.span_m) + grown, np.array(pane.height_m) + grown
     corner = wall.at(across[:1], up[:1], pane.out_m)[0]
     reveals = [
-        _grid(left_low, height, deep, FACADE),
-        _grid(right_low, deep, height, FACADE),
-        _grid(left_low, deep, width, FACADE),
-        _grid(left_high, width, deep, FACADE),
+        parallelogram(left_low, height, deep, _EDGE_M, FACADE),
+        parallelogram(right_low, deep, height, _EDGE_M, FACADE),
+        parallelogram(left_low, deep, width, _EDGE_M, FACADE),
+        parallelogram(left_high, width, deep, _EDGE_M, FACADE),
     ]
-    glass = _grid(corner, np.ptp(across) * wall.along, np.ptp(up) * _UP, GLASS)
+    glass = parallelogram(corner, np.ptp(across) * wall.along, np.ptp(up) * _UP, _EDGE_M, GLASS)
     return concatenate_meshes([glass, *reveals])
-
-
-def _grid(
-    corner: Float64[np.ndarray, "3"],
-    first: Float64[np.ndarray, "3"],
-    second: Float64[np.ndarray, "3"],
-    material: Material,
-) -> TriMesh:
-    """A parallelogram of cells; seen from where the cross product of its edges points to."""
-    count = [max(1, int(np.ceil(np.linalg.norm(edge) / _EDGE_M))) for edge in (first, second)]
-    i, j = (k.reshape(-1, 1) for k in np.indices((count[0] + 1, count[1] + 1)))
-    points = corner + i / count[0] * first + j / count[1] * second
-    across = count[1] + 1
-    start = (np.arange(count[0])[:, None] * across + np.arange(count[1])).reshape(-1, 1)
-    return quad_mesh(points, start + [0, across, across + 1, 1], material)

@@ -22,6 +22,7 @@ from lightsim.geometry.completion.flatten import flatten_walls
 from lightsim.geometry.completion.glass import find_glass
 from lightsim.geometry.completion.glazing import glaze
 from lightsim.geometry.completion.leaf_cards import crown_cards, without_shreds
+from lightsim.geometry.completion.ledges import find_ledges, with_ledges
 from lightsim.geometry.completion.pole_meshes import with_poles
 from lightsim.geometry.completion.poles import find_poles, raise_poles
 from lightsim.geometry.completion.silhouettes import View
@@ -54,14 +55,15 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
         smooth_planes=partial(flatten_walls, returns_world=returns.points),
     )
     walls = find_walls(meshes.background)
-    crowns = find_crowns(_beams(log, returns), walls, fields.ground, fields.path_m)
+    beams = _beams(log, returns)
+    crowns = find_crowns(beams, walls, fields.ground, fields.path_m)
     poles = find_poles(returns.points, returns.origins, fields.ground, fields.path_m)
     poles = raise_poles(poles, partial(_views, work))
     cards = crown_cards(crowns, np.random.default_rng(context.seed))
     background = with_poles(without_shreds(meshes.background, crowns), poles)
     background = concatenate_meshes([background, cards])
     scene = MeasuredScene(background, walls, crowns, _parked(log, meshes))
-    background, rooflines, notes = _completed(work, scene, returns, context)
+    background, rooflines, notes = _completed(work, scene, returns, beams, context)
     write_assets(folder, replace(meshes, background=background))
     write_rooflines(folder / "rooflines.npz", rooflines)
     return (
@@ -90,7 +92,7 @@ def _views(work: Workspace) -> Iterable[View]:
 
 
 def _completed(
-    work: Workspace, scene: MeasuredScene, returns: LidarReturns, context: Context
+    work: Workspace, scene: MeasuredScene, returns: LidarReturns, beams: Beams, context: Context
 ) -> tuple[TriMesh, list[Roofline], tuple[str, ...]]:
     """The measured background with buildings, panes and the far field; roofs, and notes."""
     log, fields = work.training_log, work.fields
@@ -109,14 +111,15 @@ def _completed(
         returns.points,
         make_embree_caster([background]),
     )
-    background = glaze(background, panes)
+    ledges = find_ledges([r.wall for r in rooflines], beams.ends, fields.ground)
+    background = with_ledges(glaze(background, panes), ledges)
     far = build_far_field(
         background, _views(work), fields.ground, fields.path_m, make_caster=make_embree_caster
     )
     notes = (
         f"{len(facades.faces)} faces close windows and raise facades, {len(far.faces)} stand "
         f"beyond the LiDAR's reach; {len(rooflines)} walls have a roof: inferred, not measured",
-        f"{len(panes)} panes of glass are set into walls",
+        f"{len(panes)} panes of glass are set into walls, {len(ledges)} ledges stand before them",
     )
     return concatenate_meshes([background, far]), rooflines, notes
 
