@@ -145,7 +145,7 @@ def decompose(
         return _finished(mesh, found, None, config, road, is_symmetric=is_symmetric)
     observed, reflectance_gain = patches.under(light_at)
     labels = label_shadows(observed, config)
-    field = label_field(faces, observed, labels)
+    field = label_field(faces, observed, labels, config.edge_error_m)
     del patches, observed  # Larger than all that is left to do.
     found = VertexLight(light, _visibility(mesh, vertices.normal, light, field))
     note = f"LiDAR intensity predicts base colour with exponent {reflectance_gain:.2f}"

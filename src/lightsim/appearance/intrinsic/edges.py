@@ -21,8 +21,6 @@ _REACH_M = 1.2
 _SURE = 0.03
 _NEAR_SHADOW = 0.75
 """Prior of being lit below which a rendered shadow is near."""
-_THIN_M = 0.4
-"""As in `IntrinsicConfig.edge_error_m`."""
 _CHUNK = 1 << 15
 """Points looked at together: some 30 MB of intermediate results, whatever the log."""
 
@@ -49,14 +47,17 @@ class LabelField:
     surfel_m: float
 
 
-def label_field(faces: Int64[np.ndarray, " k"], observed: Observed, labels: Labels) -> LabelField:
-    """What `refine_visibility` needs of labelled surfels."""
+def label_field(
+    faces: Int64[np.ndarray, " k"], observed: Observed, labels: Labels, edge_error_m: float
+) -> LabelField:
+    """What `refine_visibility` needs of labelled surfels; `edge_error_m` of `IntrinsicConfig`."""
     surfels = observed.surfels
     light = np.maximum(observed.light.total(labels.lit), 1e-6)
     log_colour = observed.log_radiance - np.log(light)
     # What is merely dark amid light (panes, tyres) is unsure, too: a shadow must be near.
     is_unsure = (labels.lit > _SURE) & (labels.lit < 1 - _SURE) & (labels.prior < _NEAR_SHADOW)
-    is_mixed = is_unsure | is_at_label_edge(observed, labels.lit) | _is_at_thin_shadow(observed)
+    is_mixed = is_unsure | is_at_label_edge(observed, labels.lit)
+    is_mixed |= _is_at_thin_shadow(observed, edge_error_m)
     is_firm = ~is_mixed & (surfels.confidence > 0.5)
     colour, is_known = _colour_around(observed, log_colour, is_firm, is_mixed)
     return LabelField(
@@ -71,13 +72,13 @@ def label_field(faces: Int64[np.ndarray, " k"], observed: Observed, labels: Labe
     )
 
 
-def _is_at_thin_shadow(observed: Observed) -> Bool[np.ndarray, " n"]:
+def _is_at_thin_shadow(observed: Observed, edge_error_m: float) -> Bool[np.ndarray, " n"]:
     """Patches near a rendered shadow, or a gap of light, that is narrower than its place is sure:
     a post's, or what falls between two of them. Labels of patches average it away, and say nothing
     of it; the texels can."""
     graph, rendered = observed.graph, rendered_visibility(observed.light)
-    is_thin = (rendered > 0.5) != (smoothed(rendered, graph, _THIN_M) > 0.5)
-    near = graph.pairs[graph.distance_m < _THIN_M]
+    is_thin = (rendered > 0.5) != (smoothed(rendered, graph, edge_error_m) > 0.5)
+    near = graph.pairs[graph.distance_m < edge_error_m]
     result = is_thin.copy()
     result[near[is_thin[near].any(axis=1)].ravel()] = True
     return result
