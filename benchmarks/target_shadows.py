@@ -167,6 +167,8 @@ def roof_errors(workspace: Workspace, truth: Path) -> str:
     whose true house is higher than a fence."""
     parts = true_parts(truth)
     caster = make_embree_caster([parts[name] for name in ("wall", "trim")])
+    # Walls and columns are the same before and after; only their heights move.
+    edges_m = [_true_edge_m(roofline, caster) for roofline in workspace.rooflines]
     lines = ["\n| roofs | m of wall | median m | mean m | 90 % m |\n|---|---:|---:|---:|---:|\n"]
     for name, rooflines, is_seen in (
         ("shown by views", workspace.rooflines, True),
@@ -174,8 +176,7 @@ def roof_errors(workspace: Workspace, truth: Path) -> str:
         ("not shown, after", workspace.rooflines, False),
     ):
         errors = [np.zeros(0)]
-        for roofline in rooflines:
-            true_m = _true_edge_m(roofline, caster)
+        for roofline, true_m in zip(rooflines, edges_m, strict=True):
             chosen = (roofline.is_seen == is_seen) & (true_m > roofline.ground_m + _FENCE_M)
             errors.append(np.abs(roofline.top_m - true_m)[chosen])
         found = np.concatenate(errors)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from tempfile import gettempdir
 
 import numpy as np
 import pytest
@@ -22,7 +23,16 @@ from lightsim.store.artefact import read_json, write_json
 from lightsim.store.assets import read_assets, write_assets
 from lightsim.store.twin import empty_mesh, read_twin_assets, write_twin
 
-HOSTILE = ("../../../x", "/tmp/lightsim-escaped", "a" * 300, "..", "Car", "car", "x.npy", "x")
+HOSTILE = (
+    "../../../x",
+    f"{gettempdir()}/lightsim-escaped",
+    "a" * 300,
+    "..",
+    "Car",
+    "car",
+    "x.npy",
+    "x",
+)
 
 
 def _triangle(frame: str) -> TriMesh:

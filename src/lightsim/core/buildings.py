@@ -59,6 +59,32 @@ class Wall:
         return offset @ self.along, offset @ self.normal
 
 
+@dataclass(frozen=True)
+class WallPart:
+    """A level rectangle of a wall.
+
+    Args:
+        span_m, height_m: lowest and highest s along the wall, and z.
+    """
+
+    wall: Wall
+    span_m: tuple[float, float]
+    height_m: tuple[float, float]
+
+    def middle(self, out_m: float = 0.0) -> Float64[np.ndarray, "3"]:
+        """Frame world, `out_m` in front of the wall's plane."""
+        s, z = (np.array(np.mean(limits)) for limits in (self.span_m, self.height_m))
+        return self.wall.at(s, z, out_m)
+
+    def holds(self, place_world: Float64[np.ndarray, "3"], out_m: float, within_m: float) -> bool:
+        """Whether a place lies in the rectangle, and less than `within_m` from `out_m` in front of
+        the wall's plane."""
+        (s,), (out,) = self.wall.place(place_world[None])
+        is_in = self.span_m[0] < s < self.span_m[1]
+        is_in &= self.height_m[0] < place_world[2] < self.height_m[1]
+        return bool(is_in and abs(out - out_m) < within_m)
+
+
 @dataclass(frozen=True, eq=False)
 class Roofline:
     """How high one wall rises, column by column.

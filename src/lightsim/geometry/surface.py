@@ -80,7 +80,7 @@ def parallelogram(
     first: Float64[np.ndarray, "3"],
     second: Float64[np.ndarray, "3"],
     edge_m: float,
-    material: Material = MATTE,
+    material: Material,
 ) -> TriMesh:
     """A black parallelogram in frame world, of cells whose edges are at most `edge_m` long; seen
     from where the cross product of its edges points to."""

@@ -15,13 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float16, Float32, Float64
 
-from lightsim.core.buildings import Wall
+from lightsim.core.buildings import Wall, WallPart
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import RayCaster
 from lightsim.core.colour import linear_from_srgb8, luminance
 from lightsim.core.sensors import CameraFrame
 from lightsim.geometry.completion.silhouettes import spaced_views
-from lightsim.geometry.completion.walls import surface_offset_m
+from lightsim.geometry.completion.walls import returns_near, surface_offset_m
 
 # Chosen while looking at the streets of seeds 0 and 77; benchmarks/panes.py says how many panes
 # are found.
@@ -64,17 +64,13 @@ _DEEPEST = 25
 
 
 @dataclass(frozen=True)
-class Pane:
+class Pane(WallPart):
     """A rectangle of glass in a wall.
 
     Args:
-        span_m, height_m: lowest and highest s along the wall, and z.
         wall_m, out_m: of the wall around and of the glass before the wall's plane.
     """
 
-    wall: Wall
-    span_m: tuple[float, float]
-    height_m: tuple[float, float]
     wall_m: float
     out_m: float
 
@@ -125,14 +121,8 @@ def find_glass(
 
 def _is_among(pane: Pane, others: Sequence[Pane]) -> bool:
     """Whether a pane's middle lies in one of another wall: planes may lie close together."""
-    middle = pane.wall.at(np.array([np.mean(pane.span_m)]), np.array([np.mean(pane.height_m)]))
-    for other in others:
-        (s,), (out,) = other.wall.place(middle)
-        is_in = other.span_m[0] < s < other.span_m[1]
-        is_in &= other.height_m[0] < middle[0, 2] < other.height_m[1]
-        if is_in and abs(out) < _BEHIND_M:
-            return True
-    return False
+    middle = pane.middle()
+    return any(other.holds(middle, 0.0, _BEHIND_M) for other in others)
 
 
 def _offsets(wall: Wall, caster: RayCaster) -> Float64[np.ndarray, "s z"]:
@@ -224,8 +214,7 @@ def _on_wall(
     wall: Wall, returns_world: Float32[np.ndarray, "n 3"]
 ) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, "m 2"]]:
     """Of the returns near a wall's plane: how far before it, and their place in cells."""
-    out = returns_world @ wall.normal.astype(np.float32) - np.float32(wall.origin_m @ wall.normal)
-    near = returns_world[(out > -_BEHIND_M) & (out < _FRONT_M)].astype(np.float64)
+    near = returns_near(wall, returns_world, (_FRONT_M, _BEHIND_M))
     s, out = wall.place(near)
     place = np.stack([s - wall.span_m[0], near[:, 2] - wall.height_m[0]], axis=1) / _CELL_M
     return out, place

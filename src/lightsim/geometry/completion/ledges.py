@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from lightsim.core.buildings import Wall
+from lightsim.core.buildings import Wall, WallPart
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
+from lightsim.geometry.completion.walls import returns_near
 from lightsim.geometry.materials import FACADE
 from lightsim.geometry.surface import parallelogram
 
@@ -53,17 +54,13 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
-class Ledge:
+class Ledge(WallPart):
     """A level box before a wall.
 
     Args:
-        span_m, height_m: lowest and highest s along the wall, and z.
         out_m: of the wall around and of the ledge's front before the wall's plane.
     """
 
-    wall: Wall
-    span_m: tuple[float, float]
-    height_m: tuple[float, float]
     out_m: tuple[float, float]
 
 
@@ -81,7 +78,10 @@ def find_ledges(
     above = returns_world[height > _FOOT_M]
     ledges: list[Ledge] = []
     for wall in walls:
-        ledges += [ledge for ledge in _ledges_of(wall, above) if not _is_among(ledge, ledges)]
+        # One by one: layers of a wall overlap, too.
+        for ledge in _ledges_of(wall, above):
+            if not _is_among(ledge, ledges):
+                ledges.append(ledge)
     return ledges
 
 
@@ -136,8 +136,7 @@ def _before(
     of the returns of the columns around lie."""
     from scipy.ndimage import uniform_filter1d
 
-    out = returns_world @ wall.normal.astype(np.float32) - np.float32(wall.origin_m @ wall.normal)
-    points = returns_world[(out > -_BEHIND_M) & (out < _LAYERS_M[-1][1])].astype(np.float64)
+    points = returns_near(wall, returns_world, (_LAYERS_M[-1][1], _BEHIND_M))
     s, out = wall.place(points)
     is_used = (s > wall.span_m[0]) & (s < wall.span_m[1]) & (points[:, 2] > wall.height_m[0])
     s, z, out = s[is_used], points[is_used, 2], out[is_used]
@@ -206,18 +205,8 @@ def _ends(
 
 def _is_among(ledge: Ledge, others: Sequence[Ledge]) -> bool:
     """Whether a ledge's middle lies in another: planes may lie close together."""
-    middle = ledge.wall.at(
-        np.array([np.mean(ledge.span_m)]),
-        np.array([np.mean(ledge.height_m)]),
-        float(np.mean(ledge.out_m)),
-    )
-    for other in others:
-        (s,), (out,) = other.wall.place(middle)
-        is_in = other.span_m[0] < s < other.span_m[1]
-        is_in &= other.height_m[0] < middle[0, 2] < other.height_m[1]
-        if is_in and abs(out - np.mean(other.out_m)) < _BEHIND_M:
-            return True
-    return False
+    middle = ledge.middle(float(np.mean(ledge.out_m)))
+    return any(other.holds(middle, float(np.mean(other.out_m)), _BEHIND_M) for other in others)
 
 
 def _box(ledge: Ledge) -> TriMesh:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float32, Float64
 
 from lightsim.core.buildings import Wall
 from lightsim.core.casting import RayCaster
@@ -81,6 +81,14 @@ def surface_offset_m(
     is_near = hits.is_hit & (hits.distance_m < sum(near_m))
     out = near_m[0] - hits.distance_m.astype(np.float64)
     return np.where(is_near, out, np.nan).reshape(s.shape)
+
+
+def returns_near(
+    wall: Wall, returns_world: Float32[np.ndarray, "n 3"], near_m: tuple[float, float]
+) -> Float64[np.ndarray, "m 3"]:
+    """Those up to `near_m` before and behind a wall's plane."""
+    out = returns_world @ wall.normal.astype(np.float32) - np.float32(wall.origin_m @ wall.normal)
+    return returns_world[(out > -near_m[1]) & (out < near_m[0])].astype(np.float64)
 
 
 def _best_plane(
