@@ -72,11 +72,14 @@ def test_samples_are_sorted_and_surround_the_surface() -> None:
     ).all()
 
 
-def test_training_corrects_a_displaced_prior() -> None:
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)])
+def test_training_corrects_a_displaced_prior(device: str) -> None:
     """The prior stands 6 cm off with little evidence: returns pull the surface back."""
+    if device == "cuda" and not torch.cuda.is_available():
+        pytest.skip("needs a CUDA device")
     fields = wall_fields(0.06, weight=0.1)
     config = small_config(steps=80)
-    field = small_field(config, fields)
+    field = small_field(config, fields).to(device)
     rays = TrainingRays(wall_pool(4000, False), wall_pool(4000, True))
     train_field(field, rays, 0, MemoryJournal().session())
     refined = refined_fields(fields, field, progress=SilentProgress()).background[0]

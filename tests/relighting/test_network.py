@@ -20,14 +20,14 @@ from lightsim.relighting.network.channels import (
     BUFFERS,
     Planes,
     scene_planes,
-    shrunk,
     target_planes,
 )
-from lightsim.relighting.network.features import features, linear_of, srgb_of, tensors_of
+from lightsim.relighting.network.features import features, linear_of, shrunk, srgb_of, tensors_of
 from lightsim.relighting.network.model import RelitNet, RelitNetConfig
 from lightsim.relighting.network.paper_model import PaperNet, PaperNetConfig
 from lightsim.relighting.network.relight import painted_by, relit_by
 from lightsim.relighting.network.stored import network_for, network_of, probe, tensors_of_network
+from lightsim.relighting.options import Method
 from lightsim.relighting.physical.ratio import (
     Circumstances,
     RatioConfig,
@@ -116,6 +116,19 @@ def test_shipped_weights_meet_the_planes_that_they_were_trained_on(
     assert probe(network) == pytest.approx(told, rel=1e-4)
     monkeypatch.setattr("lightsim.relighting.network.features._DARK", 0.03)
     assert probe(network) != pytest.approx(told, rel=1e-3)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@pytest.mark.parametrize("method", ["network", "paper", "self-osr", "epe"])
+def test_cuda_gives_the_picture_of_the_cpu(
+    inputs: RelightInputs, method: Method, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = relight_by(method)(inputs, RatioConfig()).radiance
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    expected = relight_by(method)(inputs, RatioConfig()).radiance
+    # Convolutions on CUDA round their inputs to TF32.
+    np.testing.assert_allclose(found, expected, rtol=5e-3, atol=5e-3 * float(expected.mean()))
 
 
 def test_the_sky_stays_to_the_bit(inputs: RelightInputs) -> None:
@@ -215,10 +228,11 @@ def test_the_size_of_the_picture_changes_little(inputs: RelightInputs) -> None:
     }
     network = random_network()
     with torch.inference_mode():
-        working = tensors_of(shrunk(planes, 64))
-        small = network(tensors_of(planes), working).picture
-        again = tensors_of(shrunk(large, 64))
-        other = network(tensors_of(large), again).picture
+        batches = tensors_of(planes), tensors_of(large)
+        working, again = (shrunk(batch, 64) for batch in batches)
+        small, other = (
+            network(b, w).picture for b, w in zip(batches, (working, again), strict=True)
+        )
     for name, value in working.items():
         torch.testing.assert_close(again[name], value, atol=1e-5, rtol=1e-5)
     assert other.shape[-2:] == tuple(2 * n for n in small.shape[-2:])

@@ -20,8 +20,7 @@ def resize_area(
         blocks = image.reshape(height_px, fy, width_px, fx, channels)
         return blocks.mean(axis=(1, 3), dtype=np.float32)
     rows, columns = (
-        csr_matrix(_overlaps(np.linspace(0, 1, old + 1), np.linspace(0, 1, new + 1)))
-        for old, new in ((height, height_px), (width, width_px))
+        csr_matrix(area_weights(old, new)) for old, new in ((height, height_px), (width, width_px))
     )
     flat = rows @ image.reshape(height, -1)
     across = flat.reshape(height_px, width, channels).swapaxes(0, 1).reshape(width, -1)
@@ -45,9 +44,15 @@ def resize_sphere(
         # Solid angle is even in azimuth and in the cosine of the polar angle.
         old, new = (-np.cos(np.linspace(0, np.pi, n + 1)) for n in (height, height_px))
         rows = _overlaps(old, new)
-        columns = _overlaps(np.linspace(0, 1, 2 * height + 1), np.linspace(0, 1, 2 * height_px + 1))
+        columns = area_weights(2 * height, 2 * height_px)
     wide = np.tensordot(rows, radiance.astype(np.float64), axes=(1, 0))
     return columns @ wide
+
+
+def area_weights(old_px: int, new_px: int) -> Float[np.ndarray, "m k"]:
+    """The part of each old pixel (columns) in each new one (rows) of a line of pixels; rows sum
+    to 1."""
+    return _overlaps(np.linspace(0, 1, old_px + 1), np.linspace(0, 1, new_px + 1))
 
 
 def _overlaps(

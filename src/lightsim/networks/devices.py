@@ -33,6 +33,11 @@ def choose_device(name: str) -> torch.device:
     return torch.device("cuda" if has_cuda and name != "cpu" else "cpu")
 
 
+def device_of(network: torch.nn.Module) -> torch.device:
+    """Where a network's numbers lie."""
+    return next(network.parameters()).device
+
+
 @dataclass(frozen=True)
 class Processes:
     """One of `count` processes that train the same networks; by default the only one."""

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from lightsim.errors import ArtefactError
-from lightsim.networks.devices import ALONE, Processes
+from lightsim.networks.devices import ALONE, Processes, device_of
 from lightsim.progress import Progress, SilentProgress
 
 _RECORD_EVERY = 25
@@ -178,7 +178,7 @@ class _Loop:
         self._learners = learners
         self._config = config
         self._processes = processes
-        self._device = next(next(iter(learners.values())).network.parameters()).device
+        self._device = device_of(next(iter(learners.values())).network)
         self._rates = {name: [g["lr"] for g in own.groups] for name, own in learners.items()}
         self._averages = {
             name: {k: v.detach().clone() for k, v in learner.network.state_dict().items()}

@@ -14,6 +14,8 @@ from lightsim.relighting.physical.ratio import relight_physical
 def relight_by(method: Method, weights: Path | None = None) -> Relight:
     """A way of relighting; `nerf-osr` needs the field of its street (`baselines.relight`).
 
+    Networks run on CUDA where torch finds it.
+
     Args:
         weights: of a network; None: those of the package.
 
@@ -25,6 +27,7 @@ def relight_by(method: Method, weights: Path | None = None) -> Relight:
     if method == "colour-transfer":
         return lambda inputs, config: Estimate(relight_colour_transfer(inputs, config))
     # They bring torch, which the others do without.
+    from lightsim.networks.devices import choose_device
     from lightsim.relighting.baselines.epe import EpeNet
     from lightsim.relighting.baselines.relight import shown_by
     from lightsim.relighting.baselines.self_osr import SelfOsrNet
@@ -33,10 +36,11 @@ def relight_by(method: Method, weights: Path | None = None) -> Relight:
     from lightsim.relighting.network.relight import painted_by, relit_by
     from lightsim.relighting.network.stored import network_for
 
+    device = choose_device("auto")
     if method == "self-osr":
-        return partial(shown_by, network_for(SelfOsrNet, weights))
+        return partial(shown_by, network_for(SelfOsrNet, weights).to(device))
     if method == "epe":
-        return partial(shown_by, network_for(EpeNet, weights))
+        return partial(shown_by, network_for(EpeNet, weights).to(device))
     if method == "paper":
-        return partial(painted_by, network_for(PaperNet, weights))
-    return partial(relit_by, network_for(RelitNet, weights))
+        return partial(painted_by, network_for(PaperNet, weights).to(device))
+    return partial(relit_by, network_for(RelitNet, weights).to(device))

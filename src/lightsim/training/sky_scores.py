@@ -16,6 +16,7 @@ from torch import Tensor
 from lightsim.core.colour import luminance
 from lightsim.core.equirect import pixel_directions, solid_angles_sr, uv_from_directions
 from lightsim.lighting.sample import LightingBatch
+from lightsim.networks.devices import device_of
 from lightsim.networks.sky_terms import SkyEncoding, SkyTensors
 from lightsim.training.sky import Completion, sky_tensors
 
@@ -141,7 +142,7 @@ class Answers:
 def answer_of(model: SkyModel, batch: LightingBatch, complete: Completion | None) -> Answers:
     """A network's answers, its dome decoded from its own sun."""
     count = len(batch.log_peak)
-    device = next(model.parameters()).device if isinstance(model, torch.nn.Module) else "cpu"
+    device = device_of(model) if isinstance(model, torch.nn.Module) else "cpu"
     tensors = sky_tensors(batch, np.zeros(count, bool), complete, torch.device(device))
     with torch.no_grad():
         predicted = model.encode(tensors)

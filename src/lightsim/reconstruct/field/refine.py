@@ -11,6 +11,7 @@ from jaxtyping import Float32
 from lightsim.core.colour import linear_from_srgb
 from lightsim.core.fields import BLOCK, SceneFields, TsdfGrid
 from lightsim.core.mesh import TriMesh
+from lightsim.networks.devices import device_of
 from lightsim.progress import Progress
 from lightsim.reconstruct.field.sdf_field import SceneField
 
@@ -53,7 +54,7 @@ def signed_distances(
     field: SceneField, points: Float32[np.ndarray, "n 3"], actor: int
 ) -> Float32[np.ndarray, " n"]:
     """Signed distance of points in the frame of the background (-1) or of an actor."""
-    device = next(field.parameters()).device
+    device = device_of(field)
     parts = [np.zeros(0, np.float32)]
     with torch.no_grad():
         for start in range(0, len(points), _BATCH):
@@ -68,7 +69,7 @@ def vertex_radiance(field: SceneField, mesh: TriMesh, actor: int) -> Float32[np.
 
     The paper's base colour (appendix, "Neural Scene Reconstruction").
     """
-    device = next(field.parameters()).device
+    device = device_of(field)
     parts = [np.zeros((0, 3), np.float32)]
     with torch.no_grad():
         for start in range(0, len(mesh.vertices), _BATCH):

@@ -8,6 +8,7 @@ from jaxtyping import UInt8
 
 from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import CameraFrame
+from lightsim.networks.devices import device_of
 from lightsim.reconstruct.field.ray_pool import Guide, pixel_rays
 from lightsim.reconstruct.field.sampling import place_samples
 from lightsim.reconstruct.field.sdf_field import SceneField
@@ -25,7 +26,7 @@ def render_frame(
     Samples lie as in training; their random places are the same at every call.
     """
     camera = log.cameras[frame.camera_name]
-    device = next(field.parameters()).device
+    device = device_of(field)
     generator = torch.Generator().manual_seed(0)
     parts = []
     for start in range(0, camera.width_px * camera.height_px, _CHUNK):

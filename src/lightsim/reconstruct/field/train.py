@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from lightsim.networks.devices import device_of
 from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
 from lightsim.reconstruct.field.config import NeuralConfig
 from lightsim.reconstruct.field.hash_grid.sparse_adam import SparseAdam
@@ -44,7 +45,7 @@ def train_field(field: SceneField, rays: TrainingRays, seed: int, session: Sessi
     very same field on the CPU.
     """
     config = field.config
-    device = next(field.parameters()).device
+    device = device_of(field)
     # Sparse Adam for the tables, of which a batch reaches little; Adam for the rest.
     tables = [SparseAdam(table, learning_rate=_TABLE_RATE) for table in field.tables]
     dense = torch.optim.Adam(field.dense_parameters, lr=_HEAD_RATE, eps=1e-15)

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float32
 
 from lightsim.core.dome import SkyDome, resized
+from lightsim.networks.devices import device_of
 from lightsim.networks.spherical_harmonics import project, shading_basis
 from lightsim.relighting.baselines.epe import EpeNet
 from lightsim.relighting.baselines.self_osr import SelfOsrNet
@@ -33,7 +34,8 @@ def shown_by(network: SelfOsrNet | EpeNet, inputs: RelightInputs, config: RatioC
     seen = circumstances_of(inputs)
     planes = scene_planes(inputs, seen) | target_planes(inputs, seen, inputs.target_sky)
     with torch.inference_mode():
-        picture = linear_of(network(tensors_of(planes)).clamp(0, 1))[0].permute(1, 2, 0).numpy()
+        picture = linear_of(network(tensors_of(planes, device_of(network))).clamp(0, 1))[0]
+        picture = picture.permute(1, 2, 0).cpu().numpy()
     return Estimate((picture / seen.gain).astype(np.float32))
 
 

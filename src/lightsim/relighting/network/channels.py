@@ -102,22 +102,6 @@ def target_planes(
     return {f"target_{name}": _plane(value) for name, value in planes.items()}
 
 
-def shrunk(planes: Planes, columns: int) -> Planes:
-    """The planes at most so many columns wide, by areas; domes stay."""
-    height, width = planes["source"].shape[1:]
-    if width <= columns:
-        return planes
-    rows = round(height * columns / width)
-    return {
-        name: value if name.endswith(OF_SKIES) else _resized(value, rows, columns)
-        for name, value in planes.items()
-    }
-
-
-def _resized(plane: np.ndarray, rows: int, columns: int) -> Float32[np.ndarray, "c h w"]:
-    return _plane(resize_area(np.moveaxis(plane, 0, -1), rows, columns))
-
-
 def _light_planes(light: ShadowBuffers, gain: Float32[np.ndarray, "3"]) -> dict[str, np.ndarray]:
     return {
         "shaded": light.shaded * gain,

@@ -11,7 +11,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from lightsim.core.colour import LUMINANCE_WEIGHTS
-from lightsim.relighting.network.channels import BUFFERS, Planes
+from lightsim.core.resample import area_weights
+from lightsim.relighting.network.channels import BUFFERS, OF_SKIES, Planes
 
 Batch = Mapping[str, Tensor]
 """Planes with a leading axis of samples, by name (`channels`)."""
@@ -26,6 +27,22 @@ _FAR_M = 200.0
 def tensors_of(planes: Planes, device: torch.device | str = "cpu") -> dict[str, Tensor]:
     """One sample as a batch."""
     return {k: torch.from_numpy(v).to(device, torch.float32)[None] for k, v in planes.items()}
+
+
+def shrunk(batch: Batch, columns: int) -> Batch:
+    """The planes at most so many columns wide, by areas; domes stay."""
+    height, width = batch["source"].shape[-2:]
+    if width <= columns:
+        return batch
+    source = batch["source"]
+    down, across = (
+        source.new_tensor(area_weights(old, new))
+        for old, new in ((height, round(height * columns / width)), (width, columns))
+    )
+    return {
+        name: plane if name.endswith(OF_SKIES) else down @ plane @ across.T
+        for name, plane in batch.items()
+    }
 
 
 def coded(radiance: Tensor) -> Tensor:

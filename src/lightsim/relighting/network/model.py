@@ -106,8 +106,11 @@ class RelitNet(nn.Module):
                 of their whole frames (`features.level`).
             working: the same at the working size; None: the picture has it.
         """
-        batch = without(batch, self.config.unseen)
-        working = batch if working is None else without(working, self.config.unseen)
+        given, batch = batch, without(batch, self.config.unseen)
+        if working is None or working is given:
+            working = batch
+        else:
+            working = without(working, self.config.unseen)
         known = working.get("target_level")
         frame_level = level(working) if known is None else known
         exposure = _LEVEL / frame_level.clamp_min(_LEAST_LEVEL)
