@@ -20,6 +20,7 @@ class TorchPrior:
         moved = [torch.from_numpy(array).to(device) for array in stack]
         self._table, self._start, self._low, self._shape = (a.to(torch.int64) for a in moved[:4])
         self._geometry = moved[4].to(torch.float32)
+        self._corners = torch.tensor(_CORNERS, device=device)
         self._sdf, self._weight = moved[5].reshape(-1), moved[6].reshape(-1)
 
     def look_up(
@@ -47,27 +48,25 @@ class TorchPrior:
         cell = torch.floor(scaled)
         inner = scaled - cell
         cell = cell.to(torch.int64)
-        value, evidence, total = (torch.zeros_like(scaled[:, 0]) for _ in range(3))
-        for corner in _CORNERS:
-            offset = torch.tensor(corner, device=points.device)
-            fraction = torch.where(offset.bool(), inner, 1 - inner).prod(dim=1)
-            at = self._sample(cell + offset, grid)
-            weight = torch.where(at >= 0, self._weight[at.clamp(min=0)], torch.zeros_like(fraction))
-            fraction = torch.where(weight > 0, fraction, torch.zeros_like(fraction))
-            value += fraction * self._sdf[at.clamp(min=0)]
-            evidence += fraction * weight
-            total += fraction
+        # All eight corners at once: on a device the number of kernels is what costs.
+        at_corner = self._corners[:, None]
+        fraction = torch.where(at_corner.bool(), inner, 1 - inner).prod(dim=2)
+        at = self._sample(cell + at_corner, grid)
+        weight = torch.where(at >= 0, self._weight[at.clamp(min=0)], 0.0)
+        fraction = torch.where(weight > 0, fraction, 0.0)
+        value = (fraction * self._sdf[at.clamp(min=0)]).sum(dim=0)
+        evidence, total = (fraction * weight).sum(dim=0), fraction.sum(dim=0)
         is_known = total >= 0.5
-        value = torch.where(is_known, value / total.clamp(min=0.5), torch.zeros_like(value))
-        return value, torch.where(is_known, evidence, torch.zeros_like(evidence))
+        value = torch.where(is_known, value / total.clamp(min=0.5), 0.0)
+        return value, torch.where(is_known, evidence, 0.0)
 
-    def _sample(self, index: Int[Tensor, "m 3"], grid: Int[Tensor, " m"]) -> Int[Tensor, " m"]:
+    def _sample(self, index: Int[Tensor, "k m 3"], grid: Int[Tensor, " m"]) -> Int[Tensor, "k m"]:
         """Flat position of a sample in the block arrays, -1 where its block is absent."""
         block = torch.div(index, BLOCK, rounding_mode="floor") - self._low[grid]
         shape = self._shape[grid]
-        inside = ((block >= 0) & (block < shape)).all(dim=1)
-        flat = (block[:, 0] * shape[:, 1] + block[:, 1]) * shape[:, 2] + block[:, 2]
-        row = self._table[torch.where(inside, self._start[grid] + flat, torch.zeros_like(flat))]
+        inside = ((block >= 0) & (block < shape)).all(dim=2)
+        flat = (block[..., 0] * shape[:, 1] + block[..., 1]) * shape[:, 2] + block[..., 2]
+        row = self._table[torch.where(inside, self._start[grid] + flat, 0)]
         local = torch.remainder(index, BLOCK)
-        inner = (local[:, 0] * BLOCK + local[:, 1]) * BLOCK + local[:, 2]
-        return torch.where(inside & (row >= 0), row * BLOCK**3 + inner, torch.full_like(row, -1))
+        inner = (local[..., 0] * BLOCK + local[..., 1]) * BLOCK + local[..., 2]
+        return torch.where(inside & (row >= 0), row * BLOCK**3 + inner, -1)
