@@ -104,7 +104,8 @@ class Street:
         true = self.true.trace(self.surfaces.scenario, frame, camera)
 
         def read(what: str, traced: Callable[[], np.ndarray]) -> np.ndarray:
-            """What the street wrote; streets of the benchmark have no buffers."""
+            """What the street wrote; of one without buffers these are the *twin's* base colours,
+            moved onto true surfaces, which tells nothing of what true ones would give."""
             path = self.truth / what / camera_name / f"{stem}.exr"
             return read_exr(path) if path.is_file() else traced()
 
