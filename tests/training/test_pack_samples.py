@@ -48,7 +48,7 @@ def test_samples_come_back(tmp_path: Path, rng: np.random.Generator) -> None:
     found = read_sample(tmp_path / "again" / "201" / "front_03_under_low_sun.npz")
     for name in ("matte", "source_dome"):
         np.testing.assert_array_equal(found.scene[name], np.float16(scene[name]))
-    np.testing.assert_allclose(found.scene["position"], vectors, atol=60 / 255 + 0.02)
+    np.testing.assert_allclose(found.scene["position"], vectors, atol=60 / 255 + 0.04)
     target = found.targets["low_sun"]
     np.testing.assert_array_equal(target.planes["target_sun"], scene["matte"])
     assert target.truth is not None
