@@ -10,6 +10,7 @@ from lightsim.core.colour import linear_from_srgb8
 from lightsim.errors import InputError
 from lightsim.relighting.physical.compose import camera_image
 from lightsim.relighting.physical.filters import (
+    _enlarged,
     box_mean,
     fill_holes,
     guided_filter,
@@ -68,6 +69,17 @@ def test_unmixing_recovers_the_foreground() -> None:
     image = (1 - matte[..., None]) * twig + matte[..., None] * sky
     found = foreground_radiance(image.astype(np.float32), matte)
     np.testing.assert_allclose(found[:, :5], np.broadcast_to(twig, (12, 5, 3)), atol=1e-5)
+
+
+@pytest.mark.parametrize("size", [(7, 9, 14, 18), (7, 9, 13, 17), (1, 3, 2, 5), (5, 1, 9, 1)])
+def test_pictures_are_enlarged_as_scipy_does(
+    rng: np.random.Generator, size: tuple[int, int, int, int]
+) -> None:
+    height, width, rows, columns = size
+    image = rng.random((height, width, 3), dtype=np.float32)
+    zoom = (rows / height, columns / width, 1)
+    expected = np.asarray(ndimage.zoom(image, zoom, order=1, mode="nearest", grid_mode=True))
+    np.testing.assert_allclose(_enlarged(image, rows, columns), expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("size_px", [1, 5, 15])

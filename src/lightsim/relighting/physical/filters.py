@@ -84,8 +84,8 @@ def median_smoothed(
     calm = np.stack([median(small[..., c], size) for c in range(channels)], axis=-1)
     if step == 1:
         return calm
-    up = ndimage.zoom(calm, (step, step, 1), order=1, mode="nearest", grid_mode=True)
-    return np.ascontiguousarray(up[:height, :width]).astype(np.float32)
+    up = _enlarged(calm, step * rows, step * columns)
+    return np.ascontiguousarray(up[:height, :width])
 
 
 def median(image: Float32[np.ndarray, "h w"], size_px: int) -> Float32[np.ndarray, "h w"]:
@@ -128,10 +128,23 @@ def _pull_push(
     sums = _halved(weight)
     clamped = np.minimum(sums, 1.0)
     coarse = _pull_push(_halved(total) * (clamped / np.maximum(sums, _EPSILON)), clamped)
-    zoom = (height / coarse.shape[0], width / coarse.shape[1], 1)
-    up = np.asarray(ndimage.zoom(coarse, zoom, order=1, mode="nearest", grid_mode=True))
     trust = np.minimum(weight, 1.0)
-    return (trust * own + (1.0 - trust) * up[:height, :width]).astype(np.float32)
+    return (trust * own + (1.0 - trust) * _enlarged(coarse, height, width)).astype(np.float32)
+
+
+def _enlarged(
+    image: Float32[np.ndarray, "a b c"], height: int, width: int
+) -> Float32[np.ndarray, "h w c"]:
+    """Bilinear, edges repeated: `scipy.ndimage.zoom` of order 1 in grid mode, which takes four to
+    ten times as long."""
+    for axis, size in ((0, height), (1, width)):
+        own = image.shape[axis]
+        place = np.clip((np.arange(size) + 0.5) * (own / size) - 0.5, 0, own - 1)
+        low = place.astype(np.int64)
+        part = (place - low).astype(np.float32).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
+        first, second = (np.take(image, np.minimum(low + k, own - 1), axis) for k in (0, 1))
+        image = first + part * (second - first)
+    return image.astype(np.float32)
 
 
 def _halved(image: Float32[np.ndarray, "h w c"]) -> Float32[np.ndarray, "_ _ c"]:
