@@ -158,3 +158,24 @@ def test_what_can_be_edited_and_inserted_is_listed(
         cli.main(["scenario", "cut-in", str(work), "--out", str(missing), "--asset", "none.glb"])
     assert "none.glb" in capsys.readouterr().err
     assert not missing.exists()
+
+
+def test_a_scene_is_laid_where_nobody_stands_in_the_way(
+    built_street: BuiltStreet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The usual place and the next one are taken; of places that are all taken, the least so."""
+
+    def edits(name: str, *words: str) -> Any:
+        out = tmp_path / f"{name}.json"
+        cli.main(["scenario", "cut-in", str(built_street.work), "--out", str(out), *words])
+        return json.loads(out.read_text())["edits"]
+
+    asked = [edits(f"at_{gap_m}", "--gap-m", str(gap_m)) for gap_m in (10, 12, 8)]
+    for conflicts, expected in (
+        ([("a",), ("a",), ()], asked[2]),
+        ([("a", "b"), ("a",), *[("a", "b")] * 6], asked[1]),
+    ):
+        coming = iter(conflicts)
+        name = "lightsim.simulation.edited.find_conflicts"
+        monkeypatch.setattr(name, lambda *_, coming=coming: next(coming))
+        assert edits("found") == expected

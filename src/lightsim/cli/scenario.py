@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,6 +15,14 @@ from lightsim.cli.options import Verbose, say
 if TYPE_CHECKING:
     from lightsim.core.log import DrivingLog
     from lightsim.scenario.generators import EgoLane
+
+
+_AROUND_M = (0.0, 2.0, -2.0, 4.0, -4.0, 6.0, 8.0, 10.0)
+"""Places are tried this far from the usual one, until nobody stands in the way."""
+
+
+def _places(asked_m: float | None, usual_m: float) -> tuple[float, ...]:
+    return tuple(usual_m + step for step in _AROUND_M) if asked_m is None else (asked_m,)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,27 +38,42 @@ class _Generator:
     verbose: Verbose = False
     """Show the trace of an error."""
 
-    def _write(self, make: Callable[[EgoLane, DrivingLog], list[dict[str, Any]]]) -> None:
+    def _write(
+        self,
+        make: Callable[[EgoLane, DrivingLog, float], list[dict[str, Any]]],
+        places_m: Sequence[float] = (0.0,),
+    ) -> None:
+        """Write the scene at the first place where nobody stands in the way; if there is none, at
+        that with the fewest conflicts."""
         from lightsim.pipeline.workspace import Workspace
         from lightsim.scenario.edits import VERSION, parse_scenario
         from lightsim.scenario.generators import EgoLane
         from lightsim.scenario.replay import replay
-        from lightsim.simulation.edited import asset_library, edited_scenario
+        from lightsim.simulation.edited import asset_library, edited_scenario, tell_conflicts
         from lightsim.store.artefact import write_json
 
         workspace = Workspace(self.work)
         log = workspace.log
-        edits = make(EgoLane.of(log, self.lane_width_m), log)
-        scenario = {"version": VERSION, "name": self.out.stem, "sky": self.sky, "edits": edits}
-        request = parse_scenario(scenario, self.out)
-        # A missing asset, or who stands in the way, is told now and not when frames are made.
-        recorded = replay(workspace.twin, request.name, log.frames)
+        lane = EgoLane.of(log, self.lane_width_m)
+        recorded = replay(workspace.twin, self.out.stem, log.frames)
         library = asset_library(None, self.out.parent)
-        odd = edited_scenario(workspace, recorded, request, library).notes
+        scenario: dict[str, Any] = {}
+        conflicts: tuple[str, ...] | None = None
+        for place_m in places_m:
+            scene = {"version": VERSION, "name": self.out.stem, "sky": self.sky}
+            scene["edits"] = make(lane, log, place_m)
+            request = parse_scenario(scene, self.out)
+            # A missing asset, or who stands in the way, is told now and not when frames are made.
+            odd = edited_scenario(workspace, recorded, request, library).notes
+            if conflicts is None or len(odd) < len(conflicts):
+                scenario, conflicts = scene, odd
+            if not conflicts:
+                break
+        tell_conflicts(conflicts or (), self.out)
         self.out.parent.mkdir(parents=True, exist_ok=True)
         write_json(self.out, scenario)
-        say(f"{len(edits)} edits: {self.out}")
-        if odd:
+        say(f"{len(scenario['edits'])} edits: {self.out}")
+        if conflicts:
             say("change the edits (take out who is in the way), or move the scene by its options")
         say(f"next: lightsim simulate {self.work} {self.out}")
 
@@ -61,8 +84,9 @@ class CutIn(_Generator):
 
     asset: str = "car-red"
     """What drives: a file, a library name, or WORK#actor_id."""
-    gap_m: float = 10.0
-    """Ahead of the ego vehicle at the start, centre to centre."""
+    gap_m: float | None = None
+    """Ahead of the ego vehicle at the start, centre to centre; by default 10, or where nobody
+    stands in the way, 6 to 20."""
     from_right: bool = False
     """It comes from the right."""
     actor: str = ""
@@ -73,7 +97,8 @@ class CutIn(_Generator):
         from lightsim.scenario.generators import cut_in
 
         self._write(
-            lambda lane, _: cut_in(lane, self.asset, self.gap_m, not self.from_right, self.actor)
+            lambda lane, _, gap_m: cut_in(lane, self.asset, gap_m, not self.from_right, self.actor),
+            _places(self.gap_m, 10.0),
         )
 
 
@@ -83,8 +108,9 @@ class LaneChange(_Generator):
 
     asset: str = "car"
     """What drives."""
-    gap_m: float = 15.0
-    """Ahead of the ego vehicle at the start, centre to centre."""
+    gap_m: float | None = None
+    """Ahead of the ego vehicle at the start, centre to centre; by default 15, or where nobody
+    stands in the way, 11 to 25."""
     to_right: bool = False
     """It goes to the right."""
 
@@ -92,7 +118,10 @@ class LaneChange(_Generator):
         """Write the scenario."""
         from lightsim.scenario.generators import lane_change
 
-        self._write(lambda lane, _: lane_change(lane, self.asset, self.gap_m, not self.to_right))
+        self._write(
+            lambda lane, _, gap_m: lane_change(lane, self.asset, gap_m, not self.to_right),
+            _places(self.gap_m, 15.0),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,8 +130,9 @@ class HardBrake(_Generator):
 
     asset: str = "car"
     """What drives."""
-    gap_m: float = 15.0
-    """Ahead of the ego vehicle at the start, centre to centre."""
+    gap_m: float | None = None
+    """Ahead of the ego vehicle at the start, centre to centre; by default 15, or where nobody
+    stands in the way, 11 to 25."""
     after_s: float = 0.5
     """When it begins to brake."""
 
@@ -110,7 +140,10 @@ class HardBrake(_Generator):
         """Write the scenario."""
         from lightsim.scenario.generators import hard_brake
 
-        self._write(lambda lane, _: hard_brake(lane, self.asset, self.gap_m, self.after_s))
+        self._write(
+            lambda lane, _, gap_m: hard_brake(lane, self.asset, gap_m, self.after_s),
+            _places(self.gap_m, 15.0),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,14 +152,18 @@ class Stalled(_Generator):
 
     asset: str = "van"
     """What stands there."""
-    ahead_m: float = 20.0
-    """Ahead of where the ego vehicle is at the end."""
+    ahead_m: float | None = None
+    """Ahead of where the ego vehicle is at the end; by default 20, or where nobody stands in the
+    way, 16 to 30."""
 
     def run(self) -> None:
         """Write the scenario."""
         from lightsim.scenario.generators import stalled
 
-        self._write(lambda lane, _: stalled(lane, self.asset, self.ahead_m))
+        self._write(
+            lambda lane, _, ahead_m: stalled(lane, self.asset, ahead_m),
+            _places(self.ahead_m, 20.0),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,7 +184,7 @@ class Construction(_Generator):
         from lightsim.scenario.generators import construction
 
         self._write(
-            lambda lane, _: construction(
+            lambda lane, *_: construction(
                 lane, self.ahead_m, self.length_m, self.from_left, self.next_lane
             )
         )
@@ -169,7 +206,7 @@ class Replace(_Generator):
         from lightsim.scenario.generators import replaced
 
         self._write(
-            lambda lane, log: replaced(lane, log.actors, self.assets, self.actors, self.count)
+            lambda lane, log, _: replaced(lane, log.actors, self.assets, self.actors, self.count)
         )
 
 
@@ -188,7 +225,7 @@ class ParkedRow(_Generator):
         """Write the scenario."""
         from lightsim.scenario.generators import parked_row
 
-        self._write(lambda lane, _: parked_row(lane, self.assets, self.count, self.left_m))
+        self._write(lambda lane, *_: parked_row(lane, self.assets, self.count, self.left_m))
 
 
 Scenarios = (

@@ -48,7 +48,8 @@ def simulate(work: Path, request: Path, options: SimulateOptions, progress: Prog
             logs = log_folders(workspace, recorded, options.write_log, tuple(options.sky_by_name))
         if asked.edits or options.ego_offset:
             library = asset_library(options.library, request.parent)
-            scenario = edited_scenario(workspace, recorded, asked, library, strict=options.strict)
+            scenario = edited_scenario(workspace, recorded, asked, library)
+            tell_conflicts(scenario.notes, asked.source, strict=options.strict)
             if options.ego_offset is not None:
                 scenario = driven_beside(scenario, options.ego_offset)
             made_of = _made_of(asked, library, options)
@@ -86,13 +87,11 @@ def edited_scenario(
     recorded: Scenario,
     asked: ScenarioRequest,
     library: AssetLibrary,
-    *,
-    strict: bool = False,
 ) -> Scenario:
-    """The replayed log with the edits of SCENARIO.json; what is odd about it is in its notes.
+    """The replayed log with the edits of SCENARIO.json; who stands in whose way is in its notes.
 
     Raises:
-        InputError: as `simulate`.
+        InputError: an unknown actor or asset, or a trajectory outside the log's time.
     """
     background = make_embree_caster([workspace.twin.assets.background])
     ground = StandingGround(workspace.fields.ground, background)
@@ -100,11 +99,15 @@ def edited_scenario(
     before = {id(track) for track in recorded.tracks}
     edited = [track for track in scenario.tracks if id(track) not in before]
     conflicts = find_conflicts(scenario, edited, ground)
-    _tell(conflicts, asked.source, strict=strict)
     return replace(scenario, edits=asked.spelt, notes=conflicts)
 
 
-def _tell(conflicts: Sequence[str], source: Path, *, strict: bool) -> None:
+def tell_conflicts(conflicts: Sequence[str], source: Path, *, strict: bool = False) -> None:
+    """Warn of what cannot be in a street.
+
+    Raises:
+        InputError: there is such a thing, and the user is strict.
+    """
     if conflicts and strict:
         raise InputError(
             "the scenario is not possible",
