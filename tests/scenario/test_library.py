@@ -69,6 +69,15 @@ def test_what_is_added_can_be_listed_and_loaded(tmp_path: Path) -> None:
     assert len(beside.load("van.glb").mesh.faces) == 24
 
 
+def test_a_file_is_read_once_and_anew_when_it_is_replaced(tmp_path: Path) -> None:
+    write_glb(tmp_path / "van.glb", wedge("-x"))
+    library = AssetLibrary(tmp_path / "library", {}, beside=tmp_path)
+    assert library.load("van.glb") is library.load("van.glb")
+    for length_m in (5.0, 4.0):
+        add_model(library, tmp_path / "van.glb", "van", length_m=length_m, is_replacing=True)
+        assert np.ptp(library.load("van").mesh.vertices[:, 0]) == pytest.approx(length_m)
+
+
 def test_what_ships_stands_in_the_middle_of_its_box_and_looks_outwards() -> None:
     for name, asset in built_in_assets().items():
         mesh = asset.mesh

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -70,13 +70,19 @@ class AssetLibrary:
     folder: Path
     built_in: Mapping[str, ActorAsset]
     beside: Path = Path()
+    _loaded: dict[str, ActorAsset] = field(default_factory=dict, init=False, repr=False)
 
     def load(self, words: str) -> ActorAsset:
-        """The asset that a user's words name.
+        """The asset that a user's words name; its file is read once, however many stand there.
 
         Raises:
             InputError: there is none, or its file is damaged.
         """
+        if words not in self._loaded:
+            self._loaded[words] = self._read(words)
+        return self._loaded[words]
+
+    def _read(self, words: str) -> ActorAsset:
         if "#" in words:
             return self._of_work(*words.rsplit("#", 1))
         path = self._file(words)
@@ -137,6 +143,7 @@ class AssetLibrary:
             )  # fmt: skip
         self.folder.mkdir(parents=True, exist_ok=True)
         info = _info(name, asset, origin, score)
+        self._loaded.pop(name, None)
         write_glb(self.folder / f"{name}.glb", asset.mesh)
         write_json(self.folder / f"{name}{_INFO}", {**vars(info), "label": asset.label})
         return info
