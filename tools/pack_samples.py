@@ -77,7 +77,9 @@ def pack(streets: list[Path], out: Path) -> None:
                 }
                 index = {name: [p.blob, p.channels, p.high] for name, p in planes.items()}
                 archive.writestr(f"{street.name}/{file.stem}.json", json.dumps(index))
-            sys.stdout.write(f"{street.name}: {len(files)} samples\n")
+            size_mb = sum(file.stat().st_size for file in files) / 1e6
+            sys.stdout.write(f"{street.name}: {len(files)} samples, {size_mb:.1f} MB\n")
+    sys.stdout.write(f"{out}: {out.stat().st_size / 1e6:.1f} MB\n")
 
 
 def unpack(file: Path, out: Path) -> None:

@@ -135,8 +135,8 @@ def _pull_push(
 def _enlarged(
     image: Float32[np.ndarray, "a b c"], height: int, width: int
 ) -> Float32[np.ndarray, "h w c"]:
-    """Bilinear, edges repeated: `scipy.ndimage.zoom` of order 1 in grid mode, which takes four to
-    ten times as long."""
+    """Bilinear, edges repeated: `scipy.ndimage.zoom` of order 1 in grid mode, which takes several
+    times as long."""
     for axis, size in ((0, height), (1, width)):
         own = image.shape[axis]
         place = np.clip((np.arange(size) + 0.5) * (own / size) - 0.5, 0, own - 1)
