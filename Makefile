@@ -2,6 +2,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+# Processes that share the tests: some 2 GB each.
+WORKERS ?= 2
 INSTALLED := $(VENV)/.installed
 
 .PHONY: install demo test lint types format clean
@@ -17,7 +19,7 @@ demo: $(INSTALLED)
 	$(BIN)/lightsim demo
 
 test: lint types
-	$(BIN)/python -m pytest --durations=10
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup --no-loadscope-reorder --durations=10
 
 lint: $(INSTALLED)
 	$(BIN)/ruff format --check .

@@ -14,6 +14,23 @@ import numpy as np
 import pytest
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Shares tests out among processes (`pytest -n N --dist loadgroup`): a module goes to one, and
+    so does all that needs the built street, which would be built by each; slow ones begin."""
+    groups = [_group(item) for item in items]
+    slow = {g for g, item in zip(groups, items, strict=True) if item.get_closest_marker("slow")}
+    for group, item in zip(groups, items, strict=True):
+        item.add_marker(pytest.mark.xdist_group(group))
+    first = {g: k for k, g in reversed(list(enumerate(groups)))}
+    order = sorted(zip(groups, items, strict=True), key=lambda x: (x[0] not in slow, first[x[0]]))
+    items[:] = [item for _, item in order]
+
+
+def _group(item: pytest.Item) -> str:
+    names = item.fixturenames if isinstance(item, pytest.Function) else ()
+    return "built_street" if "built_street" in names else item.path.stem
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(0)

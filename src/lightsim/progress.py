@@ -45,7 +45,8 @@ class LineProgress:
             if now - last >= self._every_s:
                 last = now
                 self._line(description, done, total, now - start)
-        self._line(description, done, total, time.monotonic() - start)
+        if done or total != 0:
+            self._line(description, done, total, time.monotonic() - start)
 
     @staticmethod
     def _line(description: str, done: int, total: int | None, seconds: float) -> None:
