@@ -8,7 +8,7 @@ import pytest
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.fields import GroundMap
 from lightsim.core.frames import RigidTransform
-from lightsim.core.mesh import Provenance, TriMesh
+from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import FrameMismatchError
 from lightsim.geometry.completion.far_field import build_far_field
@@ -25,6 +25,13 @@ def _near_ground() -> TriMesh:
     return TriMesh("world", points, faces, np.zeros((4, 3), np.float32))
 
 
+def _house() -> TriMesh:
+    """Its front, 15 m to the left and 5 m high."""
+    points = np.array([[-25, 15, 0], [35, 15, 0], [35, 15, 5], [-25, 15, 5]], np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    return TriMesh("world", points, faces, np.zeros((4, 3), np.float32))
+
+
 def _ground() -> GroundMap:
     """Level, but one corner of the map lies on a roof."""
     height = np.zeros((60, 60), np.float32)
@@ -32,8 +39,9 @@ def _ground() -> GroundMap:
     return GroundMap(np.array([-30.0, -30.0]), 1.0, height, np.ones((60, 60), dtype=bool))
 
 
-def _views() -> list:
-    """Infinitely far: 5 degrees high, a tower of 12 degrees at azimuth 0 (+-4)."""
+def _views(cornice_deg: float = 0.0) -> list:
+    """Infinitely far: 5 degrees high, a tower of 12 degrees at azimuth 0 (+-4), a hill behind. The
+    house of `_house` hides what is behind it, and is so much higher than its mesh."""
     views = []
     for x_m in (0.0, 2.5, 5.0, 7.5, 10.0):
         for k in range(4):
@@ -47,6 +55,15 @@ def _views() -> list:
             _, rays = frame.pixel_rays(CAMERA, CAMERA.pixel_centres().reshape(-1, 2))
             azimuth = np.degrees(np.arctan2(rays[:, 1], rays[:, 0]))
             limit = np.where(np.abs(azimuth) < 4, TOWER_DEG, SKYLINE_DEG)
+            limit += np.clip(0.2 * (np.abs(azimuth) - 120), 0, 4)
+            if cornice_deg:
+                origins, _ = frame.pixel_rays(CAMERA, CAMERA.pixel_centres().reshape(-1, 2))
+                lower = np.radians(np.degrees(np.arcsin(rays[:, 2])) - cornice_deg)
+                level = rays * [1, 1, 0] / np.linalg.norm(rays[:, :2], axis=1, keepdims=True)
+                rays_below = np.cos(lower)[:, None] * level
+                rays_below[:, 2] = np.sin(lower)
+                is_house = EmbreeCaster([_house()]).intersect(origins, rays_below).is_hit
+                limit[is_house] = 90.0
             matte = (np.degrees(np.arcsin(rays[:, 2])) > limit).astype(np.float32)
             views.append((frame, CAMERA, matte.reshape(200, 320)))
     return views
@@ -75,8 +92,26 @@ def _elevation_deg(far: TriMesh, azimuth_deg: float) -> float:
 
 def test_the_skyline_is_that_of_the_images(far: TriMesh) -> None:
     assert _elevation_deg(far, 0.0) == pytest.approx(TOWER_DEG, abs=0.7)
-    for azimuth_deg in (-90.0, 45.0, 101.0, 180.0):
+    for azimuth_deg in (-90.0, 45.0, 101.0):
         assert _elevation_deg(far, azimuth_deg) == pytest.approx(SKYLINE_DEG, abs=0.7)
+
+
+def test_a_hill_has_no_steps(far: TriMesh) -> None:
+    for azimuth_deg in np.arange(125.0, 135.0, 0.5):
+        assert _elevation_deg(far, azimuth_deg) == pytest.approx(
+            SKYLINE_DEG + 0.2 * (azimuth_deg - 120), abs=0.7
+        )
+        sides = [_elevation_deg(far, azimuth_deg + offset) for offset in (-0.02, 0.02)]
+        assert sides[0] == pytest.approx(sides[1], abs=0.11)
+
+
+def test_a_cornice_that_the_mesh_lacks_does_not_stand_far_behind_the_house() -> None:
+    near = concatenate_meshes([_near_ground(), _house()])
+    views = _views(cornice_deg=0.4)
+    far = build_far_field(near, views, _ground(), PATH, make_caster=EmbreeCaster)
+    # From beside the path one looks past the house at what would be its cornice.
+    for azimuth_deg in (80.0, 90.0, 100.0):
+        assert _elevation_deg(far, azimuth_deg) < SKYLINE_DEG + 0.7
 
 
 def test_no_ray_below_the_horizon_escapes_and_roofs_raise_no_hills(far: TriMesh) -> None:

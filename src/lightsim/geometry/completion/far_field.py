@@ -43,14 +43,18 @@ _MARGIN_M = 20.0
 _AZIMUTH_STEP_DEG = 0.5
 # Heights are found in steps of this.
 _LEVEL_M = 1.0
+# The skyline runs on from panel to panel where they differ by less.
+_SAME_ROOF_M = 3.0
 # The background proxy ends at this height above the cameras.
 _MAX_HEIGHT_M = 90.0
 # Views that must show matter in a cell.
 _MIN_VIEWS = 2
 # Fraction of the views of a cell that must show matter.
 _MIN_MATTER = 0.5
-# Pixels used, along both axes.
-_EVERY_NTH_PIXEL = 2
+# Pixels used of each row, about; what is narrower than three of them beside what stands in front
+# is a fringe of that (a cornice that the mesh lacks), and would stand far behind its place.
+_COLUMNS_USED = 480
+_FRINGE = 3
 # The ground goes on from this distance from the path.
 _INNER_M = 30.0
 # Edge of the ground's quads.
@@ -115,16 +119,21 @@ def _empty_proxy(background: TriMesh, path_m: Float[np.ndarray, "k 3"]) -> _Back
 
 def _look(proxy: _BackgroundProxy, view: ClassifiedView, caster: RayCaster) -> None:
     """Which cells of the background proxy one view shows as matter or as sky, each cell once."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
     frame, camera, kind = view
-    step = _EVERY_NTH_PIXEL
-    uv = camera.pixel_centres()[::step, ::step].reshape(-1, 2)
-    kind = kind[::step, ::step].ravel()
-    uv, kind = uv[kind != 0], kind[kind != 0]
-    origins, rays = frame.pixel_rays(camera, uv)
+    step = max(1, round(camera.width_px / _COLUMNS_USED))
+    kind = kind[::step, ::step].copy()
+    origins, rays = frame.pixel_rays(camera, camera.pixel_centres()[::step, ::step].reshape(-1, 2))
     matter = np.flatnonzero(kind < 0)
     is_hit = caster.intersect(origins[matter], rays[matter]).is_hit
-    used = np.concatenate([matter[~is_hit], np.flatnonzero(kind > 0)])
-    origins, rays, kind = origins[used], rays[used], kind[used]
+    is_near, is_beyond = (np.zeros(kind.shape, dtype=bool) for _ in range(2))
+    is_near.flat[matter[is_hit]] = is_beyond.flat[matter[~is_hit]] = True
+    is_wide = maximum_filter(minimum_filter(is_beyond, _FRINGE), _FRINGE)
+    is_fringe = maximum_filter(is_near, _FRINGE) & ~is_wide
+    kind[(kind < 0) & (~is_beyond | is_fringe)] = 0
+    kind = kind.ravel()
+    origins, rays, kind = origins[kind != 0], rays[kind != 0], kind[kind != 0]
     offset = origins[:, :2] - proxy.centre[:2]
     a = (rays[:, :2] ** 2).sum(axis=1)
     b = (rays[:, :2] * offset).sum(axis=1)
@@ -160,6 +169,17 @@ def _skyline(proxy: _BackgroundProxy) -> Float64[np.ndarray, " a"]:
     return top.astype(np.float64) * _LEVEL_M
 
 
+def _slanted(height_m: Float64[np.ndarray, " a"]) -> Float64[np.ndarray, "a 2"]:
+    """Height of each panel at its right and its left: the mean with its neighbour's there, where
+    both are of one roof."""
+
+    def side(neighbour: Float64[np.ndarray, " a"]) -> Float64[np.ndarray, " a"]:
+        is_same = (np.abs(neighbour - height_m) <= _SAME_ROOF_M) & (neighbour > 0)
+        return np.where(is_same, 0.5 * (neighbour + height_m), height_m)
+
+    return np.stack([side(np.roll(height_m, 1)), side(np.roll(height_m, -1))], axis=1)
+
+
 def _mesh_panels(
     proxy: _BackgroundProxy,
     height_m: Float64[np.ndarray, " a"],
@@ -169,15 +189,15 @@ def _mesh_panels(
     panel = np.flatnonzero(height_m > 0)
     angle = np.radians(_AZIMUTH_STEP_DEG * np.stack([panel, panel + 1], axis=1))
     xy = proxy.centre[:2] + proxy.radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    top = proxy.low_m + height_m[panel]
+    top = proxy.low_m + _slanted(height_m)[panel]
     foot = _continued_height(ground, xy.reshape(-1, 2)).min() if len(panel) else 0.0
-    low = np.minimum(foot, top) - _STEPS_DOWN * _LEVEL_M
-    count = np.maximum(np.ceil((top - low) / _PANEL_M), 1).astype(np.int64)
+    low = np.minimum(foot, top.min(axis=1)) - _STEPS_DOWN * _LEVEL_M
+    count = np.maximum(np.ceil((top.max(axis=1) - low) / _PANEL_M), 1).astype(np.int64)
     row = np.repeat(np.arange(len(panel)), count)
-    part = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
-    step = ((top - low) / count)[row]
-    z0, z1 = low[row] + part * step, low[row] + (part + 1) * step
-    z = np.stack([z0, z0, z1, z1], axis=1)
+    part = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count))[:, None]
+    rise = ((top - low[:, None]) / count[:, None])[row]
+    z0 = low[row][:, None] + part * rise
+    z = np.concatenate([z0[:, ::-1], (z0 + rise)], axis=1)
     # Counter-clockwise seen from the middle: azimuth grows to the left.
     corners = np.concatenate([xy[row][:, [1, 0, 0, 1]], z[:, :, None]], axis=2).reshape(-1, 3)
     return quad_mesh(corners, np.arange(len(corners)).reshape(-1, 4))
