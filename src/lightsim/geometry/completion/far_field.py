@@ -129,7 +129,7 @@ def _look(proxy: _BackgroundProxy, view: ClassifiedView, caster: RayCaster) -> N
     is_hit = caster.intersect(origins[matter], rays[matter]).is_hit
     is_near, is_beyond = (np.zeros(kind.shape, dtype=bool) for _ in range(2))
     is_near.flat[matter[is_hit]] = is_beyond.flat[matter[~is_hit]] = True
-    is_wide = maximum_filter(minimum_filter(is_beyond, _FRINGE), _FRINGE)
+    is_wide = np.asarray(maximum_filter(minimum_filter(is_beyond, _FRINGE), _FRINGE), dtype=bool)
     is_fringe = maximum_filter(is_near, _FRINGE) & ~is_wide
     kind[(kind < 0) & (~is_beyond | is_fringe)] = 0
     kind = kind.ravel()
