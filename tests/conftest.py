@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,21 +15,31 @@ import numpy as np
 import pytest
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Shares tests out among processes (`pytest -n N --dist loadscope`): a module goes to one, and
+    so do all that need the built street, which each process would build."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByModule(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return _group(config.rootpath / nodeid.split("::")[0])
+
+    return ByModule(config, log)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Shares tests out among processes (`pytest -n N --dist loadgroup`): a module goes to one, and
-    so does all that needs the built street, which would be built by each; slow ones begin."""
-    groups = [_group(item) for item in items]
+    """Slow groups begin."""
+    groups = [_group(item.path) for item in items]
     slow = {g for g, item in zip(groups, items, strict=True) if item.get_closest_marker("slow")}
-    for group, item in zip(groups, items, strict=True):
-        item.add_marker(pytest.mark.xdist_group(group))
     first = {g: k for k, g in reversed(list(enumerate(groups)))}
     order = sorted(zip(groups, items, strict=True), key=lambda x: (x[0] not in slow, first[x[0]]))
     items[:] = [item for _, item in order]
 
 
-def _group(item: pytest.Item) -> str:
-    names = item.fixturenames if isinstance(item, pytest.Function) else ()
-    return "built_street" if "built_street" in names else item.path.stem
+@cache
+def _group(module: Path) -> str:
+    return "built_street" if "built_street" in module.read_text() else str(module)
 
 
 @pytest.fixture
