@@ -16,7 +16,7 @@ from lightsim.render.casters.embree import EmbreeCaster
 
 CAMERA = PinholeCamera("front", 320, 200, 150.0, 150.0, 160.0, 100.0)
 PATH = np.stack([np.linspace(0, 10, 6), np.zeros(6), np.full(6, 1.5)], axis=1)
-TOWER_DEG, SKYLINE_DEG = 12.0, 5.0
+TOWER_DEG, SKYLINE_DEG, HILL_DEG = 12.0, 5.0, 4.0
 
 
 def _near_ground() -> TriMesh:
@@ -52,12 +52,11 @@ def _views(cornice_deg: float = 0.0) -> list:
                 "world", "camera", rotation, np.array([x_m, 0.0, 1.5])
             )
             frame = CameraFrame(f"c{k}", f"{x_m}", 0, pose, lambda: np.zeros((1, 1, 3), np.uint8))
-            _, rays = frame.pixel_rays(CAMERA, CAMERA.pixel_centres().reshape(-1, 2))
+            origins, rays = frame.pixel_rays(CAMERA, CAMERA.pixel_centres().reshape(-1, 2))
             azimuth = np.degrees(np.arctan2(rays[:, 1], rays[:, 0]))
             limit = np.where(np.abs(azimuth) < 4, TOWER_DEG, SKYLINE_DEG)
-            limit += np.clip(0.2 * (np.abs(azimuth) - 120), 0, 4)
+            limit += np.clip(0.2 * (np.abs(azimuth) - 120), 0, HILL_DEG)
             if cornice_deg:
-                origins, _ = frame.pixel_rays(CAMERA, CAMERA.pixel_centres().reshape(-1, 2))
                 lower = np.radians(np.degrees(np.arcsin(rays[:, 2])) - cornice_deg)
                 level = rays * [1, 1, 0] / np.linalg.norm(rays[:, :2], axis=1, keepdims=True)
                 rays_below = np.cos(lower)[:, None] * level
@@ -94,6 +93,7 @@ def test_the_skyline_is_that_of_the_images(far: TriMesh) -> None:
     assert _elevation_deg(far, 0.0) == pytest.approx(TOWER_DEG, abs=0.7)
     for azimuth_deg in (-90.0, 45.0, 101.0):
         assert _elevation_deg(far, azimuth_deg) == pytest.approx(SKYLINE_DEG, abs=0.7)
+    assert _elevation_deg(far, 180.0) == pytest.approx(SKYLINE_DEG + HILL_DEG, abs=0.7)
 
 
 def test_a_hill_has_no_steps(far: TriMesh) -> None:
