@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -115,6 +117,22 @@ def test_the_picture_of_the_same_place_and_moment_wins() -> None:
     assert found.is_observed.all()
     at = away_from_edges(0.5).reshape(own.near_m.shape)
     assert np.abs(codes.astype(int) - own.srgb8)[at].max() <= 1
+
+
+def test_a_wire_without_a_surface_is_shown_once() -> None:
+    """Each picture has one before its sky; the next is a tenth of a second away."""
+    sky = np.isinf(seen(0.0)[0])
+    pictures = []
+    for column, tenths in ((30, 0), (60, 1), (70, -1)):
+        plain = picture(0.0, time_ns=tenths * 100_000_000)
+        codes = plain.srgb8.copy()
+        codes[:, column][sky[:, column]] = 0
+        pictures.append(replace(plain, srgb8=codes))
+    radiance = view(0.0, pictures).radiance.reshape(*sky.shape, 3)
+    row = radiance[3, :, 1] / 0.7
+    assert sky[3, [30, 60, 70]].all()
+    assert row[30] < 0.1
+    assert row[[60, 70]].min() > 0.9
 
 
 def test_ego_vehicles_are_not_looked_at() -> None:

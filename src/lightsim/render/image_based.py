@@ -17,6 +17,9 @@ from lightsim.core.sensors import CameraFrame
 # What a picture costs that is a second away, and one whose pixels cover e times as much surface, in
 # radians between its ray and the view's: shadows and reflections move on, blur stays.
 _PENALTY_PER_S, _PENALTY_COARSE = 0.3, 0.1
+# And where the view meets no surface: a wire that none was made of is taken to be infinitely far
+# away, and each picture shows it elsewhere.
+_PENALTY_FAR_PER_S = 1.0
 # And one whose border is close, at the border; it rises over this fraction of the picture's width.
 # Without it, cameras that differ a little leave a seam in the sky.
 _PENALTY_BORDER, _BORDER = 0.1, 0.15
@@ -114,7 +117,8 @@ class ViewRays:
         size = away_m / camera.fx * self.focal_px / self._reach_m
         seconds = abs(frame.time_ns - self.time_ns) / 1e9
         penalty = angle_rad + _PENALTY_COARSE * np.log(np.maximum(size, 1.0))
-        penalty += _PENALTY_PER_S * seconds
+        is_far = ~np.isfinite(self.distance_m)
+        penalty += seconds * np.where(is_far, _PENALTY_FAR_PER_S, _PENALTY_PER_S)
         size_px = np.array([camera.width_px, camera.height_px])
         inside = np.minimum(uv, size_px - uv).min(axis=1) / (_BORDER * camera.width_px)
         penalty += _PENALTY_BORDER * np.maximum(1 - inside, 0)

@@ -115,10 +115,9 @@ class NovelViews:
         radiance = np.concatenate([p.radiance for p in parts]).reshape(*shape, 3)
         matte = np.concatenate([p.sky_matte for p in parts]).reshape(shape)
         is_observed = np.concatenate([p.is_observed for p in parts]).reshape(shape)
-        matte = np.where(is_observed, matte, ~buffers.has_surface).astype(np.float32)
-        twin = _in_colours_of(radiance, rendered, matte, is_observed, buffers.has_surface)
-        radiance = np.where(is_observed[..., None], radiance, twin).astype(np.float32)
-        return NovelView(radiance, matte, is_observed)
+        seen = np.dstack([radiance, matte])
+        whole = seen_and_guessed(seen, rendered, is_observed, buffers.has_surface)
+        return NovelView(whole[..., :3], whole[..., 3], is_observed)
 
     def _rays(self, frame: CameraFrame, buffers: GBuffers) -> ViewRays:
         camera = self._log.cameras[frame.camera_name]
@@ -231,25 +230,32 @@ def _moved(
     return placement.world_from_actor(frame.time_ns).apply(own)
 
 
-def _in_colours_of(
-    radiance: Float32[np.ndarray, "h w 3"],
+def seen_and_guessed(
+    seen: Float32[np.ndarray, "h w 4"],
     rendered: Float32[np.ndarray, "h w 3"],
-    sky_matte: Float32[np.ndarray, "h w"],
     is_observed: Bool[np.ndarray, "h w"],
     is_surface: Bool[np.ndarray, "h w"],
-) -> Float32[np.ndarray, "h w 3"]:
-    """The twin in colours that follow those of the pictures around: surfaces and sky apart."""
+) -> Float32[np.ndarray, "h w 4"]:
+    """Radiance and sky matte of pictures, and where none shows what is there the twin in colours
+    that follow theirs, surfaces and sky apart.
+
+    A hole of the twin's that no picture looks into either, such as a gap between a crown and the
+    house behind it, is sky or matter like what is around it.
+    """
+    around = fill_holes(seen, is_observed)
+    is_open = ~is_surface & ~is_observed & ((around[..., 3] > 0.5) | ~is_observed.any())
+    matte = np.where(is_observed, seen[..., 3], is_open)
     surface, sky = (
-        _match(radiance, rendered, is_observed & kind)
-        for kind in (is_surface & (sky_matte < 0.5), ~is_surface & (sky_matte >= 0.5))
+        _match(seen[..., :3], rendered, is_observed & kind)
+        for kind in (is_surface & (matte < 0.5), ~is_surface & (matte >= 0.5))
     )
     twin = rendered * np.where(is_surface[..., None], surface, sky)
-    # No light arrives there in the twin, through a hole of its mesh: the surroundings are a better
-    # guess than black.
-    is_black = (rendered < _DARKEST).all(axis=-1) & ~is_observed
-    if is_black.any() and is_observed.any():
-        twin[is_black] = fill_holes(radiance, is_observed)[is_black]
-    return twin
+    # No light arrives in the twin behind a hole of its mesh: the surroundings are a better guess.
+    is_unlit = is_surface & (rendered < _DARKEST).all(axis=-1) & is_observed.any()
+    is_around = (is_unlit | ~(is_surface | is_open))[..., None]
+    guess = np.where(is_around, around[..., :3], twin)
+    radiance = np.where(is_observed[..., None], seen[..., :3], guess)
+    return np.dstack([radiance, matte]).astype(np.float32)
 
 
 def _match(

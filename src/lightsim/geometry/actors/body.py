@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 
+from lightsim.geometry.actors.profile_kernels import polygon_distance
+
 _ROUNDING_M = 0.07
 _TAPERED = 0.18
 """Part of the length over which the plan narrows, at either end."""
@@ -153,19 +155,8 @@ class Body:
         self, x: Float64[np.ndarray, "*n"], z: Float64[np.ndarray, "*n"]
     ) -> Float64[np.ndarray, "*n"]:
         """Signed distance to the closed profile."""
-        corners = self._profile()
-        nearest = np.full(x.shape, np.inf)
-        is_inside = np.zeros(x.shape, dtype=bool)
-        for (ax, az), (bx, bz) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-            ex, ez = bx - ax, bz - az
-            px, pz = x - ax, z - az
-            along = np.clip((px * ex + pz * ez) / (ex * ex + ez * ez), 0.0, 1.0)
-            nearest = np.minimum(nearest, (px - along * ex) ** 2 + (pz - along * ez) ** 2)
-            if ez != 0:
-                crosses = (az > z) != (bz > z)
-                is_inside ^= crosses & (px < ex * pz / ez)
-        distance = np.sqrt(nearest)
-        return np.where(is_inside, -distance, distance)
+        distance = polygon_distance(np.ravel(x), np.ravel(z), self._profile())
+        return distance.reshape(x.shape)
 
     def _half_width_m(
         self, x: Float64[np.ndarray, "*n"], z: Float64[np.ndarray, "*n"]
