@@ -59,7 +59,9 @@ def main(arguments: Arguments) -> None:
     workspace = Workspace(arguments.work, is_stale_allowed=True)
     log = workspace.log_at(arguments.image_scale or workspace.reading.image_scale)
     assets = workspace.twin.assets
-    renderer = FrameRenderer(assets.background, workspace.inferred, TransportConfig(), 0)
+    inferred = workspace.unobserved_occluders
+    transport = TransportConfig()
+    renderer = FrameRenderer(assets.background, inferred, transport, 0, inferred_is_visible=True)
     recorded = replay(replace(workspace.twin, log=log), "held-out", log.frames)
     views = NovelViews(workspace, log, recorded, renderer, workspace.held_out)
 

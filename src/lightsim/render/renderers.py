@@ -145,7 +145,12 @@ def check_installed(choice: LightChoice) -> None:
 
 
 def make_reference(
-    choice: LightChoice, background: TriMesh, inferred: TriMesh, seed: int
+    choice: LightChoice,
+    background: TriMesh,
+    inferred: TriMesh,
+    seed: int,
+    *,
+    inferred_is_visible: bool = False,
 ) -> Renderer:
     """A renderer that traces light anew for every sky.
 
@@ -164,7 +169,13 @@ def make_reference(
         tracer = Cycles(choice.blender_python)
     bounces = choice.bounces or _PATH_BOUNCES
     return ReferenceRenderer(
-        background, inferred, tracer, choice.rays or _PATHS, bounces=bounces, seed=seed
+        background,
+        inferred,
+        tracer,
+        choice.rays or _PATHS,
+        bounces=bounces,
+        seed=seed,
+        inferred_is_visible=inferred_is_visible,
     )
 
 

@@ -24,8 +24,9 @@ class StaticScene:
 
     Args:
         visible: meshes that cameras see, in frame `world`.
-        shadow_only: inferred meshes that stop light and reflect it, but that cameras do not see.
-        visible_caster: over `visible`, for cameras.
+        shadow_only: inferred meshes that stop light and reflect it, but that cameras do not see
+            unless `inferred_is_visible`.
+        visible_caster: over `visible`.
         caster: over `visible`, then `shadow_only`: what light meets.
         normals: vertex normals of `visible`, then of `shadow_only`.
         roofs: how else `shadow_only` may be, for suns whose shadows no picture shows.
@@ -37,11 +38,22 @@ class StaticScene:
     caster: RayCaster
     normals: tuple[Float32[np.ndarray, "_ 3"], ...]
     roofs: UncertainRoofs | None = None
+    inferred_is_visible: bool = False
 
     @property
     def meshes(self) -> tuple[TriMesh, ...]:
         """Visible, then shadow-only: what `caster` counts."""
         return self.visible + self.shadow_only
+
+    @property
+    def camera_meshes(self) -> tuple[TriMesh, ...]:
+        """What cameras see."""
+        return self.meshes if self.inferred_is_visible else self.visible
+
+    @property
+    def camera_caster(self) -> RayCaster:
+        """Over `camera_meshes`."""
+        return self.caster if self.inferred_is_visible else self.visible_caster
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,22 +98,22 @@ class FrameScene:
     @property
     def camera_caster(self) -> CompositeCaster:
         """What cameras see; mesh_index counts `camera_meshes`."""
-        return CompositeCaster([self.static.visible_caster, self.actor_caster])
+        return CompositeCaster([self.static.camera_caster, self.actor_caster])
 
     @property
     def camera_meshes(self) -> tuple[TriMesh, ...]:
-        """Visible static meshes, then actors."""
-        return self.static.visible + self.actors
+        """Static meshes that cameras see, then actors."""
+        return self.static.camera_meshes + self.actors
 
     @property
     def camera_normals(self) -> tuple[Float32[np.ndarray, "_ 3"], ...]:
         """Vertex normals of `camera_meshes`."""
-        return self.static.normals[: len(self.static.visible)] + self.actor_normals
+        return self.static.normals[: len(self.static.camera_meshes)] + self.actor_normals
 
     @property
     def actor_index(self) -> Int32[np.ndarray, " m"]:
         """For each of `camera_meshes`: BACKGROUND, or the actor's number in the scenario."""
-        background = np.full(len(self.static.visible), BACKGROUND, dtype=np.int32)
+        background = np.full(len(self.static.camera_meshes), BACKGROUND, dtype=np.int32)
         return np.concatenate([background, np.array(self.actor_numbers, dtype=np.int32)])
 
 
@@ -121,8 +133,7 @@ def make_static_scene(
             reach of the LiDAR a surface.
         make_caster: which ray caster to use.
     """
-    visible = tuple(background) + (tuple(inferred) if inferred_is_visible else ())
-    shadow_only = () if inferred_is_visible else tuple(inferred)
+    visible, shadow_only = tuple(background), tuple(inferred)
     visible_caster = make_caster(visible)
     return StaticScene(
         visible,
@@ -130,6 +141,7 @@ def make_static_scene(
         visible_caster,
         make_caster(visible + shadow_only) if shadow_only else visible_caster,
         tuple(mesh.vertex_normals() for mesh in visible + shadow_only),
+        inferred_is_visible=inferred_is_visible,
     )
 
 

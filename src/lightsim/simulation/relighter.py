@@ -106,11 +106,13 @@ class Relighter:
         self._relight = relight_of(workspace, options)
         self._workspace = workspace
         self._config = config
+        # Pictures show upper parts and sides of houses that no beam reached: they are matter there.
         self._renderer = FrameRenderer(
             workspace.twin.assets.background,
             workspace.unobserved_occluders,
             config.transport,
             options.seed,
+            inferred_is_visible=True,
         ).with_roofs(workspace.uncertain_roofs)
         self._source_sky = workspace.sky.dome
         if options.source_sky is not None:
@@ -126,6 +128,7 @@ class Relighter:
                 workspace.twin.assets.background,
                 workspace.unobserved_occluders,
                 options.seed,
+                inferred_is_visible=True,
             )
         self._light_source = self._prepared(self._source_sky, self._source)
         self._images = SourceImages(

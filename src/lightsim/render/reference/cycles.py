@@ -146,7 +146,7 @@ class Cycles:
         if static is not self._static:
             self._ask({"do": "remove", "prefix": ""})
             for k, (mesh, normals) in enumerate(zip(static.meshes, static.normals, strict=True)):
-                self._add(f"static{k}", mesh, normals, k < len(static.visible))
+                self._add(f"static{k}", mesh, normals, k < len(static.camera_meshes))
             self._static, self._scene = static, None
         if scene is not self._scene:
             self._ask({"do": "remove", "prefix": "actor"})

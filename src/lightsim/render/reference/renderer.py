@@ -79,7 +79,7 @@ class ReferenceRenderer:
 
     Args:
         background: visible static mesh.
-        inferred: mesh that gives shadows and light but is not seen.
+        inferred: mesh that gives shadows and light but is not seen, or is (`inferred_is_visible`).
         tracer: `render.reference.path_tracer.PathTracer` or `render.reference.cycles.Cycles`.
         samples: paths per pixel.
         bounces: as in `Shot`.
@@ -94,9 +94,13 @@ class ReferenceRenderer:
         samples: int = 64,
         bounces: int = 4,
         seed: int = 0,
+        *,
+        inferred_is_visible: bool = False,
     ) -> None:
         shadow_only = [inferred] if len(inferred.faces) else []
-        self._static = make_static_scene([background], shadow_only)
+        self._static = make_static_scene(
+            [background], shadow_only, inferred_is_visible=inferred_is_visible
+        )
         self._tracer = tracer
         self._samples = samples
         self._bounces = bounces
