@@ -207,7 +207,7 @@ def test_the_recorded_sun_is_rendered_as_found_and_another_is_not() -> None:
 def test_a_shadow_is_as_soft_as_its_roof_is_uncertain() -> None:
     """Walls 4 or 8 m tall before a sun 45 degrees high: ground is dark up to 4 m behind, and up to
     8 m its code is the mean of dark and lit; under the sun of the recording the wall that its
-    shadows chose is taken."""
+    shadows chose is taken. Whether cameras see a wall changes nothing of that."""
     sky, elsewhere = sun_sky(0.0, 45.0, 0.2), sun_sky(np.radians(3.0), 45.0)
     low, tall = (box((0.0, 0.0, height / 2), (0.02, 60.0, height)) for height in (4.0, 8.0))
     guesses = [make_embree_caster([guess]) for guess in (low, tall)]
@@ -215,8 +215,12 @@ def test_a_shadow_is_as_soft_as_its_roof_is_uncertain() -> None:
     config = TransportConfig(sky_rays=1, face_rays=0, glossy_rays=0)
     for told_by, half in ((elsewhere.sun, 0.5), (sky.sun, 0.0), (None, 0.5)):
         roofs = UncertainRoofs(lambda: guesses, told_by)
-        for is_sampled in (False, True):
-            renderer = FrameRenderer(plane(20.0, 4), tall, config, 0, is_sampled=is_sampled)
+        for is_sampled, is_seen in ((False, False), (True, False), (False, True)):
+            renderer = FrameRenderer(
+                *(plane(20.0, 4), tall, config, 0),
+                is_sampled=is_sampled,
+                inferred_is_visible=is_seen,
+            )
             renderer = renderer.with_roofs(roofs)
             traced = renderer.trace(Scenario("s", (), ()), frame, camera(96, 96, 100.0))
             lit, x = traced.light(sky), traced.buffers.position_world[..., 0]

@@ -101,7 +101,7 @@ def _with_casters(scene: FrameScene, inferred: TriMesh) -> FrameScene:
     """The scene with a mesh that no camera sees; the structure over the rest serves both."""
     static = replace(
         scene.static,
-        shadow_only=(inferred,),
+        inferred=(inferred,),
         caster=CompositeCaster([scene.static.caster, make_embree_caster([inferred])]),
         normals=(*scene.static.normals, inferred.vertex_normals()),
     )

@@ -292,10 +292,9 @@ class FrameRenderer:
     ) -> None:
         """`is_sampled`: light is the mean over `transport.pixel_samples` points of each pixel,
         with reflections. `recorded_sun`: its shadows fall where the twin found them."""
-        shadow_only = [inferred] if len(inferred.faces) else []
         self._static = make_static_scene(
             [background],
-            shadow_only,
+            [inferred] if len(inferred.faces) else [],
             inferred_is_visible=inferred_is_visible,
             make_caster=make_caster,
         )

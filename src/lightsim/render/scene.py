@@ -23,18 +23,18 @@ class StaticScene:
     """Everything that does not move. Make it with `make_static_scene`.
 
     Args:
-        visible: meshes that cameras see, in frame `world`.
-        shadow_only: inferred meshes that stop light and reflect it, but that cameras do not see
-            unless `inferred_is_visible`.
-        visible_caster: over `visible`.
-        caster: over `visible`, then `shadow_only`: what light meets.
-        normals: vertex normals of `visible`, then of `shadow_only`.
-        roofs: how else `shadow_only` may be, for suns whose shadows no picture shows.
+        background: reconstructed meshes, in frame `world`.
+        inferred: meshes that no sensor saw; they stop light and reflect it.
+        background_caster: over `background`.
+        caster: over `background`, then `inferred`: what light meets.
+        normals: vertex normals of `background`, then of `inferred`.
+        roofs: how else `inferred` may be, for suns whose shadows no picture shows.
+        inferred_is_visible: cameras see `inferred`, too.
     """
 
-    visible: tuple[TriMesh, ...]
-    shadow_only: tuple[TriMesh, ...]
-    visible_caster: RayCaster
+    background: tuple[TriMesh, ...]
+    inferred: tuple[TriMesh, ...]
+    background_caster: RayCaster
     caster: RayCaster
     normals: tuple[Float32[np.ndarray, "_ 3"], ...]
     roofs: UncertainRoofs | None = None
@@ -42,18 +42,18 @@ class StaticScene:
 
     @property
     def meshes(self) -> tuple[TriMesh, ...]:
-        """Visible, then shadow-only: what `caster` counts."""
-        return self.visible + self.shadow_only
+        """Background, then inferred: what `caster` counts."""
+        return self.background + self.inferred
 
     @property
     def camera_meshes(self) -> tuple[TriMesh, ...]:
         """What cameras see."""
-        return self.meshes if self.inferred_is_visible else self.visible
+        return self.meshes if self.inferred_is_visible else self.background
 
     @property
     def camera_caster(self) -> RayCaster:
         """Over `camera_meshes`."""
-        return self.caster if self.inferred_is_visible else self.visible_caster
+        return self.caster if self.inferred_is_visible else self.background_caster
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class FrameScene:
 
     @property
     def meshes(self) -> tuple[TriMesh, ...]:
-        """Static meshes (visible, then shadow-only), then actors."""
+        """Static meshes (background, then inferred), then actors."""
         return self.static.meshes + self.actors
 
     @property
@@ -93,7 +93,7 @@ class FrameScene:
         roofs = self.static.roofs
         if roofs is None or roofs.are_told(sun):
             return self.caster, None
-        return CompositeCaster([self.static.visible_caster, self.actor_caster]), roofs
+        return CompositeCaster([self.static.background_caster, self.actor_caster]), roofs
 
     @property
     def camera_caster(self) -> CompositeCaster:
@@ -133,14 +133,14 @@ def make_static_scene(
             reach of the LiDAR a surface.
         make_caster: which ray caster to use.
     """
-    visible, shadow_only = tuple(background), tuple(inferred)
-    visible_caster = make_caster(visible)
+    background, inferred = tuple(background), tuple(inferred)
+    background_caster = make_caster(background)
     return StaticScene(
-        visible,
-        shadow_only,
-        visible_caster,
-        make_caster(visible + shadow_only) if shadow_only else visible_caster,
-        tuple(mesh.vertex_normals() for mesh in visible + shadow_only),
+        background,
+        inferred,
+        background_caster,
+        make_caster(background + inferred) if inferred else background_caster,
+        tuple(mesh.vertex_normals() for mesh in background + inferred),
         inferred_is_visible=inferred_is_visible,
     )
 

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def polygon_distance(x, z, corners):
     """Signed distance of points (n,) and (n,) to a closed polygon (k, 2), negative inside."""

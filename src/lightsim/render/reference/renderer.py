@@ -78,8 +78,8 @@ class ReferenceRenderer:
     """As `scene_setup.FrameRenderer`, with the light path traced anew for every sky.
 
     Args:
-        background: visible static mesh.
-        inferred: mesh that gives shadows and light but is not seen, or is (`inferred_is_visible`).
+        background: static mesh.
+        inferred: mesh that gives shadows and light, and is seen if `inferred_is_visible`.
         tracer: `render.reference.path_tracer.PathTracer` or `render.reference.cycles.Cycles`.
         samples: paths per pixel.
         bounces: as in `Shot`.
@@ -97,9 +97,10 @@ class ReferenceRenderer:
         *,
         inferred_is_visible: bool = False,
     ) -> None:
-        shadow_only = [inferred] if len(inferred.faces) else []
         self._static = make_static_scene(
-            [background], shadow_only, inferred_is_visible=inferred_is_visible
+            [background],
+            [inferred] if len(inferred.faces) else [],
+            inferred_is_visible=inferred_is_visible,
         )
         self._tracer = tracer
         self._samples = samples
