@@ -21,9 +21,11 @@ from jaxtyping import Float, Float32, Shaped
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.dome import Sun
 from lightsim.core.frames import RigidTransform
+from lightsim.errors import InputError
 
 Variant = Literal["scalar_rgb", "llvm_ad_rgb", "cuda_ad_rgb"]
 """How Mitsuba computes: interpreted, compiled for the processor, or on CUDA."""
+TracingDevice = Literal["cpu", "cuda"]
 
 # Versions 14 to 16 cannot translate Mitsuba's kernels for every processor and end the process
 # (seen on processors with AVX-512).
@@ -55,6 +57,19 @@ def choose_variant(*, may_use_cuda: bool = True) -> Variant:
     if may_use_cuda and has_cuda():
         return "cuda_ad_rgb"
     return "llvm_ad_rgb" if has_llvm() else "scalar_rgb"
+
+
+def variant_on(device: TracingDevice) -> Variant:
+    """The fastest variant of a device.
+
+    Raises:
+        InputError: there is no CUDA device.
+    """
+    if device == "cuda" and not has_cuda():
+        raise InputError(
+            "no CUDA device is available", where="--device cuda", remedy="Use --device cpu."
+        )
+    return choose_variant(may_use_cuda=device == "cuda")
 
 
 def has_cuda() -> bool:

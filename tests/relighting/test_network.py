@@ -41,7 +41,7 @@ from lightsim.store.weights import (
     read_record,
     write_weights,
 )
-from lightsim.training.relight_data import RelightBatch, exposed
+from lightsim.training.relight_pairs import RelightBatch, exposed
 
 SMALL = RelitNetConfig(widths=(8, 16), guide_count=2, working_columns=64)
 

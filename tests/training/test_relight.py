@@ -25,15 +25,15 @@ from lightsim.training.relight_cache import (
     read_sample,
     write_sample,
 )
-from lightsim.training.relight_data import (
+from lightsim.training.relight_data import RelightData, RelightDataConfig
+from lightsim.training.relight_losses import Perceptual, colour_loss, edge_loss
+from lightsim.training.relight_pairs import (
     RelightBatch,
-    RelightData,
-    RelightDataConfig,
+    Views,
     exposed,
     rendered_pair,
     with_exact_estimate,
 )
-from lightsim.training.relight_losses import Perceptual, colour_loss, edge_loss
 from lightsim.training.run_relight import train
 
 ROWS, COLUMNS = 32, 48
@@ -100,6 +100,19 @@ def test_a_draw_is_the_same_every_time_and_another_is_not(streets: Path) -> None
     assert one.planes["target_dome"].shape[-2:] == (DOME_ROWS, 2 * DOME_ROWS)
 
 
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
+def test_batches_made_on_the_device_are_those_of_the_processor(streets: Path) -> None:
+    config = RelightDataConfig(crop_px=(16, 24), identity_fraction=0.2, true_twin_fraction=0.3)
+    data = RelightData([streets / "1"], config)
+    resident = data.on(torch.device("cuda"))
+    assert resident.device.type == "cuda"
+    one, same = data.batch(3, 5), resident.batch(3, 5).on(torch.device("cpu"))
+    torch.testing.assert_close(same.truth, one.truth, atol=2e-3, rtol=0)
+    for name, value in one.planes.items():
+        torch.testing.assert_close(same.planes[name], value, atol=2e-3, rtol=2e-3)
+
+
 def test_a_crop_knows_how_bright_its_whole_frame_is(streets: Path) -> None:
     still = {"exposure_ev": (0.0, 0.0), "paint_ev": (0.0, 0.0), "light_error_ev": 0.0}
     config = RelightDataConfig(
@@ -115,7 +128,7 @@ def test_a_crop_knows_how_bright_its_whole_frame_is(streets: Path) -> None:
 
 
 def test_the_identity_asks_for_the_source(streets: Path) -> None:
-    config = RelightDataConfig(identity_fraction=1.0, light_error_ev=0.0)
+    config = RelightDataConfig(identity_fraction=1.0, true_twin_fraction=0.0, light_error_ev=0.0)
     batch = RelightData([streets / "1"], config).batch(0, 0)
     assert torch.equal(batch.truth, batch.planes["source"])
     shown = srgb_of(batch.planes["target_physical"]).clamp(0, 1)
@@ -207,16 +220,28 @@ def test_training_goes_on_from_weights_of_its_own_network_alone(
     assert not list((tmp_path / "c").glob("*.safetensors"))
 
 
+def views_of(sample: RelightSample) -> Views:
+    scene = {name: torch.from_numpy(value)[None] for name, value in sample.scene.items()}
+    return Views(
+        scene,
+        {
+            sky: {name: torch.from_numpy(value)[None] for name, value in target.planes.items()}
+            for sky, target in sample.targets.items()
+        },
+    )
+
+
 def test_rendered_pairs_show_the_twin_under_both_skies(
     streets: Path, rng: np.random.Generator
 ) -> None:
     sample = made_sample(rng)
-    real = rendered_pair(sample, "low_sun", None)
+    views = views_of(sample)
+    real = rendered_pair(views, "low_sun", None)
     assert torch.equal(real.truth[0], torch.from_numpy(sample.scene["source"]))
     target = torch.from_numpy(sample.targets["low_sun"].planes["target_ratio"])[None]
     assert torch.equal(real.planes["source_ratio"], target)
-    there = rendered_pair(sample, None, "low_sun", is_real=False)
-    back = rendered_pair(sample, "low_sun", None, is_real=False)
+    there = rendered_pair(views, None, "low_sun", is_real=False)
+    back = rendered_pair(views, "low_sun", None, is_real=False)
     assert torch.equal(there.truth, back.planes["source"])
     assert torch.equal(there.planes["source"], back.truth)
     data = RelightData(
@@ -230,7 +255,7 @@ def test_a_true_twin_leaves_nothing_to_mend(rng: np.random.Generator) -> None:
     sample = made_sample(rng)
     unknown = np.where(sample.scene["found"] < 0.5, -1, sample.scene["found"])
     sample = RelightSample({**sample.scene, "found": unknown}, sample.targets)
-    one = with_exact_estimate(rendered_pair(sample, None, "low_sun", is_real=False))
+    one = with_exact_estimate(rendered_pair(views_of(sample), None, "low_sun", is_real=False))
     shown = srgb_of(one.planes["target_physical"]).clamp(0, 1)
     torch.testing.assert_close(shown, one.truth)
     is_known = torch.from_numpy(unknown >= 0)[None]

@@ -35,6 +35,8 @@ class Synthesize:
     edits: bool = False
     """Also true pictures of the street with actors removed, inserted and moved, and from a shifted
     ego: OUT/truth/edits."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """What traces light. On CUDA grain is another, so that a street is the same but to the eye."""
     verbose: Verbose = False
     """Show the trace of an error."""
 
@@ -53,6 +55,7 @@ class Synthesize:
             is_denoised=self.denoise,
             paths=self.paths,
             further=FurtherSkies(self.more_skies, self.drawn_suns, self.sky),
+            device=self.device,
         )
         if self.edits:
             synthesize_edits(
@@ -61,6 +64,7 @@ class Synthesize:
                 size=self.size,
                 progress=progress,
                 is_denoised=self.denoise,
+                device=self.device,
             )
         say(f"log:   {self.out / 'log'}")
         say(f"truth: {self.out / 'truth'}")

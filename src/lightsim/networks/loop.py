@@ -10,6 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor, nn
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from lightsim.errors import ArtefactError
 from lightsim.networks.devices import ALONE, Processes, device_of
@@ -205,8 +206,8 @@ class _Loop:
         decay = min(self._config.average_decay, (step + 1) / (step + 10))
         with torch.no_grad():
             for name, average in self._averages.items():
-                for key, value in self._learners[name].network.state_dict().items():
-                    average[key].lerp_(value, 1 - decay)
+                now = self._learners[name].network.state_dict()
+                get_ema_multi_avg_fn(decay)(list(average.values()), list(now.values()), 0)
         return metrics
 
     def _next(self, coming: Iterator[Loss]) -> Loss | None:

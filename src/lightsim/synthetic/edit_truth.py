@@ -10,6 +10,7 @@ import numpy as np
 
 from lightsim.core.mesh import Material, TriMesh
 from lightsim.denoise import check_installed
+from lightsim.mitsuba_scene import TracingDevice
 from lightsim.progress import Progress
 from lightsim.store.images import write_exr, write_png
 from lightsim.store.meshes import write_glb
@@ -48,12 +49,18 @@ class _Staged:
 
 
 def synthesize_edits(
-    out: Path, *, seed: int, size: Size, progress: Progress, is_denoised: bool = False
+    out: Path,
+    *,
+    seed: int,
+    size: Size,
+    progress: Progress,
+    is_denoised: bool = False,
+    device: TracingDevice = "cpu",
 ) -> None:
     """Write OUT/truth/edits beside what `synthesize` wrote; finished files are kept.
 
     Raises:
-        InputError: the seed is negative, or OUT cannot be written to.
+        InputError: the seed is negative, OUT cannot be written to, or there is no CUDA device.
         MissingDependencyError: denoising needs the extra `denoise`.
     """
     if is_denoised:
@@ -71,7 +78,7 @@ def synthesize_edits(
     shots = [(one, view) for one in staged for view in one.edit.views]
     for one, view in progress.track(shots, "exact buffers of edits"):
         _write_buffers(one, view, sky)
-    tracer = street_tracer(street, config, sky)
+    tracer = street_tracer(street, config, sky, device)
     for one, view in progress.track(shots, f"rendering edits ({tracer.variant})"):
         path = one.folder / "frames" / view.mounted.camera.name / f"{stem_of(view.index)}.png"
         if not path.exists():

@@ -13,6 +13,7 @@ from PIL import Image
 from lightsim.core.checks import check_number
 from lightsim.core.frames import RigidTransform
 from lightsim.denoise import check_installed
+from lightsim.mitsuba_scene import TracingDevice
 from lightsim.progress import Progress
 from lightsim.store.atomic import whole_file
 from lightsim.store.images import write_exr
@@ -67,6 +68,7 @@ def synthesize(
     is_denoised: bool = False,
     paths: int | None = None,
     further: FurtherSkies | None = None,
+    device: TracingDevice = "cpu",
 ) -> None:
     """Write OUT/log (PandaSet's layout) and OUT/truth; finished files are kept, so that an
     interrupted run can be started again.
@@ -75,10 +77,11 @@ def synthesize(
         is_denoised: the pictures, of log and truth, have no grain of few light paths.
         paths: a pixel, of log and truth; by default those of the size.
         further: skies under which there are true pictures, besides the usual three.
+        device: that traces light; CUDA's grain is another than the processor's.
 
     Raises:
-        InputError: the seed is negative, there are no paths, a panorama cannot be read, or OUT
-            cannot be written to.
+        InputError: the seed is negative, there are no paths, a panorama cannot be read, OUT
+            cannot be written to, or there is no CUDA device.
         MissingDependencyError: denoising needs the extra `denoise`.
     """
     config = config_of(size)
@@ -97,6 +100,7 @@ def synthesize(
     command += f" --paths {paths}" if paths is not None else ""
     further = further or FurtherSkies()
     command += further.words
+    command += " --device cuda" if device == "cuda" else ""
     write_truth_json(truth / "truth.json", street, config, cameras, command)
     _missing(truth / "scene.npz", lambda path: write_geometry(path, street))
     _write_sweeps(log, street, config, progress)
@@ -107,7 +111,7 @@ def synthesize(
     guide = _PoseGuides(street, config) if is_denoised else None
     for number, sky in enumerate(skies):
         shots = _shots(out, sky, number, config, cameras)
-        _render(street, config, sky, shots, guide, progress)
+        _render(street, config, sky, shots, guide, progress, device)
 
 
 def _missing(path: Path, write: Callable[[Path], None]) -> None:
@@ -184,12 +188,13 @@ def _render(
     shots: list[_Shot],
     guide: _PoseGuides | None,
     progress: Progress,
+    device: TracingDevice,
 ) -> None:
     if not shots:
         return
     if guide is not None:
         check_installed()
-    tracer = street_tracer(street, config, sky)
+    tracer = street_tracer(street, config, sky, device)
     for shot in progress.track(shots, f"rendering '{sky.spec.name}' ({tracer.variant})"):
         mounted = shot.mounted
         time_s = SWEEP_S * shot.index + mounted.time_offset_s
@@ -238,7 +243,9 @@ def guides_at(
     return render_guides(snapshot, mounted.camera, pose)
 
 
-def street_tracer(street: Street, config: StreetConfig, sky: Sky) -> PathTracer:
+def street_tracer(
+    street: Street, config: StreetConfig, sky: Sky, device: TracingDevice = "cpu"
+) -> PathTracer:
     """The path tracer of a street under a sky; `actor_poses_at` places the participants."""
     return PathTracer(
         [part.transformed(street.plan.world_from_street) for part in street.background],
@@ -246,6 +253,7 @@ def street_tracer(street: Street, config: StreetConfig, sky: Sky) -> PathTracer:
         street.finishes,
         environment(sky, config.environment_height_px),
         sky.sun,
+        device,
     )
 
 

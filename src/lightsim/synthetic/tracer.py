@@ -14,15 +14,16 @@ from lightsim.core.dome import Sun
 from lightsim.core.frames import RigidTransform
 from lightsim.denoise import denoise
 from lightsim.mitsuba_scene import (
+    TracingDevice,
     Variant,
     bitmap,
-    choose_variant,
     environment_map,
     make_mesh,
     mitsuba_with,
     path_traced,
     perspective_sensor,
     sun_disc,
+    variant_on,
 )
 from lightsim.synthetic.guides import Guides
 from lightsim.synthetic.shapes import Part
@@ -45,7 +46,12 @@ class Placed:
 
 
 class PathTracer:
-    """The scene under one sky. Poses of actors are updated in place (rebuilding leaks memory)."""
+    """The scene under one sky. Poses of actors are updated in place (rebuilding leaks memory).
+
+    Args:
+        device: never CUDA by itself: a street must come out the same wherever it is made, and light
+            traced on CUDA has another grain.
+    """
 
     def __init__(
         self,
@@ -54,10 +60,9 @@ class PathTracer:
         finishes: Mapping[str, Finish],
         environment: Float32[np.ndarray, "h w 3"],
         sun: Sun | None,
-        variant: Variant | None = None,
+        device: TracingDevice = "cpu",
     ) -> None:
-        # Never CUDA by itself: a street must come out the same wherever it is made.
-        self.variant: Variant = variant or choose_variant(may_use_cuda=False)
+        self.variant: Variant = variant_on(device)
         self._actors = {placed.key: placed.parts for placed in actors}
         self._last: dict[str, bytes] = {}
         parts = {f"static{i}": part for i, part in enumerate(background)}

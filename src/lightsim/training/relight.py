@@ -20,7 +20,7 @@ from lightsim.relighting.network.paper_model import PaperNetConfig
 from lightsim.relighting.network.stored import Network, NetworkConfig, make_network, network_of
 from lightsim.store.weights import read_weights
 from lightsim.training.ahead import Ahead
-from lightsim.training.relight_data import RelightBatch, RelightData, RelightDataConfig
+from lightsim.training.relight_data import RelightData, RelightDataConfig
 from lightsim.training.relight_losses import (
     Perceptual,
     colour_loss,
@@ -28,6 +28,7 @@ from lightsim.training.relight_losses import (
     picture_terms,
     shown,
 )
+from lightsim.training.relight_pairs import RelightBatch
 
 _MOST_PX = 3
 """By which frames are moved: the network looks at pairs of pixels, and at every 16th at its
@@ -147,9 +148,10 @@ def train_relight(
         total, terms = _loss(network, batches.get(draw).on(device), perceptual, config, draw)
         yield "network", total, terms
 
+    data = data.on(device)
     with Ahead(
         lambda draw: data.batch(draw, config.seed),
-        config.workers,
+        config.workers if data.device.type == "cpu" else 0,
         count,
         count * config.loop.steps,
     ) as batches:

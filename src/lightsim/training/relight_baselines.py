@@ -15,8 +15,9 @@ from lightsim.relighting.baselines.self_osr import SelfOsrConfig, SelfOsrNet
 from lightsim.relighting.network.features import srgb_of
 from lightsim.training.ahead import Ahead
 from lightsim.training.inpaint_losses import discriminator_loss, generator_loss
-from lightsim.training.relight_data import RelightBatch, RelightData, RelightDataConfig
+from lightsim.training.relight_data import RelightData, RelightDataConfig
 from lightsim.training.relight_losses import Perceptual, colour_loss, picture_terms, shown
+from lightsim.training.relight_pairs import RelightBatch
 
 Baseline = SelfOsrNet | EpeNet
 _CLIPPED = 254 / 255
@@ -106,9 +107,10 @@ def train_baseline(
             total, terms = self_osr_loss(network, batch, perceptual, config)
             yield "network", total, terms
 
+    data = data.on(device)
     with Ahead(
         lambda draw: data.batch(draw, config.seed),
-        config.workers,
+        config.workers if data.device.type == "cpu" else 0,
         count,
         count * config.loop.steps,
     ) as batches:

@@ -17,7 +17,8 @@ from lightsim.evaluate.statistics import rank_correlation
 from lightsim.progress import Progress
 from lightsim.relighting.network.features import srgb_of
 from lightsim.relighting.network.stored import Network
-from lightsim.training.relight_data import RelightBatch, RelightData
+from lightsim.training.relight_data import RelightData
+from lightsim.training.relight_pairs import RelightBatch
 
 Picture = Float32[np.ndarray, "h w 3"]
 IDENTITY = "identity"
