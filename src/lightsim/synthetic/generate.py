@@ -13,7 +13,7 @@ from PIL import Image
 from lightsim.core.checks import check_number
 from lightsim.core.frames import RigidTransform
 from lightsim.denoise import check_installed
-from lightsim.mitsuba_scene import TracingDevice
+from lightsim.mitsuba_scene import TracingDevice, variant_on
 from lightsim.progress import Progress
 from lightsim.store.atomic import whole_file
 from lightsim.store.images import write_exr
@@ -253,7 +253,7 @@ def street_tracer(
         street.finishes,
         environment(sky, config.environment_height_px),
         sky.sun,
-        device,
+        variant_on(device),
     )
 
 

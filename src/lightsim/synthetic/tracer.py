@@ -14,7 +14,6 @@ from lightsim.core.dome import Sun
 from lightsim.core.frames import RigidTransform
 from lightsim.denoise import denoise
 from lightsim.mitsuba_scene import (
-    TracingDevice,
     Variant,
     bitmap,
     environment_map,
@@ -49,8 +48,8 @@ class PathTracer:
     """The scene under one sky. Poses of actors are updated in place (rebuilding leaks memory).
 
     Args:
-        device: never CUDA by itself: a street must come out the same wherever it is made, and light
-            traced on CUDA has another grain.
+        variant: of Mitsuba. Never CUDA by itself: a street must come out the same wherever it is
+            made, and light traced on CUDA has another grain.
     """
 
     def __init__(
@@ -60,9 +59,9 @@ class PathTracer:
         finishes: Mapping[str, Finish],
         environment: Float32[np.ndarray, "h w 3"],
         sun: Sun | None,
-        device: TracingDevice = "cpu",
+        variant: Variant | None = None,
     ) -> None:
-        self.variant: Variant = variant_on(device)
+        self.variant: Variant = variant or variant_on("cpu")
         self._actors = {placed.key: placed.parts for placed in actors}
         self._last: dict[str, bytes] = {}
         parts = {f"static{i}": part for i, part in enumerate(background)}

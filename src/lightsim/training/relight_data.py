@@ -96,7 +96,9 @@ class RelightData:
         self, folders: Sequence[Path], config: RelightDataConfig, device: torch.device = _CPU
     ) -> None:
         self.files = [path for folder in folders for path in sorted(folder.glob("*.npz"))]
-        self._config, self._device, self._folders = config, device, tuple(folders)
+        self.device = device
+        """Where batches are made."""
+        self._config, self._folders = config, tuple(folders)
         if not self.files:
             raise InputError(
                 "there are no samples of relighting",
@@ -115,11 +117,6 @@ class RelightData:
         size = sum(file.stat().st_size for file in self.files)
         is_small = size < _MOST_OF_DEVICE * torch.cuda.mem_get_info(device)[0]
         return RelightData(self._folders, self._config, device) if is_small else self
-
-    @property
-    def device(self) -> torch.device:
-        """Where batches are made."""
-        return self._device
 
     @property
     def sky_names(self) -> list[str]:
@@ -142,7 +139,7 @@ class RelightData:
         """The crops of a draw; they depend on nothing else."""
         rng = np.random.default_rng([seed, draw])
         # Whatever learns from it computes in mixed precision, perhaps.
-        with torch.no_grad(), torch.autocast(self._device.type, enabled=False):
+        with torch.no_grad(), torch.autocast(self.device.type, enabled=False):
             return self._batch(rng)
 
     def _batch(self, rng: np.random.Generator) -> RelightBatch:
@@ -153,7 +150,7 @@ class RelightData:
             if own:
                 order += own
                 parts.append(_pair(kind, [draws[k] for k in own]))
-        back = torch.from_numpy(np.argsort(order)).to(self._device)
+        back = torch.from_numpy(np.argsort(order)).to(self.device)
         return self._varied(joined(parts).taken(back), rng)
 
     def _loaded(self, path: Path) -> Views:
@@ -161,14 +158,14 @@ class RelightData:
         sample = read_sample(path)
 
         def of(planes: Planes, level: float, which: str) -> dict[str, Tensor]:
-            found = {k: torch.from_numpy(v)[None].to(self._device) for k, v in planes.items()}
-            return found | {f"{which}{LEVEL}": torch.full((1, 1, 1, 1), level).to(self._device)}
+            found = {k: torch.from_numpy(v)[None].to(self.device) for k, v in planes.items()}
+            return found | {f"{which}{LEVEL}": torch.full((1, 1, 1, 1), level).to(self.device)}
 
         targets = {}
         for sky, target in sample.targets.items():
             targets[sky] = of(target.planes, sample.levels[sky], "target")
             if target.truth is not None:
-                targets[sky][TRUTH] = torch.from_numpy(target.truth)[None].to(self._device)
+                targets[sky][TRUTH] = torch.from_numpy(target.truth)[None].to(self.device)
         return Views(of(sample.scene, sample.levels[None], "source"), targets)
 
     def _draw(self, rng: np.random.Generator) -> _Draw:
