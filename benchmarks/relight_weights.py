@@ -1,0 +1,107 @@
+"""Weights of the relighting network beside each other on streets that they did not learn from, and
+the mean of their pictures.
+
+    python benchmarks/relight_weights.py DATA/231 [DATA/232 ...] --weights FILE [FILE ...]
+        [--every 1] [--lpips]
+
+DATA: of `lightsim train prepare relight`. PSNR dB (and LPIPS) outside the sky, recorded pictures as
+sources, mean over pictures, by kind of target sky; seconds of one processor for each picture.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lightsim.evaluate.lpips import Features, lpips_features, lpips_of_features
+from lightsim.evaluate.metrics import psnr
+from lightsim.relighting.network.features import srgb_of
+from lightsim.relighting.network.model import RelitNet
+from lightsim.relighting.network.stored import network_of
+from lightsim.store.weights import read_weights
+from lightsim.training.relight_data import RelightData, RelightDataConfig
+from lightsim.training.relight_pairs import RelightBatch
+
+_OWN = ("low_sun", "high_sun", "overcast", "identity")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("streets", type=Path, nargs="+")
+    parser.add_argument("--weights", type=Path, nargs="+", required=True)
+    parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--lpips", action="store_true")
+    options = parser.parse_args()
+    networks = {file.stem: _network(file) for file in options.weights}
+    data = RelightData(options.streets, RelightDataConfig())
+    recorded = [k for k, file in enumerate(data.files) if "_under_" not in file.name]
+    found: dict[str, dict[str, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
+    spent = dict.fromkeys(networks, 0.0)
+    pairs = [(k, sky) for k in recorded for sky in (*data.skies(k), None)][:: options.every]
+    for index, sky in pairs:
+        batch = data.whole(index, sky)
+        pictures = {
+            "copy": batch.planes["source"],
+            "physical": srgb_of(batch.planes["target_physical"]),
+        }
+        for name, network in networks.items():
+            began = time.process_time()
+            with torch.inference_mode():
+                pictures[name] = srgb_of(network(batch.planes).picture)
+            spent[name] += time.process_time() - began
+        if len(networks) > 1:
+            pictures["mean"] = torch.stack([pictures[name] for name in networks]).mean(0)
+        scores = _scores(pictures, batch, has_lpips=options.lpips)
+        kind = "identity" if sky is None else sky if sky in _OWN else "other"
+        for name, score in scores.items():
+            found[name][kind].append(score)
+            if sky is not None:
+                found[name]["mean"].append(score)
+    kinds = [k for k in (*_OWN[:3], "other", "identity", "mean") if found["copy"][k]]
+    sys.stdout.write(f"| weights | {' | '.join(kinds)} | s |\n|---|{'---:|' * (len(kinds) + 1)}\n")
+    for name, rows in found.items():
+        cells = [_cell(np.mean(rows[kind], axis=0), has_lpips=options.lpips) for kind in kinds]
+        seconds = f"{spent[name] / len(pairs):.2f}" if name in spent else "-"
+        sys.stdout.write(f"| {name} | {' | '.join(cells)} | {seconds} |\n")
+
+
+def _network(file: Path) -> RelitNet:
+    network = network_of(read_weights(file))
+    assert isinstance(network, RelitNet)
+    return network.eval()
+
+
+def _scores(
+    pictures: dict[str, Tensor], batch: RelightBatch, *, has_lpips: bool
+) -> dict[str, tuple[float, float]]:
+    is_valid = ((batch.weight[0, 0] > 0) & (batch.planes["matte"][0, 0] < 0.5)).numpy()
+    truth = _picture(batch.truth)
+    features: Features | None = lpips_features(truth) if has_lpips else None
+    found = {}
+    for name, tensor in pictures.items():
+        picture = _picture(tensor)
+        distance = np.nan
+        if features is not None:
+            filled = np.where(is_valid[..., None], picture, truth)
+            distance = lpips_of_features(lpips_features(filled), features, is_valid)
+        found[name] = (psnr(picture, truth, is_valid), distance)
+    return found
+
+
+def _picture(srgb: Tensor) -> np.ndarray:
+    return srgb[0].clamp(0, 1).permute(1, 2, 0).contiguous().numpy()
+
+
+def _cell(score: np.ndarray, *, has_lpips: bool) -> str:
+    return f"{score[0]:.2f} / {score[1]:.3f}" if has_lpips else f"{score[0]:.2f}"
+
+
+if __name__ == "__main__":
+    main()
