@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
-from torch import Tensor
 
 from lightsim.errors import InputError
 from lightsim.relighting.network.channels import Planes
-from lightsim.relighting.network.features import level, linear_of, tensors_of
 from lightsim.store.arrays import load_arrays
 from lightsim.store.atomic import whole_file
 
@@ -46,19 +43,6 @@ class RelightSample:
 
     scene: Planes
     targets: Mapping[str, RelightTargetSample]
-
-    @cached_property
-    def levels(self) -> Mapping[str | None, float]:
-        """How bright the frame is (`features.level`) under each target sky, by its name, and as it
-        was recorded: None."""
-        scene = tensors_of({name: self.scene[name] for name in ("surface", "source")})
-
-        def of(linear: Tensor) -> float:
-            return float(level({"surface": scene["surface"], "target_physical": linear}))
-
-        estimates = {sky: target.planes["target_physical"] for sky, target in self.targets.items()}
-        found: dict[str | None, float] = {None: of(linear_of(scene["source"]))}
-        return found | {sky: of(plane) for sky, plane in tensors_of(estimates).items()}
 
 
 def write_sample(path: Path, sample: RelightSample) -> None:

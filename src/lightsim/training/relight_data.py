@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 
 from lightsim.errors import InputError
-from lightsim.relighting.network.channels import OF_SKIES, Planes
+from lightsim.relighting.network.channels import OF_SKIES
+from lightsim.relighting.network.features import level, linear_of
 from lightsim.training.relight_cache import read_sample
 from lightsim.training.relight_pairs import (
     LEVEL,
@@ -156,17 +157,23 @@ class RelightData:
     def _loaded(self, path: Path) -> Views:
         """A frame in half precision, with a leading axis of one."""
         sample = read_sample(path)
+        scene = self._placed(sample.scene)
+        surface = scene["surface"].float()
 
-        def of(planes: Planes, level: float, which: str) -> dict[str, Tensor]:
-            found = {k: torch.from_numpy(v)[None].to(self.device) for k, v in planes.items()}
-            return found | {f"{which}{LEVEL}": torch.full((1, 1, 1, 1), level).to(self.device)}
+        def brightness(linear: Tensor) -> Tensor:
+            return level({"surface": surface, "target_physical": linear})
 
+        scene[f"source{LEVEL}"] = brightness(linear_of(scene["source"].float()))
         targets = {}
         for sky, target in sample.targets.items():
-            targets[sky] = of(target.planes, sample.levels[sky], "target")
+            targets[sky] = planes = self._placed(target.planes)
+            planes[f"target{LEVEL}"] = brightness(planes["target_physical"].float())
             if target.truth is not None:
-                targets[sky][TRUTH] = torch.from_numpy(target.truth)[None].to(self.device)
-        return Views(of(sample.scene, sample.levels[None], "source"), targets)
+                planes |= self._placed({TRUTH: target.truth})
+        return Views(scene, targets)
+
+    def _placed(self, planes: Mapping[str, np.ndarray]) -> dict[str, Tensor]:
+        return {k: torch.from_numpy(v)[None].to(self.device) for k, v in planes.items()}
 
     def _draw(self, rng: np.random.Generator) -> _Draw:
         frame = self._read(self.files[int(rng.integers(len(self.files)))])
