@@ -2,7 +2,7 @@
 
     python benchmarks/relight_network.py [--width 1920] [--device cpu|cuda] [--repeats 5]
 
-Planes of random numbers, first weights of the shipped size: neither changes the time. Physical
+Planes of random numbers, the shipped weights: neither changes the time. Physical
 relighting and tracing come before it and are not counted (benchmarks/edited_frame.py,
 docs/benchmarks/rendering.md). `network`: planes that lie on the device to a picture there;
 `whole`: from planes in main memory to a picture in main memory. Medians; the first repeat, which
@@ -22,7 +22,8 @@ import torch
 
 from lightsim.relighting.network.channels import DOME_ROWS, LIGHT, SCENE, TARGET, Planes
 from lightsim.relighting.network.features import Batch, shrunk, tensors_of
-from lightsim.relighting.network.model import RelitNet, RelitNetConfig
+from lightsim.relighting.network.model import RelitNet
+from lightsim.relighting.network.stored import network_for
 
 
 def random_planes(height: int, width: int) -> Planes:
@@ -49,13 +50,12 @@ def main() -> None:
     options = parser.parse_args()
     height = round(options.width * 9 / 16)
     planes, device = random_planes(height, options.width), torch.device(options.device)
-    config = RelitNetConfig()
-    network = RelitNet(config).eval().to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    network = network_for(RelitNet, None).to(device)
     before_mb = peak_mb(device)
 
     def look(batch: Batch) -> torch.Tensor:
         with torch.autocast(device.type, enabled=False):
-            working = shrunk(batch, config.working_columns)
+            working = shrunk(batch, network.config.working_columns)
         return network(batch, working).picture
 
     is_cuda = device.type == "cuda"

@@ -1,5 +1,5 @@
-"""Weights of the relighting network beside each other on streets that they did not learn from, and
-the mean of their pictures.
+"""Weights of relighting networks, of any kind, beside each other on streets that they did not
+learn from, and the mean of their pictures.
 
     python benchmarks/relight_weights.py DATA/231 [DATA/232 ...] --weights FILE [FILE ...]
         [--every 1] [--lpips]
@@ -23,7 +23,6 @@ from torch import Tensor
 from lightsim.evaluate.lpips import Features, lpips_features, lpips_of_features
 from lightsim.evaluate.metrics import psnr
 from lightsim.relighting.network.features import srgb_of
-from lightsim.relighting.network.model import RelitNet
 from lightsim.relighting.network.stored import network_of
 from lightsim.store.weights import read_weights
 from lightsim.training.relight_data import RelightData, RelightDataConfig
@@ -39,7 +38,7 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--lpips", action="store_true")
     options = parser.parse_args()
-    networks = {file.stem: _network(file) for file in options.weights}
+    networks = {file.stem: network_of(read_weights(file)).eval() for file in options.weights}
     data = RelightData(options.streets, RelightDataConfig())
     recorded = [k for k, file in enumerate(data.files) if "_under_" not in file.name]
     found: dict[str, dict[str, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
@@ -54,7 +53,8 @@ def main() -> None:
         for name, network in networks.items():
             began = time.process_time()
             with torch.inference_mode():
-                pictures[name] = srgb_of(network(batch.planes).picture)
+                made = network(batch.planes)
+            pictures[name] = made if isinstance(made, Tensor) else srgb_of(made.picture)
             spent[name] += time.process_time() - began
         if len(networks) > 1:
             pictures["mean"] = torch.stack([pictures[name] for name in networks]).mean(0)
@@ -70,12 +70,6 @@ def main() -> None:
         cells = [_cell(np.mean(rows[kind], axis=0), has_lpips=options.lpips) for kind in kinds]
         seconds = f"{spent[name] / len(pairs):.2f}" if name in spent else "-"
         sys.stdout.write(f"| {name} | {' | '.join(cells)} | {seconds} |\n")
-
-
-def _network(file: Path) -> RelitNet:
-    network = network_of(read_weights(file))
-    assert isinstance(network, RelitNet)
-    return network.eval()
 
 
 def _scores(

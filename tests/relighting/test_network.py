@@ -107,6 +107,23 @@ def test_a_frame_under_its_own_sky_comes_back(inputs: RelightInputs) -> None:
     assert (brighter - batch["target_physical"]).abs().max() > 1e-3
 
 
+def test_partners_pictures_are_averaged_and_stay_in_the_file(inputs: RelightInputs) -> None:
+    first, second = random_network(0), random_network(1)
+    joined = RelitNet(replace(SMALL, partners=(SMALL,))).eval()
+    state = {f"partners.0.{name}": value for name, value in second.state_dict().items()}
+    joined.load_state_dict(first.state_dict() | state)
+    again = network_of(tensors_of_network(joined))
+    assert again.config == joined.config
+    batch = tensors_of(planes_of(inputs)[0])
+    with torch.inference_mode():
+        one, other, mean = (network(batch) for network in (first, second, again))
+    code = (srgb_of(one.picture) + srgb_of(other.picture)) / 2
+    assert (one.picture - other.picture).abs().max() > 1e-3
+    torch.testing.assert_close(srgb_of(mean.picture), code, atol=1e-5, rtol=1e-5)
+    error = (one.log_error.exp() + other.log_error.exp()) / 2
+    torch.testing.assert_close(mean.log_error.exp(), error)
+
+
 def test_shipped_weights_meet_the_planes_that_they_were_trained_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

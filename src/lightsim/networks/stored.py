@@ -24,7 +24,14 @@ def stored_config(tensors: Mapping[str, Tensor]) -> tuple[str, dict[str, Any]]:
     """Kind and config of `stored_tensors`."""
     values = json.loads(bytes(int(code) for code in tensors[_CONFIG].tolist()))
     kind = values.pop("kind")
-    return kind, {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    return kind, _with_tuples(values)
+
+
+def _with_tuples(value: Any) -> Any:
+    """Lists of JSON as tuples, at every depth."""
+    if isinstance(value, dict):
+        return {name: _with_tuples(one) for name, one in value.items()}
+    return tuple(map(_with_tuples, value)) if isinstance(value, list) else value
 
 
 def is_stored(tensors: Mapping[str, Tensor]) -> bool:

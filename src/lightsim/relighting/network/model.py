@@ -4,7 +4,10 @@ A U-Net (Ronneberger et al. 2015, arXiv:1505.04597) looks at the frame at half o
 and predicts, for every pixel there, how the log of the physical estimate changes: a constant and a
 few factors on guides that are computed at the size of the picture, as in Gharbi et al. 2017
 (doi:10.1145/3072959.3073592). So the size of the picture costs little, and edges stay where the
-picture has them. Besides, it says how far off it expects to be.
+picture has them. Besides, it says how far off it expects to be. Networks that learned from
+different first weights, streets or sizes err differently where nothing tells what is right, so that
+the mean of their pictures is closer to the truth than each (Hansen and Salamon 1990,
+doi:10.1109/34.58871).
 """
 
 from __future__ import annotations
@@ -18,7 +21,16 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from lightsim.relighting.network.blocks import Residual, Rise, padded
-from lightsim.relighting.network.features import Batch, Unseen, features, grey, level, without
+from lightsim.relighting.network.features import (
+    Batch,
+    Unseen,
+    features,
+    grey,
+    level,
+    linear_of,
+    srgb_of,
+    without,
+)
 
 _FEATURES = 39
 _COLOURS = 3
@@ -53,6 +65,8 @@ class RelitNetConfig:
     """The picture is brought to this width before the network looks at it; narrower ones stay."""
     unseen: tuple[Unseen, ...] = ()
     """What ablations leave out."""
+    partners: tuple[RelitNetConfig, ...] = ()
+    """Further networks, of the same working size, whose pictures are averaged with this one's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +108,7 @@ class RelitNet(nn.Module):
             nn.Tanh(),
         )
         self.drop = nn.Dropout2d(config.dropout)
+        self.partners = nn.ModuleList(RelitNet(partner) for partner in config.partners)
         # The first guess is physics.
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)  # type: ignore[arg-type]
@@ -106,6 +121,15 @@ class RelitNet(nn.Module):
                 of their whole frames (`features.level`).
             working: the same at the working size; None: the picture has it.
         """
+        found = [self._corrected(batch, working), *(p(batch, working) for p in self.partners)]
+        if len(found) == 1:
+            return found[0]
+        code = torch.stack([srgb_of(one.picture) for one in found]).mean(0)
+        error = torch.stack([one.log_error for one in found]).exp().mean(0)
+        return Correction(linear_of(code), error.log())
+
+    def _corrected(self, batch: Batch, working: Batch | None) -> Correction:
+        """By this network alone."""
         given, batch = batch, without(batch, self.config.unseen)
         if working is None or working is given:
             working = batch

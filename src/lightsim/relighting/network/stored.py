@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -54,7 +55,9 @@ def network_of(tensors: Mapping[str, Tensor]) -> Network:
         raise InputError(
             "these are weights of another network", got=kind, expected=", ".join(configs)
         )
-    network = make_network(configs[kind](**values))
+    partners = tuple(RelitNetConfig(**one) for one in values.pop("partners", ()))
+    config = configs[kind](**values)
+    network = make_network(replace(config, partners=partners) if partners else config)
     load_stored(network, tensors)
     return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
