@@ -19,7 +19,7 @@ BenchmarkSize = Literal["small", "full"]
 HeldOutSide = Literal["validation", "test"]
 REFERENCE: Method = "network"
 """Whom the others are held against: what relight does by itself."""
-TRAINING = (77, 412, 1203, 3001, 4007, 5021, 6143, 7351, 8209, *range(201, 213))
+TRAINING = (77, 412, 1203, 3001, 4007, 5021, 6143, 7351, 8209, *range(201, 213), *range(221, 231))
 """Seeds of the streets that relighting networks learn from."""
 HELD_OUT: Mapping[HeldOutSide, Mapping[int, str]] = MappingProxyType(
     {
