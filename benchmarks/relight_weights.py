@@ -17,16 +17,13 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
-import torch
-from torch import Tensor
 
-from lightsim.evaluate.lpips import Features, lpips_features, lpips_of_features
-from lightsim.evaluate.metrics import psnr
+from lightsim.evaluate.lpips import lpips_features
 from lightsim.relighting.network.features import srgb_of
 from lightsim.relighting.network.stored import network_of
 from lightsim.store.weights import read_weights
 from lightsim.training.relight_data import RelightData, RelightDataConfig
-from lightsim.training.relight_pairs import RelightBatch
+from lightsim.training.relight_scores import is_judged, made_by, picture_of, scores_of
 
 _OWN = ("low_sun", "high_sun", "overcast", "identity")
 
@@ -47,20 +44,20 @@ def main() -> None:
     for index, sky in pairs:
         batch = data.whole(index, sky)
         pictures = {
-            "copy": batch.planes["source"],
-            "physical": srgb_of(batch.planes["target_physical"]),
+            "copy": picture_of(batch.planes["source"]),
+            "physical": picture_of(srgb_of(batch.planes["target_physical"])),
         }
         for name, network in networks.items():
             began = time.process_time()
-            with torch.inference_mode():
-                made = network(batch.planes)
-            pictures[name] = made if isinstance(made, Tensor) else srgb_of(made.picture)
+            pictures[name] = made_by(network, batch)[0]
             spent[name] += time.process_time() - began
         if len(networks) > 1:
-            pictures["mean"] = torch.stack([pictures[name] for name in networks]).mean(0)
-        scores = _scores(pictures, batch, has_lpips=options.lpips)
+            pictures["mean"] = np.mean([pictures[name] for name in networks], axis=0)
+        truth, is_valid = picture_of(batch.truth), is_judged(batch).numpy()
+        features = lpips_features(truth) if options.lpips else None
         kind = "identity" if sky is None else sky if sky in _OWN else "other"
-        for name, score in scores.items():
+        for name, picture in pictures.items():
+            score = scores_of(picture, truth, features, is_valid)
             found[name][kind].append(score)
             if sky is not None:
                 found[name]["mean"].append(score)
@@ -70,27 +67,6 @@ def main() -> None:
         cells = [_cell(np.mean(rows[kind], axis=0), has_lpips=options.lpips) for kind in kinds]
         seconds = f"{spent[name] / len(pairs):.2f}" if name in spent else "-"
         sys.stdout.write(f"| {name} | {' | '.join(cells)} | {seconds} |\n")
-
-
-def _scores(
-    pictures: dict[str, Tensor], batch: RelightBatch, *, has_lpips: bool
-) -> dict[str, tuple[float, float]]:
-    is_valid = ((batch.weight[0, 0] > 0) & (batch.planes["matte"][0, 0] < 0.5)).numpy()
-    truth = _picture(batch.truth)
-    features: Features | None = lpips_features(truth) if has_lpips else None
-    found = {}
-    for name, tensor in pictures.items():
-        picture = _picture(tensor)
-        distance = np.nan
-        if features is not None:
-            filled = np.where(is_valid[..., None], picture, truth)
-            distance = lpips_of_features(lpips_features(filled), features, is_valid)
-        found[name] = (psnr(picture, truth, is_valid), distance)
-    return found
-
-
-def _picture(srgb: Tensor) -> np.ndarray:
-    return srgb[0].clamp(0, 1).permute(1, 2, 0).contiguous().numpy()
 
 
 def _cell(score: np.ndarray, *, has_lpips: bool) -> str:

@@ -15,6 +15,7 @@ from lightsim.errors import InputError
 from lightsim.relighting.network.model import RelitNet
 from lightsim.relighting.network.stored import network_for, probe, tensors_of_network
 from lightsim.store.weights import WeightsRecord, read_record, write_weights
+from lightsim.training.run_relight import by_number
 
 
 def main() -> None:
@@ -40,9 +41,13 @@ def _joined(records: list[WeightsRecord], validation: list[str]) -> WeightsRecor
     if len({record.licence for record in records}) > 1:
         raise InputError("weights of one file have one licence", where="--out")
     told = [record.streets for record in records if not isinstance(record.streets, str)]
+    if len(told) < len(records):
+        raise InputError("weights do not tell what streets they learned from", where="--out")
     streets = {
-        "training": sorted({name for one in told for name in one["training"]}, key=int),
-        "validation": sorted({*validation, *(n for one in told for n in one["validation"])}),
+        "training": sorted({name for one in told for name in one["training"]}, key=by_number),
+        "validation": sorted(
+            {*validation, *(name for one in told for name in one["validation"])}, key=by_number
+        ),
     }
     return replace(
         records[0],

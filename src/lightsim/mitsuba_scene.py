@@ -26,6 +26,7 @@ from lightsim.errors import InputError
 Variant = Literal["scalar_rgb", "llvm_ad_rgb", "cuda_ad_rgb"]
 """How Mitsuba computes: interpreted, compiled for the processor, or on CUDA."""
 TracingDevice = Literal["cpu", "cuda"]
+"""As commands name it: scalar and LLVM variants compute on the processor."""
 
 # Versions 14 to 16 cannot translate Mitsuba's kernels for every processor and end the process
 # (seen on processors with AVX-512).

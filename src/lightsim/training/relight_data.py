@@ -210,12 +210,12 @@ class RelightData:
         def of_each(values: np.ndarray) -> Tensor:
             return torch.from_numpy(values.reshape(-1, 1, 1, 1)).to(batch.truth)
 
-        is_mirrored = rng.random(count) < 0.5
+        is_mirrored = of_each(rng.random(count)) < 0.5
         error_ev = rng.normal(size=count) * config.light_error_ev
         lighter, tint = config.paint_ev
         paint_ev = lighter * rng.normal(size=(count, 1)) + tint * rng.normal(size=(count, 3))
         exposure_ev = rng.uniform(*config.exposure_ev, count)
-        batch = mirrored(batch, of_each(is_mirrored.astype(np.float32)))
+        batch = mirrored(batch, is_mirrored)
         if "target_physical" in batch.planes:
             batch = misjudged(batch, of_each(2.0**error_ev))
         return exposed(batch, of_each(2.0**exposure_ev), 2.0**paint_ev)

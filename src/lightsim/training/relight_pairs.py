@@ -7,14 +7,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
+from lightsim.relighting.network.channels import OF_SKIES
 from lightsim.relighting.network.features import linear_of, rendered, srgb_of
 
 LEVEL = "_level"
 """End of the name of what a crop tells of its whole frame (`features.level`)."""
 TRUTH = "truth"
+_VECTORS = ("normal", "position")
+_RADIANT = ("shaded", "reflected", "physical", "sky", OF_SKIES, LEVEL)
+_PAINTED = ("reflected", "physical")
+"""What grows with the colour of surfaces; mirrors do, so that the picture stays their sum."""
 _CLIPPED = 254 / 255
 
 
@@ -128,16 +133,8 @@ def recorded_light(scene: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {**own, "target_sky": linear_of(scene["source"].float()).to(scene["source"].dtype)}
 
 
-_VECTORS = ("normal", "position")
-_DOME = "_dome"
-_RADIANT = ("shaded", "reflected", "physical", "sky", _DOME, LEVEL)
-_PAINTED = ("reflected", "physical")
-"""What grows with the colour of surfaces; mirrors do, so that the picture stays their sum."""
-
-
-def mirrored(one: RelightBatch, which: Float[Tensor, "n 1 1 1"]) -> RelightBatch:
-    """Left and right exchanged, of skies too, of the samples with a 1."""
-    is_mirrored = which > 0
+def mirrored(one: RelightBatch, is_mirrored: Bool[Tensor, "n 1 1 1"]) -> RelightBatch:
+    """Left and right exchanged, of skies too, of some of the samples."""
 
     def turned(name: str, value: Tensor) -> Tensor:
         flipped = value.flip(-1)

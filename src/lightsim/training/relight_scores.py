@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 from torch.nn import functional
 
@@ -37,16 +37,16 @@ def score_relight(network: Network, data: RelightData, progress: Progress) -> di
     for index in progress.track(range(len(data)), "validate relighting"):
         for sky in (*data.skies(index), None):
             batch = data.whole(index, sky)
-            made, log_error = _made(network, batch)
-            is_valid = (batch.weight[0, 0] > 0) & (batch.planes["matte"][0, 0] < 0.5)
-            truth = _picture(batch.truth)
+            made, log_error = made_by(network, batch)
+            is_valid = is_judged(batch)
+            truth = picture_of(batch.truth)
             methods = {"network": made}
             if sky is not None:
-                methods["physical"] = _picture(srgb_of(batch.planes["target_physical"]))
-                methods["copy"] = _picture(batch.planes["source"])
+                methods["physical"] = picture_of(srgb_of(batch.planes["target_physical"]))
+                methods["copy"] = picture_of(batch.planes["source"])
             features = lpips_features(truth)
             for method, picture in methods.items():
-                scores = _scores(picture, truth, features, is_valid.numpy())
+                scores = scores_of(picture, truth, features, is_valid.numpy())
                 found[_condition(sky)][method].append(scores)
             if log_error is not None and sky is not None:
                 correlations.append(_correlation(made, truth, is_valid, log_error))
@@ -60,6 +60,11 @@ def score_relight(network: Network, data: RelightData, progress: Progress) -> di
     return rows | ({"error_rank_correlation": float(np.mean(correlations))} if correlations else {})
 
 
+def is_judged(batch: RelightBatch) -> Bool[Tensor, "h w"]:
+    """Where a frame counts: outside the sky that the matte knows."""
+    return (batch.weight[0, 0] > 0) & (batch.planes["matte"][0, 0] < 0.5)
+
+
 def _condition(sky: str | None) -> str:
     """Of a target sky by its name: the streets' own three, a measured one, or the source's."""
     if sky is None:
@@ -67,21 +72,33 @@ def _condition(sky: str | None) -> str:
     return sky if sky in ("low_sun", "high_sun", "overcast") else "measured"
 
 
-def _made(network: Network, batch: RelightBatch) -> tuple[Picture, Tensor | None]:
+def made_by(network: Network, batch: RelightBatch) -> tuple[Picture, Tensor | None]:
+    """What a network makes of one frame, and the log of the error that it expects, if any."""
     with torch.inference_mode():
         found = network(batch.planes)
     if isinstance(found, Tensor):
-        return _picture(found), None
-    return _picture(srgb_of(found.picture)), found.log_error
+        return picture_of(found), None
+    return picture_of(srgb_of(found.picture)), found.log_error
 
 
-def _picture(srgb: Tensor) -> Picture:
+def picture_of(srgb: Float[Tensor, "1 3 h w"]) -> Picture:
+    """As it is recorded: clipped."""
     return srgb[0].clamp(0, 1).permute(1, 2, 0).contiguous().numpy()
 
 
-def _scores(
-    picture: Picture, truth: Picture, features: Features, is_valid: Bool[np.ndarray, "h w"]
+def scores_of(
+    picture: Picture,
+    truth: Picture,
+    features: Features | None,
+    is_valid: Bool[np.ndarray, "h w"],
 ) -> tuple[float, float]:
+    """PSNR in dB and LPIPS where pixels are valid.
+
+    Args:
+        features: of the truth (`lpips_features`); None leaves LPIPS out: it is nan.
+    """
+    if features is None:
+        return psnr(picture, truth, is_valid), float("nan")
     filled = np.where(is_valid[..., None], picture, truth)
     distance = lpips_of_features(lpips_features(filled), features, is_valid)
     return psnr(picture, truth, is_valid), distance

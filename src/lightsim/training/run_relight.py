@@ -84,7 +84,7 @@ def train(command: RelightTrainingOptions) -> None:
         licence=command.licence,
         version=__version__,
         streets={
-            "training": sorted({*before, *streets}, key=_by_number),
+            "training": sorted({*before, *streets}, key=by_number),
             "validation": list(command.validation),
         },
         probe=probe(network) if isinstance(network, RelitNet) else UNKNOWN,
@@ -173,7 +173,8 @@ def _streets_of(first: WeightsRecord, command: RelightTrainingOptions) -> list[s
     return told["training"]
 
 
-def _by_number(name: str) -> tuple[int, str]:
+def by_number(name: str) -> tuple[int, str]:
+    """Key that sorts streets."""
     return (int(name) if name.isdigit() else 0, name)
 
 

@@ -13,13 +13,16 @@ doi:10.1109/34.58871).
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
+from lightsim.errors import InputError
 from lightsim.relighting.network.blocks import Residual, Rise, padded
 from lightsim.relighting.network.features import (
     Batch,
@@ -66,7 +69,7 @@ class RelitNetConfig:
     unseen: tuple[Unseen, ...] = ()
     """What ablations leave out."""
     partners: tuple[RelitNetConfig, ...] = ()
-    """Further networks, of the same working size, whose pictures are averaged with this one's."""
+    """Further networks, which look at the same planes, whose pictures are averaged with its."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +111,14 @@ class RelitNet(nn.Module):
             nn.Tanh(),
         )
         self.drop = nn.Dropout2d(config.dropout)
+        for partner in config.partners:
+            mine = (config.unseen, config.working_columns)
+            if (partner.unseen, partner.working_columns) != mine:
+                raise InputError(
+                    "networks whose pictures are averaged look at the same planes",
+                    got=partner,
+                    expected=f"{config.working_columns} columns, unseen {config.unseen}",
+                )
         self.partners = nn.ModuleList(RelitNet(partner) for partner in config.partners)
         # The first guess is physics.
         nn.init.zeros_(self.head.weight)
@@ -121,15 +132,6 @@ class RelitNet(nn.Module):
                 of their whole frames (`features.level`).
             working: the same at the working size; None: the picture has it.
         """
-        found = [self._corrected(batch, working), *(p(batch, working) for p in self.partners)]
-        if len(found) == 1:
-            return found[0]
-        code = torch.stack([srgb_of(one.picture) for one in found]).mean(0)
-        error = torch.stack([one.log_error for one in found]).exp().mean(0)
-        return Correction(linear_of(code), error.log())
-
-    def _corrected(self, batch: Batch, working: Batch | None) -> Correction:
-        """By this network alone."""
         given, batch = batch, without(batch, self.config.unseen)
         if working is None or working is given:
             working = batch
@@ -138,24 +140,38 @@ class RelitNet(nn.Module):
         known = working.get("target_level")
         frame_level = level(working) if known is None else known
         exposure = _LEVEL / frame_level.clamp_min(_LEAST_LEVEL)
+        floor = _FLOOR / exposure
         seen = features(working, exposure)
-        coefficients, log_error = self._look(seen)
-        physical = batch["target_physical"]
-        size = physical.shape[-2:]
-        spread = functional.interpolate(coefficients, size, mode="bilinear")
+        guiding = seen if working is batch else features(batch, exposure)
+        is_land, is_new = 1 - batch["matte"], _how_new(working, floor)
+        physical = batch["target_physical"].clamp_min(0.0) + floor
+        found = []
+        for network in cast(list[RelitNet], [self, *self.partners]):
+            change, log_error = network.look(seen, guiding)
+            picture = physical * torch.exp(change * is_land * is_new) - floor
+            log_error = (log_error - torch.log(exposure) / _CODE_POWER).clamp(-_MOST_EXACT, 0.0)
+            found.append(Correction(picture.clamp_min(0.0), log_error))
+        return found[0] if len(found) == 1 else _mean(found)
+
+    def look(
+        self, seen: Float[Tensor, "n f p q"], guiding: Float[Tensor, "n f h w"]
+    ) -> tuple[Float[Tensor, "n 3 h w"], Tensor]:
+        """How the log of the estimate changes, by this network alone, and the expected error's log.
+
+        Args:
+            seen: features at the working size.
+            guiding: at the size of the picture.
+        """
+        coefficients, log_error = self._coefficients(seen)
+        spread = functional.interpolate(coefficients, guiding.shape[-2:], mode="bilinear")
         constant, factors = spread[:, :_COLOURS], spread[:, _COLOURS:]
-        followed = self.guide(seen if working is batch else features(batch, exposure))
+        followed = self.guide(guiding)
         change = constant + (
             factors.unflatten(1, (_COLOURS, self.config.guide_count)) * followed[:, None]
         ).sum(2)
-        change = _LARGEST * torch.tanh(change / _LARGEST) * (1 - batch["matte"])
-        floor = _FLOOR / exposure
-        change = change * _how_new(working, floor)
-        picture = (physical.clamp_min(0.0) + floor) * torch.exp(change) - floor
-        log_error = (log_error - torch.log(exposure) / _CODE_POWER).clamp(-_MOST_EXACT, 0.0)
-        return Correction(picture.clamp_min(0.0), log_error)
+        return _LARGEST * torch.tanh(change / _LARGEST), log_error
 
-    def _look(self, seen: Float[Tensor, "n f h w"]) -> tuple[Tensor, Tensor]:
+    def _coefficients(self, seen: Float[Tensor, "n f h w"]) -> tuple[Tensor, Tensor]:
         """Coefficients of the correction, times their confidence, and the expected error's log."""
         x, size = padded(seen, 2 ** len(self.config.widths))
         x = self.stem(x)
@@ -171,6 +187,13 @@ class RelitNet(nn.Module):
         confidence = 1.0 if is_sure else torch.sigmoid(found[:, -2:-1] + 1.0)
         # Bounded, or one surprise of a likelihood ends the training.
         return found[:, :-2] * confidence, -_MOST_EXACT * torch.sigmoid(found[:, -1:])
+
+
+def _mean(found: Sequence[Correction]) -> Correction:
+    """Of pictures by their codes."""
+    code = torch.stack([srgb_of(one.picture) for one in found]).mean(0)
+    error = torch.stack([one.log_error for one in found]).exp().mean(0)
+    return Correction(linear_of(code), error.log())
 
 
 def _how_new(batch: Batch, floor: Float[Tensor, "n 1 1 1"]) -> Float[Tensor, "n 1 1 1"]:
