@@ -103,6 +103,13 @@ class RelightTrainingOptions(RunOptions):
     """Ablations: sim-real, identity, truth (pairs), buffers, shadow-maps, physical, confidence."""
     edge_weight: float | None = None
     """Weight of the edges' loss; by default the network's."""
+    edge_pixels_px: tuple[int, ...] = ()
+    """Sizes of pixels at which edges are compared (1 alone by default): what is left of a shadow is
+    a soft step, which fine gradients hardly see. Of paper and network."""
+    knee: float | None = None
+    """Of network: colour errors above it count by their logarithm, as decibels do (try .03)."""
+    zooms: tuple[float, ...] = ()
+    """Crops of a step are magnified by one of these (1 alone by default), as by other lenses."""
     streets: tuple[str, ...] = ()
     """Its folders to learn from; by default all but those for validation."""
     validation: tuple[str, ...] = ()

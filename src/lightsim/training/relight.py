@@ -25,6 +25,7 @@ from lightsim.training.relight_losses import (
     Perceptual,
     colour_loss,
     error_loss,
+    even_loss,
     picture_terms,
     shown,
 )
@@ -51,10 +52,14 @@ class RelightTrainConfig:
     """Highest learning rate (AdamW)."""
     weight_decay: float = 1e-2
     """Of AdamW."""
+    knee: float | None = None
+    """Of the colour's error, above which it counts by its logarithm (`even_loss`)."""
     perception: float = 0.15
     """Weight of LPIPS beside that of colour, which is 1."""
     edges: float = 0.5
     """Weight of the edges' difference."""
+    edge_pixels_px: tuple[int, ...] = (1,)
+    """Edges are compared with pixels so many times as large, too (`edge_loss`)."""
     stability: float = 0.5
     """Weight of how the picture changes when the frame moves by a few pixels, so that videos do not
     flicker (single frames tell: Eilertsen et al. 2019, doi:10.1109/CVPR.2019.01143)."""
@@ -98,6 +103,7 @@ def paper(config: RelightTrainConfig) -> RelightTrainConfig:
         network=PaperNetConfig(),
         perception=1.0,
         edges=400.0,
+        edge_pixels_px=(1,),
         error=0.0,
         stability=0.0,
         data=data,
@@ -189,7 +195,9 @@ def _loss(
     pictures = found if is_paper else shown(srgb_of(found.picture))
     made, moved = pictures[:count], pictures[count:]
     weight = batch.weight
-    terms = picture_terms(made, batch.truth, weight, perceptual, config.perception_crops)
+    terms = picture_terms(
+        made, batch.truth, weight, perceptual, config.perception_crops, config.edge_pixels_px
+    )
     if config.stability:
         inside = (..., slice(_MOST_PX, -_MOST_PX), slice(_MOST_PX, -_MOST_PX))
         back = moved.roll([-px for px in shift_px], (-2, -1))
@@ -198,7 +206,11 @@ def _loss(
         total = terms["colour"].square() + config.edges * terms["edges"].square()
     else:
         terms["error"] = error_loss(found.log_error[:count], made, batch.truth, weight)
-        total = terms["colour"] + config.edges * terms["edges"] + config.error * terms["error"]
+        colour = terms["colour"]
+        if config.knee is not None:
+            # Twice: at the knee it pulls as hard as without one.
+            colour = terms["even"] = 2 * even_loss(made, batch.truth, weight, config.knee)
+        total = colour + config.edges * terms["edges"] + config.error * terms["error"]
         if "target_physical" in batch.planes:
             # Beside what the physical estimate has, a step's colour tells what has been learned.
             physical = shown(srgb_of(batch.planes["target_physical"]))

@@ -30,6 +30,7 @@ from lightsim.training.relight_pairs import (
     rendered_pair,
     true_pair,
     with_exact_estimate,
+    zoomed,
 )
 
 _OPEN_FILES = 512
@@ -49,6 +50,9 @@ class RelightDataConfig:
     """Crops a step: many small ones of many frames learn faster than a large one."""
     crop_px: tuple[int, int] = (96, 96)
     """Rows and columns of a crop, at most; a smaller picture is shown whole."""
+    zooms: tuple[float, ...] = (1.0,)
+    """All crops of a step are magnified by one of these: cameras have other focal lengths, and
+    streets are few."""
     identity_fraction: float = 0.05
     """Of the samples: their target is the source itself."""
     sim_sim_fraction: float = 0.0
@@ -144,7 +148,9 @@ class RelightData:
             return self._batch(rng)
 
     def _batch(self, rng: np.random.Generator) -> RelightBatch:
-        draws = [self._draw(rng) for _ in range(self._config.batch)]
+        zooms = self._config.zooms
+        zoom = zooms[int(rng.integers(len(zooms))) if len(zooms) > 1 else 0]
+        draws = [self._draw(rng, zoom) for _ in range(self._config.batch)]
         order, parts = [], []
         for kind in get_args(_Kind):
             own = [k for k, one in enumerate(draws) if one.kind == kind]
@@ -152,7 +158,11 @@ class RelightData:
                 order += own
                 parts.append(_pair(kind, [draws[k] for k in own]))
         back = torch.from_numpy(np.argsort(order)).to(self.device)
-        return self._varied(joined(parts).taken(back), rng)
+        batch = joined(parts).taken(back)
+        if zoom != 1:
+            rows, columns = batch.truth.shape[-2:]
+            batch = zoomed(batch, (round(rows * zoom), round(columns * zoom)))
+        return self._varied(batch, rng)
 
     def _loaded(self, path: Path) -> Views:
         """A frame in half precision, with a leading axis of one."""
@@ -175,11 +185,12 @@ class RelightData:
     def _placed(self, planes: Mapping[str, np.ndarray]) -> dict[str, Tensor]:
         return {k: torch.from_numpy(v)[None].to(self.device) for k, v in planes.items()}
 
-    def _draw(self, rng: np.random.Generator) -> _Draw:
+    def _draw(self, rng: np.random.Generator, zoom: float) -> _Draw:
         frame = self._read(self.files[int(rng.integers(len(self.files)))])
         window = []
         size = frame.scene["source"].shape[-2:]
-        for length, part in zip(size, self._config.crop_px, strict=True):
+        for length, crop in zip(size, self._config.crop_px, strict=True):
+            part = round(crop / zoom)
             at = int(rng.integers(max(length - part, 0) + 1))
             window.append(slice(at, at + part))
         config, skies = self._config, list(frame.targets)

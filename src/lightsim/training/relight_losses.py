@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -28,18 +30,41 @@ def colour_loss(
     weight: Float[Tensor, "n 1 h w"],
 ) -> Float[Tensor, ""]:
     """Root mean square of the codes' difference, mean over the pictures (paper, L_color)."""
+    return _errors(made, truth, weight).mean()
+
+
+def even_loss(
+    made: Float[Tensor, "n c h w"],
+    truth: Float[Tensor, "n c h w"],
+    weight: Float[Tensor, "n 1 h w"],
+    knee: float,
+) -> Float[Tensor, ""]:
+    """The same, but errors above the knee count by their logarithm, as they do in decibels: a
+    picture that is nearly right can gain as much as one that hardly can be."""
+    return knee * torch.log1p(_errors(made, truth, weight) / knee).mean()
+
+
+def _errors(made: Tensor, truth: Tensor, weight: Tensor) -> Float[Tensor, "n"]:
     square = (weight * (made - truth).square()).sum((1, 2, 3))
     mean = square / (made.shape[1] * weight.sum((1, 2, 3)) + _TINY)
-    return ((mean + _NOISE**2).sqrt() - _NOISE).mean()
+    return (mean + _NOISE**2).sqrt() - _NOISE
 
 
 def edge_loss(
     made: Float[Tensor, "n 3 h w"],
     truth: Float[Tensor, "n 3 h w"],
     weight: Float[Tensor, "n 1 h w"],
+    pixel_px: int = 1,
 ) -> Float[Tensor, ""]:
     """Root mean square of the difference of Sobel gradients (paper, L_edge; Sobel and Feldman
-    1968), in codes a pixel."""
+    1968), in codes a pixel.
+
+    Args:
+        pixel_px: pictures are looked at with pixels so many times as large: what is left of a
+            shadow is a step with soft edges, which a fine gradient hardly sees.
+    """
+    if pixel_px > 1:
+        made, truth, weight = (functional.avg_pool2d(x, pixel_px) for x in (made, truth, weight))
     return colour_loss(_sobel(made), _sobel(truth), weight[..., 1:-1, 1:-1])
 
 
@@ -72,17 +97,21 @@ def picture_terms(
     weight: Float[Tensor, "n 1 h w"],
     perceptual: nn.Module,
     perception_crops: int,
+    edge_pixels_px: Sequence[int] = (1,),
 ) -> dict[str, Tensor]:
     """Colour, edges and LPIPS of pictures as they are `shown`; what does not count looks like the
     truth.
 
     Args:
         perception_crops: pictures that LPIPS looks at.
+        edge_pixels_px: sizes of pixels whose edges' losses are summed.
     """
     filled, few = weight * made + (1 - weight) * truth, slice(perception_crops)
+    ones = torch.ones_like(weight)
+    edges = [edge_loss(filled, truth, ones, px) for px in edge_pixels_px]
     return {
         "colour": colour_loss(made, truth, weight),
-        "edges": edge_loss(filled, truth, torch.ones_like(weight)),
+        "edges": torch.stack(edges).sum(),
         "lpips": perceptual(filled[few], truth[few]),
     }
 

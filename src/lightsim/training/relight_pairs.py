@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+from torch.nn import functional
 
 from lightsim.relighting.network.channels import OF_SKIES
 from lightsim.relighting.network.features import linear_of, rendered, srgb_of
@@ -20,6 +21,8 @@ _VECTORS = ("normal", "position")
 _RADIANT = ("shaded", "reflected", "physical", "sky", OF_SKIES, LEVEL)
 _PAINTED = ("reflected", "physical")
 """What grows with the colour of surfaces; mirrors do, so that the picture stays their sum."""
+_STEPPED = ("found", "weight")
+"""What has no means: -1 is unknown, and a pixel counts or does not."""
 _CLIPPED = 254 / 255
 
 
@@ -131,6 +134,27 @@ def recorded_light(scene: Mapping[str, Tensor]) -> dict[str, Tensor]:
         if name.startswith("source_")
     }
     return {**own, "target_sky": linear_of(scene["source"].float()).to(scene["source"].dtype)}
+
+
+def zoomed(one: RelightBatch, size: tuple[int, int]) -> RelightBatch:
+    """As a camera of another focal length would have shown it, with so many rows and columns."""
+    # Means over areas where pixels grow fewer, so that nothing is skipped.
+    smooth = "bilinear" if size[0] > one.truth.shape[-2] else "area"
+
+    def seen(name: str, value: Tensor) -> Tensor:
+        if name.endswith((OF_SKIES, LEVEL)):
+            return value
+        if name in _STEPPED:
+            return functional.interpolate(value, size, mode="nearest-exact")
+        if name in ("source", TRUTH):
+            return srgb_of(functional.interpolate(linear_of(value), size, mode=smooth))
+        return functional.interpolate(value, size, mode=smooth)
+
+    return RelightBatch(
+        {name: seen(name, value) for name, value in one.planes.items()},
+        seen(TRUTH, one.truth),
+        seen("weight", one.weight),
+    )
 
 
 def mirrored(one: RelightBatch, is_mirrored: Bool[Tensor, "n 1 1 1"]) -> RelightBatch:

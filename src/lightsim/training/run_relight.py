@@ -40,6 +40,7 @@ _DESCRIPTION = {
 }
 _BASELINES = {"self-osr": SelfOsrConfig(), "epe": EpeConfig()}
 _MOST_EDGES = 1e4
+_MOST_PIXEL_PX, _MOST_ZOOM = 32, 4.0
 _RATE_GOING_ON = 0.3
 """Learning rate from weights that know something, over that from random ones."""
 
@@ -102,10 +103,18 @@ def _config(command: RelightTrainingOptions) -> RelightTrainConfig | BaselineTra
 
 
 def _baseline(command: RelightTrainingOptions) -> BaselineTrainConfig:
-    if command.without or command.start:
+    given = {
+        "--without": command.without,
+        "--start": command.start,
+        "--edge-pixels-px": command.edge_pixels_px,
+        "--knee": command.knee,
+        "--zooms": command.zooms,
+    }
+    of_others = next((option for option, value in given.items() if value), None)
+    if of_others is not None:
         raise InputError(
-            "ablations and first weights are of the paper's network and of ours",
-            where="--without" if command.without else "--start",
+            "this option is of the paper's network and of ours",
+            where=of_others,
             got=f"--network {command.network}",
             expected="--network network or paper",
         )
@@ -128,7 +137,25 @@ def _own(command: RelightTrainingOptions) -> RelightTrainConfig:
         config = paper(config)
     if command.start is not None:
         config = replace(config, rate=config.rate * _RATE_GOING_ON)
-    return ablated(config, command.without)  # type: ignore[arg-type]
+    return ablated(_varied(config, command), command.without)  # type: ignore[arg-type]
+
+
+def _varied(config: RelightTrainConfig, command: RelightTrainingOptions) -> RelightTrainConfig:
+    """With other losses and other lenses, where they are asked for."""
+    if command.edge_pixels_px:
+        for px in command.edge_pixels_px:
+            check_number("--edge-pixels-px", px, 1, _MOST_PIXEL_PX)
+        config = replace(config, edge_pixels_px=command.edge_pixels_px)
+    if command.knee is not None:
+        if command.network == "paper":
+            raise InputError("the paper's loss has no knee", where="--knee", remedy="Leave it out.")
+        check_number("--knee", command.knee, 1e-3, 1.0)
+        config = replace(config, knee=command.knee)
+    if command.zooms:
+        for zoom in command.zooms:
+            check_number("--zooms", zoom, 1 / _MOST_ZOOM, _MOST_ZOOM)
+        config = replace(config, data=replace(config.data, zooms=command.zooms))
+    return config
 
 
 def _streets(command: RelightTrainingOptions) -> tuple[str, ...]:
