@@ -16,7 +16,7 @@ FLOORS = (
     "__main__", "cli", "api", "simulation", "pipeline", "training", "evaluate", "view",
     "relighting", "baselines", "render", "scenario", "lighting", "appearance", "geometry",
     "reconstruct", "align", "masks", "synthetic", "datasets", "networks", "store", "mitsuba_scene",
-    "denoise", "core", "arguments", "progress", "optional", "errors", "version",
+    "denoise", "core", "arguments", "progress", "optional", "errors", "cores", "version",
 )  # fmt: skip
 """Packages and modules of the top level, from the top down: an import only ever leads down.
 

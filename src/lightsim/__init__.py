@@ -6,8 +6,10 @@ that `import lightsim` stays quick.
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING
 
+from lightsim.cores import tell_numba
 from lightsim.version import __version__
 
 if TYPE_CHECKING:
@@ -35,6 +37,8 @@ __all__ = [
     "relight",
     "simulate",
 ]
+
+tell_numba(os.environ)
 
 
 def __getattr__(name: str) -> object:

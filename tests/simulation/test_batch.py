@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -55,6 +57,35 @@ def test_the_rest_goes_on_and_only_what_failed_is_run_again(asked: Path, jobs: i
     assert run(asked, jobs=jobs) == BatchResult(1, 2, {})
     assert names(asked) == ["broken"]
     assert run(asked) == BatchResult(0, 3, {})
+
+
+def test_processes_share_the_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = "import os, sys; open(sys.argv[2], 'w').write(os.environ['OMP_NUM_THREADS'])"
+    monkeypatch.setattr(batch, "_PROGRAM", (sys.executable, "-c", told))
+    monkeypatch.setattr(batch, "core_count", lambda: 8)
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    for jobs, asked, threads in ((3, None, "2"), (16, None, "1"), (3, "5", "5")):
+        if asked is not None:
+            monkeypatch.setenv("OMP_NUM_THREADS", asked)
+        out = tmp_path / f"{jobs}-{asked}"
+        run_batch("build", [(str(out),)], BatchOptions(out=tmp_path, jobs=jobs), SilentProgress())
+        assert out.read_text() == threads
+
+
+def test_a_limit_on_threads_holds_after_numbas_first_loop() -> None:
+    """Whose start sets the threads of torch."""
+    program = (
+        "from lightsim.reconstruct.fusion.tsdf_kernels import integrate_view\n"
+        "import numba.np.ufunc.parallel as parallel, torch\n"
+        "parallel._launch_threads()\n"
+        "print(torch.get_num_threads(), parallel.get_thread_count())"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_NUM_THREADS"}
+    told = subprocess.run(
+        [sys.executable, "-c", program], env=environment | {"OMP_NUM_THREADS": "1"},
+        check=True, capture_output=True, text=True,
+    )  # fmt: skip
+    assert told.stdout.split() == ["1", "1"]
 
 
 def test_shards_share_a_folder_and_the_work(asked: Path) -> None:

@@ -12,6 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
+from lightsim.cores import core_count
 from lightsim.errors import ArtefactError, InputError
 from lightsim.store.weights import WEIGHTS_FOLDER, list_weights, read_record
 from lightsim.version import __version__
@@ -127,9 +128,9 @@ def _processor(cpuinfo: Path) -> list[Finding]:
     text = cpuinfo.read_text() if cpuinfo.is_file() else ""
     model = re.search(r"model name\s*:\s*(.+)", text)
     flags = re.search(r"flags\s*:\s*(.+)", text)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    cores = core_count()
     name = model[1].strip() if model else platform.processor() or "unknown processor"
-    advice = "" if (cores or 1) >= 4 else "Building takes many minutes; try --image-scale 0.5."
+    advice = "" if cores >= 4 else "Building takes many minutes; try --image-scale 0.5."
     state: State = "note" if advice else "ok"
     findings = [Finding("processor", "CPU", f"{name}, {cores} usable cores", state, advice)]
     if flags is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import shlex
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Literal
 
 from lightsim.core.checks import check_number
+from lightsim.cores import THREADS, core_count
 from lightsim.errors import InputError
 from lightsim.progress import Progress
 from lightsim.simulation.shard import Shard
@@ -34,7 +36,7 @@ class BatchOptions:
     out: Path
     """Folder for what the commands print (<log>.log) and for what is finished (<log>.done)."""
     jobs: int = 1
-    """Processes at a time; each takes as many cores as OMP_NUM_THREADS lets it."""
+    """Processes at a time; each takes as many cores as OMP_NUM_THREADS says, or its part of all."""
     shard: str = ""
     """I/N, I from 1 to N: take the I-th of N parts of the list; parts may share DIR."""
 
@@ -114,7 +116,7 @@ def run_batch(
     chosen = Shard.parse(options.shard).of(list(dict.fromkeys(lines)))
     jobs = [_job((command, *words), options.out) for words in chosen]
     pending = [job for job in jobs if not job.is_done()]
-    running = _Running()
+    running = _Running(options.jobs)
     failed: dict[Path, str] = {}
     with ThreadPoolExecutor(options.jobs) as pool:
         futures = {pool.submit(running.run, job): job for job in pending}
@@ -149,7 +151,9 @@ def _job(words: tuple[str, ...], out: Path) -> _Job:
 class _Running:
     """The processes that are alive."""
 
-    def __init__(self) -> None:
+    def __init__(self, at_a_time: int) -> None:
+        own = max(1, core_count() // at_a_time)
+        self._environment = {THREADS: str(own), **os.environ}
         self._lock = threading.Lock()
         self._alive: set[subprocess.Popen[bytes]] = set()
         self._is_stopped = False
@@ -161,7 +165,10 @@ class _Running:
                 if self._is_stopped:
                     return 130
                 process = subprocess.Popen(
-                    [*_PROGRAM, *job.words], stdout=log, stderr=subprocess.STDOUT
+                    [*_PROGRAM, *job.words],
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    env=self._environment,
                 )
                 self._alive.add(process)
             code = process.wait()
