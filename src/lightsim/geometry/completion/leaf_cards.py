@@ -66,20 +66,32 @@ def _spread(
 def cards_above(
     crowns: Crowns, middle: Float64[np.ndarray, "n 3"], cell_m: float, rng: np.random.Generator
 ) -> TriMesh:
-    """The same in cells that pictures show and no beam reached, as dense as the crown is elsewhere;
-    inferred.
+    """The same in cells that no beam reached, as dense as the crown is elsewhere and no denser than
+    most are: of distant ones only fronts stop beams. Inferred.
 
     Args:
         middle: of the cells, frame world.
         cell_m: their edge.
     """
+    if not len(middle):
+        return _cards(crowns, middle, np.zeros(0), rng).with_provenance(Provenance.INFERRED)
     voxels = crowns.low_m + (crowns.cells + 0.5) * crowns.voxel_m
     usual = np.array([np.median(crowns.extinction[crowns.crown == k]) for k in range(len(crowns))])
+    returns = np.bincount(crowns.crown, np.diff(crowns.first_return), len(crowns))
+    usual = np.minimum(usual, _weighted_median(usual, returns))
     own = crowns.crown[KDTree(voxels).query(middle)[1]]
     edge, count = _sizes(crowns, middle, cell_m, usual[own], rng)
     cell = np.repeat(np.arange(len(middle)), count)
     centres = middle[cell] + (rng.random((len(cell), 3)) - 0.5) * cell_m
     return _cards(crowns, centres, edge[cell], rng).with_provenance(Provenance.INFERRED)
+
+
+def _weighted_median(
+    values: Float64[np.ndarray, " n"], weights: Float64[np.ndarray, " n"]
+) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2)])
 
 
 def _sizes(

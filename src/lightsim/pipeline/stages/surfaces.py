@@ -16,12 +16,13 @@ from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.twin import SceneAssets
 from lightsim.geometry.completion.buildings import MeasuredScene, complete_buildings
+from lightsim.geometry.completion.crown_shapes import unseen_leaves
 from lightsim.geometry.completion.crowns import Beams, find_crowns
 from lightsim.geometry.completion.far_field import build_far_field
 from lightsim.geometry.completion.flatten import flatten_walls
 from lightsim.geometry.completion.glass import find_glass
 from lightsim.geometry.completion.glazing import glaze
-from lightsim.geometry.completion.leaf_cards import crown_cards, without_shreds
+from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards, without_shreds
 from lightsim.geometry.completion.ledges import find_ledges, with_ledges
 from lightsim.geometry.completion.pole_meshes import with_poles
 from lightsim.geometry.completion.poles import find_poles, raise_poles
@@ -62,6 +63,10 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
     cards = crown_cards(crowns, np.random.default_rng(context.seed))
     background = with_poles(without_shreds(meshes.background, crowns), poles)
     background = concatenate_meshes([background, cards])
+    caster = make_embree_caster([background])
+    unseen = unseen_leaves(crowns, beams, walls, _views(work), caster)
+    rest = cards_above(crowns, unseen, crowns.voxel_m, np.random.default_rng(context.seed))
+    background = concatenate_meshes([background, rest])
     scene = MeasuredScene(background, walls, crowns, _parked(log, meshes))
     background, rooflines, notes = _completed(work, scene, returns, beams, context)
     write_assets(folder, replace(meshes, background=background))
@@ -70,7 +75,8 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
         *meshes.notes,
         *notes,
         f"{len(poles)} poles, posts and trunks stand as rods",
-        f"{len(crowns)} crowns are drawn by {len(cards.faces) // 2} cards",
+        f"{len(crowns)} crowns are drawn by {len(cards.faces) // 2} cards, and what no beam tells "
+        f"of them by {len(rest.faces) // 2}",
     )
 
 

@@ -1,0 +1,133 @@
+"""A crown that the highest beam cuts off goes on, where pictures do not say otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from tests.geometry.test_crowns import _quad
+from tests.geometry.test_poles import GROUND, PATH_M
+
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.frames import RigidTransform
+from lightsim.core.mesh import TriMesh, concatenate_meshes
+from lightsim.core.sensors import CameraFrame
+from lightsim.geometry.completion.crown_shapes import unseen_leaves
+from lightsim.geometry.completion.crowns import Beams, Crowns, find_crowns
+from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards
+from lightsim.geometry.completion.silhouettes import View
+from lightsim.geometry.completion.walls import find_walls
+from lightsim.geometry.surface import quad_mesh
+from lightsim.render.casters.embree import EmbreeCaster
+
+CENTRE, RADIUS_M, CUT_M = np.array([0.0, 8.0, 4.6]), 1.6, 4.6
+"""Of the crown; half of it lies above the beams."""
+CAMERA = PinholeCamera("left", 240, 180, 120.0, 120.0, 120.0, 120.0)
+GREEN, GREY, BLUE = (60, 110, 40), (128, 128, 128), (120, 160, 230)
+
+
+def _leaves() -> np.ndarray:
+    rng = np.random.default_rng(3)
+    offsets = rng.uniform(-RADIUS_M, RADIUS_M, (20000, 3))
+    return CENTRE + offsets[np.linalg.norm(offsets, axis=1) < RADIUS_M][:1500]
+
+
+def _cards(centres: np.ndarray) -> TriMesh:
+    rng = np.random.default_rng(4)
+    normal, other = rng.standard_normal((2, len(centres), 3))
+    along = np.cross(normal, other)
+    sides = [along, np.cross(normal, along)]
+    sides = [0.08 * s / np.linalg.norm(s, axis=1, keepdims=True) for s in sides]
+    signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    corners = np.stack([centres + a * sides[0] + b * sides[1] for a, b in signs], axis=1)
+    return quad_mesh(corners.reshape(-1, 3), np.arange(4 * len(centres)).reshape(-1, 4))
+
+
+def _walls() -> TriMesh:
+    ground = _quad((-40, -40, 0), (40, -40, 0), (40, 40, 0), (-40, 40, 0))
+    return concatenate_meshes([ground, _quad((25, 10, 0), (-25, 10, 0), (-25, 10, 9), (25, 10, 9))])
+
+
+def _beams(scene: TriMesh) -> Beams:
+    """From seven places, none higher than a line through the middle of the crown."""
+    caster = EmbreeCaster([scene])
+    highest = np.degrees(np.arctan2(CUT_M - 1.9, CENTRE[1]))
+    angles = np.radians(np.arange(0, 360, 0.4)), np.radians(np.linspace(-25, highest, 60))
+    azimuth, elevation = (a.ravel() for a in np.meshgrid(*angles))
+    flat = np.cos(elevation)
+    way = np.stack([np.cos(azimuth) * flat, np.sin(azimuth) * flat, np.sin(elevation)], axis=1)
+    starts, ends = [], []
+    for x_m in np.arange(-6.0, 7.0, 2.0):
+        origin = np.tile([x_m, 0.0, 1.9], (len(way), 1))
+        hits = caster.intersect(origin, way)
+        starts.append(origin[hits.is_hit])
+        ends.append(
+            (origin + np.where(hits.is_hit, hits.distance_m, 0.0)[:, None] * way)[hits.is_hit]
+        )
+    return Beams(*(np.concatenate(a).astype(np.float32) for a in (starts, ends)))
+
+
+def _views(leaves: TriMesh, walls: TriMesh) -> Iterator[View]:
+    """A camera looks at the crown and drives by, with the pictures of what stands there."""
+    both, solid = EmbreeCaster([leaves, walls]), EmbreeCaster([walls])
+    rotation = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
+    for x_m in np.arange(-6.0, 7.0, 3.0):
+        pose = RigidTransform.from_rotation("world", "camera", rotation, np.array([x_m, 0, 1.6]))
+        frame = CameraFrame("left", f"{x_m}", 0, pose, lambda: np.zeros((1, 1, 3), "u1"))
+        origins, rays = frame.pixel_rays(CAMERA, CAMERA.pixel_centres().reshape(-1, 2))
+        first, behind = (caster.intersect(origins, rays) for caster in (both, solid))
+        is_leaf = first.is_hit & ~(first.distance_m > behind.distance_m - 1e-3)
+        picture = np.where(behind.is_hit[:, None], GREY, BLUE)
+        picture[is_leaf] = GREEN
+        image = picture.astype(np.uint8).reshape(CAMERA.height_px, -1, 3)
+        sky = (~first.is_hit).reshape(CAMERA.height_px, -1).astype(np.float32)
+        yield CameraFrame("left", frame.stem, 0, pose, lambda image=image: image), CAMERA, sky
+
+
+def _unseen(shown: np.ndarray) -> tuple[Crowns, np.ndarray]:
+    """What is made of the beams that met the whole crown, with pictures of `shown` leaves."""
+    scene = concatenate_meshes([_walls(), _cards(_leaves())])
+    beams, walls = _beams(scene), find_walls(_walls())
+    crowns = find_crowns(beams, walls, GROUND, PATH_M)
+    measured = concatenate_meshes([_walls(), crown_cards(crowns, np.random.default_rng(0))])
+    views = _views(_cards(shown), _walls())
+    return crowns, unseen_leaves(crowns, beams, walls, views, EmbreeCaster([measured]))
+
+
+@pytest.fixture(scope="module")
+def whole() -> tuple[Crowns, np.ndarray]:
+    return _unseen(_leaves())
+
+
+def test_a_crown_goes_on_above_the_highest_beam(whole: tuple[Crowns, np.ndarray]) -> None:
+    crowns, found = whole
+    own = crowns.low_m + (crowns.cells + 0.5) * crowns.voxel_m
+    away = np.linalg.norm(found - CENTRE, axis=1)
+    whole_m3, cell_m3 = 4 / 3 * np.pi * RADIUS_M**3, crowns.voxel_m**3
+    assert len(own) * cell_m3 < 0.7 * whole_m3
+    assert (away < RADIUS_M + 0.4).mean() > 0.85
+    assert 0.9 * whole_m3 < (len(own) + len(found)) * cell_m3 < 1.4 * whole_m3
+    assert found[:, 2].max() == pytest.approx(CENTRE[2] + RADIUS_M, abs=0.5)
+    # Nothing grows in the wall, nor where beams passed below.
+    assert found[:, 1].max() < 10.0
+    assert found[:, 2].min() > CENTRE[2] - RADIUS_M - 0.4
+
+
+def test_a_crown_ends_where_pictures_show_what_is_behind(
+    whole: tuple[Crowns, np.ndarray],
+) -> None:
+    """A clipped tree: the beams are the same, pictures show the wall and the sky above the cut."""
+    leaves = _leaves()
+    _, found = _unseen(leaves[leaves[:, 2] < CUT_M])
+    above, grown = (int((cells[:, 2] > CUT_M + 0.8).sum()) for cells in (found, whole[1]))
+    assert above < 0.1 * grown
+
+
+def test_without_a_crown_there_is_nothing_to_go_on() -> None:
+    none = np.zeros((0, 3), np.float32)
+    caster = EmbreeCaster([_walls()])
+    crowns = Crowns.none(PATH_M)
+    cells = unseen_leaves(crowns, Beams(none, none), [], [], caster)
+    assert len(cells) == 0
+    assert len(cards_above(crowns, cells, 0.4, np.random.default_rng(0)).faces) == 0
