@@ -77,6 +77,30 @@ def test_lambert_scene_under_another_sun_is_exact(inputs: RelightInputs) -> None
     assert is_exact.mean() > 0.999
 
 
+def test_a_kerb_is_lit_as_a_kerb(rng: np.random.Generator) -> None:
+    """Three rows of upright surface amid level ground, thinner than what the median over reliefs
+    leaves, in the sun before and away from it now."""
+    kerb, away = np.s_[70:73], sun_towards(30.0, 45.0)
+    level = geometry(rng)
+    normal = level.normal_world.copy()
+    normal[kerb] = [-1.0, 0.0, 0.0]
+    buffers = replace(level, normal_world=normal)
+    source, target = (light(buffers, sun, 0.3, everywhere_lit()) for sun in (SUN, away))
+    inputs = replace(
+        make_inputs(rng, everywhere_lit()),
+        radiance=buffers.base_colour * source.shaded,
+        buffers=replace(buffers, base_colour=np.full_like(buffers.base_colour, 0.35)),
+        source=source,
+        target=target,
+        target_sun=away,
+        picture_width_px=480,
+    )
+    wanted = buffers.base_colour * target.shaded
+    relit = relight_physical(inputs, RatioConfig(are_shadows_refined=False))
+    error = np.abs(np.log(relit[kerb] / wanted[kerb]))
+    assert np.median(error) < 0.2
+
+
 def test_details_that_the_base_colour_lacks_survive(inputs: RelightInputs) -> None:
     """The base colour is flat grey, the picture has the texture."""
     flat = np.full_like(inputs.radiance, 0.35)

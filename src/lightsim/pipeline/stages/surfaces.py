@@ -22,6 +22,7 @@ from lightsim.geometry.completion.far_field import build_far_field
 from lightsim.geometry.completion.flatten import flatten_walls
 from lightsim.geometry.completion.glass import find_glass
 from lightsim.geometry.completion.glazing import glaze
+from lightsim.geometry.completion.kerbs import find_kerbs, with_edges, with_kerbs
 from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards, without_shreds
 from lightsim.geometry.completion.ledges import find_ledges, with_ledges
 from lightsim.geometry.completion.pole_meshes import with_poles
@@ -48,13 +49,19 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
     """Everything that has a shape, before it has a colour; casters of shadows apart."""
     log, fields = work.training_log, work.fields
     returns = static_returns(log, _WALL_RETURNS, np.random.default_rng(context.seed))
+    kerbs = find_kerbs(returns.points, fields.ground, fields.path_m)
+
+    def smooth_planes(mesh: TriMesh, voxel_m: float) -> TriMesh:
+        return with_kerbs(flatten_walls(mesh, voxel_m, returns.points), kerbs, voxel_m)
+
     meshes = mesh_scene(
         log,
         fields,
         make_caster=make_embree_caster,
         progress=context.progress,
-        smooth_planes=partial(flatten_walls, returns_world=returns.points),
+        smooth_planes=smooth_planes,
     )
+    meshes = replace(meshes, background=with_edges(meshes.background, kerbs))
     walls = find_walls(meshes.background)
     beams = _beams(log, returns)
     crowns = find_crowns(beams, walls, fields.ground, fields.path_m)
@@ -74,6 +81,7 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
     return (
         *meshes.notes,
         *notes,
+        f"{sum(len(k.edge_m) for k in kerbs) // 2} m of kerbs have upright faces",
         f"{len(poles)} poles, posts and trunks stand as rods",
         f"{len(crowns)} crowns are drawn by {len(cards.faces) // 2} cards, and what no beam tells "
         f"of them by {len(rest.faces) // 2}",

@@ -218,10 +218,20 @@ def _without_relief(
     log_ratio: Float32[np.ndarray, "h w 3"], buffers: GBuffers, width_px: int
 ) -> Float32[np.ndarray, "h w 3"]:
     """The light's change without thin details, which meshes only guess."""
-    is_level = np.abs(buffers.normal_world[..., 2]) > _LEVEL
+    is_level = _with_steps(np.abs(buffers.normal_world[..., 2]) > _LEVEL, width_px)
     details = _LEVEL_DETAIL, _UPRIGHT_DETAIL
     level, upright = (median_smoothed(log_ratio, detail, width_px) for detail in details)
     return np.where(is_level[..., None], level, upright)
+
+
+def _with_steps(is_level: Bool[np.ndarray, "h w"], width_px: int) -> Bool[np.ndarray, "h w"]:
+    """Level pixels, and upright ones between level ones above and below, nearer than the median
+    over upright surfaces is wide: kerbs and stairs are no relief."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+    size = 2 * (round(_UPRIGHT_DETAIL * width_px) // 2) + 1
+    wider = maximum_filter1d(is_level.astype(np.uint8), size, axis=0)
+    return minimum_filter1d(wider, size, axis=0).astype(bool)
 
 
 def _log_light_ratio(
