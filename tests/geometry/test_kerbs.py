@@ -61,9 +61,10 @@ def test_a_path_that_leads_nowhere_has_no_kerbs() -> None:
 
 
 def test_a_ramp_becomes_an_upright_face(kerbs: list[Kerb]) -> None:
-    """Samples 0.1 m apart, the ramp three of them wide: the face has the kerb's length and height,
-    all else is level."""
+    """Samples 0.1 m apart, moved, the ramp three of them wide: the face has the kerb's length and
+    height, all else is level."""
     x, y = (k.ravel() for k in np.meshgrid(np.arange(0, 8, 0.1), np.arange(-5, 0, 0.1)))
+    x, y = (k + np.random.default_rng(7).uniform(-0.02, 0.02, len(k)) for k in (x, y))
     aside = np.column_stack([x, y]) @ TO_LEFT
     z = HIGH_M * np.clip((RIGHT_M + 0.15 - aside) / 0.3, 0, 1)
     rows, columns = 50, 80
@@ -79,7 +80,9 @@ def test_a_ramp_becomes_an_upright_face(kerbs: list[Kerb]) -> None:
     is_upright = np.abs(normal[:, 2]) < 0.2
     assert (np.abs(before.face_normals()[:, 2]) > 0.9).all()
     assert area[is_upright].sum() == pytest.approx(7.9 * HIGH_M, rel=0.05)
-    assert (normal[~is_upright, 2] > 0.98).all()
+    # But for slivers.
+    is_level = normal[:, 2] > 0.98
+    assert area[~is_upright & ~is_level].sum() < 0.03 * area[is_upright].sum()
     # Towards the road.
     assert (normal[is_upright][:, :2] @ TO_LEFT > 0.95).all()
     assert area.min() > 0
@@ -88,5 +91,5 @@ def test_a_ramp_becomes_an_upright_face(kerbs: list[Kerb]) -> None:
     sharp = with_edges(after, kerbs)
     lean = np.abs(sharp.vertex_normals()[sharp.faces][..., 2])
     assert lean[is_upright].max() < 0.3
-    assert lean[~is_upright].min() > 0.97
+    assert np.median(lean[is_level]) > 0.999
     np.testing.assert_array_equal(sharp.vertices[sharp.faces], after.vertices[after.faces])

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64, Int64
+from jaxtyping import Bool, Float, Float64, Int32, Int64
 from scipy.ndimage import median_filter
 from scipy.spatial import KDTree
 
@@ -40,8 +40,8 @@ _SMOOTH_STATIONS = 5
 # Vertices this near a kerb, in metres or samples, take its heights; beyond four fifths less and
 # less. Levels with samples further apart than this keep their ramps.
 _REACH_M, _REACH_VOXELS, _MOST_VOXEL_M = 0.4, 3.0, 0.2
-_GAP_M = 0.004
-"""Half of what is left between the vertices of a face's two edges: faces keep an area."""
+_KEPT = 0.08
+"""Of the distances from the edge of vertices on both sides of it: faces keep an area."""
 _SAMPLE_M = 0.1
 # Faces of a kerb have their middles this near its edge, and look up no more than this (cosine).
 _FACE_M, _MOST_UP = 0.05, 0.5
@@ -237,11 +237,16 @@ def with_kerbs(mesh: TriMesh, kerbs: Sequence[Kerb], voxel_m: float) -> TriMesh:
         return mesh
     vertices = mesh.vertices.astype(np.float64)
     for kerb in kerbs:
-        _put_on(vertices, kerb, voxel_m)
+        _put_on(vertices, mesh.faces, kerb, voxel_m)
     return replace(mesh, vertices=vertices.astype(np.float32))
 
 
-def _put_on(vertices: Float64[np.ndarray, "v 3"], kerb: Kerb, voxel_m: float) -> None:
+def _put_on(
+    vertices: Float64[np.ndarray, "v 3"],
+    faces: Int32[np.ndarray, "f 3"],
+    kerb: Kerb,
+    voxel_m: float,
+) -> None:
     reach = max(_REACH_M, _REACH_VOXELS * voxel_m)
     place, low, high, normal = _sampled(kerb)
     is_near = _is_within(vertices, place, reach)
@@ -257,9 +262,15 @@ def _put_on(vertices: Float64[np.ndarray, "v 3"], kerb: Kerb, voxel_m: float) ->
     row, k, out = row[is_ground], k[is_ground], out[is_ground]
     part = np.clip((reach - np.abs(out)) / (0.2 * reach), 0.0, 1.0)
     vertices[row, 2] += part * (np.where(out > 0, low[k], high[k]) - vertices[row, 2])
-    is_next = np.abs(out) < voxel_m
-    moved = np.where(out > 0, _GAP_M, -_GAP_M) - out
-    vertices[row[is_next], :2] += moved[is_next, None] * normal[k[is_next]]
+    # What joins both sides becomes upright.
+    side = np.zeros(len(vertices), np.int8)
+    side[row] = np.where(out > 0, 1, -1)
+    corners = side[faces]
+    is_across = (corners.min(axis=1) < 0) & (corners.max(axis=1) > 0) & (corners != 0).all(axis=1)
+    is_next = np.zeros(len(vertices), dtype=bool)
+    is_next[faces[is_across]] = True
+    moved = np.where(is_next[row], (_KEPT - 1) * out, 0.0)
+    vertices[row, :2] += moved[:, None] * normal[k]
 
 
 def with_edges(mesh: TriMesh, kerbs: Sequence[Kerb]) -> TriMesh:
