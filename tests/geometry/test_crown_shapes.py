@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from tests.geometry.test_crowns import _quad
+from tests.geometry.test_crowns import _quad, squares
 from tests.geometry.test_poles import GROUND, PATH_M
 
 from lightsim.core.camera import PinholeCamera
@@ -18,7 +18,6 @@ from lightsim.geometry.completion.crowns import Beams, Crowns, find_crowns
 from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards
 from lightsim.geometry.completion.silhouettes import View
 from lightsim.geometry.completion.walls import find_walls
-from lightsim.geometry.surface import quad_mesh
 from lightsim.render.casters.embree import EmbreeCaster
 
 CENTRE, RADIUS_M, CUT_M = np.array([0.0, 8.0, 4.6]), 1.6, 4.6
@@ -36,12 +35,7 @@ def _leaves() -> np.ndarray:
 def _cards(centres: np.ndarray) -> TriMesh:
     rng = np.random.default_rng(4)
     normal, other = rng.standard_normal((2, len(centres), 3))
-    along = np.cross(normal, other)
-    sides = [along, np.cross(normal, along)]
-    sides = [0.08 * s / np.linalg.norm(s, axis=1, keepdims=True) for s in sides]
-    signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-    corners = np.stack([centres + a * sides[0] + b * sides[1] for a, b in signs], axis=1)
-    return quad_mesh(corners.reshape(-1, 3), np.arange(4 * len(centres)).reshape(-1, 4))
+    return squares(centres, normal, other, 0.08)
 
 
 def _walls() -> TriMesh:

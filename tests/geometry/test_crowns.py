@@ -33,13 +33,17 @@ def _leaves() -> TriMesh:
     rng = np.random.default_rng(3)
     count = round(2 * EXTINCTION * SIZE_M**3 / 0.1**2)
     normal, other = rng.standard_normal((2, count, 3))
+    return squares(LOW + SIZE_M * rng.random((count, 3)), normal, other, 0.05)
+
+
+def squares(centres: np.ndarray, normal: np.ndarray, other: np.ndarray, half_m: float) -> TriMesh:
+    """Of some size, square to their normals."""
     along = np.cross(normal, other)
     sides = [along, np.cross(normal, along)]
-    sides = [0.05 * s / np.linalg.norm(s, axis=1, keepdims=True) for s in sides]
-    centres = LOW + SIZE_M * rng.random((count, 3))
+    sides = [half_m * s / np.linalg.norm(s, axis=1, keepdims=True) for s in sides]
     signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
     corners = np.stack([centres + a * sides[0] + b * sides[1] for a, b in signs], axis=1)
-    return quad_mesh(corners.reshape(-1, 3), np.arange(4 * count).reshape(-1, 4))
+    return quad_mesh(corners.reshape(-1, 3), np.arange(4 * len(centres)).reshape(-1, 4))
 
 
 def _surfaces() -> TriMesh:

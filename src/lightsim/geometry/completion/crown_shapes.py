@@ -149,8 +149,7 @@ def _passed(
     )
     walk_beams(origins, ends, stops, entries, way)
     place = tuple((cell - low).T)
-    usual = np.array([np.median(crowns.extinction[crowns.crown == k]) for k in range(len(crowns))])
-    found = usual[crown] * crowns.voxel_m * way[place].astype(np.float64)
+    found = crowns.usual_extinction[crown] * crowns.voxel_m * way[place].astype(np.float64)
     found[stops[place] > 0] = np.inf
     return found
 
@@ -162,7 +161,7 @@ def _is_behind(
     walls: Sequence[Wall],
 ) -> Bool[np.ndarray, " n"]:
     """Cells on or behind a wall that their crown stands before."""
-    points = crowns.low_m + (crowns.cells + 0.5) * crowns.voxel_m
+    points = crowns.middle_m
     centres = np.stack([points[crowns.crown == k].mean(axis=0) for k in range(len(crowns))])
     found = np.zeros(len(middle), dtype=bool)
     for wall in walls:

@@ -77,6 +77,17 @@ class Crowns:
         """Number of crowns."""
         return int(self.crown.max(initial=-1)) + 1
 
+    @property
+    def middle_m(self) -> Float64[np.ndarray, "n 3"]:
+        """Of the voxels."""
+        return self.low_m + (self.cells + 0.5) * self.voxel_m
+
+    @property
+    def usual_extinction(self) -> Float64[np.ndarray, " k"]:
+        """Median of each crown's voxels, 1 / m."""
+        own = (self.extinction[self.crown == k] for k in range(len(self)))
+        return np.array([np.median(values) for values in own], np.float64)
+
     def nearest_eyes(self, points: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]:
         """Places of the path from which points were seen best."""
         return self.path_m[KDTree(self.path_m[:, :2]).query(points[:, :2])[1]]

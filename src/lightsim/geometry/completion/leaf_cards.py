@@ -33,7 +33,7 @@ def crown_cards(crowns: Crowns, rng: np.random.Generator) -> TriMesh:
     The area of leaves in a voxel is its volume times extinction over the mean cosine. Cards stand
     at returns, and anywhere in the voxel where it has too few.
     """
-    middle = crowns.low_m + (crowns.cells + 0.5) * crowns.voxel_m
+    middle = crowns.middle_m
     edge, count = _sizes(crowns, middle, crowns.voxel_m, crowns.extinction, rng)
     first = crowns.first_return
     voxel = np.repeat(np.arange(len(middle)), np.diff(first))
@@ -75,11 +75,10 @@ def cards_above(
     """
     if not len(middle):
         return _cards(crowns, middle, np.zeros(0), rng).with_provenance(Provenance.INFERRED)
-    voxels = crowns.low_m + (crowns.cells + 0.5) * crowns.voxel_m
-    usual = np.array([np.median(crowns.extinction[crowns.crown == k]) for k in range(len(crowns))])
+    usual = crowns.usual_extinction
     returns = np.bincount(crowns.crown, np.diff(crowns.first_return), len(crowns))
     usual = np.minimum(usual, _weighted_median(usual, returns))
-    own = crowns.crown[KDTree(voxels).query(middle)[1]]
+    own = crowns.crown[KDTree(crowns.middle_m).query(middle)[1]]
     edge, count = _sizes(crowns, middle, cell_m, usual[own], rng)
     cell = np.repeat(np.arange(len(middle)), count)
     centres = middle[cell] + (rng.random((len(cell), 3)) - 0.5) * cell_m
