@@ -1,11 +1,12 @@
 """What is wrong with each pixel of a relit frame, and what it costs.
 
     python benchmarks/relight_faults.py WORK --truth DIR [--made WORK/scenarios/NAME]
-        [--only low_sun/front_camera/03 ...]
+        [--only low_sun/front_camera/03 ...] [--by fault|material]
 
 Pixels of the frames that have exact buffers (of streets of the benchmark, which have none: of all
 frames that are relit), each counted with the first fault that it has: the target sun's shadow, the
-source sun's visibility, depth (0.3 m or 2 %), normal (20 degrees), and then by what it shows.
+source sun's visibility, depth (0.3 m or 2 %), normal (20 degrees), and then by what it shows. --by
+material: with what is truly seen there instead, steep ground apart.
 --made: pictures that a method made under several skies (those of `lightsim evaluate relight`)
 instead of the physical estimate; --only: a table of single pictures, TARGET/CAMERA/STEM each.
 Fraction of the surface, fraction of the squared error and root of its mean (sRGB, 0 to 1), and the
@@ -22,15 +23,19 @@ from pathlib import Path
 
 import numpy as np
 from relight_parts import Street, TracedFrame
+from target_shadows import true_parts
 
+from lightsim.core.buffers import BACKGROUND
 from lightsim.core.colour import linear_from_srgb, luminance
 from lightsim.core.dome import SkyDome
+from lightsim.render.casters.embree import make_embree_caster
 from lightsim.store.images import read_srgb8
 
 _DEPTH_M, _DEPTH_FRACTION = 0.3, 0.02
 _LEAST_COSINE = float(np.cos(np.radians(20.0)))
 _LEVEL, _UPRIGHT = 0.9, 0.3
 _DARKEST = 1 / 255
+_GROUND = ("road", "earth", "kerb", "sidewalk")
 
 
 def main() -> None:
@@ -39,10 +44,12 @@ def main() -> None:
     parser.add_argument("--truth", type=Path, required=True)
     parser.add_argument("--made", type=Path)
     parser.add_argument("--only", nargs="+", default=())
+    parser.add_argument("--by", choices=("fault", "material"), default="fault")
     options = parser.parse_args()
     if any(words.count("/") != 2 for words in options.only):
         parser.error("--only takes pictures as TARGET/CAMERA/STEM: low_sun/front_camera/03")
     street = Street(options.work, options.truth)
+    materials = _Materials(street, options.truth) if options.by == "material" else None
     counts: dict[tuple[str, str], np.ndarray] = defaultdict(lambda: np.zeros(2))
     ratios: dict[tuple[str, str], list[np.ndarray]] = defaultdict(list)
     named = {(words.split("/")[1], words.split("/")[2]) for words in options.only}
@@ -58,7 +65,11 @@ def main() -> None:
             ratio = np.log(np.maximum(here, _DARKEST) / np.maximum(there, _DARKEST))
             row = f"{target}, {camera} {stem}" if named else target
             left = seen.is_surface.copy()
-            for fault, members in _faults(street, seen, street.skies[target]):
+            if materials is None:
+                parts = _faults(street, seen, street.skies[target])
+            else:
+                parts = materials.seen_by(seen)
+            for fault, members in parts:
                 counts[row, fault] += [(left & members).sum(), square[left & members].sum()]
                 ratios[row, fault].append(ratio[left & members].astype(np.float32))
                 left &= ~members
@@ -110,6 +121,33 @@ def _faults(street: Street, seen: TracedFrame, target: SkyDome) -> Iterator[tupl
     yield "none, ground", true.normal_world[..., 2] > _LEVEL
     yield "none, upright", np.abs(true.normal_world[..., 2]) < _UPRIGHT
     yield "none, other", np.ones_like(is_elsewhere)
+
+
+class _Materials:
+    """What the pixels of a street truly show."""
+
+    def __init__(self, street: Street, truth: Path) -> None:
+        self._parts = true_parts(truth)
+        self._caster = make_embree_caster(list(self._parts.values()))
+        self._log = street.log
+
+    def seen_by(self, seen: TracedFrame) -> Iterator[tuple[str, np.ndarray]]:
+        """Materials and their pixels."""
+        true = seen.true.buffers
+        is_background = true.actor_index == BACKGROUND
+        yield "actors", true.has_surface & ~is_background
+        camera = self._log.cameras[seen.frame.camera_name]
+        pixels = camera.pixel_centres()[is_background]
+        rays = seen.frame.world_from_camera.rotate(camera.directions(pixels))
+        eye = seen.frame.world_from_camera.translation_m
+        hits = self._caster.intersect(np.broadcast_to(eye, rays.shape).copy(), rays)
+        part = np.full(is_background.shape, -1)
+        part[is_background] = np.where(hits.is_hit, hits.mesh_index, -1)
+        is_steep = np.abs(true.normal_world[..., 2]) < _UPRIGHT
+        for number, name in enumerate(self._parts):
+            if name in _GROUND:
+                yield f"{name}, steep", (part == number) & is_steep
+            yield name, part == number
 
 
 def _median(values: np.ndarray) -> float:

@@ -13,6 +13,7 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
+from lightsim.geometry.completion.crown_colours import is_green
 from lightsim.geometry.completion.crown_shapes import unseen_leaves
 from lightsim.geometry.completion.crowns import Beams, Crowns, find_crowns
 from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards
@@ -62,7 +63,7 @@ def _beams(scene: TriMesh) -> Beams:
     return Beams(*(np.concatenate(a).astype(np.float32) for a in (starts, ends)))
 
 
-def _views(leaves: TriMesh, walls: TriMesh) -> Iterator[View]:
+def _views(leaves: TriMesh, walls: TriMesh, colour: tuple[int, int, int] = GREEN) -> Iterator[View]:
     """A camera looks at the crown and drives by, with the pictures of what stands there."""
     both, solid = EmbreeCaster([leaves, walls]), EmbreeCaster([walls])
     rotation = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
@@ -73,7 +74,7 @@ def _views(leaves: TriMesh, walls: TriMesh) -> Iterator[View]:
         first, behind = (caster.intersect(origins, rays) for caster in (both, solid))
         is_leaf = first.is_hit & ~(first.distance_m > behind.distance_m - 1e-3)
         picture = np.where(behind.is_hit[:, None], GREY, BLUE)
-        picture[is_leaf] = GREEN
+        picture[is_leaf] = colour
         image = picture.astype(np.uint8).reshape(CAMERA.height_px, -1, 3)
         sky = (~first.is_hit).reshape(CAMERA.height_px, -1).astype(np.float32)
         yield CameraFrame("left", frame.stem, 0, pose, lambda image=image: image), CAMERA, sky
@@ -116,6 +117,35 @@ def test_a_crown_ends_where_pictures_show_what_is_behind(
     _, found = _unseen(leaves[leaves[:, 2] < CUT_M])
     above, grown = (int((cells[:, 2] > CUT_M + 0.8).sum()) for cells in (found, whole[1]))
     assert above < 0.1 * grown
+
+
+@pytest.mark.parametrize("colour", [GREEN, GREY, BLUE, (150, 80, 60)])
+def test_a_crown_is_green(whole: tuple[Crowns, np.ndarray], colour: tuple[int, int, int]) -> None:
+    """A transformer on a mast scatters beams as leaves do."""
+    crowns, _ = whole
+    cards = crown_cards(crowns, np.random.default_rng(0))
+    scene = EmbreeCaster([_walls(), cards])
+    kept = is_green(crowns, _views(_cards(_leaves()), _walls(), colour), scene)
+    assert kept.tolist() == [colour == GREEN] * len(crowns)
+    left = crowns.only(kept)
+    assert len(left) == kept.sum()
+    assert len(left.returns_m) == left.first_return[-1] == kept.all() * len(crowns.returns_m)
+    # What no picture shows stays.
+    assert is_green(crowns, [], scene).all()
+
+
+def test_some_of_the_crowns() -> None:
+    cells = np.array([[0, 0, 0], [5, 0, 0], [6, 0, 0], [9, 0, 0]])
+    returns = np.arange(21.0).reshape(7, 3)
+    first = np.array([0, 2, 3, 6, 7])
+    number = np.array([0, 1, 1, 2])
+    crowns = Crowns(np.zeros(3), 0.4, cells, number, np.arange(4.0), returns, first, PATH_M)
+    left = crowns.only(np.array([True, False, True]))
+    assert left.cells.tolist() == [[0, 0, 0], [9, 0, 0]]
+    assert left.crown.tolist() == [0, 1]
+    assert left.first_return.tolist() == [0, 2, 3]
+    np.testing.assert_array_equal(left.returns_m, returns[[0, 1, 6]])
+    np.testing.assert_array_equal(left.extinction, [0, 3])
 
 
 def test_without_a_crown_there_is_nothing_to_go_on() -> None:

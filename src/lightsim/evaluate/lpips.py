@@ -119,7 +119,8 @@ def stage_features(
             weight, bias = weights[f"conv{i}.weight"], weights[f"conv{i}.bias"]
             stride = 1 if i else net.first_stride
             padding = net.padding_by_convolution[i]
-            x = functional.relu(functional.conv2d(x, weight, bias, stride, padding))
+            response = functional.conv2d(x, weight, bias, stride, padding)
+            x = functional.relu(response, inplace=True)
         # Within the root, or the gradient would not be finite where nothing responds.
         stages.append(x / (x.square().sum(1, keepdim=True) + _TINY).sqrt())
     return stages

@@ -17,6 +17,7 @@ from scipy import ndimage
 from lightsim.core.buildings import Wall
 from lightsim.core.casting import RayCaster
 from lightsim.core.colour import linear_from_srgb8
+from lightsim.geometry.completion.crown_colours import HIDDEN_M, towards_points
 from lightsim.geometry.completion.crowns import Beams, Crowns
 from lightsim.geometry.completion.free_space_kernels import walk_beams
 from lightsim.geometry.completion.silhouettes import ClassifiedView, View, classified_views
@@ -32,9 +33,8 @@ _COLOUR, _MOST_COLOUR = 1.5, 4.0
 _MOST_WIDTH_M, _MOST_ASPECT = 6.0, 2.5
 # Ends of a crown: fractions of its voxels.
 _ENDS = (0.03, 0.97)
-# Views from further away do not count, nor colours, which distant trees share; what stands this far
-# before a cell hides it.
-_MAX_VIEW_M, _MAX_COLOUR_M, _BEFORE_M = 60.0, 30.0, 0.4
+# Colours from further away do not count, which distant trees share.
+_MAX_COLOUR_M = 30.0
 # Chroma: logs to base 2 of red and blue over green, in bins; blurred, so that few samples do.
 _CHROMA, _BINS, _BLUR, _DARKEST = 2.0, 24, 1.0, 2e-3
 _SAMPLES = 2000
@@ -197,9 +197,9 @@ class _Look:
         frame, camera, kinds = view
         bins = _chroma_bins(frame.load_srgb8())
         eye = frame.world_from_camera.translation_m
-        pixel, way, distance, _ = _towards(view, crowns.returns_m)
+        pixel, way, distance, _ = towards_points(view, crowns.returns_m)
         hits = caster.intersect(np.broadcast_to(eye, way.shape).copy(), way)
-        is_leaf = hits.distance_m > distance - _BEFORE_M
+        is_leaf = hits.distance_m > distance - HIDDEN_M
         leaves = bins[pixel[1][is_leaf], pixel[0][is_leaf]]
         rows, columns = np.nonzero(kinds < 0)
         step = max(1, len(rows) // _SAMPLES)
@@ -221,9 +221,9 @@ class _Look:
         """Add what it says of cells that nothing hides, unless leaves are behind them, too."""
         frame, _, kinds = self.view
         eye = frame.world_from_camera.translation_m
-        pixel, way, distance, row = _towards(self.view, middle)
+        pixel, way, distance, row = towards_points(self.view, middle)
         hits = caster.intersect(np.broadcast_to(eye, way.shape).copy(), way)
-        is_open = ~hits.is_hit | (hits.distance_m > distance + _BEFORE_M)
+        is_open = ~hits.is_hit | (hits.distance_m > distance + HIDDEN_M)
         ends = eye + np.where(hits.is_hit, hits.distance_m, 0.0)[:, None] * way
         is_open &= ~(hits.is_hit & crowns.contain(ends))
         kind = kinds[pixel[1], pixel[0]]
@@ -257,23 +257,3 @@ def _chroma_bins(srgb8: UInt8[np.ndarray, "h w 3"]) -> Int64[np.ndarray, "h w"]:
     chroma = (light[..., [0, 2]] - light[..., 1:2] + _CHROMA) * (_BINS / (2 * _CHROMA))
     cell = np.clip(chroma, 0, _BINS - 1).astype(np.int64)
     return cell[..., 0] * _BINS + cell[..., 1]
-
-
-def _towards(
-    view: ClassifiedView, points: Float64[np.ndarray, "n 3"]
-) -> tuple[
-    Int64[np.ndarray, "2 m"],
-    Float64[np.ndarray, "m 3"],
-    Float64[np.ndarray, " m"],
-    Int64[np.ndarray, " m"],
-]:
-    """Column and row of the points within a view and near, their directions and distances, and
-    which they are."""
-    frame, camera, _ = view
-    way = points - frame.world_from_camera.translation_m
-    distance = np.linalg.norm(way, axis=1)
-    near = np.flatnonzero((distance < _MAX_VIEW_M) & (distance > 0))
-    uv, is_inside = frame.project(camera, points[near])
-    row = near[is_inside]
-    pixel = uv[is_inside].astype(np.int64).T
-    return pixel, way[row] / distance[row][:, None], distance[row], row

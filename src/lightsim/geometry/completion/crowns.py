@@ -8,7 +8,7 @@ returns a metre of free way, place by place. Leaves are then drawn as cards of t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
@@ -91,6 +91,19 @@ class Crowns:
     def nearest_eyes(self, points: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]:
         """Places of the path from which points were seen best."""
         return self.path_m[KDTree(self.path_m[:, :2]).query(points[:, :2])[1]]
+
+    def only(self, is_kept: Bool[np.ndarray, " k"]) -> Crowns:
+        """These crowns alone."""
+        is_own = is_kept[self.crown]
+        count = np.diff(self.first_return)
+        return replace(
+            self,
+            cells=self.cells[is_own],
+            crown=(np.cumsum(is_kept) - 1)[self.crown[is_own]],
+            extinction=self.extinction[is_own],
+            returns_m=self.returns_m[np.repeat(is_own, count)],
+            first_return=np.r_[0, np.cumsum(count[is_own])],
+        )
 
     def contain(self, points: Float64[np.ndarray, "p 3"]) -> Bool[np.ndarray, " p"]:
         """Points in a voxel, or beside one."""

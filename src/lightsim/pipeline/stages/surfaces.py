@@ -16,6 +16,7 @@ from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.twin import SceneAssets
 from lightsim.geometry.completion.buildings import MeasuredScene, complete_buildings
+from lightsim.geometry.completion.crown_colours import is_green
 from lightsim.geometry.completion.crown_shapes import unseen_leaves
 from lightsim.geometry.completion.crowns import Beams, find_crowns
 from lightsim.geometry.completion.far_field import build_far_field
@@ -65,6 +66,8 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
     walls = find_walls(meshes.background)
     beams = _beams(log, returns)
     crowns = find_crowns(beams, walls, fields.ground, fields.path_m)
+    caster = make_embree_caster([meshes.background])
+    crowns = crowns.only(is_green(crowns, _views(work), caster))
     poles = find_poles(returns.points, returns.origins, fields.ground, fields.path_m)
     poles = raise_poles(poles, partial(_views, work))
     cards = crown_cards(crowns, np.random.default_rng(context.seed))
