@@ -94,6 +94,11 @@ class SkyDome:
         """RGB irradiance on level ground, sun included."""
         return self.irradiance(np.array([0.0, 0.0, 1.0]))
 
+    def mean_radiance(self) -> Float[np.ndarray, "3"]:
+        """RGB, over all directions: what a ball or a wire receives from all sides."""
+        rows = self.radiance.sum(axis=1, dtype=np.float64)
+        return (rows * solid_angles_sr(self.height_px)).sum(axis=0) / (4 * np.pi)
+
     def irradiance(self, normal_world: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """RGB irradiance on a surface with a normal; a known sun shines from its own direction,
         not from the centres of the pixels that hold it."""

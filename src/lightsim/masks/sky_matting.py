@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
+from lightsim.core.colour import linear_from_srgb8
 from lightsim.masks.sky_regions import ImageEvidence
+
+# Thin lines: linear light of the ground below which none is told, drop that is noise, and a line's
+# own light over its ground's at most: one narrower than a pixel is paler wherever it is seen.
+_DARK_GROUND, _NOISE, _PALEST_LINE = 0.02, 0.12, 0.35
 
 
 def refine_matte(
@@ -77,15 +82,17 @@ def _local_colours(
 
 
 def _thin_lines(srgb8: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
-    """Fraction of each pixel that a thin dark line covers: black top-hat over the bright ground."""
-    from scipy.ndimage import grey_closing
+    """Fraction of each pixel that a thin dark line covers: black top-hat of linear light over the
+    bright ground, of which the line's own darkest pixels nearby have all, or nearly so."""
+    from scipy.ndimage import grey_closing, grey_erosion
 
     width = srgb8.shape[1]
-    green = srgb8[..., 1].astype(np.float32)
+    green = linear_from_srgb8(srgb8[..., 1])
     size = max(3, 2 * round(width / 320) + 1)
-    closed = grey_closing(green, size=(size, size))
-    drop = (closed - green) / np.maximum(closed, 40.0)
-    return np.clip((drop - 0.06) / 0.3, 0.0, 1.0).astype(np.float32)
+    closed = np.maximum(grey_closing(green, size=(size, size)), _DARK_GROUND)
+    drop = 1 - green / closed
+    whole = 1 - np.minimum(grey_erosion(1 - drop, size=(3, 3)), _PALEST_LINE)
+    return np.clip((drop - _NOISE) / (whole - _NOISE), 0.0, 1.0).astype(np.float32)
 
 
 def _resize(image: Float32[np.ndarray, "a b"], height: int, width: int) -> np.ndarray:

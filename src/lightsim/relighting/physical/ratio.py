@@ -8,7 +8,7 @@ of the twin stands in. Paper, Sec. 4: this is what its network is compared to an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float32
@@ -24,11 +24,13 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.solar import angle_between_deg
 from lightsim.errors import InputError
 from lightsim.relighting.physical.denoise import denoised_where_amplified
-from lightsim.relighting.physical.filters import fill_holes, median_smoothed
+from lightsim.relighting.physical.filters import median_smoothed
+from lightsim.relighting.physical.light_change import Lights, log_light_change, median_light
 from lightsim.relighting.physical.matte import composite, foreground_radiance
-from lightsim.relighting.physical.shadow_refine import refine_sun_visibility
+from lightsim.relighting.physical.shadow_refine import border_fraction, refine_sun_visibility
 
 _ENCLOSED_RIM_PX = 3
+_TINY = 1e-8
 
 
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
@@ -42,13 +44,9 @@ _MOST_REFLECTED = 0.7
 _SHADING_DEVIATION = 0.35
 # Absolute error of the recorded radiance: noise and 8 bits in the dark.
 _RADIANCE_DEVIATION = 0.004
-# Widths of the medians, as fractions of the picture's, over the light's change on upright and on
-# level surfaces, over reflections, and over what the base colour corrects: reveals, ledges, leaves
-# and panes of meshes are rough guesses that say less than the picture's own details. Level surfaces
-# have no relief; on them thin shadows are known.
-_UPRIGHT_DETAIL, _LEVEL_DETAIL = 14 / 480, 5 / 480
+# Widths of the medians, as fractions of the picture's, over reflections, and over what the base
+# colour corrects.
 _REFLECTION_DETAIL, _CORRECTION_DETAIL = 6 / 480, 4 / 480
-_LEVEL = 0.8
 # Up to this angle between the suns, found shadow edges hold for the target as well.
 _SAME_SUN_DEG = 2.0
 
@@ -146,18 +144,19 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
     With the source sky as the target, the source comes back outside clipped pixels and sky.
     """
     foreground = foreground_radiance(inputs.radiance, inputs.sky_matte)
-    source, target = (
-        _refined(inputs)
-        if config.are_shadows_refined
-        else (
-            inputs.source,
-            inputs.target,
-        )
-    )
+    lights = Lights(inputs.source, inputs.target)
+    if config.are_shadows_refined:
+        lights = _refined(inputs)
+    if inputs.circumstances is not None:
+        lights = replace(lights, around=_change_around(inputs.circumstances))
+    source, target = lights.source, lights.target
     is_surface = inputs.buffers.has_surface & (inputs.sky_matte < 0.5)
     is_surface &= ~_is_enclosed(foreground, inputs.source, is_surface, config)
-    log_ratio = _log_light_ratio(source, target, is_surface, config)
-    ratio = np.exp(_without_relief(log_ratio, inputs.buffers, inputs.width_px))
+    ratio = np.exp(
+        log_light_change(
+            lights, inputs.buffers, is_surface, config.darkest_fraction, inputs.width_px
+        )
+    )
     foreground = denoised_where_amplified(foreground, ratio.max(axis=-1))
     diffuse, reflected = _exchanged_reflections(
         foreground, source, target, is_surface, inputs.width_px
@@ -166,11 +165,11 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
     return composite(relit, inputs.target_sky, inputs.sky_matte)
 
 
-def _refined(inputs: RelightInputs) -> tuple[ShadowBuffers, ShadowBuffers]:
+def _refined(inputs: RelightInputs) -> Lights:
     """Source and target light with the shadow edges that the image shows."""
     sun = inputs.source_sun
     if sun is None or sun.direction_world[2] <= 0:
-        return inputs.source, inputs.target
+        return Lights(inputs.source, inputs.target)
     rendered = inputs.source.sun_visibility
     believed = with_found_visibility(inputs.source, inputs.buffers, sun, inputs.found_visibility)
     visibility = refine_sun_visibility(
@@ -183,16 +182,31 @@ def _refined(inputs: RelightInputs) -> tuple[ShadowBuffers, ShadowBuffers]:
     )
     sunlight = unoccluded_sun(inputs.buffers, inputs.source, sun)
     source = with_sun_visibility(inputs.source, sunlight, visibility)
+    told = np.zeros_like(visibility)
+    if inputs.found_visibility is not None:
+        # Away from borders what pictures tell is grain.
+        told = border_fraction(visibility, inputs.width_px)
+        told *= np.isfinite(inputs.found_visibility)
     if inputs.target_sun is None:
-        return source, inputs.target
+        return Lights(source, inputs.target, sunlight, told)
     # The same sun has the same shadow edges; two suns apart err independently.
     angle = angle_between_deg(sun.direction_world, inputs.target_sun.direction_world)
     fraction = np.float32(max(0.0, 1.0 - angle / _SAME_SUN_DEG))
     if fraction == 0:
-        return source, inputs.target
+        return Lights(source, inputs.target, sunlight, told)
     moved = np.clip(inputs.target.sun_visibility + fraction * (visibility - rendered), 0.0, 1.0)
-    sunlight = unoccluded_sun(inputs.buffers, inputs.target, inputs.target_sun)
-    return source, with_sun_visibility(inputs.target, sunlight, moved.astype(np.float32))
+    other = unoccluded_sun(inputs.buffers, inputs.target, inputs.target_sun)
+    target = with_sun_visibility(inputs.target, other, moved.astype(np.float32))
+    return Lights(source, target, sunlight, (1 - fraction) * told)
+
+
+def _change_around(circumstances: Circumstances) -> Float32[np.ndarray, "3"]:
+    """`Lights.around` of these skies."""
+    source, target = (
+        np.log(np.maximum(sky.mean_radiance(), _TINY))
+        for sky in (circumstances.source_sky, circumstances.target_sky)
+    )
+    return (target - source).astype(np.float32)
 
 
 def _is_enclosed(
@@ -206,55 +220,12 @@ def _is_enclosed(
     the rim of the hole, where light is smoothed."""
     from scipy.ndimage import binary_dilation
 
-    least = np.float32(config.darkest_fraction) * _median_light(source.shaded, is_surface)
+    least = np.float32(config.darkest_fraction) * median_light(source.shaded, is_surface)
     is_dark = (source.shaded <= 0.25 * least).all(axis=-1)
     is_bright = (foreground > least).any(axis=-1)
     return np.asarray(
         binary_dilation(is_surface & is_dark & is_bright, iterations=_ENCLOSED_RIM_PX)
     )
-
-
-def _without_relief(
-    log_ratio: Float32[np.ndarray, "h w 3"], buffers: GBuffers, width_px: int
-) -> Float32[np.ndarray, "h w 3"]:
-    """The light's change without thin details, which meshes only guess."""
-    is_level = _with_steps(np.abs(buffers.normal_world[..., 2]) > _LEVEL, width_px)
-    details = _LEVEL_DETAIL, _UPRIGHT_DETAIL
-    level, upright = (median_smoothed(log_ratio, detail, width_px) for detail in details)
-    return np.where(is_level[..., None], level, upright)
-
-
-def _with_steps(is_level: Bool[np.ndarray, "h w"], width_px: int) -> Bool[np.ndarray, "h w"]:
-    """Level pixels, and upright ones between level ones above and below, nearer than the median
-    over upright surfaces is wide: kerbs and stairs are no relief."""
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d
-
-    size = 2 * (round(_UPRIGHT_DETAIL * width_px) // 2) + 1
-    wider = maximum_filter1d(is_level.astype(np.uint8), size, axis=0)
-    return minimum_filter1d(wider, size, axis=0).astype(bool)
-
-
-def _log_light_ratio(
-    source: ShadowBuffers,
-    target: ShadowBuffers,
-    is_surface: Bool[np.ndarray, "h w"],
-    config: RatioConfig,
-) -> Float32[np.ndarray, "h w 3"]:
-    """Log of target over source light; where no mesh is, that of the surroundings (0 if there are
-    none).
-
-    Both get the same fraction of their own median added, so that a pixel in the dark under both
-    keeps its radiance instead of an arbitrary quotient.
-    """
-    if not is_surface.any():
-        return np.zeros_like(source.shaded)
-    lit = [
-        light.shaded + np.float32(config.darkest_fraction) * _median_light(light.shaded, is_surface)
-        for light in (source, target)
-    ]
-    tiny = np.float32(1e-8)
-    log_ratio = np.log(lit[1] + tiny) - np.log(lit[0] + tiny)
-    return fill_holes(log_ratio.astype(np.float32), is_surface)
 
 
 def _exchanged_reflections(
@@ -301,7 +272,7 @@ def _relit_surface(
     of_ratio, of_model = (v.sum(axis=-1, keepdims=True) for v in (variance_ratio, variance_model))
     weight = np.where(is_surface[..., None], of_model / (of_model + of_ratio), 1.0)
     mixed = weight * by_ratio + (1 - weight) * by_model
-    floor = np.float32(config.darkest_fraction) * _median_light(target.shaded, is_surface) + 1e-8
+    floor = np.float32(config.darkest_fraction) * median_light(target.shaded, is_surface) + 1e-8
     correction = np.log(np.maximum(mixed, 0) + floor) - np.log(np.maximum(by_ratio, 0) + floor)
     smooth = median_smoothed(correction.astype(np.float32), _CORRECTION_DETAIL, inputs.width_px)
     detailed = (np.maximum(by_ratio, 0) + floor) * np.exp(smooth) - floor
@@ -316,7 +287,7 @@ def _other_surface(
     colour, and in brightness beyond all of the sun or none of it. Meshes end elsewhere than what
     they stand for: a crown's green must not lie on the wall beside it."""
     light = inputs.source
-    floor = np.float32(config.darkest_fraction) * _median_light(
+    floor = np.float32(config.darkest_fraction) * median_light(
         light.shaded, inputs.buffers.has_surface
     ) + np.float32(1e-8)
     modelled = np.log(inputs.buffers.base_colour * light.shaded + floor)
@@ -338,11 +309,3 @@ def _other_surface(
     )
     beyond = np.maximum(brighter - (high - here), 0) + np.maximum((low - here) - brighter, 0)
     return (colour + np.square(beyond)).astype(np.float32)
-
-
-def _median_light(
-    light: Float32[np.ndarray, "h w 3"], is_surface: Bool[np.ndarray, "h w"]
-) -> Float32[np.ndarray, "3"]:
-    """Per channel over the surfaces; every seventh pixel is plenty."""
-    values = light[is_surface][::7]
-    return np.median(values, axis=0).astype(np.float32) if len(values) else np.zeros(3, np.float32)
