@@ -9,6 +9,7 @@ from jaxtyping import Float64, Int64
 
 from lightsim.appearance.intrinsic.labels import Observed, is_at_label_edge
 from lightsim.appearance.intrinsic.light import SurfaceLight
+from lightsim.core.statistics import weighted_median
 
 LOG_SUN = np.linspace(np.log(0.01), np.log(10.0), 47)
 """Candidates of the log of the factor on the sun."""
@@ -162,16 +163,6 @@ def _balanced(
         is_too_dark = weighted_median(residual, weight) > 0
         low, high = np.where(is_too_dark, middle, low), np.where(is_too_dark, high, middle)
     return np.exp((low + high) / 2)
-
-
-def weighted_median(
-    values: Float64[np.ndarray, "p 3"], weight: Float64[np.ndarray, " p"]
-) -> Float64[np.ndarray, "3"]:
-    """Of each column."""
-    order = np.argsort(values, axis=0)
-    fraction = np.cumsum(weight[order], axis=0) / weight.sum()
-    row = np.minimum((fraction < 0.5).sum(axis=0), len(values) - 1)
-    return np.take_along_axis(np.take_along_axis(values, order, 0), row[None], 0)[0]
 
 
 def space_blocks(position: Float64[np.ndarray, "n 3"], block_m: float) -> Int64[np.ndarray, " n"]:

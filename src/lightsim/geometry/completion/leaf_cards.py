@@ -7,6 +7,7 @@ from jaxtyping import Float64, Int64
 from scipy.spatial import KDTree
 
 from lightsim.core.mesh import Provenance, TriMesh
+from lightsim.core.statistics import weighted_median
 from lightsim.geometry.completion.crowns import Crowns
 from lightsim.geometry.materials import VEGETATION
 from lightsim.geometry.surface import keep_faces, quad_mesh
@@ -77,20 +78,12 @@ def cards_above(
         return _cards(crowns, middle, np.zeros(0), rng).with_provenance(Provenance.INFERRED)
     usual = crowns.usual_extinction
     returns = np.bincount(crowns.crown, np.diff(crowns.first_return), len(crowns))
-    usual = np.minimum(usual, _weighted_median(usual, returns))
+    usual = np.minimum(usual, weighted_median(usual[:, None], returns))
     own = crowns.crown[KDTree(crowns.middle_m).query(middle)[1]]
     edge, count = _sizes(crowns, middle, cell_m, usual[own], rng)
     cell = np.repeat(np.arange(len(middle)), count)
     centres = middle[cell] + (rng.random((len(cell), 3)) - 0.5) * cell_m
     return _cards(crowns, centres, edge[cell], rng).with_provenance(Provenance.INFERRED)
-
-
-def _weighted_median(
-    values: Float64[np.ndarray, " n"], weights: Float64[np.ndarray, " n"]
-) -> float:
-    order = np.argsort(values)
-    total = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(total, total[-1] / 2)])
 
 
 def _sizes(
