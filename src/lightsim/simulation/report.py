@@ -54,10 +54,11 @@ def _strip_of(folder: Path, frame: CameraFrame) -> Path:
 def write_relight_report(path: Path, folder: Path, scenario: Scenario, target: TargetSky) -> None:
     """report.html of a scenario: the sky, one strip a camera, the films."""
     cameras = list(dict.fromkeys(f.camera_name for f in scenario.frames))
+    edited = "edited, where edits show | " if scenario.edits else ""
     figures = []
     for frame in report_frames(scenario):
         caption = (
-            f"{frame.camera_name}, frame {frame.stem}: recorded | edited, where it is | relit | "
+            f"{frame.camera_name}, frame {frame.stem}: recorded | {edited}relit | "
             "shadow ratio source | target"
         )
         figures.append(Figure(caption, read_srgb8(_strip_of(folder, frame)), is_wide=True))
