@@ -99,6 +99,6 @@ def test_far_from_all_meshes_the_skies_as_a_whole_tell(buffers: GBuffers) -> Non
 
 def test_mean_radiance_is_that_of_sky_and_sun() -> None:
     even = np.full((32, 64, 3), 0.7, np.float32)
-    np.testing.assert_allclose(SkyDome(even, None).mean_radiance(), 0.7, rtol=1e-6)
-    with_sun = add_sun(even, SUN).mean_radiance()
+    np.testing.assert_allclose(SkyDome(even, None).mean_radiance, 0.7, rtol=1e-6)
+    with_sun = add_sun(even, SUN).mean_radiance
     np.testing.assert_allclose(with_sun, 0.7 + SUN.irradiance / (4 * np.pi), rtol=1e-3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,6 +95,7 @@ class SkyDome:
         """RGB irradiance on level ground, sun included."""
         return self.irradiance(np.array([0.0, 0.0, 1.0]))
 
+    @functools.cached_property
     def mean_radiance(self) -> Float[np.ndarray, "3"]:
         """RGB, over all directions: what a ball or a wire receives from all sides."""
         rows = self.radiance.sum(axis=1, dtype=np.float64)

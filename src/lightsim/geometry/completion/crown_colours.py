@@ -16,8 +16,8 @@ from lightsim.geometry.completion.silhouettes import ClassifiedView, View, class
 _MAX_VIEW_M = 60.0
 HIDDEN_M = 0.4
 """What stands this far before a place hides it."""
-# Octaves by which leaves are greener than their pictures. Chosen while looking at log 002 (dusk),
-# whose trees have .17 to .71 and other things .12 at most; streets' leaves have .17 to 1.1.
+# Octaves by which leaves are greener than their pictures. Chosen while looking at log 002, where it
+# parts trees from all else; what a build leaves out is in its notes.
 _LEAST_GREEN = 0.15
 _DARKEST = 1e-3
 # Pixels of a picture between those that tell how green it is; returns of a crown, at most.
@@ -48,7 +48,7 @@ def is_green(crowns: Crowns, views: Iterable[View], caster: RayCaster) -> Bool[n
         if not len(row):
             continue
         hits = caster.intersect(np.broadcast_to(eye, way.shape).copy(), way)
-        is_seen = ~hits.is_hit | (hits.distance_m > distance - HIDDEN_M)
+        is_seen = hits.distance_m > distance - HIDDEN_M
         green = _greenness(frame.load_srgb8())
         usual = np.median(green[::_STEP_PX, ::_STEP_PX])
         own = green[pixel[1], pixel[0]] - usual

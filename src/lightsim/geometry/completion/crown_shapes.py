@@ -223,7 +223,7 @@ class _Look:
         eye = frame.world_from_camera.translation_m
         pixel, way, distance, row = towards_points(self.view, middle)
         hits = caster.intersect(np.broadcast_to(eye, way.shape).copy(), way)
-        is_open = ~hits.is_hit | (hits.distance_m > distance + HIDDEN_M)
+        is_open = hits.distance_m > distance + HIDDEN_M
         ends = eye + np.where(hits.is_hit, hits.distance_m, 0.0)[:, None] * way
         is_open &= ~(hits.is_hit & crowns.contain(ends))
         kind = kinds[pixel[1], pixel[0]]

@@ -65,9 +65,9 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
     meshes = replace(meshes, background=with_edges(meshes.background, kerbs))
     walls = find_walls(meshes.background)
     beams = _beams(log, returns)
-    crowns = find_crowns(beams, walls, fields.ground, fields.path_m)
+    found = find_crowns(beams, walls, fields.ground, fields.path_m)
     caster = make_embree_caster([meshes.background])
-    crowns = crowns.only(is_green(crowns, _views(work), caster))
+    crowns = found.only(is_green(found, _views(work), caster))
     poles = find_poles(returns.points, returns.origins, fields.ground, fields.path_m)
     poles = raise_poles(poles, partial(_views, work))
     cards = crown_cards(crowns, np.random.default_rng(context.seed))
@@ -87,7 +87,7 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
         f"{sum(len(k.edge_m) for k in kerbs) // 2} m of kerbs have upright faces",
         f"{len(poles)} poles, posts and trunks stand as rods",
         f"{len(crowns)} crowns are drawn by {len(cards.faces) // 2} cards, and what no beam tells "
-        f"of them by {len(rest.faces) // 2}",
+        f"of them by {len(rest.faces) // 2}; {len(found) - len(crowns)} more are not green",
     )
 
 

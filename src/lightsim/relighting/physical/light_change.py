@@ -69,11 +69,11 @@ def log_light_change(
         for light in (source, target)
     ]
     wanted = np.log(target.shaded + floors[1])
-    far = _far_fraction(is_surface, width_px)[..., None]
+    far = None if lights.around is None else _far_fraction(is_surface, width_px)[..., None]
 
     def change(light: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
         raw = fill_holes((wanted - np.log(light + floors[0])).astype(np.float32), is_surface)
-        if lights.around is not None:
+        if far is not None:
             raw = raw + far * (lights.around - raw)
         return _without_relief(raw, is_level, width_px)
 

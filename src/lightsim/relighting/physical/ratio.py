@@ -203,7 +203,7 @@ def _refined(inputs: RelightInputs) -> Lights:
 def _change_around(circumstances: Circumstances) -> Float32[np.ndarray, "3"]:
     """`Lights.around` of these skies."""
     source, target = (
-        np.log(np.maximum(sky.mean_radiance(), _TINY))
+        np.log(np.maximum(sky.mean_radiance, _TINY))
         for sky in (circumstances.source_sky, circumstances.target_sky)
     )
     return (target - source).astype(np.float32)
