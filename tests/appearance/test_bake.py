@@ -18,7 +18,7 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.log import DrivingLog
-from lightsim.core.mesh import Texture, TriMesh
+from lightsim.core.mesh import Material, Texture, TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
 from lightsim.geometry.surface import make_mesh
@@ -36,7 +36,11 @@ def _pattern(xy: np.ndarray) -> np.ndarray:
     return np.stack([0.3 + 0.1 * np.sin(x), 0.35 + 0.1 * np.cos(y), 0.3 + 0.02 * x], axis=-1)
 
 
-def _log(actors: tuple[ActorTrack, ...], occluder: np.ndarray | None) -> DrivingLog:
+def _log(
+    actors: tuple[ActorTrack, ...],
+    occluder: np.ndarray | None,
+    colour: tuple[float, float, float] = (0.8, 0.02, 0.02),
+) -> DrivingLog:
     """Three cameras with unequal gains look straight down from 5 m, shifted along x."""
     cameras, frames = {}, []
     for i, (name, gain) in enumerate(GAINS.items()):
@@ -48,7 +52,7 @@ def _log(actors: tuple[ActorTrack, ...], occluder: np.ndarray | None) -> Driving
         radiance = _pattern((centre + ray * (-5.0 / ray[..., 2:]))[..., :2])
         if occluder is not None:
             top = (centre + ray * (-4.0 / ray[..., 2:]))[..., :2]
-            radiance[(np.abs(top - occluder) < 0.5).all(axis=-1)] = [0.8, 0.02, 0.02]
+            radiance[(np.abs(top - occluder) < 0.5).all(axis=-1)] = colour
         image = srgb8_from_linear(radiance * gain)
         cameras[name] = camera
         frames.append(CameraFrame(name, "0", 0, pose, lambda image=image: image))
@@ -105,6 +109,23 @@ def test_gains_and_texels_come_back() -> None:
     points, colour = _texels(top)
     middle = (np.abs(points[:, :2]) < 0.4).all(axis=1)
     assert colour[middle, 0].min() > 4 * colour[middle, 1].max()
+
+
+def test_leaves_that_the_crown_lacks_do_not_fall_on_the_ground() -> None:
+    """The recorded crown is five times as wide as the twin's: what one camera alone sees beside it
+    outweighs the leaves that the two others see there."""
+    vegetation = (Material(0.7, 0.0, "vegetation"),)
+    crown = replace(plane_mesh(0.2, 0.1, 1.0), materials=vegetation)
+    background = concatenate_meshes([plane_mesh(8.0, 0.1), crown])
+    log = _log((), np.zeros(2), (0.03, 0.12, 0.02))
+    (mesh,), _ = _bake(log, background, {}, replace(CONFIG, outlier_ratio=1.05))
+    points, colour = _texels(mesh)
+    x, y = np.abs(points[:, :2]).T
+    beside = (points[:, 2] < 0.5) & (x > 0.45) & (x < 0.65) & (y < 0.5)
+    assert beside.sum() > 400
+    scale = np.exp(np.log(np.array(list(GAINS.values()))).mean(axis=0))
+    expected = _pattern(points[beside, :2]) * scale
+    np.testing.assert_allclose(colour[beside], expected, rtol=0.05)
 
 
 def test_ground_beside_a_moving_actor_takes_other_views() -> None:

@@ -113,7 +113,7 @@ def test_partners_pictures_are_averaged_and_stay_in_the_file(inputs: RelightInpu
     state = {f"partners.0.{name}": value for name, value in second.state_dict().items()}
     joined.load_state_dict(first.state_dict() | state)
     again = network_of(tensors_of_network(joined))
-    assert again.config == joined.config
+    assert isinstance(again, RelitNet) and again.config == joined.config
     batch = tensors_of(planes_of(inputs)[0])
     with torch.inference_mode():
         one, other, mean = (network(batch) for network in (first, second, again))
@@ -122,6 +122,9 @@ def test_partners_pictures_are_averaged_and_stay_in_the_file(inputs: RelightInpu
     torch.testing.assert_close(srgb_of(mean.picture), code, atol=1e-5, rtol=1e-5)
     error = (one.log_error.exp() + other.log_error.exp()) / 2
     torch.testing.assert_close(mean.log_error.exp(), error)
+    with torch.inference_mode():
+        for apart, expected in zip(again.alone(), (one, other), strict=True):
+            torch.testing.assert_close(apart.eval()(batch).picture, expected.picture)
 
 
 def test_shipped_weights_meet_the_planes_that_they_were_trained_on(

@@ -16,8 +16,8 @@ from lightsim.relighting.network.channels import DOME_ROWS, LIGHT, SCENE
 from lightsim.relighting.network.features import level, linear_of, modelled, srgb_of
 from lightsim.relighting.network.model import RelitNet
 from lightsim.relighting.network.paper_model import PaperNet
-from lightsim.relighting.network.stored import network_of
-from lightsim.store.weights import read_record, read_weights
+from lightsim.relighting.network.stored import network_for, network_of
+from lightsim.store.weights import WEIGHTS_FOLDER, read_record, read_weights
 from lightsim.training.options import RelightTrainingOptions
 from lightsim.training.relight_cache import (
     RelightSample,
@@ -226,12 +226,15 @@ def test_options_of_the_losses_are_checked(streets: Path, tmp_path: Path) -> Non
         "--knee": replace(command, knee=float("nan")),
         "no knee": replace(command, knee=0.1, network="paper"),
         "epe": replace(command, zooms=(1.0,), network="epe"),
+        "--crops": replace(command, crops=0),
+        "--crop-px": replace(command, crop_px=8),
     }
     for message, given in wrong.items():
         with pytest.raises(InputError, match=message):
             train(given)
     words = ["train", "relight", "--data", str(streets), "--out", str(tmp_path), "--steps", "1"]
     more = ["--knee", "0.03", "--zooms", "1", "0.75", "--edge-pixels-px", "1", "4"]
+    more += ["--crops", "2", "--crop-px", "32"]
     cli.main([*words, "--streets", "1", *more])
     line = json.loads((tmp_path / "metrics.jsonl").read_text().splitlines()[0])
     assert {"even", "edges"} <= set(line)
@@ -282,6 +285,27 @@ def test_training_goes_on_from_weights_of_its_own_network_alone(
     with pytest.raises(InputError, match="learned from streets for validation"):
         train(seen)
     assert not list((tmp_path / "c").glob("*.safetensors"))
+
+
+def test_training_goes_on_from_either_network_of_a_mean(streets: Path, tmp_path: Path) -> None:
+    shipped = network_for(RelitNet, None)
+    command = RelightTrainingOptions(
+        data=streets,
+        out=tmp_path,
+        streets=("1",),
+        steps=1,
+        preset="full",
+        crops=1,
+        crop_px=32,
+        start=WEIGHTS_FOLDER / "relight-network.safetensors",
+    )
+    train(command)
+    full = network_for(RelitNet, tmp_path / "weights.safetensors")
+    (partner,) = shipped.partners
+    assert full.config == shipped.config.partners[0]
+    before = partner.state_dict()["stem.1.weight"]
+    moved = (full.state_dict()["stem.1.weight"] - before).abs().max()
+    assert moved < 0.01 * before.abs().max()
 
 
 def views_of(sample: RelightSample) -> Views:

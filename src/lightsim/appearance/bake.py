@@ -201,8 +201,9 @@ def _collect(
         inverse_depth = view.inverse_depth.astype(np.float32)
         alpha = None if sky_matte is None else sky_matte(frame)
         ego_vehicle = log.ego_vehicle_masks.get(frame.camera_name)
-        beside = view.beside_moving(log.cameras[frame.camera_name].fx)
-        pixel_weight = pixel_weights(image, ego_vehicle, alpha, inverse_depth, beside)
+        focal_px = log.cameras[frame.camera_name].fx
+        hidden = view.beside_moving(focal_px), view.behind_leaves(image, focal_px)
+        pixel_weight = pixel_weights(image, ego_vehicle, alpha, inverse_depth, *hidden)
         scene.place(frame, MAX_VIEW_M)
         used = _project(corners, scene, view, log.cameras[frame.camera_name], config)
         _add_directions(towards_camera, used, corners, scene, view, config)

@@ -15,6 +15,7 @@ from lightsim.core.actors import ActorTrack
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import MakeCaster, RayCaster, RayHits
 from lightsim.core.colour import CLIPPED_CODE
+from lightsim.core.foliage import crown_beside, foliage_faces, leaves_before
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
@@ -40,6 +41,8 @@ _EDGE_STEP = 0.05
 _EDGE_RADIUS_PX = 4
 # They count this much.
 _EDGE_WEIGHT = 0.1
+# Leaves that stand before a surface, where no other view shows it.
+_LEAF_WEIGHT = 0.02
 # Visibility is tested against a depth image with one ray for this many pixels.
 DEPTH_STEP_PX = 2
 # Surfaces further from a camera take no colour from it; the background proxy is nearer.
@@ -54,20 +57,38 @@ class View:
         inverse_depth: 1 / depth along the optical axis, one ray for `depth_step_px` pixels;
             0 where nothing was hit.
         moving_bits: whether that is a moving actor, packed.
+        leaf_bits: whether that is a crown, packed.
         faces: of the scene, seen or beside a seen one.
     """
 
     frame: CameraFrame
     inverse_depth: Float16[np.ndarray, "h w"]
     moving_bits: UInt8[np.ndarray, " b"]
+    leaf_bits: UInt8[np.ndarray, " b"]
     faces: Int32[np.ndarray, " c"]
 
     def beside_moving(self, focal_px: float) -> Bool[np.ndarray, "h w"]:
         """Rays that a moving actor may hide beyond its reconstruction."""
-        bits = np.unpackbits(self.moving_bits, count=self.inverse_depth.size)
-        is_moving = bits.reshape(self.inverse_depth.shape).astype(bool)
-        depth_z_m = 1.0 / np.maximum(self.inverse_depth.astype(np.float32), 1e-6)
-        return (grown_outline(is_moving, depth_z_m, focal_px / DEPTH_STEP_PX) > 0) & ~is_moving
+        is_moving = self._unpacked(self.moving_bits)
+        grown = grown_outline(is_moving, self._depth_z_m, focal_px / DEPTH_STEP_PX)
+        return (grown > 0) & ~is_moving
+
+    def behind_leaves(
+        self, image: UInt8[np.ndarray, "hi wi 3"], focal_px: float
+    ) -> Bool[np.ndarray, "h w"]:
+        """Rays in whose pixels the image shows leaves that the reconstruction lacks."""
+        is_leaf, focal_px = self._unpacked(self.leaf_bits), focal_px / DEPTH_STEP_PX
+        crown_m = crown_beside(is_leaf, self._depth_z_m, focal_px)
+        small = image[::DEPTH_STEP_PX, ::DEPTH_STEP_PX]
+        return np.isfinite(leaves_before(small, is_leaf, crown_m, focal_px))
+
+    @property
+    def _depth_z_m(self) -> Float32[np.ndarray, "h w"]:
+        return np.float32(1.0) / np.maximum(self.inverse_depth.astype(np.float32), 1e-6)
+
+    def _unpacked(self, bits: UInt8[np.ndarray, " b"]) -> Bool[np.ndarray, "h w"]:
+        shape = self.inverse_depth.shape
+        return np.unpackbits(bits, count=self.inverse_depth.size).reshape(shape).astype(bool)
 
 
 class PlacedScene:
@@ -95,6 +116,7 @@ class PlacedScene:
         self.faces = np.concatenate(
             [m.faces + np.int32(o) for m, o in zip(self.meshes, self.first_vertex, strict=False)]
         ).astype(np.int32)
+        self.is_foliage = np.concatenate([foliage_faces(mesh) for mesh in self.meshes])
         number = {actor_id: k + 1 for k, actor_id in enumerate(actors)}
         tracks = [track for track in log.actors if track.actor_id in number]
         self._movable = [(track, number[track.actor_id]) for track in tracks if track.is_moving]
@@ -176,13 +198,16 @@ def look(
         is_moving[is_nearer] = bool(movable)
     depth = distance * np.maximum(directions @ frame.world_from_camera.rotation[:, 2], 1e-6)
     inverse = np.where(face >= 0, 1.0 / np.maximum(depth, 1e-3), 0.0)
+    is_leaf = (face >= 0) & scene.is_foliage[face]
     face[distance >= MAX_VIEW_M] = -1
     faces = np.flatnonzero(touching_faces(scene.faces, face, len(scene.vertices)))
     corners = scene.vertices[scene.faces[faces]].mean(axis=1)
     normals = scene.normals[scene.faces[faces]].mean(axis=1)
     sharp = pixels_per_metre(corners, normals, frame.world_from_camera, camera)
     inverse = inverse.astype(np.float16).reshape(shape)
-    view = View(frame, inverse, np.packbits(is_moving), faces.astype(np.int32))
+    view = View(
+        frame, inverse, np.packbits(is_moving), np.packbits(is_leaf), faces.astype(np.int32)
+    )
     return view, sharp
 
 
@@ -278,13 +303,16 @@ def pixel_weights(
     sky_alpha: Float32[np.ndarray, "h w"] | None,
     inverse_depth: Float32[np.ndarray, "h2 w2"],
     beside_moving: Bool[np.ndarray, "h2 w2"],
+    behind_leaves: Bool[np.ndarray, "h2 w2"],
 ) -> Float32[np.ndarray, "h w"]:
-    """Little where a channel is clipped or an outline is near, nothing on ego vehicle and sky, and
-    right beside moving actors: what is there is seen at other times."""
+    """Little where a channel is clipped, an outline is near or leaves stand in front, nothing on
+    ego vehicle and sky, and right beside moving actors: what is there is seen at other times."""
     weight = np.where(image.max(axis=2) >= CLIPPED_CODE, _CLIPPED_WEIGHT, 1.0)
     step = DEPTH_STEP_PX
     is_outline = outlines(inverse_depth, _EDGE_STEP, _EDGE_RADIUS_PX / step)
-    rays = np.where(beside_moving, 0.0, np.where(is_outline, _EDGE_WEIGHT, 1.0))
+    rays = np.where(is_outline, _EDGE_WEIGHT, 1.0)
+    rays[behind_leaves] = _LEAF_WEIGHT
+    rays[beside_moving] = 0.0
     rays = rays.repeat(step, axis=0).repeat(step, axis=1)
     weight *= rays[: len(weight), : weight.shape[1]]
     if ego_vehicle is not None:

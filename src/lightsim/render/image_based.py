@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float16, Float32, UInt8
+from jaxtyping import Bool, Float, Float16, Float32, Int64, UInt8
 from scipy import ndimage
 
 from lightsim.core.camera import PinholeCamera
@@ -28,6 +28,8 @@ _BLENDED_RAD = 0.03
 # A picture shows a surface if their distances agree to this fraction beyond those of the pixels
 # around.
 _SAME_DISTANCE = 0.02
+# A crown is about this deep: rims that two pictures show of it may lie so far apart.
+_CROWN_M = 1.0
 _SKY_M = 1e5
 """Everything without a surface is this far."""
 
@@ -41,6 +43,7 @@ class RecordedView:
         sky_matte: fraction of sky, in 255ths.
         near_m, far_m: least and greatest distance along the rays of a pixel and those around it;
             inf without a surface, NaN where the picture is not to be used.
+        is_rim: leaves that the twin's crowns lack (`core.foliage`), as far away as the crown.
     """
 
     frame: CameraFrame
@@ -50,6 +53,7 @@ class RecordedView:
     sky_matte: UInt8[np.ndarray, "h w"]
     near_m: Float16[np.ndarray, "h w"]
     far_m: Float16[np.ndarray, "h w"]
+    is_rim: Bool[np.ndarray, "h w"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +84,7 @@ class ViewRays:
     def _reach_m(self) -> Float[np.ndarray, " n"]:
         return np.where(np.isfinite(self.distance_m), self.distance_m, _SKY_M)
 
-    def part(self, rows: slice) -> ViewRays:
+    def part(self, rows: slice | Int64[np.ndarray, " k"]) -> ViewRays:
         """Some of the rays."""
         return ViewRays(
             self.camera_name,
@@ -152,8 +156,17 @@ def recorded_view(
     sky_matte: Float32[np.ndarray, "h w"],
     distance_m: Float32[np.ndarray, "h w"],
     is_usable: Bool[np.ndarray, "h w"],
+    leaves_m: Float32[np.ndarray, "h w"] | None = None,
 ) -> RecordedView:
-    """A picture with the distances along its pixels' rays; the ego vehicle is not usable."""
+    """A picture with the distances along its pixels' rays; the ego vehicle is not usable.
+
+    Args:
+        leaves_m: distance of leaves that hide what the twin has there, inf where none do.
+    """
+    is_rim = np.zeros(distance_m.shape, dtype=bool)
+    if leaves_m is not None:
+        is_rim = leaves_m < distance_m
+        distance_m = np.minimum(distance_m, leaves_m)
     near, far = ndimage.minimum_filter(distance_m, 3), ndimage.maximum_filter(distance_m, 3)
     near[~is_usable] = far[~is_usable] = np.nan
     return RecordedView(
@@ -164,6 +177,7 @@ def recorded_view(
         np.rint(255 * sky_matte).astype(np.uint8),
         near.astype(np.float16),
         far.astype(np.float16),
+        is_rim & is_usable,
     )
 
 
@@ -178,22 +192,73 @@ def blended(
         pictures: each with the points that the rays meet, where they were when it was taken (NaN
             where they were not there, or in another light).
     """
-    count = len(rays.distance_m)
-    best = np.full(count, np.inf, dtype=np.float32)
-    total = np.zeros((count, 5), dtype=np.float32)
+    mean = _Mean.empty(len(rays.distance_m))
     for view, points in pictures:
         penalty, uv, away_m = rays.penalties(view.frame, view.camera, points)
         away_m = np.where(np.isfinite(rays.distance_m), away_m, np.inf)
         rows = np.flatnonzero(np.isfinite(penalty) & _shows(view, uv, away_m))
-        # Weights exp(-penalty / width), relative to the best so far.
-        better = np.minimum(best[rows], penalty[rows])
-        total[rows] *= np.exp(-(best[rows] - better) / _BLENDED_RAD)[:, None]
-        weight = np.exp(-(penalty[rows] - better) / _BLENDED_RAD)
-        total[rows, :4] += weight[:, None] * _sampled(view, uv[rows])
-        total[rows, 4] += weight
-        best[rows] = better
-    mean = total[:, :4] / np.maximum(total[:, 4:], np.float32(1e-12))
-    return BlendedView(mean[:, :3], mean[:, 3], total[:, 4] > 0)
+        mean.add(rows, penalty[rows], _sampled(view, uv[rows]))
+    found = mean.values
+    return BlendedView(found[:, :3], found[:, 3], mean.weight > 0)
+
+
+def leaves_beyond_crowns(rays: ViewRays, views: Iterable[RecordedView]) -> BlendedView:
+    """Leaves that pictures show where rays pass a crown of the twin, which is smaller than the true
+    one; `is_observed` where most pictures that look there see leaves.
+
+    Args:
+        rays: `distance_m` to where they pass the crown.
+    """
+    points, count = rays.points_world, len(rays.distance_m)
+    leaves, seen = _Mean.empty(count), _Mean.empty(count)
+    for view in views:
+        penalty, uv, away_m = rays.penalties(view.frame, view.camera, points)
+        columns, lines = uv.astype(np.int64).T
+        near_m = view.near_m[lines, columns].astype(np.float32)
+        is_rim = view.is_rim[lines, columns] & (np.abs(near_m - away_m) < _CROWN_M)
+        # A picture tells of a place that it sees, or sees past.
+        is_told = np.isfinite(penalty) & (is_rim | (near_m > away_m + _CROWN_M))
+        rows = np.flatnonzero(is_told)
+        seen.add(rows, penalty[rows], is_rim[rows, None].astype(np.float32).repeat(4, axis=1))
+        rows = np.flatnonzero(is_told & is_rim)
+        leaves.add(rows, penalty[rows], _sampled(view, uv[rows]))
+    found = leaves.values
+    return BlendedView(found[:, :3], found[:, 3], seen.values[:, 0] > 0.5)
+
+
+@dataclass(eq=False)
+class _Mean:
+    """Means of what pictures show, each with the weight exp(-penalty / width) relative to the
+    best so far."""
+
+    best: Float32[np.ndarray, " n"]
+    total: Float32[np.ndarray, "n 4"]
+    weight: Float32[np.ndarray, " n"]
+
+    @staticmethod
+    def empty(count: int) -> _Mean:
+        """Of no picture."""
+        nothing = np.zeros((count, 4), np.float32), np.zeros(count, np.float32)
+        return _Mean(np.full(count, np.inf, dtype=np.float32), *nothing)
+
+    def add(
+        self,
+        rows: Int64[np.ndarray, " k"],
+        penalty: Float32[np.ndarray, " k"],
+        values: Float32[np.ndarray, "k 4"],
+    ) -> None:
+        """What one picture shows of some of the rays."""
+        better = np.minimum(self.best[rows], penalty)
+        fading = np.exp(-(self.best[rows] - better) / _BLENDED_RAD)
+        weight = np.exp(-(penalty - better) / _BLENDED_RAD)
+        self.total[rows] = self.total[rows] * fading[:, None] + weight[:, None] * values
+        self.weight[rows] = self.weight[rows] * fading + weight
+        self.best[rows] = better
+
+    @property
+    def values(self) -> Float32[np.ndarray, "n 4"]:
+        """0 where no picture shows anything."""
+        return np.asarray(self.total / np.maximum(self.weight, np.float32(1e-12))[:, None])
 
 
 def _shows(

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
@@ -14,6 +14,7 @@ from lightsim.core.buffers import GBuffers
 from lightsim.core.casting import RayCaster
 from lightsim.core.colour import luminance
 from lightsim.core.dome import SkyDome, Sun
+from lightsim.core.foliage import crown_beside, leaves_before, shows_foliage
 from lightsim.core.log import DrivingLog
 from lightsim.core.resample import resize_area
 from lightsim.core.scenario import ActorPlacement, Scenario
@@ -27,6 +28,7 @@ from lightsim.render.image_based import (
     RecordedView,
     ViewRays,
     blended,
+    leaves_beyond_crowns,
     recorded_view,
 )
 from lightsim.render.scene import placed_meshes
@@ -112,10 +114,16 @@ class NovelViews:
             part = rays.part(band)
             found = self._with_points(pictures, part, actors[band])
             parts.append(blended(part, found))
-        radiance = np.concatenate([p.radiance for p in parts]).reshape(*shape, 3)
-        matte = np.concatenate([p.sky_matte for p in parts]).reshape(shape)
-        is_observed = np.concatenate([p.is_observed for p in parts]).reshape(shape)
-        seen = np.dstack([radiance, matte])
+        seen = np.concatenate([np.column_stack([p.radiance, p.sky_matte]) for p in parts])
+        is_observed = np.concatenate([p.is_observed for p in parts])
+        crown_m = self._crowns(frame)[-1].reshape(-1)
+        beside = np.flatnonzero(np.isfinite(crown_m))
+        past = replace(rays, distance_m=crown_m).part(beside)
+        leaves = leaves_beyond_crowns(past, (self._view(f) for f in pictures))
+        rows = beside[leaves.is_observed]
+        seen[rows] = np.column_stack([leaves.radiance, leaves.sky_matte])[leaves.is_observed]
+        is_observed[rows] = True
+        seen, is_observed = seen.reshape(*shape, 4), is_observed.reshape(shape)
         whole = seen_and_guessed(seen, rendered, is_observed, buffers.has_surface)
         return NovelView(whole[..., :3], whole[..., 3], is_observed)
 
@@ -177,6 +185,20 @@ class NovelViews:
         directions = np.broadcast_to(direction, starts.shape)
         return self._before_sun[time_ns].is_occluded(starts, directions)
 
+    def _crowns(
+        self, frame: CameraFrame
+    ) -> tuple[Float32[np.ndarray, "h w"], Bool[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+        """Distances along a frame's pixels' rays, which meet crowns, and distances of crowns beside
+        which they pass."""
+        camera = self._log.cameras[frame.camera_name]
+        caster = self._renderer.scene(self._recorded, frame.time_ns).camera_caster
+        pixels = camera.pixel_centres()
+        hits = caster.intersect(*frame.pixel_rays(camera, pixels.reshape(-1, 2)))
+        distance = np.where(hits.is_hit, hits.distance_m, np.inf).astype(np.float32)
+        is_leaf = shows_foliage(caster.meshes, hits)
+        distance, is_leaf = (a.reshape(pixels.shape[:2]) for a in (distance, is_leaf))
+        return distance, is_leaf, crown_beside(is_leaf, distance, camera.fx)
+
     def _view(self, frame: CameraFrame) -> RecordedView:
         key = frame.camera_name, frame.stem
         if key in self._views:
@@ -184,11 +206,7 @@ class NovelViews:
             return self._views[key]
         camera = self._log.cameras[frame.camera_name]
         shape = camera.height_px, camera.width_px
-        scene = self._renderer.scene(self._recorded, frame.time_ns)
-        hits = scene.camera_caster.intersect(
-            *frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))
-        )
-        distance = np.where(hits.is_hit, hits.distance_m, np.inf).astype(np.float32)
+        distance, is_leaf, crown_m = self._crowns(frame)
         ego_vehicle = self._log.ego_vehicle_masks.get(camera.name, np.zeros(shape, dtype=bool))
         matte = self._workspace.sky_matte(frame)[..., None]
         gain = self._workspace.twin.assets.camera_gains[camera.name]
@@ -197,8 +215,9 @@ class NovelViews:
             camera,
             gain,
             resize_area(matte, *shape)[..., 0],
-            distance.reshape(shape),
+            distance,
             ~ego_vehicle,
+            leaves_before(frame.load_srgb8(), is_leaf, crown_m, camera.fx, has_twigs=True),
         )
         self._views[key] = view
         if len(self._views) > _KEPT:

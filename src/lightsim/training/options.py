@@ -110,6 +110,11 @@ class RelightTrainingOptions(RunOptions):
     """Of network: colour errors above it count by their logarithm, as decibels do (try .03)."""
     zooms: tuple[float, ...] = ()
     """Crops of a step are magnified by one of these (1 alone by default), as by other lenses."""
+    crops: int | None = None
+    """Crops of a step; by default the preset's. Fewer and smaller ones let a CPU go on with the
+    full network."""
+    crop_px: int | None = None
+    """Rows and columns of a crop; by default the preset's."""
     streets: tuple[str, ...] = ()
     """Its folders to learn from; by default all but those for validation."""
     validation: tuple[str, ...] = ()

@@ -15,7 +15,7 @@ from lightsim.networks.devices import choose_device
 from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
 from lightsim.relighting.network.channels import OF_SKIES
 from lightsim.relighting.network.features import Unseen, srgb_of
-from lightsim.relighting.network.model import RelitNetConfig
+from lightsim.relighting.network.model import RelitNet, RelitNetConfig
 from lightsim.relighting.network.paper_model import PaperNetConfig
 from lightsim.relighting.network.stored import Network, NetworkConfig, make_network, network_of
 from lightsim.store.weights import read_weights
@@ -80,7 +80,13 @@ def full() -> RelightTrainConfig:
     """For a GPU: three times as many weights, whole pictures, larger batches."""
     return RelightTrainConfig(
         network=RelitNetConfig(widths=(48, 96, 160, 224, 256)),
-        loop=LoopConfig(steps=60000, warm_up_steps=500, average_decay=0.9995, mixed_precision=True),
+        loop=LoopConfig(
+            steps=60000,
+            warm_up_steps=500,
+            average_decay=0.9995,
+            mixed_precision=True,
+            is_mixed_on_cpu=True,
+        ),
         perception_crops=8,
         workers=8,
         data=RelightDataConfig(batch=32, crop_px=(192, 192)),
@@ -167,9 +173,11 @@ def train_relight(
 
 
 def _read(config: NetworkConfig, start: Path) -> Network:
+    """The network of this config among those of a file, whose pictures may be averaged."""
     network = network_of(read_weights(start))
-    if network.config == config:
-        return network
+    for one in network.alone() if isinstance(network, RelitNet) else [network]:
+        if one.config == config:
+            return one
     raise InputError(
         "these are weights of another network",
         where=start,

@@ -41,6 +41,7 @@ _DESCRIPTION = {
 _BASELINES = {"self-osr": SelfOsrConfig(), "epe": EpeConfig()}
 _MOST_EDGES = 1e4
 _MOST_PIXEL_PX, _MOST_ZOOM = 32, 4.0
+_MOST_CROPS, _LEAST_CROP_PX, _MOST_CROP_PX = 4096, 32, 4096
 _RATE_GOING_ON = 0.3
 """Learning rate from weights that know something, over that from random ones."""
 
@@ -109,6 +110,8 @@ def _baseline(command: RelightTrainingOptions) -> BaselineTrainConfig:
         "--edge-pixels-px": command.edge_pixels_px,
         "--knee": command.knee,
         "--zooms": command.zooms,
+        "--crops": command.crops,
+        "--crop-px": command.crop_px,
     }
     of_others = next((option for option, value in given.items() if value), None)
     if of_others is not None:
@@ -141,7 +144,7 @@ def _own(command: RelightTrainingOptions) -> RelightTrainConfig:
 
 
 def _varied(config: RelightTrainConfig, command: RelightTrainingOptions) -> RelightTrainConfig:
-    """With other losses and other lenses, where they are asked for."""
+    """With other losses, lenses and batches, where they are asked for."""
     if command.edge_pixels_px:
         for px in command.edge_pixels_px:
             check_number("--edge-pixels-px", px, 1, _MOST_PIXEL_PX)
@@ -155,6 +158,14 @@ def _varied(config: RelightTrainConfig, command: RelightTrainingOptions) -> Reli
         for zoom in command.zooms:
             check_number("--zooms", zoom, 1 / _MOST_ZOOM, _MOST_ZOOM)
         config = replace(config, data=replace(config.data, zooms=command.zooms))
+    if command.crops is not None:
+        check_number("--crops", command.crops, 1, _MOST_CROPS)
+        config = replace(config, data=replace(config.data, batch=command.crops))
+        config = replace(config, perception_crops=max(1, command.crops // 4))
+    if command.crop_px is not None:
+        check_number("--crop-px", command.crop_px, _LEAST_CROP_PX, _MOST_CROP_PX)
+        size_px = (command.crop_px, command.crop_px)
+        config = replace(config, data=replace(config.data, crop_px=size_px))
     return config
 
 

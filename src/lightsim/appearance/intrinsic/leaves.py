@@ -9,10 +9,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from lightsim.core.adjacency import adjacency
+from lightsim.core.foliage import foliage_faces
 from lightsim.core.mesh import TriMesh
 
-_FOLIAGE = "vegetation"
-"""Name of the material class."""
 _AROUND, _AROUND_M = 64, 2.0
 """Corners of leaves around one, no further away, whose median is its colour. Not measured alone."""
 
@@ -22,12 +21,8 @@ def leaf_vertices(mesh: TriMesh) -> Bool[np.ndarray, " n"]:
     together, and the far field has such pieces of its own."""
     count, piece = connected_components(adjacency(mesh.faces, len(mesh.vertices)), directed=False)
     size = np.bincount(piece, minlength=int(count))[piece]
-    is_foliage = np.array([material.name == _FOLIAGE for material in mesh.materials], dtype=bool)
-    chosen = (
-        np.zeros(len(mesh.faces), np.int64) if mesh.face_material is None else mesh.face_material
-    )
     is_leaf = np.zeros(len(mesh.vertices), dtype=bool)
-    is_leaf[mesh.faces[is_foliage[chosen]]] = True
+    is_leaf[mesh.faces[foliage_faces(mesh)]] = True
     return is_leaf & (size <= 4)
 
 

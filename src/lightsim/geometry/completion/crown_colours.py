@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from lightsim.core.casting import RayCaster
-from lightsim.core.colour import linear_from_srgb8
+from lightsim.core.foliage import GREENER, excess_green
 from lightsim.geometry.completion.crowns import Crowns
 from lightsim.geometry.completion.silhouettes import ClassifiedView, View, classified_views
 
@@ -16,20 +16,13 @@ from lightsim.geometry.completion.silhouettes import ClassifiedView, View, class
 _MAX_VIEW_M = 60.0
 HIDDEN_M = 0.4
 """What stands this far before a place hides it."""
-# Octaves by which leaves are greener than their pictures. Chosen while looking at log 002, where it
-# parts trees from all else; what a build leaves out is in its notes.
-_LEAST_GREEN = 0.15
-_DARKEST = 1e-3
-# Pixels of a picture between those that tell how green it is; returns of a crown, at most.
-_STEP_PX, _MOST_RETURNS = 7, 400
+# Returns of a crown that are looked at, at most.
+_MOST_RETURNS = 400
 
 
 def is_green(crowns: Crowns, views: Iterable[View], caster: RayCaster) -> Bool[np.ndarray, " k"]:
     """Which crowns are greener than the pictures that they are in, by the median of what their
-    returns look like; those that no picture shows are, too.
-
-    Green is told by log2(green / sqrt(red blue)), the excess green of Woebbecke et al. 1995
-    (doi:10.13031/2013.27838) free of exposure.
+    returns look like; those that no picture shows are, too. What a build leaves out its notes tell.
 
     Args:
         views: frames with their camera (of the matte's size) and sky matte.
@@ -49,13 +42,11 @@ def is_green(crowns: Crowns, views: Iterable[View], caster: RayCaster) -> Bool[n
             continue
         hits = caster.intersect(np.broadcast_to(eye, way.shape).copy(), way)
         is_seen = hits.distance_m > distance - HIDDEN_M
-        green = _greenness(frame.load_srgb8())
-        usual = np.median(green[::_STEP_PX, ::_STEP_PX])
-        own = green[pixel[1], pixel[0]] - usual
+        own = excess_green(frame.load_srgb8())[pixel[1], pixel[0]]
         for k in np.unique(number[row[is_seen]]):
             found[k].append(own[is_seen & (number[row] == k)])
     medians = [np.median(np.concatenate(own)) if own else np.inf for own in found]
-    return np.array(medians, np.float64) > _LEAST_GREEN
+    return np.array(medians, np.float64) > GREENER
 
 
 def towards_points(
@@ -84,8 +75,3 @@ def _some_of_each(number: Int64[np.ndarray, " r"]) -> Int64[np.ndarray, " s"]:
     return np.concatenate(
         [np.zeros(0, np.int64), *(own[:: -(-len(own) // _MOST_RETURNS)] for own in rows)]
     )
-
-
-def _greenness(srgb8: np.ndarray) -> Float64[np.ndarray, "h w"]:
-    light = np.log2(linear_from_srgb8(srgb8).astype(np.float64) + _DARKEST)
-    return light[..., 1] - 0.5 * (light[..., 0] + light[..., 2])

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import torch
@@ -123,6 +123,14 @@ class RelitNet(nn.Module):
         # The first guess is physics.
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)  # type: ignore[arg-type]
+
+    def alone(self) -> list[RelitNet]:
+        """The networks whose pictures are averaged, each on its own."""
+        first = RelitNet(replace(self.config, partners=()))
+        first.load_state_dict(
+            {k: v for k, v in self.state_dict().items() if not k.startswith("partners.")}
+        )
+        return [first, *cast(list[RelitNet], list(self.partners))]
 
     def forward(self, batch: Batch, working: Batch | None = None) -> Correction:
         """The batch corrected.
