@@ -113,7 +113,8 @@ def test_partners_pictures_are_averaged_and_stay_in_the_file(inputs: RelightInpu
     state = {f"partners.0.{name}": value for name, value in second.state_dict().items()}
     joined.load_state_dict(first.state_dict() | state)
     again = network_of(tensors_of_network(joined))
-    assert isinstance(again, RelitNet) and again.config == joined.config
+    assert isinstance(again, RelitNet)
+    assert again.config == joined.config
     batch = tensors_of(planes_of(inputs)[0])
     with torch.inference_mode():
         one, other, mean = (network(batch) for network in (first, second, again))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,21 @@ def test_a_held_out_frame_is_seen_by_the_others_alone() -> None:
     # The box drives: where its shadow falls in a picture, that picture is not believed (29 dB).
     truth = work.log.frames[1].load_srgb8()
     assert psnr_db(srgb8_from_linear(found * GAIN), truth) > 35
+
+
+def test_an_actor_keeps_the_outline_that_its_reconstruction_lacks() -> None:
+    """The twin's box ends a pixel before the recorded one, which left its rim on the ground."""
+    work = workspace()
+    car = work.assets.actors["car"]
+    smaller = car.mesh.vertices * np.array([0.85, 0.7, 1.0], np.float32)
+    actors = {"car": replace(car, mesh=replace(car.mesh, vertices=smaller))}
+    work.__dict__["assets"] = replace(work.assets, actors=actors)
+    work.__dict__["twin"] = replace(work.twin, assets=work.assets)
+    replayed = replay(work.twin, "tiny", work.log.frames)
+    found = image(work, shown_by_pictures(replayed, work.held_out), 1)
+    truth = work.log.frames[1].load_srgb8()
+    # What is left is its shadow, which is a pixel too narrow, too (rim on the ground: 32.2 dB).
+    assert psnr_db(srgb8_from_linear(found * GAIN), truth) > 33.5
 
 
 def test_an_offset_moves_the_cameras_with_the_ego_vehicle() -> None:

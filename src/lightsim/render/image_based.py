@@ -28,8 +28,8 @@ _BLENDED_RAD = 0.03
 # A picture shows a surface if their distances agree to this fraction beyond those of the pixels
 # around.
 _SAME_DISTANCE = 0.02
-# A crown is about this deep: rims that two pictures show of it may lie so far apart.
-_CROWN_M = 1.0
+# Crowns are about this deep: rims that two pictures show of one may lie so far apart.
+_RIM_M = 1.0
 _SKY_M = 1e5
 """Everything without a surface is this far."""
 
@@ -43,7 +43,7 @@ class RecordedView:
         sky_matte: fraction of sky, in 255ths.
         near_m, far_m: least and greatest distance along the rays of a pixel and those around it;
             inf without a surface, NaN where the picture is not to be used.
-        is_rim: leaves that the twin's crowns lack (`core.foliage`), as far away as the crown.
+        is_rim: what the twin's actors and crowns lack, as far away as they are.
     """
 
     frame: CameraFrame
@@ -156,17 +156,17 @@ def recorded_view(
     sky_matte: Float32[np.ndarray, "h w"],
     distance_m: Float32[np.ndarray, "h w"],
     is_usable: Bool[np.ndarray, "h w"],
-    leaves_m: Float32[np.ndarray, "h w"] | None = None,
+    rim_m: Float32[np.ndarray, "h w"] | None = None,
 ) -> RecordedView:
     """A picture with the distances along its pixels' rays; the ego vehicle is not usable.
 
     Args:
-        leaves_m: distance of leaves that hide what the twin has there, inf where none do.
+        rim_m: distance of leaves and outlines that hide what the twin has there, inf elsewhere.
     """
     is_rim = np.zeros(distance_m.shape, dtype=bool)
-    if leaves_m is not None:
-        is_rim = leaves_m < distance_m
-        distance_m = np.minimum(distance_m, leaves_m)
+    if rim_m is not None:
+        is_rim = rim_m < distance_m
+        distance_m = np.minimum(distance_m, rim_m)
     near, far = ndimage.minimum_filter(distance_m, 3), ndimage.maximum_filter(distance_m, 3)
     near[~is_usable] = far[~is_usable] = np.nan
     return RecordedView(
@@ -202,27 +202,31 @@ def blended(
     return BlendedView(found[:, :3], found[:, 3], mean.weight > 0)
 
 
-def leaves_beyond_crowns(rays: ViewRays, views: Iterable[RecordedView]) -> BlendedView:
-    """Leaves that pictures show where rays pass a crown of the twin, which is smaller than the true
-    one; `is_observed` where most pictures that look there see leaves.
+def rims_seen(
+    rays: ViewRays, pictures: Iterable[tuple[RecordedView, Float[np.ndarray, "n 3"]]]
+) -> BlendedView:
+    """What pictures show where rays pass an actor or a crown of the twin, which is smaller than the
+    true one: `is_observed` where most pictures that look there see its rim.
 
     Args:
-        rays: `distance_m` to where they pass the crown.
+        rays: `distance_m` to where they pass it.
+        pictures: each with those points, where they were when it was taken (NaN where they were
+            not there, or in another light).
     """
-    points, count = rays.points_world, len(rays.distance_m)
-    leaves, seen = _Mean.empty(count), _Mean.empty(count)
-    for view in views:
+    count = len(rays.distance_m)
+    rims, seen = _Mean.empty(count), _Mean.empty(count)
+    for view, points in pictures:
         penalty, uv, away_m = rays.penalties(view.frame, view.camera, points)
         columns, lines = uv.astype(np.int64).T
         near_m = view.near_m[lines, columns].astype(np.float32)
-        is_rim = view.is_rim[lines, columns] & (np.abs(near_m - away_m) < _CROWN_M)
+        is_rim = view.is_rim[lines, columns] & (np.abs(near_m - away_m) < _RIM_M)
         # A picture tells of a place that it sees, or sees past.
-        is_told = np.isfinite(penalty) & (is_rim | (near_m > away_m + _CROWN_M))
+        is_told = np.isfinite(penalty) & (is_rim | (near_m > away_m + _RIM_M))
         rows = np.flatnonzero(is_told)
         seen.add(rows, penalty[rows], is_rim[rows, None].astype(np.float32).repeat(4, axis=1))
         rows = np.flatnonzero(is_told & is_rim)
-        leaves.add(rows, penalty[rows], _sampled(view, uv[rows]))
-    found = leaves.values
+        rims.add(rows, penalty[rows], _sampled(view, uv[rows]))
+    found = rims.values
     return BlendedView(found[:, :3], found[:, 3], seen.values[:, 0] > 0.5)
 
 

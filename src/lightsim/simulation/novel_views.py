@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
-from lightsim.core.buffers import GBuffers
+from lightsim.core.buffers import BACKGROUND, GBuffers
 from lightsim.core.casting import RayCaster
 from lightsim.core.colour import luminance
 from lightsim.core.dome import SkyDome, Sun
 from lightsim.core.foliage import crown_beside, leaves_before, shows_foliage
 from lightsim.core.log import DrivingLog
+from lightsim.core.outline import grown_outline, nearest_of
 from lightsim.core.resample import resize_area
 from lightsim.core.scenario import ActorPlacement, Scenario
 from lightsim.core.sensors import CameraFrame
@@ -28,8 +29,8 @@ from lightsim.render.image_based import (
     RecordedView,
     ViewRays,
     blended,
-    leaves_beyond_crowns,
     recorded_view,
+    rims_seen,
 )
 from lightsim.render.scene import placed_meshes
 
@@ -63,6 +64,25 @@ class NovelView:
     radiance: Float32[np.ndarray, "h w 3"]
     sky_matte: Float32[np.ndarray, "h w"]
     is_observed: Bool[np.ndarray, "h w"]
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """What the twin shows at the pixels of a frame, and what may reach beyond it there.
+
+    Args:
+        distance_m: along their rays, inf without a surface.
+        is_leaf: they meet a crown.
+        crown_m: distance of the crown beside which they pass (`core.foliage.crown_beside`).
+        outline_m: distance of the actor whose outline may lie there, inf elsewhere.
+        outline_of: its number in the scenario, or -1.
+    """
+
+    distance_m: Float32[np.ndarray, "h w"]
+    is_leaf: Bool[np.ndarray, "h w"]
+    crown_m: Float32[np.ndarray, "h w"]
+    outline_m: Float32[np.ndarray, "h w"]
+    outline_of: Int32[np.ndarray, "h w"]
 
 
 class NovelViews:
@@ -116,12 +136,13 @@ class NovelViews:
             parts.append(blended(part, found))
         seen = np.concatenate([np.column_stack([p.radiance, p.sky_matte]) for p in parts])
         is_observed = np.concatenate([p.is_observed for p in parts])
-        crown_m = self._crowns(frame)[-1].reshape(-1)
-        beside = np.flatnonzero(np.isfinite(crown_m))
-        past = replace(rays, distance_m=crown_m).part(beside)
-        leaves = leaves_beyond_crowns(past, (self._view(f) for f in pictures))
-        rows = beside[leaves.is_observed]
-        seen[rows] = np.column_stack([leaves.radiance, leaves.sky_matte])[leaves.is_observed]
+        look = self._looked_at(frame)
+        rim_m, rim_of = np.minimum(look.crown_m, look.outline_m).reshape(-1), look.outline_of
+        beside = np.flatnonzero(np.isfinite(rim_m))
+        past = replace(rays, distance_m=rim_m).part(beside)
+        rims = rims_seen(past, self._with_points(pictures, past, rim_of.reshape(-1)[beside]))
+        rows = beside[rims.is_observed]
+        seen[rows] = np.column_stack([rims.radiance, rims.sky_matte])[rims.is_observed]
         is_observed[rows] = True
         seen, is_observed = seen.reshape(*shape, 4), is_observed.reshape(shape)
         whole = seen_and_guessed(seen, rendered, is_observed, buffers.has_surface)
@@ -185,19 +206,29 @@ class NovelViews:
         directions = np.broadcast_to(direction, starts.shape)
         return self._before_sun[time_ns].is_occluded(starts, directions)
 
-    def _crowns(
-        self, frame: CameraFrame
-    ) -> tuple[Float32[np.ndarray, "h w"], Bool[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
-        """Distances along a frame's pixels' rays, which meet crowns, and distances of crowns beside
-        which they pass."""
+    def _looked_at(self, frame: CameraFrame) -> _Look:
         camera = self._log.cameras[frame.camera_name]
-        caster = self._renderer.scene(self._recorded, frame.time_ns).camera_caster
-        pixels = camera.pixel_centres()
-        hits = caster.intersect(*frame.pixel_rays(camera, pixels.reshape(-1, 2)))
-        distance = np.where(hits.is_hit, hits.distance_m, np.inf).astype(np.float32)
-        is_leaf = shows_foliage(caster.meshes, hits)
-        distance, is_leaf = (a.reshape(pixels.shape[:2]) for a in (distance, is_leaf))
-        return distance, is_leaf, crown_beside(is_leaf, distance, camera.fx)
+        scene = self._renderer.scene(self._recorded, frame.time_ns)
+        caster, pixels = scene.camera_caster, camera.pixel_centres()
+        origins, directions = frame.pixel_rays(camera, pixels.reshape(-1, 2))
+        hits, shape = caster.intersect(origins, directions), pixels.shape[:2]
+        distance = np.where(hits.is_hit, hits.distance_m, np.inf).astype(np.float32).reshape(shape)
+        is_leaf = shows_foliage(caster.meshes, hits).reshape(shape)
+        numbers = np.array([BACKGROUND] * len(scene.static.camera_meshes) + [*scene.actor_numbers])
+        actor = np.where(hits.is_hit, numbers[hits.mesh_index], BACKGROUND).reshape(shape)
+        outline_m = np.full(shape, np.inf, dtype=np.float32)
+        outline_of = np.full(shape, BACKGROUND, dtype=np.int32)
+        is_actor = actor != BACKGROUND
+        if is_actor.any():
+            along = (directions @ frame.world_from_camera.rotation[:, 2]).reshape(shape)
+            nearest = nearest_of(is_actor)[1]
+            is_beside = (grown_outline(is_actor, distance * along, camera.fx) > 0) & ~is_actor
+            is_beside &= distance > distance[nearest]
+            outline_m[is_beside] = distance[nearest][is_beside]
+            outline_of[is_beside] = actor[nearest][is_beside]
+        crown_m = crown_beside(is_leaf, distance, camera.fx)
+        crown_m[outline_m < np.inf] = np.inf
+        return _Look(distance, is_leaf, crown_m, outline_m, outline_of)
 
     def _view(self, frame: CameraFrame) -> RecordedView:
         key = frame.camera_name, frame.stem
@@ -206,18 +237,21 @@ class NovelViews:
             return self._views[key]
         camera = self._log.cameras[frame.camera_name]
         shape = camera.height_px, camera.width_px
-        distance, is_leaf, crown_m = self._crowns(frame)
+        seen = self._looked_at(frame)
         ego_vehicle = self._log.ego_vehicle_masks.get(camera.name, np.zeros(shape, dtype=bool))
         matte = self._workspace.sky_matte(frame)[..., None]
         gain = self._workspace.twin.assets.camera_gains[camera.name]
+        leaves_m = leaves_before(
+            frame.load_srgb8(), seen.is_leaf, seen.crown_m, camera.fx, has_twigs=True
+        )
         view = recorded_view(
             frame,
             camera,
             gain,
             resize_area(matte, *shape)[..., 0],
-            distance,
+            seen.distance_m,
             ~ego_vehicle,
-            leaves_before(frame.load_srgb8(), is_leaf, crown_m, camera.fx, has_twigs=True),
+            np.minimum(leaves_m, seen.outline_m),
         )
         self._views[key] = view
         if len(self._views) > _KEPT:
