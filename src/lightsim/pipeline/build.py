@@ -111,7 +111,7 @@ def _no_settings(_: BuildOptions) -> None:
 
 STAGES = (
     Stage("log", 4, (), lambda o: replace(o.reading, source=""), recording.make_log),
-    Stage("masks", 7, ("log",), _no_settings, recording.make_masks),
+    Stage("masks", 8, ("log",), _no_settings, recording.make_masks),
     Stage("held_out_masks", 6, ("log",), _no_settings, recording.make_held_out_masks),
     Stage(
         "alignment",
@@ -130,14 +130,14 @@ STAGES = (
     ),
     Stage(
         "geometry",
-        24,
+        25,
         ("log", "masks", "alignment", "neural"),
         _no_settings,
         surfaces.make_geometry,
     ),
     Stage(
         "assets",
-        11,
+        12,
         ("log", "masks", "alignment", "fields", "neural", "geometry"),
         _asset_config,
         surfaces.make_assets,

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Float16, Float32, Int64, UInt8
 from scipy import ndimage
 
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.colour import linear_from_srgb8
+from lightsim.core.colour import linear_from_srgb8, luminance
 from lightsim.core.sensors import CameraFrame
 
 # What a picture costs that is a second away, and one whose pixels cover e times as much surface, in
@@ -25,6 +25,8 @@ _PENALTY_FAR_PER_S = 1.0
 _PENALTY_BORDER, _BORDER = 0.1, 0.15
 # Pictures are mixed that differ by about this much.
 _BLENDED_RAD = 0.03
+# And compared; the second must count this much of the best.
+_COMPARED_RAD, _LEAST_COMPARED = 0.1, 0.2
 # A picture shows a surface if their distances agree to this fraction beyond those of the pixels
 # around.
 _SAME_DISTANCE = 0.02
@@ -217,17 +219,45 @@ def rims_seen(
     rims, seen = _Mean.empty(count), _Mean.empty(count)
     for view, points in pictures:
         penalty, uv, away_m = rays.penalties(view.frame, view.camera, points)
-        columns, lines = uv.astype(np.int64).T
-        near_m = view.near_m[lines, columns].astype(np.float32)
-        is_rim = view.is_rim[lines, columns] & (np.abs(near_m - away_m) < _RIM_M)
+        is_rim = _shows_rim(view, uv, away_m)
         # A picture tells of a place that it sees, or sees past.
-        is_told = np.isfinite(penalty) & (is_rim | (near_m > away_m + _RIM_M))
+        is_told = np.isfinite(penalty) & (is_rim | _sees_past(view, uv, away_m))
         rows = np.flatnonzero(is_told)
         seen.add(rows, penalty[rows], is_rim[rows, None].astype(np.float32).repeat(4, axis=1))
         rows = np.flatnonzero(is_told & is_rim)
         rims.add(rows, penalty[rows], _sampled(view, uv[rows]))
     found = rims.values
     return BlendedView(found[:, :3], found[:, 3], seen.values[:, 0] > 0.5)
+
+
+def disagreement(
+    rays: ViewRays,
+    pictures: Iterable[tuple[RecordedView, Float[np.ndarray, "n 3"]]],
+    *,
+    of_rims: bool = False,
+) -> Float32[np.ndarray, " n"]:
+    """How much what pictures show of a view differs from picture to picture: the standard deviation
+    of the root of luminance, inf where no two tell.
+
+    What is taken to stand elsewhere than it does changes with the place of the camera (Seitz and
+    Dyer 1999, doi:10.1023/A:1008176507526).
+
+    Args:
+        of_rims: of `rims_seen`; else of `blended`.
+    """
+    codes = _Mean.empty(len(rays.distance_m), _COMPARED_RAD)
+    shows = _shows_rim if of_rims else _shows
+    for view, points in pictures:
+        penalty, uv, away_m = rays.penalties(view.frame, view.camera, points)
+        away_m = np.where(np.isfinite(rays.distance_m), away_m, np.inf)
+        rows = np.flatnonzero(np.isfinite(penalty) & shows(view, uv, away_m))
+        code = np.sqrt(np.maximum(luminance(_sampled(view, uv[rows])[:, :3]), 0.0))
+        codes.add(rows, penalty[rows], np.column_stack([code, code * code, code, code]))
+    mean, square = codes.values[:, :2].T
+    # The best weighs 1.
+    is_compared = codes.weight > 1 + _LEAST_COMPARED
+    spread = np.sqrt(np.maximum(square - mean * mean, 0.0))
+    return np.where(is_compared, spread, np.float32(np.inf)).astype(np.float32)
 
 
 @dataclass(eq=False)
@@ -238,12 +268,13 @@ class _Mean:
     best: Float32[np.ndarray, " n"]
     total: Float32[np.ndarray, "n 4"]
     weight: Float32[np.ndarray, " n"]
+    width_rad: float
 
     @staticmethod
-    def empty(count: int) -> _Mean:
+    def empty(count: int, width_rad: float = _BLENDED_RAD) -> _Mean:
         """Of no picture."""
         nothing = np.zeros((count, 4), np.float32), np.zeros(count, np.float32)
-        return _Mean(np.full(count, np.inf, dtype=np.float32), *nothing)
+        return _Mean(np.full(count, np.inf, dtype=np.float32), *nothing, width_rad)
 
     def add(
         self,
@@ -253,8 +284,8 @@ class _Mean:
     ) -> None:
         """What one picture shows of some of the rays."""
         better = np.minimum(self.best[rows], penalty)
-        fading = np.exp(-(self.best[rows] - better) / _BLENDED_RAD)
-        weight = np.exp(-(penalty - better) / _BLENDED_RAD)
+        fading = np.exp(-(self.best[rows] - better) / self.width_rad)
+        weight = np.exp(-(penalty - better) / self.width_rad)
         self.total[rows] = self.total[rows] * fading[:, None] + weight[:, None] * values
         self.weight[rows] = self.weight[rows] * fading + weight
         self.best[rows] = better
@@ -273,6 +304,23 @@ def _shows(
     near, far = (a[rows, columns].astype(np.float32) for a in (view.near_m, view.far_m))
     is_same = (away_m > near * (1 - _SAME_DISTANCE)) & (away_m < far * (1 + _SAME_DISTANCE))
     return np.where(np.isinf(away_m), np.isinf(far), is_same)
+
+
+def _shows_rim(
+    view: RecordedView, uv: Float[np.ndarray, "n 2"], away_m: Float[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Whether a picture shows at (u, v) a rim about this far away."""
+    columns, rows = uv.astype(np.int64).T
+    near = view.near_m[rows, columns].astype(np.float32)
+    return view.is_rim[rows, columns] & (np.abs(near - away_m) < _RIM_M)
+
+
+def _sees_past(
+    view: RecordedView, uv: Float[np.ndarray, "n 2"], away_m: Float[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Whether what a picture shows at (u, v) stands well behind."""
+    columns, rows = uv.astype(np.int64).T
+    return np.asarray(view.near_m[rows, columns].astype(np.float32) > away_m + _RIM_M)
 
 
 def _sampled(view: RecordedView, uv: Float[np.ndarray, "n 2"]) -> Float32[np.ndarray, "n 4"]:

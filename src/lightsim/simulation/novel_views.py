@@ -29,6 +29,7 @@ from lightsim.render.image_based import (
     RecordedView,
     ViewRays,
     blended,
+    disagreement,
     recorded_view,
     rims_seen,
 )
@@ -45,6 +46,9 @@ _PROBES = 400
 _BAND_RAYS = 1 << 17
 _MATCH_WIDTH = 1 / 20
 """Over this fraction of the picture's width the twin's colours follow the pictures'."""
+_SURE = 0.8
+"""Pictures agree better on one of two surfaces where they differ so much less; both are there where
+they agree on either, and the nearer one is seen."""
 _DARKEST = np.float32(1e-3)
 _OFF_SURFACE_M = 0.05
 """Rays to the sun start here, so that a moving surface's own faces do not count as its shadow."""
@@ -137,12 +141,19 @@ class NovelViews:
         seen = np.concatenate([np.column_stack([p.radiance, p.sky_matte]) for p in parts])
         is_observed = np.concatenate([p.is_observed for p in parts])
         look = self._looked_at(frame)
-        rim_m, rim_of = np.minimum(look.crown_m, look.outline_m).reshape(-1), look.outline_of
+        rim_m = np.minimum(look.crown_m, look.outline_m).reshape(-1)
         beside = np.flatnonzero(np.isfinite(rim_m))
         past = replace(rays, distance_m=rim_m).part(beside)
-        rims = rims_seen(past, self._with_points(pictures, past, rim_of.reshape(-1)[beside]))
-        rows = beside[rims.is_observed]
-        seen[rows] = np.column_stack([rims.radiance, rims.sky_matte])[rims.is_observed]
+        own = list(self._with_points(pictures, past, look.outline_of.reshape(-1)[beside]))
+        rims = rims_seen(past, own)
+        behind = rays.part(beside)
+        others = self._with_points(pictures, behind, actors[beside])
+        # Reconstructions end too soon here and there alone: elsewhere what is behind is seen.
+        is_behind = disagreement(behind, others) < _SURE * disagreement(past, own, of_rims=True)
+        is_behind &= is_observed[beside] & np.isfinite(look.outline_m).reshape(-1)[beside]
+        chosen = rims.is_observed & ~is_behind
+        rows = beside[chosen]
+        seen[rows] = np.column_stack([rims.radiance, rims.sky_matte])[chosen]
         is_observed[rows] = True
         seen, is_observed = seen.reshape(*shape, 4), is_observed.reshape(shape)
         whole = seen_and_guessed(seen, rendered, is_observed, buffers.has_surface)
