@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int32
+from jaxtyping import Bool, Float, Float32, Int32, Int64
 
 from lightsim.core.buffers import BACKGROUND, GBuffers
 from lightsim.core.casting import RayCaster
@@ -140,24 +140,38 @@ class NovelViews:
             parts.append(blended(part, found))
         seen = np.concatenate([np.column_stack([p.radiance, p.sky_matte]) for p in parts])
         is_observed = np.concatenate([p.is_observed for p in parts])
-        look = self._looked_at(frame)
-        rim_m = np.minimum(look.crown_m, look.outline_m).reshape(-1)
-        beside = np.flatnonzero(np.isfinite(rim_m))
-        past = replace(rays, distance_m=rim_m).part(beside)
-        own = list(self._with_points(pictures, past, look.outline_of.reshape(-1)[beside]))
-        rims = rims_seen(past, own)
-        behind = rays.part(beside)
-        others = self._with_points(pictures, behind, actors[beside])
-        # Reconstructions end too soon here and there alone: elsewhere what is behind is seen.
-        is_behind = disagreement(behind, others) < _SURE * disagreement(past, own, of_rims=True)
-        is_behind &= is_observed[beside] & np.isfinite(look.outline_m).reshape(-1)[beside]
-        chosen = rims.is_observed & ~is_behind
-        rows = beside[chosen]
-        seen[rows] = np.column_stack([rims.radiance, rims.sky_matte])[chosen]
-        is_observed[rows] = True
+        rows, rims = self._rims(frame, rays, actors, pictures, is_observed)
+        seen[rows], is_observed[rows] = rims, True
         seen, is_observed = seen.reshape(*shape, 4), is_observed.reshape(shape)
         whole = seen_and_guessed(seen, rendered, is_observed, buffers.has_surface)
         return NovelView(whole[..., :3], whole[..., 3], is_observed)
+
+    def _rims(
+        self,
+        frame: CameraFrame,
+        rays: ViewRays,
+        actors: Int32[np.ndarray, " n"],
+        pictures: list[CameraFrame],
+        is_observed: Bool[np.ndarray, " n"],
+    ) -> tuple[Int64[np.ndarray, " k"], Float32[np.ndarray, "k 4"]]:
+        """Rays that what the twin lacks of crowns and actors hides, and its radiance and matte.
+
+        Args:
+            actors: that the rays meet.
+            is_observed: a picture shows what they meet.
+        """
+        look = self._looked_at(frame)
+        rim_m = np.minimum(look.crown_m, look.outline_m).reshape(-1)
+        beside = np.flatnonzero(np.isfinite(rim_m))
+        past, behind = replace(rays, distance_m=rim_m).part(beside), rays.part(beside)
+        own = list(self._with_points(pictures, past, look.outline_of.reshape(-1)[beside]))
+        others = self._with_points(pictures, behind, actors[beside])
+        rims = rims_seen(past, own)
+        # Meshes of actors end too soon in places alone: elsewhere what is behind is seen.
+        is_behind = disagreement(behind, others) < _SURE * disagreement(past, own, of_rims=True)
+        is_behind &= is_observed[beside] & np.isfinite(look.outline_m).reshape(-1)[beside]
+        chosen = rims.is_observed & ~is_behind
+        return beside[chosen], np.column_stack([rims.radiance, rims.sky_matte])[chosen]
 
     def _rays(self, frame: CameraFrame, buffers: GBuffers) -> ViewRays:
         camera = self._log.cameras[frame.camera_name]
