@@ -57,14 +57,13 @@ def twin(y_m: float) -> tuple[Bool[np.ndarray, "h w"], Float32[np.ndarray, "h w"
 
 def picture(y_m: float) -> RecordedView:
     is_leaf, distance = twin(y_m)
-    crown_m = crown_beside(is_leaf, distance, CAMERA.fx)
-    leaves_m = leaves_before(
-        frame_at(y_m).load_srgb8(), is_leaf, crown_m, CAMERA.fx, has_twigs=True
-    )
+    frame = frame_at(y_m)
+    srgb8, crown_m = frame.load_srgb8(), crown_beside(is_leaf, distance, CAMERA.fx)
+    leaves_m = leaves_before(srgb8, is_leaf, crown_m, CAMERA.fx, has_twigs=True)
     everywhere = np.ones(distance.shape, dtype=bool)
     gain = np.ones(3, np.float32)
     matte = np.zeros(distance.shape, np.float32)
-    return recorded_view(frame_at(y_m), CAMERA, gain, matte, distance, everywhere, leaves_m)
+    return recorded_view(frame, srgb8, CAMERA, gain, matte, distance, everywhere, leaves_m)
 
 
 def test_greenness_is_free_of_exposure_and_white() -> None:

@@ -59,7 +59,8 @@ def picture(y_m: float, time_ns: int = 0) -> RecordedView:
     distance = seen(y_m)[0].astype(np.float32)
     matte = np.isinf(distance).astype(np.float32)
     usable = np.ones(distance.shape, dtype=bool)
-    return recorded_view(frame_at(y_m, time_ns=time_ns), CAMERA, GAIN, matte, distance, usable)
+    frame = frame_at(y_m, time_ns=time_ns)
+    return recorded_view(frame, frame.load_srgb8(), CAMERA, GAIN, matte, distance, usable)
 
 
 def view(y_m: float, pictures: list[RecordedView]) -> BlendedView:
@@ -139,5 +140,6 @@ def test_ego_vehicles_are_not_looked_at() -> None:
     distance = seen(0.0)[0].astype(np.float32)
     nowhere = np.zeros(distance.shape, dtype=bool)
     matte = np.zeros(distance.shape, dtype=np.float32)
-    blind = recorded_view(frame_at(0.0), CAMERA, GAIN, matte, distance, nowhere)
+    frame = frame_at(0.0)
+    blind = recorded_view(frame, frame.load_srgb8(), CAMERA, GAIN, matte, distance, nowhere)
     assert not view(0.0, [blind]).is_observed.any()

@@ -153,6 +153,7 @@ class BlendedView:
 
 def recorded_view(
     frame: CameraFrame,
+    srgb8: UInt8[np.ndarray, "h w 3"],
     camera: PinholeCamera,
     gain: Float32[np.ndarray, "3"],
     sky_matte: Float32[np.ndarray, "h w"],
@@ -163,6 +164,7 @@ def recorded_view(
     """A picture with the distances along its pixels' rays; the ego vehicle is not usable.
 
     Args:
+        srgb8: the frame's picture.
         rim_m: distance of leaves and outlines that hide what the twin has there, inf elsewhere.
     """
     is_rim = np.zeros(distance_m.shape, dtype=bool)
@@ -174,7 +176,7 @@ def recorded_view(
     return RecordedView(
         frame,
         camera,
-        frame.load_srgb8(),
+        srgb8,
         gain,
         np.rint(255 * sky_matte).astype(np.uint8),
         near.astype(np.float16),
@@ -194,7 +196,7 @@ def blended(
         pictures: each with the points that the rays meet, where they were when it was taken (NaN
             where they were not there, or in another light).
     """
-    mean = _Mean.empty(len(rays.distance_m))
+    mean = _Mean.empty(len(rays.distance_m), 4)
     for view, points in pictures:
         penalty, uv, away_m = rays.penalties(view.frame, view.camera, points)
         away_m = np.where(np.isfinite(rays.distance_m), away_m, np.inf)
@@ -216,14 +218,14 @@ def rims_seen(
             not there, or in another light).
     """
     count = len(rays.distance_m)
-    rims, seen = _Mean.empty(count), _Mean.empty(count)
+    rims, seen = _Mean.empty(count, 4), _Mean.empty(count, 1)
     for view, points in pictures:
         penalty, uv, away_m = rays.penalties(view.frame, view.camera, points)
         is_rim = _shows_rim(view, uv, away_m)
         # A picture tells of a place that it sees, or sees past.
         is_told = np.isfinite(penalty) & (is_rim | _sees_past(view, uv, away_m))
         rows = np.flatnonzero(is_told)
-        seen.add(rows, penalty[rows], is_rim[rows, None].astype(np.float32).repeat(4, axis=1))
+        seen.add(rows, penalty[rows], is_rim[rows, None].astype(np.float32))
         rows = np.flatnonzero(is_told & is_rim)
         rims.add(rows, penalty[rows], _sampled(view, uv[rows]))
     found = rims.values
@@ -245,15 +247,15 @@ def disagreement(
     Args:
         of_rims: of `rims_seen`; else of `blended`.
     """
-    codes = _Mean.empty(len(rays.distance_m), _COMPARED_RAD)
+    codes = _Mean.empty(len(rays.distance_m), 2, _COMPARED_RAD)
     shows = _shows_rim if of_rims else _shows
     for view, points in pictures:
         penalty, uv, away_m = rays.penalties(view.frame, view.camera, points)
         away_m = np.where(np.isfinite(rays.distance_m), away_m, np.inf)
         rows = np.flatnonzero(np.isfinite(penalty) & shows(view, uv, away_m))
         code = np.sqrt(np.maximum(luminance(_sampled(view, uv[rows])[:, :3]), 0.0))
-        codes.add(rows, penalty[rows], np.column_stack([code, code * code, code, code]))
-    mean, square = codes.values[:, :2].T
+        codes.add(rows, penalty[rows], np.column_stack([code, code * code]))
+    mean, square = codes.values.T
     # The best weighs 1.
     is_compared = codes.weight > 1 + _LEAST_COMPARED
     spread = np.sqrt(np.maximum(square - mean * mean, 0.0))
@@ -266,21 +268,21 @@ class _Mean:
     best so far."""
 
     best: Float32[np.ndarray, " n"]
-    total: Float32[np.ndarray, "n 4"]
+    total: Float32[np.ndarray, "n c"]
     weight: Float32[np.ndarray, " n"]
     width_rad: float
 
     @staticmethod
-    def empty(count: int, width_rad: float = _BLENDED_RAD) -> _Mean:
+    def empty(count: int, channels: int, width_rad: float = _BLENDED_RAD) -> _Mean:
         """Of no picture."""
-        nothing = np.zeros((count, 4), np.float32), np.zeros(count, np.float32)
+        nothing = np.zeros((count, channels), np.float32), np.zeros(count, np.float32)
         return _Mean(np.full(count, np.inf, dtype=np.float32), *nothing, width_rad)
 
     def add(
         self,
         rows: Int64[np.ndarray, " k"],
         penalty: Float32[np.ndarray, " k"],
-        values: Float32[np.ndarray, "k 4"],
+        values: Float32[np.ndarray, "k c"],
     ) -> None:
         """What one picture shows of some of the rays."""
         better = np.minimum(self.best[rows], penalty)
@@ -291,7 +293,7 @@ class _Mean:
         self.best[rows] = better
 
     @property
-    def values(self) -> Float32[np.ndarray, "n 4"]:
+    def values(self) -> Float32[np.ndarray, "n c"]:
         """0 where no picture shows anything."""
         return np.asarray(self.total / np.maximum(self.weight, np.float32(1e-12))[:, None])
 

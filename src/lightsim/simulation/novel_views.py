@@ -266,11 +266,11 @@ class NovelViews:
         ego_vehicle = self._log.ego_vehicle_masks.get(camera.name, np.zeros(shape, dtype=bool))
         matte = self._workspace.sky_matte(frame)[..., None]
         gain = self._workspace.twin.assets.camera_gains[camera.name]
-        leaves_m = leaves_before(
-            frame.load_srgb8(), seen.is_leaf, seen.crown_m, camera.fx, has_twigs=True
-        )
+        srgb8 = frame.load_srgb8()
+        leaves_m = leaves_before(srgb8, seen.is_leaf, seen.crown_m, camera.fx, has_twigs=True)
         view = recorded_view(
             frame,
+            srgb8,
             camera,
             gain,
             resize_area(matte, *shape)[..., 0],
