@@ -12,8 +12,16 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import Provenance, TriMesh
 from lightsim.core.sensors import CameraFrame
+from lightsim.geometry.completion.facade_cells import (
+    CELL_M,
+    PLANES,
+    FacadeCells,
+    facade_cells,
+    mean_around,
+)
 from lightsim.geometry.completion.glass import Pane, find_glass, find_rectangles
 from lightsim.geometry.completion.glazing import glaze
+from lightsim.geometry.completion.shipped_glass import shipped_glass_odds
 from lightsim.geometry.materials import FACADE, GLASS
 from lightsim.render.casters.embree import EmbreeCaster
 
@@ -83,45 +91,95 @@ def _nothing(x: np.ndarray, z: np.ndarray) -> np.ndarray:
     return np.zeros(x.shape, dtype=bool)
 
 
-def _found(is_dark, returns: np.ndarray, gain: float = 1.0) -> list[Pane]:
-    caster = EmbreeCaster([_facade()])
-    return find_glass([WALL], lambda: _frames(is_dark, gain), returns, caster)
+def _cells(is_dark, returns: np.ndarray, gain: float = 1.0) -> FacadeCells:
+    (cells,) = facade_cells([WALL], _frames(is_dark, gain), returns, EmbreeCaster([_facade()]))
+    return cells
 
 
-def _fits(pane: Pane, wanted: tuple[float, float, float, float]) -> bool:
-    ends = np.array([*pane.span_m, *pane.height_m])
-    return bool(np.abs(ends - wanted).max() < 0.2)
+def _plane(cells: FacadeCells, name: str) -> np.ndarray:
+    return cells.planes[PLANES.index(name)]
+
+
+def _inside(cells: FacadeCells, pane: tuple[float, float, float, float]) -> np.ndarray:
+    """Cells wholly within a rectangle."""
+    x, z = WALL.grid(CELL_M, cells.is_known.shape)
+    is_in = np.abs(x - (pane[0] + pane[1]) / 2) < (pane[1] - pane[0]) / 2 - CELL_M
+    return is_in & (np.abs(z - (pane[2] + pane[3]) / 2) < (pane[3] - pane[2]) / 2 - CELL_M)
 
 
 @pytest.mark.parametrize("gain", [1.0, 0.5])
-def test_dark_rectangles_without_returns_are_panes_at_their_frames_depth(gain: float) -> None:
-    panes = _found(_is_pane, _returns(_is_pane, 0.15), gain)
+def test_cells_are_told_against_the_wall_around_whatever_the_gain(gain: float) -> None:
+    cells = _cells(_is_pane, _returns(_is_pane, 0.15), gain)
+    reference = _cells(_is_pane, _returns(_is_pane, 0.15))
+    shade = _plane(cells, "log luminance, median of views")
+    is_seen = _plane(cells, "views show it") > 0
+    x, z = WALL.grid(CELL_M, cells.is_known.shape)
+    # Codes 180 and 60 are linear .456 and .045.
+    painted = np.where(_is_pane(x, z), np.log(0.045), np.log(0.456))
+    expected = painted - mean_around(np.where(is_seen, painted, np.nan), 1.5)
+    inner = np.logical_or.reduce([_inside(cells, pane) for pane in PANES])
+    assert is_seen[inner].all()
+    # Single views end somewhere, and the floor of darkness is a part of both.
+    assert np.abs(shade - expected)[inner].mean() < 0.25
+    # A gain of codes is none of light: the two differ by sRGB's foot alone.
+    before = _plane(reference, "log luminance, median of views")
+    assert np.abs(shade - before)[is_seen].max() < 0.5
+    np.testing.assert_allclose(cells.planes[6:], reference.planes[6:])
+
+
+def test_beams_that_do_not_come_back_are_told() -> None:
+    cells = _cells(_nothing, _returns(_is_pane))
+    over = _plane(cells, "returns, over those around")
+    x, z = WALL.grid(CELL_M, cells.is_known.shape)
+    is_blank = ~_is_pane(x, z) & (z < 3.2) & (x > 8.2) & (x < 9.3)
+    assert over[is_blank].mean() > 1.0
+    for pane in PANES:
+        assert over[_inside(cells, pane)].max() < 0.4
+    # Nothing is missing above the highest beam.
+    assert (_plane(cells, "there are returns around")[:, 36:] == 0).all()
+
+
+def _dark(planes: np.ndarray) -> np.ndarray:
+    """Glass for whom all that is darker than the wall around is glass."""
+    return np.where(planes[0] < -0.6, 3.0, -3.0).astype(np.float32)
+
+
+def _fits(pane: Pane, wanted: tuple[float, float, float, float], within_m: float) -> bool:
+    ends = np.array([*pane.span_m, *pane.height_m])
+    return bool(np.abs(ends - wanted).max() < within_m)
+
+
+def test_dark_rectangles_without_returns_are_panes_at_their_frames_depth() -> None:
+    panes = find_glass([_cells(_is_pane, _returns(_is_pane, 0.15))], _dark)
     assert len(panes) == len(PANES)
     for wanted in PANES:
-        assert sum(_fits(pane, wanted) for pane in panes) == 1
+        assert sum(_fits(pane, wanted, 0.2) for pane in panes) == 1
     for pane in panes:
         assert abs(pane.wall_m) < 0.01
         assert abs(pane.out_m + 0.15) < 0.02
 
 
-def test_beams_alone_tell_panes() -> None:
-    panes = _found(_nothing, _returns(_is_pane))
-    assert sum(_fits(pane, PANES[2]) for pane in panes) == 1
-    assert all(any(_fits(pane, wanted) for wanted in PANES) for pane in panes)
+def test_the_shipped_network_tells_windows_of_a_street_that_it_does_not_know() -> None:
+    panes = find_glass([_cells(_is_pane, _returns(_is_pane, 0.15))], shipped_glass_odds())
+    for wanted in PANES[:2]:
+        assert sum(_fits(pane, wanted, 0.3) for pane in panes) == 1
+    for pane in panes:
+        x, z = np.array([*pane.span_m, np.mean(pane.span_m)]), np.full(3, np.mean(pane.height_m))
+        assert _is_pane(x + np.array([0.2, -0.2, 0.0]), z).all()
 
 
 @pytest.mark.parametrize("is_dark", [_nothing, _is_shadow])
 def test_blank_walls_and_slanting_shadows_are_no_panes(is_dark) -> None:
-    assert _found(is_dark, _returns()) == []
+    assert find_glass([_cells(is_dark, _returns())], shipped_glass_odds()) == []
 
 
-def test_rectangles_have_an_edge_on_every_side() -> None:
-    evidence = np.zeros((60, 40))
-    evidence[20:30, 10:22] = 1.0
-    evidence[45:] = 1.0
-    known = np.ones_like(evidence, dtype=bool)
-    assert find_rectangles(evidence, known) == [(20, 10, 10, 12)]
-    assert find_rectangles(np.zeros_like(evidence), known) == []
+def test_rectangles_hold_what_speaks_for_glass_on_the_whole() -> None:
+    odds = np.full((60, 40), -1.0)
+    odds[20:30, 10:22] = 2.0
+    odds[24:26, 15:17] = -1.0
+    odds[5:7, 5:7] = 4.0  # too small to be a pane
+    assert find_rectangles(odds) == [(20, 10, 10, 12)]
+    assert find_rectangles(np.zeros_like(odds)) == []
 
 
 def _pane(recess_m: float) -> Pane:
@@ -183,5 +241,5 @@ def test_without_panes_nothing_changes() -> None:
 def test_a_pane_is_found_once_though_two_planes_lie_close() -> None:
     near = Wall(WALL.origin_m + 0.2 * WALL.normal, WALL.normal, WALL.along, (0.0, 16.0), (0.0, 6.0))
     caster = EmbreeCaster([_facade()])
-    panes = find_glass([WALL, near], lambda: _frames(_is_pane), _returns(_is_pane, 0.1), caster)
-    assert len(panes) == len(PANES)
+    cells = facade_cells([WALL, near], _frames(_is_pane), _returns(_is_pane, 0.1), caster)
+    assert len(find_glass(cells, _dark)) == len(PANES)

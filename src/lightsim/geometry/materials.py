@@ -1,7 +1,8 @@
 """Material classes of surfaces: by the LiDAR's labels where a log has them, else by shape.
 
 Roughness and metallic are the Principled model's (Burley 2012) and typical of the class; nothing
-here measures them. Asphalt has the specular factor of road class R III (CIE 144:2001), as tested.
+here measures them. Asphalt has the specular factor of road class R III (CIE 144:2001), as tested,
+until pictures show its sheen (`appearance.intrinsic.sheen`).
 """
 
 from __future__ import annotations

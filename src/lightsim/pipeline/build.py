@@ -130,7 +130,7 @@ STAGES = (
     ),
     Stage(
         "geometry",
-        25,
+        26,
         ("log", "masks", "alignment", "neural"),
         _no_settings,
         surfaces.make_geometry,
@@ -158,7 +158,7 @@ STAGES = (
     ),
     Stage(
         "twin",
-        17,
+        18,
         ("log", "alignment", "neural", "assets", "sky"),
         lambda o: light.TwinConfig(),
         light.make_twin,

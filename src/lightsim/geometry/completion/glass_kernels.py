@@ -31,74 +31,31 @@ def _summed_area(values):
     return table
 
 
-@njit(cache=True, nogil=True, inline="always")
-@no_type_check
-def _step(total, known, inner, outer, least_known):
-    """Mean of one rectangle less that of another; -1e9 where too little of either is known."""
-    inside = _sum(known, inner[0], inner[1], inner[2], inner[3])
-    beyond = _sum(known, outer[0], outer[1], outer[2], outer[3])
-    least = least_known * inner[2] * inner[3]
-    if inside <= least or beyond <= least:
-        return -1e9
-    mean = _sum(total, inner[0], inner[1], inner[2], inner[3]) / inside
-    return mean - _sum(total, outer[0], outer[1], outer[2], outer[3]) / beyond
-
-
-@njit(cache=True, nogil=True, inline="always")
-@no_type_check
-def _least_step(total, known, box, strip, least_known):
-    """The smallest step from inside a rectangle to beyond its sides, of which each counts as two
-    halves: a slanting band crosses every side somewhere."""
-    i, j, w, h = box
-    least = 1e9
-    for half in range(2):
-        v, b = half * (h // 2), h // 2 + half * (h % 2)
-        inner, outer = (i, j + v, strip, b), (i - strip, j + v, strip, b)
-        least = min(least, _step(total, known, inner, outer, least_known))
-        inner, outer = (i + w - strip, j + v, strip, b), (i + w, j + v, strip, b)
-        least = min(least, _step(total, known, inner, outer, least_known))
-        u, a = half * (w // 2), w // 2 + half * (w % 2)
-        inner, outer = (i + u, j, a, strip), (i + u, j - strip, a, strip)
-        least = min(least, _step(total, known, inner, outer, least_known))
-        inner, outer = (i + u, j + h - strip, a, strip), (i + u, j + h, a, strip)
-        least = min(least, _step(total, known, inner, outer, least_known))
-    return least
-
-
 @njit(cache=True, nogil=True, parallel=True)
 @no_type_check
-def best_rectangles(evidence, is_known, is_free, sizes, limits):
-    """The rectangle that starts at each cell and sums up most evidence, and its width and height.
+def best_rectangles(odds, is_free, sizes):
+    """The rectangle that starts at each cell and sums up most log-odds, and its width and height.
 
     Args:
-        evidence: [s, z], with a margin of `strip` cells that no rectangle enters; 0 where unknown.
+        odds: [s, z], 0 where nothing is known.
         is_free: cells that a rectangle may cover.
         sizes: least and greatest width and height.
-        limits: evidence that counts as none; the least step across each side as a fraction of the
-            mean evidence; cells on both sides of an edge that are compared, and the part of them
-            that must be known.
 
     Returns:
-        Sums of evidence above none, 0 where no rectangle is good; sizes.
+        Sums, 0 where no rectangle has more; sizes.
     """
-    between, least_step, strip, least_known = limits
-    total, known = _summed_area(evidence), _summed_area(is_known.astype(np.float64))
-    taken = _summed_area((~is_free).astype(np.float64))
-    ns, nz = evidence.shape
+    total, taken = _summed_area(odds), _summed_area((~is_free).astype(np.float64))
+    ns, nz = odds.shape
     score = np.zeros((ns, nz))
     size = np.zeros((ns, nz, 2), dtype=np.int64)
-    for i in prange(strip, ns - strip):
-        for j in range(strip, nz - strip):
+    for i in prange(ns):
+        for j in range(nz):
             if not is_free[i, j]:
                 continue
-            for w in range(sizes[0], min(sizes[1], ns - strip - i) + 1):
-                for h in range(sizes[2], min(sizes[3], nz - strip - j) + 1):
-                    own = _sum(total, i, j, w, h) - between * _sum(known, i, j, w, h)
-                    if own <= score[i, j] or _sum(taken, i, j, w, h) > 0:
-                        continue
-                    mean = _sum(total, i, j, w, h) / _sum(known, i, j, w, h)
-                    step = _least_step(total, known, (i, j, w, h), strip, least_known)
-                    if step > least_step * mean:
+            for w in range(sizes[0], min(sizes[1], ns - i) + 1):
+                for h in range(sizes[2], min(sizes[3], nz - j) + 1):
+                    own = _sum(total, i, j, w, h)
+                    if own > score[i, j] and _sum(taken, i, j, w, h) == 0:
                         score[i, j] = own
                         size[i, j, 0], size[i, j, 1] = w, h
     return score, size

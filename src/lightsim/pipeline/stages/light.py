@@ -29,6 +29,7 @@ from lightsim.lighting.sky.shipped import completed_panorama, decoded_sky, predi
 from lightsim.lighting.sun.direction import SunDirection
 from lightsim.pipeline.assemble import build_twin, roofs_over
 from lightsim.pipeline.options import SkyModel
+from lightsim.pipeline.road_sheen import with_measured_road
 from lightsim.pipeline.source_light import SourceLight, static_returns
 from lightsim.pipeline.source_sun import SourceSunConfig, find_source_sun
 from lightsim.pipeline.stages.context import Context
@@ -224,10 +225,13 @@ def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Contex
     inferred = roofs_over(assets.background, work.rooflines)
     source = SourceLight(log, assets, inferred, work.sky.dome, config.irradiance, context.seed)
     rng = np.random.default_rng(context.seed)
-    identity = RigidTransform.identity("world", "world")
+    light_at = source.on(RigidTransform.identity("world", "world"))
+    background, road_notes = with_measured_road(
+        log, assets, work.sky.dome.sun, light_at, context.seed
+    )
     street = decompose(
-        assets.background,
-        source.on(identity),
+        background,
+        light_at,
         config.intrinsic,
         rng,
         returns=static_returns(log, LIDAR_RETURNS, rng),
@@ -252,4 +256,4 @@ def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Contex
     inferred = colour_of_nearest(inferred, street.mesh)
     assets = replace(assets, background=street.mesh, actors=actors)
     write_twin(folder, build_twin(work.log, assets, work.sky), inferred)
-    return street.notes
+    return (*street.notes, *road_notes)

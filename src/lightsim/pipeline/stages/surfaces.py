@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from lightsim.geometry.completion.buildings import MeasuredScene, complete_build
 from lightsim.geometry.completion.crown_colours import is_green
 from lightsim.geometry.completion.crown_shapes import unseen_leaves
 from lightsim.geometry.completion.crowns import Beams, find_crowns
+from lightsim.geometry.completion.facade_cells import FacadeCells, facade_cells
 from lightsim.geometry.completion.far_field import build_far_field
 from lightsim.geometry.completion.flatten import flatten_walls
 from lightsim.geometry.completion.glass import find_glass
@@ -28,6 +29,7 @@ from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards, wi
 from lightsim.geometry.completion.ledges import find_ledges, with_ledges
 from lightsim.geometry.completion.pole_meshes import with_poles
 from lightsim.geometry.completion.poles import find_poles, raise_poles
+from lightsim.geometry.completion.shipped_glass import shipped_glass_odds
 from lightsim.geometry.completion.silhouettes import View
 from lightsim.geometry.completion.walls import find_walls
 from lightsim.geometry.mesh_scene import mesh_scene
@@ -46,8 +48,34 @@ _BOX_MARGIN_M = 0.3
 """Returns this near the box of a vehicle at rest are its own."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """What sensors and networks drew, before what they did not see is completed."""
+
+    meshes: SceneAssets
+    scene: MeasuredScene
+    returns: LidarReturns
+    beams: Beams
+    notes: tuple[str, ...]
+
+
 def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
     """Everything that has a shape, before it has a colour; casters of shadows apart."""
+    measured = _measured(work, context)
+    background, rooflines, notes = _completed(work, measured, context)
+    write_assets(folder, replace(measured.meshes, background=background))
+    write_rooflines(folder / "rooflines.npz", rooflines)
+    return (*measured.meshes.notes, *notes, *measured.notes)
+
+
+def facades_of(work: Workspace, context: Context) -> list[FacadeCells]:
+    """What views and beams tell of a finished work's walls before panes are set into them, for
+    those who teach the network that finds them."""
+    measured = _measured(work, context)
+    return _closed(work, measured, context)[2]
+
+
+def _measured(work: Workspace, context: Context) -> _Measured:
     log, fields = work.training_log, work.fields
     returns = static_returns(log, _WALL_RETURNS, np.random.default_rng(context.seed))
     kerbs = find_kerbs(returns.points, fields.ground, fields.path_m)
@@ -78,17 +106,57 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
     rest = cards_above(crowns, unseen, crowns.voxel_m, np.random.default_rng(context.seed))
     background = concatenate_meshes([background, rest])
     scene = MeasuredScene(background, walls, crowns, _parked(log, meshes))
-    background, rooflines, notes = _completed(work, scene, returns, beams, context)
-    write_assets(folder, replace(meshes, background=background))
-    write_rooflines(folder / "rooflines.npz", rooflines)
-    return (
-        *meshes.notes,
-        *notes,
+    notes = (
         f"{sum(len(k.edge_m) for k in kerbs) // 2} m of kerbs have upright faces",
         f"{len(poles)} poles, posts and trunks stand as rods",
         f"{len(crowns)} crowns are drawn by {len(cards.faces) // 2} cards, and what no beam tells "
         f"of them by {len(rest.faces) // 2}; {len(found) - len(crowns)} more are not green",
     )
+    return _Measured(meshes, scene, returns, beams, notes)
+
+
+def _closed(
+    work: Workspace, measured: _Measured, context: Context
+) -> tuple[TriMesh, list[Roofline], list[FacadeCells], int]:
+    """The measured background with buildings, their roofs, what is told of their walls, and how
+    many faces are new."""
+    log, fields, scene = work.training_log, work.fields, measured.scene
+    facades, rooflines = complete_buildings(
+        scene,
+        partial(_views, work),
+        (sweep.load() for sweep in context.progress.track(log.sweeps, "walls and roofs")),
+        fields.ground,
+        measured.returns.points,
+        make_caster=make_embree_caster,
+    )
+    background = concatenate_meshes([scene.background, simplify_planar(facades)])
+    cells = facade_cells(
+        scene.walls,
+        ((frame, log.cameras[frame.camera_name]) for frame in log.frames),
+        measured.returns.points,
+        make_embree_caster([background]),
+    )
+    return background, rooflines, cells, len(facades.faces)
+
+
+def _completed(
+    work: Workspace, measured: _Measured, context: Context
+) -> tuple[TriMesh, list[Roofline], tuple[str, ...]]:
+    """The measured background with buildings, panes and the far field; roofs, and notes."""
+    fields = work.fields
+    background, rooflines, cells, closing = _closed(work, measured, context)
+    panes = find_glass(cells, shipped_glass_odds())
+    ledges = find_ledges([r.wall for r in rooflines], measured.beams.ends, fields.ground)
+    background = with_ledges(glaze(background, panes), ledges)
+    far = build_far_field(
+        background, _views(work), fields.ground, fields.path_m, make_caster=make_embree_caster
+    )
+    notes = (
+        f"{closing} faces close windows and raise facades, {len(far.faces)} stand "
+        f"beyond the LiDAR's reach; {len(rooflines)} walls have a roof: inferred, not measured",
+        f"{len(panes)} panes of glass are set into walls, {len(ledges)} ledges stand before them",
+    )
+    return concatenate_meshes([background, far]), rooflines, notes
 
 
 def _parked(log: DrivingLog, meshes: SceneAssets) -> list[TriMesh]:
@@ -106,39 +174,6 @@ def _views(work: Workspace) -> Iterable[View]:
     """Frames with their camera and sky matte."""
     log = work.training_log
     return ((f, log.cameras[f.camera_name], work.sky_matte(f)) for f in log.frames)
-
-
-def _completed(
-    work: Workspace, scene: MeasuredScene, returns: LidarReturns, beams: Beams, context: Context
-) -> tuple[TriMesh, list[Roofline], tuple[str, ...]]:
-    """The measured background with buildings, panes and the far field; roofs, and notes."""
-    log, fields = work.training_log, work.fields
-    facades, rooflines = complete_buildings(
-        scene,
-        partial(_views, work),
-        (sweep.load() for sweep in context.progress.track(log.sweeps, "walls and roofs")),
-        fields.ground,
-        returns.points,
-        make_caster=make_embree_caster,
-    )
-    background = concatenate_meshes([scene.background, simplify_planar(facades)])
-    panes = find_glass(
-        scene.walls,
-        lambda: ((frame, log.cameras[frame.camera_name]) for frame in log.frames),
-        returns.points,
-        make_embree_caster([background]),
-    )
-    ledges = find_ledges([r.wall for r in rooflines], beams.ends, fields.ground)
-    background = with_ledges(glaze(background, panes), ledges)
-    far = build_far_field(
-        background, _views(work), fields.ground, fields.path_m, make_caster=make_embree_caster
-    )
-    notes = (
-        f"{len(facades.faces)} faces close windows and raise facades, {len(far.faces)} stand "
-        f"beyond the LiDAR's reach; {len(rooflines)} walls have a roof: inferred, not measured",
-        f"{len(panes)} panes of glass are set into walls, {len(ledges)} ledges stand before them",
-    )
-    return concatenate_meshes([background, far]), rooflines, notes
 
 
 def _beams(log: DrivingLog, returns: LidarReturns) -> Beams:

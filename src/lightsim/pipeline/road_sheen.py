@@ -1,0 +1,109 @@
+"""The roughness of a log's road, as its pictures show it before the recorded sun."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Int64
+
+from lightsim.appearance.intrinsic.light import LightAt, SeenPoints
+from lightsim.appearance.intrinsic.sheen import fitted_roughness
+from lightsim.core.colour import linear_from_srgb8
+from lightsim.core.dome import Sun
+from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import TriMesh
+from lightsim.core.sensors import CameraFrame
+from lightsim.core.twin import SceneAssets
+from lightsim.geometry.completion.silhouettes import spaced_views
+from lightsim.geometry.materials import ASPHALT
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.render.frame_renderer import parked_actor_meshes
+from lightsim.render.transport.lobes import Lobes, normal_reflectance, sun_in_lobes
+
+_BASELINE_M, _PIXELS = 2.0, 2500
+"""How far apart views are, and how many pixels of each are looked at."""
+_REACH_M, _LEVEL = 25.0, 0.95
+_BESIDE_M = 0.5
+"""Of the boxes of actors: what is seen there may be theirs."""
+
+
+def with_measured_road(
+    log: DrivingLog, assets: SceneAssets, sun: Sun | None, light_at: LightAt, seed: int
+) -> tuple[TriMesh, tuple[str, ...]]:
+    """The background with its asphalt as rough as the pictures say, and a note; as it was where
+    they say nothing.
+
+    Args:
+        assets: meshes that show radiance.
+        light_at: of the recorded sky, frame `world`.
+    """
+    background = assets.background
+    if sun is None or sun.direction_world[2] <= 0 or ASPHALT not in background.materials:
+        return background, ()
+    radiance, points = _road_in_pictures(log, assets, np.random.default_rng(seed))
+    if len(radiance) == 0:
+        return background, ()
+    normal, towards = (
+        np.asarray(v).astype(np.float32) for v in (points.normal, points.towards_camera)
+    )
+    half = towards + sun.direction_world / np.linalg.norm(sun.direction_world)
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    f0 = normal_reflectance(np.zeros_like(normal), np.zeros(len(normal), np.float32))
+
+    def sheen(roughness: float) -> np.ndarray:
+        rough = np.full(len(normal), roughness, np.float32)
+        return sun_in_lobes(Lobes(normal, normal, towards, rough, f0), sun)
+
+    half_cosine = (half * normal).sum(axis=1).astype(np.float64)
+    found = fitted_roughness(radiance, light_at(points), sheen, half_cosine)
+    if found is None:
+        return background, ("no picture shows how much the road shines before the sun",)
+    materials = tuple(
+        replace(m, roughness=round(found, 3)) if m == ASPHALT else m for m in background.materials
+    )
+    note = f"before the sun the road shines as with a roughness of {found:.2f}"
+    return replace(background, materials=materials), (note,)
+
+
+def _road_in_pictures(
+    log: DrivingLog, assets: SceneAssets, rng: np.random.Generator
+) -> tuple[np.ndarray, SeenPoints]:
+    """Radiance that single pictures show of level asphalt, and where and from where."""
+    mesh = assets.background
+    caster = make_embree_caster([mesh, *parked_actor_meshes(log, assets)])
+    normals = mesh.face_normals()
+    is_road = normals[:, 2] > _LEVEL
+    if mesh.face_material is not None:
+        is_road &= mesh.face_material == mesh.materials.index(ASPHALT)
+    views = ((frame, log.cameras[frame.camera_name]) for frame in log.frames)
+    parts = []
+    for frame, camera in spaced_views(views, _BASELINE_M):
+        pixel = _own_pixels(log, frame, rng)
+        origins, rays = frame.pixel_rays(camera, pixel + 0.5)
+        hits = caster.intersect(origins, rays)
+        is_near = (hits.mesh_index == 0) & (hits.distance_m < _REACH_M)
+        rows = np.flatnonzero(is_near & is_road[hits.face_index])
+        place = origins[rows] + hits.distance_m[rows, None] * rays[rows]
+        is_free = np.ones(len(rows), dtype=bool)
+        for track in log.actors_at(frame.time_ns):
+            is_free &= ~track.contains(place, frame.time_ns, _BESIDE_M)
+        rows, place = rows[is_free], place[is_free]
+        image = linear_from_srgb8(frame.load_srgb8())[pixel[rows, 1], pixel[rows, 0]]
+        radiance = image / assets.camera_gains[frame.camera_name]
+        parts.append((radiance, place, normals[hits.face_index[rows]], -rays[rows]))
+    nothing = (np.zeros((0, 3)),) * 4
+    radiance, position, normal, towards = map(np.concatenate, zip(nothing, *parts, strict=True))
+    rough = np.full(len(radiance), ASPHALT.roughness)
+    return radiance, SeenPoints(position, normal, towards, rough)
+
+
+def _own_pixels(
+    log: DrivingLog, frame: CameraFrame, rng: np.random.Generator
+) -> Int64[np.ndarray, "n 2"]:
+    """Random pixels (column, row) of a frame that do not show the ego vehicle."""
+    camera = log.cameras[frame.camera_name]
+    size = np.array([camera.width_px, camera.height_px])
+    pixel = np.floor(rng.random((_PIXELS, 2)) * size).astype(np.int64)
+    own = log.ego_vehicle_masks.get(frame.camera_name)
+    return pixel if own is None else pixel[~own[pixel[:, 1], pixel[:, 0]]]
