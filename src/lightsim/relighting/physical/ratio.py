@@ -149,7 +149,6 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
         lights = _refined(inputs)
     if inputs.circumstances is not None:
         lights = replace(lights, around=_change_around(inputs.circumstances))
-    source, target = lights.source, lights.target
     is_surface = inputs.buffers.has_surface & (inputs.sky_matte < 0.5)
     is_surface &= ~_is_enclosed(foreground, inputs.source, is_surface, config)
     ratio = np.exp(
@@ -158,10 +157,8 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
         )
     )
     foreground = denoised_where_amplified(foreground, ratio.max(axis=-1))
-    diffuse, reflected = _exchanged_reflections(
-        foreground, source, target, is_surface, inputs.width_px
-    )
-    relit = _relit_surface(diffuse, ratio, inputs, target, is_surface, config) + reflected
+    diffuse, reflected = _exchanged_reflections(foreground, lights, is_surface, inputs.width_px)
+    relit = _relit_surface(diffuse, ratio, inputs, lights.target, is_surface, config) + reflected
     return composite(relit, inputs.target_sky, inputs.sky_matte)
 
 
@@ -230,17 +227,26 @@ def _is_enclosed(
 
 def _exchanged_reflections(
     foreground: Float32[np.ndarray, "h w 3"],
-    source: ShadowBuffers,
-    target: ShadowBuffers,
+    lights: Lights,
     is_surface: Bool[np.ndarray, "h w"],
     width_px: int,
 ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:
     """The picture without what its surfaces reflect of the source, and what they reflect of the
     target. Where the model reflects more than the picture can hold, part of it is believed, and the
     same part of the target's."""
+    source = lights.source
     before, after = (
-        median_smoothed(light.reflected, _REFLECTION_DETAIL, width_px) for light in (source, target)
+        median_smoothed(light.reflected, _REFLECTION_DETAIL, width_px)
+        for light in (source, lights.target)
     )
+    if lights.told is not None:
+        # A post's shadow on a road that mirrors the sun is as thin as pictures show it.
+        open_sun, visibility = source.reflected_sun, source.sun_visibility[..., None]
+        rest = np.maximum(source.reflected - visibility * open_sun, 0.0)
+        rest, open_sun = (
+            median_smoothed(part, _REFLECTION_DETAIL, width_px) for part in (rest, open_sun)
+        )
+        before += lights.told[..., None] * (rest + visibility * open_sun - before)
     held = np.where(is_surface[..., None], before, 0.0)
     most = np.float32(_MOST_REFLECTED) * foreground
     part = np.where(held > most, most / np.maximum(held, np.float32(1e-9)), 1.0)
