@@ -67,3 +67,11 @@ def test_a_smoother_road_than_lobes_allow_is_as_smooth_as_they_do() -> None:
 
 def test_a_road_in_the_shade_tells_nothing() -> None:
     assert _fit(0.7, np.full(_COUNT, 0.18), np.zeros(_COUNT, np.float32)) is None
+
+
+def test_black_pictures_tell_nothing() -> None:
+    up = np.tile(np.array([0.0, 0.0, 1.0], np.float32), (_COUNT, 1))
+    nothing, lit = np.zeros_like(up), np.ones((_COUNT, 2), np.float32)
+    light = SurfaceLight(up, lit, up, nothing, nothing)
+    half = np.linspace(0.5, 1.0, _COUNT)
+    assert fitted_roughness(nothing, light, lambda _: nothing, half) is None

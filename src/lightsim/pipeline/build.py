@@ -158,7 +158,7 @@ STAGES = (
     ),
     Stage(
         "twin",
-        18,
+        19,
         ("log", "alignment", "neural", "assets", "sky"),
         lambda o: light.TwinConfig(),
         light.make_twin,

@@ -48,7 +48,7 @@ def fitted_roughness(
             camera and sun.
     """
     half_deg = np.degrees(np.arccos(np.clip(half_cosine, -1.0, 1.0)))
-    is_lit = light.visibility.min(axis=1) > _LIT
+    is_lit = (light.visibility.min(axis=1) > _LIT) & (luminance(radiance) > 0)
     before = is_lit & (half_deg < _BEFORE_SUN_DEG)
     elsewhere = is_lit & (half_deg > _ELSEWHERE_DEG[0]) & (half_deg < _ELSEWHERE_DEG[1])
     if min(before.sum(), elsewhere.sum()) < _LEAST_PLACES:
