@@ -89,8 +89,8 @@ def _road_in_pictures(
         for track in log.actors_at(frame.time_ns):
             is_free &= ~track.contains(place, frame.time_ns, _BESIDE_M)
         rows, place = rows[is_free], place[is_free]
-        image = linear_from_srgb8(frame.load_srgb8())[pixel[rows, 1], pixel[rows, 0]]
-        radiance = image / assets.camera_gains[frame.camera_name]
+        seen = linear_from_srgb8(frame.load_srgb8()[pixel[rows, 1], pixel[rows, 0]])
+        radiance = seen / assets.camera_gains[frame.camera_name]
         parts.append((radiance, place, normals[hits.face_index[rows]], -rays[rows]))
     nothing = (np.zeros((0, 3)),) * 4
     radiance, position, normal, towards = map(np.concatenate, zip(nothing, *parts, strict=True))

@@ -39,6 +39,7 @@ from lightsim.pipeline.source_light import static_returns
 from lightsim.pipeline.stages.context import Context
 from lightsim.pipeline.workspace import Workspace
 from lightsim.render.casters.embree import make_embree_caster
+from lightsim.render.frame_renderer import parked_actor_meshes
 from lightsim.store.assets import write_assets, write_mesh
 from lightsim.store.rooflines import write_rooflines
 
@@ -105,7 +106,7 @@ def _measured(work: Workspace, context: Context) -> _Measured:
     unseen = unseen_leaves(crowns, beams, walls, _views(work), caster)
     rest = cards_above(crowns, unseen, crowns.voxel_m, np.random.default_rng(context.seed))
     background = concatenate_meshes([background, rest])
-    scene = MeasuredScene(background, walls, crowns, _parked(log, meshes))
+    scene = MeasuredScene(background, walls, crowns, parked_actor_meshes(log, meshes))
     notes = (
         f"{sum(len(k.edge_m) for k in kerbs) // 2} m of kerbs have upright faces",
         f"{len(poles)} poles, posts and trunks stand as rods",
@@ -157,17 +158,6 @@ def _completed(
         f"{len(panes)} panes of glass are set into walls, {len(ledges)} ledges stand before them",
     )
     return concatenate_meshes([background, far]), rooflines, notes
-
-
-def _parked(log: DrivingLog, meshes: SceneAssets) -> list[TriMesh]:
-    """Vehicles at rest, frame world."""
-    return [
-        meshes.actors[track.actor_id].mesh.transformed(
-            track.trajectory.at(track.trajectory.start_ns)
-        )
-        for track in log.actors
-        if not track.is_moving and track.actor_id in meshes.actors
-    ]
 
 
 def _views(work: Workspace) -> Iterable[View]:

@@ -246,7 +246,7 @@ def _exchanged_reflections(
         rest, open_sun = (
             median_smoothed(part, _REFLECTION_DETAIL, width_px) for part in (rest, open_sun)
         )
-        before += lights.told[..., None] * (rest + visibility * open_sun - before)
+        before = before + lights.told[..., None] * (rest + visibility * open_sun - before)
     held = np.where(is_surface[..., None], before, 0.0)
     most = np.float32(_MOST_REFLECTED) * foreground
     part = np.where(held > most, most / np.maximum(held, np.float32(1e-9)), 1.0)
