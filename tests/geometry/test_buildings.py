@@ -23,7 +23,7 @@ from lightsim.core.profiles import (
 from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.errors import FrameMismatchError, InputError
 from lightsim.geometry.completion.buildings import MeasuredScene, complete_buildings
-from lightsim.geometry.completion.crowns import Crowns
+from lightsim.geometry.completion.crowns import Beams, Crowns
 from lightsim.geometry.completion.neighbours import raised_to_neighbours, unexplained
 from lightsim.geometry.completion.prisms import roof_casters
 from lightsim.geometry.completion.rooflines import tops_at
@@ -132,13 +132,17 @@ def _complete(
     sweeps: list[LidarSweep] | None = None,
     parked: Sequence[TriMesh] = (),
 ) -> tuple[TriMesh, TriMesh]:
-    returns = np.concatenate([s.points_world for s in sweeps or []] + [np.zeros((0, 3), "f4")])
+    nothing = np.zeros((0, 3), "f4")
+    beams = Beams(
+        np.concatenate([nothing, *(s.origins_world for s in sweeps or [])]),
+        np.concatenate([nothing, *(s.points_world for s in sweeps or [])]),
+    )
     visible, rooflines = complete_buildings(
         MeasuredScene(seen, find_walls(seen), NO_CROWNS, parked),
         lambda: views,
         sweeps or [],
         GROUND,
-        returns,
+        beams,
         make_caster=EmbreeCaster,
     )
     background = concatenate_meshes([seen, visible])

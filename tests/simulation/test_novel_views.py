@@ -48,6 +48,12 @@ def test_sky_and_surfaces_of_the_twin_follow_the_pictures(
     np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), atol=2e-3)
 
 
+def test_a_hole_that_opens_to_the_sky_is_sky_as_a_whole() -> None:
+    """Its lower half was matter in the colour of sky, and shone under a darker one."""
+    opening = guessed(np.s_[SKYLINE - 8 : SKYLINE + 8, 40:46], is_surface_there=False)
+    np.testing.assert_array_equal(opening[:, 3], 1)
+
+
 def test_without_any_picture_the_twin_is_shown() -> None:
     rendered = np.full((*SHAPE, 3), 0.3, dtype=np.float32)
     is_surface = np.zeros(SHAPE, dtype=bool)

@@ -130,7 +130,7 @@ STAGES = (
     ),
     Stage(
         "geometry",
-        26,
+        27,
         ("log", "masks", "alignment", "neural"),
         _no_settings,
         surfaces.make_geometry,

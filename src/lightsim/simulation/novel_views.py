@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32, Int64
+from scipy import ndimage
 
 from lightsim.core.buffers import BACKGROUND, GBuffers
 from lightsim.core.casting import RayCaster
@@ -49,6 +50,8 @@ _MATCH_WIDTH = 1 / 20
 _SURE = 0.8
 """Pictures agree better on one of two surfaces where they differ so much less; both are there where
 they agree on either, and the nearer one is seen."""
+_OPEN = 0.1
+"""A hole of whose border so much is sky is sky."""
 _DARKEST = np.float32(1e-3)
 _OFF_SURFACE_M = 0.05
 """Rays to the sun start here, so that a moving surface's own faces do not count as its shadow."""
@@ -317,11 +320,12 @@ def seen_and_guessed(
     """Radiance and sky matte of pictures, and where none shows what is there the twin in colours
     that follow theirs, surfaces and sky apart.
 
-    A hole of the twin's that no picture looks into either, such as a gap between a crown and the
-    house behind it, is sky or matter like what is around it.
+    A hole of the twin's that no picture looks into either is sky where it opens to the sky, and
+    matter where it does not, such as a gap between a crown and the house behind it.
     """
     around = fill_holes(seen, is_observed)
-    is_open = ~is_surface & ~is_observed & ((around[..., 3] > 0.5) | ~is_observed.any())
+    is_open = _opens_to_sky(~is_surface & ~is_observed, is_observed & (seen[..., 3] > 0.5))
+    is_open |= ~is_surface & ~is_observed.any()
     matte = np.where(is_observed, seen[..., 3], is_open)
     surface, sky = (
         _match(seen[..., :3], rendered, is_observed & kind)
@@ -334,6 +338,17 @@ def seen_and_guessed(
     guess = np.where(is_around, around[..., :3], twin)
     radiance = np.where(is_observed[..., None], seen[..., :3], guess)
     return np.dstack([radiance, matte]).astype(np.float32)
+
+
+def _opens_to_sky(
+    is_hole: Bool[np.ndarray, "h w"], is_sky: Bool[np.ndarray, "h w"]
+) -> Bool[np.ndarray, "h w"]:
+    """Holes, each as a whole, of whose border some part is sky."""
+    hole, count = ndimage.label(is_hole, np.ones((3, 3)))
+    border = np.where(is_hole, 0, ndimage.maximum_filter(hole, 3))
+    length = np.bincount(border.ravel(), minlength=count + 1)
+    sky = np.bincount(border.ravel(), is_sky.ravel(), minlength=count + 1)
+    return np.asarray(is_hole & (sky > _OPEN * length)[hole])
 
 
 def _match(

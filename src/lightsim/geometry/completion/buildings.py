@@ -13,20 +13,21 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float64
 
 from lightsim.core.buildings import Roofline, Wall
 from lightsim.core.casting import MakeCaster, check_world
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.core.sensors import LidarSweep
-from lightsim.geometry.completion.crowns import Crowns
+from lightsim.geometry.completion.crowns import Beams, Crowns
 from lightsim.geometry.completion.far_walls import find_far_walls
 from lightsim.geometry.completion.free_space import find_free_space
 from lightsim.geometry.completion.neighbours import raised_to_neighbours
 from lightsim.geometry.completion.panes import find_panes
 from lightsim.geometry.completion.rooflines import find_rooflines, with_depths
 from lightsim.geometry.completion.silhouettes import View
+from lightsim.geometry.completion.sparse_walls import find_sparse_walls
 from lightsim.geometry.completion.uprights import raise_uprights
 from lightsim.geometry.completion.wall_cells import MAX_HEIGHT_M, WallCells, gather_cells
 from lightsim.geometry.materials import FACADE
@@ -63,7 +64,7 @@ def complete_buildings(
     silhouettes: Callable[[], Iterable[View]],
     sweeps: Iterable[LidarSweep],
     ground: GroundMap,
-    returns_world: Float32[np.ndarray, "n 3"],
+    beams: Beams,
     *,
     make_caster: MakeCaster,
 ) -> tuple[TriMesh, list[Roofline]]:
@@ -76,7 +77,8 @@ def complete_buildings(
             of times.
         sweeps: beams that went over a wall tell that it ends there.
         ground: heights count from it.
-        returns_world: of what stands still; walls go on where they lie on their planes.
+        beams: of what stands still; walls go on where they end on their planes, and stand where
+            many end on one plane.
         make_caster: builds the ray caster.
 
     Raises:
@@ -90,7 +92,9 @@ def complete_buildings(
     if walls:
         caster = make_caster([background])
         before = make_caster([background, *scene.parked])
-        far_walls = find_far_walls(walls, returns_world, ground, caster)
+        far_walls = find_far_walls(walls, beams.ends, ground, caster)
+        known = [*walls, *far_walls]
+        far_walls += find_sparse_walls(known, beams, silhouettes(), scene.crowns, ground, before)
         cells = gather_cells(walls, caster, silhouettes(), sweeps, far_walls, before)
         rooflines = find_rooflines(cells, ground)
         fronts = concatenate_meshes([background, *_visible_parts(cells, rooflines)])

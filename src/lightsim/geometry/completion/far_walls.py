@@ -25,7 +25,7 @@ from lightsim.geometry.completion.walls import surface_offset_m
 _LEAST_WIDTH_M, _FOLLOWED_M = 8.0, 60.0
 # Returns this near a plane lie on it; of those this near, so many must: trees fill a volume.
 _ON_PLANE_M, _AROUND_M, _LEAST_ON_PLANE = 0.35, 1.5, 0.6
-_LOWEST_M = 0.8
+LOWEST_M = 0.8
 # Columns along the plane, their returns, and the widest gap between them.
 _COLUMN_M, _LEAST_RETURNS, _MAX_GAP_M = 1.0, 2, 3.0
 # Of a wall: width, height above the lowest return, returns.
@@ -33,7 +33,7 @@ _WIDTH_M, _HEIGHT_M, _RETURNS = 4.0, 2.0, 15
 # A column is measured where the mesh has so much of its returns.
 _MEASURED = 0.5
 _MESH_NEAR_M = 0.6, 0.6
-_FOOT_M = 0.25
+FOOT_M = 0.25
 
 
 def find_far_walls(
@@ -51,7 +51,7 @@ def find_far_walls(
         caster: over the measured background.
     """
     height = returns_world[:, 2] - ground.look_up(returns_world[:, :2].astype(np.float64))
-    points = returns_world[height > _LOWEST_M].astype(np.float64)
+    points = returns_world[height > LOWEST_M].astype(np.float64)
     is_free = np.ones(len(points), dtype=bool)
     found: list[Wall] = []
     for wall in sorted(walls, key=lambda w: w.span_m[0] - w.span_m[1]):
@@ -67,7 +67,7 @@ def find_far_walls(
         if not (is_on & is_beyond).any():
             continue
         is_used = is_beyond & ~_is_measured(wall, points[rows], s, caster)
-        for low, high in _pieces(s[is_on & is_used]):
+        for low, high in pieces(s[is_on & is_used]):
             is_in = is_used & (s >= low) & (s <= high)
             own = is_in & is_on
             if own.sum() < max(_RETURNS, _LEAST_ON_PLANE * is_in.sum()):
@@ -79,7 +79,7 @@ def find_far_walls(
             origin = wall.origin_m + float(np.median(out[own])) * wall.normal
             foot = Wall(origin, wall.normal, wall.along, (low, high), (0.0, 0.0))
             middle = foot.at(np.linspace(low, high, 5), np.zeros(5), 1.0)
-            lowest = float(ground.look_up(middle[:, :2]).min()) - _FOOT_M
+            lowest = float(ground.look_up(middle[:, :2]).min()) - FOOT_M
             found.append(replace(foot, height_m=(lowest, float(z.max()))))
     return found
 
@@ -101,7 +101,7 @@ def _column(s: Float64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
     return np.floor((s - s.min()) / _COLUMN_M).astype(np.int64)
 
 
-def _pieces(s: Float64[np.ndarray, " n"]) -> list[tuple[float, float]]:
+def pieces(s: Float64[np.ndarray, " n"]) -> list[tuple[float, float]]:
     """Stretches of columns with returns, without wide gaps."""
     if len(s) == 0:
         return []

@@ -15,6 +15,7 @@ from lightsim.core.buildings import Roofline
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.twin import SceneAssets
+from lightsim.geometry.completion.before_sky import without_sky
 from lightsim.geometry.completion.buildings import MeasuredScene, complete_buildings
 from lightsim.geometry.completion.crown_colours import is_green
 from lightsim.geometry.completion.crown_shapes import unseen_leaves
@@ -100,7 +101,9 @@ def _measured(work: Workspace, context: Context) -> _Measured:
     poles = find_poles(returns.points, returns.origins, fields.ground, fields.path_m)
     poles = raise_poles(poles, partial(_views, work))
     cards = crown_cards(crowns, np.random.default_rng(context.seed))
-    background = with_poles(without_shreds(meshes.background, crowns), poles)
+    surface = without_shreds(meshes.background, crowns)
+    surface = without_sky(surface, _views(work), fields.ground, make_embree_caster)
+    background = with_poles(surface, poles)
     background = concatenate_meshes([background, cards])
     caster = make_embree_caster([background])
     unseen = unseen_leaves(crowns, beams, walls, _views(work), caster)
@@ -127,7 +130,7 @@ def _closed(
         partial(_views, work),
         (sweep.load() for sweep in context.progress.track(log.sweeps, "walls and roofs")),
         fields.ground,
-        measured.returns.points,
+        measured.beams,
         make_caster=make_embree_caster,
     )
     background = concatenate_meshes([scene.background, simplify_planar(facades)])
