@@ -344,10 +344,11 @@ def _opens_to_sky(
     is_hole: Bool[np.ndarray, "h w"], is_sky: Bool[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
     """Holes, each as a whole, of whose border some part is sky."""
-    hole, count = ndimage.label(is_hole, np.ones((3, 3)))
-    border = np.where(is_hole, 0, ndimage.maximum_filter(hole, 3))
-    length = np.bincount(border.ravel(), minlength=count + 1)
-    sky = np.bincount(border.ravel(), is_sky.ravel(), minlength=count + 1)
+    hole = np.zeros(is_hole.shape, dtype=np.int32)
+    ndimage.label(is_hole, np.ones((3, 3)), output=hole)
+    border = np.where(is_hole, 0, ndimage.maximum_filter(hole, 3)).ravel()
+    length = np.bincount(border, minlength=hole.max() + 1)
+    sky = np.bincount(border, is_sky.ravel(), minlength=hole.max() + 1)
     return np.asarray(is_hole & (sky > _OPEN * length)[hole])
 
 

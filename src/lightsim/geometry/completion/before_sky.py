@@ -75,10 +75,10 @@ def _places(
     mesh: TriMesh, rows: Int64[np.ndarray, " k"]
 ) -> tuple[Float64[np.ndarray, "n 3 3"], Int64[np.ndarray, " n"]]:
     """Small triangles that faces consist of, and which faces these are."""
-    vertices, faces, index = subdivide_to_size(
+    vertices, faces, *index = subdivide_to_size(
         mesh.vertices.astype(np.float64), mesh.faces[rows], _EDGE_M, return_index=True
     )
-    return vertices[faces], rows[index]
+    return vertices[faces], rows[index[0]]
 
 
 def _is_denied(

@@ -101,6 +101,9 @@ def complete_buildings(
         space = find_free_space(fronts, silhouettes(), make_caster([fronts]), MAX_HEIGHT_M)
         rooflines = with_depths(rooflines, space)
         parts.extend(_visible_parts(cells, raised_to_neighbours(rooflines)))
+        # Mostly sides of houses whose fronts have roofs: a second guess of how high they are would
+        # cast a second shadow.
+        rooflines = rooflines[: len(known)]
     # Raised walls explain what views show above things that stand before them.
     raised = concatenate_meshes([background, *parts])
     uprights = raise_uprights(raised, silhouettes, ground, make_caster([raised]), scene.crowns)
