@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lightsim.errors import InputError
-from lightsim.evaluate.compare import compare_evaluations
+from lightsim.evaluate.compare import ComparisonReport, compare_evaluations
 from lightsim.evaluate.frame_report import FrameRow, FramesReport
 from lightsim.evaluate.metrics import ImageScores
 
@@ -50,6 +51,17 @@ def test_small_differences_show_and_equal_scores_do_not(
     assert "| masked | raw | ours | psnr_db |" in report.to_table()
     rows = json.loads(report.to_json())["rows"]
     assert [row["verdict"] for row in rows] == [row.verdict for row in report.rows]
+
+
+@pytest.mark.parametrize(
+    ("q_value", "shown"), [(1e-9, "< .001"), (0.04, "0.040"), (float("nan"), "-")]
+)
+def test_no_probability_is_shown_as_nothing(
+    tmp_path: Path, rng: np.random.Generator, q_value: float, shown: str
+) -> None:
+    file = evaluation(tmp_path / "a.json", {"ours": 20.0}, rng)
+    row = replace(compare_evaluations(file, file).rows[0], q_value=q_value)
+    assert f"| {shown} |" in ComparisonReport((row,)).to_table()
 
 
 def test_methods_of_other_names_are_paired(tmp_path: Path, rng: np.random.Generator) -> None:

@@ -20,6 +20,7 @@ from lightsim.evaluate.statistics import (
 )
 from lightsim.store.artefact import read_json
 
+_LEAST_SHOWN = 0.001
 _HIGHER_IS_BETTER = {"psnr_db": True, "ssim": True, "lpips": False, "lpips_alex": False}
 Key = tuple[str, bool, str, str]
 """Region, whether exposure was fitted, method, score."""
@@ -51,6 +52,13 @@ class ComparedRow:
         is_better = (self.found.difference > 0) is _HIGHER_IS_BETTER[self.score]
         return "better" if is_better else "worse"
 
+    @property
+    def shown_q(self) -> str:
+        """For tables; no probability is 0."""
+        if np.isnan(self.q_value):
+            return "-"
+        return "< .001" if self.q_value < _LEAST_SHOWN else f"{self.q_value:.3f}"
+
 
 @dataclass(frozen=True)
 class ComparisonReport:
@@ -68,11 +76,11 @@ class ComparisonReport:
         for row in self.rows:
             f, digits = row.found, DIGITS[row.score]
             exposure = "fitted" if row.is_exposed else "raw"
-            q = "-" if np.isnan(row.q_value) else f"{row.q_value:.3f}"
             span = f"{f.difference:+.{digits}f} [{f.low:+.{digits}f}, {f.high:+.{digits}f}]"
             lines.append(
                 f"| {row.region} | {exposure} | {row.method} | {row.score} | {f.first:.{digits}f} "
-                f"| {f.second:.{digits}f} | {span} | {q} | {f.count} {f.unit} | {row.verdict} |"
+                f"| {f.second:.{digits}f} | {span} | {row.shown_q} | {f.count} {f.unit} "
+                f"| {row.verdict} |"
             )
         return "\n".join(lines)
 

@@ -268,8 +268,7 @@ def _line(entry: Entry) -> list[str]:
         cells += ["-", "-"]
     else:
         f = row.found
-        q = "-" if np.isnan(row.q_value) else f"{row.q_value:.3f}"
-        cells += [f"{f.difference:+.2f} [{f.low:+.2f}, {f.high:+.2f}]", q]
+        cells += [f"{f.difference:+.2f} [{f.low:+.2f}, {f.high:+.2f}]", row.shown_q]
     if entry.cost is None:
         return [*cells, "-", "-"]
     return [*cells, f"{entry.cost.seconds_a_frame:.1f}", str(entry.cost.peak_memory_mb)]
