@@ -158,14 +158,23 @@ def keep_faces(mesh: TriMesh, is_kept: Bool[np.ndarray, " m"]) -> TriMesh:
     )
 
 
-def drop_floaters(mesh: TriMesh, min_area_m2: float) -> TriMesh:
-    """Without connected pieces smaller than an area: noise that would cast random shadows."""
+def drop_floaters(
+    mesh: TriMesh, min_area_m2: float, is_suspect: Bool[np.ndarray, " m"] | None = None
+) -> TriMesh:
+    """Without connected pieces smaller than an area: noise that would cast random shadows.
+
+    Args:
+        is_suspect: pieces without such a face stay; None: all faces are.
+    """
     if len(mesh.faces) == 0:
         return mesh
     count, piece = connected_components(adjacency(mesh.faces, len(mesh.vertices)), directed=False)
     face_piece = piece[mesh.faces[:, 0]]
     area = np.bincount(face_piece, weights=mesh.face_areas_m2(), minlength=int(count))
-    return keep_faces(mesh, area[face_piece] >= min_area_m2)
+    is_kept = area >= min_area_m2
+    if is_suspect is not None:
+        is_kept |= np.bincount(face_piece, weights=is_suspect, minlength=int(count)) == 0
+    return keep_faces(mesh, is_kept[face_piece])
 
 
 def border_vertices(faces: Int32[np.ndarray, "m 3"]) -> Int64[np.ndarray, " b"]:

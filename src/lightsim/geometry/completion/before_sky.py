@@ -13,14 +13,13 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
-from scipy.sparse.csgraph import connected_components
 from trimesh.remesh import subdivide_to_size
 
 from lightsim.core.casting import MakeCaster, RayCaster
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import TriMesh
 from lightsim.geometry.completion.silhouettes import ClassifiedView, View, classified_views
-from lightsim.geometry.surface import adjacency, keep_faces
+from lightsim.geometry.surface import drop_floaters
 
 # Lower surface is before the sky in no camera's picture.
 _LEAST_HEIGHT_M = 2.0
@@ -136,13 +135,5 @@ def _dropped(
         face_material=None if mesh.face_material is None else mesh.face_material[from_face],
         face_provenance=None if mesh.face_provenance is None else mesh.face_provenance[from_face],
     )
-    return _without_scraps(cut, is_cut[from_face])
-
-
-def _without_scraps(mesh: TriMesh, is_cut: Bool[np.ndarray, " m"]) -> TriMesh:
-    """Without small connected pieces of what faces have left that were cut: of wires, mostly."""
-    _, piece = connected_components(adjacency(mesh.faces, len(mesh.vertices)), directed=False)
-    piece = piece[mesh.faces[:, 0]]
-    area = np.bincount(piece, weights=mesh.face_areas_m2())
-    is_scrap = (np.bincount(piece, weights=is_cut) > 0) & (area < _MIN_PIECE_M2)
-    return keep_faces(mesh, ~is_scrap[piece])
+    # What is left of wires, mostly.
+    return drop_floaters(cut, _MIN_PIECE_M2, is_cut[from_face])
