@@ -11,10 +11,11 @@ from lightsim.core.actors import ActorKind
 from lightsim.core.mesh import Material, TriMesh
 from lightsim.core.twin import ActorAsset
 from lightsim.scenario.wheels import find_wheels, with_wheels
-from lightsim.synthetic.participants import CAR_SHAPES, build_car, build_walker
+from lightsim.simulation.cars import car_parts
+from lightsim.synthetic.participants import build_walker
 from lightsim.synthetic.shapes import Part, box, merge_parts, quads, tube
 
-_PAINT = Material(0.3, 0.0, "car paint")
+_PAINT = Material(0.2, 0.0, "car paint")
 _PLASTIC = Material(0.5, 0.0, "plastic")
 _LOOKS: Mapping[str, tuple[tuple[float, float, float], Material]] = {
     "white": ((0.72, 0.72, 0.71), _PAINT),
@@ -24,11 +25,12 @@ _LOOKS: Mapping[str, tuple[tuple[float, float, float], Material]] = {
     "car_glass": ((0.03, 0.034, 0.036), Material(0.1, 0.0, "glass")),
     "rubber": ((0.035, 0.035, 0.036), Material(0.7, 0.0, "rubber")),
     "steel": ((0.42, 0.43, 0.44), Material(0.4, 0.5, "metal")),
-    "lamp": ((0.70, 0.71, 0.72), Material(0.12, 0.0, "glass")),
+    "lamp": ((0.38, 0.39, 0.40), Material(0.12, 0.0, "glass")),
     "tail": ((0.42, 0.02, 0.02), Material(0.12, 0.0, "glass")),
     "plate": ((0.75, 0.75, 0.72), _PLASTIC),
     "skin": ((0.48, 0.30, 0.22), Material(0.6, 0.0, "skin")),
     "cloth": ((0.10, 0.14, 0.28), Material(0.9, 0.0, "cloth")),
+    "plastic": ((0.018, 0.018, 0.019), Material(0.4, 0.0, "plastic")),
     "orange": ((0.80, 0.16, 0.02), _PLASTIC),
     "stripe": ((0.80, 0.80, 0.78), Material(0.4, 0.0, "reflective foil")),
     "concrete": ((0.46, 0.45, 0.42), Material(0.9, 0.0, "concrete")),
@@ -44,13 +46,12 @@ _CREASE_DEG = 35.0
 @cache
 def built_in_assets() -> Mapping[str, ActorAsset]:
     """By name; each lies in the middle of its own box, x ahead."""
-    sedan, hatchback, suv, van = CAR_SHAPES
     shapes: dict[str, tuple[ActorKind, Sequence[Part]]] = {
-        "car": (ActorKind.CAR, build_car(sedan, "grey")[0]),
-        "car-red": (ActorKind.CAR, build_car(hatchback, "red")[0]),
-        "car-black": (ActorKind.CAR, build_car(suv, "black")[0]),
-        "van": (ActorKind.CAR, build_car(van, "white")[0]),
-        "truck": (ActorKind.TRUCK, _truck()),
+        "car": (ActorKind.CAR, car_parts("sedan", "grey")),
+        "car-red": (ActorKind.CAR, car_parts("hatchback", "red")),
+        "car-black": (ActorKind.CAR, car_parts("suv", "black")),
+        "van": (ActorKind.CAR, car_parts("van", "white")),
+        "truck": (ActorKind.TRUCK, [*(truck := _truck()), *_spokes(truck)]),
         "person": (ActorKind.PEDESTRIAN, build_walker("cloth", "black")[0]),
         "cone": (ActorKind.CONE, _cone()),
         "barrel": (ActorKind.BARRIER, _barrel()),
@@ -58,7 +59,7 @@ def built_in_assets() -> Mapping[str, ActorAsset]:
         "sign": (ActorKind.SIGN, _sign()),
     }
     return {
-        name: with_wheels(ActorAsset(name, kind, _mesh(merge_parts([*parts, *_spokes(parts)]))))
+        name: with_wheels(ActorAsset(name, kind, _mesh(merge_parts(parts))))
         for name, (kind, parts) in shapes.items()
     }
 

@@ -1,0 +1,27 @@
+"""Cars that ship with LightSim: smooth closed bodies, and on them what makes a car of a body."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lightsim.simulation.cars.body import DESIGNS, CarBody, body_surface
+from lightsim.simulation.cars.fittings import attached_parts, wheel_parts, with_arches
+from lightsim.simulation.cars.markings import with_markings
+from lightsim.simulation.cars.painted_mesh import PaintedMesh
+from lightsim.synthetic.shapes import Part, merge_parts
+
+
+def car_parts(design: str, paint: str) -> list[Part]:
+    """One part a look of a car: x ahead, y left, z from the ground.
+
+    Args:
+        design: one of `DESIGNS`.
+        paint: the look of its paint; looks are those of `built_in_assets`.
+    """
+    body = CarBody(DESIGNS[design])
+    vertices, faces = body_surface(body)
+    plain = PaintedMesh(vertices, faces, np.zeros(len(faces), dtype=np.int64), (paint,))
+    mesh, arches = with_arches(plain, body)
+    painted = with_markings(mesh, body)
+    fittings = [arches, *attached_parts(body, paint), *wheel_parts(body)]
+    return list(merge_parts([*painted.parts(), *fittings]))
