@@ -40,7 +40,7 @@ from lightsim.store.scenario import write_scenario
 
 _RECORD = "render.json"
 _SKY_RECORD = "sky.json"
-_SCHEMA = 11
+_SCHEMA = 12
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from lightsim.core.colour import luminance
 from lightsim.core.dome import SkyDome, Sun
 from lightsim.core.foliage import crown_beside, leaves_before, shows_foliage
 from lightsim.core.log import DrivingLog
-from lightsim.core.outline import grown_outline, nearest_of
+from lightsim.core.outline import goes_on, grown_outline, nearest_of, surface_beside
 from lightsim.core.resample import resize_area
 from lightsim.core.scenario import ActorPlacement, Scenario
 from lightsim.core.sensors import CameraFrame
@@ -52,6 +52,8 @@ _SURE = 0.8
 they agree on either, and the nearer one is seen."""
 _OPEN = 0.1
 """A hole of whose border so much is sky is sky."""
+_SKY = 0.5
+"""Pixels of which less is sky show matter."""
 _DARKEST = np.float32(1e-3)
 _OFF_SURFACE_M = 0.05
 """Rays to the sun start here, so that a moving surface's own faces do not count as its shadow."""
@@ -83,6 +85,8 @@ class _Look:
         crown_m: distance of the crown beside which they pass (`core.foliage.crown_beside`).
         outline_m: distance of the actor whose outline may lie there, inf elsewhere.
         outline_of: its number in the scenario, or -1.
+        is_still: they meet what stands still and is no crown.
+        edge_m: distance of that beside which the twin has nothing, inf elsewhere.
     """
 
     distance_m: Float32[np.ndarray, "h w"]
@@ -90,6 +94,8 @@ class _Look:
     crown_m: Float32[np.ndarray, "h w"]
     outline_m: Float32[np.ndarray, "h w"]
     outline_of: Int32[np.ndarray, "h w"]
+    is_still: Bool[np.ndarray, "h w"]
+    edge_m: Float32[np.ndarray, "h w"]
 
 
 class NovelViews:
@@ -164,7 +170,7 @@ class NovelViews:
             is_observed: a picture shows what they meet.
         """
         look = self._looked_at(frame)
-        rim_m = np.minimum(look.crown_m, look.outline_m).reshape(-1)
+        rim_m = np.minimum(look.crown_m, np.minimum(look.outline_m, look.edge_m)).reshape(-1)
         beside = np.flatnonzero(np.isfinite(rim_m))
         past, behind = replace(rays, distance_m=rim_m).part(beside), rays.part(beside)
         own = list(self._with_points(pictures, past, look.outline_of.reshape(-1)[beside]))
@@ -256,7 +262,10 @@ class NovelViews:
             outline_of[is_beside] = actor[nearest][is_beside]
         crown_m = crown_beside(is_leaf, distance, camera.fx)
         crown_m[outline_m < np.inf] = np.inf
-        return _Look(distance, is_leaf, crown_m, outline_m, outline_of)
+        is_still = np.isfinite(distance) & ~is_actor & ~is_leaf
+        edge_m = surface_beside(is_still, distance, camera.fx)
+        edge_m[np.isfinite(np.minimum(crown_m, outline_m))] = np.inf
+        return _Look(distance, is_leaf, crown_m, outline_m, outline_of, is_still, edge_m)
 
     def _view(self, frame: CameraFrame) -> RecordedView:
         key = frame.camera_name, frame.stem
@@ -267,19 +276,20 @@ class NovelViews:
         shape = camera.height_px, camera.width_px
         seen = self._looked_at(frame)
         ego_vehicle = self._log.ego_vehicle_masks.get(camera.name, np.zeros(shape, dtype=bool))
-        matte = self._workspace.sky_matte(frame)[..., None]
+        matte = resize_area(self._workspace.sky_matte(frame)[..., None], *shape)[..., 0]
         gain = self._workspace.twin.assets.camera_gains[camera.name]
         srgb8 = frame.load_srgb8()
         leaves_m = leaves_before(srgb8, seen.is_leaf, seen.crown_m, camera.fx, has_twigs=True)
+        wall_m = np.where(goes_on(seen.is_still, matte < _SKY), seen.edge_m, np.float32(np.inf))
         view = recorded_view(
             frame,
             srgb8,
             camera,
             gain,
-            resize_area(matte, *shape)[..., 0],
+            matte,
             seen.distance_m,
             ~ego_vehicle,
-            np.minimum(leaves_m, seen.outline_m),
+            np.minimum(np.minimum(leaves_m, seen.outline_m), wall_m),
         )
         self._views[key] = view
         if len(self._views) > _KEPT:

@@ -49,7 +49,7 @@ from lightsim.store.lock import LOCK_NAME, locked
 from lightsim.store.mp4 import Mp4Writer
 from lightsim.store.scenario import write_scenario
 
-_SCHEMA = 16
+_SCHEMA = 17
 _STAGE = "relight"
 _OPTIONAL = (
     *("labels", "weights", "renderer", "source_sky", "edits", "assets", "exposure_time_ms"),

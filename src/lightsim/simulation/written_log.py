@@ -37,7 +37,7 @@ from lightsim.store.images import read_srgb8, write_jpeg
 from lightsim.store.pandaset_tables import write_table
 from lightsim.version import __version__
 
-_SCHEMA = 2
+_SCHEMA = 3
 """Of what is written; raise it when layout or algorithm change."""
 _JPEG_QUALITY = 95
 _SUFFIX = ".pkl.gz"
