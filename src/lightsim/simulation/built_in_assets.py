@@ -11,8 +11,8 @@ from lightsim.core.actors import ActorKind
 from lightsim.core.mesh import Material, TriMesh
 from lightsim.core.twin import ActorAsset
 from lightsim.scenario.wheels import find_wheels, with_wheels
-from lightsim.simulation.cars import car_parts
-from lightsim.synthetic.participants import build_walker
+from lightsim.simulation.shipped_models.car import car_parts
+from lightsim.simulation.shipped_models.person import person_parts
 from lightsim.synthetic.shapes import Part, box, merge_parts, quads, tube
 
 _PAINT = Material(0.2, 0.0, "car paint")
@@ -31,6 +31,8 @@ _LOOKS: Mapping[str, tuple[tuple[float, float, float], Material]] = {
     "skin": ((0.48, 0.30, 0.22), Material(0.6, 0.0, "skin")),
     "cloth": ((0.10, 0.14, 0.28), Material(0.9, 0.0, "cloth")),
     "plastic": ((0.018, 0.018, 0.019), Material(0.4, 0.0, "plastic")),
+    "trousers": ((0.045, 0.045, 0.055), Material(0.9, 0.0, "cloth")),
+    "hair": ((0.025, 0.018, 0.012), Material(0.7, 0.0, "hair")),
     "orange": ((0.80, 0.16, 0.02), _PLASTIC),
     "stripe": ((0.80, 0.80, 0.78), Material(0.4, 0.0, "reflective foil")),
     "concrete": ((0.46, 0.45, 0.42), Material(0.9, 0.0, "concrete")),
@@ -52,7 +54,7 @@ def built_in_assets() -> Mapping[str, ActorAsset]:
         "car-black": (ActorKind.CAR, car_parts("suv", "black")),
         "van": (ActorKind.CAR, car_parts("van", "white")),
         "truck": (ActorKind.TRUCK, [*(truck := _truck()), *_spokes(truck)]),
-        "person": (ActorKind.PEDESTRIAN, build_walker("cloth", "black")[0]),
+        "person": (ActorKind.PEDESTRIAN, person_parts()),
         "cone": (ActorKind.CONE, _cone()),
         "barrel": (ActorKind.BARRIER, _barrel()),
         "barrier": (ActorKind.BARRIER, _barrier()),

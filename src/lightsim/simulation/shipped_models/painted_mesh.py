@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Int64
 
-from lightsim.simulation.cars.body import Field, Points, Shape
+from lightsim.simulation.shipped_models.level_set import Field, Points, Shape
 from lightsim.synthetic.shapes import Part
 
 

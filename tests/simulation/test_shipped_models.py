@@ -1,13 +1,14 @@
-"""Cars that ship: bodies on their level sets, markings cut out, wheels in arches."""
+"""What ships: bodies on their level sets, markings cut out, wheels in arches, clothes."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from lightsim.simulation.cars import car_parts
-from lightsim.simulation.cars.body import DESIGNS, CarBody, body_surface
-from lightsim.simulation.cars.painted_mesh import PaintedMesh
+from lightsim.simulation.shipped_models.car import car_parts
+from lightsim.simulation.shipped_models.car_body import DESIGNS, CarBody, body_surface
+from lightsim.simulation.shipped_models.painted_mesh import PaintedMesh
+from lightsim.simulation.shipped_models.person import person_parts
 from lightsim.synthetic.shapes import Part
 
 NAMES = sorted(DESIGNS)
@@ -73,3 +74,17 @@ def test_cutting_keeps_the_surface_and_splits_it_at_the_edge() -> None:
     assert area == pytest.approx({"a": 1.49, "b": 0.5, "c": 0.01})
     for part in mesh.parts():
         assert (areas_and_normals(part)[1][:, 2] > 0.99).all()
+
+
+def test_a_person_is_closed_stands_on_the_ground_and_is_dressed() -> None:
+    parts = person_parts()
+    low = np.min([part.vertices.min(axis=0) for part in parts], axis=0)
+    high = np.max([part.vertices.max(axis=0) for part in parts], axis=0)
+    assert abs(low[2]) < 0.03
+    assert 1.7 < high[2] < 1.8
+    area = {part.material: areas_and_normals(part)[0].sum() for part in parts}
+    assert area["cloth"] > area["skin"] > area["hair"] > 0
+    assert area["trousers"] > area["rubber"]
+    # By the divergence theorem the area vectors of a closed surface cancel.
+    total = sum((a[:, None] * n).sum(axis=0) for a, n in map(areas_and_normals, parts))
+    np.testing.assert_allclose(total, 0, atol=1e-3)

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from lightsim.simulation.cars.body import CarBody, Field, Points, Shape
-from lightsim.simulation.cars.painted_mesh import PaintedMesh
+from lightsim.simulation.shipped_models.car_body import CarBody
+from lightsim.simulation.shipped_models.level_set import Field, Points, Shape
+from lightsim.simulation.shipped_models.painted_mesh import PaintedMesh
 
 _PILLAR_M, _SEAL_M, _SEAM_M = 0.075, 0.018, 0.012
 """Paint beside panes, black around them, and seams: their widths."""

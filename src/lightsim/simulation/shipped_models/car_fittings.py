@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lightsim.simulation.cars.body import ARCH_DEPTH_M, SHOULDER_M, CarBody
-from lightsim.simulation.cars.painted_mesh import PaintedMesh
+from lightsim.simulation.shipped_models.car_body import ARCH_DEPTH_M, SHOULDER_M, CarBody
+from lightsim.simulation.shipped_models.painted_mesh import PaintedMesh
 from lightsim.synthetic.shapes import Part, box, ellipsoid, quads
 
 _TYRE_WIDTH_M = 0.21

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ from jaxtyping import Float64, Int64
 
 from lightsim.geometry.actors.body import HATCHBACK, SEDAN, VAN, Proportions
 from lightsim.geometry.actors.profile_kernels import polygon_distance
+from lightsim.simulation.shipped_models.level_set import Field, Points, level_set
 
 _VOXEL_M = 0.055
 _ROUNDING_M = 0.09
@@ -25,11 +26,6 @@ SHOULDER_M = 0.02
 """By which the body stands out below the belt line."""
 ARCH_M, ARCH_DEPTH_M = 0.05, 0.3
 """Room around a wheel, and towards the middle."""
-
-Points = Float64[np.ndarray, "n 3"]
-Field = Float64[np.ndarray, " n"]
-"""A number at each point; negative inside."""
-Shape = Callable[[Points], Field]
 
 
 @dataclass(frozen=True)
@@ -149,24 +145,10 @@ class CarBody:
 
 
 def body_surface(body: CarBody) -> tuple[Points, Int64[np.ndarray, "m 3"]]:
-    """The surface without arches; marching cubes, its vertices moved onto the level set."""
-    from skimage.measure import marching_cubes
-
+    """The surface without arches."""
     design = body.design
     high = np.array([design.length_m / 2, design.width_m / 2, design.height_m]) + 2 * _VOXEL_M
-    low = high * [-1, -1, 0]
-    axes = [np.arange(a, b, _VOXEL_M) for a, b in zip(low, high, strict=True)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    distance = body.distance_m(points.reshape(-1, 3)).reshape(points.shape[:3])
-    vertices, faces, _, _ = marching_cubes(distance, 0.0)
-    vertices = low + _VOXEL_M * vertices.astype(np.float64)
-    step = 1e-3 * np.eye(3)
-    for _ in range(2):
-        value = body.distance_m(vertices)
-        slope = np.stack([(body.distance_m(vertices + e) - value) / 1e-3 for e in step], axis=1)
-        size = np.maximum(np.square(slope).sum(axis=1), 0.3)
-        vertices = vertices - np.clip(value / size, -0.02, 0.02)[:, None] * slope
-    return vertices, faces.astype(np.int64)
+    return level_set(body.distance_m, high * [-1, -1, 0], high, _VOXEL_M)
 
 
 def _filleted(

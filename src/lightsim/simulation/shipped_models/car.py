@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightsim.simulation.cars.body import DESIGNS, CarBody, body_surface
-from lightsim.simulation.cars.fittings import attached_parts, wheel_parts, with_arches
-from lightsim.simulation.cars.markings import with_markings
-from lightsim.simulation.cars.painted_mesh import PaintedMesh
+from lightsim.simulation.shipped_models.car_body import DESIGNS, CarBody, body_surface
+from lightsim.simulation.shipped_models.car_fittings import attached_parts, wheel_parts, with_arches
+from lightsim.simulation.shipped_models.car_markings import with_markings
+from lightsim.simulation.shipped_models.painted_mesh import PaintedMesh
 from lightsim.synthetic.shapes import Part, merge_parts
 
 

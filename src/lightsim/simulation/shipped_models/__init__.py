@@ -1,0 +1,1 @@
+"""What ships with LightSim to be inserted: cars, a person, and what stands on road works."""
