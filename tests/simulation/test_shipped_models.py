@@ -9,6 +9,7 @@ from lightsim.simulation.shipped_models.car import car_parts
 from lightsim.simulation.shipped_models.car_body import DESIGNS, CarBody, body_surface
 from lightsim.simulation.shipped_models.painted_mesh import PaintedMesh
 from lightsim.simulation.shipped_models.person import person_parts
+from lightsim.simulation.shipped_models.truck import truck_parts
 from lightsim.synthetic.shapes import Part
 
 NAMES = sorted(DESIGNS)
@@ -74,6 +75,23 @@ def test_cutting_keeps_the_surface_and_splits_it_at_the_edge() -> None:
     assert area == pytest.approx({"a": 1.49, "b": 0.5, "c": 0.01})
     for part in mesh.parts():
         assert (areas_and_normals(part)[1][:, 2] > 0.99).all()
+
+
+def test_a_truck_has_a_cab_with_panes_and_a_box_in_rails() -> None:
+    parts = {part.material: part for part in truck_parts()}
+    points = np.concatenate([part.vertices for part in parts.values()])
+    np.testing.assert_allclose(points[:, [0, 2]].min(axis=0), [-3.79, 0.0], atol=0.02)
+    np.testing.assert_allclose(points[:, [0, 2]].max(axis=0), [3.74, 3.4], atol=0.02)
+    area, normal = areas_and_normals(parts["car_glass"])
+    assert 1.2 < area[normal[:, 0] > 0.5].sum() < 2.2
+    assert area[normal[:, 1] > 0.9].sum() == pytest.approx(
+        area[normal[:, 1] < -0.9].sum(), rel=0.05
+    )
+    # Rails lie along the edges: no white within their width of two sides.
+    white = parts["white"].vertices
+    assert (np.abs(white[:, 1]) < 1.11).sum() > 0
+    is_on_side = np.abs(white[:, 1]) > 1.19
+    assert white[is_on_side, 2].max() < 3.31
 
 
 def test_a_person_is_closed_stands_on_the_ground_and_is_dressed() -> None:

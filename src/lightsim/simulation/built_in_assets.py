@@ -10,9 +10,10 @@ import numpy as np
 from lightsim.core.actors import ActorKind
 from lightsim.core.mesh import Material, TriMesh
 from lightsim.core.twin import ActorAsset
-from lightsim.scenario.wheels import find_wheels, with_wheels
+from lightsim.scenario.wheels import with_wheels
 from lightsim.simulation.shipped_models.car import car_parts
 from lightsim.simulation.shipped_models.person import person_parts
+from lightsim.simulation.shipped_models.truck import truck_parts
 from lightsim.synthetic.shapes import Part, box, merge_parts, quads, tube
 
 _PAINT = Material(0.2, 0.0, "car paint")
@@ -39,8 +40,6 @@ _LOOKS: Mapping[str, tuple[tuple[float, float, float], Material]] = {
     "sign_red": ((0.55, 0.04, 0.04), Material(0.35, 0.0, "reflective foil")),
 }
 """Linear base colour and material of each look that a part names."""
-_SPOKES, _SPOKE_ENDS, _SPOKE_M = 5, (0.1, 0.5), 0.02
-"""Bars on a hub, where they begin and end, as parts of the wheel's radius, and their own radius."""
 _CREASE_DEG = 35.0
 """Faces that meet at less than this are one curved surface."""
 
@@ -53,7 +52,7 @@ def built_in_assets() -> Mapping[str, ActorAsset]:
         "car-red": (ActorKind.CAR, car_parts("hatchback", "red")),
         "car-black": (ActorKind.CAR, car_parts("suv", "black")),
         "van": (ActorKind.CAR, car_parts("van", "white")),
-        "truck": (ActorKind.TRUCK, [*(truck := _truck()), *_spokes(truck)]),
+        "truck": (ActorKind.TRUCK, truck_parts()),
         "person": (ActorKind.PEDESTRIAN, person_parts()),
         "cone": (ActorKind.CONE, _cone()),
         "barrel": (ActorKind.BARRIER, _barrel()),
@@ -64,23 +63,6 @@ def built_in_assets() -> Mapping[str, ActorAsset]:
         name: with_wheels(ActorAsset(name, kind, _mesh(merge_parts(parts))))
         for name, (kind, parts) in shapes.items()
     }
-
-
-def _spokes(parts: Sequence[Part]) -> list[Part]:
-    """Dark bars on the hubs of what has wheels: even discs would not show that they turn."""
-    mesh = _mesh(merge_parts(parts))
-    middle = np.concatenate([part.vertices for part in parts])
-    middle = (middle.min(axis=0) + middle.max(axis=0)) / 2
-    bars = []
-    for wheel in find_wheels(mesh):
-        y = mesh.vertices[wheel.vertices, 1]
-        face = middle + wheel.centre
-        face[1] = middle[1] + (y.max() if wheel.centre[1] > 0 else y.min())
-        for angle in np.arange(_SPOKES) * 2 * np.pi / _SPOKES:
-            ahead = wheel.radius_m * np.array([np.cos(angle), 0.0, np.sin(angle)])
-            start, end = ((face + part * ahead).tolist() for part in _SPOKE_ENDS)
-            bars.append(tube("black", start, end, (_SPOKE_M, _SPOKE_M), 6))
-    return bars
 
 
 def _cone() -> list[Part]:
@@ -129,29 +111,6 @@ def _sign() -> list[Part]:
         tube("sign_red", (0.03, 0, 2.3), (0.05, 0, 2.3), (0.3, 0.3), 36),
         tube("stripe", (0.05, 0, 2.3), (0.055, 0, 2.3), (0.22, 0.22), 36),
     ]
-
-
-def _truck() -> list[Part]:
-    """A box truck of 7.5 m: cab, box, chassis, three pairs of wheels."""
-    parts = [
-        box("white", (-3.75, -1.2, 1.0), (1.6, 1.2, 3.4)),
-        box("grey", (1.75, -1.1, 0.55), (3.65, 1.1, 2.55)),
-        box("car_glass", (2.9, -1.02, 1.6), (3.68, 1.02, 2.35)),
-        box("car_glass", (2.1, -1.12, 1.6), (3.3, 1.12, 2.3)),
-        box("black", (-3.7, -0.5, 0.6), (3.5, 0.5, 1.0)),
-        box("plate", (3.6, -0.26, 0.6), (3.7, 0.26, 0.72)),
-    ]
-    for side in (-1.0, 1.0):
-        a, b = sorted((side * 0.7, side * 1.0))
-        parts += [
-            box("lamp", (3.6, a, 0.8), (3.69, b, 1.0)),
-            box("tail", (-3.78, a, 0.8), (-3.7, b, 1.0)),
-        ]
-        for x in (2.6, -2.4):
-            inner, outer = (x, side * 0.82, 0.45), (x, side * 1.12, 0.45)
-            parts.append(tube("rubber", inner, outer, (0.45, 0.45), 24))
-            parts.append(tube("steel", outer, (x, side * 1.13, 0.45), (0.26, 0.22), 16))
-    return parts
 
 
 def _mesh(parts: Sequence[Part]) -> TriMesh:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from lightsim.simulation.shipped_models.car_body import DESIGNS, CarBody, body_surface
-from lightsim.simulation.shipped_models.car_fittings import attached_parts, wheel_parts, with_arches
+from lightsim.simulation.shipped_models.car_fittings import attached_parts, with_arches
 from lightsim.simulation.shipped_models.car_markings import with_markings
 from lightsim.simulation.shipped_models.painted_mesh import PaintedMesh
+from lightsim.simulation.shipped_models.wheels import wheel_parts
 from lightsim.synthetic.shapes import Part, merge_parts
 
 
@@ -23,5 +24,9 @@ def car_parts(design: str, paint: str) -> list[Part]:
     plain = PaintedMesh(vertices, faces, np.zeros(len(faces), dtype=np.int64), (paint,))
     mesh, arches = with_arches(plain, body)
     painted = with_markings(mesh, body)
-    fittings = [arches, *attached_parts(body, paint), *wheel_parts(body)]
+    fittings = [
+        arches,
+        *attached_parts(body, paint),
+        *wheel_parts(body.axles(), body.wheel_face_m()),
+    ]
     return list(merge_parts([*painted.parts(), *fittings]))

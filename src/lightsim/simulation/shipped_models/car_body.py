@@ -82,7 +82,7 @@ class CarBody:
     def __init__(self, design: Design) -> None:
         self.design = design
         self.corners = self._corners()
-        self.profile = _filleted(self.corners, _FILLETS_M)
+        self.profile = filleted(self.corners, _FILLETS_M)
 
     def distance_m(self, points: Points) -> Field:
         """Signed distance, negative inside; approximate away from the surface."""
@@ -116,6 +116,11 @@ class CarBody:
         p = self.design.proportions
         radius = p.wheel_radius * self.design.height_m
         return [(self.ahead_m(u), radius) for u in (p.front_wheel, p.rear_wheel)]
+
+    def wheel_face_m(self) -> float:
+        """From the middle to the outer side of the wheels."""
+        design = self.design
+        return 0.5 * design.width_m * design.proportions.width - SHOULDER_M - 0.012
 
     def arch_m(self, points: Points) -> Field:
         """Signed distance to what is cut out around the wheels."""
@@ -151,7 +156,7 @@ def body_surface(body: CarBody) -> tuple[Points, Int64[np.ndarray, "m 3"]]:
     return level_set(body.distance_m, high * [-1, -1, 0], high, _VOXEL_M)
 
 
-def _filleted(
+def filleted(
     corners: Float64[np.ndarray, "k 2"], cuts_m: Sequence[float]
 ) -> Float64[np.ndarray, "n 2"]:
     """A closed polygon whose corners are quadratic curves."""
