@@ -105,12 +105,7 @@ def _best_plane(
         if total > best_area:
             best, best_area = inside, total
     for _ in range(2):
-        centre = np.average(centres[best, :2], axis=0, weights=area[best])
-        offset = centres[best, :2] - centre
-        _, vectors = np.linalg.eigh((offset * area[best, None]).T @ offset)
-        normal = vectors[:, 0] * np.sign(
-            (flat[best] * area[best, None]).sum(axis=0) @ vectors[:, 0]
-        )
+        centre, normal = _line(centres[best], flat[best], area[best])
         refined = _near_plane(centres, flat, centre, normal)
         if area[refined].sum() < best_area:
             break
@@ -128,6 +123,18 @@ def _near_plane(
     return (distance < _THICKNESS_M) & (flat @ normal > _COS_NORMAL)
 
 
+def _line(
+    centres: Float64[np.ndarray, "n 3"],
+    flat: Float64[np.ndarray, "n 2"],
+    area: Float64[np.ndarray, " n"],
+) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2"]]:
+    """A point and the normal of the line in plan nearest to faces; they look along it."""
+    centre = np.average(centres[:, :2], axis=0, weights=area)
+    offset = centres[:, :2] - centre
+    _, vectors = np.linalg.eigh((offset * area[:, None]).T @ offset)
+    return centre, vectors[:, 0] * np.sign((flat * area[:, None]).sum(axis=0) @ vectors[:, 0])
+
+
 def _pieces(
     centres: Float64[np.ndarray, "n 3"],
     flat: Float64[np.ndarray, "n 2"],
@@ -135,10 +142,7 @@ def _pieces(
     corners: Float64[np.ndarray, "n 3 3"],
 ) -> list[Wall]:
     """The walls that lie on one plane, apart from each other."""
-    centre = np.average(centres[:, :2], axis=0, weights=area)
-    offset = centres[:, :2] - centre
-    _, vectors = np.linalg.eigh((offset * area[:, None]).T @ offset)
-    normal = vectors[:, 0] * np.sign((flat * area[:, None]).sum(axis=0) @ vectors[:, 0])
+    centre, normal = _line(centres, flat, area)
     along = np.array([-normal[1], normal[0]])
     origin = np.array([*centre, 0.0])
     s = (corners[..., :2] - centre) @ along
