@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import cache
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache, partial
 
 import numpy as np
 
@@ -44,25 +44,45 @@ _CREASE_DEG = 35.0
 """Faces that meet at less than this are one curved surface."""
 
 
-@cache
 def built_in_assets() -> Mapping[str, ActorAsset]:
-    """By name; each lies in the middle of its own box, x ahead."""
-    shapes: dict[str, tuple[ActorKind, Sequence[Part]]] = {
-        "car": (ActorKind.CAR, car_parts("sedan", "grey")),
-        "car-red": (ActorKind.CAR, car_parts("hatchback", "red")),
-        "car-black": (ActorKind.CAR, car_parts("suv", "black")),
-        "van": (ActorKind.CAR, car_parts("van", "white")),
-        "truck": (ActorKind.TRUCK, truck_parts()),
-        "person": (ActorKind.PEDESTRIAN, person_parts()),
-        "cone": (ActorKind.CONE, _cone()),
-        "barrel": (ActorKind.BARRIER, _barrel()),
-        "barrier": (ActorKind.BARRIER, _barrier()),
-        "sign": (ActorKind.SIGN, _sign()),
-    }
+    """By name, each made when it is first asked for; it lies in the middle of its own box, x
+    ahead."""
+    return _BuiltIn()
+
+
+class _BuiltIn(Mapping[str, ActorAsset]):
+    def __getitem__(self, name: str) -> ActorAsset:
+        return _made(name)
+
+    def __contains__(self, name: object) -> bool:
+        return name in _makers()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_makers())
+
+    def __len__(self) -> int:
+        return len(_makers())
+
+
+def _makers() -> Mapping[str, tuple[ActorKind, Callable[[], Sequence[Part]]]]:
     return {
-        name: with_wheels(ActorAsset(name, kind, _mesh(merge_parts(parts))))
-        for name, (kind, parts) in shapes.items()
+        "car": (ActorKind.CAR, partial(car_parts, "sedan", "grey")),
+        "car-red": (ActorKind.CAR, partial(car_parts, "hatchback", "red")),
+        "car-black": (ActorKind.CAR, partial(car_parts, "suv", "black")),
+        "van": (ActorKind.CAR, partial(car_parts, "van", "white")),
+        "truck": (ActorKind.TRUCK, truck_parts),
+        "person": (ActorKind.PEDESTRIAN, person_parts),
+        "cone": (ActorKind.CONE, _cone),
+        "barrel": (ActorKind.BARRIER, _barrel),
+        "barrier": (ActorKind.BARRIER, _barrier),
+        "sign": (ActorKind.SIGN, _sign),
     }
+
+
+@cache
+def _made(name: str) -> ActorAsset:
+    kind, parts = _makers()[name]
+    return with_wheels(ActorAsset(name, kind, _mesh(merge_parts(parts()))))
 
 
 def _cone() -> list[Part]:

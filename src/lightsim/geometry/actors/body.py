@@ -82,6 +82,14 @@ DEVIATION = Proportions(
 """Of vehicles from the proportions of their type, one standard deviation."""
 
 
+def rounded_intersection(
+    first: Float64[np.ndarray, "*n"], second: Float64[np.ndarray, "*n"], rounding_m: float
+) -> Float64[np.ndarray, "*n"]:
+    """Signed distance to what lies in both of two shapes, the edge between them round."""
+    beyond = np.hypot(np.maximum(first + rounding_m, 0), np.maximum(second + rounding_m, 0))
+    return np.minimum(np.maximum(first, second), -rounding_m) + beyond
+
+
 @dataclass(frozen=True, eq=False)
 class Body:
     """A body in frame `actor`: x ahead, y left, z up, the origin in the middle of its box."""
@@ -96,9 +104,7 @@ class Body:
         x, y, z = np.moveaxis(points_actor, -1, 0)
         side = self._profile_distance_m(x, z)
         across = np.abs(y) - self._half_width_m(x, z)
-        # The edge between side and top is round (a rounded intersection of both).
-        beyond = np.hypot(np.maximum(side + _ROUNDING_M, 0), np.maximum(across + _ROUNDING_M, 0))
-        hull = np.minimum(np.maximum(side, across), -_ROUNDING_M) + beyond
+        hull = rounded_intersection(side, across, _ROUNDING_M)
         return np.minimum(hull, self._wheel_distance_m(x, y, z))
 
     def is_tyre(self, points_actor: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from lightsim.simulation.shipped_models.car_body import DESIGNS, CarBody, body_surface
 from lightsim.simulation.shipped_models.car_fittings import attached_parts, with_arches
 from lightsim.simulation.shipped_models.car_markings import with_markings
@@ -20,9 +18,7 @@ def car_parts(design: str, paint: str) -> list[Part]:
         paint: the look of its paint; looks are those of `built_in_assets`.
     """
     body = CarBody(DESIGNS[design])
-    vertices, faces = body_surface(body)
-    plain = PaintedMesh(vertices, faces, np.zeros(len(faces), dtype=np.int64), (paint,))
-    mesh, arches = with_arches(plain, body)
+    mesh, arches = with_arches(PaintedMesh.plain(paint, *body_surface(body)), body)
     painted = with_markings(mesh, body)
     fittings = [
         arches,

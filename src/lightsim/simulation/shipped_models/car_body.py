@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from lightsim.geometry.actors.body import HATCHBACK, SEDAN, VAN, Proportions
+from lightsim.geometry.actors.body import HATCHBACK, SEDAN, VAN, Proportions, rounded_intersection
 from lightsim.geometry.actors.profile_kernels import polygon_distance
 from lightsim.simulation.shipped_models.level_set import Field, Points, level_set
 
@@ -87,9 +87,8 @@ class CarBody:
     def distance_m(self, points: Points) -> Field:
         """Signed distance, negative inside; approximate away from the surface."""
         x, y, z = points.T
-        beyond = np.stack([self.side_m(points), np.abs(y) - self.half_width_m(x, z)])
-        outside = np.hypot(*np.maximum(beyond + _ROUNDING_M, 0))
-        return np.minimum(beyond.max(axis=0), -_ROUNDING_M) + outside
+        across = np.abs(y) - self.half_width_m(x, z)
+        return rounded_intersection(self.side_m(points), across, _ROUNDING_M)
 
     def side_m(self, points: Points) -> Field:
         """Signed distance to the side profile, which bows towards the sides."""

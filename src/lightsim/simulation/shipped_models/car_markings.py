@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from lightsim.simulation.shipped_models.car_body import CarBody
-from lightsim.simulation.shipped_models.level_set import Field, Points, Shape
+from lightsim.simulation.shipped_models.level_set import Field, Points, Shape, grown
 from lightsim.simulation.shipped_models.painted_mesh import PaintedMesh
 
 _PILLAR_M, _SEAL_M, _SEAM_M = 0.075, 0.018, 0.012
@@ -94,12 +94,8 @@ def _panes(body: CarBody) -> list[tuple[str, Shape]]:
     panes = [side, *(_Screen(body, *ends) for ends in ((cowl, roof_front), (deck, roof_rear)))]
     found: list[tuple[str, Shape]] = []
     for pane in panes:
-        found += [("plastic", _grown(pane)), ("car_glass", pane)]
+        found += [("plastic", grown(pane, _SEAL_M)), ("car_glass", pane)]
     return [*found, *(("plastic", pillar(u)) for u in design.pillars)]
-
-
-def _grown(shape: Shape) -> Shape:
-    return lambda v: shape(v) - _SEAL_M
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,11 @@ Field = Float64[np.ndarray, " n"]
 Shape = Callable[[Points], Field]
 
 
+def grown(shape: Shape, by_m: float) -> Shape:
+    """The shape, and what lies within a distance of it."""
+    return lambda points: shape(points) - by_m
+
+
 def level_set(
     shape: Shape,
     low: Sequence[float] | Float64[np.ndarray, "3"],

@@ -24,6 +24,11 @@ class PaintedMesh:
     look: Int64[np.ndarray, " m"]
     names: tuple[str, ...]
 
+    @staticmethod
+    def plain(name: str, vertices: Points, faces: Int64[np.ndarray, "m 3"]) -> PaintedMesh:
+        """Of one look."""
+        return PaintedMesh(vertices, faces, np.zeros(len(faces), dtype=np.int64), (name,))
+
     def painted(self, name: str, shape: Shape) -> PaintedMesh:
         """With the look inside of the shape, to its edge."""
         mesh, is_inside = self.cut(shape(self.vertices))

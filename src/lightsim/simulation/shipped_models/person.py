@@ -51,8 +51,8 @@ _Limbs = tuple[tuple[tuple[float, float, float], tuple[float, float, float], flo
 def person_parts() -> list[Part]:
     """One part a look: x ahead, y left, z from the ground; looks are those of `built_in_assets`."""
     limbs = (*_LEGS, *_TRUNK, *_HEAD, *_ARMS, *_HANDS)
-    vertices, faces = level_set(lambda p: _merged(limbs, p), _LOW, _HIGH, _VOXEL_M)
-    mesh = PaintedMesh(vertices, faces, np.zeros(len(faces), dtype=np.int64), ("cloth",))
+    surface = level_set(lambda p: _merged(limbs, p), _LOW, _HIGH, _VOXEL_M)
+    mesh = PaintedMesh.plain("cloth", *surface)
     clothes: tuple[tuple[str, Shape], ...] = (
         ("trousers", lambda p: np.maximum(p[:, 2] - 0.97, _beside(_LEGS, _ARMS + _HANDS, p))),
         ("rubber", lambda p: _beside((_LEGS[2], _LEGS[5]), (_LEGS[1], _LEGS[4]), p)),

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 from jaxtyping import Float64
 
+from lightsim.geometry.actors.body import rounded_intersection
 from lightsim.geometry.actors.profile_kernels import polygon_distance
 from lightsim.simulation.shipped_models.car_body import filleted
-from lightsim.simulation.shipped_models.level_set import Field, Points, Shape, level_set
+from lightsim.simulation.shipped_models.level_set import Field, Points, Shape, grown, level_set
 from lightsim.simulation.shipped_models.painted_mesh import PaintedMesh
 from lightsim.simulation.shipped_models.wheels import wheel_parts
 from lightsim.synthetic.shapes import Part, box, merge_parts, tube
@@ -23,7 +22,7 @@ _LOAD = np.array([(-3.75, 1.0), (1.6, 1.0), (1.6, 3.4), (-3.75, 3.4)])
 _LOAD_M = 1.2
 _AXLES = ((2.75, 0.45), (-2.4, 0.45))
 _WHEEL_FACE_M = 1.1
-_RAIL_M = 0.1
+_RAIL_M, _SEAL_M = 0.1, 0.025
 
 
 def truck_parts() -> list[Part]:
@@ -74,7 +73,7 @@ def _cab() -> PaintedMesh:
         ("lamp", lambda v: front(v, 0.66, 0.84, 0.68, 1.0)),
     ]
     for pane in (door_pane, windscreen):
-        looks += [("plastic", partial(_grown, pane)), ("car_glass", pane)]
+        looks += [("plastic", grown(pane, _SEAL_M)), ("car_glass", pane)]
     for at in (2.3, 3.52):
         mesh = mesh.lined(
             "black",
@@ -112,15 +111,10 @@ def _solid(
 
     def distance_m(v: Points) -> Field:
         x, y, z = v.T
-        beyond = np.stack([polygon_distance(x, z, profile), np.abs(y) - half_width_m])
-        outside = np.hypot(*np.maximum(beyond + rounding_m, 0))
-        return np.minimum(beyond.max(axis=0), -rounding_m) + outside
+        side = polygon_distance(x, z, profile)
+        return rounded_intersection(side, np.abs(y) - half_width_m, rounding_m)
 
     (x0, z0), (x1, z1) = profile.min(axis=0) - 0.1, profile.max(axis=0) + 0.1
     wide = half_width_m + 0.1
-    vertices, faces = level_set(distance_m, (x0, -wide, z0), (x1, wide, z1), voxel_m)
-    return PaintedMesh(vertices, faces, np.zeros(len(faces), dtype=np.int64), (look,))
-
-
-def _grown(shape: Shape, v: Points) -> Field:
-    return shape(v) - 0.025
+    surface = level_set(distance_m, (x0, -wide, z0), (x1, wide, z1), voxel_m)
+    return PaintedMesh.plain(look, *surface)
