@@ -239,3 +239,15 @@ def test_ground_behind_parked_cars_is_no_facade_and_no_mirror_image(
     probe = np.array([[0.0, 5.0], [-5.0, 7.1], [2.0, 10.5], [-3.0, -6.0], [16.5, 0.0]])
     np.testing.assert_allclose(ground.look_up(probe), 0.15 * probe[:, 0], atol=0.12)
     assert not ground.is_observed[:, np.abs(ground.origin_m[1] + 0.5 * np.arange(65)) > 4].any()
+
+
+def test_ground_far_down_the_road_is_no_trunk(rng: np.random.Generator) -> None:
+    """Rings of returns 10 m apart, and between them a trunk that beams meet from 0.4 m up: once it
+    was ground, less than a tenth of its distance above the rings."""
+    x, y = rng.uniform(-10, 42, 40000), rng.uniform(-3, 3, 40000)
+    road = np.stack([x, y, 0 * x], axis=1)[(x < 12) | (np.floor(x) % 10 == 0)]
+    trunk = np.array([35.5, 0.0, 0.4]) + rng.uniform(0, 1, (60, 3)) * [0.2, 0.2, 2.0]
+    builder = GroundBuilder(np.linspace([-5, 0, 2], [5, 0, 2], 20), 42.0, 0.5)
+    builder.add(np.concatenate([road, trunk]))
+    probe = np.array([[35.5, 0.0], [36.5, 1.0], [25.0, 0.0]])
+    np.testing.assert_allclose(builder.build().look_up(probe), 0.0, atol=0.01)

@@ -76,6 +76,13 @@ class GroundMap:
         high = (1 - v) * height[i1, j] + v * height[i1, j1]
         return (1 - u) * low + u * high
 
+    def observes(self, xy_world: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+        """Whether returns of the ground fell into the cell of each point; False outside."""
+        nearest = np.rint((xy_world - self.origin_m) / self.cell_m)
+        is_in = np.all((nearest >= 0) & (nearest < self.height_m.shape), axis=1)
+        cell = np.where(is_in[:, None], nearest, 0.0).astype(np.int64)
+        return is_in & self.is_observed[cell[:, 0], cell[:, 1]]
+
 
 @dataclass(frozen=True, eq=False)
 class SceneFields:

@@ -257,29 +257,51 @@ def evaluate_surface(
     Raises:
         InputError: a mesh is empty or nothing of it was seen.
     """
-    precision = _distances_m(predicted, truth, config, seen, False, rng)
-    recall = _distances_m(truth, predicted, config, seen, True, rng)
+    made = sample_distances(predicted, truth, config, seen, False, rng).distance_m
+    true = sample_distances(truth, predicted, config, seen, True, rng).distance_m
     return tuple(
-        SurfaceScores(t, float((precision < t).mean()), float((recall < t).mean()))
-        for t in THRESHOLDS_M
+        SurfaceScores(t, float((made < t).mean()), float((true < t).mean())) for t in THRESHOLDS_M
     )
 
 
-def _distances_m(
+@dataclass(frozen=True, eq=False)
+class SurfaceSamples:
+    """Points on a surface.
+
+    Args:
+        points_world: evenly by area.
+        faces: of the surface, that they lie on.
+        distance_m: to the nearest point of another surface.
+    """
+
+    points_world: Float[np.ndarray, "n 3"]
+    faces: Int[np.ndarray, " n"]
+    distance_m: Float[np.ndarray, " n"]
+
+
+def sample_distances(
     mesh: TriMesh,
     other: TriMesh,
     config: GeometryConfig,
     seen: SeenSurface | None,
     is_truth: bool,
     rng: np.random.Generator,
-) -> Float[np.ndarray, " n"]:
-    """Distance from points on `mesh` to the surface of `other`."""
+) -> SurfaceSamples:
+    """Points on the seen part of `mesh`, and how far the surface of `other` is.
+
+    Args:
+        is_truth: `mesh` is the true one, of which only what is in sight of a sensor counts.
+
+    Raises:
+        InputError: nothing of the mesh was seen.
+    """
     from trimesh.triangles import closest_point
 
     radius = _SEEN_WITHIN_M
-    points = _sample_near(mesh, config.samples, seen, radius, rng)[0]
+    points, on = _sample_near(mesh, config.samples, seen, radius, rng)
     if seen is not None and is_truth and len(points):
-        points = points[seen.is_visible(points, mesh)]
+        is_visible = seen.is_visible(points, mesh)
+        points, on = points[is_visible], on[is_visible]
     if not len(points):
         raise InputError(
             "no seen surface to compare",
@@ -295,7 +317,7 @@ def _distances_m(
     for column in np.asarray(nearest).T:
         on_face = closest_point(corners[faces[column]], points)
         best = np.minimum(best, np.linalg.norm(on_face - points, axis=1))
-    return best
+    return SurfaceSamples(points, on, best)
 
 
 def _sample_near(

@@ -127,7 +127,8 @@ def mesh_background(
     surface = concatenate_meshes(levels)
     if len(surface.faces) == 0:
         raise no_surface()
-    patches = ground_patches(surface, fields.ground, fields.path_m, make_caster)
+    reach_m = fields.background_radius_m[-1]
+    patches = ground_patches(surface, fields.ground, fields.path_m, reach_m, make_caster)
     return concatenate_meshes([surface, patches])
 
 

@@ -120,7 +120,7 @@ STAGES = (
         lambda o: AlignConfig().without(o.no_refine),
         recording.make_alignment,
     ),
-    Stage("fields", 3, ("log", "alignment"), lambda o: _FUSE[o.preset](), recording.make_fields),
+    Stage("fields", 4, ("log", "alignment"), lambda o: _FUSE[o.preset](), recording.make_fields),
     Stage(
         "neural",
         1,
@@ -130,7 +130,7 @@ STAGES = (
     ),
     Stage(
         "geometry",
-        27,
+        28,
         ("log", "masks", "alignment", "neural"),
         _no_settings,
         surfaces.make_geometry,

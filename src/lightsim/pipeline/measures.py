@@ -260,15 +260,20 @@ def geometry(
     )
     if truth is None:
         return GeometryReport(lidar), bool(held)
+    seen = seen_surface(log)
+    true_background = read_true_meshes(truth / "scene.npz")["background"]
+    surface = evaluate_surface(assets.background, true_background, config, seen=seen, rng=rng)
+    return GeometryReport(lidar, surface), bool(held)
+
+
+def seen_surface(log: DrivingLog) -> SeenSurface:
+    """What the LiDAR of a log can have seen, by its positions and every seventh return."""
     loaded = [s.load() for s in log.sweeps]
-    seen = SeenSurface(
+    return SeenSurface(
         np.concatenate([sweep.points_world[::7] for sweep in loaded]).astype(np.float64),
         np.stack([sweep.origins_world.mean(axis=0) for sweep in loaded]).astype(np.float64),
         make_embree_caster,
     )
-    true_background = read_true_meshes(truth / "scene.npz")["background"]
-    surface = evaluate_surface(assets.background, true_background, config, seen=seen, rng=rng)
-    return GeometryReport(lidar, surface), bool(held)
 
 
 def sky(workspace: Workspace, truth: Path | None) -> SkyReport:

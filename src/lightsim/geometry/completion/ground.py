@@ -1,4 +1,5 @@
-"""Ground in blind spots: under parked cars, behind them, under the ego vehicle."""
+"""Ground that the measured surface lacks: in blind spots (under parked cars, behind them, under the
+ego vehicle), and far down the road, where beams are too sparse to draw one."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from scipy import ndimage
 from lightsim.core.casting import MakeCaster
 from lightsim.core.fields import GroundMap
 from lightsim.core.laplace import fill_smoothly
-from lightsim.core.mesh import Provenance, TriMesh
+from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.geometry.simplify import simplify_planar
 from lightsim.geometry.surface import border_vertices, keep_faces, path_distance_m, quad_mesh
 
@@ -24,8 +25,15 @@ _COARSE_EDGE_M = 0.75
 
 # Grid on which holes in the ground are found and closed.
 _GROUND_CELL_M = 0.25
-# Holes are closed up to this distance from the path.
+# Holes are closed on it up to this distance from the path.
 _GROUND_RADIUS_M = 40.0
+# Further out the ground map lies open where no surface covers it, on this grid, up to this far from
+# the returns that it knows.
+_FAR_CELL_M = 1.0
+_FAR_REACH_M = 8.0
+# The map tells the height of holes this far from the measured surface; its lowest returns lie some
+# millimetres lower than the surface between them.
+_TOLD_GAP_M = 2.0
 # A surface within this height of the ground map counts as ground.
 _GROUND_BAND_M = 0.35
 # Holes are closed up to this far from observed ground.
@@ -56,33 +64,71 @@ def ground_patches(
     background: TriMesh,
     ground: GroundMap,
     path_m: Float[np.ndarray, "k 3"],
+    radius_m: float,
     make_caster: MakeCaster,
 ) -> TriMesh:
-    """Ground that the background lacks: under parked cars, behind them, under the ego vehicle.
+    """Ground that the background lacks, up to `radius_m` from the path.
 
-    Rays straight down find the holes; heights there solve Laplace's equation between the
-    surface around them. Patches start 3 mm below their neighbours, so that nothing
-    flickers where both exist.
+    Rays straight down find the holes. Near the path heights there solve Laplace's equation between
+    the surface around them and what the map knows; further out they are the map's. Patches start
+    3 mm below their neighbours, so that nothing flickers where both exist.
     """
-    xy, shape = _nodes(path_m)
-    height = ground.look_up(xy.reshape(-1, 2))
-    observed, is_found = _cast_down(background, xy.reshape(-1, 2), height, make_caster)
-    is_known = is_found.reshape(shape)
-    is_near = path_distance_m(_at_height(xy.reshape(-1, 2), height), path_m) < _GROUND_RADIUS_M
-    gap_m = np.asarray(ndimage.distance_transform_edt(~is_known)) * _GROUND_CELL_M
-    is_hole = ~is_known & is_near.reshape(shape) & (gap_m < _GROUND_REACH_M)
-    z = fill_smoothly(np.where(is_known, observed.reshape(shape), 0.0), is_known)
+    near = _near_patches(background, ground, path_m, make_caster)
+    far = _far_patches(background, ground, path_m, radius_m, make_caster)
+    return concatenate_meshes([near, far]).with_provenance(Provenance.INTERPOLATED)
+
+
+def _near_patches(
+    background: TriMesh,
+    ground: GroundMap,
+    path_m: Float[np.ndarray, "k 3"],
+    make_caster: MakeCaster,
+) -> TriMesh:
+    xy, shape = _nodes(path_m, _GROUND_RADIUS_M, _GROUND_CELL_M)
+    flat = xy.reshape(-1, 2)
+    height = ground.look_up(flat)
+    observed, is_found = _cast_down(background, flat, height, make_caster)
+    is_near = path_distance_m(_at_height(flat, height), path_m) < _GROUND_RADIUS_M
+    is_measured, is_near = is_found.reshape(shape), is_near.reshape(shape)
+    gap_m = np.asarray(ndimage.distance_transform_edt(~is_measured)) * _GROUND_CELL_M
+    is_told = ground.observes(flat).reshape(shape) & (gap_m > _TOLD_GAP_M)
+    is_known = is_measured | is_told | ~is_near
+    z = np.where(is_measured, observed.reshape(shape), height.reshape(shape))
+    z = fill_smoothly(np.where(is_known, z, 0.0), is_known)
+    is_hole = ~is_measured & is_near & (gap_m < _GROUND_REACH_M)
     corners = is_hole[1:, 1:] | is_hole[:-1, 1:] | is_hole[1:, :-1] | is_hole[:-1, :-1]
-    patches, node = _quads(xy, z - _SINK_M * is_known, corners)
+    patches, node = _quads(xy, z - _SINK_M * is_measured, corners)
     # Beside measured ground light changes quickly (edges of vehicles); far inside it is dark.
     edge_m = np.where(gap_m.reshape(-1)[node] < _FINE_M, _GROUND_CELL_M, _COARSE_EDGE_M)
-    return simplify_planar(patches, edge_m=edge_m).with_provenance(Provenance.INTERPOLATED)
+    return simplify_planar(patches, edge_m=edge_m)
+
+
+def _far_patches(
+    background: TriMesh,
+    ground: GroundMap,
+    path_m: Float[np.ndarray, "k 3"],
+    radius_m: float,
+    make_caster: MakeCaster,
+) -> TriMesh:
+    """The ground map itself around the returns that it knows, where nothing was measured."""
+    xy, shape = _nodes(path_m, radius_m, _FAR_CELL_M)
+    flat = xy.reshape(-1, 2)
+    height = ground.look_up(flat)
+    observed, is_found = _cast_down(background, flat, height, make_caster)
+    away_m = path_distance_m(_at_height(flat, height), path_m)
+    is_far = ((away_m > _GROUND_RADIUS_M - 2 * _FAR_CELL_M) & (away_m < radius_m)).reshape(shape)
+    is_measured = is_found.reshape(shape)
+    is_told = is_measured | ground.observes(flat).reshape(shape)
+    reach_m = np.asarray(ndimage.distance_transform_edt(~is_told)) * _FAR_CELL_M
+    is_hole = ~is_measured & is_far & (reach_m < _FAR_REACH_M)
+    corners = is_hole[1:, 1:] | is_hole[:-1, 1:] | is_hole[1:, :-1] | is_hole[:-1, :-1]
+    z = np.where(is_found, observed, height) - _SINK_M
+    return simplify_planar(_quads(xy, z.reshape(shape), corners)[0], edge_m=2 * _FAR_CELL_M)
 
 
 def _nodes(
-    path_m: Float[np.ndarray, "k 3"],
+    path_m: Float[np.ndarray, "k 3"], radius: float, cell: float
 ) -> tuple[Float64[np.ndarray, "nx ny 2"], tuple[int, int]]:
-    cell, radius = _GROUND_CELL_M, _GROUND_RADIUS_M
     low = path_m[:, :2].min(axis=0) - radius
     count = np.ceil((path_m[:, :2].max(axis=0) + radius - low) / cell).astype(np.int64) + 1
     x = low[0] + cell * np.arange(int(count[0]))

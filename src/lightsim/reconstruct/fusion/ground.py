@@ -18,8 +18,10 @@ _STEP_M = 0.2
 # Returns of one cell that are further apart, in height, are not the ground's alone: a wall's foot
 # is no higher than this over the ground beside it.
 _UPRIGHT_M, _FOOT_M = 0.5, 0.1
-# Over a gap the ground rises and falls no more than this; gaps as they are bridged, in turn.
+# Over a gap the ground rises and falls no more than this; gaps as they are bridged, in turn. Where
+# something stands upright its foot may be hidden: ground right beside it has to tell.
 _GAP_SLOPE, _GAPS_M = 0.1, (2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+_BESIDE_M = 2.0
 # The recording's own ground: the first distance from its path within which there is some.
 _OWN_M, _LEAST_CELLS = (3.0, 6.0, 12.0, 24.0), 10
 
@@ -95,13 +97,14 @@ def _goes_on(
 ) -> Bool[np.ndarray, "nx ny"]:
     """Cells that the ground of the path reaches without a step, over gaps without a steep slope.
 
-    Behind parked cars the lowest returns are a facade's, metres above the ground; in windows and
-    puddles they are mirrored, metres below.
+    Behind parked cars the lowest returns are a facade's, metres above the ground (so are a trunk's
+    far down the road); in windows and puddles they are mirrored, metres below.
     """
     allowed = np.where(is_upright, _FOOT_M, _STEP_M + _MAX_SLOPE * cell_m)
     part = _connected(np.where(is_ground, height, np.inf), allowed)
     reached = np.isin(part, np.unique(part[is_own & ~is_upright])) & is_ground
-    step = np.where(is_upright, _FOOT_M, _STEP_M)
+    step, slope = np.where(is_upright, _FOOT_M, _STEP_M), np.where(is_upright, 0.0, _GAP_SLOPE)
+    bridged_m = np.where(is_upright, _BESIDE_M, np.inf)
     for gap_m in _GAPS_M:
         while reached.any():
             nearest = np.zeros((2, *reached.shape), dtype=np.int32)
@@ -109,8 +112,8 @@ def _goes_on(
                 ndimage.distance_transform_edt(~reached, return_indices=True, indices=nearest)
             )
             rise = height - height[tuple(nearest)]
-            is_new = is_ground & ~reached & (away * cell_m <= gap_m)
-            is_new &= np.abs(rise) <= step + _GAP_SLOPE * away * cell_m
+            is_new = is_ground & ~reached & (away * cell_m <= np.minimum(gap_m, bridged_m))
+            is_new &= np.abs(rise) <= step + slope * away * cell_m
             if not is_new.any():
                 break
             reached |= is_ground & np.isin(part, np.unique(part[is_new]))
