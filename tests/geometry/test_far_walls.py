@@ -8,6 +8,9 @@ import pytest
 from lightsim.core.buildings import Wall
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import TriMesh
+from lightsim.core.sensors import LidarSweep
+from lightsim.geometry.completion.buildings import MeasuredScene, complete_buildings
+from lightsim.geometry.completion.crowns import Beams, Crowns
 from lightsim.geometry.completion.far_walls import find_far_walls
 from lightsim.geometry.completion.wall_cells import gather_cells
 from lightsim.render.casters.embree import EmbreeCaster
@@ -76,15 +79,36 @@ def test_narrow_walls_are_not_followed_and_nothing_comes_of_nothing() -> None:
 
 def test_returns_stand_for_the_measured_surface_of_far_walls() -> None:
     far = Wall(ROW.origin_m, ROW.normal, ROW.along, (30.0, 36.0), (0.0, 6.0))
-    from lightsim.core.sensors import LidarSweep
-
     points = np.repeat(_on_row(np.random.default_rng(1), 30, 36, 0.0), 4, axis=0)
-    zero, none = np.zeros(len(points), np.float32), np.full(len(points), -1, np.int16)
-    origins = np.tile(np.array([[10.0, 0.0, 1.8]], np.float32), (len(points), 1))
-    sweep = LidarSweep("0", 0, points.astype(np.float32), origins, zero, zero, none, none)
-    near, other = gather_cells([ROW], EmbreeCaster([_mesh()]), [], [sweep], [far])
+    near, other = gather_cells([ROW], EmbreeCaster([_mesh()]), [], [_sweep(points)], [far])
     assert not near.is_far
     assert other.is_far
     np.testing.assert_array_equal(near.is_met, near.is_covered)
     assert other.measured_top.max() == pytest.approx(23, abs=1)
     assert not other.is_covered.any()
+
+
+def _sweep(points: np.ndarray) -> LidarSweep:
+    zero, none = np.zeros(len(points), np.float32), np.full(len(points), -1, np.int16)
+    origins = np.tile(np.array([[10.0, 0.0, 1.8]], np.float32), (len(points), 1))
+    return LidarSweep("0", 0, points.astype(np.float32), origins, zero, zero, none, none)
+
+
+def test_each_house_of_a_far_row_stands_where_its_returns_lie() -> None:
+    """One is set back by .2 m, the next stands .15 m out: once all stood on one plane."""
+    rng = np.random.default_rng(2)
+    points = np.concatenate([_on_row(rng, 30, 40, -0.2), _on_row(rng, 40, 50, 0.15)])
+    sweep = _sweep(points)
+    scene = MeasuredScene(_mesh(), [ROW], Crowns.none(np.zeros((1, 3))))
+    made, _ = complete_buildings(
+        scene,
+        list,
+        [sweep],
+        GROUND,
+        Beams(sweep.origins_world, sweep.points_world),
+        make_caster=lambda meshes: EmbreeCaster(meshes),
+    )
+    at = np.stack([np.r_[31.6:38.6, 41.6:48.6], np.zeros(14), np.full(14, 1.1)], axis=1)
+    way = np.tile([0.0, 1.0, 0.0], (14, 1))
+    y = EmbreeCaster([made]).intersect(at, way).distance_m
+    np.testing.assert_allclose(y, np.repeat([8.2, 7.85], 7), atol=0.06)

@@ -29,7 +29,12 @@ from lightsim.geometry.completion.rooflines import find_rooflines, with_depths
 from lightsim.geometry.completion.silhouettes import View
 from lightsim.geometry.completion.sparse_walls import find_sparse_walls
 from lightsim.geometry.completion.uprights import raise_uprights
-from lightsim.geometry.completion.wall_cells import MAX_HEIGHT_M, WallCells, gather_cells
+from lightsim.geometry.completion.wall_cells import (
+    MAX_HEIGHT_M,
+    WallCells,
+    gather_cells,
+    with_returns,
+)
 from lightsim.geometry.materials import FACADE
 from lightsim.geometry.surface import quad_mesh
 
@@ -96,6 +101,7 @@ def complete_buildings(
         known = [*walls, *far_walls]
         far_walls += find_sparse_walls(known, beams, silhouettes(), scene.crowns, ground, before)
         cells = gather_cells(walls, caster, silhouettes(), sweeps, far_walls, before)
+        cells = [with_returns(c, beams.ends) if c.is_far else c for c in cells]
         rooflines = find_rooflines(cells, ground)
         fronts = concatenate_meshes([background, *_visible_parts(cells, rooflines)])
         space = find_free_space(fronts, silhouettes(), make_caster([fronts]), MAX_HEIGHT_M)
@@ -147,7 +153,7 @@ def _spread_offset(cells: WallCells) -> Float64[np.ndarray, "s z"]:
     and else as its house stands there."""
     from scipy.ndimage import gaussian_filter
 
-    is_used = cells.is_covered & (np.abs(cells.offset_m) < _OFFSET_LIMIT_M)
+    is_used = cells.is_met & (np.abs(cells.offset_m) < _OFFSET_LIMIT_M)
     level = _house_level_m(cells.offset_m, is_used, round(_HOUSE_REACH_M / cells.cell_m))[:, None]
     spread = 1.0 / cells.cell_m
     beside = np.where(is_used, cells.offset_m - level, 0.0)

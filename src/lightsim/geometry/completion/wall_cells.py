@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int32, Int64
+from jaxtyping import Bool, Float32, Float64, Int32, Int64
 from scipy.ndimage import maximum_filter
 
 from lightsim.core.buildings import Wall
@@ -18,7 +18,7 @@ from lightsim.geometry.completion.silhouettes import (
     View,
     classified_views,
 )
-from lightsim.geometry.completion.walls import surface_offset_m
+from lightsim.geometry.completion.walls import returns_near, surface_offset_m
 
 FRONT_M = 0.5
 """Measured surface up to this far in front of the plane lies on the wall."""
@@ -68,7 +68,8 @@ class WallCells:
         wall: the plane.
         cell_m: edge of a cell.
         is_covered: a measured surface lies on the plane.
-        offset_m: of that surface in front of the plane; 0 elsewhere.
+        offset_m: of that surface in front of the plane, of far walls of the returns in the cell; 0
+            elsewhere.
         sky: views that show sky.
         matter: views that show something, with nothing measured before or behind it.
         through: views that show what was measured well behind it.
@@ -183,6 +184,21 @@ def gather_cells(
         if wall_cells.is_far:
             wall_cells.is_met |= has_return
     return cells
+
+
+def with_returns(cells: WallCells, returns_world: Float32[np.ndarray, "n 3"]) -> WallCells:
+    """Cells of a far wall that know how far before its plane the returns in them lie: houses of a
+    row are set back by this much and that, and their common plane is followed over a long way."""
+    near = returns_near(cells.wall, returns_world, (FRONT_M, BEHIND_M))
+    (s, out), shape = cells.wall.place(near), cells.sky.shape
+    i = np.floor((s - cells.wall.span_m[0]) / cells.cell_m).astype(np.int64)
+    j = np.floor((near[:, 2] - cells.wall.height_m[0]) / cells.cell_m).astype(np.int64)
+    is_in = (i >= 0) & (i < shape[0]) & (j >= 0) & (j < shape[1])
+    cell = (i * shape[1] + j)[is_in]
+    size = shape[0] * shape[1]
+    count = np.bincount(cell, minlength=size).reshape(shape)
+    total = np.bincount(cell, out[is_in], minlength=size).reshape(shape)
+    return replace(cells, offset_m=total / np.maximum(count, 1), is_met=cells.is_met | (count > 0))
 
 
 def _measure(wall: Wall, caster: RayCaster) -> WallCells:
