@@ -96,8 +96,7 @@ def _near_patches(
     z = np.where(is_measured, observed.reshape(shape), height.reshape(shape))
     z = fill_smoothly(np.where(is_known, z, 0.0), is_known)
     is_hole = ~is_measured & is_near & (gap_m < _GROUND_REACH_M)
-    corners = is_hole[1:, 1:] | is_hole[:-1, 1:] | is_hole[1:, :-1] | is_hole[:-1, :-1]
-    patches, node = _quads(xy, z - _SINK_M * is_measured, corners)
+    patches, node = _quads_at(is_hole, xy, z - _SINK_M * is_measured)
     # Beside measured ground light changes quickly (edges of vehicles); far inside it is dark.
     edge_m = np.where(gap_m.reshape(-1)[node] < _FINE_M, _GROUND_CELL_M, _COARSE_EDGE_M)
     return simplify_planar(patches, edge_m=edge_m)
@@ -121,18 +120,16 @@ def _far_patches(
     is_told = is_measured | ground.observes(flat).reshape(shape)
     reach_m = np.asarray(ndimage.distance_transform_edt(~is_told)) * _FAR_CELL_M
     is_hole = ~is_measured & is_far & (reach_m < _FAR_REACH_M)
-    corners = is_hole[1:, 1:] | is_hole[:-1, 1:] | is_hole[1:, :-1] | is_hole[:-1, :-1]
-    z = np.where(is_found, observed, height) - _SINK_M
-    return simplify_planar(_quads(xy, z.reshape(shape), corners)[0], edge_m=2 * _FAR_CELL_M)
+    z = np.where(is_found, observed, height).reshape(shape) - _SINK_M
+    return simplify_planar(_quads_at(is_hole, xy, z)[0], edge_m=2 * _FAR_CELL_M)
 
 
 def _nodes(
-    path_m: Float[np.ndarray, "k 3"], radius: float, cell: float
+    path_m: Float[np.ndarray, "k 3"], radius_m: float, cell_m: float
 ) -> tuple[Float64[np.ndarray, "nx ny 2"], tuple[int, int]]:
-    low = path_m[:, :2].min(axis=0) - radius
-    count = np.ceil((path_m[:, :2].max(axis=0) + radius - low) / cell).astype(np.int64) + 1
-    x = low[0] + cell * np.arange(int(count[0]))
-    y = low[1] + cell * np.arange(int(count[1]))
+    low = path_m[:, :2].min(axis=0) - radius_m
+    count = np.ceil((path_m[:, :2].max(axis=0) + radius_m - low) / cell_m).astype(np.int64) + 1
+    x, y = (low[k] + cell_m * np.arange(int(count[k])) for k in range(2))
     return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1), (len(x), len(y))
 
 
@@ -159,12 +156,13 @@ def _cast_down(
     return z, is_found
 
 
-def _quads(
+def _quads_at(
+    is_hole: Bool[np.ndarray, "nx ny"],
     xy: Float64[np.ndarray, "nx ny 2"],
     z: Float64[np.ndarray, "nx ny"],
-    is_drawn: Bool[np.ndarray, "_mx _my"],
 ) -> tuple[TriMesh, Int64[np.ndarray, " n"]]:
-    """Squares of the grid, and the node that each vertex is."""
+    """Squares of the grid that touch a hole, and the node that each vertex is."""
+    is_drawn = is_hole[1:, 1:] | is_hole[:-1, 1:] | is_hole[1:, :-1] | is_hole[:-1, :-1]
     index = np.arange(z.size).reshape(z.shape)
     i, j = np.nonzero(is_drawn)
     quads = np.stack([index[i, j], index[i + 1, j], index[i + 1, j + 1], index[i, j + 1]], axis=1)
