@@ -11,6 +11,10 @@ from lightsim.masks.sky_regions import ImageEvidence
 # Thin lines: linear light of the ground below which none is told, drop that is noise, and a line's
 # own light over its ground's at most: one narrower than a pixel is paler wherever it is seen.
 _DARK_GROUND, _NOISE, _PALEST_LINE = 0.02, 0.12, 0.35
+# How much of a pixel inside a region is sky, by the probability that the region is: pixels are
+# mixed at borders alone. On log 002 held-out returns fall on regions between .6 and .98 as seldom
+# as on sure sky.
+_PROBABILITY, _COVERED = (0.0, 0.4, 0.6), (0.0, 0.4, 1.0)
 
 
 def refine_matte(
@@ -29,7 +33,7 @@ def refine_matte(
     is_sky = probability > 0.5
     if not is_sky.any():
         return np.zeros((height, width), np.float32)
-    alpha = _resize(probability, height, width)
+    alpha = _resize(np.interp(probability, _PROBABILITY, _COVERED), height, width)
     is_border = _resize(_border(is_sky, border_px).astype(np.float32), height, width) > 0.5
     sky, other, reliable = _local_colours(srgb8, is_sky, border_px)
     rows, columns = np.nonzero(is_border)
@@ -95,9 +99,11 @@ def _thin_lines(srgb8: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]
     return np.clip((drop - _NOISE) / (whole - _NOISE), 0.0, 1.0).astype(np.float32)
 
 
-def _resize(image: Float32[np.ndarray, "a b"], height: int, width: int) -> np.ndarray:
+def _resize(image: Float[np.ndarray, "a b"], height: int, width: int) -> np.ndarray:
     """Bilinear enlargement."""
     from PIL import Image
 
-    resized = Image.fromarray(image).resize((width, height), Image.Resampling.BILINEAR)
+    resized = Image.fromarray(image.astype(np.float32)).resize(
+        (width, height), Image.Resampling.BILINEAR
+    )
     return np.array(resized, dtype=np.float32)
