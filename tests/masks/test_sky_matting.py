@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lightsim.core.colour import srgb8_from_linear
-from lightsim.masks.sky_matting import _thin_lines, refine_matte
+from lightsim.masks.sky_matting import _long, _thin_lines, refine_matte
 from lightsim.masks.sky_regions import ImageEvidence
 
 _FINE = 8
@@ -40,3 +40,14 @@ def test_a_cloud_that_is_likely_sky_is_no_mixed_pixel() -> None:
     alpha = refine_matte(srgb8, probability, evidence, 2)
     np.testing.assert_array_equal(alpha[:50], 1.0)
     np.testing.assert_allclose(alpha[70:], 0.02, atol=1e-6)
+
+
+def test_specks_in_the_open_sky_are_clouds_and_wires_and_twigs_are_not() -> None:
+    is_matter = np.zeros((100, 200), bool)
+    is_matter[80:] = True
+    wire, twig, specks = (np.zeros((100, 200), np.float32) for _ in range(3))
+    wire[10, 20:60:2] = 0.6  # Dashes of a faint one.
+    twig[77:80, 100] = 1.0
+    specks[[20, 21, 40, 60], [150, 150, 30, 120]] = 0.8
+    found = _long(np.maximum(np.maximum(wire, twig), specks), is_matter)
+    np.testing.assert_array_equal(found, np.maximum(wire, twig))

@@ -11,6 +11,9 @@ from lightsim.masks.sky_regions import ImageEvidence
 # Thin lines: linear light of the ground below which none is told, drop that is noise, and a line's
 # own light over its ground's at most: one narrower than a pixel is paler wherever it is seen.
 _DARK_GROUND, _NOISE, _PALEST_LINE = 0.02, 0.12, 0.35
+# Half of the widest line, and the shortest one that ends in the open sky (dashes of a faint wire
+# count as one), by the picture's width. What is shorter or wider is texture of clouds.
+_WIDEST_LINE, _SHORTEST_LINE = 1 / 320, 1 / 50
 # How much of a pixel inside a region is sky, by the probability that the region is: pixels are
 # mixed at borders alone. On log 002 held-out returns fall on regions between .6 and .98 as seldom
 # as on sure sky.
@@ -47,7 +50,8 @@ def refine_matte(
     fraction = np.clip((fraction - 0.2) / 0.6, 0.0, 1.0)
     trust = np.clip(length2 / 0.01, 0.0, 1.0) * reliable[r, c]
     alpha[rows, columns] = trust * fraction + (1 - trust) * alpha[rows, columns]
-    alpha *= 1.0 - _thin_lines(srgb8)
+    is_matter = _resize((~is_sky).astype(np.float32), height, width) > 0.0
+    alpha *= 1.0 - _long(_thin_lines(srgb8), is_matter)
     is_out = _resize(evidence.is_excluded.astype(np.float32), height, width) > 0.5
     alpha[is_out] = 0.0
     return np.clip(alpha, 0.0, 1.0).astype(np.float32)
@@ -92,11 +96,25 @@ def _thin_lines(srgb8: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]
 
     width = srgb8.shape[1]
     green = linear_from_srgb8(srgb8[..., 1])
-    size = max(3, 2 * round(width / 320) + 1)
+    size = max(3, 2 * round(width * _WIDEST_LINE) + 1)
     closed = np.maximum(grey_closing(green, size=(size, size)), _DARK_GROUND)
     drop = 1 - green / closed
     whole = 1 - np.minimum(grey_erosion(1 - drop, size=(3, 3)), _PALEST_LINE)
     return np.clip((drop - _NOISE) / (whole - _NOISE), 0.0, 1.0).astype(np.float32)
+
+
+def _long(
+    lines: Float32[np.ndarray, "h w"], is_matter: Bool[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "h w"]:
+    """Without short ones, but for those that begin at matter (twigs, lamps)."""
+    from scipy.ndimage import binary_dilation, find_objects, label
+
+    square = np.ones((3, 3), dtype=bool)
+    number, _ = label(binary_dilation(lines > 0.0, square), square)
+    extent = [0, *(max(s.stop - s.start for s in place) for place in find_objects(number))]
+    is_kept = np.array(extent) - 2 >= _SHORTEST_LINE * lines.shape[1]
+    is_kept[np.unique(number[is_matter])] = True
+    return np.where(is_kept[number], lines, np.float32(0.0))
 
 
 def _resize(image: Float[np.ndarray, "a b"], height: int, width: int) -> np.ndarray:
