@@ -110,7 +110,8 @@ def _long(
     from scipy.ndimage import binary_dilation, find_objects, label
 
     square = np.ones((3, 3), dtype=bool)
-    number, _ = label(binary_dilation(lines > 0.0, square), square)
+    number = np.zeros(lines.shape, dtype=np.int32)
+    label(binary_dilation(lines > 0.0, square), square, output=number)
     extent = [0, *(max(s.stop - s.start for s in place) for place in find_objects(number))]
     is_kept = np.array(extent) - 2 >= _SHORTEST_LINE * lines.shape[1]
     is_kept[np.unique(number[is_matter])] = True
