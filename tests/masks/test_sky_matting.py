@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from lightsim.core.colour import srgb8_from_linear
-from lightsim.masks.sky_matting import _long, _thin_lines, refine_matte
-from lightsim.masks.sky_regions import ImageEvidence
+from lightsim.masks.sky_matting import _long, _thin_lines
 
 _FINE = 8
 
@@ -25,21 +24,6 @@ def test_a_wire_covers_the_fraction_of_each_pixel_that_it_covers(
     error = _thin_lines(srgb8_from_linear(linear.astype(np.float32))) - cover
     assert np.abs(error).mean(where=cover > 0) < 0.1
     assert np.abs(error).max(where=cover == 0, initial=0) == 0
-
-
-def test_a_cloud_that_is_likely_sky_is_no_mixed_pixel() -> None:
-    """Its region was four fifths opaque in relit skies of log 002; only borders are mixed."""
-    probability = np.ones((40, 60), np.float32)
-    probability[10:20, 20:40] = 0.8
-    probability[30:] = 0.02
-    flat, colour = np.zeros((40, 60), np.float32), np.zeros((40, 60, 3), np.float32)
-    no = flat > 0
-    evidence = ImageEvidence(colour, colour, flat, no, no, no, no)
-    srgb8 = np.full((80, 120, 3), 200, np.uint8)
-    srgb8[60:] = 40
-    alpha = refine_matte(srgb8, probability, evidence, 2)
-    np.testing.assert_array_equal(alpha[:50], 1.0)
-    np.testing.assert_allclose(alpha[70:], 0.02, atol=1e-6)
 
 
 def test_specks_in_the_open_sky_are_clouds_and_wires_and_twigs_are_not() -> None:

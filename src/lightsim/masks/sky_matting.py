@@ -14,10 +14,6 @@ _DARK_GROUND, _NOISE, _PALEST_LINE = 0.02, 0.12, 0.35
 # Half of the widest line, and the shortest one that ends in the open sky (dashes of a faint wire
 # count as one), by the picture's width. What is shorter or wider is texture of clouds.
 _WIDEST_LINE, _SHORTEST_LINE = 1 / 320, 1 / 50
-# How much of a pixel inside a region is sky, by the probability that the region is: pixels are
-# mixed at borders alone. On log 002 held-out returns fall on regions between .6 and .98 as seldom
-# as on sure sky.
-_PROBABILITY, _COVERED = (0.0, 0.4, 0.6), (0.0, 0.4, 1.0)
 
 
 def refine_matte(
@@ -36,7 +32,7 @@ def refine_matte(
     is_sky = probability > 0.5
     if not is_sky.any():
         return np.zeros((height, width), np.float32)
-    alpha = _resize(np.interp(probability, _PROBABILITY, _COVERED), height, width)
+    alpha = _resize(probability, height, width)
     is_border = _resize(_border(is_sky, border_px).astype(np.float32), height, width) > 0.5
     sky, other, reliable = _local_colours(srgb8, is_sky, border_px)
     rows, columns = np.nonzero(is_border)
@@ -118,11 +114,9 @@ def _long(
     return np.where(is_kept[number], lines, np.float32(0.0))
 
 
-def _resize(image: Float[np.ndarray, "a b"], height: int, width: int) -> np.ndarray:
+def _resize(image: Float32[np.ndarray, "a b"], height: int, width: int) -> np.ndarray:
     """Bilinear enlargement."""
     from PIL import Image
 
-    resized = Image.fromarray(image.astype(np.float32)).resize(
-        (width, height), Image.Resampling.BILINEAR
-    )
+    resized = Image.fromarray(image).resize((width, height), Image.Resampling.BILINEAR)
     return np.array(resized, dtype=np.float32)
