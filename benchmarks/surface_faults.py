@@ -18,12 +18,17 @@ import numpy as np
 from scipy.spatial import KDTree
 from true_materials import material_names
 
-from lightsim.evaluate.geometry import GeometryConfig, SurfaceSamples, sample_distances
+from lightsim.evaluate.geometry import (
+    THRESHOLDS_M,
+    GeometryConfig,
+    SurfaceSamples,
+    sample_distances,
+)
 from lightsim.pipeline.measures import seen_surface
 from lightsim.pipeline.workspace import Workspace
 from lightsim.synthetic.reader import read_true_meshes
 
-_WRONG_M = 0.10
+_WRONG_M = THRESHOLDS_M[-1]
 _RETURNS_M = (0.05, 0.10, 0.15)
 
 
@@ -34,7 +39,7 @@ def main() -> int:
     options = parser.parse_args()
     work = Workspace(options.work)
     truth = read_true_meshes(options.truth / "scene.npz")["background"]
-    names = material_names(truth, options.truth)
+    names = np.char.rstrip(material_names(truth, options.truth).astype(str), "0123456789")
     seen, rng, config = seen_surface(work.log), np.random.default_rng(0), GeometryConfig()
     made = sample_distances(work.assets.background, truth, config, seen, False, rng)
     true = sample_distances(truth, work.assets.background, config, seen, True, rng)
@@ -63,11 +68,8 @@ def table(
         *(f"return < {100 * r:.0f} cm" for r in _RETURNS_M),
     ]
     lines = [f"| {' | '.join([*heads, 'too much'])} |", "|---|" + "---:|" * (len(heads))]
-    groups = np.char.rstrip(material.astype(str), "0123456789")
-    groups_made = np.char.rstrip(material_made.astype(str), "0123456789")
-    for name in [*np.unique(groups), "all"]:
-        is_own = np.ones(len(groups), bool) if name == "all" else groups == name
-        is_made = np.ones(len(groups_made), bool) if name == "all" else groups_made == name
+    for name in [*np.unique(material), "all"]:
+        is_own, is_made = ((name == "all") | (of == name) for of in (material, material_made))
         row = [is_own, lacks & is_own, *(n & is_own for n in near)]
         cells = [f"{100 * r.mean():.1f}" for r in row] + [f"{100 * (excess & is_made).mean():.1f}"]
         lines.append(f"| {' | '.join([name, *cells])} |")

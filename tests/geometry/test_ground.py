@@ -26,8 +26,8 @@ def _grid(half_m: float, cell_m: float) -> np.ndarray:
     return np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1)
 
 
-def _map(is_observed: np.ndarray, xy: np.ndarray, cell_m: float) -> GroundMap:
-    height = fill_smoothly(np.where(is_observed, _height(xy), 0.0), is_observed)
+def _map(is_observed: np.ndarray, height_m: np.ndarray, xy: np.ndarray, cell_m: float) -> GroundMap:
+    height = fill_smoothly(np.where(is_observed, height_m, 0.0), is_observed)
     return GroundMap(xy[0, 0], cell_m, height.astype(np.float32), is_observed)
 
 
@@ -54,7 +54,7 @@ def closed() -> tuple[TriMesh, np.ndarray]:
     away = np.linalg.norm(xy, axis=-1)
     is_ring = (np.abs(away[..., None] - [0.5, 46.0, 52.0, 60.0]) < 0.75).any(axis=-1)
     is_road = np.abs(xy[..., 1]) < 8.0
-    ground = _map((away < 30.0) & (away > 6.0) | is_ring & is_road, xy, 1.0)
+    ground = _map((away < 30.0) & (away > 6.0) | is_ring & is_road, _height(xy), xy, 1.0)
     surface = _measured(30.0, 6.0)
     patches = ground_patches(surface, ground, PATH, RADIUS_M, make_embree_caster)
     return concatenate_meshes([surface, patches]), xy[is_ring & is_road & (away > 40.0)]
@@ -76,8 +76,7 @@ def test_what_a_lone_return_tells_of_a_wide_hole_counts() -> None:
     xy = _grid(80.0, 0.5)
     bulge = 0.2 * np.exp(-((xy**2).sum(axis=-1)) / 8.0)
     is_observed = (np.abs(xy).max(axis=-1) > 6.0) | (np.abs(xy).max(axis=-1) < 0.3)
-    height = fill_smoothly(np.where(is_observed, _height(xy) + bulge, 0.0), is_observed)
-    ground = GroundMap(xy[0, 0], 0.5, height.astype(np.float32), is_observed)
+    ground = _map(is_observed, _height(xy) + bulge, xy, 0.5)
     patches = ground_patches(_measured(30.0, 6.0), ground, PATH, RADIUS_M, make_embree_caster)
     assert _height_below(patches, np.zeros((1, 2)))[0] == pytest.approx(0.2, abs=0.01)
 

@@ -3,6 +3,8 @@ ego vehicle), and far down the road, where beams are too sparse to draw one."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
 from scipy import ndimage
@@ -73,64 +75,72 @@ def ground_patches(
     the surface around them and what the map knows; further out they are the map's. Patches start
     3 mm below their neighbours, so that nothing flickers where both exist.
     """
-    near = _near_patches(background, ground, path_m, make_caster)
-    far = _far_patches(background, ground, path_m, radius_m, make_caster)
+    fine = _look_down(background, ground, path_m, _GROUND_RADIUS_M, _GROUND_CELL_M, make_caster)
+    coarse = _look_down(background, ground, path_m, radius_m, _FAR_CELL_M, make_caster)
+    near, far = _near_patches(fine), _far_patches(coarse, radius_m)
     return concatenate_meshes([near, far]).with_provenance(Provenance.INTERPOLATED)
 
 
-def _near_patches(
-    background: TriMesh,
-    ground: GroundMap,
-    path_m: Float[np.ndarray, "k 3"],
-    make_caster: MakeCaster,
-) -> TriMesh:
-    xy, shape = _nodes(path_m, _GROUND_RADIUS_M, _GROUND_CELL_M)
-    flat = xy.reshape(-1, 2)
-    height = ground.look_up(flat)
-    observed, is_found = _cast_down(background, flat, height, make_caster)
-    is_near = path_distance_m(_at_height(flat, height), path_m) < _GROUND_RADIUS_M
-    is_measured, is_near = is_found.reshape(shape), is_near.reshape(shape)
-    gap_m = np.asarray(ndimage.distance_transform_edt(~is_measured)) * _GROUND_CELL_M
-    is_told = ground.observes(flat).reshape(shape) & (gap_m > _TOLD_GAP_M)
-    is_known = is_measured | is_told | ~is_near
-    z = np.where(is_measured, observed.reshape(shape), height.reshape(shape))
-    z = fill_smoothly(np.where(is_known, z, 0.0), is_known)
-    is_hole = ~is_measured & is_near & (gap_m < _GROUND_REACH_M)
-    patches, node = _quads_at(is_hole, xy, z - _SINK_M * is_measured)
+def _near_patches(nodes: _Nodes) -> TriMesh:
+    gap_m = np.asarray(ndimage.distance_transform_edt(~nodes.is_measured)) * _GROUND_CELL_M
+    is_near = nodes.away_m < _GROUND_RADIUS_M
+    is_told = nodes.is_observed & (gap_m > _TOLD_GAP_M)
+    is_known = nodes.is_measured | is_told | ~is_near
+    z = fill_smoothly(np.where(is_known, nodes.height_m, 0.0), is_known)
+    is_hole = ~nodes.is_measured & is_near & (gap_m < _GROUND_REACH_M)
+    patches, node = _quads_at(is_hole, nodes.xy, z - _SINK_M * nodes.is_measured)
     # Beside measured ground light changes quickly (edges of vehicles); far inside it is dark.
     edge_m = np.where(gap_m.reshape(-1)[node] < _FINE_M, _GROUND_CELL_M, _COARSE_EDGE_M)
     return simplify_planar(patches, edge_m=edge_m)
 
 
-def _far_patches(
+def _far_patches(nodes: _Nodes, radius_m: float) -> TriMesh:
+    """The ground map itself around the returns that it knows, where nothing was measured."""
+    is_far = (nodes.away_m > _GROUND_RADIUS_M - 2 * _FAR_CELL_M) & (nodes.away_m < radius_m)
+    is_told = nodes.is_measured | nodes.is_observed
+    reach_m = np.asarray(ndimage.distance_transform_edt(~is_told)) * _FAR_CELL_M
+    is_hole = ~nodes.is_measured & is_far & (reach_m < _FAR_REACH_M)
+    patches, _ = _quads_at(is_hole, nodes.xy, nodes.height_m - _SINK_M)
+    return simplify_planar(patches, edge_m=2 * _FAR_CELL_M)
+
+
+@dataclass(frozen=True, eq=False)
+class _Nodes:
+    """A grid around the path, seen from above.
+
+    Args:
+        height_m: of the measured surface near the ground map, else of the map.
+        is_measured: there is such a surface.
+        is_observed: the map knows returns there.
+        away_m: from the path.
+    """
+
+    xy: Float64[np.ndarray, "nx ny 2"]
+    height_m: Float64[np.ndarray, "nx ny"]
+    is_measured: Bool[np.ndarray, "nx ny"]
+    is_observed: Bool[np.ndarray, "nx ny"]
+    away_m: Float64[np.ndarray, "nx ny"]
+
+
+def _look_down(
     background: TriMesh,
     ground: GroundMap,
     path_m: Float[np.ndarray, "k 3"],
     radius_m: float,
+    cell_m: float,
     make_caster: MakeCaster,
-) -> TriMesh:
-    """The ground map itself around the returns that it knows, where nothing was measured."""
-    xy, shape = _nodes(path_m, radius_m, _FAR_CELL_M)
-    flat = xy.reshape(-1, 2)
-    height = ground.look_up(flat)
-    observed, is_found = _cast_down(background, flat, height, make_caster)
-    away_m = path_distance_m(_at_height(flat, height), path_m)
-    is_far = ((away_m > _GROUND_RADIUS_M - 2 * _FAR_CELL_M) & (away_m < radius_m)).reshape(shape)
-    is_measured = is_found.reshape(shape)
-    is_told = is_measured | ground.observes(flat).reshape(shape)
-    reach_m = np.asarray(ndimage.distance_transform_edt(~is_told)) * _FAR_CELL_M
-    is_hole = ~is_measured & is_far & (reach_m < _FAR_REACH_M)
-    z = np.where(is_found, observed, height).reshape(shape) - _SINK_M
-    return simplify_planar(_quads_at(is_hole, xy, z)[0], edge_m=2 * _FAR_CELL_M)
-
-
-def _nodes(
-    path_m: Float[np.ndarray, "k 3"], radius_m: float, cell_m: float
-) -> tuple[Float64[np.ndarray, "nx ny 2"], tuple[int, int]]:
+) -> _Nodes:
+    """Nodes up to `radius_m` from the path, and beyond it to a rectangle."""
     low = path_m[:, :2].min(axis=0) - radius_m
     count = np.ceil((path_m[:, :2].max(axis=0) + radius_m - low) / cell_m).astype(np.int64) + 1
     x, y = (low[k] + cell_m * np.arange(int(count[k])) for k in range(2))
-    return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1), (len(x), len(y))
+    xy = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+    flat = xy.reshape(-1, 2)
+    height = ground.look_up(flat)
+    surface, is_measured = _cast_down(background, flat, height, make_caster)
+    away_m = path_distance_m(_at_height(flat, height), path_m)
+    found = (surface, is_measured, ground.observes(flat), away_m)
+    return _Nodes(xy, *(values.reshape(xy.shape[:2]) for values in found))
 
 
 def _at_height(

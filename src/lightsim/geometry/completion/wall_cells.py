@@ -120,15 +120,24 @@ class WallCells:
         columns, known = np.arange(len(top)), np.flatnonzero(top >= 0)
         return np.interp(columns, known, top[known]) if len(known) else top.astype(np.float64)
 
+    def has(self, places: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Which places, counted from the plane's origin, lie before or behind a cell."""
+        i, j = self._index(places)
+        shape = self.sky.shape
+        return (i >= 0) & (i < shape[0]) & (j >= 0) & (j < shape[1])
+
     def index_of(
         self, places: Float64[np.ndarray, "n 3"]
     ) -> tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]]:
         """Cells of places that count from the plane's origin, without those beside all cells."""
+        i, j = self._index(places[self.has(places)])
+        return i.astype(np.int64), j.astype(np.int64)
+
+    def _index(
+        self, places: Float64[np.ndarray, "n 3"]
+    ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
         i = np.floor((places @ self.wall.along - self.wall.span_m[0]) / self.cell_m)
-        j = np.floor((places[:, 2] - self.wall.height_m[0]) / self.cell_m)
-        shape = self.sky.shape
-        is_inside = (i >= 0) & (i < shape[0]) & (j >= 0) & (j < shape[1])
-        return i[is_inside].astype(np.int64), j[is_inside].astype(np.int64)
+        return i, np.floor((places[:, 2] - self.wall.height_m[0]) / self.cell_m)
 
     def centres(self) -> Float64[np.ndarray, "s z 3"]:
         """Middle of each cell on the wall's plane, frame world."""
@@ -189,15 +198,12 @@ def gather_cells(
 def with_returns(cells: WallCells, returns_world: Float32[np.ndarray, "n 3"]) -> WallCells:
     """Cells of a far wall that know how far before its plane the returns in them lie: houses of a
     row are set back by this much and that, and their common plane is followed over a long way."""
-    near = returns_near(cells.wall, returns_world, (FRONT_M, BEHIND_M))
-    (s, out), shape = cells.wall.place(near), cells.sky.shape
-    i = np.floor((s - cells.wall.span_m[0]) / cells.cell_m).astype(np.int64)
-    j = np.floor((near[:, 2] - cells.wall.height_m[0]) / cells.cell_m).astype(np.int64)
-    is_in = (i >= 0) & (i < shape[0]) & (j >= 0) & (j < shape[1])
-    cell = (i * shape[1] + j)[is_in]
-    size = shape[0] * shape[1]
-    count = np.bincount(cell, minlength=size).reshape(shape)
-    total = np.bincount(cell, out[is_in], minlength=size).reshape(shape)
+    near = returns_near(cells.wall, returns_world, (FRONT_M, BEHIND_M)) - cells.wall.origin_m
+    near = near[cells.has(near)]
+    at, out = cells.index_of(near), near @ cells.wall.normal
+    count, total = (np.zeros(cells.sky.shape) for _ in range(2))
+    np.add.at(count, at, 1.0)
+    np.add.at(total, at, out)
     return replace(cells, offset_m=total / np.maximum(count, 1), is_met=cells.is_met | (count > 0))
 
 
