@@ -34,7 +34,7 @@ from lightsim.store.artefact import read_json
 from lightsim.store.assets import read_assets, read_mesh, write_assets
 from lightsim.store.checkpoint import FolderCheckpointer
 from lightsim.store.fields import read_fields
-from lightsim.store.images import read_grey8, read_srgb8_alpha
+from lightsim.store.images import read_grey8_alpha, read_srgb8_alpha
 from lightsim.store.log import read_reading, write_log
 from lightsim.store.rooflines import read_rooflines
 from lightsim.store.sky import read_estimate, read_panorama
@@ -142,7 +142,7 @@ def _readers(work: Path) -> tuple[Callable[[], object], ...]:
         lambda: _require_finite(read_panorama(work / "panorama").radiance),
         lambda: _use_estimate(read_estimate(work / "sky")),
         lambda: _use_twin(work / "twin"),
-        lambda: [read_grey8(p) for p in sorted((work / "masks").glob("*/*.png"))],
+        lambda: [read_grey8_alpha(p) for p in sorted((work / "masks").glob("*/*.png"))],
     )
 
 

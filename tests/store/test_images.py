@@ -34,13 +34,15 @@ def test_png_and_jpeg(tmp_path: Path, rng: np.random.Generator) -> None:
     picture = rng.integers(0, 256, (5, 7, 3)).astype(np.uint8)
     images.write_png(tmp_path / "a.png", picture)
     images.write_png(tmp_path / "g.png", picture[..., 0])
+    images.write_png(tmp_path / "h.png", picture[..., :2])
     smooth = np.repeat(np.linspace(0, 255, 64).astype(np.uint8)[:, None], 64, 1)
     images.write_jpeg(tmp_path / "b.jpg", np.stack([smooth, smooth.T, smooth], -1))
     np.testing.assert_array_equal(images.read_srgb8(tmp_path / "a.png"), picture)
     np.testing.assert_array_equal(images.read_grey8(tmp_path / "g.png"), picture[..., 0])
+    np.testing.assert_array_equal(images.read_grey8_alpha(tmp_path / "h.png"), picture[..., :2])
     error = images.read_srgb8(tmp_path / "b.jpg")[..., 0].astype(int) - smooth
     assert np.abs(error).max() <= 4
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.png", "b.jpg", "g.png"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.png", "b.jpg", "g.png", "h.png"]
 
 
 def test_alpha_is_kept_apart(tmp_path: Path, rng: np.random.Generator) -> None:

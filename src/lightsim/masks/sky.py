@@ -22,7 +22,7 @@ from lightsim.core.log import DrivingLog
 from lightsim.core.resample import resize_area
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
-from lightsim.masks.sky_matting import refine_matte
+from lightsim.masks.sky_matting import SkyMatte, refine_matte
 from lightsim.masks.sky_panorama import (
     CameraSky,
     SkyPanorama,
@@ -87,8 +87,8 @@ def estimate_sky_matte(
     ego_vehicle_mask: Bool[np.ndarray, "h w"] | None,
     log_colours: ColourCounts | None = None,
     panorama: SkyPanorama | None = None,
-) -> Float32[np.ndarray, "h w"]:
-    """Fraction of each pixel that is sky: 1 sky, 0 anything else.
+) -> SkyMatte:
+    """Fraction of each pixel that is sky.
 
     An image without sky gives zeros. Without LiDAR points, colour, texture and elevation decide
     alone, and a bright plain wall that fills the top of the image can pass for sky.
@@ -116,7 +116,7 @@ def estimate_sky_matte(
         )
     evidence = _gather(srgb8, camera, world_from_camera, lidar_points_world, ego_vehicle_mask)
     if not (evidence.elevation_deg > _HORIZON_DEG).any():
-        return np.zeros((height, width), np.float32)
+        return SkyMatte(*np.zeros((2, height, width), np.float32))
     labels, sky = _judge(evidence, log_colours, panorama)
     min_px = int(_MIN_SKY_FRACTION * labels.size)
     probability = keep_open_sky(labels, sky, evidence, max(min_px, 1))
@@ -125,7 +125,7 @@ def estimate_sky_matte(
 
 def sky_mattes(
     log: DrivingLog, frames: Sequence[CameraFrame], progress: Progress
-) -> Iterator[tuple[CameraFrame, Float32[np.ndarray, "h w"]]]:
+) -> Iterator[tuple[CameraFrame, SkyMatte]]:
     """Some frames with their mattes, few in memory at a time; what they know of colours and of the
     sky's directions is all of the log's, of which they need not be frames."""
     if not frames:
@@ -134,7 +134,7 @@ def sky_mattes(
     colours = learn_colours(log, points_world)
     panorama_by_camera = learn_panoramas(log, points_world, colours)
 
-    def matte_of(frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
+    def matte_of(frame: CameraFrame) -> SkyMatte:
         return estimate_sky_matte(
             frame.load_srgb8(),
             log.cameras[frame.camera_name],
@@ -147,7 +147,7 @@ def sky_mattes(
 
     # Array operations leave Python's lock, so threads do share the work.
     with ThreadPoolExecutor(_WORKERS) as pool:
-        ahead: deque[Future[Float32[np.ndarray, "h w"]]] = deque()
+        ahead: deque[Future[SkyMatte]] = deque()
         coming = iter(frames)
         for frame in progress.track(frames, "sky mattes", len(frames)):
             ahead.extend(

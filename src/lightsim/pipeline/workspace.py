@@ -28,7 +28,7 @@ from lightsim.store.alignment import read_alignment
 from lightsim.store.artefact import read_json, require_whole
 from lightsim.store.assets import read_assets, read_mesh
 from lightsim.store.fields import read_fields
-from lightsim.store.images import read_grey8
+from lightsim.store.images import read_grey8_alpha
 from lightsim.store.log import (
     held_out_of,
     held_out_stems,
@@ -256,11 +256,18 @@ class Workspace:
         )
 
     def sky_matte(self, frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
-        """Sky alpha of a frame at the build's image scale, 1 = sky. Those of held-out frames are
-        an artefact of their own, which the stages that build declare no need of."""
+        """Expected fraction of sky at the build's image scale. Those of held-out frames are an
+        artefact of their own, which the stages that build declare no need of."""
+        return self._sky_matte(frame, 0)
+
+    def likeliest_sky(self, frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
+        """The same as pictures are put together by it: what is likelier sky than not is sky."""
+        return self._sky_matte(frame, 1)
+
+    def _sky_matte(self, frame: CameraFrame, plane: int) -> Float32[np.ndarray, "h w"]:
         stage = "held_out_masks" if frame.stem in self.held_out else "masks"
         path = self.need(stage) / frame.camera_name / f"{frame.stem}.png"
-        return read_grey8(path).astype(np.float32) / 255.0
+        return read_grey8_alpha(path)[..., plane].astype(np.float32) / 255.0
 
     @made_of("fields")
     def fused(self) -> SceneFields:

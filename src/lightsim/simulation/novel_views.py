@@ -276,7 +276,7 @@ class NovelViews:
         shape = camera.height_px, camera.width_px
         seen = self._looked_at(frame)
         ego_vehicle = self._log.ego_vehicle_masks.get(camera.name, np.zeros(shape, dtype=bool))
-        matte = resize_area(self._workspace.sky_matte(frame)[..., None], *shape)[..., 0]
+        matte = resize_area(self._workspace.likeliest_sky(frame)[..., None], *shape)[..., 0]
         gain = self._workspace.twin.assets.camera_gains[camera.name]
         srgb8 = frame.load_srgb8()
         leaves_m = leaves_before(srgb8, seen.is_leaf, seen.crown_m, camera.fx, has_twigs=True)

@@ -108,7 +108,7 @@ def picture_matte(
     srgb8: UInt8[np.ndarray, "h w 3"], camera: PinholeCamera, pose: RigidTransform
 ) -> Float32[np.ndarray, "h w"]:
     """Sky of a picture without LiDAR."""
-    return estimate_sky_matte(srgb8, camera, pose, np.zeros((0, 3)), None)
+    return estimate_sky_matte(srgb8, camera, pose, np.zeros((0, 3)), None).expected
 
 
 def _turned_to_north(

@@ -305,7 +305,7 @@ class SourceImages:
         camera = self._log.cameras[frame.camera_name]
         srgb8 = frame.load_srgb8()
         gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
-        matte = self._workspace.sky_matte(frame)[..., None]
+        matte = self._workspace.likeliest_sky(frame)[..., None]
         return SourceImage(
             srgb8,
             (linear_from_srgb8(srgb8) / gain).astype(np.float32),

@@ -26,6 +26,7 @@ __all__ = [
     "decode_srgb8",
     "read_exr",
     "read_grey8",
+    "read_grey8_alpha",
     "read_hdr",
     "read_size",
     "read_sky",
@@ -97,8 +98,17 @@ def read_grey8(path: Path) -> UInt8[np.ndarray, "h w"]:
     return _read_pil(path, "L")
 
 
+def read_grey8_alpha(path: Path) -> UInt8[np.ndarray, "h w 2"]:
+    """8-bit grey and alpha (255 everywhere in a picture without alpha).
+
+    Raises:
+        InputError: as `read_srgb8`.
+    """
+    return _read_pil(path, "LA")
+
+
 def write_png(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> None:
-    """Write a PNG of 8-bit grey [h, w], sRGB [h, w, 3], or sRGB with alpha last [h, w, 4]."""
+    """Write a PNG of 8-bit grey [h, w] or sRGB [h, w, 3]; with alpha last [h, w, 2 or 4]."""
     _write_pil(path, picture, "PNG", compress_level=4)
 
 
@@ -374,12 +384,12 @@ def _write_pil(
 ) -> None:
     from PIL import Image
 
-    if not pixels.size or (pixels.ndim == 3 and pixels.shape[2] not in (3, 4)):
+    if not pixels.size or (pixels.ndim == 3 and pixels.shape[2] not in (2, 3, 4)):
         raise InputError(
             "not a picture",
             where=path,
             got=f"an array {list(pixels.shape)}",
-            expected="[h, w], [h, w, 3] or [h, w, 4], not empty",
+            expected="[h, w] or [h, w, 2 to 4], not empty",
         )
     with whole_file(path) as temporary, temporary.open("wb") as handle:
         Image.fromarray(np.ascontiguousarray(pixels)).save(handle, format=kind, **options)

@@ -85,7 +85,8 @@ def _write_mattes(
         (folder / camera).mkdir(exist_ok=True)
     wanted = [frame for frame in frames if not path_of(frame).exists()]
     for frame, matte in sky_mattes(log, wanted, context.progress):
-        write_png(path_of(frame), np.round(matte * 255).astype(np.uint8))
+        planes = np.stack([matte.expected, matte.likeliest], axis=-1)
+        write_png(path_of(frame), np.round(planes * 255).astype(np.uint8))
 
 
 def make_fields(
