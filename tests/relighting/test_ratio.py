@@ -283,10 +283,14 @@ def test_a_posts_shadow_on_a_road_that_mirrors_the_sun_leaves_nothing(
 def test_the_visibility_that_all_pictures_show_takes_the_rendered_ones_place(
     inputs: RelightInputs,
 ) -> None:
-    """Rendered without its shadow, the source leaves a dark ghost; the found one does not. Where
-    nothing was found, the rendering holds."""
+    """Rendered without its shadow, the source leaves a dark ghost on a surface whose patterns one
+    picture cannot tell from light; the found one does not. Where nothing was found, the rendering
+    holds."""
     sunny = light(inputs.buffers, SUN, 0.5, everywhere_lit())
-    wanted = inputs.buffers.base_colour * inputs.target.shaded
+    rows, columns = np.indices(inputs.is_clipped.shape) // 6
+    pattern = np.exp(0.5 - (rows + columns) % 2)[..., None].astype(np.float32)
+    inputs = replace(inputs, radiance=inputs.radiance * pattern)
+    wanted = inputs.buffers.base_colour * inputs.target.shaded * pattern
     found = shadow_right_of(70)
     found[:, :40] = np.nan
     shaded = np.s_[WALL_ROWS:, 75:]
@@ -295,6 +299,6 @@ def test_the_visibility_that_all_pictures_show_takes_the_rendered_ones_place(
         wrong = replace(inputs, source=sunny, found_visibility=believed)
         relit = relight_physical(wrong, RatioConfig(darkest_fraction=0.0))
         errors.append(np.abs(np.log(relit[shaded] / wanted[shaded])).mean())
-        np.testing.assert_allclose(relit[WALL_ROWS:, :60], wanted[WALL_ROWS:, :60], rtol=0.05)
-    assert errors[0] < 0.02
+        np.testing.assert_allclose(relit[WALL_ROWS:, :60], wanted[WALL_ROWS:, :60], rtol=0.1)
+    assert errors[0] < 0.1
     assert errors[1] > 3 * errors[0]

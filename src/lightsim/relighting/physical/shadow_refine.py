@@ -15,7 +15,7 @@ from scipy import ndimage
 from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.colour import luminance
 from lightsim.core.dome import Sun
-from lightsim.core.found_visibility import unoccluded_sun
+from lightsim.core.found_visibility import decided, unoccluded_sun
 from lightsim.relighting.physical.filters import box_mean, guided_filter
 
 _DARKEST = np.float32(1e-4)
@@ -82,8 +82,9 @@ def refine_sun_visibility(
     visibility = _infer((residual, step), prior, luminance(radiance), is_open, width)
     fraction = is_open * _changed_fraction(visibility, shadows.sun_visibility, width)
     rendered = shadows.sun_visibility
-    decided = np.where(fraction > 0, rendered + fraction * (visibility - rendered), rendered)
-    return _along_edges(decided, luminance(radiance), is_usable & buffers.has_surface, width)
+    mixed = np.where(fraction > 0, rendered + fraction * (visibility - rendered), rendered)
+    is_surface = is_usable & buffers.has_surface
+    return decided(_along_edges(mixed, luminance(radiance), is_surface, width))
 
 
 def _along_edges(
