@@ -2,7 +2,7 @@
 paper's table A2 (`lightsim evaluate paper-tableA2`) has no figure for.
 
     python benchmarks/relight_ablations.py DATA OUT --validation 412 [--steps 2000]
-        [--network network] [--jobs 1]
+        [--network network] [--rows all "without confidence" ...] [--jobs 1]
 
 DATA: of `lightsim train prepare relight`. Every row is a run of `lightsim train relight` in a
 folder of OUT; what is finished stays. Scores are of the validation streets: PSNR dB and LPIPS
@@ -31,12 +31,15 @@ def main() -> None:
     parser.add_argument("--validation", nargs="+", required=True)
     parser.add_argument("--steps", type=int, default=2000)
     parser.add_argument("--network", choices=sorted(ABLATIONS), default="network")
+    parser.add_argument("--rows", nargs="+", default=[], help="all, if none is named")
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
+    if unknown := set(options.rows) - set(ABLATIONS[options.network]):
+        parser.error(f"no rows of {options.network}: {', '.join(sorted(unknown))}")
     weights, notes = train_rows(
         options.network, options.data, options.out,
         ("--steps", str(options.steps), "--validation", *options.validation),
-        BatchOptions(out=options.out / "batch", jobs=options.jobs), LineProgress(),
+        BatchOptions(out=options.out / "batch", jobs=options.jobs), LineProgress(), options.rows,
     )  # fmt: skip
     sys.stdout.write("| row | PSNR dB | LPIPS | identity dB |\n|---|---:|---:|---:|\n")
     for name, path in weights.items():

@@ -171,13 +171,15 @@ def train_rows(
     more: Sequence[str],
     batch: BatchOptions,
     progress: Progress,
+    rows: Sequence[str] = (),
 ) -> tuple[dict[str, Path], list[str]]:
     """Train every row in a folder of `out`; weights by row, and what failed. Finished ones stay.
 
     Args:
         more: options for all of them.
+        rows: those of the network's rows to train; all if none is named.
     """
-    runs = {row: out / f"{network}-{_slug(row)}" for row in ABLATIONS[network]}
+    runs = {row: out / f"{network}-{_slug(row)}" for row in rows or ABLATIONS[network]}
     lines = [
         ("relight", "--out", str(run), "--data", str(data), "--network", network,
          *ABLATIONS[network][row], *more)

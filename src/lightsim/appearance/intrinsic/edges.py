@@ -15,6 +15,7 @@ from lightsim.appearance.intrinsic.labels import (
     rendered_visibility,
     smoothed,
 )
+from lightsim.core.found_visibility import decided
 
 _NEAREST, _AROUND = 6, 32
 _REACH_M = 1.2
@@ -173,7 +174,7 @@ def refine_visibility(field: LabelField, seen: ShadedPoints) -> Float32[np.ndarr
     return result
 
 
-def _refine(field: LabelField, seen: ShadedPoints) -> Float64[np.ndarray, " n"]:
+def _refine(field: LabelField, seen: ShadedPoints) -> Float32[np.ndarray, " n"]:
     surfels = (field.tree, field.normal)
     index, fraction, _ = _around(surfels, seen.points, seen.normals, _NEAREST, 0.6 * field.surfel_m)
     lit = (fraction * field.lit[index]).sum(axis=1)
@@ -186,4 +187,4 @@ def _refine(field: LabelField, seen: ShadedPoints) -> Float64[np.ndarray, " n"]:
     wanted = ((seen.radiance / colour - diffuse) * direct).sum(axis=1)
     found = wanted / np.maximum((direct**2).sum(axis=1), 1e-12)
     is_edge = field.is_mixed[index].any(axis=1) & (known > 0.3)
-    return np.where(is_edge, np.clip(found, 0.0, 1.0), lit)
+    return decided(np.where(is_edge, found, lit))
