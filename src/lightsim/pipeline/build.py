@@ -158,7 +158,7 @@ STAGES = (
     ),
     Stage(
         "twin",
-        19,
+        20,
         ("log", "alignment", "neural", "assets", "sky"),
         lambda o: light.TwinConfig(),
         light.make_twin,
