@@ -111,8 +111,8 @@ def _no_settings(_: BuildOptions) -> None:
 
 STAGES = (
     Stage("log", 4, (), lambda o: replace(o.reading, source=""), recording.make_log),
-    Stage("masks", 10, ("log",), _no_settings, recording.make_masks),
-    Stage("held_out_masks", 8, ("log",), _no_settings, recording.make_held_out_masks),
+    Stage("masks", 11, ("log",), _no_settings, recording.make_masks),
+    Stage("held_out_masks", 9, ("log",), _no_settings, recording.make_held_out_masks),
     Stage(
         "alignment",
         4,
