@@ -241,7 +241,7 @@ def test_a_camera_that_stands_still_tells_nothing() -> None:
     assert frames_apart(frames(5.0, 2)) == ()
     apart = frames_apart(frames(0.5, 80))
     places_m = [frame.world_from_camera.translation_m[0] for frame in apart]
-    assert len(apart) == 8
+    assert len(apart) == 16
     assert places_m[0] == 0.0
     assert places_m[-1] == 39.0
-    assert np.diff(places_m).min() >= 5.0
+    assert np.diff(places_m).min() >= 2.0
