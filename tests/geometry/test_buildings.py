@@ -196,6 +196,20 @@ def test_holes_close_and_seen_walls_are_not_hidden(canyon) -> None:
     assert not _is_wall(casting, 15.0, 8.0)
 
 
+def test_a_barred_window_closes_whose_bars_rays_meet() -> None:
+    """Bars in the middle of the wall's cells passed for a measured wall: the gaps stayed holes."""
+    x0, x1, z0, z1 = WINDOW
+    bars = [
+        np.array(
+            [[x - 0.04, 8.25, z0], [x + 0.04, 8.25, z0], [x + 0.04, 8.25, z1], [x - 0.04, 8.25, z1]]
+        )
+        for x in np.arange(x0 + CELL_M / 2, x1, CELL_M)
+    ]
+    seen = concatenate_meshes([_seen([LEFT_HOUSE]), _quads(np.concatenate(bars))])
+    visible, _ = _complete(seen, _views(_truth([LEFT_HOUSE]), WIDE))
+    assert _is_wall(visible, x0 + 4 * CELL_M, 2.0)
+
+
 def test_gates_that_show_what_lies_behind_stay_open() -> None:
     ends = np.array([5.0, 8.25]), np.array([30.0, 8.25])
     yard = _quads(np.array([[0.0, 8.25, 0], [60, 8.25, 0], [60, 90, 0], [0, 90, 0]]))
@@ -354,7 +368,7 @@ def _cells_of(roofline: Roofline) -> WallCells:
     shape = (len(roofline.top), 160)
     no = np.zeros(shape, dtype=bool)
     counts = [np.zeros(shape, dtype=np.int32) for _ in range(5)]
-    return WallCells(roofline.wall, CELL_M, no, np.zeros(shape), *counts, sights=[], is_met=no)
+    return WallCells(roofline.wall, CELL_M, no, no, np.zeros(shape), *counts, sights=[], is_met=no)
 
 
 def _roofline(wall: Wall, top: np.ndarray, depth_m: float) -> Roofline:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -180,6 +181,18 @@ def test_rectangles_hold_what_speaks_for_glass_on_the_whole() -> None:
     odds[5:7, 5:7] = 4.0  # too small to be a pane
     assert find_rectangles(odds) == [(20, 10, 10, 12)]
     assert find_rectangles(np.zeros_like(odds)) == []
+
+
+def test_panes_end_where_views_end_and_a_few_dark_cells_are_none() -> None:
+    """What no view shows cost nothing: a pane reached over all of it to the next dark cell."""
+    facade = _cells(_nothing, _returns())
+    odds = np.full(facade.is_known.shape, -1.0, dtype=np.float32)
+    odds[5:15, 10:22] = odds[40:42, 10:12] = odds[50:54, 5:11] = 2.0
+    odds[52, 6:10] = -3.0
+    is_known = np.ones(odds.shape, dtype=bool)
+    is_known[15:40] = False
+    (pane,) = find_glass([replace(facade, is_known=is_known)], lambda _: odds)
+    assert _fits(pane, (5 * CELL_M, 15 * CELL_M, 10 * CELL_M, 22 * CELL_M), 0.01)
 
 
 def _pane(recess_m: float) -> Pane:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,9 +18,12 @@ from tests.geometry.test_buildings import (
     _views,
 )
 
-from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
+from lightsim.core.buildings import Wall
+from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
 from lightsim.geometry.completion.crowns import Crowns
+from lightsim.geometry.completion.upright_meshes import Risen, upright_mesh
 from lightsim.geometry.completion.uprights import raise_uprights
+from lightsim.geometry.materials import VEGETATION
 from lightsim.render.casters.embree import EmbreeCaster
 
 _MAST: Box = (14.0, 4.0, 14.5, 4.5, 8.0)
@@ -29,18 +33,25 @@ _HALL: Box = (-5.0, 8.25, 25.0, 20.0, 14.0)
 
 
 def _raised(
-    true: Sequence[Box], seen: Sequence[Box], measured: Sequence[Box], crowns: Crowns = NO_CROWNS
+    true: Sequence[Box],
+    seen: Sequence[Box],
+    measured: Sequence[Box],
+    crowns: Crowns = NO_CROWNS,
+    material: Material | None = None,
 ) -> TriMesh:
-    """What rises on `measured` boxes in a street of `true` ones; `seen` stops beams."""
+    """What rises on `measured` boxes, of a material, in a street of `true` ones; `seen` stops
+    beams."""
     truth = concatenate_meshes([_street(), *(_house(b, b[4], True) for b in true)])
     parts = [_street(), *(_house(b, b[4], True) for b in (*seen, *measured))]
+    if material is not None:
+        parts = [*parts[:-1], replace(parts[-1], materials=(material,))]
     background = concatenate_meshes(parts)
     views = _views(truth, WIDE)
 
     def silhouettes() -> list[View]:
         return views
 
-    return raise_uprights(background, silhouettes, GROUND, EmbreeCaster([background]), crowns)
+    return raise_uprights(background, silhouettes, GROUND, EmbreeCaster([background]), crowns, [])
 
 
 def _cut(box: Box, height_m: float) -> Box:
@@ -75,6 +86,10 @@ def test_what_stands_on_a_crown_is_leaves() -> None:
     middle = leaves.vertices[leaves.faces].mean(axis=1)
     assert middle[:, 2].min() > 2.8
     assert middle[:, 2].max() == pytest.approx(6.0, abs=0.4)
+    # Leaves that were guessed higher up than voxels reach carry leaves, too.
+    higher = _raised([box], [], [_cut(box, 4.0)], crowns, VEGETATION)
+    assert higher.face_material is not None
+    assert {higher.materials[k] for k in higher.face_material} == {VEGETATION}
     boxes = _raised([box], [], [_cut(box, 3.0)])
     corners = boxes.vertices[boxes.faces].astype(np.float64)
     volume = np.einsum("nc,nc->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
@@ -93,3 +108,31 @@ def test_a_bush_before_a_hall_stays_a_bush() -> None:
 def test_nothing_rises_where_views_show_sky() -> None:
     assert len(_raised([_cut(_MAST, 3.0)], [], [_cut(_MAST, 3.0)]).faces) == 0
     assert len(_raised([], [], []).faces) == 0
+
+
+def test_what_stands_on_a_slanting_wall_is_a_sheet_in_its_plane() -> None:
+    """And not the teeth of cells; what stands before it is a box."""
+    along = np.array([0.8, 0.6, 0.0])
+    wall = Wall(
+        np.array([10.0, 0.0, 0.0]), np.array([0.6, -0.8, 0.0]), along, (0.0, 8.0), (0.0, 5.0)
+    )
+    s = np.linspace(2.0, 6.0, 100)
+    places = wall.at(s, np.full(100, 5.0), 0.05)
+    cell, first = np.unique(
+        np.floor(places[:, :2] / 0.25).astype(np.int64), axis=0, return_index=True
+    )
+    on_wall = Risen(cell, places[first], np.full(len(cell), 6))
+    sheet = upright_mesh(on_wall, [wall])
+    _, out = wall.place(sheet.vertices.astype(np.float64))
+    assert np.abs(out - 0.02).max() < 1e-3
+    np.testing.assert_allclose(sheet.face_normals() @ wall.normal, 1.0, atol=1e-5)
+    assert sheet.face_areas_m2().sum() == pytest.approx(4.0 * 1.65, rel=0.1)
+    assert sheet.vertices[:, 2].max() == pytest.approx(6.5, abs=1e-3)
+    post = Risen(cell[:1] + 20, places[first][:1] + [5.0, 5.0, 0.0], np.full(1, 6))
+    both = Risen(
+        np.concatenate([cell, post.cell]),
+        np.concatenate([on_wall.place_m, post.place_m]),
+        np.concatenate([on_wall.count, post.count]),
+    )
+    apart = len(sheet.faces) + len(upright_mesh(post, []).faces)
+    assert len(upright_mesh(both, [wall]).faces) == apart

@@ -130,7 +130,7 @@ STAGES = (
     ),
     Stage(
         "geometry",
-        29,
+        30,
         ("log", "masks", "alignment", "neural"),
         _no_settings,
         surfaces.make_geometry,

@@ -94,12 +94,14 @@ def complete_buildings(
     check_world([background])
     parts: list[TriMesh] = []
     rooflines: list[Roofline] = []
+    standing = list(walls)
     if walls:
         caster = make_caster([background])
         before = make_caster([background, *scene.parked])
         far_walls = find_far_walls(walls, beams.ends, ground, caster)
         known = [*walls, *far_walls]
         far_walls += find_sparse_walls(known, beams, silhouettes(), scene.crowns, ground, before)
+        standing += far_walls
         cells = gather_cells(walls, caster, silhouettes(), sweeps, far_walls, before)
         cells = [with_returns(c, beams.ends) if c.is_far else c for c in cells]
         rooflines = find_rooflines(cells, ground)
@@ -112,7 +114,8 @@ def complete_buildings(
         rooflines = rooflines[: len(known)]
     # Raised walls explain what views show above things that stand before them.
     raised = concatenate_meshes([background, *parts])
-    uprights = raise_uprights(raised, silhouettes, ground, make_caster([raised]), scene.crowns)
+    caster = make_caster([raised])
+    uprights = raise_uprights(raised, silhouettes, ground, caster, scene.crowns, standing)
     return concatenate_meshes([*parts, uprights]), rooflines
 
 

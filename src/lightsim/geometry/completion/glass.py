@@ -22,6 +22,8 @@ GlassOdds = Callable[[Float32[np.ndarray, "p s z"]], Float32[np.ndarray, "s z"]]
 # Most that one cell says for or against glass, log-odds; and what is taken off, since facades of
 # another log are not those that taught: a wall that mirrors is worse than a pane of wall.
 _SUREST, _DOUBT = 4.0, 0.5
+# What a rectangle must bring: nats that it takes to tell one of those of a large wall.
+_LEAST_SUM = 17.0
 # Panes' least and greatest width and height.
 _WIDTHS_M, _HEIGHTS_M = (0.5, 6.0), (0.75, 4.0)
 _ROUNDS = 4
@@ -50,7 +52,7 @@ def find_glass(facades: Sequence[FacadeCells], glass_odds: GlassOdds) -> list[Pa
     panes: list[Pane] = []
     for facade in facades:
         odds = np.clip(glass_odds(facade.planes).astype(np.float64), -_SUREST, _SUREST)
-        found = _panes(facade, np.where(facade.is_known, odds - _DOUBT, 0.0))
+        found = _panes(facade, np.where(facade.is_known, odds, 0.0) - _DOUBT)
         panes += [pane for pane in found if not _is_among(pane, panes)]
     return panes
 
@@ -91,7 +93,7 @@ def find_rectangles(odds: Float64[np.ndarray, "s z"]) -> list[tuple[int, int, in
     for _ in range(_ROUNDS):
         score, size = best_rectangles(odds, is_free, (*sizes[0], *sizes[1]))
         order = np.argsort(-score, axis=None, kind="stable")
-        order = order[score.reshape(-1)[order] > 0]
+        order = order[score.reshape(-1)[order] > _LEAST_SUM]
         for i, j in zip(*np.unravel_index(order, score.shape), strict=True):
             width, height = size[i, j].tolist()
             own = slice(i, i + width), slice(j, j + height)

@@ -21,20 +21,30 @@ _MAX_SKY_FRACTION = 0.7
 
 def find_panes(cells: WallCells) -> Bool[np.ndarray, "s z"]:
     """Missing parts that wall surrounds, with a lintel: measured, or what no view looked at."""
-    from scipy.ndimage import find_objects
-    from skimage.measure import label
-
     seen = np.maximum(cells.sky + cells.matter, 1)
     levels = np.arange(cells.is_covered.shape[1])
     is_wall = cells.is_covered | cells.is_hidden
-    is_missing = (levels <= cells.measured_top[:, None]) & ~is_wall
-    is_missing &= cells.sky <= _MAX_SKY_FRACTION * seen
-    pieces = np.asarray(label(is_missing, connectivity=1))
-    covered = np.pad(is_wall, 1)
-    kept = np.zeros_like(is_missing)
+    is_within = levels <= cells.measured_top[:, None]
+    is_missing = is_within & ~is_wall & (cells.sky <= _MAX_SKY_FRACTION * seen)
+    panes = _surrounded(is_missing, is_wall, cells.cell_m)
+    # What lies between bars that few rays meet.
+    is_barred = is_within & cells.is_covered & ~cells.is_whole
+    return panes | _surrounded(is_barred, is_wall | panes, cells.cell_m)
+
+
+def _surrounded(
+    is_open: Bool[np.ndarray, "s z"], is_wall: Bool[np.ndarray, "s z"], cell_m: float
+) -> Bool[np.ndarray, "s z"]:
+    """The connected pieces of what is open around which wall is."""
+    from scipy.ndimage import find_objects
+    from skimage.measure import label
+
+    pieces = np.asarray(label(is_open, connectivity=1))
+    covered = np.pad(is_wall & ~is_open, 1)
+    kept = np.zeros_like(is_open)
     for number, box in enumerate(find_objects(pieces), start=1):
         piece = pieces[box] == number
-        if piece.sum() * cells.cell_m**2 > _MAX_HOLE_M2:
+        if piece.sum() * cell_m**2 > _MAX_HOLE_M2:
             continue
         grown = tuple(slice(b.start, b.stop + 2) for b in box)
         if _is_surrounded(np.pad(piece, 1), covered[grown]):

@@ -9,27 +9,25 @@ anywhere behind.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
+from lightsim.core.buildings import Wall
 from lightsim.core.casting import RayCaster
 from lightsim.core.fields import GroundMap
-from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
+from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.geometry.completion.crowns import Crowns
 from lightsim.geometry.completion.leaf_cards import cards_above
 from lightsim.geometry.completion.silhouettes import ClassifiedView, View, classified_views
-from lightsim.geometry.surface import quad_mesh
-
-MATERIAL = Material(0.8, 0.0, "upright")
+from lightsim.geometry.completion.upright_meshes import CELL_M, Risen, upright_mesh
+from lightsim.geometry.materials import VEGETATION
 
 # Chosen while looking at log 002; what they bring there is measured (docs/benchmarks/
 # reconstruction.md).
 
-# Edge of a column and of its cells.
-_CELL_M = 0.25
 # Things that end lower over the ground end where they were measured: cars, people, hedges.
 _LEAST_HEIGHT_M = 2.0
 # Of a column, the greatest that is added.
@@ -54,17 +52,23 @@ class _Columns:
     Args:
         cell: in x and y, unique.
         place_m: x and y of the measured surface's uppermost part, and its top.
+        is_green: vegetation is most of that part.
         matter, sky: views that show each cell above as such.
     """
 
     cell: Int64[np.ndarray, "n 2"]
     place_m: Float64[np.ndarray, "n 3"]
+    is_green: Bool[np.ndarray, " n"]
     matter: Int64[np.ndarray, "n z"]
     sky: Int64[np.ndarray, "n z"]
 
     def some(self, chosen: Bool[np.ndarray, " n"]) -> _Columns:
         return _Columns(
-            self.cell[chosen], self.place_m[chosen], self.matter[chosen], self.sky[chosen]
+            self.cell[chosen],
+            self.place_m[chosen],
+            self.is_green[chosen],
+            self.matter[chosen],
+            self.sky[chosen],
         )
 
 
@@ -74,9 +78,10 @@ def raise_uprights(
     ground: GroundMap,
     caster: RayCaster,
     crowns: Crowns,
+    walls: Sequence[Wall],
 ) -> TriMesh:
-    """The cells on top of measured columns that views show, as their open sides, or full of leaves
-    where they stand on a crown; inferred, black.
+    """The cells on top of measured columns that views show, solid (`upright_meshes`), or full of
+    leaves where they stand on a crown; inferred, black.
 
     Args:
         background: measured static surfaces, and walls as far as they were raised, frame world.
@@ -84,12 +89,13 @@ def raise_uprights(
         ground: heights count from it.
         caster: over the background.
         crowns: go on upward as leaves.
+        walls: what stands on one stands in its plane.
 
     Raises:
         InputError: a matte does not fit its camera.
     """
     columns = _find_columns(background, ground)
-    levels = round(_MOST_ADDED_M / _CELL_M)
+    levels = round(_MOST_ADDED_M / CELL_M)
     # Most columns end in their first cells, where the background explains the pictures.
     for first, last in ((0, 2), (2, levels)):
         for view in classified_views(silhouettes()):
@@ -97,33 +103,43 @@ def raise_uprights(
         is_alive = (_height(columns, last) == last) & (columns.matter[:, 0] >= _LEAST_VIEWS)
         columns = columns.some(is_alive if last < levels else columns.matter[:, 0] > 0)
     height, is_crown = _height(columns, levels), crowns.contain(columns.place_m)
-    boxes = _boxes(columns.some(~is_crown), height[~is_crown])
+    # What no beam told of a crown is no part of `crowns`.
+    is_crown |= columns.is_green & (len(crowns) > 0)
+    is_solid = (height > 0) & ~is_crown
+    solid = Risen(columns.cell[is_solid], columns.place_m[is_solid], height[is_solid])
+    solid_mesh = upright_mesh(solid, walls)
     column = np.repeat(np.flatnonzero(is_crown), height[is_crown])
     if not len(column):
-        return boxes
+        return solid_mesh
     level = np.concatenate([np.arange(count) for count in height[is_crown]])
     middle = columns.place_m[column]
-    middle[:, :2] = (columns.cell[column] + 0.5) * _CELL_M
-    middle[:, 2] += (level + 0.5) * _CELL_M
-    leaves = cards_above(crowns, middle, _CELL_M, np.random.default_rng(0))
-    return concatenate_meshes([boxes, leaves])
+    middle[:, :2] = (columns.cell[column] + 0.5) * CELL_M
+    middle[:, 2] += (level + 0.5) * CELL_M
+    leaves = cards_above(crowns, middle, CELL_M, np.random.default_rng(0))
+    return concatenate_meshes([solid_mesh, leaves])
 
 
 def _find_columns(background: TriMesh, ground: GroundMap) -> _Columns:
     centres = background.vertices[background.faces].mean(axis=1).astype(np.float64)
     cell, row = np.unique(
-        np.floor(centres[:, :2] / _CELL_M).astype(np.int64), axis=0, return_inverse=True
+        np.floor(centres[:, :2] / CELL_M).astype(np.int64), axis=0, return_inverse=True
     )
     row = row.reshape(-1)
     top = np.full(len(cell), -np.inf)
     np.maximum.at(top, row, centres[:, 2])
-    is_upper = centres[:, 2] > top[row] - 2 * _CELL_M
+    is_upper = centres[:, 2] > top[row] - 2 * CELL_M
     count = np.maximum(np.bincount(row[is_upper], minlength=len(cell)), 1)
     place = [np.bincount(row[is_upper], centres[is_upper, k], len(cell)) / count for k in (0, 1)]
+    green = [k for k, material in enumerate(background.materials) if material == VEGETATION]
+    material = background.face_material
+    kind = np.zeros(len(centres), np.uint8) if material is None else material
+    is_green = np.isin(kind, green) & is_upper
+    is_green = np.bincount(row[is_green], minlength=len(cell)) > 0.5 * count
     is_high = top - ground.look_up(np.stack(place, axis=1)) > _LEAST_HEIGHT_M
-    shape = (int(is_high.sum()), round(_MOST_ADDED_M / _CELL_M))
+    shape = (int(is_high.sum()), round(_MOST_ADDED_M / CELL_M))
     places = np.stack([*place, top], axis=1)[is_high]
-    return _Columns(cell[is_high], places, np.zeros(shape, np.int64), np.zeros(shape, np.int64))
+    none = np.zeros(shape, np.int64)
+    return _Columns(cell[is_high], places, is_green[is_high], none, none.copy())
 
 
 def _look(
@@ -137,7 +153,7 @@ def _look(
     frame, camera, kinds = view
     eye = frame.world_from_camera.translation_m
     near = np.flatnonzero(np.linalg.norm(columns.place_m[:, :2] - eye[:2], axis=1) < _MAX_VIEW_M)
-    height = (np.arange(*levels) + 0.5) * _CELL_M
+    height = (np.arange(*levels) + 0.5) * CELL_M
     points = np.repeat(columns.place_m[near][:, None], len(height), axis=1)
     points[..., 2] += height
     rows, level = np.divmod(np.arange(points[..., 0].size), len(height))
@@ -176,41 +192,3 @@ def _height(columns: _Columns, levels: int) -> Int64[np.ndarray, " n"]:
     total = np.cumsum(odds, axis=1)
     best = total.argmax(axis=1)
     return np.where(total[np.arange(len(total)), best] > 0, best + 1, 0)
-
-
-def _boxes(columns: _Columns, height: Int64[np.ndarray, " n"]) -> TriMesh:
-    """Sides of the filled cells that lie open, two triangles each, corners shared."""
-    first = np.floor(columns.place_m[:, 2] / _CELL_M).astype(np.int64)
-    repeated = np.repeat(np.arange(len(height)), height + 1)
-    start = np.repeat(np.cumsum(height + 1) - (height + 1), height + 1)
-    level = np.arange(len(repeated)) - start
-    is_filled = height[repeated] > 0
-    cells = np.concatenate([columns.cell[repeated], (first[repeated] + level)[:, None]], axis=1)[
-        is_filled
-    ]
-    if not len(cells):
-        return quad_mesh(np.zeros((0, 3)), np.zeros((0, 4), dtype=np.int64), MATERIAL)
-    low = cells.min(axis=0) - 1
-    shape = tuple((cells.max(axis=0) - low + 2).tolist())
-    is_in = np.zeros(shape, dtype=bool)
-    is_in[tuple((cells - low).T)] = True
-    quads = [
-        _open_sides(is_in, axis, is_upper=is_upper) for axis in range(3) for is_upper in (0, 1)
-    ]
-    corners, index = np.unique(np.concatenate(quads).reshape(-1, 3), axis=0, return_inverse=True)
-    mesh = quad_mesh((corners + low) * _CELL_M, index.reshape(-1, 4), MATERIAL)
-    return mesh.with_provenance(Provenance.INFERRED)
-
-
-def _open_sides(
-    is_in: Bool[np.ndarray, "x y z"], axis: int, *, is_upper: int
-) -> Int64[np.ndarray, "q 4 3"]:
-    """Corners of the sides of filled cells towards empty ones, counter-clockwise from outside."""
-    neighbour = np.roll(is_in, -1 if is_upper else 1, axis=axis)
-    cell = np.argwhere(is_in & ~neighbour)
-    u, v = [(1, 2), (2, 0), (0, 1)][axis]
-    steps = np.zeros((4, 3), dtype=np.int64)
-    steps[:, axis] = is_upper
-    order = [(0, 0), (1, 0), (1, 1), (0, 1)] if is_upper else [(0, 0), (0, 1), (1, 1), (1, 0)]
-    steps[:, [u, v]] = order
-    return cell[:, None] + steps

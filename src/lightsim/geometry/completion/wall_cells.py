@@ -67,7 +67,8 @@ class WallCells:
     Args:
         wall: the plane.
         cell_m: edge of a cell.
-        is_covered: a measured surface lies on the plane.
+        is_covered: a measured surface lies on the plane, in the middle of the cell.
+        is_whole: and in the middle of its quarters: bars of windows may be all that lies there.
         offset_m: of that surface in front of the plane, of far walls of the returns in the cell; 0
             elsewhere.
         sky: views that show sky.
@@ -84,6 +85,7 @@ class WallCells:
     wall: Wall
     cell_m: float
     is_covered: Bool[np.ndarray, "s z"]
+    is_whole: Bool[np.ndarray, "s z"]
     offset_m: Float64[np.ndarray, "s z"]
     sky: Int32[np.ndarray, "s z"]
     matter: Int32[np.ndarray, "s z"]
@@ -213,12 +215,16 @@ def _measure(wall: Wall, caster: RayCaster) -> WallCells:
     ns = max(int(np.ceil((wall.span_m[1] - wall.span_m[0]) / cell)), 1)
     shape = (ns, int(np.ceil(MAX_HEIGHT_M / cell)))
     counts = [np.zeros(shape, dtype=np.int32) for _ in range(5)]
-    no, nothing = np.zeros(shape, dtype=bool), np.zeros(shape)
-    cells = WallCells(wall, cell, no, nothing, *counts, sights=[], is_met=no.copy())
-    offset = surface_offset_m(wall, *wall.grid(cell, shape), caster, (FRONT_M, BEHIND_M))
-    cells.is_covered[:] = cells.is_met[:] = np.isfinite(offset)
-    cells.offset_m[:] = np.nan_to_num(offset)
-    return cells
+    near_m = (FRONT_M, BEHIND_M)
+    offset = surface_offset_m(wall, *wall.grid(cell, shape), caster, near_m)
+    fine = wall.grid(cell / 2, (2 * shape[0], 2 * shape[1]))
+    quarters = np.isfinite(surface_offset_m(wall, *fine, caster, near_m))
+    is_covered = np.isfinite(offset)
+    is_whole = is_covered & quarters.reshape(shape[0], 2, shape[1], 2).all(axis=(1, 3))
+    offset = np.nan_to_num(offset)
+    return WallCells(
+        wall, cell, is_covered, is_whole, offset, *counts, sights=[], is_met=is_covered.copy()
+    )
 
 
 def _look(

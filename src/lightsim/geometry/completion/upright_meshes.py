@@ -1,0 +1,135 @@
+"""Meshes of what rises on measured columns of space: on walls sheets in their planes, boxes else.
+
+Boxes stand across a slanting wall like teeth, and shade it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+from scipy.ndimage import uniform_filter1d
+
+from lightsim.core.buildings import Wall
+from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
+from lightsim.geometry.surface import quad_mesh
+
+CELL_M = 0.25
+"""Edge of a column and of its cells."""
+MATERIAL = Material(0.8, 0.0, "upright")
+# Columns whose surface lies this near a wall's plane stand on it. So many in a row, which gaps of
+# less than a cell's diagonal do not end, are a sheet; fewer are posts.
+_ON_WALL_M, _LEAST_IN_ROW = 0.3, 4
+# Over so many columns a sheet's way out of the plane is averaged; sheets begin so far below the top
+# of the measured surface, and behind it.
+_OUT_OVER, _BELOW_M, _BEHIND_M = 9, 0.15, 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class Risen:
+    """Columns that rise, frame world.
+
+    Args:
+        cell: in x and y, unique.
+        place_m: x and y of the measured surface's uppermost part, and its top.
+        count: cells on top of it, one at least.
+    """
+
+    cell: Int64[np.ndarray, "n 2"]
+    place_m: Float64[np.ndarray, "n 3"]
+    count: Int64[np.ndarray, " n"]
+
+    def some(self, chosen: Bool[np.ndarray, " n"]) -> Risen:
+        """Some of them."""
+        return Risen(self.cell[chosen], self.place_m[chosen], self.count[chosen])
+
+
+def upright_mesh(risen: Risen, walls: Sequence[Wall]) -> TriMesh:
+    """The columns' surface; inferred, black."""
+    sheets: list[TriMesh] = []
+    for wall in walls:
+        is_drawn = np.zeros(len(risen.count), dtype=bool)
+        for row in _rows(wall, risen):
+            is_drawn[row] = True
+            sheets.append(_sheet(wall, risen.place_m[row], risen.count[row]))
+        risen = risen.some(~is_drawn)
+    return concatenate_meshes([*sheets, _boxes(risen)]).with_provenance(Provenance.INFERRED)
+
+
+def _rows(wall: Wall, risen: Risen) -> Iterator[Int64[np.ndarray, " k"]]:
+    """Columns that stand on a wall, next to each other, in the order in which they stand."""
+    s, out = wall.place(risen.place_m)
+    is_on = (np.abs(out) < _ON_WALL_M) & (s > wall.span_m[0]) & (s < wall.span_m[1])
+    own = np.flatnonzero(is_on)
+    own = own[np.argsort(s[own], kind="stable")]
+    gaps = np.flatnonzero(np.diff(s[own]) > np.sqrt(2.0) * CELL_M) + 1
+    return (row for row in np.split(own, gaps) if len(row) >= _LEAST_IN_ROW)
+
+
+def _sheet(
+    wall: Wall, place_m: Float64[np.ndarray, "k 3"], count: Int64[np.ndarray, " k"]
+) -> TriMesh:
+    """Upright, from the measured surface up to a line through the columns' tops."""
+    s, out = wall.place(place_m)
+    first = int(np.floor(s[0] / CELL_M))
+    index = np.floor(s / CELL_M).astype(np.int64) - first
+    columns = int(index[-1]) + 1
+    own = np.bincount(index, minlength=columns)
+    known = np.flatnonzero(own)
+
+    def corners(values: Float64[np.ndarray, " k"]) -> Float64[np.ndarray, " c"]:
+        """Means over the columns of the wall, from one to the next."""
+        mean = np.bincount(index, values, columns)[known] / own[known]
+        each = np.interp(np.arange(columns), known, mean)
+        return 0.5 * (np.r_[each[:1], each] + np.r_[each, each[-1:]])
+
+    low = corners(place_m[:, 2]) - _BELOW_M
+    high = corners(place_m[:, 2] + CELL_M * count)
+    out = uniform_filter1d(corners(out), _OUT_OVER, mode="nearest") - _BEHIND_M
+    levels = max(1, int(np.ceil((high - low).max() / CELL_M)))
+    part = np.linspace(0.0, 1.0, levels + 1)
+    z = low[:, None] + part * (high - low)[:, None]
+    along = (first + np.arange(columns + 1)) * CELL_M
+    points = wall.at(np.broadcast_to(along[:, None], z.shape), z)
+    points = points + out[:, None, None] * wall.normal
+    across = levels + 1
+    start = (np.arange(columns)[:, None] * across + np.arange(levels)).reshape(-1, 1)
+    quads = start + [0, across, across + 1, 1]
+    return quad_mesh(points.reshape(-1, 3), quads, MATERIAL)
+
+
+def _boxes(risen: Risen) -> TriMesh:
+    """Sides of the cells that lie open, two triangles each, corners shared."""
+    first = np.floor(risen.place_m[:, 2] / CELL_M).astype(np.int64)
+    # One cell reaches down into the measured surface.
+    filled = risen.count + 1
+    column = np.repeat(np.arange(len(filled)), filled)
+    level = np.arange(len(column)) - np.repeat(np.cumsum(filled) - filled, filled)
+    cells = np.concatenate([risen.cell[column], (first[column] + level)[:, None]], axis=1)
+    if not len(cells):
+        return quad_mesh(np.zeros((0, 3)), np.zeros((0, 4), dtype=np.int64), MATERIAL)
+    low = cells.min(axis=0) - 1
+    shape = tuple((cells.max(axis=0) - low + 2).tolist())
+    is_in = np.zeros(shape, dtype=bool)
+    is_in[tuple((cells - low).T)] = True
+    quads = [
+        _open_sides(is_in, axis, is_upper=is_upper) for axis in range(3) for is_upper in (0, 1)
+    ]
+    corners, index = np.unique(np.concatenate(quads).reshape(-1, 3), axis=0, return_inverse=True)
+    return quad_mesh((corners + low) * CELL_M, index.reshape(-1, 4), MATERIAL)
+
+
+def _open_sides(
+    is_in: Bool[np.ndarray, "x y z"], axis: int, *, is_upper: int
+) -> Int64[np.ndarray, "q 4 3"]:
+    """Corners of the sides of filled cells towards empty ones, counter-clockwise from outside."""
+    neighbour = np.roll(is_in, -1 if is_upper else 1, axis=axis)
+    cell = np.argwhere(is_in & ~neighbour)
+    u, v = [(1, 2), (2, 0), (0, 1)][axis]
+    steps = np.zeros((4, 3), dtype=np.int64)
+    steps[:, axis] = is_upper
+    order = [(0, 0), (1, 0), (1, 1), (0, 1)] if is_upper else [(0, 0), (0, 1), (1, 1), (1, 0)]
+    steps[:, [u, v]] = order
+    return cell[:, None] + steps
