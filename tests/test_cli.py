@@ -69,6 +69,19 @@ def test_interruption_is_130(monkeypatch: pytest.MonkeyPatch) -> None:
     assert run("doctor") == 130
 
 
+def test_an_interruption_that_a_library_wraps_is_130(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Stopped within Dr.Jit, `synthesize` called it a fault of LightSim."""
+
+    def interrupt(command: object) -> None:
+        raise RuntimeError("error while performing a custom operation") from KeyboardInterrupt()
+
+    monkeypatch.setattr(Doctor, "run", interrupt)
+    assert run("doctor") == 130
+    assert "interrupted" in capsys.readouterr().err
+
+
 def test_doctor_speaks(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("doctor") == 0
     assert "numpy" in capsys.readouterr().out

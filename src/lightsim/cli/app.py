@@ -84,9 +84,10 @@ def main(argv: Sequence[str] | None = None) -> None:
         with _stopped_like_ctrl_c():
             command.run()
     except KeyboardInterrupt:
-        sys.stderr.write("lightsim: interrupted; run the same command again to go on\n")
-        sys.exit(130)
+        sys.exit(_say_interrupted())
     except Exception as error:
+        if _is_interruption(error):
+            sys.exit(_say_interrupted())
         if {"-v", "--verbose"} & set(words):
             raise
         sys.exit(_complain(error))
@@ -103,6 +104,18 @@ def _stopped_like_ctrl_c() -> Generator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def _say_interrupted() -> int:
+    sys.stderr.write("lightsim: interrupted; run the same command again to go on\n")
+    return 130
+
+
+def _is_interruption(error: BaseException | None) -> bool:
+    """Whether an interruption is the cause: Dr.Jit wraps it in an error of its own."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__
+    return error is not None
 
 
 def _complain(error: Exception) -> int:
