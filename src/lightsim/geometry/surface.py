@@ -87,9 +87,15 @@ def parallelogram(
     count = [max(1, int(np.ceil(np.linalg.norm(edge) / edge_m))) for edge in (first, second)]
     i, j = (k.reshape(-1, 1) for k in np.indices((count[0] + 1, count[1] + 1)))
     points = corner + i / count[0] * first + j / count[1] * second
-    across = count[1] + 1
-    start = (np.arange(count[0])[:, None] * across + np.arange(count[1])).reshape(-1, 1)
-    return quad_mesh(points, start + [0, across, across + 1, 1], material)
+    return grid_mesh(points.reshape(count[0] + 1, count[1] + 1, 3), material)
+
+
+def grid_mesh(corners: Float64[np.ndarray, "a b 3"], material: Material) -> TriMesh:
+    """A black mesh in frame world of the quads between rows and columns of corners; seen from where
+    the cross product of the ways along the first and the second axis points to."""
+    rows, across = corners.shape[:2]
+    start = (np.arange(rows - 1)[:, None] * across + np.arange(across - 1)).reshape(-1, 1)
+    return quad_mesh(corners.reshape(-1, 3), start + [0, across, across + 1, 1], material)
 
 
 def _complete_cells(is_known: Bool[np.ndarray, "a b c"]) -> Bool[np.ndarray, "_d _e _f"]:

@@ -14,7 +14,7 @@ from scipy.ndimage import uniform_filter1d
 
 from lightsim.core.buildings import Wall
 from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
-from lightsim.geometry.surface import quad_mesh
+from lightsim.geometry.surface import grid_mesh, quad_mesh
 
 CELL_M = 0.25
 """Edge of a column and of its cells."""
@@ -93,11 +93,7 @@ def _sheet(
     z = low[:, None] + part * (high - low)[:, None]
     along = (first + np.arange(columns + 1)) * CELL_M
     points = wall.at(np.broadcast_to(along[:, None], z.shape), z)
-    points = points + out[:, None, None] * wall.normal
-    across = levels + 1
-    start = (np.arange(columns)[:, None] * across + np.arange(levels)).reshape(-1, 1)
-    quads = start + [0, across, across + 1, 1]
-    return quad_mesh(points.reshape(-1, 3), quads, MATERIAL)
+    return grid_mesh(points + out[:, None, None] * wall.normal, MATERIAL)
 
 
 def _boxes(risen: Risen) -> TriMesh:
