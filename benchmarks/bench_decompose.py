@@ -18,14 +18,14 @@ import numpy as np
 
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
 from lightsim.appearance.intrinsic.decompose import decompose
+from lightsim.build.source_light import SourceLight, static_returns
+from lightsim.build.stages.light import LIDAR_RETURNS, TwinConfig
+from lightsim.build.workspace import Workspace
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
-from lightsim.pipeline.source_light import SourceLight, static_returns
-from lightsim.pipeline.stages.light import LIDAR_RETURNS, TwinConfig
-from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import SilentProgress
-from lightsim.simulation.against_truth import base_colours_of
-from lightsim.simulation.skies import SkyChoice, resolve_sky
+from lightsim.simulate.skies import SkyChoice, resolve_sky
+from lightsim_lab.studies.against_truth import base_colours_of
 
 DEFAULT = IntrinsicConfig()
 VARIANTS: dict[str, IntrinsicConfig] = {

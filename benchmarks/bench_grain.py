@@ -18,16 +18,16 @@ from typing import TypeVar
 
 import numpy as np
 
+from lightsim.build.quality.metrics import psnr
 from lightsim.core.colour import srgb_from_linear
-from lightsim.denoise import denoise
-from lightsim.evaluate.lpips import lpips
-from lightsim.evaluate.metrics import psnr
-from lightsim.synthetic.generate import actor_poses_at, guides_at, street_tracer
-from lightsim.synthetic.plan import config_of, plan_street
-from lightsim.synthetic.rig import SWEEP_S, mount_cameras
-from lightsim.synthetic.skies import build_sky, sky_specs
-from lightsim.synthetic.street import build_street
-from lightsim.synthetic.writer import camera_pose
+from lightsim.render.denoise import denoise
+from lightsim_lab.metrics.lpips import lpips
+from lightsim_lab.synthetic.generate import actor_poses_at, guides_at, street_tracer
+from lightsim_lab.synthetic.plan import config_of, plan_street
+from lightsim_lab.synthetic.rig import SWEEP_S, mount_cameras
+from lightsim_lab.synthetic.skies import build_sky, sky_specs
+from lightsim_lab.synthetic.street import build_street
+from lightsim_lab.synthetic.writer import camera_pose
 
 _STEM = 3
 T = TypeVar("T")

@@ -22,15 +22,15 @@ from shadow_caster import caster_rmse
 from lightsim.core.colour import luminance
 from lightsim.core.dome import SkyDome, Sun, add_sun, resized, split_sun
 from lightsim.core.solar import angle_between_deg, azimuth_elevation
-from lightsim.evaluate.sky import evaluate_sky, relative_rmse, sphere_radiance
 from lightsim.lighting.sample import LightingBatch
 from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
 from lightsim.lighting.sky.image_sky import panorama_from_image, picture_sun
 from lightsim.lighting.sun.direction import SunDirection
 from lightsim.lighting.sun.posterior import sun_direction
 from lightsim.progress import SilentProgress
-from lightsim.training.hdr_skies import Side
-from lightsim.training.lighting_data import LightingSet
+from lightsim_lab.metrics.sky import evaluate_sky, relative_rmse, sphere_radiance
+from lightsim_lab.training.hdr_skies import Side
+from lightsim_lab.training.lighting_data import LightingSet
 
 _WITHIN = 0.9
 
@@ -54,8 +54,8 @@ def main() -> None:
 
 def _networks(cache: Path, models: Path | None, side: Side, per_sky: int) -> None:
     """Angle and decoding errors of each network on the fixed views of a side."""
-    from lightsim.pipeline.sky_networks import named_networks
-    from lightsim.training.sky_scores import evaluate_sky_networks, parts_of
+    from lightsim_lab.studies.sky_networks import named_networks
+    from lightsim_lab.training.sky_scores import evaluate_sky_networks, parts_of
 
     train, held_out = LightingSet.load(cache), LightingSet.load(cache, side)
     known = [train.batch(32, 0, k, only_sunny=False) for k in range(4)]
@@ -184,11 +184,11 @@ def _known_sun(direction: np.ndarray, sunny_probability: float) -> SunDirection:
 
 def _log(work: Path, truth: Path | None) -> None:
     """The sun of a build with all, some and no GPS; the stage sky stays as it is on disk."""
+    from lightsim.build.source_sun import SourceSunConfig, find_source_sun
+    from lightsim.build.stages.light import SkyStageConfig, source_sky
+    from lightsim.build.workspace import Workspace
     from lightsim.lighting.sky.shipped import predict_sky
-    from lightsim.pipeline.source_sun import SourceSunConfig, find_source_sun
-    from lightsim.pipeline.stages.light import SkyStageConfig, source_sky
-    from lightsim.pipeline.workspace import Workspace
-    from lightsim.synthetic.reader import true_sky
+    from lightsim_lab.synthetic.reader import true_sky
 
     workspace = Workspace(work)
     true_dome = true_sky(truth) if truth is not None else None

@@ -18,21 +18,22 @@ from pathlib import Path
 
 import numpy as np
 
+from lightsim.build import pipeline as pipeline
+from lightsim.build.measures import held_out_frames
+from lightsim.build.options import BuildOptions
+from lightsim.build.quality.frames import FramesConfig
+from lightsim.build.quality.geometry import THRESHOLDS_M
+from lightsim.build.workspace import FIELD_NAME, Workspace
 from lightsim.core.buffers import BACKGROUND
 from lightsim.core.reading import LogReading
 from lightsim.datasets.fingerprint import hash_recording
-from lightsim.evaluate.frames import FramesConfig
-from lightsim.evaluate.geometry import THRESHOLDS_M
-from lightsim.pipeline import build as pipeline
-from lightsim.pipeline.measures import geometry as measure_geometry
-from lightsim.pipeline.measures import held_out_frames
-from lightsim.pipeline.options import BuildOptions
-from lightsim.pipeline.workspace import FIELD_NAME, Workspace
 from lightsim.progress import LineProgress, SilentProgress
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.store.artefact import hash_names, read_record, state_of
 from lightsim.store.exr import read_exr
+from lightsim_lab.metrics.lpips import Lpips
+from lightsim_lab.studies.twin_error import geometry as measure_geometry
 
 QUICK: dict = {"preset": "draft", "neural_steps": 0}
 """Ablations of the alignment: fused LiDAR and textures of every fourth image."""
@@ -130,7 +131,7 @@ def _build_and_measure(options: argparse.Namespace, name: str) -> None:
     frames = held_out_frames(
         Workspace(work),
         SilentProgress(),
-        FramesConfig(with_lpips=options.lpips, with_exposure=False),
+        FramesConfig(Lpips() if options.lpips else None, with_exposure=False),
         with_field=options.field and (work / "neural" / FIELD_NAME).exists(),
     )
     geometry, _ = measure_geometry(Workspace(work), options.truth, SilentProgress())

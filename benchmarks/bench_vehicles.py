@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import KDTree
 
+from lightsim.build.workspace import Workspace
 from lightsim.core.mesh import TriMesh
 from lightsim.geometry.actors.returns import returns_of_actors
 from lightsim.geometry.surface import make_mesh
-from lightsim.pipeline.workspace import Workspace
 from lightsim.render.casters.embree import make_embree_caster
 
 _RAYS = 40_000

@@ -23,17 +23,17 @@ from scipy.ndimage import binary_dilation
 from scipy.spatial import KDTree
 from target_shadows import score
 
+from lightsim.build.assemble import roofs_over
+from lightsim.build.source_light import static_returns
+from lightsim.build.workspace import Workspace
 from lightsim.core.buildings import Roofline
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.geometry.completion.far_walls import find_far_walls
 from lightsim.geometry.completion.free_space import FreeSpace, find_free_space
 from lightsim.geometry.completion.walls import find_walls
 from lightsim.geometry.surface import keep_faces, make_mesh
-from lightsim.pipeline.assemble import roofs_over
-from lightsim.pipeline.source_light import static_returns
-from lightsim.pipeline.workspace import Workspace
 from lightsim.render.casters.embree import make_embree_caster
-from lightsim.synthetic.reader import read_true_meshes
+from lightsim_lab.synthetic.reader import read_true_meshes
 
 _BEYOND_M = (0.25, 1.0)
 """True surface counts as not measured from here on."""

@@ -21,12 +21,12 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from target_shadows import suns
 
+from lightsim.build.workspace import Workspace
 from lightsim.core.casting import RayCaster
-from lightsim.pipeline.workspace import Workspace
 from lightsim.render.casters.embree import make_embree_caster
-from lightsim.synthetic.plan import plan_street
-from lightsim.synthetic.reader import read_true_meshes
-from lightsim.synthetic.street import build_background
+from lightsim_lab.synthetic.plan import plan_street
+from lightsim_lab.synthetic.reader import read_true_meshes
+from lightsim_lab.synthetic.street import build_background
 
 _RAYS, _BLUR = 40, 4
 _REACH_M, _LEAF_M = 60.0, 0.6

@@ -22,11 +22,18 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import binary_erosion
 
+from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import BACKGROUND
 from lightsim.core.colour import linear_from_srgb8, luminance
 from lightsim.core.scenario import Scenario, ScenarioFrame, changed_placements
 from lightsim.core.sky_choice import SkyChoice
-from lightsim.evaluate.consistency import (
+from lightsim.scenario.edits import read_scenario_request
+from lightsim.simulate.edited import asset_library, edited_scenario
+from lightsim.simulate.options import RelightOptions
+from lightsim.simulate.relight import replayed
+from lightsim.simulate.relighter import RelightConfig, Relighter
+from lightsim.simulate.skies import resolve_sky
+from lightsim_lab.metrics.consistency import (
     Matches,
     View,
     colour_difference,
@@ -34,13 +41,6 @@ from lightsim.evaluate.consistency import (
     overlap,
     picture_shifts_px,
 )
-from lightsim.pipeline.workspace import Workspace
-from lightsim.scenario.edits import read_scenario_request
-from lightsim.simulation.edited import asset_library, edited_scenario
-from lightsim.simulation.options import RelightOptions
-from lightsim.simulation.relight import replayed
-from lightsim.simulation.relighter import RelightConfig, Relighter
-from lightsim.simulation.skies import resolve_sky
 
 # What the edit takes of a pixel's light where it counts as shadow.
 _SHADOW = 0.8

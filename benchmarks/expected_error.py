@@ -17,14 +17,14 @@ from pathlib import Path
 
 import numpy as np
 
+from lightsim.build.quality.statistics import rank_correlation
+from lightsim.build.workspace import Workspace
 from lightsim.core.resample import resize_area
-from lightsim.evaluate.statistics import rank_correlation
-from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import terminal_progress
-from lightsim.simulation.against_truth import relit_folders
-from lightsim.simulation.options import RelightOptions
-from lightsim.simulation.true_surfaces import TrueSurfaces
+from lightsim.simulate.options import RelightOptions
 from lightsim.store.images import read_grey8, read_srgb8
+from lightsim_lab.studies.against_truth import relit_folders
+from lightsim_lab.studies.true_surfaces import TrueSurfaces
 
 
 def main() -> None:

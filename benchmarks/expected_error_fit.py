@@ -18,13 +18,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from lightsim.build.quality.statistics import rank_correlation
 from lightsim.core.resample import resize_area
-from lightsim.evaluate.statistics import rank_correlation
 from lightsim.relighting.network.expected_error import error_cues
 from lightsim.relighting.network.features import srgb_of
 from lightsim.relighting.network.model import RelitNet
 from lightsim.relighting.network.stored import network_for
-from lightsim.training.relight_data import RelightData, RelightDataConfig
+from lightsim_lab.training.relight_data import RelightData, RelightDataConfig
 
 _FLOOR = 0.01
 """Of codes: added to the true error before the log."""

@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
+from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import BACKGROUND
 from lightsim.core.colour import CLIPPED_CODE, linear_from_srgb8, luminance, srgb_from_linear
-from lightsim.pipeline.workspace import Workspace
 from lightsim.relighting.physical.edge_widths import find_edges, pile
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.transport.matrix import TransportConfig

@@ -24,16 +24,18 @@ from typing import Any
 import numpy as np
 from bench_reconstruction import take_from_siblings
 
+from lightsim.build import pipeline as pipeline
+from lightsim.build.measures import held_out_tasks, observed_radiance
+from lightsim.build.options import BuildOptions
+from lightsim.build.quality.frames import FramesConfig, score_frames
+from lightsim.build.workspace import Workspace
 from lightsim.core.reading import LogReading
 from lightsim.core.twin import SkyEstimate
-from lightsim.evaluate.frames import FramesConfig, score_frames
-from lightsim.pipeline import build as pipeline
-from lightsim.pipeline.measures import geometry, held_out_tasks, observed_radiance
-from lightsim.pipeline.options import BuildOptions
-from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import LineProgress, SilentProgress
 from lightsim.store.artefact import read_json, write_json
-from lightsim.synthetic import shipped_street
+from lightsim_lab.metrics.lpips import Lpips
+from lightsim_lab.studies.twin_error import geometry
+from lightsim_lab.synthetic import shipped_street
 
 WITHOUT, WITH, PAPER = "tsdf + texture", "standard", "paper"
 ROWS = (WITHOUT, WITH, PAPER)
@@ -131,7 +133,7 @@ def _scores(work: Path, case: Case, sky: SkyEstimate) -> dict[str, float | None]
     of the background."""
     workspace = Workspace(work)
     tasks = held_out_tasks(workspace, {"twin": observed_radiance(workspace, sky)})
-    frames = score_frames(tasks, FramesConfig(with_exposure=False))
+    frames = score_frames(tasks, FramesConfig(Lpips(), with_exposure=False))
     rows = [r for r in frames.rows if (r.method, r.region) == ("twin", "masked")]
     report, _ = geometry(workspace, case.truth, SilentProgress())
     surface = [row.f_score for row in report.surface]

@@ -29,6 +29,19 @@ import numpy as np
 
 from lightsim.appearance.build import AssetConfig, build_assets
 from lightsim.appearance.intrinsic import balance, decompose
+from lightsim.build.assemble import roofs_over
+from lightsim.build.source_light import SourceLight, static_returns
+from lightsim.build.source_sun import find_source_sun
+from lightsim.build.stages.context import Context
+from lightsim.build.stages.light import (
+    IRRADIANCE,
+    LIDAR_RETURNS,
+    SkyStageConfig,
+    TwinConfig,
+    make_panorama,
+    source_sky,
+)
+from lightsim.build.workspace import Workspace
 from lightsim.core.colour import LUMINANCE_WEIGHTS
 from lightsim.core.dome import SkyDome
 from lightsim.core.frames import RigidTransform
@@ -37,24 +50,11 @@ from lightsim.core.twin import Panorama, SceneAssets
 from lightsim.lighting.panorama.stitch import StitchConfig
 from lightsim.lighting.sky.shipped import predict_sky
 from lightsim.lighting.sun.direction import SunDirection
-from lightsim.pipeline.assemble import roofs_over
-from lightsim.pipeline.source_light import SourceLight, static_returns
-from lightsim.pipeline.source_sun import find_source_sun
-from lightsim.pipeline.stages.context import Context
-from lightsim.pipeline.stages.light import (
-    IRRADIANCE,
-    LIDAR_RETURNS,
-    SkyStageConfig,
-    TwinConfig,
-    make_panorama,
-    source_sky,
-)
-from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import SilentProgress
 from lightsim.render.casters.embree import make_embree_caster
-from lightsim.simulation.against_truth import base_colours_of
 from lightsim.store.sky import read_panorama
-from lightsim.synthetic.reader import true_sky
+from lightsim_lab.studies.against_truth import base_colours_of
+from lightsim_lab.synthetic.reader import true_sky
 
 STAND_INS: dict[str, list[tuple[ModuleType, str, Callable[..., Any]]]] = {
     "class priors": [

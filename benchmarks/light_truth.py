@@ -28,6 +28,11 @@ from lightsim.appearance.intrinsic.shadow_pairs import (
     shadow_pairs,
     space_blocks,
 )
+from lightsim.build.assemble import roofs_over
+from lightsim.build.source_light import SourceLight, static_returns
+from lightsim.build.source_sun import SourceSunConfig, find_source_sun
+from lightsim.build.stages.light import IRRADIANCE, LIDAR_RETURNS
+from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import BACKGROUND
 from lightsim.core.colour import LUMINANCE_WEIGHTS
 from lightsim.core.dome import SkyDome, resized
@@ -35,17 +40,12 @@ from lightsim.core.frames import RigidTransform
 from lightsim.lighting.sky.balance import unseen_part
 from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
 from lightsim.lighting.sky.shipped import predict_sky
-from lightsim.pipeline.assemble import roofs_over
-from lightsim.pipeline.source_light import SourceLight, static_returns
-from lightsim.pipeline.source_sun import SourceSunConfig, find_source_sun
-from lightsim.pipeline.stages.light import IRRADIANCE, LIDAR_RETURNS
-from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import SilentProgress
 from lightsim.render.frame_renderer import parked_actor_meshes
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.sun import sun_visibility
 from lightsim.store.exr import read_exr
-from lightsim.synthetic.reader import read_true_meshes, true_sky
+from lightsim_lab.synthetic.reader import read_true_meshes, true_sky
 
 _BLOCK_M, _LIFT_M, _NEAR_M = 4.0, 0.08, 0.15
 _WEIGHTS = LUMINANCE_WEIGHTS.astype(np.float64)

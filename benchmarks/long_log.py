@@ -29,14 +29,14 @@ from typing import Any
 
 import numpy as np
 
+from lightsim.build import pipeline as pipeline
+from lightsim.build.options import BuildOptions
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.reading import LogReading
 from lightsim.datasets.files import read_json, read_times_ns
 from lightsim.datasets.pandaset.cameras import numbered_files, read_poses
 from lightsim.datasets.pandaset.rig import READOUT_S, calibration_path, read_rig
 from lightsim.datasets.safe_pickle import read_table
-from lightsim.pipeline import build as pipeline
-from lightsim.pipeline.options import BuildOptions
 from lightsim.progress import LineProgress
 from lightsim.store.artefact import peak_memory_mb, write_json
 from lightsim.store.pandaset_tables import pose_entry, write_table

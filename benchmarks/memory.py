@@ -17,10 +17,10 @@ import tempfile
 import time
 from pathlib import Path
 
-from lightsim.pipeline.build import STAGES, read_options, stages_of
-from lightsim.pipeline.options import BuildOptions
-from lightsim.pipeline.stages.context import Context
-from lightsim.pipeline.workspace import Workspace
+from lightsim.build.options import BuildOptions
+from lightsim.build.pipeline import STAGES, read_options, stages_of
+from lightsim.build.stages.context import Context
+from lightsim.build.workspace import Workspace
 from lightsim.progress import SilentProgress
 from lightsim.store.artefact import peak_memory_mb
 

@@ -19,23 +19,24 @@ import numpy as np
 import tyro
 from jaxtyping import UInt8
 
-from lightsim.core.colour import srgb8_from_linear
-from lightsim.core.sensors import CameraFrame
-from lightsim.datasets.selection import FrameSelection
-from lightsim.evaluate.frames import FramesConfig, score_frames
-from lightsim.pipeline.measures import (
+from lightsim.build.measures import (
     Show,
     held_out_tasks,
     nearest_recorded,
     observed_radiance,
 )
-from lightsim.pipeline.workspace import Workspace
+from lightsim.build.quality.frames import FramesConfig, score_frames
+from lightsim.build.workspace import Workspace
+from lightsim.core.colour import srgb8_from_linear
+from lightsim.core.sensors import CameraFrame
+from lightsim.datasets.selection import FrameSelection
 from lightsim.progress import terminal_progress
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.image import sky_image
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.scenario.replay import replay
-from lightsim.simulation.novel_views import NovelViews
+from lightsim.simulate.novel_views import NovelViews
+from lightsim_lab.metrics.lpips import Lpips
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ def main(arguments: Arguments) -> None:
         for t in held_out_tasks(workspace, methods, log)
         if t.camera_name in cameras and asked.holds(int(t.stem))
     ]
-    config = FramesConfig(with_lpips=arguments.lpips, with_exposure=False)
+    config = FramesConfig(Lpips() if arguments.lpips else None, with_exposure=False)
     report = score_frames(tasks, config, progress=terminal_progress())
     sys.stdout.write(report.to_table() + "\n")
 

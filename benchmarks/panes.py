@@ -17,13 +17,13 @@ from pathlib import Path
 import numpy as np
 from true_materials import material_names
 
+from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import BACKGROUND, GBuffers
 from lightsim.core.mesh import MIRROR_ROUGHNESS, Material, TriMesh
-from lightsim.pipeline.workspace import Workspace
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.scenario.replay import replay
-from lightsim.simulation.true_surfaces import TrueSurfaces
+from lightsim_lab.studies.true_surfaces import TrueSurfaces
 
 _UPRIGHT, _EVERY = 0.3, 3
 _NEAR_M = 30.0

@@ -24,22 +24,22 @@ from scipy.stats import rankdata
 from torch.nn.functional import binary_cross_entropy_with_logits
 from true_materials import material_names
 
+from lightsim.build.stages.context import Context
+from lightsim.build.stages.surfaces import facades_of
+from lightsim.build.workspace import Workspace
 from lightsim.core.buildings import Wall
+from lightsim.core.version import __version__
 from lightsim.geometry.completion.facade_cells import CELL_M, PLANES, FacadeCells, mean_around
 from lightsim.geometry.completion.shipped_glass import PANE_WEIGHTS
 from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
 from lightsim.networks.panes import KIND, PaneNetwork, PaneNetworkConfig
 from lightsim.networks.stored import stored_tensors
-from lightsim.pipeline.stages.context import Context
-from lightsim.pipeline.stages.surfaces import facades_of
-from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import LineProgress
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.store.arrays import save_arrays
 from lightsim.store.checkpoint import FolderCheckpointer
 from lightsim.store.weights import WeightsRecord, write_weights
-from lightsim.synthetic.reader import read_true_meshes
-from lightsim.version import __version__
+from lightsim_lab.synthetic.reader import read_true_meshes
 
 _CROP, _BATCH, _RATE = 96, 4, 3e-3
 # Panes lie behind this much before a wall's plane and this much behind it.

@@ -17,11 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
+from lightsim.fleet.batch import BatchOptions
 from lightsim.progress import LineProgress
-from lightsim.simulation.batch import BatchOptions
-from lightsim.simulation.paper_ablations import ABLATIONS, train_rows
 from lightsim.store.artefact import read_json
-from lightsim.training.relight_scores import IDENTITY
+from lightsim_lab.studies.paper_ablations import ABLATIONS, train_rows
+from lightsim_lab.training.relight_scores import IDENTITY
 
 
 def main() -> None:

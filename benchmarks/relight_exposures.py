@@ -27,9 +27,9 @@ from lightsim.progress import terminal_progress
 from lightsim.relighting.network.features import srgb_of
 from lightsim.relighting.network.model import RelitNet
 from lightsim.relighting.network.stored import network_for
-from lightsim.simulation.relight_samples import write_samples
-from lightsim.training.relight_data import RelightData, RelightDataConfig
-from lightsim.training.relight_pairs import RelightBatch, exposed
+from lightsim_lab.studies.relight_samples import write_samples
+from lightsim_lab.training.relight_data import RelightData, RelightDataConfig
+from lightsim_lab.training.relight_pairs import RelightBatch, exposed
 
 STOPS = (-3, -2, -1, 0, 1)
 PAINTS = (0.6, 1.6)

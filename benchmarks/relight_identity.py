@@ -13,18 +13,16 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
+from lightsim.build.quality.metrics import psnr
+from lightsim.build.workspace import Workspace
 from lightsim.core.sky_choice import SkyChoice
-from lightsim.evaluate.metrics import psnr
-from lightsim.pipeline.workspace import Workspace
-from lightsim.relighting.options import Method
-from lightsim.simulation.options import RelightOptions
-from lightsim.simulation.relight import replayed
-from lightsim.simulation.relighter import RelightConfig, Relighter
-from lightsim.simulation.skies import resolve_sky
+from lightsim.simulate.options import RelightOptions
+from lightsim.simulate.relight import replayed
+from lightsim.simulate.relighter import RelightConfig, Relighter
+from lightsim.simulate.skies import resolve_sky
 
 
 def main() -> None:
@@ -36,7 +34,7 @@ def main() -> None:
     work = Workspace(options.work, is_stale_allowed=True)
     sys.stdout.write("| method | PSNR dB | lowest | frames |\n|---|---:|---:|---:|\n")
     for method in options.methods:
-        asked = RelightOptions(name="identity", method=cast(Method, method), frames=options.frames)
+        asked = RelightOptions(name="identity", method=method, frames=options.frames)
         found = list(scores(work, asked))
         row = f"{np.mean(found):.1f} | {np.min(found):.1f} | {len(found)}"
         sys.stdout.write(f"| {method} | {row} |\n")

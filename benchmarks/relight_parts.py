@@ -23,14 +23,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import KDTree
 
-from lightsim.baselines.colour_transfer import BASELINES
+from lightsim.build.quality.metrics import fill_invalid, psnr
+from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.colour import linear_from_srgb8
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
-from lightsim.evaluate.lpips import lpips_features, lpips_of_features
-from lightsim.evaluate.metrics import fill_invalid, psnr
-from lightsim.pipeline.workspace import Workspace
 from lightsim.relighting.network.model import RelitNet
 from lightsim.relighting.network.relight import relit_by
 from lightsim.relighting.network.stored import network_for
@@ -44,12 +42,14 @@ from lightsim.relighting.physical.ratio import (
 from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
 from lightsim.render.image import sky_image
 from lightsim.scenario.replay import replay
-from lightsim.simulation.relighter import RelightConfig
-from lightsim.simulation.true_surfaces import TrueSurfaces
+from lightsim.simulate.relighter import RelightConfig
 from lightsim.store.artefact import read_json
 from lightsim.store.exr import read_exr
 from lightsim.store.images import read_srgb8
-from lightsim.synthetic.reader import true_sky
+from lightsim_lab.baselines.colour_transfer_tables import BASELINES
+from lightsim_lab.metrics.lpips import lpips_features, lpips_of_features
+from lightsim_lab.studies.true_surfaces import TrueSurfaces
+from lightsim_lab.synthetic.reader import true_sky
 
 PARTS = ("estimated", "+ sky", "+ gains", "+ geometry and base colour")
 BY_NETWORK = {"network": "estimated", "network, + sky": "+ sky"}

@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from lightsim.evaluate.lpips import lpips_features
 from lightsim.relighting.network.features import srgb_of
 from lightsim.relighting.network.stored import network_of
 from lightsim.store.weights import read_weights
-from lightsim.training.relight_data import RelightData, RelightDataConfig
-from lightsim.training.relight_scores import is_judged, made_by, picture_of, scores_of
+from lightsim_lab.metrics.lpips import lpips_features
+from lightsim_lab.training.relight_data import RelightData, RelightDataConfig
+from lightsim_lab.training.relight_scores import is_judged, made_by, picture_of, scores_of
 
 _OWN = ("low_sun", "high_sun", "overcast", "identity")
 

@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
+from lightsim.build.quality.metrics import psnr
 from lightsim.core.colour import srgb_from_linear
-from lightsim.evaluate.lpips import lpips_features, lpips_of_features
-from lightsim.evaluate.metrics import psnr
 from lightsim.store.images import read_srgb8
-from lightsim.training.relight_cache import read_sample
+from lightsim_lab.metrics.lpips import lpips_features, lpips_of_features
+from lightsim_lab.training.relight_cache import read_sample
 
 
 def score(scenario: Path, street: Path) -> None:

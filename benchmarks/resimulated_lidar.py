@@ -27,18 +27,18 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
+from lightsim.build.workspace import Workspace
 from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading
 from lightsim.core.sensors import LazySweep
 from lightsim.datasets.pandaset.log import SIMULATED_NAME
 from lightsim.datasets.reader import read_log
-from lightsim.pipeline.workspace import Workspace
+from lightsim.lidar.beams import Beams, in_ego
+from lightsim.lidar.recorded import RecordedBeams, learn_response, sweep_paths
+from lightsim.lidar.resimulate import LidarSimulator
 from lightsim.progress import SilentProgress
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.scenario.replay import replay
-from lightsim.simulation.lidar.beams import Beams, in_ego
-from lightsim.simulation.lidar.recorded import RecordedBeams, learn_response, sweep_paths
-from lightsim.simulation.lidar.resimulate import LidarSimulator
 from lightsim.store.artefact import read_json
 
 _SAME_DIRECTION_RAD = np.radians(0.05)

@@ -21,14 +21,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 from scipy.ndimage import distance_transform_edt, maximum_filter, maximum_filter1d, minimum_filter
 
+from lightsim.build.workspace import Workspace
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
 from lightsim.core.resample import resize_area
 from lightsim.core.sensors import CameraFrame, LazySweep
-from lightsim.pipeline.workspace import Workspace
 from lightsim.render.casters.embree import make_embree_caster
-from lightsim.synthetic.reader import read_true_meshes
+from lightsim_lab.synthetic.reader import read_true_meshes
 
 _SKYLINE_PX = 8
 _REGISTERED_PX = 4

@@ -13,8 +13,8 @@ import argparse
 import sys
 from pathlib import Path
 
+from lightsim.build.workspace import Workspace
 from lightsim.core.mesh import Provenance
-from lightsim.pipeline.workspace import Workspace
 from lightsim.render.casters.embree import make_embree_caster
 
 _EVERY = 2

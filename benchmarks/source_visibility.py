@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from lightsim.pipeline.workspace import Workspace
+from lightsim.build.workspace import Workspace
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.scenario.replay import replay
-from lightsim.simulation.relighter import RelightConfig
+from lightsim.simulate.relighter import RelightConfig
 from lightsim.store.exr import read_exr
-from lightsim.synthetic.reader import true_sky
+from lightsim_lab.synthetic.reader import true_sky
 
 _LEVEL, _UPRIGHT, _FACING = 0.9, 0.3, 0.05
 

@@ -18,15 +18,15 @@ import numpy as np
 from scipy.spatial import KDTree
 from true_materials import material_names
 
-from lightsim.evaluate.geometry import (
+from lightsim.build.quality.geometry import (
     THRESHOLDS_M,
     GeometryConfig,
     SurfaceSamples,
     sample_distances,
 )
-from lightsim.pipeline.measures import seen_surface
-from lightsim.pipeline.workspace import Workspace
-from lightsim.synthetic.reader import read_true_meshes
+from lightsim.build.workspace import Workspace
+from lightsim_lab.studies.twin_error import seen_surface
+from lightsim_lab.synthetic.reader import read_true_meshes
 
 _WRONG_M = THRESHOLDS_M[-1]
 _RETURNS_M = (0.05, 0.10, 0.15)

@@ -22,18 +22,18 @@ from pathlib import Path
 import numpy as np
 from true_materials import material_names
 
+from lightsim.build.workspace import Workspace
 from lightsim.core.buildings import Roofline
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import RayCaster
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
 from lightsim.geometry.surface import keep_faces
-from lightsim.pipeline.workspace import Workspace
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.scene import FrameScene, make_static_scene, place
 from lightsim.scenario.replay import replay
-from lightsim.simulation.true_surfaces import TrueSurfaces
-from lightsim.synthetic.reader import read_true_meshes
+from lightsim_lab.studies.true_surfaces import TrueSurfaces
+from lightsim_lab.synthetic.reader import read_true_meshes
 
 ELEVATIONS_DEG = (20.0, 45.0)
 AZIMUTHS_DEG = tuple(np.arange(0.0, 360.0, 45.0) + 10.0)

@@ -19,9 +19,9 @@ import numpy as np
 
 from lightsim.networks.loop import Session
 from lightsim.progress import SilentProgress
-from lightsim.training.relight import RelightTrainConfig, paper, train_relight
-from lightsim.training.relight_data import RelightData
-from lightsim.training.relight_pairs import RelightBatch
+from lightsim_lab.training.relight import RelightTrainConfig, paper, train_relight
+from lightsim_lab.training.relight_data import RelightData
+from lightsim_lab.training.relight_pairs import RelightBatch
 
 _FIRST = 5
 

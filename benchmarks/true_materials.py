@@ -8,8 +8,8 @@ import numpy as np
 
 from lightsim.core.mesh import TriMesh
 from lightsim.store.artefact import read_json
-from lightsim.synthetic.plan import plan_street
-from lightsim.synthetic.street import build_background
+from lightsim_lab.synthetic.plan import plan_street
+from lightsim_lab.synthetic.street import build_background
 
 
 def material_names(background: TriMesh, truth: Path) -> np.ndarray:

@@ -13,16 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
-from lightsim.evaluate.metrics import psnr
-from lightsim.pipeline.workspace import Workspace
-from lightsim.synthetic.generate import actor_poses_at
-from lightsim.synthetic.plan import config_of, plan_street
-from lightsim.synthetic.rig import SWEEP_S, mount_cameras
-from lightsim.synthetic.sensor import camera_isp
-from lightsim.synthetic.skies import build_sky, environment, sky_specs
-from lightsim.synthetic.street import build_street
-from lightsim.synthetic.tracer import PathTracer, Placed
-from lightsim.synthetic.writer import camera_pose
+from lightsim.build.quality.metrics import psnr
+from lightsim.build.workspace import Workspace
+from lightsim_lab.synthetic.generate import actor_poses_at
+from lightsim_lab.synthetic.plan import config_of, plan_street
+from lightsim_lab.synthetic.rig import SWEEP_S, mount_cameras
+from lightsim_lab.synthetic.sensor import camera_isp
+from lightsim_lab.synthetic.skies import build_sky, environment, sky_specs
+from lightsim_lab.synthetic.street import build_street
+from lightsim_lab.synthetic.tracer import PathTracer, Placed
+from lightsim_lab.synthetic.writer import camera_pose
 
 
 def main() -> None:

@@ -25,7 +25,7 @@ from lightsim.relighting.network.model import RelitNet
 from lightsim.relighting.network.stored import network_for
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.store.images import read_srgb8
-from lightsim.synthetic.reader import read_true_meshes
+from lightsim_lab.synthetic.reader import read_true_meshes
 
 _NEAR_M = 35.0
 _HOUSE_M2, _HOUSE_M = 0.5, 3.0

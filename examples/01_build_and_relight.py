@@ -9,7 +9,7 @@ from pathlib import Path
 import lightsim
 from lightsim import BuildOptions, LogReading, RelightOptions
 from lightsim.progress import terminal_progress
-from lightsim.synthetic import shipped_street
+from lightsim_lab.synthetic import shipped_street
 
 
 def main(work: Path) -> None:

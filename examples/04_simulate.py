@@ -11,7 +11,7 @@ import lightsim
 from lightsim import BuildOptions, LogReading, SimulateOptions
 from lightsim.progress import terminal_progress
 from lightsim.scenario.generators import EgoLane, construction, cut_in
-from lightsim.synthetic import shipped_street
+from lightsim_lab.synthetic import shipped_street
 
 
 def main(work: Path) -> None:

@@ -16,7 +16,7 @@ from lightsim import BuildOptions, LogReading, SimulateOptions
 from lightsim.progress import terminal_progress
 from lightsim.scenario import generators
 from lightsim.scenario.generators import EgoLane
-from lightsim.synthetic import shipped_street
+from lightsim_lab.synthetic import shipped_street
 
 SKIES = ("source", "sun:120,35")
 

@@ -13,7 +13,7 @@ from lightsim import BuildOptions, LogReading, RelightOptions
 from lightsim.progress import terminal_progress
 from lightsim.store.images import read_srgb8
 from lightsim.store.mp4 import Mp4Writer
-from lightsim.synthetic import shipped_street
+from lightsim_lab.synthetic import shipped_street
 
 ROUND_S = 4.0
 

@@ -78,7 +78,7 @@ class BuiltStreet:
 def built_street(tmp_path_factory: pytest.TempPathFactory) -> BuiltStreet:
     """Preset `standard`: two cameras, four frames of 120x68 pixels, the frame 01 held out."""
     from lightsim import cli
-    from lightsim.synthetic import shipped_street
+    from lightsim_lab.synthetic import shipped_street
 
     work = tmp_path_factory.mktemp("street")
     words = (
@@ -96,8 +96,8 @@ def built_street(tmp_path_factory: pytest.TempPathFactory) -> BuiltStreet:
 def recorded_reads() -> Generator[tuple[set[tuple[str, str]], Counter[str]]]:
     """Collects (stage, stem) of the pictures and sweeps that a build loads, and how often
     each sweep was."""
+    from lightsim.build.workspace import Workspace
     from lightsim.datasets.pandaset import cameras, log
-    from lightsim.pipeline.workspace import Workspace
 
     reads: set[tuple[str, str]] = set()
     decoded: Counter[str] = Counter()

@@ -11,22 +11,22 @@ import pytest
 
 from lightsim import errors
 
-PACKAGE = Path(__file__).resolve().parents[1] / "src" / "lightsim"
+SOURCES = Path(__file__).resolve().parents[1] / "src"
+PRODUCT, LABORATORY = "lightsim", "lightsim_lab"
 FLOORS = (
-    "__main__", "cli", "api", "simulation", "pipeline", "training", "evaluate", "view",
-    "relighting", "baselines", "render", "scenario", "lighting", "appearance", "geometry",
-    "reconstruct", "align", "masks", "synthetic", "datasets", "networks", "store", "mitsuba_scene",
-    "denoise", "core", "arguments", "progress", "optional", "errors", "cores", "version",
+    "__main__", "cli", "api", "fleet", "simulate", "export", "build", "view", "relighting",
+    "lidar", "render", "scenario", "lighting", "appearance", "geometry", "reconstruct", "align",
+    "masks", "datasets", "networks", "store", "core", "progress", "errors",
 )  # fmt: skip
-"""Packages and modules of the top level, from the top down: an import only ever leads down.
-
-`mitsuba_scene` and `denoise` stand below the stages: render, synthetic and lighting, which may not
-know each other, build Mitsuba scenes and clean what they show."""
+"""Packages and modules at the top of the product, from the top down: imports only lead down."""
+LAB_FLOORS = ("cli", "studies", "training", "baselines", "metrics", "synthetic", "weights")
+"""The same of the laboratory; every room may import the product."""
 STAGES = {
-    "datasets", "synthetic", "masks", "align", "reconstruct", "geometry", "appearance", "lighting",
-    "scenario", "render", "relighting", "baselines", "evaluate", "view",
+    "datasets", "masks", "align", "reconstruct", "geometry", "appearance", "lighting",
+    "scenario", "render", "relighting", "view",
 }  # fmt: skip
-"""They meet in pipeline/ and simulation/ alone, through the types of core."""
+"""Steps of the build and of the simulation: they meet in build/ and simulate/ alone, through the
+types of core."""
 ERRORS = {
     name for name, kind in vars(errors).items()
     if isinstance(kind, type) and issubclass(kind, errors.LightSimError)
@@ -35,45 +35,71 @@ HEAVY = ("torch", "mitsuba", "bpy", "viser", "numba", "pandas", "av", "trimesh",
 
 
 def module_name(path: Path) -> str:
-    parts = path.relative_to(PACKAGE).with_suffix("").parts
+    parts = path.relative_to(SOURCES).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
 def imports_of(source: str, modules: set[str]) -> set[str]:
-    """The modules of ours that a source imports, inside functions too."""
+    """Return the modules of this repository that a source imports, inside functions too."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
             inner = {f"{node.module}.{alias.name}" for alias in node.names}
-            modules_named = {n for n in inner if n.removeprefix("lightsim.") in modules}
-            names |= modules_named or {node.module}
-    return {name.removeprefix("lightsim.") for name in names if name.startswith("lightsim.")}
+            names |= inner & modules or {node.module}
+    return {name for name in names if name.split(".")[0] in (PRODUCT, LABORATORY)}
 
 
 @pytest.fixture(scope="module")
 def imports() -> dict[str, set[str]]:
-    """What every module of the package imports."""
-    paths = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py"))}
+    """The imports of every module of both packages."""
+    paths = {module_name(path): path for path in sorted(SOURCES.rglob("*.py"))}
     return {name: imports_of(path.read_text(), set(paths)) for name, path in paths.items()}
 
 
-def room(module: str) -> str:
+def package(module: str) -> str:
     return module.split(".")[0]
 
 
-def test_every_room_has_its_floor(imports: dict[str, set[str]]) -> None:
-    assert {room(name) for name in imports} - {""} == set(FLOORS)
+def room(module: str) -> str:
+    return (module.split(".") + [""])[1]
 
 
-def test_imports_lead_down(imports: dict[str, set[str]]) -> None:
-    floor = {name: number for number, name in enumerate(FLOORS)}
+@pytest.mark.parametrize(("name", "floors"), [(PRODUCT, FLOORS), (LABORATORY, LAB_FLOORS)])
+def test_every_room_has_its_floor(
+    name: str, floors: tuple[str, ...], imports: dict[str, set[str]]
+) -> None:
+    rooms = {room(module) for module in imports if package(module) == name}
+    assert rooms - {""} == set(floors)
+
+
+def test_the_product_has_at_most_24_rooms() -> None:
+    assert len(FLOORS) <= 24
+
+
+def test_the_product_does_not_import_the_laboratory(imports: dict[str, set[str]]) -> None:
     up = [
         f"{module} -> {other}"
         for module, others in imports.items()
         for other in others
-        if room(module) and floor[room(other)] < floor[room(module)]
+        if package(module) == PRODUCT and package(other) == LABORATORY
+    ]
+    assert not up
+
+
+@pytest.mark.parametrize(("name", "floors"), [(PRODUCT, FLOORS), (LABORATORY, LAB_FLOORS)])
+def test_imports_lead_down(
+    name: str, floors: tuple[str, ...], imports: dict[str, set[str]]
+) -> None:
+    floor = {room_name: number for number, room_name in enumerate(floors)} | {"": len(floors)}
+    up = [
+        f"{module} -> {other}"
+        for module, others in imports.items()
+        for other in others
+        if package(module) == package(other) == name
+        and room(module)
+        and floor[room(other)] < floor[room(module)]
     ]
     assert not up
 
@@ -83,7 +109,9 @@ def test_stages_do_not_know_each_other(imports: dict[str, set[str]]) -> None:
         f"{module} -> {other}"
         for module, others in imports.items()
         for other in others
-        if {room(module), room(other)} <= STAGES and room(module) != room(other)
+        if package(module) == package(other) == PRODUCT
+        and {room(module), room(other)} <= STAGES
+        and room(module) != room(other)
     ]
     assert not known
 
@@ -103,10 +131,8 @@ def test_no_modules_import_each_other_in_circles(imports: dict[str, set[str]]) -
 
 def test_the_rules_are_read_from_the_sources() -> None:
     source = "import lightsim.core.mesh\ndef f():\n    from lightsim.store import images\n"
-    assert imports_of(source, {"core.mesh", "store.images", "store"}) == {
-        "core.mesh",
-        "store.images",
-    }
+    modules = {"lightsim.core.mesh", "lightsim.store.images", "lightsim.store"}
+    assert imports_of(source, modules) == {"lightsim.core.mesh", "lightsim.store.images"}
 
 
 @pytest.mark.parametrize("code", ["import lightsim", "from lightsim.cli import main; main(['-h'])"])
@@ -129,17 +155,17 @@ def test_importing_is_light(code: str) -> None:
 def test_mitsuba_is_imported_in_one_file() -> None:
     importing = [
         module_name(path)
-        for path in sorted(PACKAGE.rglob("*.py"))
+        for path in sorted(SOURCES.rglob("*.py"))
         for node in ast.walk(ast.parse(path.read_text()))
         if isinstance(node, ast.Import) and "mitsuba" in {alias.name for alias in node.names}
     ]
-    assert importing == ["mitsuba_scene"]
+    assert importing == ["lightsim.core.mitsuba_variants"]
 
 
 def test_files_stay_short() -> None:
     long = {
-        path.name: count
-        for path in PACKAGE.rglob("*.py")
+        str(path): count
+        for path in SOURCES.rglob("*.py")
         if (count := len(path.read_text().splitlines())) > 400
     }
     assert not long
@@ -167,8 +193,8 @@ def test_errors_say_what_was_expected_or_what_to_do() -> None:
     assert helpless_errors('raise errors.InputError("a", remedy=None)') == [1]
     assert not helpless_errors('raise ArtefactError("a", remedy="Build again.")')
     helpless = [
-        f"{path.relative_to(PACKAGE)}:{line}"
-        for path in sorted(PACKAGE.rglob("*.py"))
+        f"{path.relative_to(SOURCES)}:{line}"
+        for path in sorted(SOURCES.rglob("*.py"))
         for line in helpless_errors(path.read_text())
     ]
     assert not helpless

@@ -17,7 +17,7 @@ from lightsim.errors import LightSimError
 from lightsim.datasets.files import read_gzip, read_json
 from lightsim.datasets.pandaset.rig import read_rig
 from lightsim.store import artefact, arrays, exr, images, meshes
-from lightsim.training.hdr_skies import read_split
+from lightsim_lab.training.hdr_skies import read_split
 path = Path(sys.argv[1])
 readers = [
     read_json, lambda p: read_gzip(p, 1 << 20), lambda p: read_rig(p.parent), images.read_srgb8,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from tests.render.rendering_scenes import box, look_at, plane
 
+from lightsim.build.workspace import Workspace
 from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.buffers import GBuffers
 from lightsim.core.camera import PinholeCamera
@@ -20,7 +21,6 @@ from lightsim.core.mesh import TriMesh
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import ActorAsset, DigitalTwin, SceneAssets, SkyEstimate
-from lightsim.pipeline.workspace import Workspace
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.scenario.replay import replay
 

@@ -23,8 +23,8 @@ import torch
 from safetensors.torch import save_file
 from ship_weights import ship
 
+from lightsim.core.version import __version__
 from lightsim.store.weights import UNKNOWN, WeightsRecord
-from lightsim.version import __version__
 
 
 @dataclass(frozen=True)

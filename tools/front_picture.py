@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw
 import lightsim
 from lightsim import RelightOptions
 from lightsim.progress import terminal_progress
-from lightsim.synthetic import shipped_street
+from lightsim_lab.synthetic import shipped_street
 
 SKIES = {
     "source": "recorded",

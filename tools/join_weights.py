@@ -15,7 +15,7 @@ from lightsim.errors import InputError
 from lightsim.relighting.network.model import RelitNet
 from lightsim.relighting.network.stored import network_for, probe, tensors_of_network
 from lightsim.store.weights import WeightsRecord, read_record, write_weights
-from lightsim.training.run_relight import by_number
+from lightsim_lab.training.run_relight import by_number
 
 
 def main() -> None:

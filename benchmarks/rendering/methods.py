@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from lightsim.build.workspace import Workspace
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.dome import SkyDome
 from lightsim.core.frames import RigidTransform
-from lightsim.denoise import denoise
-from lightsim.pipeline.workspace import Workspace
+from lightsim.render.denoise import denoise
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.reference.cycles import Cycles
 from lightsim.render.reference.path_tracer import PathTracer

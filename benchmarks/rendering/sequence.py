@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lightsim.pipeline.workspace import Workspace
+from lightsim.build.workspace import Workspace
 from lightsim.render.options import RendererChoice
 from lightsim.render.renderers import make_renderer
 from lightsim.scenario.replay import replay

@@ -9,8 +9,8 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-from lightsim.cores import tell_numba
-from lightsim.version import __version__
+from lightsim.core.cores import tell_numba
+from lightsim.core.version import __version__
 
 if TYPE_CHECKING:
     from lightsim.api import (

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from lightsim.build import pipeline as pipeline
+from lightsim.build.options import BuildOptions
+from lightsim.build.workspace import Workspace
 from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading
 from lightsim.core.twin import DigitalTwin
 from lightsim.datasets.reader import read_log
 from lightsim.datasets.scale import at_scale
 from lightsim.masks.ego_vehicle import ego_vehicle_masks
-from lightsim.pipeline import build as pipeline
-from lightsim.pipeline.options import BuildOptions
-from lightsim.pipeline.workspace import Workspace
 from lightsim.progress import Progress, SilentProgress
-from lightsim.simulation import relight as scenarios
-from lightsim.simulation.edited import simulate as simulate_scenario
-from lightsim.simulation.options import RelightOptions, SimulateOptions
+from lightsim.simulate import relight as scenarios
+from lightsim.simulate.edited import simulate as simulate_scenario
+from lightsim.simulate.options import RelightOptions, SimulateOptions
 
 
 def load_log(reading: LogReading) -> DrivingLog:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+from types import ModuleType
+
 _MAX_SHOWN = 500
 """Characters of each part of a message: a path and a sentence."""
 
@@ -78,3 +81,18 @@ class ArtefactError(LightSimError):
 
 class MissingDependencyError(LightSimError):
     """An optional package is needed and not installed."""
+
+
+def need(module: str, *, extra: str) -> ModuleType:
+    """Import `module`, or say which extra brings it.
+
+    Raises:
+        MissingDependencyError: the module is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingDependencyError(
+            f"the optional package '{module}' is not installed",
+            remedy=f"Run: pip install 'lightsim[{extra}]'",
+        ) from error

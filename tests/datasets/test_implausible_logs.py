@@ -35,7 +35,7 @@ from datasets.test_bad_logs import (
 )
 from lightsim.core.reading import LogReading
 from lightsim.datasets.layout import has_file
-from lightsim.datasets.reader import READERS, check_layout, read_log
+from lightsim.datasets.reader import OWN_READERS, check_layout, read_log
 from lightsim.errors import InputError
 
 
@@ -315,7 +315,7 @@ def test_the_layout_is_told_without_a_walk(
 
     monkeypatch.setattr(Path, "rglob", walk)
     for source in (Path("/"), tmp_path):
-        for dataset in ("auto", *READERS):
+        for dataset in ("auto", *OWN_READERS):
             with pytest.raises(InputError, match="layout of no known data set"):
                 check_layout(LogReading(source=str(source), dataset=dataset))
     for source in (tmp_path / "none", log / SWEEP, log / SWEEP / "x"):

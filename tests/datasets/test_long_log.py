@@ -11,7 +11,7 @@ from benchmarks.long_log import Drive, make_log
 from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading
 from lightsim.datasets.reader import read_log
-from lightsim.synthetic import shipped_street
+from lightsim_lab.synthetic import shipped_street
 
 
 def test_frames_come_there_back_and_there_again_in_time() -> None:

@@ -10,6 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from datasets.mini_log import write_json, write_mini_log
+from lightsim.build.options import BuildOptions
+from lightsim.build.pipeline import STAGES, artefact_keys
+from lightsim.build.workspace import FIELD_CONFIG_NAME, FIELD_NAME, OPTIONS_NAME
 from lightsim.core.alignment import Alignment, CameraCorrection, PathCorrection
 from lightsim.core.buildings import Roofline, Wall
 from lightsim.core.dome import Sun, add_sun
@@ -20,9 +23,6 @@ from lightsim.core.reading import LogReading
 from lightsim.core.twin import ActorAsset, DigitalTwin, Panorama, SceneAssets, SkyEstimate
 from lightsim.datasets.fingerprint import hash_recording
 from lightsim.datasets.reader import read_log
-from lightsim.pipeline.build import STAGES, artefact_keys
-from lightsim.pipeline.options import BuildOptions
-from lightsim.pipeline.workspace import FIELD_CONFIG_NAME, FIELD_NAME, OPTIONS_NAME
 from lightsim.reconstruct.field.config import draft
 from lightsim.store.alignment import write_alignment
 from lightsim.store.artefact import hash_names, make_artefact

@@ -9,6 +9,8 @@ from unittest import mock
 import numpy as np
 
 from lightsim.api import load_log
+from lightsim.build.pipeline import status
+from lightsim.build.workspace import FIELD_CONFIG_NAME, FIELD_NAME, Workspace
 from lightsim.core.actors import ActorKind
 from lightsim.core.dome import SkyDome
 from lightsim.core.fields import SceneFields
@@ -21,14 +23,12 @@ from lightsim.errors import LightSimError
 from lightsim.geometry.completion.prisms import roof_casters
 from lightsim.lighting.sky.image_sky import panorama_from_image
 from lightsim.lighting.target_sky import scale_to_source
-from lightsim.pipeline.build import status
-from lightsim.pipeline.workspace import FIELD_CONFIG_NAME, FIELD_NAME, Workspace
 from lightsim.progress import SilentProgress
 from lightsim.reconstruct.field.config import config_from_json
 from lightsim.render.casters.embree import make_embree_caster
-from lightsim.simulation import relight as scenarios
-from lightsim.simulation.options import RelightOptions
-from lightsim.simulation.skies import resolve_sky, sky_alone, sun_of_command
+from lightsim.simulate import relight as scenarios
+from lightsim.simulate.options import RelightOptions
+from lightsim.simulate.skies import resolve_sky, sky_alone, sun_of_command
 from lightsim.store.alignment import read_alignment
 from lightsim.store.artefact import read_json
 from lightsim.store.assets import read_assets, read_mesh, write_assets

@@ -33,14 +33,14 @@ from lightsim.lighting.panorama.inpaint_network import (
 )
 from lightsim.lighting.sample import PanoramaBatch
 from lightsim.networks.loop import LoopConfig
-from lightsim.training.inpaint import InpaintConfig, train_inpaint
-from lightsim.training.inpaint_losses import (
+from lightsim_lab.training.inpaint import InpaintConfig, train_inpaint
+from lightsim_lab.training.inpaint_losses import (
     discriminator_loss,
     generator_loss,
     reconstruction_loss,
     row_weights,
 )
-from lightsim.training.inpaint_scores import evaluate_inpaint
+from lightsim_lab.training.inpaint_scores import evaluate_inpaint
 
 HEIGHT = 16
 TINY = InpaintConfig(

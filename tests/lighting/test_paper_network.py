@@ -7,16 +7,16 @@ import pytest
 import torch
 from fake_skies import FakeSkies
 
+from lightsim.lighting.sky.panorama_layers import direction_map
 from lightsim.lighting.sky.paper_network import (
     PaperSkyConfig,
     PaperSkyNetwork,
     encoder_input,
     sun_encoding,
 )
-from lightsim.networks.panorama import direction_map
-from lightsim.networks.sky_terms import SkyTensors, angles, log_radiance
-from lightsim.training.sky import sky_tensors
-from lightsim.training.sky_losses import paper_sky_loss
+from lightsim.lighting.sky.sky_terms import SkyTensors, angles, log_radiance
+from lightsim_lab.training.sky import sky_tensors
+from lightsim_lab.training.sky_losses import paper_sky_loss
 
 ROWS, WIDTH = 16, 64
 

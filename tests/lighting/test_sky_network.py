@@ -21,21 +21,27 @@ from lightsim.lighting.sky.network import (
     network_from_tensors,
     tensors_of,
 )
+from lightsim.lighting.sky.panorama_layers import UNet, filled
 from lightsim.lighting.sky.paper_network import PaperSkyConfig, PaperSkyNetwork
+from lightsim.lighting.sky.sky_terms import fisher_loss, laplace_loss, sun_lobe
 from lightsim.networks.loop import LoopConfig
-from lightsim.networks.panorama import UNet, filled
-from lightsim.networks.sky_terms import fisher_loss, laplace_loss, sun_lobe
 from lightsim.store.weights import WeightsRecord, read_record, read_weights, write_weights
-from lightsim.training.sky import LossFunction, SkyRecipe, SkyTrainConfig, sky_tensors, train_sky
-from lightsim.training.sky_losses import direction_loss, paper_sky_loss, sky_loss
-from lightsim.training.sky_models import (
+from lightsim_lab.training.sky import (
+    LossFunction,
+    SkyRecipe,
+    SkyTrainConfig,
+    sky_tensors,
+    train_sky,
+)
+from lightsim_lab.training.sky_losses import direction_loss, paper_sky_loss, sky_loss
+from lightsim_lab.training.sky_models import (
     SkyKind,
     network_of,
     sky_recipe,
     started_from,
     weights_of,
 )
-from lightsim.training.sky_scores import (
+from lightsim_lab.training.sky_scores import (
     angles_deg,
     brightest_spot,
     credible_cone_deg,

@@ -26,9 +26,9 @@ from lightsim.networks.loop import Checkpointer, Learner, LoopConfig, Loss, Sess
 from lightsim.progress import Progress, SilentProgress
 from lightsim.reconstruct.field.train import TrainingRays, train_field
 from lightsim.store.checkpoint import FolderCheckpointer
-from lightsim.training.inpaint import InpaintConfig, train_inpaint
-from lightsim.training.sky import SkyRecipe, SkyTrainConfig, train_sky
-from lightsim.training.sky_losses import sky_loss
+from lightsim_lab.training.inpaint import InpaintConfig, train_inpaint
+from lightsim_lab.training.sky import SkyRecipe, SkyTrainConfig, train_sky
+from lightsim_lab.training.sky_losses import sky_loss
 
 Weights = dict[str, Tensor]
 Train = Callable[[Checkpointer, Progress, int], Weights]

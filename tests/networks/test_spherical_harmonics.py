@@ -9,7 +9,7 @@ from torch.nn import functional
 
 from lightsim.core.dome import irradiance
 from lightsim.core.equirect import pixel_directions
-from lightsim.networks.spherical_harmonics import (
+from lightsim_lab.baselines.spherical_harmonics import (
     fitted_light,
     project,
     shading,

@@ -27,21 +27,20 @@ from lightsim.relighting.network.model import RelitNet, RelitNetConfig
 from lightsim.relighting.network.paper_model import PaperNet, PaperNetConfig
 from lightsim.relighting.network.relight import painted_by, relit_by
 from lightsim.relighting.network.stored import network_for, network_of, probe, tensors_of_network
-from lightsim.relighting.options import Method
 from lightsim.relighting.physical.ratio import (
     Circumstances,
     RatioConfig,
     RelightInputs,
     relight_physical,
 )
-from lightsim.simulation.options import RelightOptions
+from lightsim.simulate.options import RelightOptions
 from lightsim.store.weights import (
     WEIGHTS_FOLDER,
     WeightsRecord,
     read_record,
     write_weights,
 )
-from lightsim.training.relight_pairs import RelightBatch, exposed
+from lightsim_lab.training.relight_pairs import RelightBatch, exposed
 
 SMALL = RelitNetConfig(widths=(8, 16), guide_count=2, working_columns=64)
 
@@ -143,7 +142,7 @@ def test_shipped_weights_meet_the_planes_that_they_were_trained_on(
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 @pytest.mark.parametrize("method", ["network", "paper", "self-osr", "epe"])
 def test_cuda_gives_the_picture_of_the_cpu(
-    inputs: RelightInputs, method: Method, monkeypatch: pytest.MonkeyPatch
+    inputs: RelightInputs, method: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = relight_by(method)(inputs, RatioConfig()).radiance
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lightsim.denoise import denoise
 from lightsim.errors import InputError, MissingDependencyError
+from lightsim.render.denoise import denoise
 
 
 def _noisy(rng):

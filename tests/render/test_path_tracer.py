@@ -11,11 +11,12 @@ from rendering_scenes import box, camera, constant_sky, look_at, plane, sphere, 
 from lightsim.core.dome import SkyDome, split_sun
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import Texture, TriMesh
+from lightsim.core.mitsuba_variants import choose_variant
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import FrameMismatchError
-from lightsim.mitsuba_scene import choose_variant, rows_at_poles
 from lightsim.render.gbuffers import render_gbuffers
+from lightsim.render.mitsuba_scene import rows_at_poles
 from lightsim.render.reference.corner_mesh import corner_mesh
 from lightsim.render.reference.path_tracer import PathTracer
 from lightsim.render.reference.renderer import ReferenceRenderer, Shot, open_irradiance_over_pi
@@ -183,7 +184,7 @@ def test_a_pose_of_something_else_is_refused(tracer):
     [("libLLVM-14.so", "scalar_rgb"), ("libLLVM.so.19.1", "llvm_ad_rgb")],
 )
 def test_llvm_is_used_only_when_named(monkeypatch, tmp_path, name, expected):
-    monkeypatch.setattr("lightsim.mitsuba_scene.has_cuda", lambda: False)
+    monkeypatch.setattr("lightsim.core.mitsuba_variants.has_cuda", lambda: False)
     monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
     assert choose_variant() == "scalar_rgb"
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / name))

@@ -15,7 +15,7 @@ from lightsim.core.twin import ActorAsset
 from lightsim.errors import InputError
 from lightsim.scenario.asset_library import AssetLibrary, add_model
 from lightsim.scenario.models import Front, read_model
-from lightsim.simulation.built_in_assets import built_in_assets
+from lightsim.scenario.shipped_assets import shipped_assets
 from lightsim.store.meshes import write_glb
 
 
@@ -79,7 +79,7 @@ def test_a_file_is_read_once_and_anew_when_it_is_replaced(tmp_path: Path) -> Non
 
 
 def test_what_ships_stands_in_the_middle_of_its_box_and_looks_outwards() -> None:
-    for name, asset in built_in_assets().items():
+    for name, asset in shipped_assets().items():
         mesh = asset.mesh
         np.testing.assert_allclose(
             mesh.vertices.min(axis=0), -mesh.vertices.max(axis=0), atol=1e-5, err_msg=name
@@ -88,4 +88,4 @@ def test_what_ships_stands_in_the_middle_of_its_box_and_looks_outwards() -> None
         # Faces look outwards: by the divergence theorem their volume is positive.
         a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(np.float64) for i in range(3))
         assert np.einsum("nc,nc->n", a, np.cross(b, c)).sum() > 0, name
-    assert isinstance(built_in_assets()["cone"], ActorAsset)
+    assert isinstance(shipped_assets()["cone"], ActorAsset)

@@ -16,9 +16,9 @@ from lightsim.core.scenario import ActorPlacement
 from lightsim.core.twin import ActorAsset
 from lightsim.render.scene import placed_meshes
 from lightsim.scenario.models import centred, read_model
+from lightsim.scenario.shipped_assets import shipped_assets
 from lightsim.scenario.wheels import find_wheels, with_wheels
-from lightsim.simulation.built_in_assets import built_in_assets
-from lightsim.synthetic.shapes import tube
+from lightsim_lab.synthetic.shapes import tube
 
 RADIUS_M = 0.35
 PLACES = [(x, y) for x in (-1.3, 1.2) for y in (-0.8, 0.8)]
@@ -114,7 +114,7 @@ def test_wheels_roll_on_the_road() -> None:
 
 
 def test_cars_and_trucks_that_ship_have_wheels() -> None:
-    found = {name: len(asset.wheels) for name, asset in built_in_assets().items()}
+    found = {name: len(asset.wheels) for name, asset in shipped_assets().items()}
     with_four = {"car", "car-red", "car-black", "van", "truck"}
     assert {name for name, count in found.items() if count == 4} == with_four
     assert sum(found.values()) == 4 * len(with_four)

@@ -18,7 +18,7 @@ from lightsim.datasets.reader import read_log
 from lightsim.errors import ArtefactError
 from lightsim.scenario.replay import replay
 from lightsim.store.scenario import SCENARIO_NAME, read_scenario, write_scenario
-from lightsim.synthetic import shipped_street
+from lightsim_lab.synthetic import shipped_street
 
 
 @pytest.fixture(scope="module")

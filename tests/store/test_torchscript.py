@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from lightsim.errors import InputError
-from lightsim.store.torchscript import read_script_modules
+from lightsim_lab.metrics.torchscript import read_script_modules
 
 
 class Outer(torch.nn.Module):

@@ -20,7 +20,8 @@ from lightsim.store.weights import (
     read_weights,
     write_weights,
 )
-from lightsim.training.hdr_skies import read_split, split_hash
+from lightsim_lab.training.hdr_skies import read_split, split_hash
+from lightsim_lab.weights import LAB_WEIGHTS_FOLDER
 
 SPLIT = Path(__file__).parents[2] / "benchmarks" / "hdri_split.csv"
 RECORD = WeightsRecord(
@@ -63,17 +64,21 @@ def test_weights_without_a_whole_record_are_named(header: bytes, tmp_path: Path)
         read_record(path)
 
 
-def test_all_weights_of_the_package_are_checked_and_have_a_whole_record() -> None:
-    shipped = list_weights()
+@pytest.mark.parametrize("folder", [WEIGHTS_FOLDER, LAB_WEIGHTS_FOLDER])
+def test_all_shipped_weights_are_checked_and_have_a_whole_record(folder: Path) -> None:
+    shipped = list_weights(folder)
     files = [file for named in shipped.values() for file in named]
-    assert sorted(files) == sorted(path.name for path in WEIGHTS_FOLDER.glob("*.safetensors"))
+    assert sorted(files) == sorted(path.name for path in folder.glob("*.safetensors"))
     for name, named in shipped.items():
-        assert load_weights(name)
+        assert load_weights(name, folder)
         for file in named:
-            record = read_record(WEIGHTS_FOLDER / file)
+            record = read_record(folder / file)
             assert all(value or value == 0 for value in asdict(record).values()), file
             for value in (record.licence, record.version, record.training_data, record.command):
                 assert value != UNKNOWN
+
+
+def test_lighting_weights_have_the_committed_split() -> None:
     for name, steps in (("inpaint-small", 2500), ("sky-small", 9000)):
         record = read_record(WEIGHTS_FOLDER / f"{name}.safetensors")
         assert record.steps == steps

@@ -1,4 +1,6 @@
-"""The command line: one file a command, one frozen dataclass of options with its `run`.
+"""The command line: one file per command, one frozen dataclass of options with its `run`.
+
+Other packages add commands through entry points of the group `lightsim.commands`.
 
 Heavy packages are imported inside `run`, so that `lightsim --help` answers at once.
 """
@@ -9,9 +11,10 @@ import logging
 import signal
 import sys
 import threading
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Annotated
+from types import MappingProxyType
+from typing import Annotated, Any, Union
 
 import tyro
 
@@ -19,41 +22,71 @@ from lightsim.cli.actors import Actors
 from lightsim.cli.assets import AssetsGroup
 from lightsim.cli.batch import Batch
 from lightsim.cli.build import Build
-from lightsim.cli.demo import Demo
 from lightsim.cli.doctor import Doctor
-from lightsim.cli.evaluate import EvaluateGroup
 from lightsim.cli.relight import Relight
 from lightsim.cli.render import Render
 from lightsim.cli.scenario import ScenarioGroup
 from lightsim.cli.simulate import Simulate
 from lightsim.cli.sky import SkyGroup
 from lightsim.cli.status import Status
-from lightsim.cli.synthesize import Synthesize
-from lightsim.cli.train import PrepareGroup, TrainGroup
-from lightsim.errors import LightSimError
+from lightsim.core.extensions import COMMANDS, LABORATORY, load_extension, registered
+from lightsim.errors import InputError, LightSimError
 
-
-def _command(name: str) -> object:
-    return tyro.conf.subcommand(name)
-
-
-Command = (
-    Annotated[Build, _command("build")]
-    | Annotated[Relight, _command("relight")]
-    | Annotated[Simulate, _command("simulate")]
-    | Annotated[ScenarioGroup, _command("scenario")]
-    | Annotated[Actors, _command("actors")]
-    | Annotated[AssetsGroup, _command("assets")]
-    | Annotated[Render, _command("render")]
-    | Annotated[SkyGroup, _command("sky")]
-    | Annotated[EvaluateGroup, _command("evaluate")]
-    | Annotated[Batch, _command("batch")]
-    | Annotated[TrainGroup, _command("train")]
-    | Annotated[Synthesize, _command("synthesize")]
-    | Annotated[Demo, _command("demo")]
-    | Annotated[Doctor, _command("doctor")]
-    | Annotated[Status, _command("status")]
+OWN_COMMANDS: Mapping[str, type[Any]] = MappingProxyType(
+    {
+        "build": Build,
+        "relight": Relight,
+        "simulate": Simulate,
+        "scenario": ScenarioGroup,
+        "actors": Actors,
+        "assets": AssetsGroup,
+        "render": Render,
+        "sky": SkyGroup,
+        "batch": Batch,
+        "doctor": Doctor,
+        "status": Status,
+    }
 )
+LABORATORY_COMMANDS = ("demo", "synthesize", "evaluate", "train")
+"""Commands that the laboratory registers; named here for the error when it is not installed."""
+
+
+def commands() -> dict[str, type[Any]]:
+    """Return the class of every command by name: the product's, then registered ones.
+
+    Raises:
+        InputError: a registered command cannot be imported, or has the name of another one.
+    """
+    others = registered(COMMANDS)
+    for name in others:
+        if name in OWN_COMMANDS:
+            raise InputError(
+                f"an extension registers the command '{name}', which LightSim has",
+                where=others[name].value,
+                expected="another name",
+                remedy="Uninstall the package, or rename its command.",
+            )
+    return {**OWN_COMMANDS, **{name: load_extension(COMMANDS, name) for name in others}}
+
+
+def parse_command(words: Sequence[str]) -> Any:
+    """Return the command of a command line, ready to run."""
+    known = commands()
+    if words and words[0] in LABORATORY_COMMANDS and words[0] not in known:
+        raise InputError(
+            f"the command '{words[0]}' belongs to the laboratory, which is not installed",
+            where="lightsim",
+            expected=f"one of {', '.join(known)}",
+            remedy=f"pip install {LABORATORY}",
+        )
+    named = tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in known.items())
+    return tyro.cli(
+        Union[named],  # type: ignore[arg-type]  # noqa: UP007
+        prog="lightsim",
+        description="An open lighting simulator for driving logs.",
+        args=words,
+        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -62,25 +95,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:
         # Options check their ranges where they are made: while the command line is read.
-        command = tyro.cli(
-            Command,
-            prog="lightsim",
-            description="An open lighting simulator for driving logs.",
-            args=words,
-            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
-        )
-        if isinstance(command, EvaluateGroup):
-            command = command.measure
-        elif isinstance(command, SkyGroup):
-            command = command.do
-        elif isinstance(command, ScenarioGroup):
-            command = command.scene
-        elif isinstance(command, AssetsGroup):
-            command = command.do
-        elif isinstance(command, TrainGroup):
-            command = command.what
-            if isinstance(command, PrepareGroup):
-                command = command.data
+        command = parse_command(words)
         with _stopped_like_ctrl_c():
             command.run()
     except KeyboardInterrupt:

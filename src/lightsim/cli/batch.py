@@ -11,8 +11,8 @@ import tyro
 
 from lightsim.cli.options import Verbose, say
 from lightsim.errors import ArtefactError
+from lightsim.fleet.batch import BatchCommand, BatchOptions
 from lightsim.progress import terminal_progress
-from lightsim.simulation.batch import BatchCommand, BatchOptions
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Batch:
 
     def run(self) -> None:
         """Run what is not finished, and say what failed."""
-        from lightsim.simulation.batch import read_list, run_batch
+        from lightsim.fleet.batch import read_list, run_batch
 
         lines = [(*line, *shlex.split(self.words)) for line in read_list(self.list)]
         result = run_batch(self.command, lines, self.options, terminal_progress())

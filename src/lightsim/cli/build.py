@@ -8,8 +8,8 @@ from typing import Annotated
 
 import tyro
 
+from lightsim.build.options import BuildOptions
 from lightsim.cli.options import Verbose, say
-from lightsim.pipeline.options import BuildOptions
 from lightsim.progress import terminal_progress
 
 
@@ -27,7 +27,7 @@ class Build:
 
     def run(self) -> None:
         """Make what is missing or stale in the work folder."""
-        from lightsim.pipeline import build as pipeline
+        from lightsim.build import pipeline as pipeline
 
         pipeline.build(self.work, self.options, terminal_progress(), self.until)
         if self.until == "report":

@@ -12,10 +12,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
-from lightsim.cores import core_count
+from lightsim.core.cores import core_count
+from lightsim.core.version import __version__
 from lightsim.errors import ArtefactError, InputError
 from lightsim.store.weights import WEIGHTS_FOLDER, list_weights, read_record
-from lightsim.version import __version__
 
 State = Literal["ok", "note", "missing"]
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from lightsim.arguments import Names
 from lightsim.cli.options import Verbose, say
+from lightsim.core.option_types import Names
 
 if TYPE_CHECKING:
     from lightsim.core.log import DrivingLog
@@ -45,11 +45,11 @@ class _Generator:
     ) -> None:
         """Write the scene at the first place where nobody stands in the way; if there is none, at
         that with the fewest conflicts."""
-        from lightsim.pipeline.workspace import Workspace
+        from lightsim.build.workspace import Workspace
         from lightsim.scenario.edits import VERSION, parse_scenario
         from lightsim.scenario.generators import EgoLane
         from lightsim.scenario.replay import replay
-        from lightsim.simulation.edited import asset_library, edited_scenario, tell_conflicts
+        from lightsim.simulate.edited import asset_library, edited_scenario, tell_conflicts
         from lightsim.store.artefact import write_json
 
         workspace = Workspace(self.work)
@@ -244,3 +244,7 @@ class ScenarioGroup:
     """Write a SCENARIO.json of a common scene, laid out along the ego vehicle's path."""
 
     scene: tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[Scenarios]]
+
+    def run(self) -> None:
+        """Run the chosen command."""
+        self.scene.run()

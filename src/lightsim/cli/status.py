@@ -23,7 +23,7 @@ class Status:
 
     def run(self) -> None:
         """A line for each artefact, and what is damaged."""
-        from lightsim.pipeline import build as pipeline
+        from lightsim.build import pipeline as pipeline
 
         for line in pipeline.status(self.work, is_hashed=self.verify):
             took = "" if line.seconds is None else f"{line.seconds:8.1f} s"

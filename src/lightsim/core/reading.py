@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal, get_args
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from lightsim.arguments import Names
 from lightsim.core.checks import check_choice, check_image_scale, check_number
+from lightsim.core.extensions import READERS, registered
+from lightsim.core.option_types import Names
 from lightsim.errors import InputError
 
-Dataset = Literal["pandaset"]
-"""Formats that datasets/ has a reader for."""
-DatasetChoice = Literal["auto", Dataset]
-"""A format, or to recognise it by the folder's layout."""
+OWN_DATASETS = ("pandaset",)
+"""Formats that datasets/ has a reader for; other packages register more."""
+
+
+def dataset_names() -> tuple[str, ...]:
+    """Return the names that --dataset accepts besides auto; extensions are not imported."""
+    return (*OWN_DATASETS, *(name for name in registered(READERS) if name not in OWN_DATASETS))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,8 +27,9 @@ class LogReading:
 
     source: Positional[Annotated[str, arg(metavar="SOURCE")]]
     """Folder of the recording."""
-    dataset: DatasetChoice = "auto"
-    """Format of the recording."""
+    dataset: str = "auto"
+    """Format of the recording: auto (by the layout of the folder) or pandaset; other packages add
+    formats."""
     frames: str = ""
     """START:STOP[:STEP] over the log's own frame numbers; empty for all."""
     cameras: Names = ()
@@ -37,7 +42,7 @@ class LogReading:
     """Azimuth of the world x axis, where the log cannot tell it (clockwise from north)."""
 
     def __post_init__(self) -> None:
-        check_choice("--dataset", self.dataset, get_args(DatasetChoice))
+        check_choice("--dataset", self.dataset, ("auto", *dataset_names()))
         check_image_scale(self.image_scale)
         if self.heading_deg is not None:
             check_number("--heading-deg", self.heading_deg, -360.0, 360.0)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
+from lightsim.core.extensions import READERS, load_extension
 from lightsim.core.log import DrivingLog, FindEgoVehicle, without_ego_vehicle
-from lightsim.core.reading import Dataset, LogReading
+from lightsim.core.reading import LogReading, dataset_names
 from lightsim.datasets.layout import has_folder
 from lightsim.datasets.pandaset.log import is_pandaset, read_pandaset
 from lightsim.errors import InputError
@@ -25,9 +27,18 @@ class LogReader:
     read: ReadDataset
 
 
-READERS: dict[Dataset, LogReader] = {
-    "pandaset": LogReader(is_pandaset, read_pandaset),
-}
+OWN_READERS: Mapping[str, LogReader] = MappingProxyType(
+    {"pandaset": LogReader(is_pandaset, read_pandaset)}
+)
+
+
+def reader_of(name: str) -> LogReader:
+    """Return the reader of a data set; those of other packages are imported when first used.
+
+    Raises:
+        InputError: the package that registers it is broken.
+    """
+    return OWN_READERS[name] if name in OWN_READERS else load_extension(READERS, name)
 
 
 def read_log(
@@ -42,12 +53,12 @@ def read_log(
     Raises:
         InputError: the folder is of no known data set, or a file in it is missing or broken.
     """
-    log = READERS[check_layout(reading)].read(reading, find_ego_vehicle)
+    log = reader_of(check_layout(reading)).read(reading, find_ego_vehicle)
     _check_camera_names(log, reading.source)
     return log
 
 
-def check_layout(reading: LogReading) -> Dataset:
+def check_layout(reading: LogReading) -> str:
     """The data set whose layout a folder has. Only a few names are looked up, so this may be asked
     of any folder, before it is walked or hashed.
 
@@ -59,13 +70,13 @@ def check_layout(reading: LogReading) -> Dataset:
         raise InputError(
             "no such folder", where=source, remedy="SOURCE is the folder of one recording."
         )
-    for name, reader in READERS.items():
-        if dataset in ("auto", name) and reader.detect(source):
+    for name in dataset_names():
+        if dataset in ("auto", name) and reader_of(name).detect(source):
             return name
     raise InputError(
         "the folder has the layout of no known data set",
         where=source,
-        expected=dataset if dataset != "auto" else f"one of {', '.join(READERS)}",
+        expected=dataset if dataset != "auto" else f"one of {', '.join(dataset_names())}",
         remedy="PandaSet: give the folder of one sequence, such as pandaset/002.",
     )
 

@@ -1,46 +1,129 @@
-"""The ways of relighting a frame, by the names that users give."""
+"""Relighting methods by name: the product's own, and those that other packages register."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 
-from lightsim.relighting.colour_transfer import relight_colour_transfer
+from lightsim.core.extensions import LABORATORY, METHODS, load_extension, registered
+from lightsim.errors import InputError
 from lightsim.relighting.estimate import Estimate, Relight
-from lightsim.relighting.options import Method
-from lightsim.relighting.physical.ratio import relight_physical
+from lightsim.store.weights import WEIGHTS_FOLDER, list_weights
+
+LABORATORY_METHODS = ("colour-transfer", "self-osr", "epe", "nerf-osr")
+"""Methods that the laboratory registers; named here for the error when it is not installed."""
 
 
-def relight_by(method: Method, weights: Path | None = None) -> Relight:
-    """A way of relighting; `nerf-osr` needs the field of its street (`baselines.relight`).
-
-    Networks run on CUDA where torch finds it.
+@dataclass(frozen=True)
+class Method:
+    """A relighting method.
 
     Args:
-        weights: of a network; None: those of the package.
-
-    Raises:
-        InputError, ArtefactError: the weights are missing or damaged, or another network's.
+        make: returns the method's function for a weights file; None selects the shipped weights.
+            Called once per command; heavy packages are imported inside.
+        weights_name: name of the shipped weights in the manifest of `weights_folder`; empty for a
+            method without shipped weights.
+        weights_folder: folder with manifest.json and the weights.
+        weights_in_work: path of weights that belong to one log, relative to its work folder; empty
+            for a method without.
+        train_command: command that makes `weights_in_work`; the work folder follows it.
     """
-    if method == "physical":
-        return lambda inputs, config: Estimate(relight_physical(inputs, config))
-    if method == "colour-transfer":
-        return lambda inputs, config: Estimate(relight_colour_transfer(inputs, config))
-    # They bring torch, which the others do without.
+
+    make: Callable[[Path | None], Relight]
+    weights_name: str = ""
+    weights_folder: Path = WEIGHTS_FOLDER
+    weights_in_work: str = ""
+    train_command: str = ""
+
+    def shipped_file(self) -> Path | None:
+        """Return the file of the shipped weights; None for a method without."""
+        if not self.weights_name:
+            return None
+        files = list_weights(self.weights_folder)[self.weights_name]
+        return self.weights_folder / next(iter(files))
+
+    @property
+    def has_weights(self) -> bool:
+        """Whether --weights applies."""
+        return bool(self.weights_name or self.weights_in_work)
+
+
+def _physical(weights: Path | None) -> Relight:
+    from lightsim.relighting.physical.ratio import relight_physical
+
+    return lambda inputs, config: Estimate(relight_physical(inputs, config))
+
+
+def _network(weights: Path | None) -> Relight:
     from lightsim.networks.devices import choose_device
-    from lightsim.relighting.baselines.epe import EpeNet
-    from lightsim.relighting.baselines.relight import shown_by
-    from lightsim.relighting.baselines.self_osr import SelfOsrNet
     from lightsim.relighting.network.model import RelitNet
-    from lightsim.relighting.network.paper_model import PaperNet
-    from lightsim.relighting.network.relight import painted_by, relit_by
+    from lightsim.relighting.network.relight import relit_by
     from lightsim.relighting.network.stored import network_for
 
-    device = choose_device("auto")
-    if method == "self-osr":
-        return partial(shown_by, network_for(SelfOsrNet, weights).to(device))
-    if method == "epe":
-        return partial(shown_by, network_for(EpeNet, weights).to(device))
-    if method == "paper":
-        return partial(painted_by, network_for(PaperNet, weights).to(device))
-    return partial(relit_by, network_for(RelitNet, weights).to(device))
+    return partial(relit_by, network_for(RelitNet, weights).to(choose_device("auto")))
+
+
+def _paper(weights: Path | None) -> Relight:
+    from lightsim.networks.devices import choose_device
+    from lightsim.relighting.network.paper_model import PaperNet
+    from lightsim.relighting.network.relight import painted_by
+    from lightsim.relighting.network.stored import network_for
+
+    return partial(painted_by, network_for(PaperNet, weights).to(choose_device("auto")))
+
+
+OWN_METHODS: Mapping[str, Method] = MappingProxyType(
+    {
+        "network": Method(_network, "relight-network"),
+        "physical": Method(_physical),
+        "paper": Method(_paper, "relight-paper"),
+    }
+)
+
+
+def method_names() -> tuple[str, ...]:
+    """Return the names that --method accepts; extensions are not imported."""
+    return (*OWN_METHODS, *(name for name in registered(METHODS) if name not in OWN_METHODS))
+
+
+def check_method(name: str) -> None:
+    """Raise InputError unless a method of this name is installed."""
+    if name in method_names():
+        return
+    is_of_laboratory = name in LABORATORY_METHODS
+    raise InputError(
+        f"the method '{name}' belongs to the laboratory, which is not installed"
+        if is_of_laboratory
+        else "no such relighting method",
+        where="--method",
+        got=name,
+        expected=f"one of {', '.join(method_names())}",
+        remedy=f"pip install {LABORATORY}" if is_of_laboratory else None,
+    )
+
+
+def find_method(name: str) -> Method:
+    """Return the method of a name.
+
+    Raises:
+        InputError: no such method is installed, or its package is broken.
+    """
+    check_method(name)
+    return OWN_METHODS[name] if name in OWN_METHODS else load_extension(METHODS, name)
+
+
+def relight_by(name: str, weights: Path | None = None) -> Relight:
+    """Return the function of a method by name; networks run on CUDA where torch finds it.
+
+    Args:
+        name: of a method.
+        weights: file of its network; None selects the shipped weights.
+
+    Raises:
+        InputError, ArtefactError: no such method, or its weights are missing, damaged or another
+            network's.
+    """
+    return find_method(name).make(weights)

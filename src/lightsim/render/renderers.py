@@ -103,7 +103,7 @@ def make_renderer(
         MissingDependencyError: its package is not installed.
     """
     if choice.denoise and has_images:
-        from lightsim import denoise
+        from lightsim.render import denoise
 
         denoise.check_installed()
         noisy = replace(choice, denoise=False)
@@ -213,7 +213,7 @@ class _DenoisedFrame:
 
     def image(self, sky: Any) -> Float32[np.ndarray, "h w 3"]:
         """Traced radiance, denoised with base colour and normals as guides."""
-        from lightsim.denoise import denoise
+        from lightsim.render.denoise import denoise
 
         buffers = self.buffers
         return denoise(self.traced.image(sky), buffers.base_colour, buffers.normal_world)

@@ -25,10 +25,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from lightsim.core.version import __version__
 from lightsim.errors import ArtefactError, InputError
 from lightsim.store.atomic import sweep_partials, whole_file
 from lightsim.store.reading import MAX_JSON_BYTES, read_bytes
-from lightsim.version import __version__
 
 RECORD_NAME = "artefact.json"
 _PLAN = ".plan"

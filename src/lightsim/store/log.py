@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from lightsim.core.log import DrivingLog
-from lightsim.core.reading import DatasetChoice, LogReading
+from lightsim.core.reading import LogReading, dataset_names
 from lightsim.core.solar import solar_position
 from lightsim.store.artefact import json_ready, write_json
 from lightsim.store.entries import Entries
@@ -86,7 +86,7 @@ def reading_from_json(value: Any) -> LogReading:
 def _reading(value: Entries) -> LogReading:
     return LogReading(
         source=value.text("source"),
-        dataset=value.word("dataset", get_args(DatasetChoice)),
+        dataset=value.word("dataset", ("auto", *dataset_names())),
         frames=value.text("frames"),
         cameras=value.texts("cameras"),
         hold_out=int(value.number("hold_out")),

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
+from lightsim.core.version import __version__
 from lightsim.errors import InputError
-from lightsim.version import __version__
 
 _TEMPLATE = "report.html.jinja"
 Cell = str | int | float | None

@@ -17,7 +17,7 @@ from torch.nn import functional
 from torch.nn.utils.parametrizations import spectral_norm
 
 from lightsim.lighting.panorama.attention_network import contextual_attention, pad_sphere
-from lightsim.networks.panorama import filled
+from lightsim.lighting.sky.panorama_layers import filled
 
 TOTAL_STRIDE = 8
 _INPUTS = 5

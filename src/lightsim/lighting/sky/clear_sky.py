@@ -16,8 +16,8 @@ from jaxtyping import Float, Float32
 
 from lightsim.core.dome import SOLAR_RADIUS_DEG, SkyDome, Sun, add_sun, irradiance
 from lightsim.core.equirect import pixel_directions
+from lightsim.core.mitsuba_variants import mitsuba_with
 from lightsim.errors import InputError
-from lightsim.mitsuba_scene import mitsuba_with
 
 SCENE_UNITS_PER_MODEL_UNIT = 2.840
 """pi / (level luminance irradiance of the model at 45 degrees, turbidity 3, albedo 0.2)."""

@@ -16,7 +16,7 @@ from lightsim.errors import InputError
 from lightsim.lighting.panorama.inpaint import shrink_seen
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.network import SkyNetwork, network_from_tensors
-from lightsim.networks.sky_terms import SkyEncoding, SkyTensors
+from lightsim.lighting.sky.sky_terms import SkyEncoding, SkyTensors
 from lightsim.store.weights import load_weights
 
 DEFAULT_WEIGHTS = "sky-small"

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from lightsim.networks.panorama import (
+from lightsim.lighting.sky.panorama_layers import (
     Merge,
     Pyramid,
     UNet,
@@ -23,7 +23,7 @@ from lightsim.networks.panorama import (
     pooled,
     upsampled,
 )
-from lightsim.networks.sky_terms import (
+from lightsim.lighting.sky.sky_terms import (
     LATENT,
     SkyEncoding,
     SkyTensors,

@@ -13,8 +13,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from lightsim.networks.panorama import Pyramid, UNet, direction_map
-from lightsim.networks.sky_terms import (
+from lightsim.lighting.sky.panorama_layers import Pyramid, UNet, direction_map
+from lightsim.lighting.sky.sky_terms import (
     LATENT,
     SkyEncoding,
     SkyTensors,

@@ -5,59 +5,55 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from lightsim.errors import InputError
 from lightsim.networks.stored import load_stored, stored_config, stored_tensors
-from lightsim.relighting.baselines.epe import EpeConfig, EpeNet
-from lightsim.relighting.baselines.self_osr import SelfOsrConfig, SelfOsrNet
 from lightsim.relighting.network.channels import LIGHT, OF_SKIES, SCENE, TARGET
 from lightsim.relighting.network.model import RelitNet, RelitNetConfig
 from lightsim.relighting.network.paper_model import PaperNet, PaperNetConfig
-from lightsim.relighting.options import SHIPPED, Method
-from lightsim.store.weights import load_weights, read_weights
+from lightsim.store.weights import WEIGHTS_FOLDER, load_weights, read_weights
 
-Network = RelitNet | PaperNet | SelfOsrNet | EpeNet
-NetworkConfig = RelitNetConfig | PaperNetConfig | SelfOsrConfig | EpeConfig
-AnyNetwork = TypeVar("AnyNetwork", RelitNet, PaperNet, SelfOsrNet, EpeNet)
-_OF_METHOD: Mapping[Method, tuple[type[Any], type[Any]]] = {
-    "network": (RelitNet, RelitNetConfig),
-    "paper": (PaperNet, PaperNetConfig),
-    "self-osr": (SelfOsrNet, SelfOsrConfig),
-    "epe": (EpeNet, EpeConfig),
-}
+Kinds = Mapping[str, tuple[type[Any], type[Any]]]
+"""Class of the network and class of its config, by the name of the method."""
+KINDS: Kinds = MappingProxyType(
+    {"network": (RelitNet, RelitNetConfig), "paper": (PaperNet, PaperNetConfig)}
+)
+AnyNetwork = TypeVar("AnyNetwork", bound=nn.Module)
 _KIND = "relight {}"
-"""What a file says, by method."""
+"""Kind that a weights file carries, by method."""
 
 
-def make_network(config: NetworkConfig) -> Network:
-    """With first weights."""
-    return next(net(config) for net, of in _OF_METHOD.values() if isinstance(config, of))
+def make_network(config: Any, kinds: Kinds = KINDS) -> Any:
+    """Return an untrained network of a config."""
+    return next(net(config) for net, of in kinds.values() if isinstance(config, of))
 
 
-def tensors_of_network(network: Network) -> dict[str, Tensor]:
-    """What a weights file of a network holds."""
-    return stored_tensors(network, network.config, _KIND.format(_method_of(type(network))))
+def tensors_of_network(network: Any, kinds: Kinds = KINDS) -> dict[str, Tensor]:
+    """Return the tensors that a weights file of the network holds."""
+    method = _method_of(type(network), kinds)
+    return stored_tensors(network, network.config, _KIND.format(method))
 
 
-def network_of(tensors: Mapping[str, Tensor]) -> Network:
-    """The network of stored tensors, ready to be used.
+def network_of(tensors: Mapping[str, Tensor], kinds: Kinds = KINDS) -> Any:
+    """Return the network of stored tensors, ready to be used.
 
     Raises:
-        InputError: they are those of another network.
+        InputError: the tensors belong to a network of another kind.
     """
     kind, values = stored_config(tensors)
-    configs = {_KIND.format(method): config for method, (_, config) in _OF_METHOD.items()}
+    configs = {_KIND.format(method): config for method, (_, config) in kinds.items()}
     if kind not in configs:
         raise InputError(
             "these are weights of another network", got=kind, expected=", ".join(configs)
         )
     partners = tuple(RelitNetConfig(**one) for one in values.pop("partners", ()))
     config = configs[kind](**values)
-    network = make_network(replace(config, partners=partners) if partners else config)
+    network = make_network(replace(config, partners=partners) if partners else config, kinds)
     load_stored(network, tensors)
     return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
@@ -82,16 +78,26 @@ def probe(network: RelitNet) -> float:
     return float(made)
 
 
-def network_for(kind: type[AnyNetwork], weights: Path | None) -> AnyNetwork:
-    """A network of a file, or the package's.
+def network_for(
+    kind: type[AnyNetwork],
+    weights: Path | None,
+    kinds: Kinds = KINDS,
+    folder: Path = WEIGHTS_FOLDER,
+) -> AnyNetwork:
+    """Return a network of a weights file, or with the shipped weights.
+
+    Args:
+        kind: class of the network.
+        weights: file; None selects the shipped weights of the method.
+        folder: where the shipped weights lie.
 
     Raises:
         InputError, ArtefactError: the weights are missing or damaged, or another network's.
     """
-    method = _method_of(kind)
-    network = network_of(
-        load_weights(SHIPPED[method]) if weights is None else read_weights(weights)
-    )
+    method = _method_of(kind, kinds)
+    shipped = f"relight-{method}"
+    tensors = load_weights(shipped, folder) if weights is None else read_weights(weights)
+    network = network_of(tensors, kinds)
     if isinstance(network, kind):
         return network
     raise InputError(
@@ -101,5 +107,5 @@ def network_for(kind: type[AnyNetwork], weights: Path | None) -> AnyNetwork:
     )
 
 
-def _method_of(kind: type[Network]) -> Method:
-    return next(method for method, (net, _) in _OF_METHOD.items() if net is kind)
+def _method_of(kind: type[Any], kinds: Kinds) -> str:
+    return next(method for method, (net, _) in kinds.items() if net is kind)

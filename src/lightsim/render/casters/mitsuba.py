@@ -11,8 +11,9 @@ from jaxtyping import Bool, Float
 
 from lightsim.core.casting import MakeCaster, RayHits, check_world
 from lightsim.core.mesh import TriMesh
+from lightsim.core.mitsuba_variants import Variant, has_cuda, has_llvm, mitsuba_with
 from lightsim.errors import InputError
-from lightsim.mitsuba_scene import Variant, columns, has_cuda, has_llvm, make_mesh, mitsuba_with
+from lightsim.render.mitsuba_scene import columns, make_mesh
 
 MitsubaBackend = Literal["cuda", "llvm"]
 VARIANTS: dict[MitsubaBackend, Variant] = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb"}

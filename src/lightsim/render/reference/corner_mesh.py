@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from lightsim.core.mesh import TriMesh
-from lightsim.mitsuba_scene import bitmap, make_mesh
+from lightsim.render.mitsuba_scene import bitmap, make_mesh
 
 _SPECULAR = 0.5
 """Reflects 4 % at normal incidence, an index of 1.5."""

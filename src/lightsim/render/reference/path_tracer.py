@@ -14,17 +14,10 @@ from lightsim.core.casting import RayHits
 from lightsim.core.dome import split_sun
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
+from lightsim.core.mitsuba_variants import Variant, choose_variant, mitsuba_with
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import FrameMismatchError
-from lightsim.mitsuba_scene import (
-    Variant,
-    choose_variant,
-    environment_map,
-    mitsuba_with,
-    path_traced,
-    rows_at_poles,
-    sun_disc,
-)
+from lightsim.render.mitsuba_scene import environment_map, path_traced, rows_at_poles, sun_disc
 from lightsim.render.reference.corner_mesh import as_albedo, corner_mesh, mitsuba_mesh
 from lightsim.render.reference.renderer import Picture, Shot
 from lightsim.render.scene import FrameScene, StaticScene
@@ -46,7 +39,7 @@ class PathTracer:
     points are exact.
 
     Args:
-        variant: of Mitsuba; None for the fastest that runs (`mitsuba_scene.choose_variant`).
+        variant: of Mitsuba; None for the fastest that runs (`core.mitsuba_variants`).
     """
 
     def __init__(self, variant: Variant | None = None) -> None:

@@ -11,8 +11,8 @@ from jaxtyping import Float32
 
 from lightsim.core.dome import Sun
 from lightsim.core.mesh import TriMesh
+from lightsim.core.mitsuba_variants import mitsuba_with
 from lightsim.errors import InputError
-from lightsim.mitsuba_scene import columns, mitsuba_with
 from lightsim.render.casters.embree import offset_origins
 from lightsim.render.casters.mitsuba import (
     VARIANTS,
@@ -20,6 +20,7 @@ from lightsim.render.casters.mitsuba import (
     is_usable,
     make_mitsuba_scene,
 )
+from lightsim.render.mitsuba_scene import columns
 from lightsim.render.transport.faces import FaceSamples, TransportConfig, hashed_shifts
 from lightsim.render.transport.sun import PATTERNS, disc_patterns
 

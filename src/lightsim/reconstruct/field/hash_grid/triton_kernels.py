@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor
 
-from lightsim.optional import need
+from lightsim.errors import need
 from lightsim.reconstruct.field.hash_grid.sparse_gradient import SparseGradient
 
 if TYPE_CHECKING:

@@ -1,0 +1,251 @@
+"""Measures of a built twin against its own recording: held-out images, LiDAR, sun and sky."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+
+from lightsim.build.quality.frame_report import FrameRow, FramesReport
+from lightsim.build.quality.frames import FramesConfig, FrameTask, score_frames
+from lightsim.build.quality.geometry import (
+    GeometryConfig,
+    LidarScores,
+    evaluate_lidar,
+)
+from lightsim.build.stages.recording import sample_guide
+from lightsim.build.workspace import Workspace
+from lightsim.core.colour import srgb8_from_linear
+from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import TriMesh
+from lightsim.core.resample import resize_area
+from lightsim.core.sensors import CameraFrame
+from lightsim.core.twin import DigitalTwin, SkyEstimate
+from lightsim.errors import ArtefactError, InputError
+from lightsim.progress import Progress, SilentProgress
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.render.frame_renderer import FrameRenderer
+from lightsim.render.image import sky_image
+from lightsim.render.transport.matrix import TransportConfig
+from lightsim.scenario.replay import replay
+from lightsim.store.artefact import read_json, write_json
+
+LoadMask = Bool[np.ndarray, "h w"]
+Show = Callable[[CameraFrame], UInt8[np.ndarray, "h w 3"]]
+"""A picture of a frame, as its camera would have taken it."""
+MEASURES_NAME = "measures.json"
+QUICK = FramesConfig(with_exposure=False)
+"""Scores that a build can afford: raw PSNR and SSIM."""
+
+
+@dataclass(frozen=True)
+class MeasureConfig:
+    """What a build measures of itself."""
+
+    frames: FramesConfig = QUICK
+    """Of held-out images."""
+    lidar: GeometryConfig = field(default_factory=GeometryConfig)
+    """Of beams cast again."""
+
+
+@dataclass(frozen=True)
+class Measures:
+    """What a build says of itself.
+
+    Args:
+        lidar: LiDAR beams cast again on the meshes.
+        is_held_out: whether the sweeps were kept from the build.
+        frames: held-out images; None where nothing was held out.
+    """
+
+    lidar: LidarScores
+    is_held_out: bool
+    frames: FramesReport | None
+
+
+def measure(work: Workspace, config: MeasureConfig, progress: Progress) -> Measures:
+    """All that a build can measure without ground truth."""
+    lidar, is_held_out = lidar_error(work, progress, np.random.default_rng(0))
+    frames = held_out_frames(work, progress, config.frames) if work.held_out else None
+    return Measures(lidar, is_held_out, frames)
+
+
+def write_measures(folder: Path, measures: Measures) -> None:
+    """measures.json; scores without a value are null."""
+    frames = None if measures.frames is None else measures.frames.json_rows()
+    write_json(
+        folder / MEASURES_NAME,
+        {
+            "lidar": measures.lidar,
+            "is_held_out": measures.is_held_out,
+            "held_out_frames": frames,
+        },
+    )
+
+
+def read_measures(folder: Path) -> Measures:
+    """What `write_measures` wrote.
+
+    Raises:
+        ArtefactError: the file is missing or broken.
+    """
+    path = folder / MEASURES_NAME
+    value = read_json(path)
+    try:
+        rows = value["held_out_frames"]
+        return Measures(
+            LidarScores(**value["lidar"]),
+            bool(value["is_held_out"]),
+            None if rows is None else FramesReport(tuple(FrameRow.from_json(row) for row in rows)),
+        )
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ArtefactError(
+            "the measures are broken", where=path, got=error, remedy="Build again."
+        ) from error
+
+
+def held_out_frames(
+    workspace: Workspace,
+    progress: Progress,
+    config: FramesConfig | None = None,
+    *,
+    with_field: bool = False,
+) -> FramesReport:
+    """Novel-view images of the twin at held-out frames, against the camera; see
+    `held_out_frame_tasks`."""
+    tasks = held_out_frame_tasks(workspace, with_field=with_field)
+    return score_frames(tasks, config or FramesConfig(), progress=progress)
+
+
+def held_out_frame_tasks(workspace: Workspace, *, with_field: bool = False) -> list[FrameTask]:
+    """Held-out frames as the twin shows them.
+
+    The twin's observed radiance is rendered through each held-out camera; beside it stands the
+    trivial baseline, the nearest training image of the same camera, and `with_field` the neural
+    field itself, volume-rendered. The region `masked` leaves out sky and ego vehicle.
+
+    Raises:
+        InputError: the build held nothing out.
+        ArtefactError: `with_field`, and the build trained none.
+    """
+    if not workspace.held_out:
+        raise InputError(
+            "nothing was held out",
+            where=workspace.root,
+            remedy="Build with --hold-out 8 or another number.",
+        )
+
+    methods: dict[str, Show] = {
+        "twin": observed_radiance(workspace),
+        "nearest image": nearest_recorded(workspace),
+    }
+    if with_field:
+        methods["field"] = _field_renderer(workspace)
+    return held_out_tasks(workspace, methods)
+
+
+def nearest_recorded(workspace: Workspace) -> Show:
+    """The camera's own picture that is nearest in time and not held out, as it is."""
+
+    def nearest(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
+        frames = workspace.log.frames_of(frame.camera_name)
+        others = [f for f in frames if f.stem not in workspace.held_out]
+        return min(others, key=lambda f: abs(f.time_ns - frame.time_ns)).load_srgb8()
+
+    return nearest
+
+
+def observed_radiance(workspace: Workspace, sky: SkyEstimate | None = None) -> Show:
+    """Pictures of the twin as it was seen, its estimated sky behind.
+
+    Args:
+        sky: stands there instead; of builds up to the assets, or so that builds differ by their
+            surfaces alone.
+    """
+    log, assets, sky = workspace.log, workspace.assets, sky or workspace.sky
+    renderer = FrameRenderer(assets.background, workspace.inferred, TransportConfig(), 0)
+    scenario = replay(DigitalTwin(log, assets, sky), "held-out", log.frames)
+
+    def render(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
+        camera = log.cameras[frame.camera_name]
+        buffers = renderer.geometry(scenario, frame, camera)
+        behind = sky_image(sky.dome, camera, frame)
+        radiance = np.where(buffers.has_surface[..., None], buffers.base_colour, behind)
+        return srgb8_from_linear(radiance * assets.camera_gains[frame.camera_name])
+
+    return render
+
+
+def held_out_tasks(
+    workspace: Workspace, methods: Mapping[str, Show], log: DrivingLog | None = None
+) -> list[FrameTask]:
+    """Held-out frames beside what methods make of them; valid is what is neither sky nor ego
+    vehicle.
+
+    Args:
+        log: at the scale of the pictures; None: the workspace's.
+    """
+    ego_vehicle_masks = (log or workspace.recorded_log).ego_vehicle_masks
+    log = log or workspace.log
+
+    def is_valid(frame: CameraFrame) -> LoadMask:
+        camera = log.cameras[frame.camera_name]
+        matte = workspace.sky_matte(frame)[..., None]
+        valid = resize_area(matte, camera.height_px, camera.width_px)[..., 0] < 0.5
+        ego_vehicle = ego_vehicle_masks.get(frame.camera_name)
+        return valid if ego_vehicle is None else valid & ~ego_vehicle
+
+    return [
+        FrameTask(
+            frame.camera_name,
+            frame.camera_name,
+            frame.stem,
+            frame.load_srgb8,
+            {name: partial(show, frame) for name, show in methods.items()},
+            partial(is_valid, frame),
+        )
+        for frame in log.frames
+        if frame.stem in workspace.held_out
+    ]
+
+
+def _field_renderer(
+    workspace: Workspace,
+) -> Callable[[CameraFrame], UInt8[np.ndarray, "h w 3"]]:
+    from lightsim.reconstruct.field.render_field import render_frame
+
+    field, log = workspace.scene_field, workspace.training_log
+    guide = sample_guide(log, workspace.fused, field.config, SilentProgress())
+    return lambda frame: render_frame(field, workspace.log, frame, guide)
+
+
+def lidar_error(
+    workspace: Workspace, progress: Progress, rng: np.random.Generator
+) -> tuple[LidarScores, bool]:
+    """Return the error of LiDAR beams cast again on the meshes.
+
+    Held-out sweeps are used where there are any; the flag says whether.
+    """
+    log, assets = workspace.log, workspace.assets
+    held = tuple(s for s in log.sweeps if s.stem in workspace.held_out)
+
+    def actors_at(time_ns: int) -> list[TriMesh]:
+        return [
+            assets.actors[track.actor_id].mesh.transformed(track.world_from_actor(time_ns))
+            for track in log.actors_at(time_ns)
+            if track.actor_id in assets.actors
+        ]
+
+    scores = evaluate_lidar(
+        held or log.sweeps,
+        [assets.background],
+        actors_at,
+        make_caster=make_embree_caster,
+        rng=rng,
+        progress=progress,
+    )
+    return scores, bool(held)

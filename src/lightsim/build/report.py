@@ -1,0 +1,155 @@
+"""report/index.html of a build: pictures of the twin, and the numbers that its stages stored."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from lightsim.build.measures import Measures, read_measures
+from lightsim.build.workspace import Workspace
+from lightsim.core.colour import srgb8_from_linear
+from lightsim.core.sensors import CameraFrame
+from lightsim.render.frame_renderer import FrameRenderer
+from lightsim.render.transport.matrix import TransportConfig
+from lightsim.scenario.replay import replay
+from lightsim.store.artefact import read_json, read_record
+from lightsim.view.figures import (
+    depth_colours,
+    dome_preview,
+    normal_colours,
+    reduced,
+    strip,
+    tone_mapped,
+)
+from lightsim.view.report import Card, Figure, Section, Table, write_report
+
+
+@dataclass(frozen=True)
+class ReportConfig:
+    """What the page shows."""
+
+    stages: tuple[str, ...]
+    """Stages with their times and notes."""
+    transport: TransportConfig = field(default_factory=TransportConfig)
+    """Light of the pictures."""
+
+
+def write_build_report(path: Path, work: Workspace, config: ReportConfig) -> None:
+    """report/index.html of a build: sky, meshes, held-out numbers, timings."""
+    measured = read_measures(work.need("measures"))
+    frames, log = measured.frames, work.log
+    cards = [
+        Card("frames", str(len(log.frames)), f"{len(log.cameras)} cameras"),
+        Card("sweeps", str(len(log.sweeps)), f"{len(log.actors)} actors"),
+        _sun_card(work),
+        Card(
+            "LiDAR error",
+            f"{100 * measured.lidar.median_abs_m:.1f} cm",
+            "median, "
+            + ("held-out sweeps" if measured.is_held_out else "sweeps of the build itself"),
+        ),
+    ]
+    if frames is not None:
+        score = np.mean([r.scores.psnr_db for r in frames.rows if _is_twin(r)])
+        cards.append(Card("held-out PSNR", f"{score:.1f} dB", "without sky and ego vehicle"))
+    sections = [
+        _sky_section(work),
+        _scene_section(work, config.transport),
+        _number_section(measured),
+        _stage_section(work, config.stages),
+    ]
+    write_report(path, f"Twin of {log.name}", sections, subtitle="lightsim build", cards=cards)
+
+
+def _is_twin(row: object) -> bool:
+    return getattr(row, "method", "") == "twin" and getattr(row, "region", "") == "masked"
+
+
+def _sun_card(work: Workspace) -> Card:
+    sky = work.sky
+    azimuth = "unknown" if sky.sun_azimuth_deg is None else f"{sky.sun_azimuth_deg:.1f}"
+    note = f"azimuth, elevation in degrees; {sky.origin}, +-{sky.uncertainty_deg:.2f}"
+    return Card("sun", f"{azimuth}, {sky.sun_elevation_deg:.1f}", note)
+
+
+def _sky_section(work: Workspace) -> Section:
+    panorama, sky = work.panorama, work.sky
+    seen = f"{100 * panorama.is_sky[: panorama.is_sky.shape[0] // 2].mean():.0f} %"
+    return Section(
+        "Sky",
+        f"The cameras saw {seen} of the upper hemisphere as sky. Centre column along world +x.\n\n"
+        + "\n\n".join(f"{note}." for note in sky.notes),
+        figures=[
+            Figure("stitched panorama", srgb8_from_linear(panorama.radiance)),
+            Figure("estimated sky, tone-mapped, ring around the sun", dome_preview(sky.dome)),
+        ],
+    )
+
+
+def _scene_section(work: Workspace, config: TransportConfig) -> Section:
+    log, twin = work.log, work.twin
+    renderer = FrameRenderer(twin.assets.background, work.unobserved_occluders, config, seed=0)
+    scenario = replay(twin, "report", log.frames)
+    sky = renderer.prepare(work.sky.dome)
+    figures = []
+    for name, camera in log.cameras.items():
+        frames = log.frames_of(name)
+        frame: CameraFrame = frames[len(frames) // 2]
+        traced = renderer.trace(scenario, frame, camera)
+        buffers, light = traced.buffers, traced.light(sky)
+        matte = np.repeat(work.sky_matte(frame)[..., None] * 255, 3, axis=2).astype(np.uint8)
+        shown = [
+            frame.load_srgb8(),
+            srgb8_from_linear(buffers.base_colour),
+            tone_mapped(light.shaded),
+            normal_colours(buffers),
+            depth_colours(buffers.depth_z_m),
+            matte,
+        ]
+        caption = f"{name}: recorded | base colour | source light | normals | depth | sky matte"
+        figures.append(Figure(caption, strip([reduced(p, 360) for p in shown]), is_wide=True))
+    return Section("Scene", figures=figures)
+
+
+def _number_section(measured: Measures) -> Section:
+    s, frames = measured.lidar, measured.frames
+    lidar = Table(
+        ["returns", "hit rate", "median abs m", "90 % m", "within 10 cm"],
+        [
+            [
+                s.count,
+                round(s.hit_rate, 3),
+                round(s.median_abs_m, 3),
+                round(s.percentile_90_m, 3),
+                round(s.within_10_cm, 3),
+            ]
+        ],
+        "LiDAR beams cast again on the meshes",
+    )
+    tables = [lidar]
+    if frames is not None:
+        rows = [
+            [r.camera_name, r.method, round(r.scores.psnr_db, 2), round(r.scores.ssim, 3)]
+            for r in frames.rows
+            if r.region == "masked" and not r.is_exposed
+        ]
+        tables.append(
+            Table(["camera", "image", "PSNR dB", "SSIM"], rows, "held-out frames, no sky, raw")
+        )
+    return Section("Numbers", tables=tables)
+
+
+def _stage_section(work: Workspace, stage_names: Sequence[str]) -> Section:
+    rows, notes = [], []
+    for name in stage_names:
+        record = read_record(work.folder(name))
+        if record is not None:
+            rows.append([name, record["seconds"], record["peak_memory_mb"]])
+            # Those of the sky stand beside its picture.
+            notes += [f"{name}: {note}." for note in record["notes"] if name != "sky"]
+    summary = read_json(work.need("log") / "log.json")
+    text = f"Held out: {', '.join(summary['held_out']) or 'nothing'}.\n\n" + "\n\n".join(notes[:30])
+    return Section("Stages", text, tables=[Table(["stage", "seconds", "peak MB so far"], rows)])

@@ -1,0 +1,93 @@
+"""Where the source sun of a log stands: all cues that the log has, in one posterior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from lightsim.build.options import GpsUse
+from lightsim.build.workspace import Workspace
+from lightsim.core.log import GeoReference
+from lightsim.core.solar import solar_position
+from lightsim.lighting.sample import SkyPrediction
+from lightsim.lighting.sun.cues import Cue, NetworkCue, ShadowCue, ephemeris_cue, panorama_cues
+from lightsim.lighting.sun.direction import SunDirection
+from lightsim.lighting.sun.posterior import (
+    SunPosterior,
+    sun_direction,
+    sun_posterior,
+)
+from lightsim.lighting.sun.shadow_likelihood import ShadowLikelihood, ShadowLikelihoodConfig, vote
+from lightsim.lighting.sun.surface_samples import sample_surfaces
+from lightsim.progress import Progress
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.render.frame_renderer import parked_actor_meshes
+
+
+@dataclass(frozen=True)
+class SourceSunConfig:
+    """What is asked about the sun."""
+
+    votes: ShadowLikelihoodConfig = field(default_factory=ShadowLikelihoodConfig)
+    """Light and shade on the surfaces."""
+    gps: GpsUse = "all"
+    """How much of the log's place, time and heading is used."""
+
+
+def find_source_sun(
+    work: Workspace,
+    config: SourceSunConfig,
+    *,
+    seed: int,
+    progress: Progress,
+    prediction: SkyPrediction | None = None,
+) -> tuple[SunDirection, SunPosterior]:
+    """The sun in the middle of the log.
+
+    Args:
+        prediction: what a network says of the log's panorama.
+
+    Raises:
+        InputError: by place and time the sun is below the horizon.
+    """
+    log = work.training_log
+    middle_ns = log.frames[len(log.frames) // 2].time_ns
+    geo = _used_geo(log.geo, config.gps)
+    cues: list[Cue] = []
+    position = None
+    if geo is not None:
+        cues.append(ephemeris_cue(geo, middle_ns))
+        position = solar_position(geo.latitude_deg, geo.longitude_deg, middle_ns)
+    cues += panorama_cues(work.panorama)
+    cues.append(
+        ShadowCue(source_shadow_likelihood(work, config.votes, seed=seed, progress=progress))
+    )
+    if prediction is not None:
+        cues.append(NetworkCue(prediction))
+    posterior = sun_posterior(cues, work.panorama)
+    return sun_direction(posterior, position), posterior
+
+
+def source_shadow_likelihood(
+    work: Workspace, config: ShadowLikelihoodConfig, *, seed: int, progress: Progress
+) -> ShadowLikelihood:
+    """What light and shade on the static surfaces say about the sun."""
+    log, assets = work.training_log, work.assets
+    rng = np.random.default_rng(seed)
+    path_world = np.array([frame.world_from_camera.translation_m for frame in log.frames])
+    casters = [*parked_actor_meshes(log, assets), work.inferred]
+    samples, caster = sample_surfaces(
+        assets.background, casters, path_world, make_embree_caster, config.samples, rng
+    )
+    return vote(samples, caster, config, rng, progress=progress)
+
+
+def _used_geo(geo: GeoReference | None, use: GpsUse) -> GeoReference | None:
+    if geo is None or use == "none":
+        return None
+    if use == "place":
+        return replace(
+            geo, enu_from_world=None, heading_origin="unknown", heading_residual_deg=None
+        )
+    return geo

@@ -1,0 +1,259 @@
+"""The source sky, and the base colour that it leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.appearance.colour import colour_of_nearest
+from lightsim.appearance.intrinsic.balance import balance_light
+from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, Road, decompose, patches_of
+from lightsim.appearance.intrinsic.labels import Observed
+from lightsim.appearance.intrinsic.light import LightBalance
+from lightsim.appearance.intrinsic.roofs import carve_roofs
+from lightsim.build.assemble import build_twin, roofs_over
+from lightsim.build.options import SkyModel
+from lightsim.build.road_sheen import with_measured_road
+from lightsim.build.source_light import SourceLight, static_returns
+from lightsim.build.source_sun import SourceSunConfig, find_source_sun
+from lightsim.build.stages.context import Context
+from lightsim.build.workspace import Workspace
+from lightsim.core.buildings import Roofline
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.frames import RigidTransform
+from lightsim.core.mesh import TriMesh
+from lightsim.core.sensors import CameraFrame
+from lightsim.core.twin import LightFreedom, SkyEstimate
+from lightsim.lighting.panorama.stitch import StitchConfig, stitch_panorama
+from lightsim.lighting.sample import SkyPrediction
+from lightsim.lighting.sky.balance import rebalanced, unseen_part
+from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
+from lightsim.lighting.sky.shipped import completed_panorama, decoded_sky, predict_sky
+from lightsim.lighting.sun.direction import SunDirection
+from lightsim.progress import Progress
+from lightsim.render.frame_renderer import parked_actor_meshes
+from lightsim.render.gbuffers import render_gbuffers
+from lightsim.render.scene import make_static_scene, without_actors
+from lightsim.render.transport.irradiance import IrradianceConfig
+from lightsim.render.transport.matrix import TransportConfig
+from lightsim.store.rooflines import write_rooflines
+from lightsim.store.sky import (
+    write_completed,
+    write_panorama,
+    write_panorama_pictures,
+    write_sky,
+)
+from lightsim.store.twin import write_twin
+
+IRRADIANCE = IrradianceConfig(TransportConfig(sky_rays=32, face_rays=8, glossy_rays=64), 0.25)
+"""Sun, sky and the light of other surfaces as it was seen; what was not seen is grey. Few rays for
+reflections leave coloured clouds on shaded asphalt, whose own radiance is small."""
+LIDAR_RETURNS = 1_500_000
+"""LiDAR returns whose intensity is asked."""
+
+
+@dataclass(frozen=True)
+class SkyStageConfig:
+    """Direction of the sun, the sky that was seen, and what surfaces say of the light."""
+
+    sun: SourceSunConfig = field(default_factory=SourceSunConfig)
+    sky: SkyConfig = field(default_factory=SkyConfig)
+    irradiance: IrradianceConfig = field(default_factory=lambda: IRRADIANCE)
+    """Light on the patches that say how sun and unseen sky compare."""
+    labels: IntrinsicConfig = field(default_factory=IntrinsicConfig)
+    """How their shadows are found."""
+    model: SkyModel = "analytic"
+    """Who makes the dome."""
+
+
+@dataclass(frozen=True)
+class TwinConfig:
+    """From observed radiance to base colour."""
+
+    irradiance: IrradianceConfig = field(default_factory=lambda: IRRADIANCE)
+    """Light at the vertices."""
+    intrinsic: IntrinsicConfig = field(default_factory=IntrinsicConfig)
+    """How shadows are found."""
+
+
+def make_panorama(
+    work: Workspace, config: StitchConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    """What the cameras saw around the ego's place in the middle of the log.
+
+    Depth comes from the static and parked surfaces: moving actors are not in it.
+    """
+    log, assets = work.training_log, work.assets
+    scene = without_actors(
+        make_static_scene([assets.background, *parked_actor_meshes(log, assets)])
+    )
+
+    def cast_depth(frame: CameraFrame, camera: PinholeCamera) -> Float32[np.ndarray, "h w"]:
+        return render_gbuffers(scene, camera, frame).depth_z_m
+
+    def sky_matte(frame: CameraFrame, camera: PinholeCamera) -> Float32[np.ndarray, "h w"]:
+        return work.sky_matte(frame)
+
+    panorama = stitch_panorama(
+        log, assets.camera_gains, cast_depth, sky_matte, config, progress=context.progress
+    )
+    write_panorama(folder, panorama)
+    return ()
+
+
+def make_sky(
+    work: Workspace, config: SkyStageConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    """The source sky: the sun is found first, then strengths and dome; notes say from what."""
+    predicted = predict_sky(work.panorama)
+    sun, _ = find_source_sun(
+        work, config.sun, seed=context.seed, progress=context.progress, prediction=predicted
+    )
+    if config.model == "paper":
+        sky = decoded_sky(work.panorama, sun, predicted, config.sky.height_px)
+        rooflines = work.guessed_rooflines
+    else:
+        sky, rooflines = source_sky(
+            work, sun, config, predicted, seed=context.seed, progress=context.progress
+        )
+    write_rooflines(folder / "rooflines.npz", rooflines)
+    geo = work.training_log.geo
+    write_sky(folder, sky, None if geo is None else geo.heading_deg)
+    write_panorama_pictures(folder, work.panorama)
+    write_completed(folder, completed_panorama(work.panorama)[0])
+    return sky.notes
+
+
+def source_sky(
+    work: Workspace,
+    sun: SunDirection,
+    config: SkyStageConfig,
+    prediction: SkyPrediction | None,
+    *,
+    seed: int,
+    progress: Progress,
+) -> tuple[SkyEstimate, list[Roofline]]:
+    """The dome of a log whose sun was found: first what the sky tells, then with what shadows and
+    materials on its surfaces say of the sun and of the sky that no camera saw; and the roofs that
+    cast these shadows."""
+    estimate, freedom = estimate_sky(
+        work.panorama, sun, config.sky, progress=progress, prediction=prediction
+    )
+    log, rng = work.training_log, np.random.default_rng(seed)
+    returns = static_returns(log, LIDAR_RETURNS, rng)
+    patches = patches_of(work.assets.background, config.labels, rng, returns=returns)
+    if patches is None:
+        return estimate, work.guessed_rooflines
+    unseen = unseen_part(estimate.dome, freedom)
+
+    def observe(inferred: TriMesh) -> Observed:
+        source = SourceLight(
+            log, work.assets, inferred, estimate.dome, config.irradiance, seed, unseen
+        )
+        return patches.under(source.on(RigidTransform.identity("world", "world")))[0]
+
+    observed, rooflines = observe(work.inferred), work.guessed_rooflines
+    carved = _carved(rooflines, observed, estimate, freedom, config)
+    if any((a.top != b.top).any() for a, b in zip(carved, rooflines, strict=True)):
+        rooflines, observed = carved, observe(roofs_over(work.assets.background, carved))
+    path_world = np.array([frame.world_from_camera.translation_m for frame in log.frames])
+    balance = balance_light(observed, freedom, path_world, config.labels)
+    if np.isinf(balance.sun_log_std):
+        return estimate, rooflines
+    note = f"{_moved_roofs(work.guessed_rooflines, rooflines)}; {_balance_note(balance)}"
+    balanced = rebalanced(
+        estimate,
+        freedom,
+        balance.sun,
+        balance.unseen_sky,
+        sun_log_std=balance.sun_log_std,
+        unseen_log_std=balance.unseen_sky_log_std,
+        note=note,
+    )
+    return balanced, rooflines
+
+
+def _carved(
+    rooflines: list[Roofline],
+    observed: Observed,
+    estimate: SkyEstimate,
+    freedom: LightFreedom,
+    config: SkyStageConfig,
+) -> list[Roofline]:
+    """The rooflines with what their shadows say, if the sun casts any."""
+    sun = estimate.dome.sun
+    if sun is None or freedom.is_veiled:
+        return rooflines
+    return carve_roofs(rooflines, observed, sun.direction_world, config.labels)
+
+
+def _balance_note(balance: LightBalance) -> str:
+    """Factors and spreads, for people."""
+    on_sun, on_unseen_sky = (
+        f"({', '.join(f'{value:.2f}' for value in factor)}), log std {log_std:.2f}"
+        for factor, log_std in (
+            (balance.sun, balance.sun_log_std),
+            (balance.unseen_sky, balance.unseen_sky_log_std),
+        )
+    )
+    return (
+        f"{balance.pair_count} lit/shadowed pairs of patches and known materials:"
+        f" sun times {on_sun}; unseen sky times {on_unseen_sky}"
+    )
+
+
+def _moved_roofs(before: Sequence[Roofline], after: Sequence[Roofline]) -> str:
+    """What shadows changed, for people."""
+    unseen = [~a.is_seen & (a.depth_m > 0) for a in after]
+    width = sum(float(u.sum() * a.cell_m) for u, a in zip(unseen, after, strict=True))
+    if width == 0:
+        return "every roof was seen"
+    steps = [np.abs(a.top_m - b.top_m)[u] for a, b, u in zip(after, before, unseen, strict=True)]
+    return (
+        f"{width:.0f} m of walls whose roof no view reaches; shadows moved it by"
+        f" {np.mean(np.concatenate(steps)):.1f} m in the mean"
+    )
+
+
+def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Context) -> Iterable[str]:
+    """Find and remove the source light, mesh by mesh, and write the twin."""
+    assets, log = work.assets, work.training_log
+    inferred = roofs_over(assets.background, work.rooflines)
+    source = SourceLight(log, assets, inferred, work.sky.dome, config.irradiance, context.seed)
+    rng = np.random.default_rng(context.seed)
+    light_at = source.on(RigidTransform.identity("world", "world"))
+    background, road_notes = with_measured_road(
+        log, assets, work.sky.dome.sun, light_at, context.seed
+    )
+    street = decompose(
+        background,
+        light_at,
+        config.intrinsic,
+        rng,
+        returns=static_returns(log, LIDAR_RETURNS, rng),
+        road=Road(work.fields.path_m, work.fields.ground),
+    )
+    tracks = {track.actor_id: track for track in log.actors}
+    actors = {}
+    for actor in context.progress.track(assets.actors.values(), "base colour", len(assets.actors)):
+        trajectory = tracks[actor.actor_id].trajectory
+        pose = trajectory.at(int(trajectory.times_ns[len(trajectory) // 2]))
+        mesh = decompose(
+            actor.mesh,
+            source.on(pose),
+            config.intrinsic,
+            rng,
+            is_symmetric=actor.kind.is_vehicle,
+        ).mesh
+        if tracks[actor.actor_id].is_moving:
+            mesh = replace(mesh, sun_visibility=None)
+        actors[actor.actor_id] = replace(actor, mesh=mesh)
+    # No picture shows a shadow on what nobody saw.
+    inferred = colour_of_nearest(inferred, street.mesh)
+    assets = replace(assets, background=street.mesh, actors=actors)
+    write_twin(folder, build_twin(work.log, assets, work.sky), inferred)
+    return (*street.notes, *road_notes)

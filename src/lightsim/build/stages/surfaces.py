@@ -1,0 +1,227 @@
+"""From fields to coloured meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from lightsim.appearance.build import AssetConfig, build_assets
+from lightsim.appearance.intrinsic.surfels import LidarReturns
+from lightsim.build.assemble import roofs_over
+from lightsim.build.source_light import static_returns
+from lightsim.build.stages.context import Context
+from lightsim.build.workspace import Workspace
+from lightsim.core.buildings import Roofline
+from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import TriMesh, concatenate_meshes
+from lightsim.core.twin import SceneAssets
+from lightsim.geometry.completion.before_sky import without_sky
+from lightsim.geometry.completion.buildings import MeasuredScene, complete_buildings
+from lightsim.geometry.completion.crown_colours import is_green
+from lightsim.geometry.completion.crown_shapes import unseen_leaves
+from lightsim.geometry.completion.crowns import Beams, find_crowns
+from lightsim.geometry.completion.facade_cells import FacadeCells, facade_cells
+from lightsim.geometry.completion.far_field import build_far_field
+from lightsim.geometry.completion.flatten import flatten_walls
+from lightsim.geometry.completion.glass import find_glass
+from lightsim.geometry.completion.glazing import glaze
+from lightsim.geometry.completion.kerbs import find_kerbs, with_edges, with_kerbs
+from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards, without_shreds
+from lightsim.geometry.completion.ledges import find_ledges, with_ledges
+from lightsim.geometry.completion.pole_meshes import with_poles
+from lightsim.geometry.completion.poles import find_poles, raise_poles
+from lightsim.geometry.completion.shipped_glass import shipped_glass_odds
+from lightsim.geometry.completion.silhouettes import View
+from lightsim.geometry.completion.walls import find_walls
+from lightsim.geometry.mesh_scene import mesh_scene
+from lightsim.geometry.simplify import simplify_planar
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.render.frame_renderer import parked_actor_meshes
+from lightsim.store.assets import write_assets, write_mesh
+from lightsim.store.rooflines import write_rooflines
+
+_WALL_RETURNS = 3_000_000
+"""LiDAR returns that walls are drawn onto, at most."""
+_BOX_MARGIN_M = 0.3
+"""Returns this near the box of a vehicle at rest are its own."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """What sensors and networks drew, before what they did not see is completed."""
+
+    meshes: SceneAssets
+    scene: MeasuredScene
+    returns: LidarReturns
+    beams: Beams
+    notes: tuple[str, ...]
+
+
+def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
+    """Everything that has a shape, before it has a colour; casters of shadows apart."""
+    measured = _measured(work, context)
+    background, rooflines, notes = _completed(work, measured, context)
+    write_assets(folder, replace(measured.meshes, background=background))
+    write_rooflines(folder / "rooflines.npz", rooflines)
+    return (*measured.meshes.notes, *notes, *measured.notes)
+
+
+def facades_of(work: Workspace, context: Context) -> list[FacadeCells]:
+    """What views and beams tell of a finished work's walls before panes are set into them, for
+    those who teach the network that finds them."""
+    measured = _measured(work, context)
+    return _closed(work, measured, context)[2]
+
+
+def _measured(work: Workspace, context: Context) -> _Measured:
+    log, fields = work.training_log, work.fields
+    returns = static_returns(log, _WALL_RETURNS, np.random.default_rng(context.seed))
+    kerbs = find_kerbs(returns.points, fields.ground, fields.path_m)
+
+    def smooth_planes(mesh: TriMesh, voxel_m: float) -> TriMesh:
+        return with_kerbs(flatten_walls(mesh, voxel_m, returns.points), kerbs, voxel_m)
+
+    meshes = mesh_scene(
+        log,
+        fields,
+        make_caster=make_embree_caster,
+        progress=context.progress,
+        smooth_planes=smooth_planes,
+    )
+    meshes = replace(meshes, background=with_edges(meshes.background, kerbs))
+    walls = find_walls(meshes.background)
+    beams = _beams(log, returns)
+    found = find_crowns(beams, walls, fields.ground, fields.path_m)
+    caster = make_embree_caster([meshes.background])
+    crowns = found.only(is_green(found, _views(work), caster))
+    poles = find_poles(returns.points, returns.origins, fields.ground, fields.path_m)
+    poles = raise_poles(poles, partial(_views, work))
+    cards = crown_cards(crowns, np.random.default_rng(context.seed))
+    surface = without_shreds(meshes.background, crowns)
+    surface = without_sky(surface, _views(work), fields.ground, make_embree_caster)
+    background = with_poles(surface, poles)
+    background = concatenate_meshes([background, cards])
+    caster = make_embree_caster([background])
+    unseen = unseen_leaves(crowns, beams, walls, _views(work), caster)
+    rest = cards_above(crowns, unseen, crowns.voxel_m, np.random.default_rng(context.seed))
+    background = concatenate_meshes([background, rest])
+    scene = MeasuredScene(background, walls, crowns, parked_actor_meshes(log, meshes))
+    notes = (
+        f"{sum(len(k.edge_m) for k in kerbs) // 2} m of kerbs have upright faces",
+        f"{len(poles)} poles, posts and trunks stand as rods",
+        f"{len(crowns)} crowns are drawn by {len(cards.faces) // 2} cards, and what no beam tells "
+        f"of them by {len(rest.faces) // 2}; {len(found) - len(crowns)} more are not green",
+    )
+    return _Measured(meshes, scene, returns, beams, notes)
+
+
+def _closed(
+    work: Workspace, measured: _Measured, context: Context
+) -> tuple[TriMesh, list[Roofline], list[FacadeCells], int]:
+    """The measured background with buildings, their roofs, what is told of their walls, and how
+    many faces are new."""
+    log, fields, scene = work.training_log, work.fields, measured.scene
+    facades, rooflines = complete_buildings(
+        scene,
+        partial(_views, work),
+        (sweep.load() for sweep in context.progress.track(log.sweeps, "walls and roofs")),
+        fields.ground,
+        measured.beams,
+        make_caster=make_embree_caster,
+    )
+    background = concatenate_meshes([scene.background, simplify_planar(facades)])
+    cells = facade_cells(
+        scene.walls,
+        ((frame, log.cameras[frame.camera_name]) for frame in log.frames),
+        measured.returns.points,
+        make_embree_caster([background]),
+    )
+    return background, rooflines, cells, len(facades.faces)
+
+
+def _completed(
+    work: Workspace, measured: _Measured, context: Context
+) -> tuple[TriMesh, list[Roofline], tuple[str, ...]]:
+    """The measured background with buildings, panes and the far field; roofs, and notes."""
+    fields = work.fields
+    background, rooflines, cells, closing = _closed(work, measured, context)
+    panes = find_glass(cells, shipped_glass_odds())
+    ledges = find_ledges([r.wall for r in rooflines], measured.beams.ends, fields.ground)
+    background = with_ledges(glaze(background, panes), ledges)
+    far = build_far_field(
+        background, _views(work), fields.ground, fields.path_m, make_caster=make_embree_caster
+    )
+    notes = (
+        f"{closing} faces close windows and raise facades, {len(far.faces)} stand "
+        f"beyond the LiDAR's reach; {len(rooflines)} walls have a roof: inferred, not measured",
+        f"{len(panes)} panes of glass are set into walls, {len(ledges)} ledges stand before them",
+    )
+    return concatenate_meshes([background, far]), rooflines, notes
+
+
+def _views(work: Workspace) -> Iterable[View]:
+    """Frames with their camera and sky matte."""
+    log = work.training_log
+    return ((f, log.cameras[f.camera_name], work.sky_matte(f)) for f in log.frames)
+
+
+def _beams(log: DrivingLog, returns: LidarReturns) -> Beams:
+    """Beams without those that ended on vehicles at rest."""
+    is_used = np.ones(len(returns.points), dtype=bool)
+    for track in log.actors:
+        if not track.is_moving:
+            start_ns = track.trajectory.start_ns
+            is_used &= ~track.contains(returns.points.astype(np.float64), start_ns, _BOX_MARGIN_M)
+    return Beams(returns.origins[is_used], returns.points[is_used])
+
+
+def make_assets(
+    work: Workspace, config: AssetConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    """Meshes coloured with observed radiance, and the camera gains found with them.
+
+    Inferred casters, which no image shows, take the colour of the nearest background.
+    """
+    assets = build_assets(
+        work.training_log,
+        work.meshes,
+        config,
+        make_caster=make_embree_caster,
+        progress=context.progress,
+        sky_matte=work.sky_matte,
+    )
+    if config.colour != "texture":
+        assets = _vertex_coloured(work, assets, config)
+    write_assets(folder, assets)
+    write_mesh(folder / "inferred.npz", roofs_over(assets.background, work.guessed_rooflines))
+    return ()
+
+
+def _vertex_coloured(work: Workspace, assets: SceneAssets, config: AssetConfig) -> SceneAssets:
+    """Colours at the vertices alone: means of the texture, or the neural field's k_d."""
+
+    def plain(mesh: TriMesh, actor: int) -> TriMesh:
+        mesh = replace(mesh, texture=None)
+        if field is None:
+            return mesh
+        return replace(mesh, base_colour=vertex_radiance(field, mesh, actor))
+
+    gains = assets.camera_gains
+    field = None
+    if config.colour == "field":
+        from lightsim.reconstruct.field.refine import vertex_radiance
+
+        field = work.scene_field
+        gains = field.radiance_gains()
+    number_by_actor = work.training_log.number_by_actor
+    actors = {
+        actor_id: replace(actor, mesh=plain(actor.mesh, number_by_actor[actor_id]))
+        for actor_id, actor in assets.actors.items()
+    }
+    return replace(
+        assets, background=plain(assets.background, -1), actors=actors, camera_gains=gains
+    )

@@ -1,0 +1,376 @@
+"""A work folder: one sub-folder per artefact, loaded when asked for and kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+import numpy as np
+from jaxtyping import Bool, Float32
+
+from lightsim.core.alignment import Alignment
+from lightsim.core.buildings import Roofline
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.fields import SceneFields
+from lightsim.core.frames import Trajectory
+from lightsim.core.kept_sweeps import KeptSweeps
+from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import TriMesh
+from lightsim.core.reading import LogReading
+from lightsim.core.sensors import CameraFrame
+from lightsim.core.twin import DigitalTwin, Panorama, SceneAssets, SkyEstimate
+from lightsim.errors import ArtefactError
+from lightsim.store.alignment import read_alignment
+from lightsim.store.artefact import read_json, require_whole
+from lightsim.store.assets import read_assets, read_mesh
+from lightsim.store.fields import read_fields
+from lightsim.store.images import read_grey8_alpha
+from lightsim.store.log import (
+    held_out_of,
+    held_out_stems,
+    read_reading,
+    read_source_hashes,
+)
+from lightsim.store.rooflines import read_rooflines
+from lightsim.store.sky import read_estimate, read_panorama
+from lightsim.store.twin import read_twin_assets
+
+if TYPE_CHECKING:
+    from lightsim.reconstruct.field.sdf_field import SceneField
+    from lightsim.render.roofs import UncertainRoofs
+
+T = TypeVar("T")
+FIELD_NAME = "field.safetensors"
+FIELD_CONFIG_NAME = "field.json"
+OPTIONS_NAME = "build.json"
+
+
+class _MadeOf(Generic[T]):
+    """Like cached_property; the artefacts that a value is made of are checked at every access."""
+
+    def __init__(self, function: Callable[[Workspace], T], stages: tuple[str, ...]) -> None:
+        self._function, self._stages = function, stages
+        self.__doc__ = function.__doc__
+
+    def __get__(self, work: Workspace, owner: type) -> T:
+        for stage in self._stages:
+            work.check_open(stage)
+        values = work.__dict__.setdefault("_values", {})
+        name = self._function.__name__
+        if name not in values:
+            values[name] = self._function(work)
+        return values[name]
+
+
+def made_of(*stages: str) -> Callable[[Callable[[Workspace], T]], _MadeOf[T]]:
+    """Decorates what is read once from the artefacts of these stages."""
+    return lambda function: _MadeOf(function, stages)
+
+
+class Workspace:
+    """The artefacts of one log under `root` (INTERFACE: WORK).
+
+    Every artefact is held against the hashes in its record before it is first read, and the
+    recording against what the build found.
+    """
+
+    def __init__(
+        self,
+        root: Path,
+        reading: LogReading | None = None,
+        source_hashes: Mapping[str, str] | None = None,
+        *,
+        is_stale_allowed: bool = False,
+    ) -> None:
+        """
+        Args:
+            root: the work folder.
+            reading: how the log is read; by default as the build of `root` did.
+            source_hashes: of the recording's files (datasets/fingerprint.py); by default they are
+                made when the recording is first read, and compared with those of the build.
+            is_stale_allowed: go on where the recording has changed since the build.
+        """
+        self.root = root
+        self._reading = reading
+        self._source_hashes = source_hashes
+        self._is_stale_allowed = is_stale_allowed
+        self._records: dict[str, dict[str, Any]] = {}
+        self._open: frozenset[str] | None = None
+        self._sweeps = KeptSweeps()
+
+    def folder(self, stage: str) -> Path:
+        """Where a stage's artefact stands, or will."""
+        return self.root / stage
+
+    @contextmanager
+    def opened(self, stages: Iterable[str]) -> Generator[None]:
+        """Only these artefacts can be read while the block runs: what a stage declares to need."""
+        before, self._open = self._open, frozenset(stages)
+        try:
+            yield
+        finally:
+            self._open = before
+
+    def check_open(self, stage: str) -> None:
+        """An AssertionError, which is a fault of ours, where a stage reads undeclared artefacts."""
+        assert self._open is None or stage in self._open, f"'{stage}' is not declared as needed"
+
+    def need(self, stage: str) -> Path:
+        """Folder of a finished artefact, whose files are as they were written.
+
+        Raises:
+            ArtefactError: it has not been made, or is damaged.
+        """
+        self.record(stage)
+        return self.folder(stage)
+
+    def record(self, stage: str) -> dict[str, Any]:
+        """artefact.json of a finished artefact; raises as `need`."""
+        self.check_open(stage)
+        if stage not in self._records:
+            record = require_whole(self.folder(stage), self._remedy)
+            if record is None:
+                raise ArtefactError(
+                    f"the '{stage}' artefact has not been made",
+                    where=self.root,
+                    remedy=self._remedy,
+                )
+            self._records[stage] = record
+        return self._records[stage]
+
+    @cached_property
+    def _remedy(self) -> str:
+        path = self.root / OPTIONS_NAME
+        source = read_source(path) if path.is_file() else "SOURCE"
+        return f"Run: lightsim build {source} --work {self.root}"
+
+    @cached_property
+    def reading(self) -> LogReading:
+        """How the log is read: as was given, else as the build of `root` did.
+
+        Raises:
+            ArtefactError: nothing was given, and there is no finished build to ask.
+        """
+        if self._reading is not None:
+            return self._reading
+        recorded = read_reading(self.need("log"))
+        return replace(recorded, source=read_source(self.root / OPTIONS_NAME))
+
+    @cached_property
+    def source_hashes(self) -> Mapping[str, str]:
+        """Hashes of the recording's files as they are now."""
+        from lightsim.datasets.fingerprint import hash_recording
+
+        if self._source_hashes is not None:
+            return self._source_hashes
+        return hash_recording(Path(self.reading.source))
+
+    def _check_source(self) -> None:
+        """The recording must be the one that was built from."""
+        from lightsim.datasets.fingerprint import describe_change
+
+        if self._source_hashes is not None or self._is_stale_allowed:
+            return
+        change = describe_change(read_source_hashes(self.need("log")), self.source_hashes)
+        if change is not None:
+            raise ArtefactError(
+                "the recording has changed since the twin was built from it",
+                where=self.reading.source,
+                got=change,
+                remedy=f"{self._remedy} (or give --allow-stale to go on with the old twin).",
+            )
+
+    @made_of("log", "alignment")
+    def log(self) -> DrivingLog:
+        """All frames at the scale of the build; sensors, path and boxes aligned."""
+        return self._with_kept_sweeps(self.alignment.applied_to(self.recorded_log))
+
+    @made_of("log")
+    def recorded_log(self) -> DrivingLog:
+        """All frames at the scale of the build, not aligned."""
+        return self._recorded_at(self.reading.image_scale)
+
+    @made_of("alignment")
+    def alignment(self) -> Alignment:
+        """Corrections of path, boxes and cameras that turn the recorded log into `log`."""
+        return read_alignment(self.need("alignment"))
+
+    @cached_property
+    def _full_log(self) -> DrivingLog:
+        from lightsim.datasets.reader import read_log
+
+        self._check_source()
+        return self._with_kept_sweeps(read_log(self.reading, self._find_ego_vehicle))
+
+    def _with_kept_sweeps(self, log: DrivingLog) -> DrivingLog:
+        return replace(log, sweeps=self._sweeps.of(log.sweeps))
+
+    def _find_ego_vehicle(
+        self, views: Sequence[tuple[PinholeCamera, Sequence[CameraFrame]]], ego: Trajectory
+    ) -> tuple[dict[str, Bool[np.ndarray, "h w"]], tuple[str, ...]]:
+        """The ego vehicle, looked for in the pictures that building may look at."""
+        from lightsim.datasets.selection import FrameSelection
+        from lightsim.masks.ego_vehicle import ego_vehicle_masks
+
+        chosen = FrameSelection.parse(self.reading.frames)
+        frames = sorted((f for _, fs in views for f in fs), key=lambda f: f.time_ns)
+        stems = tuple(dict.fromkeys(f.stem for f in frames if chosen.holds(int(f.stem))))
+        held_out = held_out_of(stems, self.reading.hold_out)
+        allowed = [(c, tuple(f for f in fs if f.stem not in held_out)) for c, fs in views]
+        return ego_vehicle_masks(allowed, ego)
+
+    def log_at(self, image_scale: float) -> DrivingLog:
+        """The aligned log at another image scale."""
+        return self.alignment.applied_to(self._recorded_at(image_scale))
+
+    def _recorded_at(self, image_scale: float) -> DrivingLog:
+        from lightsim.datasets.scale import at_scale
+
+        return at_scale(self._full_log, image_scale)
+
+    @made_of("log")
+    def held_out(self) -> frozenset[str]:
+        """Stems of the frames and sweeps that building may not look at."""
+        return held_out_stems(self._full_log, self.reading.hold_out)
+
+    @made_of("log", "alignment")
+    def training_log(self) -> DrivingLog:
+        """The log without held-out frames and sweeps: all that building may look at."""
+        return self._without_held_out(self.log)
+
+    @made_of("log")
+    def recorded_training_log(self) -> DrivingLog:
+        """The recorded log without what is held out: what the alignment is found on."""
+        return self._without_held_out(self.recorded_log)
+
+    def _without_held_out(self, log: DrivingLog) -> DrivingLog:
+        out = self.held_out
+        return replace(
+            log,
+            frames=tuple(f for f in log.frames if f.stem not in out),
+            sweeps=tuple(s for s in log.sweeps if s.stem not in out),
+        )
+
+    def sky_matte(self, frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
+        """Expected fraction of sky at the build's image scale. Those of held-out frames are an
+        artefact of their own, which the stages that build declare no need of."""
+        return self._sky_matte(frame, 0)
+
+    def likeliest_sky(self, frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
+        """The same as pictures are put together by it: what is likelier sky than not is sky."""
+        return self._sky_matte(frame, 1)
+
+    def _sky_matte(self, frame: CameraFrame, plane: int) -> Float32[np.ndarray, "h w"]:
+        stage = "held_out_masks" if frame.stem in self.held_out else "masks"
+        path = self.need(stage) / frame.camera_name / f"{frame.stem}.png"
+        return read_grey8_alpha(path)[..., plane].astype(np.float32) / 255.0
+
+    @made_of("fields")
+    def fused(self) -> SceneFields:
+        """The fused LiDAR."""
+        return read_fields(self.need("fields"))
+
+    @made_of("neural")
+    def fields(self) -> SceneFields:
+        """The geometry that is meshed: the fused LiDAR as the neural field has refined it."""
+        return read_fields(self.need("neural"))
+
+    @made_of("log", "alignment", "fields", "neural")
+    def scene_field(self) -> SceneField:
+        """The trained neural field.
+
+        Raises:
+            ArtefactError: the build trained none.
+        """
+        from lightsim.reconstruct.field.config import config_from_json
+        from lightsim.reconstruct.field.neural import make_field
+        from lightsim.store.weights import read_weights
+
+        folder = self.need("neural")
+        config = config_from_json(read_json(folder / FIELD_CONFIG_NAME))
+        field = make_field(self.training_log, self.fused, config, 0)
+        field.load_state_dict(read_weights(folder / FIELD_NAME))
+        return field
+
+    @made_of("geometry")
+    def meshes(self) -> SceneAssets:
+        """Background and actors before they are coloured."""
+        return read_assets(self.need("geometry"))
+
+    @made_of("assets")
+    def assets(self) -> SceneAssets:
+        """Meshes whose colour is the observed radiance under the source sky."""
+        return read_assets(self.need("assets"))
+
+    @made_of("geometry")
+    def guessed_rooflines(self) -> list[Roofline]:
+        """How high walls rise, before shadows were asked."""
+        return read_rooflines(self.need("geometry") / "rooflines.npz")
+
+    @made_of("sky")
+    def rooflines(self) -> list[Roofline]:
+        """How high walls rise, as views and shadows have it."""
+        return read_rooflines(self.need("sky") / "rooflines.npz")
+
+    @made_of("assets")
+    def inferred(self) -> TriMesh:
+        """Roofs and rear walls that no sensor measured but that cast shadows, as guessed before
+        the pictures' shadows were asked."""
+        return read_mesh(self.need("assets") / "inferred.npz", "world")
+
+    @made_of("panorama")
+    def panorama(self) -> Panorama:
+        """What the cameras saw around the ego's place in the middle of the log, scene units."""
+        return read_panorama(self.need("panorama"))
+
+    @made_of("sky")
+    def sky(self) -> SkyEstimate:
+        """The source sky: the light under which the log was recorded."""
+        return read_estimate(self.need("sky"))
+
+    @made_of("twin")
+    def _twin_assets(self) -> tuple[SceneAssets, TriMesh]:
+        return read_twin_assets(self.need("twin"))
+
+    @property
+    def unobserved_occluders(self) -> TriMesh:
+        """The inferred casters with their base colour."""
+        return self._twin_assets[1]
+
+    @made_of("sky", "twin")
+    def uncertain_roofs(self) -> UncertainRoofs | None:
+        """How else the inferred casters may be; None where all was seen."""
+        from lightsim.build.assemble import uncertain_roofs
+
+        background = self._twin_assets[0].background
+        return uncertain_roofs(background, self.rooflines, self.sky.dome.sun)
+
+    @made_of("log", "alignment", "sky", "twin")
+    def twin(self) -> DigitalTwin:
+        """The aligned log, its meshes with base colour, and the source sky."""
+        return DigitalTwin(self.log, self._twin_assets[0], self.sky)
+
+
+def read_source(path: Path) -> str:
+    """Where the recording was at the last build: the one thing about it that may change without
+    anything becoming stale.
+
+    Args:
+        path: build.json of a work folder.
+
+    Raises:
+        ArtefactError: the file is missing or broken.
+    """
+    try:
+        return str(read_json(path)["reading"]["source"])
+    except (KeyError, TypeError) as error:
+        raise ArtefactError(
+            "the options of the build are broken",
+            where=path,
+            got=error,
+            remedy="Run lightsim build again with the recording's folder.",
+        ) from error

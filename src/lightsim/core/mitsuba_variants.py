@@ -1,0 +1,79 @@
+"""Variants of Mitsuba 3 (interpreted, LLVM, CUDA), in the only file that imports it."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+from lightsim.errors import InputError
+
+Variant = Literal["scalar_rgb", "llvm_ad_rgb", "cuda_ad_rgb"]
+"""How Mitsuba computes: interpreted, compiled for the processor, or on CUDA."""
+TracingDevice = Literal["cpu", "cuda"]
+"""As commands name it: scalar and LLVM variants compute on the processor."""
+
+# Versions 14 to 16 cannot translate Mitsuba's kernels for every processor and end the process
+# (seen on processors with AVX-512).
+_MIN_LLVM = 17
+
+
+def choose_variant(*, may_use_cuda: bool = True) -> Variant:
+    """The fastest variant that runs here: CUDA where it may be used, LLVM where one is named.
+
+    Mitsuba by itself takes the first LLVM it finds, which may end the process; so LLVM is used
+    only where DRJIT_LIBLLVM_PATH names one of at least version 17.
+    """
+    if may_use_cuda and has_cuda():
+        return "cuda_ad_rgb"
+    return "llvm_ad_rgb" if has_llvm() else "scalar_rgb"
+
+
+def variant_on(device: TracingDevice) -> Variant:
+    """The fastest variant of a device.
+
+    Raises:
+        InputError: there is no CUDA device.
+    """
+    if device == "cuda" and not has_cuda():
+        raise InputError(
+            "no CUDA device is available", where="--device cuda", remedy="Use --device cpu."
+        )
+    return choose_variant(may_use_cuda=device == "cuda")
+
+
+def has_cuda() -> bool:
+    """Whether the driver finds a CUDA device."""
+    # Asked of the driver itself: Dr.Jit ends the process where a variant needs one and finds none.
+    try:
+        driver = ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        return False
+    count = ctypes.c_int(0)
+    return driver.cuInit(0) == 0 and driver.cuDeviceGetCount(ctypes.byref(count)) == 0 < count.value
+
+
+def has_llvm() -> bool:
+    """Whether DRJIT_LIBLLVM_PATH names a library of at least version 17."""
+    path = Path(os.environ.get("DRJIT_LIBLLVM_PATH", ""))
+    version = re.search(r"LLVM(?:-|\.so\.)(\d+)", path.name)
+    return path.is_file() and version is not None and int(version.group(1)) >= _MIN_LLVM
+
+
+@contextmanager
+def mitsuba_with(variant: Variant) -> Generator[Any]:
+    """Mitsuba with a variant; the caller's variant comes back afterwards."""
+    import mitsuba
+
+    previous = mitsuba.variant()
+    if previous != variant:
+        mitsuba.set_variant(variant)
+    try:
+        yield mitsuba
+    finally:
+        if previous not in (None, variant):
+            mitsuba.set_variant(previous)

@@ -1,0 +1,153 @@
+"""Sweeps of a written log: recorded rows with simulated ones among them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from lightsim.build.workspace import Workspace
+from lightsim.core.alignment import PathCorrection
+from lightsim.core.casting import RayCaster
+from lightsim.core.frames import Trajectory
+from lightsim.core.scenario import Scenario
+from lightsim.core.sensors import LazySweep
+from lightsim.lidar.recorded import (
+    RecordedBeams,
+    RecordedSweep,
+    learn_response,
+    sweep_paths,
+)
+from lightsim.lidar.resimulate import Change, LidarSimulator, SimulatedBeams
+from lightsim.progress import Progress
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.store.pandaset_tables import Columns
+
+
+@dataclass(frozen=True, eq=False)
+class WrittenSweep:
+    """A sweep to write.
+
+    Args:
+        columns: x, y, z, i, t, d, as PandaSet has them.
+        semantic_class: of each row; -1 unknown.
+        is_recorded: rows that are the recorded ones.
+    """
+
+    columns: Columns
+    semantic_class: Int64[np.ndarray, " n"]
+    is_recorded: Bool[np.ndarray, " n"]
+
+
+class SweepEditor:
+    """Makes the sweeps of a scenario; what the LiDARs answer is learnt when it is first needed."""
+
+    def __init__(
+        self, workspace: Workspace, recorded: Scenario, scenario: Scenario, progress: Progress
+    ) -> None:
+        self._workspace, self._progress = workspace, progress
+        self._recorded, self._scenario = recorded, scenario
+        self.change = Change.between(recorded, scenario)
+        paths = sweep_paths(Path(workspace.reading.source))
+        self._beams = RecordedBeams(workspace.log, paths)
+
+    def edited(self, lazy: LazySweep) -> WrittenSweep | None:
+        """The sweep as it would have been recorded; None where it is as it was."""
+        change = self.change.at(lazy.time_ns)
+        if change.is_none:
+            return None
+        recorded = self._beams.of(lazy)
+        rng = np.random.default_rng([self._scenario.seed, lazy.time_ns])
+        if change.is_ego_moved:
+            assert self._recorded.ego is not None
+            assert self._scenario.ego is not None
+            times_ns = recorded.beams.times_ns
+            motion = motion_of(self._recorded.ego, self._scenario.ego, times_ns)
+            made = self._simulator.whole(
+                recorded.beams.moved(motion), self._scenario.placements, lazy.time_ns, rng
+            )
+        else:
+            made = self._simulator.edited(recorded.beams, change, lazy.time_ns, rng)
+            is_all_kept = (made.is_kept == recorded.beams.is_returned).all()
+            if is_all_kept and not made.answers.is_returned.any():
+                return None
+        return written(recorded, made, self._workspace.alignment.path)
+
+    @cached_property
+    def _static(self) -> RayCaster:
+        return make_embree_caster([self._workspace.twin.assets.background])
+
+    @cached_property
+    def _simulator(self) -> LidarSimulator:
+        response = learn_response(
+            self._beams,
+            self._workspace.training_log.sweeps,
+            self._static,
+            self._recorded.placements,
+            make_embree_caster,
+            self._progress,
+        )
+        names: Mapping[int, str] = self._workspace.log.semantic_names
+        by_name = {name: number for number, name in names.items()}
+        return LidarSimulator(self._static, response, by_name, make_embree_caster)
+
+
+def motion_of(
+    recorded: Trajectory, driven: Trajectory, times_ns: Int64[np.ndarray, " n"]
+) -> Float64[np.ndarray, "n 4 4"]:
+    """What carries all that is fixed to the ego vehicle from its recorded path to another."""
+    return driven.held_at(times_ns) @ np.linalg.inv(recorded.held_at(times_ns))
+
+
+def written(
+    recorded: RecordedSweep, made: SimulatedBeams, path: PathCorrection | None
+) -> WrittenSweep:
+    """The rows of a simulated sweep, in the world as recorded. Kept rows are the recorded numbers;
+    a beam that came back before and does now keeps its row, others are put in by their time.
+
+    Args:
+        path: the correction that turned the recorded world into the twin's.
+    """
+    rows, beams = recorded.rows, made.beams
+    is_made = made.answers.is_returned & np.isfinite(made.range_m)
+    taken = np.flatnonzero(made.is_kept | is_made)
+    taken = taken[np.argsort(_positions(recorded, taken), kind="stable")]
+    is_recorded = made.is_kept[taken]
+    points = beams.chosen(taken).at(np.where(is_recorded, 1.0, made.range_m[taken]))
+    times_ns = beams.times_ns[taken]
+    if path is not None:
+        points = path.undone(points, times_ns)
+    simulated: Columns = {
+        **dict(zip("xyz", points.T, strict=True)),
+        "i": made.answers.intensity[taken].astype(np.float64),
+        # To the microsecond, as recorded ones.
+        "t": np.round(times_ns * 1e-9, 6),
+        "d": beams.device[taken],
+    }
+    columns: Columns = {}
+    own = beams.row[taken[is_recorded]]
+    for name, values in simulated.items():
+        columns[name] = values.astype(np.int64 if name == "d" else np.float64)
+        columns[name][is_recorded] = rows[name][own]
+    classes = made.answers.semantic_class[taken]
+    classes[is_recorded] = recorded.sweep.semantic_class[own]
+    return WrittenSweep(columns, classes, is_recorded)
+
+
+def _positions(
+    recorded: RecordedSweep, taken: Int64[np.ndarray, " k"]
+) -> Float64[np.ndarray, " k"]:
+    """Where beams stand among the recorded rows: PandaSet has LiDAR after LiDAR, each in time."""
+    beams = recorded.beams
+    place = beams.row.astype(np.float64)
+    for device in np.unique(beams.device).tolist():
+        own = np.flatnonzero(beams.is_returned & (beams.device == device))
+        new = np.flatnonzero(~beams.is_returned & (beams.device == device))
+        until = np.maximum.accumulate(beams.times_ns[own])
+        after = np.searchsorted(until, beams.times_ns[new], side="right")
+        place[new] = np.append(beams.row[own], beams.row[own].max() + 1)[after] - 0.5
+    return place[taken]

@@ -1,0 +1,207 @@
+"""What the beams of one sweep meet: the static scene, and every actor where it is at each beam's
+own time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64, Shaped
+
+from lightsim.core.actors import ActorTrack
+from lightsim.core.casting import MakeCaster, RayCaster, RayHits
+from lightsim.core.mesh import TriMesh
+from lightsim.core.scenario import ActorPlacement
+from lightsim.core.sensors import SWEEP_HOLD_S
+from lightsim.lidar.beams import Beams
+
+NOTHING, STATIC = -2, -1
+"""Bodies that are no actor."""
+_BOX_MARGIN_M = 0.15
+"""Labelled boxes are that exact: returns of mirrors and wheels lie outside."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """The first surface on each beam.
+
+    Args:
+        distance_m: along the beam; inf where there is none.
+        body: NOTHING, STATIC, or the number of a placement.
+        normal: unit, of the surface where it is met; 0 where there is none.
+        cosine: between beam and normal, from either side.
+        roughness: of the surface's material.
+    """
+
+    distance_m: Float64[np.ndarray, " n"]
+    body: Int64[np.ndarray, " n"]
+    normal: Float64[np.ndarray, "n 3"]
+    cosine: Float64[np.ndarray, " n"]
+    roughness: Float64[np.ndarray, " n"]
+
+    @classmethod
+    def nothing(cls, count: int) -> Surfaces:
+        """Of beams that meet nothing, to be filled in."""
+        body = np.full(count, NOTHING, dtype=np.int64)
+        normal = np.zeros((count, 3))
+        return cls(np.full(count, np.inf), body, normal, np.zeros(count), np.ones(count))
+
+    def nearer(self, other: Surfaces) -> Surfaces:
+        """The first of two surfaces on each beam."""
+        nearest = self.copied()
+        rows = np.flatnonzero(other.distance_m < self.distance_m)
+        nearest.fill(rows, other.chosen(rows))
+        return nearest
+
+    def chosen(self, rows: Shaped[np.ndarray, " k"]) -> Surfaces:
+        """Of some of the beams, by a mask or by their numbers."""
+        return Surfaces(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    def copied(self) -> Surfaces:
+        """The same, to be changed."""
+        return Surfaces(*(getattr(self, f.name).copy() for f in fields(self)))
+
+    def fill(self, rows: Int64[np.ndarray, " k"], other: Surfaces) -> None:
+        """Put others in their places."""
+        for field in fields(self):
+            getattr(self, field.name)[rows] = getattr(other, field.name)
+
+
+class RayScene:
+    """Casts beams against a static scene and placed actors.
+
+    Args:
+        static: caster over the static meshes.
+        placements: actors; those that are not present at the sweep's time are left out.
+        time_ns: of the sweep.
+    """
+
+    def __init__(
+        self,
+        static: RayCaster,
+        placements: Sequence[ActorPlacement],
+        time_ns: int,
+        make_caster: MakeCaster,
+    ) -> None:
+        self._static = static
+        self._time_ns = time_ns
+        there = [(n, p) for n, p in enumerate(placements) if is_there(p.track, time_ns)]
+        still = [(n, p) for n, p in there if not p.track.is_moving]
+        moving = [(n, p) for n, p in there if p.track.is_moving]
+        self._still_bodies = np.array([n for n, _ in still], dtype=np.int64)
+        self._still = make_caster([placed(p, time_ns) for _, p in still])
+        self._moving = [(n, p.track, make_caster([placed(p, time_ns)])) for n, p in moving]
+
+    def cast(self, beams: Beams) -> Surfaces:
+        """The first surface on each beam."""
+        return self.cast_static(beams).nearer(self.cast_actors(beams))
+
+    def cast_static(self, beams: Beams) -> Surfaces:
+        """The first static surface on each beam."""
+        found = self._static.intersect(beams.origins_world, beams.directions_world)
+        bodies = np.full(len(self._static.meshes), STATIC, dtype=np.int64)
+        return _surfaces(found, self._static.meshes, bodies, beams)
+
+    def cast_actors(self, beams: Beams) -> Surfaces:
+        """The first actor on each beam. An actor that moves is met where it is at the beam's
+        time: the beam is carried along by what is left of its motion until the sweep's time."""
+        found = self._still.intersect(beams.origins_world, beams.directions_world)
+        nearest = _surfaces(found, self._still.meshes, self._still_bodies, beams)
+        for body, track, caster in self._moving:
+            rows = np.flatnonzero(_may_meet(beams, caster.meshes[0], track, self._time_ns))
+            if not len(rows):
+                continue
+            carried = carried_to(beams.chosen(rows), track, self._time_ns)
+            hits = caster.intersect(carried.origins_world, carried.directions_world)
+            met = Surfaces.nothing(len(beams))
+            met.fill(rows, _surfaces(hits, caster.meshes, np.array([body]), carried))
+            nearest = nearest.nearer(met)
+        return nearest
+
+
+def is_there(track: ActorTrack, time_ns: int) -> bool:
+    """Whether an actor is met by the beams of a sweep."""
+    return track.is_present(time_ns, SWEEP_HOLD_S)
+
+
+def placed(placement: ActorPlacement, time_ns: int) -> TriMesh:
+    """An actor's mesh in frame `world` where it is at the time of a sweep."""
+    pose = placement.track.world_from_actor(time_ns, SWEEP_HOLD_S)
+    return placement.asset.mesh.transformed(pose)
+
+
+def carried_to(beams: Beams, track: ActorTrack, time_ns: int) -> Beams:
+    """Beams as they lie to an actor, brought to where the actor is at another time."""
+    there = track.trajectory.held(time_ns).matrix
+    return beams.moved(there @ np.linalg.inv(track.trajectory.held_at(beams.times_ns)))
+
+
+def in_actor(
+    beams: Beams, points_world: Float64[np.ndarray, "n 3"], track: ActorTrack, time_ns: int
+) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, "k 3"]]:
+    """Points of a sweep that lie in an actor's box, grown by what labels are exact to, at their
+    beams' own times: their numbers, and where they lie in frame `actor`."""
+    half = track.size_lwh_m / 2 + _BOX_MARGIN_M
+    centre = track.trajectory.held(time_ns).translation_m
+    reach_m = float(np.linalg.norm(half)) + _swept_m(beams, track, time_ns)
+    near = np.flatnonzero((np.abs(points_world - centre) < reach_m).all(axis=1))
+    local = to_actor(points_world[near], track, beams.times_ns[near])
+    is_in = (np.abs(local) <= half).all(axis=1)
+    return near[is_in], local[is_in]
+
+
+def to_actor(
+    points_world: Float64[np.ndarray, "n 3"], track: ActorTrack, times_ns: Int64[np.ndarray, " n"]
+) -> Float64[np.ndarray, "n 3"]:
+    """Points in frame `actor`, each at its own time."""
+    poses = track.trajectory.held_at(times_ns)
+    return np.einsum("nji,nj->ni", poses[:, :3, :3], points_world - poses[:, :3, 3])
+
+
+def _may_meet(
+    beams: Beams, mesh: TriMesh, track: ActorTrack, time_ns: int
+) -> Bool[np.ndarray, " n"]:
+    """Beams that pass an actor by less than it reaches and moves until they are measured; others
+    are certain to miss it."""
+    centre = track.trajectory.held(time_ns).translation_m
+    reach_m = np.linalg.norm(mesh.vertices - centre, axis=1).max(initial=0.0)
+    towards = centre - beams.origins_world
+    along = np.maximum((towards * beams.directions_world).sum(axis=1), 0.0)
+    past = np.linalg.norm(towards - along[:, None] * beams.directions_world, axis=1)
+    return past < reach_m + _swept_m(beams, track, time_ns)
+
+
+def _swept_m(beams: Beams, track: ActorTrack, time_ns: int) -> float:
+    """How far from its place at a time an actor is when beams are measured, at most."""
+    measured_ns = beams.times_ns
+    ends_ns = [f(initial=time_ns) for f in (measured_ns.min, measured_ns.max)]
+    places = track.trajectory.held_at(np.array([time_ns, *ends_ns]))[:, :3, 3]
+    return float(np.linalg.norm(places - places[0], axis=1).max())
+
+
+def _surfaces(
+    hits: RayHits, meshes: Sequence[TriMesh], bodies: Int64[np.ndarray, " m"], beams: Beams
+) -> Surfaces:
+    found = Surfaces.nothing(len(beams))
+    found.distance_m[:] = hits.distance_m
+    for index, mesh in enumerate(meshes):
+        rows = np.flatnonzero(hits.is_hit & (hits.mesh_index == index))
+        if not len(rows):
+            continue
+        face = hits.face_index[rows]
+        corners = mesh.vertices[mesh.faces[face]].astype(np.float64)
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        found.body[rows] = bodies[index]
+        found.normal[rows] = normal
+        found.cosine[rows] = np.abs((normal * beams.directions_world[rows]).sum(axis=1))
+        found.roughness[rows] = _roughness(mesh, face)
+    return found
+
+
+def _roughness(mesh: TriMesh, face: Shaped[np.ndarray, " k"]) -> Float64[np.ndarray, " k"]:
+    known = np.array([material.roughness for material in mesh.materials])
+    if mesh.face_material is None:
+        return np.full(len(face), known[0])
+    return known[mesh.face_material[face]]

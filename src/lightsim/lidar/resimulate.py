@@ -1,0 +1,237 @@
+"""Sweeps of an edited log: recorded returns where nothing changed, simulated ones elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from lightsim.core.actors import ActorTrack
+from lightsim.core.casting import MakeCaster, RayCaster
+from lightsim.core.scenario import ActorPlacement, Scenario
+from lightsim.datasets.pandaset.tracks import label_of
+from lightsim.lidar.beams import Beams
+from lightsim.lidar.ray_scene import (
+    NOTHING,
+    STATIC,
+    RayScene,
+    Surfaces,
+    in_actor,
+    is_there,
+    to_actor,
+)
+from lightsim.lidar.response import Answers, Response, looks_of
+
+_SAME_M = 0.3
+"""Along a beam, between a return and the static scene behind a removed actor."""
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What an edited log's beams meet that the recorded one's did not, or the reverse.
+
+    Args:
+        kept: actors that stand where they stood.
+        gone: tracks of actors that are not there any more, or not there.
+        gone_shapes: those of them that have a shape.
+        new: actors that were not there.
+        is_ego_moved: the LiDARs themselves stand elsewhere.
+    """
+
+    kept: tuple[ActorPlacement, ...]
+    gone: tuple[ActorTrack, ...]
+    gone_shapes: tuple[ActorPlacement, ...]
+    new: tuple[ActorPlacement, ...]
+    is_ego_moved: bool = False
+
+    @classmethod
+    def between(cls, recorded: Scenario, scenario: Scenario) -> Change:
+        """From the log as it was to a scenario that was made from it by edits: what no edit
+        touches is the same object in both."""
+        before = {id(p) for p in recorded.placements}
+        after = {id(p) for p in scenario.placements}
+        left = {id(t) for t in scenario.tracks if t.actor_id not in scenario.removed}
+        return cls(
+            tuple(p for p in scenario.placements if id(p) in before),
+            tuple(t for t in recorded.tracks if id(t) not in left),
+            tuple(p for p in recorded.placements if id(p) not in after),
+            tuple(p for p in scenario.placements if id(p) not in before),
+            scenario.ego is not recorded.ego,
+        )
+
+    def at(self, time_ns: int) -> Change:
+        """What of it concerns a sweep."""
+        return Change(
+            self.kept,
+            tuple(t for t in self.gone if is_there(t, time_ns)),
+            tuple(p for p in self.gone_shapes if is_there(p.track, time_ns)),
+            tuple(p for p in self.new if is_there(p.track, time_ns)),
+            self.is_ego_moved,
+        )
+
+    @property
+    def is_none(self) -> bool:
+        """Whether the beams meet what they met."""
+        return not (self.gone or self.new or self.is_ego_moved)
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedBeams:
+    """Beams of a sweep and what comes back of them.
+
+    Args:
+        beams: in the order of the recorded rows, then those that had not come back.
+        is_kept: the recorded return stands.
+        range_m: of all others; inf where nothing comes back.
+        answers: of all others.
+    """
+
+    beams: Beams
+    is_kept: Bool[np.ndarray, " n"]
+    range_m: Float64[np.ndarray, " n"]
+    answers: Answers
+
+
+class LidarSimulator:
+    """Simulates sweeps of one twin.
+
+    Args:
+        static: caster over the twin's static scene.
+        response: of the recording's LiDARs.
+        class_by_label: the log's number of a point class, by its name.
+    """
+
+    def __init__(
+        self,
+        static: RayCaster,
+        response: Response,
+        class_by_label: Mapping[str, int],
+        make_caster: MakeCaster,
+    ) -> None:
+        self._static = static
+        self._response = response
+        self._class_by_label = class_by_label
+        self._make_caster = make_caster
+
+    def edited(
+        self, beams: Beams, change: Change, time_ns: int, rng: np.random.Generator
+    ) -> SimulatedBeams:
+        """A sweep in which only beams that meet what changed are simulated."""
+        new = self._scene(change.new, time_ns).cast_actors(beams)
+        gone = self._scene(change.gone_shapes, time_ns).cast_actors(beams)
+        in_gone = _in_any(beams, change.gone, time_ns)
+        rows = np.flatnonzero((new.body != NOTHING) | (gone.body != NOTHING) | in_gone)
+        some, new = beams.chosen(rows), new.chosen(rows)
+        rest = self._surfaces(some, change.kept, time_ns)
+        open_m = np.where(some.is_returned, some.range_m, rest.distance_m)
+        was_gone = _was_gone(some, in_gone[rows], gone.chosen(rows), rest)
+        open_m[was_gone] = rest.distance_m[was_gone]
+        is_changed = was_gone | (new.distance_m < open_m)
+        bodies = (*change.new, *change.kept)
+        rest.body[rest.body >= 0] += len(change.new)
+        met = new.nearer(rest).chosen(is_changed)
+        return self._answered(beams, rows[is_changed], met, bodies, rng, is_all=False)
+
+    def whole(
+        self,
+        beams: Beams,
+        placements: Sequence[ActorPlacement],
+        time_ns: int,
+        rng: np.random.Generator,
+    ) -> SimulatedBeams:
+        """A sweep of which every beam is simulated."""
+        rows = np.arange(len(beams))
+        met = self._surfaces(beams, placements, time_ns)
+        return self._answered(beams, rows, met, placements, rng, is_all=True)
+
+    def _scene(self, placements: Sequence[ActorPlacement], time_ns: int) -> RayScene:
+        return RayScene(self._static, placements, time_ns, self._make_caster)
+
+    def _surfaces(
+        self, beams: Beams, placements: Sequence[ActorPlacement], time_ns: int
+    ) -> Surfaces:
+        """The first surface on each beam, the static scene as its returns have it."""
+        scene = self._scene(placements, time_ns)
+        static = scene.cast_static(beams)
+        for device in np.unique(beams.device).tolist():
+            rows = np.flatnonzero((beams.device == device) & (static.body == STATIC))
+            static.distance_m[rows] = self._response.refined_m(
+                device, beams.chosen(rows), static.chosen(rows)
+            )
+        return static.nearer(scene.cast_actors(beams))
+
+    def _answered(
+        self,
+        beams: Beams,
+        rows: Int64[np.ndarray, " k"],
+        met: Surfaces,
+        bodies: Sequence[ActorPlacement],
+        rng: np.random.Generator,
+        *,
+        is_all: bool,
+    ) -> SimulatedBeams:
+        """Some beams answered, the others as they were recorded."""
+        count = len(beams)
+        answers, range_m = Answers.nothing(count), np.full(count, np.inf)
+        is_kept = beams.is_returned & (not is_all)
+        is_kept[rows] = False
+        for device in np.unique(beams.device[rows]).tolist():
+            for body in np.unique(met.body).tolist():
+                part = np.flatnonzero((met.body == body) & (beams.device[rows] == device))
+                if body == NOTHING or not len(part):
+                    continue
+                own, surfaces = beams.chosen(rows[part]), met.chosen(part)
+                found = self._of_body(device, own, surfaces, _placement(bodies, body), rng)
+                noise = rng.normal(0.0, self._response.noise_m.get(device, 0.0), len(part))
+                answers.fill(rows[part], found)
+                range_m[rows[part]] = np.where(
+                    found.is_returned, surfaces.distance_m + noise, np.inf
+                )
+        return SimulatedBeams(beams, is_kept, range_m, answers)
+
+    def _of_body(
+        self,
+        device: int,
+        beams: Beams,
+        met: Surfaces,
+        placement: ActorPlacement | None,
+        rng: np.random.Generator,
+    ) -> Answers:
+        points, looks = beams.at(met.distance_m), looks_of(beams, met)
+        if placement is None:
+            return self._response.answer(device, "", None, (points, looks), rng)
+        track = placement.track
+        local = to_actor(points, track, beams.times_ns)
+        found = self._response.answer(device, track.actor_id, track.kind, (local, looks), rng)
+        known = self._class_by_label.get(label_of(track))
+        if known is not None:
+            found.semantic_class[found.is_returned] = known
+        return found
+
+
+def _placement(bodies: Sequence[ActorPlacement], body: int) -> ActorPlacement | None:
+    return None if body == STATIC else bodies[body]
+
+
+def _in_any(beams: Beams, tracks: Sequence[ActorTrack], time_ns: int) -> Bool[np.ndarray, " n"]:
+    """Returns that lie in one of the actors' boxes."""
+    is_in = np.zeros(len(beams), dtype=bool)
+    rows = np.flatnonzero(beams.is_returned)
+    own = beams.chosen(rows)
+    points = own.at(own.range_m)
+    for track in tracks:
+        is_in[rows[in_actor(own, points, track, time_ns)[0]]] = True
+    return is_in
+
+
+def _was_gone(
+    beams: Beams, in_gone: Bool[np.ndarray, " n"], gone: Surfaces, rest: Surfaces
+) -> Bool[np.ndarray, " n"]:
+    """Beams that met an actor which is gone: the return lies in its box and nearer to it than to
+    what is still there; or nothing came back, and the actor's shape stood first."""
+    with np.errstate(invalid="ignore"):
+        off_rest = np.abs(beams.range_m - rest.distance_m)
+        is_rest = (off_rest <= np.abs(beams.range_m - gone.distance_m)) & (off_rest < _SAME_M)
+    return np.where(beams.is_returned, in_gone & ~is_rest, gone.distance_m < rest.distance_m)

@@ -1,0 +1,182 @@
+"""Reconstructed actors: how well each was seen, as a page with pictures and as library assets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from lightsim.build.workspace import Workspace
+from lightsim.core.actors import ActorTrack
+from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import Provenance, TriMesh
+from lightsim.core.sensors import CameraFrame
+from lightsim.core.twin import ActorAsset
+from lightsim.scenario.asset_library import AssetInfo, AssetLibrary
+from lightsim.scenario.models import centred
+from lightsim.view.report import Figure, Section, Table, write_report
+
+_PAGE = "actors.html"
+_ID_CHARACTERS = 8
+"""Enough of an id to tell the actors of a log apart in an asset's name."""
+_AROUND = 0.25
+"""Of a picture's crop: as a fraction of the actor's own extent."""
+_SMALLEST_PX = 8
+
+
+@dataclass(frozen=True, eq=False)
+class ActorSummary:
+    """One actor of a log.
+
+    Args:
+        track: where it was, and when.
+        asset: its shape; None where it was not reconstructed.
+        seen: fraction of its surface that sensors saw.
+        nearest_m: least distance from the ego vehicle.
+        best: the frame that shows it largest, and its extent there: left, top, right, bottom.
+    """
+
+    track: ActorTrack
+    asset: ActorAsset | None
+    seen: float
+    nearest_m: float
+    best: tuple[CameraFrame, tuple[int, int, int, int]] | None
+
+
+def seen_fraction(mesh: TriMesh) -> float:
+    """Area-weighted fraction of a mesh whose shape was measured, or mirrored from what was, times
+    the mean confidence of its colours: how much of a harvested actor is not a guess."""
+    area = mesh.face_areas_m2()
+    if not area.sum() > 0:
+        return 0.0
+    is_shape = mesh.comes_from(Provenance.MEASURED, Provenance.MIRRORED)
+    colour = np.ones(len(area))
+    if mesh.confidence is not None:
+        colour = mesh.confidence[mesh.faces].mean(axis=1).astype(np.float64)
+    return float((area * is_shape * colour).sum() / area.sum())
+
+
+def summarise_actors(log: DrivingLog, assets: dict[str, ActorAsset]) -> list[ActorSummary]:
+    """All actors, those that are seen largest first."""
+    found = []
+    for track in log.actors:
+        asset = assets.get(track.actor_id)
+        seen = 0.0 if asset is None else seen_fraction(asset.mesh)
+        times_ns = track.trajectory.times_ns
+        there = [t for t in times_ns.tolist() if log.ego.covers(t)]
+        gaps = [
+            np.linalg.norm((track.trajectory.at(t).translation_m - log.ego.at(t).translation_m)[:2])
+            for t in there
+        ]
+        nearest_m = float(min(gaps)) if gaps else float("inf")
+        found.append(ActorSummary(track, asset, seen, nearest_m, _best_view(log, track)))
+    return sorted(found, key=lambda s: 0 if s.best is None else -_area(s.best[1]))
+
+
+def _area(box: tuple[int, int, int, int]) -> int:
+    return (box[2] - box[0]) * (box[3] - box[1])
+
+
+def _best_view(
+    log: DrivingLog, track: ActorTrack
+) -> tuple[CameraFrame, tuple[int, int, int, int]] | None:
+    """Where its box is largest and lies within the picture."""
+    best = None
+    corners = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3) * track.size_lwh_m
+    for frame in log.frames:
+        if not track.is_present(frame.time_ns):
+            continue
+        camera = log.cameras[frame.camera_name]
+        points = track.world_from_actor(frame.time_ns).apply(corners)
+        uv, is_inside = frame.project(camera, points)
+        if not is_inside.all():
+            continue
+        low, high = np.floor(uv.min(axis=0)), np.ceil(uv.max(axis=0))
+        box = (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
+        if best is None or _area(box) > _area(best[1]):
+            best = (frame, box)
+    return best
+
+
+def crop(summary: ActorSummary) -> UInt8[np.ndarray, "h w 3"] | None:
+    """The best picture's part around an actor; None where it is nowhere whole, or too small."""
+    if summary.best is None:
+        return None
+    frame, (left, top, right, bottom) = summary.best
+    if min(right - left, bottom - top) < _SMALLEST_PX:
+        return None
+    wider, higher = round(_AROUND * (right - left)), round(_AROUND * (bottom - top))
+    rows = slice(max(0, top - higher), bottom + higher)
+    return frame.load_srgb8()[rows, max(0, left - wider) : right + wider]
+
+
+def write_actors_page(work: Path) -> tuple[Path, list[list[str | float | int]]]:
+    """WORK/actors.html: a table of the actors that edits can name, and a picture of each.
+
+    Returns:
+        The page, and the table's rows under COLUMNS.
+
+    Raises:
+        ArtefactError: the twin has not been built.
+    """
+    workspace = Workspace(work)
+    workspace.need("twin")
+    summaries = summarise_actors(workspace.log, dict(workspace.twin.assets.actors))
+    start_ns = min(frame.time_ns for frame in workspace.log.frames)
+    rows = [table_row(summary, start_ns) for summary in summaries]
+    figures = [
+        Figure(f"{s.track.actor_id}: {s.track.label}, {s.best[0].camera_name} {s.best[0].stem}", p)
+        for s in summaries
+        if s.best is not None and (p := crop(s)) is not None
+    ]
+    text = "Ids are what SCENARIO.json names; times count from the first picture."
+    sections = [
+        Section("Actors", text, tables=[Table(COLUMNS, rows)]),
+        Section("Pictures", figures=figures),
+    ]
+    write_report(work / _PAGE, "Actors", sections, subtitle=f"lightsim actors, {work.name}")
+    return work / _PAGE, rows
+
+
+COLUMNS = ("id", "kind", "motion", "from s", "to s", "nearest m", "seen %", "shape")
+
+
+def table_row(summary: ActorSummary, start_ns: int) -> list[str | float | int]:
+    """Cells of one actor under COLUMNS."""
+    track = summary.track
+    ends = (track.trajectory.start_ns, track.trajectory.end_ns)
+    return [
+        track.actor_id,
+        str(track.kind),
+        "moving" if track.is_moving else "parked",
+        *(round((t - start_ns) / 1e9, 2) for t in ends),
+        round(summary.nearest_m, 1),
+        round(100 * summary.seen),
+        "none" if summary.asset is None else f"{len(summary.asset.mesh.faces)} faces",
+    ]
+
+
+def harvest(
+    work: Path, library: AssetLibrary, prefix: str, least_seen: float, *, is_replacing: bool
+) -> list[AssetInfo]:
+    """Store the well seen actors of a twin in a library: geometry and base colour, without the
+    light of their log.
+
+    Raises:
+        ArtefactError: the twin has not been built.
+        InputError: a name is taken.
+    """
+    workspace = Workspace(work)
+    workspace.need("twin")
+    scored = [(seen_fraction(a.mesh), a) for a in workspace.twin.assets.actors.values()]
+    found = []
+    for seen, asset in sorted(scored, key=lambda pair: -pair[0]):
+        if seen < least_seen:
+            break
+        name = f"{prefix}-{asset.kind.replace(' ', '-')}-{asset.actor_id[:_ID_CHARACTERS]}"
+        free = ActorAsset(name, asset.kind, centred(asset.mesh), asset.label)
+        origin = f"harvested from {work.resolve().name}"
+        found.append(library.add(name, free, origin, seen, is_replacing=is_replacing))
+    return found

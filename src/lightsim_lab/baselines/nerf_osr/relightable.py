@@ -1,0 +1,198 @@
+"""A neural field that can be relit: density, albedo and shadow of a street, lighting of order 2.
+
+Re-implementation of Rudnev et al. 2022, NeRF for Outdoor Scene Relighting
+(doi:10.1007/978-3-031-19787-1_35), on a hash grid, with the samples that LightSim gave it for
+driving logs (appendix): eight of them within 50 cm of the surface that LiDAR tells of. What is
+different from both: docs/models/baselines.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32
+from torch import Tensor, nn
+from torch.nn import functional
+
+from lightsim.reconstruct.field.hash_grid.grid import hash_encode, make_table
+from lightsim.reconstruct.field.hash_grid.spec import HashGridSpec
+from lightsim.reconstruct.field.sdf_field import mlp
+from lightsim.reconstruct.field.volume_rendering import composite
+from lightsim_lab.baselines.spherical_harmonics import COUNT, shading_basis
+
+_LUMINANCE = (0.2126, 0.7152, 0.0722)
+_ENCODING_POWER = 2.2
+"""Theirs, between light and pixel values."""
+_DENSITY_PER_M = 10.0
+"""Densities begin near it: half of the light passes the first 7 cm."""
+_NORMAL_STEP_M = 0.2
+"""Of differences of density, twice the finest cell: over one, hashed features are noise."""
+_TETRAHEDRON = ((1.0, -1.0, -1.0), (-1.0, -1.0, 1.0), (-1.0, 1.0, -1.0), (1.0, 1.0, 1.0))
+_TINY = 1e-6
+_CHUNK = 16_384
+
+
+@dataclass(frozen=True)
+class NerfOsrConfig:
+    """Size of the field, and where its samples lie."""
+
+    levels: int = 10
+    """Of the hash grid."""
+    log2_entries: int = 18
+    """Of each level."""
+    coarsest_m: float = 8.0
+    finest_m: float = 0.1
+    hidden: int = 64
+    """Width of the head."""
+    latent: int = 15
+    """Numbers of a point that its shadow depends on, beside the lighting."""
+    samples: int = 8
+    """Of a ray."""
+    half_band_m: float = 0.5
+    """Half of the stretch around the surface in which they lie."""
+
+    @property
+    def grid(self) -> HashGridSpec:
+        """Of the hash grid."""
+        return HashGridSpec(self.levels, 2, self.log2_entries, self.coarsest_m, self.finest_m)
+
+
+@dataclass(frozen=True, eq=False)
+class FieldRays:
+    """Rays whose surface is known about.
+
+    Args:
+        point: on the surface that LiDAR tells of, metres, frame `world`.
+        direction: unit.
+    """
+
+    point: Float[Tensor, "r 3"]
+    direction: Float[Tensor, "r 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class ShownRays:
+    """What rays show.
+
+    Args:
+        albedo: of pixel values, as the field learns it.
+        normal: unit.
+        shadow: of pixel values; 1 is lit.
+        depth_m: beyond the known surface.
+    """
+
+    albedo: Float[Tensor, "r 3"]
+    normal: Float[Tensor, "r 3"]
+    shadow: Float[Tensor, " r"]
+    depth_m: Float[Tensor, " r"]
+
+    def pixels(self, light: Float[Tensor, "9 3"]) -> Float[Tensor, "r 3"]:
+        """Pixel values under a lighting in units of the picture's white."""
+        irradiance = (shading_basis(self.normal) @ light).clamp_min(_TINY)
+        return self.albedo * irradiance ** (1 / _ENCODING_POWER) * self.shadow[:, None]
+
+
+class RelightableField(nn.Module):
+    """x -> density, albedo; x and lighting -> shadow; and the lighting of the recording.
+
+    Args:
+        generator: of the initial values.
+        first_light: from where the recording's lighting is learned.
+    """
+
+    def __init__(
+        self,
+        config: NerfOsrConfig,
+        generator: torch.Generator,
+        first_light: Float[Tensor, "9 3"] | None = None,
+    ) -> None:
+        super().__init__()
+        self.config = config
+        self.table = make_table(config.grid, generator)
+        outputs = 1 + 3 + config.latent
+        self.head = mlp(config.grid.output_dim, config.hidden, outputs, generator)
+        self.caster = mlp(config.latent + COUNT, config.hidden // 2, 1, generator)
+        first = torch.zeros(COUNT, 3) if first_light is None else first_light.clone()
+        self.light = nn.Parameter(first)
+
+    @property
+    def dense_parameters(self) -> list[nn.Parameter]:
+        """All but the table, which a sparse optimiser moves."""
+        return [p for name, p in self.named_parameters() if name != "table"]
+
+    def forward(
+        self,
+        rays: FieldRays,
+        light: Float[Tensor, "9 3"],
+        generator: torch.Generator | None = None,
+    ) -> ShownRays:
+        """What rays show under a lighting.
+
+        Args:
+            generator: of the samples' places in their stretches; None: in the middle.
+        """
+        t = self._places(len(rays.point), generator).to(rays.point)
+        points = rays.point[:, None] + t[..., None] * rays.direction[:, None]
+        raw, albedo, latent = self._at(points.reshape(-1, 3)).split(
+            [1, 3, self.config.latent], dim=1
+        )
+        shape = t.shape
+        weights = self._weights(raw.reshape(shape), t)
+        grey = light @ torch.tensor(_LUMINANCE, device=light.device)
+        seen = torch.cat([latent, grey.expand(len(latent), -1)], dim=1)
+        shadow = torch.sigmoid(self.caster(seen) + 2.0).reshape(shape)
+        depth = (weights * t).sum(1)
+        surface = rays.point + depth.detach()[:, None] * rays.direction
+        return ShownRays(
+            (weights[..., None] * torch.sigmoid(albedo).reshape(*shape, 3)).sum(1),
+            self._normals(surface),
+            (weights * shadow).sum(1),
+            depth,
+        )
+
+    def _places(self, count: int, generator: torch.Generator | None) -> Float[Tensor, "r s"]:
+        samples, half = self.config.samples, self.config.half_band_m
+        inside = torch.full((count, samples), 0.5)
+        if generator is not None:
+            inside = torch.rand((count, samples), generator=generator)
+        return half * (2 * (torch.arange(samples) + inside) / samples - 1)
+
+    def _at(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n o"]:
+        return self.head(hash_encode(points, self.table, self.config.grid))
+
+    def _weights(self, raw: Float[Tensor, "r s"], t: Float[Tensor, "r s"]) -> Float[Tensor, "r s"]:
+        """Of the samples; what passes the stretch ends at its last one."""
+        steps = torch.diff(t, dim=1)
+        opacity = 1 - torch.exp(-_DENSITY_PER_M * functional.softplus(raw[:, :-1]) * steps)
+        return composite(torch.cat([opacity, torch.ones_like(t[:, :1])], dim=1)).weights
+
+    def _normals(self, points: Float[Tensor, "r 3"]) -> Float[Tensor, "r 3"]:
+        """Against the slope of density, by differences at the corners of a tetrahedron."""
+        corners = torch.tensor(_TETRAHEDRON, device=points.device)
+        around = points[:, None] + _NORMAL_STEP_M * corners
+        raw = self._at(around.reshape(-1, 3))[:, 0].reshape(-1, len(_TETRAHEDRON))
+        return functional.normalize(-(raw[..., None] * corners).sum(1), dim=1, eps=_TINY)
+
+
+def field_surface(
+    relightable: RelightableField,
+    points: Float32[np.ndarray, "n 3"],
+    directions: Float32[np.ndarray, "n 3"],
+    light: Float32[np.ndarray, "9 3"],
+) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"], Float32[np.ndarray, " n"]]:
+    """Linear albedo, normals and linear shadow along rays, frame `world`."""
+    parts: list[ShownRays] = []
+    with torch.no_grad():
+        for start in range(0, len(points), _CHUNK):
+            some = slice(start, start + _CHUNK)
+            rays = FieldRays(*(torch.from_numpy(x[some]) for x in (points, directions)))
+            parts.append(relightable(rays, torch.from_numpy(light)))
+    albedo, normal, shadow = (
+        np.concatenate([getattr(part, name).numpy() for part in parts])
+        if parts
+        else np.zeros((0, 3) if name != "shadow" else (0,), np.float32)
+        for name in ("albedo", "normal", "shadow")
+    )
+    return albedo**_ENCODING_POWER, normal, shadow**_ENCODING_POWER

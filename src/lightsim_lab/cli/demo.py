@@ -1,0 +1,29 @@
+"""`lightsim demo`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from lightsim.cli.options import Verbose, say
+from lightsim.progress import terminal_progress
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Build and relight the synthetic street that ships with the package."""
+
+    out: Path = Path("out/demo")
+    """Folder to write."""
+    full: bool = False
+    """Train as long as the preset says, and relight all cameras."""
+    seed: int = 0
+    """Of all random numbers."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Build, relight and measure the shipped street."""
+        from lightsim_lab.studies.demo import run_demo
+
+        say(f"open: {run_demo(self.out, self.seed, terminal_progress(), is_full=self.full)}")

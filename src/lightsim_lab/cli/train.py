@@ -1,0 +1,180 @@
+"""`lightsim train`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from lightsim.cli.options import Verbose, say
+from lightsim.progress import terminal_progress
+from lightsim_lab.training.options import (
+    PrepareOptions,
+    PrepareRelightOptions,
+    RelightTrainingOptions,
+    TrainingOptions,
+)
+
+
+@dataclass(frozen=True)
+class PrepareLighting(PrepareOptions):
+    """Make the file that training of the lighting networks draws from."""
+
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Make the file."""
+        from lightsim_lab.training import run
+
+        run.prepare(self)
+
+
+@dataclass(frozen=True)
+class PrepareRelight(PrepareRelightOptions):
+    """Make the streets, twins and samples that the relighting network learns from."""
+
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Make what is missing."""
+        from lightsim_lab.studies.relight_samples import prepare_relight
+
+        prepare_relight(self, terminal_progress())
+
+
+_Prepare = (
+    Annotated[PrepareLighting, tyro.conf.subcommand("lighting")]
+    | Annotated[PrepareRelight, tyro.conf.subcommand("relight")]
+)
+
+
+@dataclass(frozen=True)
+class PrepareGroup:
+    """Make training data: of the lighting networks, or of the relighting network."""
+
+    data: tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[_Prepare]]
+
+    def run(self) -> None:
+        """Run the chosen command."""
+        self.data.run()
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainInpaint(TrainingOptions):
+    """Train the completion of panoramas."""
+
+    ldr_fraction: float = 0.5
+    """Of the samples that show LDR panoramas, where the data have any; 1 is the paper's way."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Train, or go on."""
+        from lightsim_lab.training import run
+
+        run.train_inpaint(self, self.ldr_fraction)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainSky(TrainingOptions):
+    """Train the estimator of sky domes."""
+
+    network: Literal["lightsim", "lightsim_paper"] = "lightsim"
+    """lightsim_paper is the published form."""
+    inpaint: Path | None = None
+    """Weights of the completion that lightsim_paper looks through; without them smooth fills."""
+    start: Path | None = None
+    """Weights to go on from, at a quarter of the learning rate."""
+    part: Literal["all", "direction"] = "all"
+    """direction trains the encoder of the sun's direction alone; it shares nothing with the
+    others."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Train, or go on."""
+        from lightsim_lab.training import run
+
+        run.train_sky_network(self, self.network, self.inpaint, self.start, self.part)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainBaseline(TrainingOptions):
+    """Train a method to compare with."""
+
+    which: Literal["sold_net", "nlfe", "nlfe_panorama"] = "nlfe"
+    """SOLD-Net, NLFE's sky branch from one picture, or from the completed panorama."""
+    inpaint: Path | None = None
+    """Weights of the completion that nlfe_panorama looks through."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Train, or go on."""
+        from lightsim_lab.training import run
+
+        run.train_sky_network(self, self.which, self.inpaint)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainRelight(RelightTrainingOptions):
+    """Train the network that corrects physical relighting."""
+
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Train, or go on."""
+        from lightsim_lab.training.run_relight import train
+
+        train(self)
+
+
+@dataclass(frozen=True)
+class TrainNerfOsr:
+    """Train the field of one street for relight --method nerf-osr, a method to compare with."""
+
+    work: tyro.conf.Positional[Path]
+    """Work folder of a finished build; the field is kept there."""
+    steps: int = 2500
+    """Training steps."""
+    seed: int = 0
+    """Of first weights and rays."""
+    allow_stale: bool = False
+    """Go on where the recording has changed since the build."""
+    verbose: Verbose = False
+    """Show the trace of an error."""
+
+    def run(self) -> None:
+        """Train, or go on."""
+        from lightsim_lab.baselines.nerf_osr.nerf_osr import train_nerf_osr
+
+        path = train_nerf_osr(
+            self.work, self.steps, self.seed, terminal_progress(), allow_stale=self.allow_stale
+        )
+        say(f"field: {path}")
+
+
+_Train = (
+    Annotated[PrepareGroup, tyro.conf.subcommand("prepare")]
+    | Annotated[TrainInpaint, tyro.conf.subcommand("inpaint")]
+    | Annotated[TrainSky, tyro.conf.subcommand("sky")]
+    | Annotated[TrainRelight, tyro.conf.subcommand("relight")]
+    | Annotated[TrainBaseline, tyro.conf.subcommand("baseline")]
+    | Annotated[TrainNerfOsr, tyro.conf.subcommand("nerf-osr")]
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainGroup:
+    """Train the networks."""
+
+    what: tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[_Train]]
+
+    def run(self) -> None:
+        """Run the chosen command."""
+        self.what.run()

@@ -1,0 +1,189 @@
+"""LPIPS v0.1 on VGG-16 and on AlexNet: the learned distance between image patches.
+
+Zhang et al., The Unreasonable Effectiveness of Deep Features as a Perceptual Metric, CVPR 2018,
+doi:10.1109/CVPR.2018.00068. Smaller is better; identical images have 0.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float32
+from torch.nn import functional
+
+from lightsim.build.quality.frames import FramesConfig
+from lightsim.errors import InputError
+from lightsim.store.weights import load_weights
+from lightsim_lab.weights import LAB_WEIGHTS_FOLDER
+
+_SHIFT = (-0.030, -0.088, -0.188)
+_SCALE = (0.458, 0.448, 0.450)
+Network = Literal["vgg", "alex"]
+"""What papers call LPIPS(VGG) and LPIPS(Alex); their figures do not compare."""
+_TINY = 1e-20
+
+
+@dataclass(frozen=True)
+class _Architecture:
+    """Five stages of numbered convolutions.
+
+    Args:
+        weights: their name in the package.
+        stages: numbers of the convolutions of each stage.
+        pool_before: stages that max pooling of `pool_px` and stride 2 stands before.
+        first_stride: of convolution 0; the others have 1.
+        smallest_px: picture that still has a cell in the last stage.
+    """
+
+    weights: str
+    stages: tuple[tuple[int, ...], ...]
+    pool_before: frozenset[int]
+    pool_px: int
+    first_stride: int
+    padding_by_convolution: tuple[int, ...]
+    smallest_px: int
+
+
+_ARCHITECTURES: dict[Network, _Architecture] = {
+    "vgg": _Architecture(
+        "lpips-vgg16",
+        ((0, 1), (2, 3), (4, 5, 6), (7, 8, 9), (10, 11, 12)),
+        frozenset({1, 2, 3, 4}),
+        2,
+        1,
+        (1,) * 13,
+        16,
+    ),
+    "alex": _Architecture(
+        "lpips-alex", ((0,), (1,), (2,), (3,), (4,)), frozenset({1, 2}), 3, 4, (2, 2, 1, 1, 1), 31
+    ),
+}
+
+Features = list[Float[torch.Tensor, "n _ _ _"]]
+
+
+Weights = Mapping[str, torch.Tensor]
+"""Convolutions and heads by name."""
+
+
+@functools.cache
+def lpips_weights(network: Network = "vgg") -> Weights:
+    """Those of the package."""
+    loaded = load_weights(_ARCHITECTURES[network].weights, LAB_WEIGHTS_FOLDER)
+    # Channels last: convolutions take half of the time.
+    return {
+        name: value.float().contiguous(memory_format=torch.channels_last)
+        if value.ndim == 4
+        else value.float()
+        for name, value in loaded.items()
+    }
+
+
+def lpips_features(srgb: Float32[np.ndarray, "h w 3"], network: Network = "vgg") -> Features:
+    """Unit-length features of the network's five stages, for images that are compared many times.
+
+    Raises:
+        InputError: the image is so small that the last stage is empty.
+    """
+    net = _ARCHITECTURES[network]
+    if min(srgb.shape[:2]) < net.smallest_px:
+        raise InputError(
+            "the image is too small for LPIPS",
+            got=f"{srgb.shape[1]}x{srgb.shape[0]} px",
+            expected=f"at least {net.smallest_px} px each way",
+        )
+    with torch.inference_mode():
+        image = torch.from_numpy(np.ascontiguousarray(srgb)).permute(2, 0, 1)[None]
+        return stage_features(image, lpips_weights(network), network)
+
+
+def stage_features(
+    srgb: Float[torch.Tensor, "n 3 h w"], weights: Weights, network: Network = "vgg"
+) -> Features:
+    """`lpips_features` of pictures in [0, 1], with a gradient.
+
+    Args:
+        weights: `lpips_weights`, on the pictures' device.
+    """
+    net = _ARCHITECTURES[network]
+    shift, scale = (srgb.new_tensor(values)[:, None, None] for values in (_SHIFT, _SCALE))
+    x = ((srgb * 2 - 1 - shift) / scale).contiguous(memory_format=torch.channels_last)
+    stages: Features = []
+    for number, convolutions in enumerate(net.stages):
+        if number in net.pool_before:
+            x = functional.max_pool2d(x, net.pool_px, 2)
+        for i in convolutions:
+            weight, bias = weights[f"conv{i}.weight"], weights[f"conv{i}.bias"]
+            stride = 1 if i else net.first_stride
+            padding = net.padding_by_convolution[i]
+            response = functional.conv2d(x, weight, bias, stride, padding)
+            x = functional.relu(response, inplace=True)
+        # Within the root, or the gradient would not be finite where nothing responds.
+        stages.append(x / (x.square().sum(1, keepdim=True) + _TINY).sqrt())
+    return stages
+
+
+def lpips_of_features(
+    first: Features,
+    second: Features,
+    is_valid: Bool[np.ndarray, "h w"] | None = None,
+    network: Network = "vgg",
+) -> float:
+    """Distance of two images by their features, averaged over the valid pixels.
+
+    At each stage a cell counts with the fraction of its pixels that are valid. Fill what is not
+    valid alike in both images before taking features, since receptive fields reach across.
+    """
+    weights = lpips_weights(network)
+    total = 0.0
+    with torch.inference_mode():
+        for i, (a, b) in enumerate(zip(first, second, strict=True)):
+            distance = ((a - b).square() * weights[f"head{i}"][:, None, None]).sum(1)[0]
+            if is_valid is None:
+                total += float(distance.mean())
+                continue
+            mask = torch.from_numpy(is_valid.astype(np.float32))[None, None]
+            cells = (distance.shape[0], distance.shape[1])
+            fraction = functional.adaptive_avg_pool2d(mask, cells)[0, 0]
+            total += float((distance * fraction).sum() / fraction.sum())
+    return total
+
+
+def lpips(
+    first_srgb: Float32[np.ndarray, "h w 3"],
+    second_srgb: Float32[np.ndarray, "h w 3"],
+    network: Network = "vgg",
+) -> float:
+    """LPIPS of two sRGB images in [0, 1], as the reference package computes it."""
+    first, second = (lpips_features(image, network) for image in (first_srgb, second_srgb))
+    return lpips_of_features(first, second, network=network)
+
+
+class Lpips:
+    """LPIPS by VGG-16, then by AlexNet: about one second per half megapixel and image on two
+    cores. Implements `lightsim.build.quality.frames.PerceptualDistance`."""
+
+    def features(self, srgb: Float32[np.ndarray, "h w 3"]) -> dict[Network, Features]:
+        """Return the features of a picture by network."""
+        return {network: lpips_features(srgb, network) for network in _ARCHITECTURES}
+
+    def distances(
+        self,
+        srgb: Float32[np.ndarray, "h w 3"],
+        truth_features: dict[Network, Features],
+        is_valid: Bool[np.ndarray, "h w"] | None,
+    ) -> tuple[float, ...]:
+        """Return LPIPS (VGG) and LPIPS (Alex) between a picture and the truth of the features."""
+        return tuple(
+            lpips_of_features(lpips_features(srgb, network), wanted, is_valid, network)
+            for network, wanted in truth_features.items()
+        )
+
+
+ALL_MEASURES = FramesConfig(perceptual=Lpips())
+"""PSNR, SSIM and LPIPS, raw and with one fitted exposure per sequence."""

@@ -1,0 +1,276 @@
+"""`lightsim evaluate benchmark`: streets with true relit and edited pictures, made from seeds,
+built from their logs alone, relit by every method, and held together in one leaderboard."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from lightsim.errors import InputError
+from lightsim.fleet.batch import BatchCommand, BatchOptions, log_of, run_batch
+from lightsim.progress import Progress
+from lightsim.simulate.shard import Shard
+from lightsim.store.artefact import write_text
+from lightsim.store.weights import read_record
+from lightsim_lab.baselines.methods import ALL_METHODS, FIELD_METHOD
+from lightsim_lab.metrics.options import OURS
+from lightsim_lab.studies.benchmark_options import (
+    HELD_OUT,
+    REFERENCE,
+    BenchmarkOptions,
+    BenchmarkSize,
+    HeldOutSide,
+)
+from lightsim_lab.studies.benchmark_page import write_page
+from lightsim_lab.studies.leaderboard import Leaderboard, make_leaderboard
+from lightsim_lab.studies.relight_samples import skies_of_side, some_of
+from lightsim_lab.synthetic.checksum import street_checksum
+from lightsim_lab.synthetic.plan import Size, plan_street
+from lightsim_lab.synthetic.skies import more_sky_specs, sky_specs
+
+_STREET_SIZE: dict[BenchmarkSize, Size] = {"small": "benchmark", "full": "full"}
+_BUILD: dict[BenchmarkSize, tuple[str, ...]] = {
+    # As streets of this size are built that networks learn from.
+    "small": ("--image-scale", "1", "--hold-out", "5", "--neural-steps", "150"),
+    "full": ("--image-scale", "1", "--hold-out", "8"),
+}
+_MEASURED_SKIES = 3
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A command of each street.
+
+    Args:
+        line_of: its words, by street and by methods that have relit it; None: nothing to do.
+        relights: the method that it relights by.
+    """
+
+    command: BatchCommand
+    line_of: Callable[[int, Sequence[str]], tuple[str, ...] | None]
+    relights: str | None = None
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """Relighting, and edits where their truth was made."""
+
+    relighting: Leaderboard
+    edits: Leaderboard | None
+
+    @property
+    def boards(self) -> tuple[Leaderboard, ...]:
+        """What there is."""
+        return (self.relighting,) if self.edits is None else (self.relighting, self.edits)
+
+    def to_table(self) -> str:
+        """Markdown."""
+        return "\n\n".join(board.to_table() for board in self.boards)
+
+    def to_json(self) -> str:
+        """Both leaderboards."""
+        return json.dumps([json.loads(board.to_json()) for board in self.boards], indent=2)
+
+
+def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
+    """Make, build and relight the streets of a side, score them, and show how the methods compare.
+    Each step of a street is a process of its own; what is finished is kept, and a street that fails
+    is named at the end while the others go on.
+
+    Raises:
+        InputError: a network has learned from a street of the side or does not tell from which,
+            the generator makes other streets than the committed ones, an option is wrong, or
+            nothing was finished.
+        ArtefactError: weights are damaged, or carry no record.
+    """
+    seeds = Shard.parse(options.shard).of(options.seeds or tuple(HELD_OUT[options.side]))
+    methods, notes = _methods(options)
+    for seed in seeds:
+        _check_street(seed, options.side)
+    for method in methods:
+        _check_unseen(method, options)
+    notes += _run(options, seeds, methods, progress)
+    result = _leaderboards(options, notes)
+    write_text(options.root / "leaderboard.json", result.to_json() + "\n")
+    write_page(options, result.boards)
+    return result
+
+
+def _methods(options: BenchmarkOptions) -> tuple[list[str], list[str]]:
+    """The reference, and what was asked for; notes on what is left out for want of weights."""
+    from lightsim.relighting.methods import relight_by
+
+    asked: Sequence[str] = options.methods or tuple(ALL_METHODS)
+    found: list[str] = [REFERENCE]
+    notes: list[str] = []
+    for method in asked:
+        if method == FIELD_METHOD:
+            # Each street's is trained on it.
+            found.append(method)
+            continue
+        try:
+            relight_by(method, options.weights_by_method.get(method))
+        except InputError as error:
+            if options.methods:
+                raise
+            notes.append(f"Left out: {method}: {error.what}.")
+            continue
+        found.append(method)
+    return list(dict.fromkeys(found)), notes
+
+
+def _check_street(seed: int, side: HeldOutSide) -> None:
+    """A generator that was changed makes other streets, whose figures are no longer comparable."""
+    found = street_checksum(seed)
+    if found != HELD_OUT[side][seed]:
+        raise InputError(
+            "this street is not the one of the leaderboard",
+            where=f"street {seed}",
+            got=found,
+            expected=HELD_OUT[side][seed],
+            remedy="Use the version of LightSim that the leaderboard names.",
+        )
+
+
+def _check_unseen(method: str, options: BenchmarkOptions) -> None:
+    """No network may have learned from a street of the side, nor, of the test side, have been
+    chosen by one."""
+    path = options.weights_by_method.get(method)
+    if path is None:
+        path = ALL_METHODS[method].shipped_file()
+    if path is None:
+        return
+    streets = read_record(path).streets
+    if isinstance(streets, str):
+        raise InputError(
+            "the weights do not tell which streets they have learned from",
+            where=path,
+            got=streets,
+            remedy="Train again, or tell it with tools/name_streets.py.",
+        )
+    named = [*streets["training"], *(streets["validation"] if options.side == "test" else ())]
+    seen = sorted(set(named) & {str(seed) for seed in HELD_OUT[options.side]})
+    if seen:
+        raise InputError(
+            f"the network has learned from streets of the {options.side} side",
+            where=path,
+            got=", ".join(seen),
+            expected="weights that saw none of them",
+        )
+
+
+def _run(
+    options: BenchmarkOptions, seeds: Sequence[int], methods: Sequence[str], progress: Progress
+) -> list[str]:
+    """All steps of all streets, as many streets at a time as processes: what is interrupted has
+    whole streets. Notes on what failed."""
+    batch = BatchOptions(out=options.root / "logs", jobs=options.jobs)
+    groups = [seeds[i : i + options.jobs] for i in range(0, len(seeds), options.jobs)]
+    return [
+        note
+        for group in groups
+        for note in _run_streets(_steps(options, methods), group, batch, progress)
+    ]
+
+
+def _run_streets(
+    steps: Iterator[_Step], seeds: Sequence[int], batch: BatchOptions, progress: Progress
+) -> list[str]:
+    left: dict[int, list[str]] = {seed: [] for seed in seeds}
+    """Streets that can be relit, and by whom they were."""
+    notes = []
+    for step in steps:
+        asked = {seed: step.line_of(seed, done) for seed, done in left.items()}
+        lines = {seed: line for seed, line in asked.items() if line is not None}
+        if not lines:
+            continue
+        failed = run_batch(step.command, list(lines.values()), batch, progress).failed
+        for seed, line in lines.items():
+            log = log_of(step.command, line, batch.out)
+            if log in failed:
+                notes.append(f"Failed: street {seed}: {failed[log]} ({log})")
+                # A method's failure is its own; without log or twin there is nothing to relight.
+                if step.command in ("synthesize", "build"):
+                    del left[seed]
+            elif step.relights is not None:
+                left[seed].append(step.relights)
+    return notes
+
+
+def _steps(options: BenchmarkOptions, methods: Sequence[str]) -> Iterator[_Step]:
+    work, build = options.work, _BUILD[options.size]
+    yield _Step("synthesize", lambda seed, _: _synthesize(options, seed))
+    yield _Step(
+        "build",
+        lambda seed, _: (str(options.street(seed) / "log"), "--work", str(work(seed)), *build),
+    )
+    if FIELD_METHOD in methods:
+        yield _Step("train", lambda seed, _: (FIELD_METHOD, str(work(seed))))
+    # A process for each method, whose cost is its own; then one for all scores, since half of their
+    # time goes into the truth.
+    for method in methods:
+        name = ("--name", f"{options.scenarios}-{method}", "--no-scores")
+        yield _Step(
+            "evaluate",
+            lambda seed, _, m=method, name=name: (*_relight(options, seed, [m]), *name),
+            method,
+        )
+    yield _Step("evaluate", lambda seed, done: _score(options, seed, done))
+    yield _Step("evaluate", lambda seed, _: _score_edits(options, seed))
+
+
+def _synthesize(options: BenchmarkOptions, seed: int) -> tuple[str, ...]:
+    size = _STREET_SIZE[options.size]
+    words = ("--out", str(options.street(seed)), "--seed", str(seed), "--size", size)
+    skies = skies_of_side(options.hdri, options.split, options.side)
+    if skies:
+        more = ("--sky", *map(str, some_of(skies, seed, _MEASURED_SKIES)))
+    else:
+        more = ("--more-skies",)
+    return (*words, "--denoise", "--edits", *more)
+
+
+def _relight(options: BenchmarkOptions, seed: int, methods: Sequence[str]) -> tuple[str, ...]:
+    truth = options.street(seed) / "truth"
+    words = ["relight", str(options.work(seed)), "--truth", str(truth)]
+    words += ["--method", ",".join(methods)]
+    files = options.weights_by_method
+    chosen = [f"{method}={files[method]}" for method in methods if method in files]
+    words += ["--weights", *chosen] if chosen else []
+    if options.source_sky == "true":
+        words += ["--source-sky", str(truth / "skies" / "source.exr")]
+    return tuple(words)
+
+
+def _score(options: BenchmarkOptions, seed: int, methods: Sequence[str]) -> tuple[str, ...] | None:
+    """Of those by whom the street was relit."""
+    if not methods:
+        return None
+    name = options.scenarios if len(methods) > 1 else f"{options.scenarios}-{methods[0]}"
+    out = options.scores("relighting") / f"{seed}.json"
+    return (*_relight(options, seed, methods), "--name", name, "--out", str(out))
+
+
+def _score_edits(options: BenchmarkOptions, seed: int) -> tuple[str, ...]:
+    truth, out = options.street(seed) / "truth", options.scores("edits") / f"{seed}.json"
+    return ("edits", str(options.work(seed)), "--truth", str(truth), "--out", str(out))
+
+
+def _leaderboards(options: BenchmarkOptions, notes: Sequence[str]) -> Benchmark:
+    """What is finished, that of earlier runs and of other shards included."""
+    relit, edits = options.scores("relighting"), options.scores("edits")
+    if not any(relit.glob("*.json")):
+        raise InputError(
+            "no street was finished", where=options.root, got="; ".join(notes) or None,
+            remedy="See the logs; the same command goes on.",
+        )  # fmt: skip
+    plan = plan_street(0)
+    own = [spec.name for spec in (*sky_specs(plan)[1:], *more_sky_specs(plan))]
+    title = f"{options.side}, {options.size}, source sky {options.source_sky}"
+    streets = [str(seed) for seed in HELD_OUT[options.side]]
+    relighting = make_leaderboard(f"Relighting ({title})", relit, REFERENCE, own, streets, notes)
+    if not any(edits.glob("*.json")):
+        return Benchmark(relighting, None)
+    names = ("remove-parked", "move-parked", "remove-moving", "move-moving", "insert", "ego-shift")
+    return Benchmark(relighting, make_leaderboard(f"Edits ({title})", edits, OURS, names, streets))

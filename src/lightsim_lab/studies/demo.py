@@ -1,0 +1,45 @@
+"""`lightsim demo`: the shipped synthetic street, built, relit and measured against its truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lightsim.build.options import BuildOptions
+from lightsim.build.pipeline import build
+from lightsim.core.reading import LogReading
+from lightsim.progress import Progress
+from lightsim.simulate.options import RelightOptions
+from lightsim.simulate.relight import relight
+from lightsim_lab.synthetic import shipped_street
+
+DEMO_SKIES = ("sun:100,25", "sun:265,12")
+"""A morning and an evening."""
+DEMO_STEPS = 150
+"""Training steps of the neural field for a first look: a quarter of a minute on two cores."""
+DEMO_CAMERAS = ("front_camera", "left_camera")
+"""Those whose films the page shows."""
+
+
+def run_demo(out: Path, seed: int, progress: Progress, *, is_full: bool = False) -> Path:
+    """Build the street under OUT/street and relight it; returns OUT/index.html.
+
+    Args:
+        is_full: train as long as the preset says, and relight all cameras; goes on with what a
+            first look has made.
+    """
+    street = shipped_street()
+    reading = LogReading(source=str(street / "log"), image_scale=1.0, hold_out=5)
+    work = out / "street"
+    steps = None if is_full else DEMO_STEPS
+    build(work, BuildOptions(reading=reading, seed=seed, neural_steps=steps), progress)
+    cameras = () if is_full else DEMO_CAMERAS
+    options = RelightOptions(
+        name="demo", sky=DEMO_SKIES, cameras=cameras, seed=seed, overwrite=True
+    )
+    folders = relight(work, options, progress)
+    from lightsim.build.measures import QUICK
+    from lightsim_lab.studies.against_truth import relit_frames
+    from lightsim_lab.studies.report import write_demo_report
+
+    report = relit_frames(work, street / "truth", progress, QUICK)
+    return write_demo_report(out / "index.html", work, folders, report)

@@ -1,0 +1,241 @@
+"""What relighting networks learn from: streets with true relit pictures, beside what the twins say
+that were built from their logs by the product's own pipeline, errors and all."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float32, UInt8
+
+from lightsim.build.options import BuildOptions
+from lightsim.build.pipeline import build
+from lightsim.build.workspace import Workspace
+from lightsim.core.colour import linear_from_srgb8
+from lightsim.core.reading import LogReading
+from lightsim.errors import InputError
+from lightsim.progress import Progress
+from lightsim.relighting.network.channels import scene_planes, target_planes
+from lightsim.relighting.physical.ratio import (
+    Circumstances,
+    RatioConfig,
+    RelightInputs,
+    relight_physical,
+)
+from lightsim.simulate.options import RelightOptions
+from lightsim.simulate.relight import replayed
+from lightsim.simulate.relighter import RelightConfig, Relighter, RelitFrame
+from lightsim.simulate.skies import resolve_sky
+from lightsim.store.images import read_srgb8
+from lightsim_lab.studies.against_truth import as_truth
+from lightsim_lab.studies.benchmark_options import HELD_OUT
+from lightsim_lab.synthetic import synthesize
+from lightsim_lab.synthetic.skies import FurtherSkies
+from lightsim_lab.training.hdr_skies import Side, SplitEntry, read_split
+from lightsim_lab.training.options import PrepareRelightOptions
+from lightsim_lab.training.relight_cache import RelightSample, RelightTargetSample, write_sample
+
+_LOGGER = logging.getLogger(__name__)
+STREETS = "streets"
+_CLIPPED = 254
+_SOURCES = 2
+"""True pictures of a frame that are sources, too: every further one is a file of some 50 MB."""
+_NEURAL_STEPS = 150
+"""As the streets are built that relighting is measured on (docs/benchmarks/relighting.md)."""
+
+
+def prepare_relight(options: PrepareRelightOptions, progress: Progress) -> None:
+    """Make, build and sample every street that is asked for: OUT/<seed>/<camera>_<frame>.npz. What
+    is finished stays; a street's own files, in OUT/streets, go once it is.
+
+    Raises:
+        InputError: a file of skies is wrong, or nothing is asked for.
+    """
+    held_out = {seed for seeds in HELD_OUT.values() for seed in seeds}
+    if held_out & set(options.streets):
+        raise InputError(
+            "these streets are measured on",
+            where="--streets",
+            got=sorted(held_out & set(options.streets)),
+            remedy="Give other seeds: the benchmark's streets teach nobody.",
+        )
+    skies = skies_of_side(options.hdri, options.split, "train")
+    for seed in options.streets:
+        done = options.out / str(seed)
+        if done.is_dir():
+            continue
+        began, processor = time.monotonic(), time.process_time()
+        street = options.out / STREETS / str(seed)
+        chosen = some_of(skies, seed, options.skies_per_street)
+        synthesize(
+            street,
+            seed=seed,
+            size=options.size,
+            progress=progress,
+            is_denoised=True,
+            paths=options.paths,
+            further=FurtherSkies(drawn_suns=options.drawn_suns, panoramas=tuple(chosen)),
+        )
+        reading = LogReading(source=str(street / "log"), image_scale=1.0, hold_out=5)
+        build(street / "work", BuildOptions(reading=reading, neural_steps=_NEURAL_STEPS), progress)
+        samples = street / "samples"
+        count = write_samples(street / "work", street / "truth", samples, progress)
+        samples.rename(done)
+        if not options.keep:
+            shutil.rmtree(street)
+        _LOGGER.info(
+            "street %d: %d frames under %d skies, %.0f s, %.0f processor seconds, %.0f MB",
+            seed,
+            count,
+            3 + options.drawn_suns + len(chosen),
+            time.monotonic() - began,
+            time.process_time() - processor,
+            sum(p.stat().st_size for p in done.iterdir()) / 1e6,
+        )
+
+
+def skies_of_side(hdri: Path | None, split: Path | None, side: Side) -> list[Path]:
+    """Measured skies of a side that show a sky of their own, in the order of names; none without a
+    folder.
+
+    Raises:
+        InputError: there is no split, it is wrong, or the folder has no sky of the side.
+    """
+    if hdri is None:
+        return []
+    if split is None:
+        raise InputError(
+            "nobody tells on which side a sky is",
+            where="--hdri",
+            remedy="Give --split, too: what trains, what chooses and what tests stay apart.",
+        )
+    entries = read_split(split)
+    files = sorted(p for p in hdri.iterdir() if p.suffix.lower() in (".hdr", ".exr"))
+    found = [p for p in files if p.stem in entries and _is_open(entries[p.stem], side)]
+    if not found:
+        raise InputError(
+            f"no sky of the {side} side is there",
+            where=hdri,
+            expected=f".hdr or .exr files that {split} names for it",
+        )
+    return found
+
+
+def _is_open(entry: SplitEntry, side: Side) -> bool:
+    """Whether a sky is on a side and whole: its sun not clipped, no roof of trees."""
+    return entry.split == side and entry.tier != "C" and entry.scene != "canopy"
+
+
+def some_of(skies: Sequence[Path], seed: int, count: int) -> list[Path]:
+    """Of a street; the same whatever other streets are made."""
+    order = np.random.default_rng([seed, 17]).permutation(len(skies))
+    return [skies[k] for k in order[:count]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """A frame as it is relit to one sky: what goes in, what comes out, and the true picture."""
+
+    inputs: RelightInputs
+    radiance: Float32[np.ndarray, "h w 3"]
+    truth_srgb8: UInt8[np.ndarray, "h w 3"]
+
+    @property
+    def seen(self) -> Circumstances:
+        """Camera and skies."""
+        assert self.inputs.circumstances is not None
+        return self.inputs.circumstances
+
+
+def write_samples(
+    work: Path, truth: Path, out: Path, progress: Progress, *, true_sources: int = _SOURCES
+) -> int:
+    """Every frame of a twin that has true relit pictures: the recorded picture under the true skies
+    (OUT/<camera>_<stem>.npz), and some of the true pictures as sources for the other skies
+    (OUT/<camera>_<stem>_under_<sky>.npz), other ones of every frame. Those that are there stay.
+
+    Args:
+        truth: folder `truth` of a synthetic log.
+        true_sources: true pictures of a frame that are sources, too.
+
+    Returns:
+        How many there are.
+    """
+    skies = sorted(p.name for p in (truth / "relit").iterdir() if p.is_dir())
+    options = as_truth(truth, skies, RelightOptions(name="truth", method="physical"))
+    workspace = Workspace(work, is_stale_allowed=True)
+    scenario = replayed(workspace, options)
+    relighter = Relighter(workspace, workspace.log_at(1.0), RelightConfig(), options)
+    choices = options.sky_by_name.values()
+    targets = [relighter.target(resolve_sky(choice, workspace)) for choice in choices]
+    out.mkdir(parents=True, exist_ok=True)
+    for number, frame in enumerate(progress.track(list(scenario.frames), "samples")):
+        name = f"{frame.camera_name}_{frame.stem}"
+        files = [truth / "relit" / sky / frame.camera_name / f"{frame.stem}.jpg" for sky in skies]
+        # The recorded picture's is written last.
+        if (out / f"{name}.npz").exists() or not all(file.is_file() for file in files):
+            continue
+        made = {
+            sky: _frame(relit, file)
+            for sky, relit, file in zip(
+                skies, relighter.relit(frame, scenario, targets), files, strict=True
+            )
+        }
+        ego = relighter.log.ego_vehicle_masks.get(frame.camera_name)
+        for sky in _in_turn(skies, number, true_sources) if len(skies) > 1 else ():
+            sample = _sample(_under(made, sky), ego)
+            write_sample(out / f"{name}_under_{sky}.npz", sample)
+        write_sample(out / f"{name}.npz", _sample(made, ego))
+    return len(list(out.glob("*.npz")))
+
+
+def _in_turn(skies: Sequence[str], number: int, count: int) -> set[str]:
+    """Those under which a frame is a source."""
+    first = number * count
+    return {skies[k % len(skies)] for k in range(first, first + count)}
+
+
+def _frame(relit: RelitFrame, truth: Path) -> _Frame:
+    """A frame that was relit, and not taken as it was."""
+    assert relit.inputs is not None
+    return _Frame(relit.inputs, relit.radiance, read_srgb8(truth))
+
+
+def _under(made: Mapping[str, _Frame], sky: str) -> dict[str, _Frame]:
+    """The frame as if it had been recorded under one of the skies, relit to the others."""
+    source = made[sky]
+    picture = source.truth_srgb8
+    frames = {}
+    for name, frame in made.items():
+        if name == sky:
+            continue
+        inputs = replace(
+            frame.inputs,
+            radiance=(linear_from_srgb8(picture) / frame.seen.gain).astype(np.float32),
+            is_clipped=np.any(picture >= _CLIPPED, axis=-1),
+            source=source.inputs.target,
+            source_sun=source.inputs.target_sun,
+            found_visibility=None,
+            circumstances=replace(frame.seen, source_sky=source.seen.target_sky),
+        )
+        frames[name] = _Frame(inputs, relight_physical(inputs, RatioConfig()), frame.truth_srgb8)
+    return frames
+
+
+def _sample(made: Mapping[str, _Frame], ego: Bool[np.ndarray, "h w"] | None) -> RelightSample:
+    targets = {
+        sky: RelightTargetSample(
+            target_planes(frame.inputs, frame.seen, frame.radiance),
+            np.ascontiguousarray(np.moveaxis(frame.truth_srgb8, -1, 0)),
+        )
+        for sky, frame in made.items()
+    }
+    any_frame = next(iter(made.values()))
+    scene = scene_planes(any_frame.inputs, any_frame.seen)
+    valid = np.ones(any_frame.inputs.sky_matte.shape) if ego is None else ~ego
+    return RelightSample({**scene, "valid": valid[None].astype(np.float32)}, targets)

@@ -1,0 +1,272 @@
+"""Sky networks on built logs, the sun by GPS and time as reference (the paper's table A4)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float32
+from torch import Tensor
+
+from lightsim.build.workspace import Workspace
+from lightsim.core.colour import linear_from_srgb8, srgb_from_linear
+from lightsim.core.log import DrivingLog
+from lightsim.core.resample import resize_area
+from lightsim.core.solar import angle_between_deg, direction_world, solar_position
+from lightsim.errors import InputError
+from lightsim.lighting.panorama.complete import exposed_ldr
+from lightsim.lighting.panorama.inpaint import fill_by_network, shrink_seen
+from lightsim.lighting.sample import LightingBatch
+from lightsim.lighting.sky.shipped import INPAINT_WEIGHTS, SKY_WEIGHTS
+from lightsim.lighting.sky.sky_terms import SkyEncoding, SkyTensors
+from lightsim.networks.stored import is_stored
+from lightsim.store.weights import load_weights, read_record, read_weights
+from lightsim_lab.training.sky import Completion
+from lightsim_lab.training.sky_models import network_of
+from lightsim_lab.training.sky_scores import (
+    Answers,
+    SkyModel,
+    angles_deg,
+    answer_of,
+    brightest_pixel,
+    decoding_errors,
+)
+
+_ROWS = 64
+"""Of the panoramas that the networks are given; larger ones look at what the resizing leaves."""
+_FRONT_PX = (40, 64)
+
+
+@dataclass(frozen=True)
+class NetworkRow:
+    """Means over the logs; None is what a method does not give.
+
+    Args:
+        name: of the method.
+        angle_mean_deg: between its sun and that of GPS and time.
+        angle_median_deg: the same.
+        decoding_log_peak: |log peak of its dome - the one fed to the decoder|.
+        decoding_angle_deg: between the dome's brightest spot and the direction fed.
+        composes_sun: the sun is put into the dome: decoding errors are those of the pixel grid.
+    """
+
+    name: str
+    angle_mean_deg: float | None
+    angle_median_deg: float | None
+    decoding_log_peak: float | None
+    decoding_angle_deg: float | None
+    composes_sun: bool
+
+
+@dataclass(frozen=True)
+class NetworksReport:
+    """Table A4.
+
+    Args:
+        logs: that count.
+        left_out: the others, with the reason.
+        rows: of the methods.
+    """
+
+    logs: tuple[str, ...]
+    left_out: tuple[str, ...]
+    rows: tuple[NetworkRow, ...]
+
+    def to_table(self) -> str:
+        """Markdown."""
+        lines = [
+            "| method | sun angle, mean / median deg | decoding log peak | decoding deg |",
+            "|---|---:|---:|---:|",
+        ]
+        for row in self.rows:
+            decoding = [_cell(row.decoding_log_peak), _cell(row.decoding_angle_deg)]
+            if row.composes_sun:
+                decoding = [f"composed, {cell}" for cell in decoding]
+            angle = f"{_cell(row.angle_mean_deg)} / {_cell(row.angle_median_deg)}"
+            lines.append(f"| {row.name} | {angle} | {' | '.join(decoding)} |")
+        lines += ["", f"{len(self.logs)} logs: {', '.join(self.logs)}"]
+        return "\n".join(lines + [f"left out: {reason}" for reason in self.left_out])
+
+    def to_json(self) -> str:
+        """All of it."""
+        return json.dumps(asdict(self), indent=2)
+
+
+def compare_sky_networks(logs: Sequence[Workspace], runs: Path | None) -> NetworksReport:
+    """The shipped estimator, the networks of runs and the built skies; logs without GPS or with
+    their sun below the horizon are left out.
+
+    Args:
+        runs: folder of runs of `lightsim train`, each with weights.safetensors.
+
+    Raises:
+        InputError: no log counts, or a run's weights are of no sky network.
+    """
+    batches: dict[str, LightingBatch] = {}
+    built, left_out, origins = [], [], set[str]()
+    for work in logs:
+        try:
+            towards = gps_sun(work.log)
+        except InputError as error:
+            left_out.append(f"{work.root}: {error}")
+            continue
+        batches[str(work.root)] = _batch(work, towards)
+        sun = work.sky.dome.sun
+        origins.add(work.sky.origin)
+        built.append(np.nan if sun is None else angle_between_deg(sun.direction_world, towards))
+    if not batches:
+        raise InputError(
+            "no log has a sun by GPS to compare with",
+            got="; ".join(left_out),
+            expected="one log with place, time and heading, by day",
+        )
+    rows = [_row("brightest pixel", batches, [brightest_pixel(b) for b in batches.values()])]
+    for name, (model, complete) in named_networks(runs).items():
+        answers = [answer_of(model, batch, complete) for batch in batches.values()]
+        rows.append(_row(name, batches, answers))
+        known = [
+            answer_of(_Told(model, batch.sun_direction), batch, complete)
+            for batch in batches.values()
+        ]
+        rows.append(_row(f"{name}, with GPS", batches, known))
+    built_name = f"built sky ({', '.join(sorted(origins))})"
+    rows.append(NetworkRow(built_name, *_mean_median(np.array(built)), None, None, False))
+    return NetworksReport(tuple(batches), tuple(left_out), tuple(rows))
+
+
+def gps_sun(log: DrivingLog) -> Float[np.ndarray, "3"]:
+    """Direction towards the sun in the middle of the log, frame world, by place and time.
+
+    Raises:
+        InputError: the log has no place or no heading, or it is night.
+    """
+    geo = log.geo
+    if geo is None or geo.enu_from_world is None:
+        raise InputError("no sun by GPS", expected="place, time and heading")
+    at = solar_position(geo.latitude_deg, geo.longitude_deg, _middle_ns(log))
+    if at.elevation_deg <= 0:
+        raise InputError(
+            "the log was recorded at night",
+            got=f"sun at {at.elevation_deg:.1f} degrees",
+            expected="a sun above the horizon",
+        )
+    return direction_world(at.azimuth_deg, at.elevation_deg, geo.enu_from_world)
+
+
+@dataclass(frozen=True, eq=False)
+class _Told:
+    """A network whose sun is replaced by a known one, as the paper does with GPS."""
+
+    model: SkyModel
+    direction: Float32[np.ndarray, "n 3"]
+
+    @property
+    def composes_sun(self) -> bool:
+        """As the network's."""
+        return self.model.composes_sun
+
+    def encode(self, batch: SkyTensors) -> SkyEncoding:
+        """As the network's, with the known sun."""
+        return replace(self.model.encode(batch), direction=torch.from_numpy(self.direction))
+
+    def dome(
+        self, batch: SkyTensors, encoding: SkyEncoding, direction: Tensor, log_peak: Tensor
+    ) -> Tensor:
+        """As the network's."""
+        return self.model.dome(batch, encoding, direction, log_peak)
+
+
+def fill_with_shipped(
+    ldr: Float32[np.ndarray, "n h w 3"], seen: Bool[np.ndarray, "n h w"]
+) -> Float32[np.ndarray, "n h w 3"]:
+    """The shipped inpainting; a `training.sky.Completion`."""
+    return fill_by_network(ldr, seen, load_weights(INPAINT_WEIGHTS))
+
+
+def named_networks(runs: Path | None) -> dict[str, tuple[SkyModel, Completion | None]]:
+    """The shipped network and those of runs by name, with the completion that they look through:
+    the shipped one for networks that were trained behind a completion.
+
+    Args:
+        runs: folder of runs of `lightsim train`, each with weights.safetensors.
+
+    Raises:
+        InputError: a run's weights are of no sky network.
+    """
+    found: dict[str, tuple[SkyModel, Completion | None]] = {
+        "lightsim (shipped)": (network_of(load_weights(SKY_WEIGHTS)), None)  # type: ignore[dict-item]
+    }
+    for path in [] if runs is None else sorted(runs.glob("*/weights.safetensors")):
+        tensors = read_weights(path)
+        if is_stored(tensors):
+            is_behind = "--inpaint" in read_record(path).command.split()
+            complete = fill_with_shipped if is_behind else None
+            found[path.parent.name] = (network_of(tensors), complete)  # type: ignore[assignment]
+    return found
+
+
+def _batch(work: Workspace, sun_world: Float[np.ndarray, "3"]) -> LightingBatch:
+    """The log's panorama and front picture as the networks were trained on, the ego's forward
+    direction in the centre column."""
+    log = work.log
+    ldr, _ = exposed_ldr(work.panorama)
+    small, seen = shrink_seen(ldr, work.panorama.is_seen, _ROWS)
+    x, y, _ = log.ego.at(_middle_ns(log)).rotate(np.array([1.0, 0.0, 0.0]))
+    columns = round(float(np.arctan2(y, x)) / np.pi * _ROWS)
+    angle = -np.pi * columns / _ROWS
+    turn = np.array(
+        [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    )
+    nothing = np.zeros(1, np.float32)
+    return LightingBatch(
+        panorama=np.roll(small, columns, axis=1)[None],
+        visibility=np.roll(seen, columns, axis=1)[None],
+        front=_front(log, np.array([x, y, 0.0]))[None],
+        sky=np.zeros((1, _ROWS // 2, 2 * _ROWS, 3), np.float32),
+        sky_seen=np.ones((1, _ROWS // 2, 2 * _ROWS), bool),
+        sun_direction=(turn @ sun_world).astype(np.float32)[None],
+        log_peak=nothing,
+        is_sunny=np.ones(1, bool),
+    )
+
+
+def _front(log: DrivingLog, forward_world: Float[np.ndarray, "3"]) -> Float32[np.ndarray, "h w 3"]:
+    """The middle picture of the camera that looks forward, its middle in the networks' shape."""
+    by_camera = {name: log.frames_of(name) for name in log.cameras}
+    middles = [frames[len(frames) // 2] for frames in by_camera.values() if frames]
+    axis = np.array([0.0, 0.0, 1.0])
+    front = max(middles, key=lambda f: float(f.world_from_camera.rotate(axis) @ forward_world))
+    picture = front.load_srgb8()
+    rows, columns = _FRONT_PX
+    width = min(picture.shape[1], picture.shape[0] * columns // rows)
+    left = (picture.shape[1] - width) // 2
+    linear = linear_from_srgb8(picture[:, left : left + width])
+    return srgb_from_linear(resize_area(linear, rows, columns))
+
+
+def _middle_ns(log: DrivingLog) -> int:
+    return log.frames[len(log.frames) // 2].time_ns
+
+
+def _row(name: str, batches: Mapping[str, LightingBatch], answers: Sequence[Answers]) -> NetworkRow:
+    angles = [
+        angles_deg(answer.direction, batch.sun_direction)
+        for answer, batch in zip(answers, batches.values(), strict=True)
+    ]
+    decoded = np.array([error for answer in answers for error in decoding_errors(answer)])
+    peak, angle = decoded.mean(axis=0).tolist() if len(decoded) else (None, None)
+    composes_sun = any(answer.composes_sun for answer in answers)
+    return NetworkRow(name, *_mean_median(np.concatenate(angles)), peak, angle, composes_sun)
+
+
+def _mean_median(values: Float[np.ndarray, " n"]) -> tuple[float | None, float | None]:
+    known = values[~np.isnan(values)]
+    return (float(known.mean()), float(np.median(known))) if len(known) else (None, None)
+
+
+def _cell(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"

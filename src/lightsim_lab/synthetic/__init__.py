@@ -1,0 +1,28 @@
+"""A procedural street with exact ground truth, written in PandaSet's layout (docs/synthetic.md)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lightsim.errors import InputError
+from lightsim_lab.synthetic.edit_truth import synthesize_edits
+from lightsim_lab.synthetic.generate import synthesize
+from lightsim_lab.synthetic.plan import Size
+
+__all__ = ["Size", "shipped_street", "synthesize", "synthesize_edits"]
+
+
+def shipped_street() -> Path:
+    """The folder (log/ and truth/) of the street that comes with the package: seed 0, small.
+
+    Raises:
+        InputError: the installation lacks it.
+    """
+    path = Path(__file__).resolve().parents[1] / "data" / "street"
+    if not (path / "log" / "camera").is_dir():
+        raise InputError(
+            "the built-in street is missing from this installation",
+            where=path,
+            remedy="Install LightSim again, or make it: lightsim synthesize --seed 0 --out DIR.",
+        )
+    return path

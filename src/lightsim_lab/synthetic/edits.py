@@ -1,0 +1,328 @@
+"""Edits of a street whose true pictures are known: chosen by rules from what cameras see of it, so
+that every seed shows them well and none is picked by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from lightsim.core.actors import ActorKind
+from lightsim.core.frames import RigidTransform
+from lightsim_lab.synthetic.geometry import Hits, Snapshot
+from lightsim_lab.synthetic.participants import CAR_SHAPES, Participant, build_car
+from lightsim_lab.synthetic.plan import StreetConfig
+from lightsim_lab.synthetic.rig import SWEEP_S, MountedCamera, street_from_ego
+from lightsim_lab.synthetic.street import LANE_M, PARKED_Y_M, Street
+
+NO_EDIT = "none"
+INSERTED_ID = "inserted"
+INSERTED_MODEL = "car.glb"
+EGO_OFFSET_M = (0.0, 1.5, 0.0)
+# Whoever is not there stands so far below the earth: numbers of actors stay what they are.
+_ABSENT_M = -50.0
+# Rays of the views that choose: one in so many pixels along each axis.
+_COARSE = 4
+# Of the actors seen best, so many are asked for the shadow that they alone cast.
+_ASKED = 4
+# Between two cars that stand close, and the recording car's box.
+_GAP_M = 0.4
+_EGO_LWH_M = (5.0, 2.0, 0.0)
+# Where a car may be put, along the street; and how far one that is there may be moved.
+_PLACES_M = tuple(np.arange(-24.0, 60.0, 1.5).tolist())
+_OFFSETS_M = ((-6.0, 0.0), (-4.0, 0.0), (-2.0, 0.0), (2.0, 0.0), (4.0, 0.0), (6.0, 0.0))
+# Views of an edit: the ones that show most of it.
+_VIEWS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One camera at one frame."""
+
+    mounted: MountedCamera
+    index: int
+
+    @property
+    def time_s(self) -> float:
+        """When it fires."""
+        return SWEEP_S * self.index + self.mounted.time_offset_s
+
+
+@dataclass(frozen=True, eq=False)
+class TrueEdit:
+    """One edit.
+
+    Args:
+        entries: as SCENARIO.json spells it.
+        participants: of the edited street, in the order of the staged one; `absent` where gone.
+        views: that show it best.
+        ego_offset_m: (ahead, left, up) by which the ego drives elsewhere.
+    """
+
+    name: str
+    entries: tuple[Mapping[str, Any], ...]
+    participants: tuple[Participant, ...]
+    views: tuple[View, ...]
+    ego_offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+_Seen = Float[np.ndarray, "v 2"]
+"""Pixels that an actor covers and shadows in each view; 0 where the view cuts its box."""
+
+
+def staged_street(street: Street) -> Street:
+    """The street with the car to be inserted as its last participant; not there yet."""
+    rng = np.random.default_rng([street.plan.seed, 10])
+    paint = sorted(name for name in street.finishes if name.startswith("paint"))
+    parts, size = build_car(CAR_SHAPES[0], paint[int(rng.integers(len(paint)))])
+    car = Participant(INSERTED_ID, ActorKind.CAR, parts, size, (0.0, 0.0, 0.0), 0.0, 0.0)
+    return replace(street, participants=(*street.participants, absent(car)))
+
+
+def absent(actor: Participant) -> Participant:
+    """The same actor where nobody sees it."""
+    x, y, _ = actor.start_m
+    return replace(actor, start_m=(x, y, _ABSENT_M))
+
+
+def choose_edits(
+    street: Street,
+    config: StreetConfig,
+    cameras: Sequence[MountedCamera],
+    sun_direction_world: Float[np.ndarray, "3"],
+) -> tuple[TrueEdit, ...]:
+    """No edit; a parked and a moving car taken out, each of them moved, a car put in, and the ego
+    shifted. The first has the views of all others; what no view shows is left out.
+
+    Chosen is what most pixels show of actor and shadow (their geometric mean: both have to be
+    seen), in views that show all of the actor.
+
+    Args:
+        street: from `staged_street`.
+    """
+    views = [View(mounted, k) for k in config.truth_stems for mounted in cameras]
+    chooser = _Chooser(street, config, views, sun_direction_world)
+    edits = []
+    for name, is_moving in (("parked", False), ("moving", True)):
+        edits += chooser.removed_and_moved(name, is_moving=is_moving)
+    edits.append(chooser.inserted())
+    first = tuple(view for view in views if view.index == config.truth_stems[0])
+    ego = {"do": "ego", "offset_m": list(EGO_OFFSET_M)}
+    edits.append(TrueEdit("ego-shift", (ego,), street.participants, first, EGO_OFFSET_M))
+    edits = [edit for edit in edits if edit.views]
+    shown = {id(view): view for edit in edits for view in edit.views}
+    recorded = TrueEdit(NO_EDIT, (), street.participants, tuple(shown.values()))
+    return (recorded, *edits)
+
+
+class _Chooser:
+    def __init__(
+        self,
+        street: Street,
+        config: StreetConfig,
+        views: Sequence[View],
+        sun_direction_world: Float[np.ndarray, "3"],
+    ) -> None:
+        self._street, self._views, self._sun = street, views, sun_direction_world
+        self._times_s = np.linspace(-SWEEP_S, SWEEP_S * (config.frame_count - 1), 12).tolist()
+        ego = [street_from_ego(time_s, config.ego_speed_m_s) for time_s in self._times_s]
+        ways = [self._way(actor) for actor in street.participants]
+        ways.append(np.stack([_footprint(pose, _EGO_LWH_M) for pose in ego]))
+        self._ways = np.stack(ways)
+        self._sights = [_Sight(view, config, street.plan.world_from_street) for view in views]
+
+    def removed_and_moved(self, name: str, *, is_moving: bool) -> Iterator[TrueEdit]:
+        """The car that is seen best with its shadow: taken out, and moved along its lane."""
+        cast = self._street.participants
+        cars = [
+            i
+            for i, actor in enumerate(cast)
+            if actor.kind is ActorKind.CAR
+            and (actor.speed_m_s > 0) == is_moving
+            and actor.start_m[2] != _ABSENT_M
+        ]
+        shown = self._shown(cars)
+        asked = sorted(cars, key=lambda i: -shown[i])[:_ASKED]
+        seen = {i: self._seen_in(self._without(i), cast[i]) for i in asked}
+        best = max(asked, key=lambda i: _score(seen[i]))
+        actor, empty = cast[best], self._without(best)
+        entry = {"do": "remove", "actor": actor.actor_id}
+        yield TrueEdit(f"remove-{name}", (entry,), empty, self._best_views(seen[best]))
+        moved = {
+            offset: other
+            for offset in _OFFSETS_M
+            if self._is_free(other := _shifted(actor, *offset), best)
+        }
+        if not moved:
+            return
+        scores = self._scored(empty, list(moved.values()))
+        offset, there = max(zip(moved, scores, strict=True), key=lambda pair: _score(pair[1]))
+        entry = {"do": "move", "actor": actor.actor_id, "offset_m": [*offset, 0.0]}
+        views = self._best_views(there + seen[best])
+        yield TrueEdit(f"move-{name}", (entry,), _with(cast, best, moved[offset]), views)
+
+    def inserted(self) -> TrueEdit:
+        """The car that is not there yet, where a car may stand."""
+        cast = self._street.participants
+        number = len(cast) - 1
+        rows = ((-PARKED_Y_M, 0.0), (PARKED_Y_M, np.pi), (-LANE_M / 2, 0.0), (LANE_M / 2, np.pi))
+        places = [
+            replace(cast[number], start_m=(x, y, 0.0), heading_rad=float(heading))
+            for y, heading in rows
+            for x in _PLACES_M
+        ]
+        free = [car for car in places if self._is_free(car, number)]
+        scores = self._scored(cast, free)
+        car, seen = max(zip(free, scores, strict=True), key=lambda pair: _score(pair[1]))
+        pose = self._street.plan.world_from_street @ car.street_from_actor(0.0)
+        x, y, _ = pose.translation_m.tolist()
+        at = {"x_m": x, "y_m": y, "yaw_deg": float(np.degrees(pose.yaw_rad))}
+        entry = {"do": "insert", "asset": INSERTED_MODEL, "id": INSERTED_ID, "at": at}
+        cast = _with(cast, number, car)
+        return TrueEdit("insert", (entry,), cast, self._best_views(seen))
+
+    def _without(self, number: int) -> tuple[Participant, ...]:
+        cast = self._street.participants
+        return _with(cast, number, absent(cast[number]))
+
+    def _shown(self, numbers: Sequence[int]) -> Mapping[int, float]:
+        """Pixels that show each of some actors in its best view that shows all of it."""
+        best = dict.fromkeys(numbers, 0.0)
+        for sight in self._sights:
+            snapshot = self._snapshot(self._street.participants, sight.view.time_s)
+            hits = sight.look(snapshot)
+            counts = np.bincount(snapshot.actor[hits.face[hits.is_hit]] + 1)
+            for i in numbers:
+                actor = self._street.participants[i]
+                if i + 1 < len(counts) and sight.shows_all_of(actor):
+                    best[i] = max(best[i], float(counts[i + 1]))
+        return best
+
+    def _seen_in(self, cast: tuple[Participant, ...], actor: Participant) -> _Seen:
+        return self._scored(cast, [actor])[0]
+
+    def _scored(self, cast: tuple[Participant, ...], actors: Sequence[Participant]) -> list[_Seen]:
+        """How well each of some actors would be seen in the street of a cast, alone."""
+        pixels = np.zeros((len(actors), len(self._sights), 2))
+        for j, sight in enumerate(self._sights):
+            whole = [i for i, actor in enumerate(actors) if sight.shows_all_of(actor)]
+            if not whole:
+                continue
+            surfaces = sight.surfaces(self._snapshot(cast, sight.view.time_s), self._sun)
+            for i in whole:
+                alone = self._snapshot((actors[i],), sight.view.time_s, is_alone=True)
+                pixels[i, j] = sight.covered_and_shadowed(alone, surfaces, self._sun)
+        return list(pixels)
+
+    def _snapshot(
+        self, cast: tuple[Participant, ...], time_s: float, *, is_alone: bool = False
+    ) -> Snapshot:
+        background = () if is_alone else self._street.background
+        street = replace(self._street, background=background, participants=cast)
+        plan = self._street.plan
+        poses = [plan.world_from_street @ actor.street_from_actor(time_s) for actor in cast]
+        return Snapshot(street, poses)
+
+    def _best_views(self, seen: _Seen) -> tuple[View, ...]:
+        """Those with most pixels, in the order of the frames."""
+        total = seen.sum(axis=1)
+        order = np.argsort(-total, kind="stable")[:_VIEWS].tolist()
+        return tuple(self._views[i] for i in sorted(order) if total[i] > 0)
+
+    def _is_free(self, actor: Participant, number: int) -> bool:
+        """Whether an actor never meets another one, nor the ego."""
+        own, others = self._way(actor), np.delete(self._ways, number, axis=0)
+        is_before = others[:, :, 0] < own[:, 1] + _GAP_M
+        is_behind = own[:, 0] < others[:, :, 1] + _GAP_M
+        return not (is_before & is_behind).all(axis=-1).any()
+
+    def _way(self, actor: Participant) -> Float[np.ndarray, "t 2 2"]:
+        """Footprints over time."""
+        poses = [actor.street_from_actor(time_s) for time_s in self._times_s]
+        return np.stack([_footprint(pose, actor.size_lwh_m) for pose in poses])
+
+
+class _Sight:
+    """Coarse rays of a view."""
+
+    def __init__(self, view: View, config: StreetConfig, world_from_street: RigidTransform) -> None:
+        self.view = view
+        self._camera = view.mounted.camera.scaled(1 / _COARSE)
+        ego = street_from_ego(view.time_s, config.ego_speed_m_s)
+        self._street_from_camera = ego @ view.mounted.ego_from_camera
+        pose = world_from_street @ self._street_from_camera
+        uv = self._camera.pixel_centres().reshape(-1, 2)
+        self._directions = pose.rotate(self._camera.directions(uv))
+        self._origins = np.broadcast_to(pose.translation_m, self._directions.shape).copy()
+
+    def look(self, snapshot: Snapshot) -> Hits:
+        """What the rays meet."""
+        return snapshot.intersect(self._origins, self._directions)
+
+    def shows_all_of(self, actor: Participant) -> bool:
+        """Whether an actor's box lies in the picture."""
+        corners = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
+        pose = self._street_from_camera.inverse() @ actor.street_from_actor(self.view.time_s)
+        return bool(self._camera.project(pose.apply(corners * actor.size_lwh_m))[1].all())
+
+    def surfaces(
+        self, snapshot: Snapshot, sun: Float[np.ndarray, "3"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Distances along the rays, and the sun that the surfaces get."""
+        hits = self.look(snapshot)
+        lit = np.zeros(len(self._directions))
+        points = self._points(hits.distance_m, hits.is_hit)
+        normals = hits.normal_world[hits.is_hit]
+        lit[hits.is_hit] = snapshot.sun_visibility(points, normals, sun[None])
+        return hits.distance_m, lit
+
+    def covered_and_shadowed(
+        self,
+        alone: Snapshot,
+        surfaces: tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]],
+        sun: Float[np.ndarray, "3"],
+    ) -> tuple[float, float]:
+        """Pixels of the picture that an actor takes, and those whose sun it takes."""
+        distance_m, lit = surfaces
+        is_covered = self.look(alone).distance_m < distance_m
+        is_lit = ~is_covered & (lit > 0)
+        points = self._points(distance_m, is_lit)
+        is_shadowed = alone.is_occluded(points, np.broadcast_to(sun, points.shape).copy())
+        return float(is_covered.sum()), float(is_shadowed.sum())
+
+    def _points(
+        self, distance_m: Float[np.ndarray, " n"], chosen: Bool[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "k 3"]:
+        return self._origins[chosen] + distance_m[chosen, None] * self._directions[chosen]
+
+
+def _score(seen: _Seen) -> tuple[float, ...]:
+    """The third best view decides, then the second: what one view alone shows says little."""
+    return tuple(np.sort(np.sqrt(seen.prod(axis=1)))[-_VIEWS:].tolist())
+
+
+def _with(
+    cast: tuple[Participant, ...], number: int, actor: Participant
+) -> tuple[Participant, ...]:
+    return (*cast[:number], actor, *cast[number + 1 :])
+
+
+def _shifted(actor: Participant, ahead_m: float, left_m: float) -> Participant:
+    """The actor on a path beside its own, in its own axes."""
+    c, s = np.cos(actor.heading_rad), np.sin(actor.heading_rad)
+    x, y, z = actor.start_m
+    start = (float(x + c * ahead_m - s * left_m), float(y + s * ahead_m + c * left_m), z)
+    return replace(actor, start_m=start)
+
+
+def _footprint(
+    pose: RigidTransform, size_lwh_m: tuple[float, float, float]
+) -> Float[np.ndarray, "2 2"]:
+    """Low and high (x, y) of a box, all of which lie nearly along the street."""
+    half = np.abs(pose.rotation[:2, :2]) @ np.array(size_lwh_m[:2]) / 2
+    # Whoever is not there is in nobody's way.
+    centre = pose.translation_m[:2] + (0.0 if pose.translation_m[2] > _ABSENT_M / 2 else 1e6)
+    return np.stack([centre - half, centre + half])

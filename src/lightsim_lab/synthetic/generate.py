@@ -1,0 +1,275 @@
+"""`synthesize`: a street log and its ground truth; what is already finished is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+
+from lightsim.core.checks import check_number
+from lightsim.core.frames import RigidTransform
+from lightsim.core.mitsuba_variants import TracingDevice, variant_on
+from lightsim.progress import Progress
+from lightsim.render.denoise import check_installed
+from lightsim.store.atomic import whole_file
+from lightsim.store.images import write_exr
+from lightsim_lab.synthetic.geometry import Snapshot
+from lightsim_lab.synthetic.guides import Guides, render_guides
+from lightsim_lab.synthetic.lidar import scan
+from lightsim_lab.synthetic.plan import Size, StreetConfig, config_of, plan_street
+from lightsim_lab.synthetic.rig import SWEEP_S, MountedCamera, mount_cameras
+from lightsim_lab.synthetic.sensor import camera_isp
+from lightsim_lab.synthetic.skies import FurtherSkies, Sky, build_sky, environment, sky_specs
+from lightsim_lab.synthetic.street import Street, build_street
+from lightsim_lab.synthetic.tracer import PathTracer, Placed
+from lightsim_lab.synthetic.truth import (
+    compute_buffers,
+    stem_of,
+    write_geometry,
+    write_sky,
+    write_truth_json,
+)
+from lightsim_lab.synthetic.writer import (
+    Clock,
+    camera_pose,
+    write_cuboids,
+    write_rig,
+    write_sweep,
+)
+
+_JPEG_QUALITY = 92
+_MOST_PATHS = 1 << 16
+_HALF_BUFFERS = ("normal_world", "base_colour", "sun_visibility", "actor_index")
+
+
+@dataclass(frozen=True, eq=False)
+class _Shot:
+    """One picture to render: which sky, camera and frame, and where it goes."""
+
+    path: Path
+    mounted: MountedCamera
+    index: int
+    samples: int
+    seed: int
+    has_sensor_noise: bool
+    """Of the log; the truth has none."""
+
+
+def synthesize(
+    out: Path,
+    *,
+    seed: int,
+    size: Size,
+    progress: Progress,
+    is_denoised: bool = False,
+    paths: int | None = None,
+    further: FurtherSkies | None = None,
+    device: TracingDevice = "cpu",
+) -> None:
+    """Write OUT/log (PandaSet's layout) and OUT/truth; finished files are kept, so that an
+    interrupted run can be started again.
+
+    Args:
+        is_denoised: the pictures, of log and truth, have no grain of few light paths.
+        paths: a pixel, of log and truth; by default those of the size.
+        further: skies under which there are true pictures, besides the usual three.
+        device: that traces light; CUDA's grain is another than the processor's.
+
+    Raises:
+        InputError: the seed is negative, there are no paths, a panorama cannot be read, OUT
+            cannot be written to, or there is no CUDA device.
+        MissingDependencyError: denoising needs the extra `denoise`.
+    """
+    config = config_of(size)
+    if paths is not None:
+        check_number("--paths", paths, 1, _MOST_PATHS)
+        config = replace(config, samples=paths, truth_samples=paths)
+    plan = plan_street(seed)
+    street = build_street(plan, config.ego_speed_m_s)
+    cameras = mount_cameras(plan, config)
+    log, truth = out / "log", out / "truth"
+    log.mkdir(parents=True, exist_ok=True)
+    truth.mkdir(parents=True, exist_ok=True)
+    write_rig(log, plan, config, cameras)
+    command = f"lightsim synthesize --seed {seed} --size {size}"
+    command += " --denoise" if is_denoised else ""
+    command += f" --paths {paths}" if paths is not None else ""
+    further = further or FurtherSkies()
+    command += further.words
+    command += " --device cuda" if device == "cuda" else ""
+    write_truth_json(truth / "truth.json", street, config, cameras, command)
+    _missing(truth / "scene.npz", lambda path: write_geometry(path, street))
+    _write_sweeps(log, street, config, progress)
+    skies = [build_sky(spec, plan) for spec in sky_specs(plan)] + further.of(plan)
+    for sky in skies:
+        write_sky(truth / "skies", sky, config.dome_height_px)
+    _write_buffers(truth, street, config, cameras, skies[0], progress)
+    guide = _PoseGuides(street, config) if is_denoised else None
+    for number, sky in enumerate(skies):
+        shots = _shots(out, sky, number, config, cameras)
+        _render(street, config, sky, shots, guide, progress, device)
+
+
+def _missing(path: Path, write: Callable[[Path], None]) -> None:
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(path)
+
+
+def _write_sweeps(log: Path, street: Street, config: StreetConfig, progress: Progress) -> None:
+    clock = Clock(street.plan.start_ns)
+    for k in progress.track(range(config.frame_count), "LiDAR sweeps and labels"):
+        time_s = SWEEP_S * k
+        name = f"{stem_of(k)}.pkl.gz"
+        sweep, cuboids = log / "lidar" / name, log / "annotations" / "cuboids" / name
+        if not sweep.exists():
+            rng = np.random.default_rng([street.plan.seed, 8, k])
+            write_sweep(sweep, scan(street, config, time_s, rng), clock.utc_s(time_s))
+        if not cuboids.exists():
+            write_cuboids(cuboids, street, config, time_s)
+
+
+def _write_buffers(
+    truth: Path,
+    street: Street,
+    config: StreetConfig,
+    cameras: tuple[MountedCamera, ...],
+    sky: Sky,
+    progress: Progress,
+) -> None:
+    """depth, normals, base colour, sun visibility and actor index of the chosen frames."""
+    wanted = config.buffer_cameras or [mounted.camera.name for mounted in cameras]
+    chosen = [mounted for mounted in cameras if mounted.camera.name in wanted]
+    jobs = [(k, mounted) for k in config.buffer_stems for mounted in chosen]
+    for k, mounted in progress.track(jobs, "exact buffers"):
+        file = f"{mounted.camera.name}/{stem_of(k)}.exr"
+        if (truth / "actor_index" / file).exists():
+            continue
+        time_s = SWEEP_S * k + mounted.time_offset_s
+        snapshot = Snapshot(street, list(actor_poses_at(street, time_s).values()))
+        pose = camera_pose(street.plan, config, mounted, time_s)
+        for name, buffer in compute_buffers(snapshot, mounted.camera, pose, sky).items():
+            path = truth / name / file
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_exr(path, buffer, half=name in _HALF_BUFFERS)
+
+
+def _shots(
+    out: Path, sky: Sky, number: int, config: StreetConfig, cameras: tuple[MountedCamera, ...]
+) -> list[_Shot]:
+    """The pictures of a sky that are still missing: the log itself for the first sky."""
+    is_source = number == 0
+    indices = range(config.frame_count) if is_source else config.truth_stems
+    root = out / "log" / "camera" if is_source else out / "truth" / "relit" / sky.spec.name
+    shots = []
+    for k in indices:
+        for i, mounted in enumerate(cameras):
+            shot = _Shot(
+                root / mounted.camera.name / f"{stem_of(k)}.jpg",
+                mounted,
+                k,
+                config.samples if is_source else config.truth_samples,
+                (number * 1000 + k) * len(cameras) + i,
+                is_source,
+            )
+            if not shot.path.exists():
+                shots.append(shot)
+    return shots
+
+
+def _render(
+    street: Street,
+    config: StreetConfig,
+    sky: Sky,
+    shots: list[_Shot],
+    guide: _PoseGuides | None,
+    progress: Progress,
+    device: TracingDevice,
+) -> None:
+    if not shots:
+        return
+    if guide is not None:
+        check_installed()
+    tracer = street_tracer(street, config, sky, device)
+    for shot in progress.track(shots, f"rendering '{sky.spec.name}' ({tracer.variant})"):
+        mounted = shot.mounted
+        time_s = SWEEP_S * shot.index + mounted.time_offset_s
+        tracer.place(actor_poses_at(street, time_s))
+        pose = camera_pose(street.plan, config, mounted, time_s)
+        radiance = tracer.render(
+            mounted.camera,
+            mounted.margin_px,
+            pose,
+            shot.samples,
+            shot.seed,
+            None if guide is None else guide.of(shot),
+        )
+        rng = None
+        if shot.has_sensor_noise:
+            rng = np.random.default_rng([street.plan.seed, 9, shot.seed])
+        shot.path.parent.mkdir(parents=True, exist_ok=True)
+        _write_jpeg(shot.path, camera_isp(radiance, mounted.gain, rng))
+
+
+class _PoseGuides:
+    """Guides of the denoiser, which know nothing of the light: the skies of a pose share them."""
+
+    def __init__(self, street: Street, config: StreetConfig) -> None:
+        self._street, self._config = street, config
+        self._kept: dict[tuple[int, str], Guides] = {}
+
+    def of(self, shot: _Shot) -> Guides:
+        """Those of frames that only the log has are not kept: nobody asks for them again."""
+        key = (shot.index, shot.mounted.camera.name)
+        if key in self._kept:
+            return self._kept[key]
+        time_s = SWEEP_S * shot.index + shot.mounted.time_offset_s
+        guides = guides_at(self._street, self._config, shot.mounted, time_s)
+        if shot.index in self._config.truth_stems:
+            self._kept[key] = guides
+        return guides
+
+
+def guides_at(
+    street: Street, config: StreetConfig, mounted: MountedCamera, time_s: float
+) -> Guides:
+    """Guides of the denoiser for a camera of the ego vehicle."""
+    snapshot = Snapshot(street, list(actor_poses_at(street, time_s).values()))
+    pose = camera_pose(street.plan, config, mounted, time_s)
+    return render_guides(snapshot, mounted.camera, pose)
+
+
+def street_tracer(
+    street: Street, config: StreetConfig, sky: Sky, device: TracingDevice = "cpu"
+) -> PathTracer:
+    """The path tracer of a street under a sky; `actor_poses_at` places the participants."""
+    return PathTracer(
+        [part.transformed(street.plan.world_from_street) for part in street.background],
+        [Placed(_key(i), actor.parts) for i, actor in enumerate(street.participants)],
+        street.finishes,
+        environment(sky, config.environment_height_px),
+        sky.sun,
+        variant_on(device),
+    )
+
+
+def _write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"]) -> None:
+    """With halved chroma, as PandaSet's own pictures."""
+    with whole_file(path) as temporary:
+        Image.fromarray(srgb8).save(temporary, quality=_JPEG_QUALITY, subsampling="4:2:0")
+
+
+def _key(index: int) -> str:
+    return f"actor{index}"
+
+
+def actor_poses_at(street: Street, time_s: float) -> dict[str, RigidTransform]:
+    """`world_from_actor` of every participant at a time, by its key in the path tracer."""
+    return {
+        _key(i): street.plan.world_from_street @ actor.street_from_actor(time_s)
+        for i, actor in enumerate(street.participants)
+    }

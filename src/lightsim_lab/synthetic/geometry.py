@@ -1,0 +1,130 @@
+"""The street as one triangle list at a moment, with rays: LiDAR and the exact buffers need it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int32
+
+from lightsim.core.buffers import BACKGROUND
+from lightsim.core.frames import RigidTransform
+from lightsim_lab.synthetic.shapes import Part
+from lightsim_lab.synthetic.street import Street
+from lightsim_lab.synthetic.textures import Finish
+
+_OFFSET_M = 2e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """First hits of rays. Misses: distance inf, normal and colour 0, actor NO_SURFACE."""
+
+    distance_m: Float[np.ndarray, " n"]
+    face: Int32[np.ndarray, " n"]
+    normal_world: Float[np.ndarray, "n 3"]
+    uv_m: Float[np.ndarray, "n 2"]
+
+    @property
+    def is_hit(self) -> Bool[np.ndarray, " n"]:
+        """Rays that met a triangle."""
+        return self.face >= 0
+
+
+class Snapshot:
+    """All triangles in frame `world`, with actors at given poses."""
+
+    def __init__(self, street: Street, world_from_actors: Sequence[RigidTransform]) -> None:
+        world_from_street = street.plan.world_from_street
+        placed: list[tuple[int, Part]] = [
+            (BACKGROUND, part.transformed(world_from_street)) for part in street.background
+        ]
+        for i, (actor, pose) in enumerate(zip(street.participants, world_from_actors, strict=True)):
+            placed += [(i, part.transformed(pose)) for part in actor.parts]
+        self.names = tuple(street.finishes)
+        self.finishes: Mapping[str, Finish] = street.finishes
+        offsets = np.cumsum([0] + [len(part.vertices) for _, part in placed[:-1]])
+        self.vertices: Float32[np.ndarray, "n 3"] = np.concatenate(
+            [part.vertices for _, part in placed]
+        )
+        self.uv_m = np.concatenate([part.uv_m for _, part in placed])
+        self.faces = np.concatenate(
+            [part.faces + np.int32(o) for (_, part), o in zip(placed, offsets, strict=True)]
+        ).astype(np.int32)
+        counts = [len(part.faces) for _, part in placed]
+        self.actor = np.repeat([i for i, _ in placed], counts).astype(np.int32)
+        self.material = np.repeat([self.names.index(p.material) for _, p in placed], counts)
+        self._scene = _embree(self.vertices, self.faces)
+
+    def intersect(
+        self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
+    ) -> Hits:
+        """First hits along unit directions."""
+        found = self._scene.run(
+            origins_world.astype(np.float32),
+            directions_world.astype(np.float32),
+            query="INTERSECT",
+            output=True,
+        )
+        face = found["primID"].astype(np.int32)
+        is_hit = face >= 0
+        distance = np.where(is_hit, found["tfar"], np.inf).astype(np.float64)
+        safe = np.where(is_hit, face, 0)
+        a, b, c = (self.vertices[self.faces[safe, k]].astype(np.float64) for k in range(3))
+        normal = np.cross(b - a, c - a)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        is_away = (normal * directions_world).sum(axis=1) > 0
+        normal[is_away] *= -1
+        normal[~is_hit] = 0.0
+        u, v = found["u"].astype(np.float64)[:, None], found["v"].astype(np.float64)[:, None]
+        uv = [self.uv_m[self.faces[safe, k]].astype(np.float64) for k in range(3)]
+        return Hits(distance, face, normal, (1 - u - v) * uv[0] + u * uv[1] + v * uv[2])
+
+    def base_colour(self, hits: Hits) -> Float[np.ndarray, "n 3"]:
+        """Texture values at the hits; 0 for misses."""
+        colour = np.zeros((len(hits.face), 3))
+        material = np.where(hits.is_hit, self.material[hits.face], -1)
+        for index in np.unique(material[material >= 0]).tolist():
+            chosen = material == index
+            colour[chosen] = self.finishes[self.names[index]].look_up(hits.uv_m[chosen])
+        return colour
+
+    def lidar_gain(self, hits: Hits) -> Float[np.ndarray, " n"]:
+        """Factor on the return of each hit's material; meaningless for misses."""
+        gains = np.array([self.finishes[name].lidar_gain for name in self.names])
+        return gains[self.material[hits.face]]
+
+    def is_occluded(
+        self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
+    ) -> Bool[np.ndarray, " n"]:
+        """Whether a ray meets any triangle, at whatever distance."""
+        found = self._scene.run(
+            origins_world.astype(np.float32), directions_world.astype(np.float32), query="INTERSECT"
+        )
+        return np.asarray(found) >= 0
+
+    def sun_visibility(
+        self,
+        points_world: Float[np.ndarray, "n 3"],
+        normals_world: Float[np.ndarray, "n 3"],
+        disc_world: Float[np.ndarray, "k 3"],
+    ) -> Float[np.ndarray, " n"]:
+        """Fraction of the disc's directions that are above the surface and unblocked."""
+        origins = points_world + _OFFSET_M * normals_world
+        visible = np.zeros(len(origins))
+        for direction in disc_world:
+            faces_sun = normals_world @ direction > 0
+            towards = np.broadcast_to(direction, origins.shape)
+            visible[faces_sun] += ~self.is_occluded(origins[faces_sun], towards[faces_sun])
+        return visible / len(disc_world)
+
+
+def _embree(vertices: Float32[np.ndarray, "n 3"], faces: Int32[np.ndarray, "m 3"]) -> Any:
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+
+    scene = EmbreeScene(robust=True)
+    TriangleMesh(scene, vertices, faces)
+    return scene

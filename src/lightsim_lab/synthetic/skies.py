@@ -1,0 +1,272 @@
+"""Skies of the synthetic street: CIE standard skies with clouds, and a sun.
+
+The relative luminance is that of the CIE standard general sky (CIE S 011, ISO 15469:2004).
+The same radiance lights the scene, fills the sky pixels and is written as ground truth. It is on
+purpose none of the analytic models that sky estimation fits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from zlib import crc32
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from lightsim.core.checks import check_number
+from lightsim.core.colour import luminance
+from lightsim.core.dome import SkyDome, Sun, add_sun, find_sun, split_sun
+from lightsim.core.equirect import pixel_directions, sample_bilinear, solid_angles_sr
+from lightsim.core.resample import resize_area
+from lightsim.core.solar import SolarPosition, direction_world
+from lightsim.store.images import read_sky
+from lightsim_lab.synthetic.plan import StreetPlan
+from lightsim_lab.synthetic.textures import noise
+
+_SUN_AT_ZENITH = 6.3
+"""Luminous irradiance before extinction, scene units: a sunlit white wall comes out near 0.9."""
+_EXTINCTION_RGB = np.array([0.17, 0.22, 0.33])
+_LEVEL_OF_MEASURED = (1.5, 6.0)
+"""Luminous irradiance of level ground under measured skies, scene units."""
+_MOST_SUNS = 1000
+_CLEAR = (-1.0, -0.32, 10.0, -3.0, 0.45)
+"""CIE S 011 type 12: clear, low turbidity (Darula & Kittler 2002)."""
+_OVERCAST = (4.0, -0.70, 0.0, -1.0, 0.0)
+"""CIE S 011 type 1: overcast, steep gradation."""
+
+
+@dataclass(frozen=True)
+class SkySpec:
+    """A sky: clear with a sun at a position, or overcast (no sun).
+
+    Args:
+        sun: azimuth from true north and elevation; None is overcast.
+        sky_irradiance: luminous irradiance of the sky without its sun on level ground.
+        cloud_amount: 0 to 1, thin clouds of a clear sky.
+        sun_factor: on the clear sun's irradiance: what cloud lets through.
+    """
+
+    name: str
+    sun: SolarPosition | None
+    sky_irradiance: float
+    cloud_amount: float
+    seed: int
+    sun_factor: float = 1.0
+
+
+def sky_specs(plan: StreetPlan) -> tuple[SkySpec, ...]:
+    """The source sky first, then the three target skies."""
+    rng = np.random.default_rng([plan.seed, 5])
+    azimuth = plan.sun.azimuth_deg
+    turn = float(rng.choice([-1.0, 1.0]))
+    low = SolarPosition((azimuth + turn * float(rng.uniform(95, 150))) % 360.0, 24.0)
+    high = SolarPosition((azimuth - turn * float(rng.uniform(60, 110))) % 360.0, 62.0)
+    return (
+        SkySpec("source", plan.sun, 0.88, float(rng.uniform(0.1, 0.35)), 1),
+        SkySpec("low_sun", low, 0.62, float(rng.uniform(0.1, 0.5)), 2),
+        SkySpec("high_sun", high, 1.0, float(rng.uniform(0.0, 0.3)), 3),
+        SkySpec("overcast", None, 1.5, 1.0, 4),
+    )
+
+
+def more_sky_specs(plan: StreetPlan) -> tuple[SkySpec, ...]:
+    """Three further target skies: a sun from the other side, one between large clouds, and one
+    behind a veil."""
+    rng = np.random.default_rng([plan.seed, 11])
+    azimuth = plan.sun.azimuth_deg
+
+    def sun(low_deg: float, high_deg: float, elevation_deg: float) -> SolarPosition:
+        turn = float(rng.uniform(low_deg, high_deg)) * float(rng.choice([-1.0, 1.0]))
+        return SolarPosition((azimuth + turn) % 360.0, elevation_deg)
+
+    return (
+        SkySpec("opposite_sun", sun(150.0, 180.0, 36.0), 0.8, float(rng.uniform(0.0, 0.2)), 5),
+        SkySpec("broken_clouds", sun(40.0, 90.0, 46.0), 1.2, float(rng.uniform(0.7, 0.9)), 6),
+        SkySpec("veiled_sun", sun(60.0, 140.0, 40.0), 1.4, 0.6, 7, sun_factor=0.3),
+    )
+
+
+def drawn_sky_specs(plan: StreetPlan, count: int) -> tuple[SkySpec, ...]:
+    """Skies to learn from: suns anywhere from 10 to 60 degrees high, every fourth behind a veil."""
+    rng = np.random.default_rng([plan.seed, 13])
+    specs = []
+    for number in range(count):
+        sun = SolarPosition(float(rng.uniform(0, 360)), float(rng.uniform(10, 60)))
+        level, cloud, factor = rng.uniform(0.5, 1.4), rng.uniform(0, 0.7), rng.uniform(0.2, 0.8)
+        let_through = float(factor) if number % 4 == 3 else 1.0
+        name = f"drawn_{number}"
+        specs.append(SkySpec(name, sun, float(level), float(cloud), 8 + number, let_through))
+    return tuple(specs)
+
+
+@dataclass(frozen=True, eq=False)
+class Sky:
+    """A sky in frame `world`: smooth radiance without sun, and the sun."""
+
+    spec: SkySpec
+    smooth: Float32[np.ndarray, "h w 3"]
+    sun: Sun | None
+
+    def dome(self, height_px: int) -> SkyDome:
+        """The sky file: radiance averaged over each pixel, the sun in the image."""
+        radiance = _averaged(self.smooth, height_px)
+        return SkyDome(radiance, None) if self.sun is None else add_sun(radiance, self.sun)
+
+    def sky_irradiance(self) -> Float[np.ndarray, "3"]:
+        """RGB on level ground, sun excluded."""
+        height = self.smooth.shape[0]
+        cosine = np.clip(pixel_directions(height)[..., 2], 0, None) * solid_angles_sr(height)
+        return np.einsum("hwc,hw->c", self.smooth.astype(np.float64), cosine)
+
+
+def build_sky(spec: SkySpec, plan: StreetPlan, height_px: int = 512) -> Sky:
+    """The sky of a spec; the light of its lower half is that of dull ground."""
+    up = np.array([0.0, 0.0, 1.0])
+    towards = up
+    sun = None
+    if spec.sun is not None:
+        towards = direction_world(spec.sun.azimuth_deg, spec.sun.elevation_deg, plan.enu_from_world)
+        irradiance = spec.sun_factor * sun_irradiance(spec.sun.elevation_deg)
+        sun = Sun(towards, irradiance.astype(np.float32))
+    directions = pixel_directions(height_px)
+    radiance = _clear(directions, towards) if spec.sun else _overcast(directions)
+    radiance = _with_clouds(radiance, directions, spec, plan.seed)
+    is_below = directions[..., 2] <= 0
+    radiance[is_below] = 0.0
+    weight = np.clip(directions[..., 2], 0, None) * solid_angles_sr(height_px)
+    total = np.einsum("hwc,hw->c", radiance, weight)
+    level = spec.sky_irradiance / float(luminance(total))
+    ground = level * total / np.pi * 0.18
+    if sun is not None:
+        ground = ground + sun.irradiance * towards[2] / np.pi * 0.18
+    radiance = radiance * level
+    radiance[is_below] = ground
+    return Sky(spec, radiance.astype(np.float32), sun)
+
+
+def measured_sky(path: Path, plan: StreetPlan, height_px: int = 512) -> Sky:
+    """An HDR panorama as the sky of a street: turned at random, and as bright as gives level ground
+    between the light of an overcast sky and that of a high sun. Its own lower half stays.
+
+    Raises:
+        InputError: the file is no panorama that can be read.
+    """
+    radiance = read_sky(path).radiance
+    rng = np.random.default_rng([plan.seed, 7, crc32(path.stem.encode())])
+    dome = SkyDome(radiance, find_sun(radiance)).rotated(float(rng.uniform(0, 360)))
+    wanted = float(np.exp(rng.uniform(*np.log(_LEVEL_OF_MEASURED))))
+    dome = dome.scaled(wanted / max(float(luminance(dome.horizontal_irradiance())), 1e-9))
+    rest, sun = split_sun(dome)
+    rows = min(height_px, len(rest))
+    spec = SkySpec(path.stem, None, wanted, 0.0, 0)
+    return Sky(spec, resize_area(rest, rows, 2 * rows), sun)
+
+
+@dataclass(frozen=True)
+class FurtherSkies:
+    """Skies under which a street has true pictures, besides its own three."""
+
+    has_more: bool = False
+    """Those of `more_sky_specs`."""
+    drawn_suns: int = 0
+    """So many of `drawn_sky_specs`."""
+    panoramas: tuple[Path, ...] = ()
+    """HDR files, by their stems (`measured_sky`)."""
+
+    def __post_init__(self) -> None:
+        check_number("--drawn-suns", self.drawn_suns, 0, _MOST_SUNS)
+
+    @property
+    def words(self) -> str:
+        """Of the command that asks for them, a space before each."""
+        words = " --more-skies" if self.has_more else ""
+        words += f" --drawn-suns {self.drawn_suns}" if self.drawn_suns else ""
+        names = " ".join(path.name for path in self.panoramas)
+        return words + (f" --sky {names}" if names else "")
+
+    def of(self, plan: StreetPlan) -> list[Sky]:
+        """Those of a street.
+
+        Raises:
+            InputError: a file is no panorama that can be read.
+        """
+        specs = more_sky_specs(plan) if self.has_more else ()
+        specs += drawn_sky_specs(plan, self.drawn_suns)
+        drawn = [build_sky(spec, plan) for spec in specs]
+        return drawn + [measured_sky(path, plan) for path in self.panoramas]
+
+
+def sun_irradiance(elevation_deg: float) -> Float[np.ndarray, "3"]:
+    """RGB irradiance facing the sun, scene units: Beer's law along the relative air mass.
+
+    The air mass is that of Kasten & Young 1989 (doi:10.1364/AO.28.004735), equation 3.
+    """
+    sine = np.sin(np.radians(elevation_deg))
+    mass = 1.0 / (sine + 0.50572 * (elevation_deg + 6.07995) ** -1.6364)
+    return _SUN_AT_ZENITH * np.exp(-_EXTINCTION_RGB * mass)
+
+
+def environment(sky: Sky, height_px: int) -> Float32[np.ndarray, "h w 3"]:
+    """The sky without sun for a renderer whose texels sit at u = j / w, v = i / (h - 1)."""
+    width = 2 * height_px
+    polar = np.linspace(0.0, np.pi, height_px)[:, None]
+    azimuth = (0.5 - np.arange(width) / width) * 2 * np.pi
+    sine = np.sin(polar)
+    grid = np.stack(
+        [sine * np.cos(azimuth), sine * np.sin(azimuth), np.cos(polar) + 0 * azimuth], axis=-1
+    )
+    return sample_bilinear(sky.smooth, grid).astype(np.float32)
+
+
+def _gradation(z: Float[np.ndarray, "h w"], a: float, b: float) -> Float[np.ndarray, "h w"]:
+    return 1 + a * np.exp(b / np.maximum(z, 0.03))
+
+
+def _clear(
+    directions: Float[np.ndarray, "h w 3"], towards: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "h w 3"]:
+    """CIE clear sky with a chromaticity that whitens towards the horizon and the sun."""
+    a, b, c, d, e = _CLEAR
+    cosine = np.clip(directions @ towards, -1.0, 1.0)
+    angle = np.arccos(cosine)
+    indicatrix = 1 + c * (np.exp(d * angle) - np.exp(d * np.pi / 2)) + e * cosine**2
+    luminous = _gradation(directions[..., 2], a, b) * indicatrix
+    haze = np.exp(-4.5 * np.clip(directions[..., 2], 0, 1)) + 0.6 * np.exp(-((angle / 0.35) ** 2))
+    haze = np.clip(haze, 0, 1)[..., None]
+    blue, white = np.array([0.42, 0.80, 1.75]), np.array([0.92, 1.0, 1.12])
+    return luminous[..., None] * ((1 - haze) * blue + haze * white)
+
+
+def _overcast(directions: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
+    a, b = _OVERCAST[:2]
+    return _gradation(directions[..., 2], a, b)[..., None] * np.array([0.97, 1.0, 1.05])
+
+
+def _with_clouds(
+    radiance: Float[np.ndarray, "h w 3"],
+    directions: Float[np.ndarray, "h w 3"],
+    spec: SkySpec,
+    seed: int,
+) -> Float[np.ndarray, "h w 3"]:
+    """Thin white clouds on a plane above; an overcast sky gets soft structure."""
+    field = noise(np.random.default_rng([seed, 6, spec.seed]), 512, 512, 1.6)
+    z = np.maximum(directions[..., 2], 0.06)
+    i = np.round(directions[..., 0] / z * 48).astype(np.int64) % 512
+    j = np.round(directions[..., 1] / z * 48).astype(np.int64) % 512
+    value = field[i, j]
+    if spec.sun is None:
+        return radiance * (1 + 0.08 * value)[..., None]
+    cover = np.clip(value - 1.6 + 1.9 * spec.cloud_amount, 0, 1) * np.clip(6 * z - 0.6, 0, 1)
+    white = 1.9 * np.median(radiance[directions[..., 2] > 0.05]) * np.array([1.0, 1.0, 1.02])
+    cover = cover[..., None] * 0.75
+    return radiance * (1 - cover) + np.maximum(white, radiance) * cover
+
+
+def _averaged(image: Float32[np.ndarray, "h w 3"], height_px: int) -> Float32[np.ndarray, "p q 3"]:
+    """Mean over blocks, each row weighted by its solid angle."""
+    k = image.shape[0] // height_px
+    weight = np.broadcast_to(solid_angles_sr(image.shape[0])[..., None], image.shape)
+    blocks = (height_px, k, 2 * height_px, k, 3)
+    total = (image * weight).reshape(blocks).sum(axis=(1, 3))
+    return (total / weight.reshape(blocks).sum(axis=(1, 3))).astype(np.float32)

@@ -1,0 +1,153 @@
+"""Path tracing of the street with Mitsuba: glossy paint and glass, several bounces, soft sun."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.dome import Sun
+from lightsim.core.frames import RigidTransform
+from lightsim.core.mitsuba_variants import Variant, mitsuba_with, variant_on
+from lightsim.render.denoise import denoise
+from lightsim.render.mitsuba_scene import (
+    bitmap,
+    environment_map,
+    make_mesh,
+    path_traced,
+    perspective_sensor,
+    sun_disc,
+)
+from lightsim_lab.synthetic.guides import Guides
+from lightsim_lab.synthetic.shapes import Part
+from lightsim_lab.synthetic.textures import Finish
+
+# From surface to surface: paths meet five surfaces before the light.
+_BOUNCES = 4
+_PASSES = 6
+_OUTLIER = 2.5
+"""A pass may exceed the median of all passes by this factor: sun that panes and paint throw onto
+other surfaces reaches a path tracer as rare, very bright samples, and is left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Parts of the background or of one actor, with the key under which they can be moved."""
+
+    key: str
+    parts: tuple[Part, ...]
+
+
+class PathTracer:
+    """The scene under one sky. Poses of actors are updated in place (rebuilding leaks memory).
+
+    Args:
+        variant: of Mitsuba. Never CUDA by itself: a street must come out the same wherever it is
+            made, and light traced on CUDA has another grain.
+    """
+
+    def __init__(
+        self,
+        background: Sequence[Part],
+        actors: Sequence[Placed],
+        finishes: Mapping[str, Finish],
+        environment: Float32[np.ndarray, "h w 3"],
+        sun: Sun | None,
+        variant: Variant | None = None,
+    ) -> None:
+        self.variant: Variant = variant or variant_on("cpu")
+        self._actors = {placed.key: placed.parts for placed in actors}
+        self._last: dict[str, bytes] = {}
+        parts = {f"static{i}": part for i, part in enumerate(background)}
+        for key, own in self._actors.items():
+            parts |= {f"{key}_{j}": part for j, part in enumerate(own)}
+        with mitsuba_with(self.variant) as mi:
+            bsdfs = {name: _bsdf(mi, finish) for name, finish in finishes.items()}
+            contents = {"sky": environment_map(mi, environment)}
+            if sun is not None:
+                contents["sun"] = sun_disc(mi, sun, np.zeros(3))
+            for name, part in parts.items():
+                contents[name] = _mesh(mi, name, part, finishes[part.material], bsdfs)
+            self._scene = path_traced(mi, contents, _BOUNCES)
+            self._parameters = mi.traverse(self._scene)
+
+    def place(self, world_from_actors: Mapping[str, RigidTransform]) -> None:
+        """Move the named actors (parts are kept in frame `actor`)."""
+        changed = False
+        for key, pose in world_from_actors.items():
+            if self._last.get(key) == pose.matrix.tobytes():
+                continue
+            self._last[key] = pose.matrix.tobytes()
+            changed = True
+            for j, part in enumerate(self._actors[key]):
+                name = f"{key}_{j}.vertex_positions"
+                kind = type(self._parameters[name])
+                self._parameters[name] = kind(part.transformed(pose).vertices.ravel())
+        if changed:
+            with mitsuba_with(self.variant):
+                self._parameters.update()
+
+    def render(
+        self,
+        camera: PinholeCamera,
+        margin_px: tuple[int, int],
+        world_from_camera: RigidTransform,
+        samples: int,
+        seed: int,
+        guides: Guides | None = None,
+    ) -> Float32[np.ndarray, "h w 3"]:
+        """Radiance in scene units, box filtered over each pixel.
+
+        Args:
+            guides: of this view; with them the grain of few paths is taken out.
+        """
+        with mitsuba_with(self.variant) as mi:
+            sensor = perspective_sensor(mi, camera, margin_px, world_from_camera)
+            radiance = self._radiance(mi, sensor, samples, seed)
+        if guides is None:
+            return radiance
+        return denoise(radiance, guides.base_colour, guides.normal_world)
+
+    def _radiance(
+        self, mi: Any, sensor: Any, samples: int, seed: int
+    ) -> Float32[np.ndarray, "h w 3"]:
+        if samples < 4 * _PASSES:
+            return self._pass(mi, sensor, samples, seed)
+        seeds = range(seed * _PASSES, (seed + 1) * _PASSES)
+        images = np.stack([self._pass(mi, sensor, samples // _PASSES, one) for one in seeds])
+        limit = _OUTLIER * np.median(images, axis=0) + 0.02
+        return np.minimum(images, limit).mean(axis=0)
+
+    def _pass(self, mi: Any, sensor: Any, samples: int, seed: int) -> Float32[np.ndarray, "h w 3"]:
+        image = mi.render(self._scene, sensor=sensor, spp=samples, seed=seed)
+        return np.array(image, dtype=np.float32)[..., :3]
+
+
+def _bsdf(mi: Any, finish: Finish) -> Any:
+    inner: dict[str, Any] = {
+        "type": "principled",
+        "base_color": _texture(mi, finish.base_colour),
+        "roughness": _texture(mi, np.repeat(finish.roughness[..., None], 3, axis=2)),
+        "specular": finish.specular,
+        "metallic": finish.metallic,
+    }
+    if finish.clearcoat > 0:
+        inner |= {"clearcoat": finish.clearcoat, "clearcoat_gloss": 0.95}
+    return mi.load_dict({"type": "twosided", "material": inner})
+
+
+def _texture(mi: Any, image: Float32[np.ndarray, "h w c"]) -> Any:
+    return float(image[0, 0, 0]) if image.shape[:2] == (1, 1) else bitmap(mi, image, "repeat")
+
+
+def _mesh(mi: Any, name: str, part: Part, finish: Finish, bsdfs: Mapping[str, Any]) -> Any:
+    parameters = {
+        "vertex_positions": part.vertices,
+        "faces": part.faces.astype(np.uint32),
+        "vertex_texcoords": (part.uv_m / np.asarray(finish.extent_m)).astype(np.float32),
+    }
+    return make_mesh(mi, name, parameters, bsdfs[part.material], is_faceted=True)

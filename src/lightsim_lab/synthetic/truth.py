@@ -1,0 +1,142 @@
+"""What no real log knows: skies, buffers, gains, and the geometry itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.core.buffers import BACKGROUND, NO_SURFACE
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.dome import SOLAR_RADIUS_DEG, disc_directions
+from lightsim.core.frames import RigidTransform
+from lightsim.core.solar import azimuth_elevation
+from lightsim.store.atomic import whole_file
+from lightsim.store.images import write_exr
+from lightsim_lab.synthetic.geometry import Snapshot
+from lightsim_lab.synthetic.lidar import STEP_M
+from lightsim_lab.synthetic.plan import StreetConfig
+from lightsim_lab.synthetic.rig import MountedCamera
+from lightsim_lab.synthetic.skies import Sky
+from lightsim_lab.synthetic.street import Street
+from lightsim_lab.synthetic.writer import write_json
+
+_SUN_RAYS = 16
+
+
+def write_sky(folder: Path, sky: Sky, height_px: int) -> None:
+    """NAME.exr (world frame, scene units, the sun in the image) and NAME.json, its sun."""
+    folder.mkdir(parents=True, exist_ok=True)
+    name = sky.spec.name
+    write_exr(folder / f"{name}.exr", sky.dome(height_px).radiance)
+    sun = sky.sun
+    position = sky.spec.sun
+    write_json(
+        folder / f"{name}.json",
+        {
+            "direction_world": None if sun is None else sun.direction_world.tolist(),
+            "azimuth_deg": None if position is None else position.azimuth_deg,
+            "elevation_deg": None if position is None else position.elevation_deg,
+            "irradiance": [0.0, 0.0, 0.0] if sun is None else sun.irradiance.tolist(),
+            "sky_irradiance": sky.sky_irradiance().tolist(),
+        },
+    )
+
+
+def compute_buffers(
+    snapshot: Snapshot,
+    camera: PinholeCamera,
+    world_from_camera: RigidTransform,
+    sky: Sky,
+) -> dict[str, Float32[np.ndarray, "h w *c"]]:
+    """Exact buffers at the pixel centres, by name; base colour is the mean of 2 x 2 points.
+
+    Depth is along the optical axis in steps of 1/512 m, inf without a surface; normals are the
+    faces' own, turned to the camera; `sun_visibility` belongs to the sun of `sky` and is 0 on
+    faces turned away from it.
+    """
+    h, w = camera.height_px, camera.width_px
+    origin = world_from_camera.translation_m
+    centres = camera.pixel_centres().reshape(-1, 2)
+    directions = world_from_camera.rotate(camera.directions(centres))
+    origins = np.broadcast_to(origin, directions.shape).copy()
+    hits = snapshot.intersect(origins, directions)
+    axis = world_from_camera.rotation[:, 2]
+    depth = np.where(hits.is_hit, hits.distance_m * (directions @ axis), np.inf)
+    colour = np.zeros((h * w, 3))
+    for du, dv in ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)):
+        shifted = world_from_camera.rotate(camera.directions(centres + np.array([du, dv])))
+        colour += snapshot.base_colour(snapshot.intersect(origins, shifted)) / 4
+    visibility = np.zeros(h * w)
+    seen = hits.is_hit
+    if sky.sun is not None:
+        points = origin + hits.distance_m[seen, None] * directions[seen]
+        disc = disc_directions(sky.sun.direction_world, SOLAR_RADIUS_DEG, _SUN_RAYS)
+        visibility[seen] = snapshot.sun_visibility(points, hits.normal_world[seen], disc)
+    actor = np.where(seen, snapshot.actor[hits.face], NO_SURFACE)
+    flat = {
+        "depth_z_m": np.round(depth / STEP_M) * STEP_M,
+        "normal_world": hits.normal_world,
+        "base_colour": np.round(np.where(seen[:, None], colour, 0.0) * 256) / 256,
+        "sun_visibility": visibility,
+        "actor_index": actor.astype(np.float64),
+    }
+    shapes = {name: (h, w, 3) if value.ndim == 2 else (h, w) for name, value in flat.items()}
+    return {name: value.reshape(shapes[name]).astype(np.float32) for name, value in flat.items()}
+
+
+def write_truth_json(
+    path: Path, street: Street, config: StreetConfig, cameras: Sequence[MountedCamera], command: str
+) -> None:
+    """Gains, place, time, sun, actors in the order of `actor_index`, and the command that made
+    it."""
+    plan = street.plan
+    geometric = azimuth_elevation(
+        plan.enu_from_world.rotate(plan.world_from_street.rotate(np.array([1.0, 0.0, 0.0])))
+    )
+    write_json(
+        path,
+        {
+            "version": 1,
+            "command": command,
+            "seed": plan.seed,
+            "camera_gains": {m.camera.name: m.gain.tolist() for m in cameras},
+            "latitude_deg": plan.latitude_deg,
+            "longitude_deg": plan.longitude_deg,
+            "utc_start_ns": plan.start_ns,
+            "enu_from_world_yaw_deg": float(np.degrees(plan.enu_from_world.yaw_rad)),
+            "street_azimuth_deg": geometric.azimuth_deg,
+            "sun_azimuth_deg": plan.sun.azimuth_deg,
+            "sun_elevation_deg": plan.sun.elevation_deg,
+            "relit_stems": [stem_of(k) for k in config.truth_stems],
+            "buffer_stems": [stem_of(k) for k in config.buffer_stems],
+            "actor_index": {"background": BACKGROUND, "sky": NO_SURFACE},
+            "actors": [actor.actor_id for actor in street.participants],
+        },
+    )
+
+
+def write_geometry(path: Path, street: Street) -> None:
+    """scene.npz: background in frame `world`, actors each in frame `actor`; vertices in steps of
+    1/512 m, the only loss."""
+    arrays: dict[str, np.ndarray] = {}
+    world_from_street = street.plan.world_from_street
+    groups = [("background", [part.transformed(world_from_street) for part in street.background])]
+    groups += [(actor.actor_id, list(actor.parts)) for actor in street.participants]
+    for name, parts in groups:
+        offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+        vertices = np.concatenate([part.vertices for part in parts])
+        faces = [part.faces + o for part, o in zip(parts, offsets, strict=True)]
+        steps = np.round(vertices / STEP_M).astype(np.int32)
+        unique, index = np.unique(steps, axis=0, return_inverse=True)
+        arrays[f"{name}/vertices"] = (unique * STEP_M).astype(np.float32)
+        arrays[f"{name}/faces"] = index.ravel()[np.concatenate(faces)].astype(np.int32)
+    with whole_file(path) as temporary:
+        np.savez_compressed(temporary, allow_pickle=False, **arrays)
+
+
+def stem_of(index: int) -> str:
+    """Name of a frame's or sweep's files without extension: two digits or more, as in PandaSet."""
+    return f"{index:02d}"

@@ -1,0 +1,185 @@
+"""The log in PandaSet's own layout, and the ground truth beside it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from lightsim.core.actors import ActorKind
+from lightsim.core.frames import RigidTransform, quaternion_from_matrix
+from lightsim.store.atomic import whole_file
+from lightsim.store.pandaset_tables import cuboid_table, pose_entry, write_table
+from lightsim_lab.synthetic.lidar import Returns, actor_poses
+from lightsim_lab.synthetic.plan import StreetConfig, StreetPlan
+from lightsim_lab.synthetic.rig import (
+    LIDAR_HEIGHT_M,
+    SWEEP_S,
+    MountedCamera,
+    world_from_ego,
+)
+from lightsim_lab.synthetic.street import Street
+
+_LABEL_BY_KIND = {ActorKind.CAR: "Car", ActorKind.PEDESTRIAN: "Pedestrian"}
+"""PandaSet's words."""
+_EQUATOR_M, _FLATTENING = 6378137.0, 1 / 298.257223563
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Times of a log: sweep k is complete `k` x 0.1 s after the start."""
+
+    start_ns: int
+
+    def utc_s(self, offset_s: float) -> float:
+        """Seconds since 1970, to the microsecond as PandaSet has them."""
+        return round(self.start_ns * 1e-9 + offset_s, 6)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write indented JSON, whole or not at all; missing folders are made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as temporary:
+        temporary.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
+
+
+def write_rig(
+    folder: Path, plan: StreetPlan, config: StreetConfig, cameras: Sequence[MountedCamera]
+) -> None:
+    """Intrinsics, poses and times of the cameras and the LiDAR, GPS, and the calibration."""
+    clock = Clock(plan.start_ns)
+    count = config.frame_count
+    for mounted in cameras:
+        camera = mounted.camera
+        target = folder / "camera" / camera.name
+        times = [SWEEP_S * k + mounted.time_offset_s for k in range(count)]
+        write_json(
+            target / "intrinsics.json",
+            {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx - 0.5, "cy": camera.cy - 0.5},
+        )
+        poses = [camera_pose(plan, config, mounted, t) for t in times]
+        write_json(target / "poses.json", [pose_entry(pose) for pose in poses])
+        write_json(target / "timestamps.json", [clock.utc_s(t) for t in times])
+    times = [SWEEP_S * k for k in range(count)]
+    egos = [world_from_ego(plan, config, t) for t in times]
+    lidar = _ego_from_pandar64()
+    write_json(folder / "lidar" / "poses.json", [pose_entry(ego @ lidar) for ego in egos])
+    for name in ("lidar", "meta"):
+        write_json(folder / name / "timestamps.json", [clock.utc_s(t) for t in times])
+    write_json(folder / "meta" / "gps.json", _gps(plan, config, times))
+    _write_calibration(folder / "static_extrinsic_calibration.yaml", cameras)
+
+
+def camera_pose(
+    plan: StreetPlan, config: StreetConfig, mounted: MountedCamera, time_s: float
+) -> RigidTransform:
+    """`world_from_camera` at a time."""
+    return world_from_ego(plan, config, time_s) @ mounted.ego_from_camera
+
+
+def write_sweep(path: Path, returns: Returns, end_utc_s: float) -> None:
+    """Columns x y z i t d as PandaSet has them; all points are the roof LiDAR's (d = 0)."""
+    x, y, z = returns.points_world.T
+    times = np.round((end_utc_s + returns.offset_s) * 1e4) / 1e4
+    device = np.zeros(len(x), dtype=np.int64)
+    columns = {"x": x, "y": y, "z": z, "i": returns.intensity, "t": times, "d": device}
+    write_table(path, columns, "index")
+
+
+def write_cuboids(path: Path, street: Street, config: StreetConfig, time_s: float) -> None:
+    """The boxes of all actors, each where it was when its direction was scanned.
+
+    PandaSet's box has its width along x and its length along y, hence yaw = heading - 90 degrees.
+    """
+    rows = []
+    poses = actor_poses(street, time_s, config.ego_speed_m_s)
+    for actor, (pose, _) in zip(street.participants, poses, strict=True):
+        x, y, z = pose.translation_m.tolist()
+        length, width, height = actor.size_lwh_m
+        is_still = actor.speed_m_s == 0
+        still, moving = ("Parked", "Moving") if actor.kind.is_vehicle else (None, None)
+        rows.append(
+            {
+                "uuid": actor.actor_id,
+                "label": _LABEL_BY_KIND[actor.kind],
+                "yaw": float(np.angle(np.exp(1j * (pose.yaw_rad - np.pi / 2)))),
+                "stationary": is_still,
+                "camera_used": -1,
+                "position.x": x,
+                "position.y": y,
+                "position.z": z,
+                "dimensions.x": width,
+                "dimensions.y": length,
+                "dimensions.z": height,
+                "attributes.object_motion": still if is_still else moving,
+                "cuboids.sibling_id": "-",
+                "cuboids.sensor_id": -1,
+                "attributes.rider_status": None,
+                "attributes.pedestrian_behavior": "Walking" if actor.kind.is_person else None,
+                "attributes.pedestrian_age": "Adult" if actor.kind.is_person else None,
+            }
+        )
+    write_table(path, cuboid_table(rows))
+
+
+def _ego_from_pandar64() -> RigidTransform:
+    rotation = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    height = np.array([0.0, 0.0, LIDAR_HEIGHT_M])
+    return RigidTransform.from_rotation("ego", "pandar64", rotation, height)
+
+
+def _gps(
+    plan: StreetPlan, config: StreetConfig, times_s: Sequence[float]
+) -> list[dict[str, float]]:
+    """Fixes of the ego origin, by the radii of curvature of WGS 84 at the start."""
+    eccentricity_2 = _FLATTENING * (2 - _FLATTENING)
+    latitude = np.radians(plan.latitude_deg)
+    w = np.sqrt(1 - eccentricity_2 * np.sin(latitude) ** 2)
+    meridian_m = _EQUATOR_M * (1 - eccentricity_2) / w**3
+    parallel_m = _EQUATOR_M / w * np.cos(latitude)
+    fixes = []
+    for time_s in times_s:
+        here = _enu(plan, config, time_s)
+        ahead = _enu(plan, config, time_s + 0.01)
+        fixes.append(
+            {
+                "lat": float(plan.latitude_deg + np.degrees(here[1] / meridian_m)),
+                "long": float(plan.longitude_deg + np.degrees(here[0] / parallel_m)),
+                "height": float(here[2]),
+                "xvel": float((ahead[0] - here[0]) / 0.01),
+                "yvel": float((ahead[1] - here[1]) / 0.01),
+            }
+        )
+    return fixes
+
+
+def _enu(plan: StreetPlan, config: StreetConfig, time_s: float) -> Float[np.ndarray, "3"]:
+    return (plan.enu_from_world @ world_from_ego(plan, config, time_s)).translation_m
+
+
+def _write_calibration(path: Path, cameras: Sequence[MountedCamera]) -> None:
+    lines = []
+    for mounted in cameras:
+        camera = mounted.camera
+        transform = mounted.ego_from_camera.inverse() @ _ego_from_pandar64()
+        w, x, y, z = quaternion_from_matrix(transform.rotation).tolist()
+        tx, ty, tz = transform.translation_m.tolist()
+        lines += [
+            f"{camera.name}:",
+            "  extrinsic:",
+            "    transform:",
+            f"      rotation: {{w: {w:.12f}, x: {x:.12f}, y: {y:.12f}, z: {z:.12f}}}",
+            f"      translation: {{x: {tx:.9f}, y: {ty:.9f}, z: {tz:.9f}}}",
+            "  readout_s: 0.0",
+            "  intrinsic:",
+            "    D: [0, 0, 0, 0, 0]",
+            f"    K: [{camera.fx}, 0, {camera.cx - 0.5}, "
+            f"0, {camera.fy}, {camera.cy - 0.5}, 0, 0, 1]",
+        ]
+    with whole_file(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")

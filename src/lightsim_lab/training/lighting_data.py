@@ -1,0 +1,383 @@
+"""The source of batches for the lighting networks: one cache file, numpy alone when in use."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from lightsim.core.colour import luminance
+from lightsim.core.equirect import solid_angles_sr, uv_from_directions
+from lightsim.lighting.sample import LightingBatch, PanoramaBatch
+from lightsim_lab.training import grids
+from lightsim_lab.training.camera_look import add_glare, exposure, pictures
+from lightsim_lab.training.composites import (
+    CloudLayer,
+    cloud_layer,
+    composite_heaven,
+    exchanged_heaven,
+)
+from lightsim_lab.training.hdr_skies import HdrSky, Side
+from lightsim_lab.training.lighting_cache import LightingCache, read_cache
+from lightsim_lab.training.procedural_skies import (
+    Heaven,
+    clear_heaven,
+    heaven_of,
+    is_sunny,
+    overcast_heaven,
+    raised_heaven,
+    turned_heaven,
+    with_clouds,
+)
+from lightsim_lab.training.rigs import MaskConfig, front_view, rig_mask
+from lightsim_lab.training.street_panoramas import HORIZON_AZIMUTHS, light_view
+
+_TRIES = 60
+_LOWEST_EXCHANGED = 0.05
+"""Sine of the elevation from which the clear skies reach down to a sun."""
+_MAX_PEAK = 1e9
+
+
+# What a batch is mixed of; none was measured alone.
+
+# Fraction of samples that show an HDR panorama with its own lower half.
+_OWN_SCENE = 0.4
+# Fraction of measured skies among those over streets; the rest is procedural.
+_MEASURED = 0.5
+# With composites: their fraction among the skies over streets, and that of sunny places whose sky
+# is exchanged.
+_COMPOSITE = 0.3
+_EXCHANGED = 0.5
+# Fraction of closed covers among procedural skies.
+_OVERCAST = 0.25
+# Fraction of clear procedural skies that get clouds.
+_CLOUDS = 0.6
+# Fraction of measured skies over streets that get clouds.
+_MEASURED_CLOUDS = 0.2
+# Fraction of cars that drive along the street; the others stand at any angle.
+_ALONG_STREET = 0.85
+# Rows and columns of the front picture.
+_FRONT_PX = (40, 64)
+
+
+@dataclass(frozen=True, eq=False)
+class FixedViews:
+    """The fixed views of held-out skies.
+
+    Args:
+        names: of the HDR of each view.
+        tiers: see `hdr_skies.SplitEntry`.
+        own_scene: the view shows the HDR's own place, else a held-out street under its sky.
+    """
+
+    batch: LightingBatch
+    names: tuple[str, ...]
+    tiers: tuple[str, ...]
+    own_scene: Bool[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    panorama: Float32[np.ndarray, "h w 3"]
+    visibility: Bool[np.ndarray, "h w"]
+    front: Float32[np.ndarray, "a b 3"]
+    sky: Float32[np.ndarray, "h/2 w 3"]
+    sky_seen: Bool[np.ndarray, "h/2 w"]
+    sun_direction: Float32[np.ndarray, "3"]
+    log_peak: float
+    is_sunny: bool
+
+
+class LightingSet:
+    """`lighting.sample.LightingData` from what `lightsim train prepare lighting` wrote.
+
+    The forward direction of the car is +x of the panorama: its centre column. Training draws
+    from train skies (turned, mirrored, re-exposed, their suns moved) and procedural ones over
+    train streets. The other sides show held-out skies as they are, at random yaw and exposure, in
+    their own place or over held-out streets. Safe to use from several threads.
+
+    Args:
+        composites: train on clouds of the skies over analytic clear ones, too.
+        ldr_fraction: of `panoramas` that show LDR panoramas, where this side has any.
+    """
+
+    def __init__(
+        self,
+        cache: LightingCache,
+        split: Side = "train",
+        *,
+        composites: bool = False,
+        ldr_fraction: float = 0.5,
+    ) -> None:
+        self._cache = cache
+        self._ldr = [picture for picture in cache.ldr if picture.side == split]
+        self._ldr_fraction = ldr_fraction if self._ldr else 0.0
+        self._has_composites = composites
+        self.height_px: int = cache.height_px
+        self.split: Side = split
+        self._skies = [sky for sky in cache.skies if sky.entry.split == split]
+        self._views = [
+            view for view, side in zip(cache.views, cache.view_sides, strict=True) if side == split
+        ]
+        cache.check(self._skies, self._views, split)
+
+    @classmethod
+    def load(
+        cls,
+        path: Path,
+        split: Side = "train",
+    ) -> LightingSet:
+        """Read and check a cache.
+
+        Raises:
+            InputError: the file is missing, damaged, of another version, or lacks this split.
+        """
+        return cls(read_cache(path), split)
+
+    def batch(self, size: int, seed: int, index: int, *, only_sunny: bool) -> LightingBatch:
+        """The batch of a seed and a number; see `LightingData`."""
+        samples = [
+            self._draw(np.random.default_rng([seed, index, k]), only_sunny) for k in range(size)
+        ]
+        return _stacked(samples)
+
+    def panoramas(self, size: int, seed: int, index: int) -> PanoramaBatch:
+        """Panoramas for the inpainting; see `lighting.sample.PanoramaData`."""
+        samples = [
+            self._picture(
+                np.random.default_rng([seed, index, k]), np.random.default_rng([seed, index, k, 1])
+            )
+            for k in range(size)
+        ]
+        return PanoramaBatch(*(np.stack(part) for part in zip(*samples, strict=True)))
+
+    def _picture(
+        self, rng: np.random.Generator, ldr_rng: np.random.Generator
+    ) -> tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
+        """A panorama and what a rig saw of it; an LDR one is turned and, in training, mirrored."""
+        if ldr_rng.random() >= self._ldr_fraction:
+            sample = self._draw(rng, only_sunny=False)
+            return sample.panorama, sample.visibility
+        srgb8 = self._ldr[int(ldr_rng.integers(len(self._ldr)))].srgb8
+        if self.split == "train" and ldr_rng.random() < 0.5:
+            srgb8 = srgb8[:, ::-1]
+        turned = np.roll(srgb8, int(ldr_rng.integers(srgb8.shape[1])), axis=1)
+        mask = rig_mask(self.height_px, ldr_rng, MaskConfig())
+        return (turned / np.float32(255)).astype(np.float32), mask
+
+    def fixed_views(self, per_sky: int = 8, seed: int = 0) -> FixedViews:
+        """Every sky of this split `per_sky` times through random rigs, always the same ones."""
+        samples, names, tiers, own = [], [], [], []
+        for number, sky in enumerate(self._skies):
+            for k in range(per_sky):
+                rng = np.random.default_rng([seed, 77, number, k])
+                is_own = sky.entry.scene == "canopy" or (sky.entry.scene == "ground" and k % 2 == 0)
+                samples.append(self._own(sky, rng) if is_own else self._over_street(sky, rng))
+                names.append(sky.entry.name)
+                tiers.append(sky.entry.tier)
+                own.append(is_own)
+        return FixedViews(_stacked(samples), tuple(names), tuple(tiers), np.array(own))
+
+    def _draw(self, rng: np.random.Generator, only_sunny: bool) -> _Sample:
+        if self.split != "train":
+            pool = self._sunny_skies if only_sunny else self._skies
+            sky = pool[int(rng.integers(len(pool)))]
+            has_own = sky.entry.scene != "none" and rng.random() < 0.5
+            is_own = has_own or sky.entry.scene == "canopy"
+            return self._own(sky, rng) if is_own else self._over_street(sky, rng)
+        if rng.random() < _OWN_SCENE:
+            pool = self._own_places(only_sunny)
+            return self._own(pool[int(rng.integers(len(pool)))], rng)
+        heaven = self._training_heaven(rng)
+        for _ in range(_TRIES):
+            if not only_sunny or is_sunny(heaven):
+                break
+            heaven = self._training_heaven(rng)
+        return self._street_sample(heaven, rng)
+
+    @cached_property
+    def _sunny_skies(self) -> list[HdrSky]:
+        sunny = [sky for sky in self._skies if is_sunny(heaven_of(sky))]
+        return sunny or self._skies
+
+    def _own_places(self, only_sunny: bool) -> list[HdrSky]:
+        pool = self._sunny_skies if only_sunny else self._skies
+        return [sky for sky in pool if sky.entry.scene != "none"] or pool
+
+    @cached_property
+    def _open_skies(self) -> list[HdrSky]:
+        return [sky for sky in self._skies if sky.entry.scene != "canopy"] or self._skies
+
+    @cached_property
+    def _layers(self) -> list[CloudLayer]:
+        return [cloud_layer(sky) for sky in self._open_skies]
+
+    def _layer(self, rng: np.random.Generator) -> CloudLayer:
+        return self._layers[int(rng.integers(len(self._layers)))]
+
+    def _training_heaven(self, rng: np.random.Generator) -> Heaven:
+        """A sky to put over a street, the sun anywhere around it."""
+        cache = self._cache
+        if self._has_composites and rng.random() < _COMPOSITE:
+            heaven = composite_heaven(self._layer(rng), cache.clear, rng)
+        elif rng.random() < _MEASURED:
+            open_skies = self._open_skies
+            heaven = heaven_of(open_skies[int(rng.integers(len(open_skies)))])
+            heaven = _varied(heaven, rng)
+            if rng.random() < _MEASURED_CLOUDS:
+                heaven = with_clouds(heaven, cache.noise, rng)
+        elif rng.random() < _OVERCAST:
+            heaven = overcast_heaven(cache.noise, cache.height_px, rng)
+        else:
+            heaven = _varied(clear_heaven(cache.clear, rng), rng)
+            if rng.random() < _CLOUDS:
+                heaven = with_clouds(heaven, cache.noise, rng)
+        return _turned_randomly(heaven, rng, flip=True)
+
+    def _over_street(self, sky: HdrSky, rng: np.random.Generator) -> _Sample:
+        return self._street_sample(_turned_randomly(heaven_of(sky), rng, flip=False), rng)
+
+    def _street_sample(self, heaven: Heaven, rng: np.random.Generator) -> _Sample:
+        view = self._views[int(rng.integers(len(self._views)))]
+        linear, sky_seen = light_view(view, heaven)
+        columns = int(rng.integers(linear.shape[1]))
+        if rng.random() < _ALONG_STREET:
+            back = float(rng.choice([0.0, 0.5]))
+            columns = round(linear.shape[1] * (back + float(rng.normal(0.0, 0.015))))
+        turned = turned_heaven(heaven, columns, flip=False)
+        linear, sky_seen = np.roll(linear, columns, axis=1), np.roll(sky_seen, columns, axis=1)
+        return self._finish(linear, turned, sky_seen, rng)
+
+    def _own(self, sky: HdrSky, rng: np.random.Generator) -> _Sample:
+        """The HDR panorama as it is, turned; in training mirrored half of the time."""
+        flip = self.split == "train" and rng.random() < 0.5
+        heaven = self._own_heaven(sky, rng)
+        linear = np.concatenate([heaven.rest, sky.rest[len(heaven.rest) :]])
+        seen = sky.sky_seen
+        columns = int(rng.integers(heaven.rest.shape[1]))
+        heaven = turned_heaven(heaven, columns, flip=flip)
+        if flip:
+            linear, seen = linear[:, ::-1], seen[:, ::-1]
+        if self.split == "train":
+            gains = _colour_change(rng)
+            heaven = Heaven(
+                (heaven.rest * gains).astype(np.float32),
+                heaven.sun_direction,
+                heaven.sun_irradiance * gains,
+            )
+            linear = (linear * gains).astype(np.float32)
+        linear, seen = np.roll(linear, columns, axis=1), np.roll(seen, columns, axis=1)
+        return self._finish(linear, heaven, seen, rng)
+
+    def _own_heaven(self, sky: HdrSky, rng: np.random.Generator) -> Heaven:
+        """The sky above its own place; in training often another one with the same clear sun."""
+        heaven = heaven_of(sky)
+        is_exchanged = (
+            self.split == "train"
+            and self._has_composites
+            and sky.entry.scene == "ground"
+            and is_sunny(heaven)
+            and heaven.sun_direction[2] > _LOWEST_EXCHANGED
+            and rng.random() < _EXCHANGED
+        )
+        if not is_exchanged:
+            return heaven
+        return exchanged_heaven(sky, self._layers, self._cache.clear, rng)
+
+    def _finish(
+        self,
+        linear: Float32[np.ndarray, "h w 3"],
+        heaven: Heaven,
+        sky_seen: Bool[np.ndarray, "h/2 w"],
+        rng: np.random.Generator,
+    ) -> _Sample:
+        """Glare, mask, exposure and pictures of a linear panorama whose centre column is
+        forward."""
+        row, column = _pixel_of(heaven.sun_direction, self.height_px)
+        has_sun = bool(heaven.sun_irradiance.any()) and heaven.sun_direction[2] > 0
+        if has_sun and sky_seen[min(row, len(sky_seen) - 1), column]:
+            linear = add_glare(linear, heaven.sun_direction, heaven.sun_irradiance, rng)
+        visibility = rig_mask(self.height_px, rng, MaskConfig())
+        gains = exposure(linear, visibility, rng)
+        exposed = (linear * gains).astype(np.float32)
+        front = front_view(exposed, _FRONT_PX, rng)
+        panorama, front = pictures(exposed, front, rng)
+        sky, direction = dome_of(heaven)
+        sky = np.minimum(sky * gains, _MAX_PEAK).astype(np.float32)
+        return _Sample(
+            panorama,
+            visibility,
+            front,
+            sky,
+            sky_seen.copy(),
+            direction.astype(np.float32),
+            float(np.log(max(float(luminance(sky).max()), 1e-6))),
+            is_sunny(heaven),
+        )
+
+
+def dome_of(heaven: Heaven) -> tuple[Float32[np.ndarray, "h w 3"], Float[np.ndarray, "3"]]:
+    """Upper half with all of the sun's energy in the pixel that holds its centre, and the
+    direction of the brightest spot: the sun's, unless a brighter pixel outshines it."""
+    height = 2 * heaven.rest.shape[0]
+    sky = heaven.rest.copy()
+    if heaven.sun_irradiance.any() and heaven.sun_direction[2] > 0:
+        row, column = _pixel_of(heaven.sun_direction, height)
+        disc = heaven.sun_irradiance / solid_angles_sr(height)[row, 0]
+        sky[row, column] += disc.astype(np.float32)
+        if luminance(sky[row, column]) >= luminance(heaven.rest).max():
+            return sky, heaven.sun_direction
+    value = luminance(sky).astype(np.float64)
+    directions = grids.directions(height)[: height // 2]
+    peak = directions.reshape(-1, 3)[int(value.argmax())]
+    near = (directions @ peak > np.cos(np.radians(6.0))) & (value > 0.7 * value.max())
+    weight = np.where(near, value, 0.0) * solid_angles_sr(height)[: height // 2]
+    centre = np.einsum("hw,hwc->c", weight, directions)
+    return sky, centre / np.linalg.norm(centre)
+
+
+def _pixel_of(direction: Float[np.ndarray, "3"], height: int) -> tuple[int, int]:
+    u, v = uv_from_directions(direction[None])[0]
+    return min(int(v * height), height - 1), min(int(u * 2 * height), 2 * height - 1)
+
+
+def _varied(heaven: Heaven, rng: np.random.Generator) -> Heaven:
+    """Another sun height (within a third of its own), strength and colour of the same sky."""
+    elevation = float(np.degrees(np.arcsin(np.clip(heaven.sun_direction[2], -1, 1))))
+    if heaven.sun_irradiance.any() and 1.0 < elevation < 85.0:
+        wanted = elevation * float(np.exp(rng.uniform(-0.3, 0.3))) + float(rng.normal(0, 1.0))
+        heaven = raised_heaven(heaven, float(np.clip(wanted, 1.0, 85.0)))
+    gains = _colour_change(rng)
+    sun = heaven.sun_irradiance * _colour_change(rng) * float(np.exp(rng.normal(0.0, 0.2)))
+    return Heaven((heaven.rest * gains).astype(np.float32), heaven.sun_direction, sun)
+
+
+def _colour_change(rng: np.random.Generator) -> Float[np.ndarray, "3"]:
+    return np.exp(rng.normal(0.0, 0.05, 3))
+
+
+def _turned_randomly(heaven: Heaven, rng: np.random.Generator, *, flip: bool) -> Heaven:
+    """The sky turned by whole columns so that its sun comes closest to an azimuth for which
+    streets know their horizons."""
+    is_flipped = flip and rng.random() < 0.5
+    x, y, _ = heaven.sun_direction
+    azimuth = float(np.arctan2(-y if is_flipped else y, x))
+    wanted = 2 * np.pi * int(rng.integers(HORIZON_AZIMUTHS)) / HORIZON_AZIMUTHS
+    columns = round((azimuth - wanted) / (2 * np.pi) * heaven.rest.shape[1])
+    return turned_heaven(heaven, columns, flip=is_flipped)
+
+
+def _stacked(samples: list[_Sample]) -> LightingBatch:
+    return LightingBatch(
+        np.stack([s.panorama for s in samples]),
+        np.stack([s.visibility for s in samples]),
+        np.stack([s.front for s in samples]),
+        np.stack([s.sky for s in samples]),
+        np.stack([s.sky_seen for s in samples]),
+        np.stack([s.sun_direction for s in samples]),
+        np.array([s.log_peak for s in samples], dtype=np.float32),
+        np.array([s.is_sunny for s in samples], dtype=bool),
+    )

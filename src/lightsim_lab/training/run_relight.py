@@ -1,0 +1,224 @@
+"""What `lightsim train relight` does: streets, weights and scores in files."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import get_args
+
+from lightsim.core.checks import check_choice, check_number
+from lightsim.core.version import __version__
+from lightsim.errors import InputError
+from lightsim.progress import terminal_progress
+from lightsim.relighting.network.features import Unseen
+from lightsim.relighting.network.model import RelitNet
+from lightsim.relighting.network.stored import probe, tensors_of_network
+from lightsim.store.weights import UNKNOWN, WeightsRecord, read_record
+from lightsim_lab.baselines.epe import EpeConfig
+from lightsim_lab.baselines.methods import all_kinds
+from lightsim_lab.baselines.self_osr import SelfOsrConfig
+from lightsim_lab.training.options import RelightTrainingOptions
+from lightsim_lab.training.relight import (
+    Pairs,
+    RelightTrainConfig,
+    ablated,
+    full,
+    paper,
+    train_relight,
+)
+from lightsim_lab.training.relight_baselines import BaselineTrainConfig, train_baseline
+from lightsim_lab.training.relight_baselines import full as full_baseline
+from lightsim_lab.training.relight_data import RelightData, RelightDataConfig
+from lightsim_lab.training.relight_scores import score_relight
+from lightsim_lab.training.run import command_line, loop_of, session_of, write_run
+
+_DESCRIPTION = {
+    "network": "correction of physical relighting (docs/models/relight.md)",
+    "paper": "RelitNet as the paper describes it (docs/models/relight.md)",
+    "self-osr": "re-implementation of Self-OSR (docs/models/baselines.md)",
+    "epe": "re-implementation of EPE (docs/models/baselines.md)",
+}
+_BASELINES = {"self-osr": SelfOsrConfig(), "epe": EpeConfig()}
+_MOST_EDGES = 1e4
+_MOST_PIXEL_PX, _MOST_ZOOM = 32, 4.0
+_MOST_CROPS, _LEAST_CROP_PX, _MOST_CROP_PX = 4096, 32, 4096
+_RATE_GOING_ON = 0.3
+"""Learning rate from weights that know something, over that from random ones."""
+
+
+def train(command: RelightTrainingOptions) -> None:
+    """Train, write the weights, and score them on the validation streets.
+
+    Raises:
+        InputError: a street is missing, or one is on both sides, that of first weights included.
+    """
+    streets = _streets(command)
+    config = _config(command)
+    first = None if command.start is None else read_record(command.start)
+    before = [] if first is None else _streets_of(first, command)
+    data = RelightData([command.data / name for name in streets], config.data)
+    with session_of(command) as session:
+        if isinstance(config, BaselineTrainConfig):
+            network, steps = train_baseline(config, data, session)
+        else:
+            network, steps = train_relight(config, data, session, command.start)
+    if not session.processes.is_first:
+        return
+    network.cpu()
+    tensors = tensors_of_network(network, all_kinds())
+    # As it is stored.
+    network.load_state_dict({k: v.half().float() for k, v in network.state_dict().items()})
+    scores = {}
+    if command.validation:
+        held_out = RelightData([command.data / n for n in command.validation], RelightDataConfig())
+        scores = score_relight(network, held_out, terminal_progress())
+    record = WeightsRecord(
+        description=_DESCRIPTION[command.network],
+        command=command_line("relight", command, session.processes.count),
+        training_data=f"{len(data)} frames of the synthetic streets {', '.join(streets)} with "
+        "path-traced truth, seen through twins that were built from their logs; target skies: "
+        f"{', '.join(data.sky_names)}"
+        + ("" if first is None else f"; the weights before: {first.training_data}"),
+        split_hash=_hash(streets, command.validation),
+        seed=command.seed,
+        steps=steps,
+        scores=scores or "no street was held out",
+        licence=command.licence,
+        version=__version__,
+        streets={
+            "training": sorted({*before, *streets}, key=by_number),
+            "validation": list(command.validation),
+        },
+        probe=probe(network) if isinstance(network, RelitNet) else UNKNOWN,
+    )
+    write_run(command, tensors, scores, record)
+
+
+def _config(command: RelightTrainingOptions) -> RelightTrainConfig | BaselineTrainConfig:
+    """What the command asks for."""
+    config = _baseline(command) if command.network in _BASELINES else _own(command)
+    if command.edge_weight is not None:
+        check_number("--edge-weight", command.edge_weight, 0.0, _MOST_EDGES)
+        config = replace(config, edges=command.edge_weight)
+    return replace(config, seed=command.seed, loop=loop_of(config.loop, command))
+
+
+def _baseline(command: RelightTrainingOptions) -> BaselineTrainConfig:
+    given = {
+        "--without": command.without,
+        "--start": command.start,
+        "--edge-pixels-px": command.edge_pixels_px,
+        "--knee": command.knee,
+        "--zooms": command.zooms,
+        "--crops": command.crops,
+        "--crop-px": command.crop_px,
+    }
+    of_others = next((option for option, value in given.items() if value), None)
+    if of_others is not None:
+        raise InputError(
+            "this option is of the paper's network and of ours",
+            where=of_others,
+            got=f"--network {command.network}",
+            expected="--network network or paper",
+        )
+    config = BaselineTrainConfig(_BASELINES[command.network])
+    return config if command.preset == "small" else full_baseline(config)
+
+
+def _own(command: RelightTrainingOptions) -> RelightTrainConfig:
+    for part in command.without:
+        check_choice("--without", part, (*get_args(Pairs), *get_args(Unseen)))
+    has_estimate = command.network == "network" and "physical" not in command.without
+    if has_estimate and "truth" in command.without:
+        raise InputError(
+            "pairs of renderings have no physical estimate to correct",
+            where="--without truth",
+            remedy="Leave it out as well: --without truth physical.",
+        )
+    config = RelightTrainConfig() if command.preset == "small" else full()
+    if command.network == "paper":
+        config = paper(config)
+    if command.start is not None:
+        config = replace(config, rate=config.rate * _RATE_GOING_ON)
+    return ablated(_varied(config, command), command.without)  # type: ignore[arg-type]
+
+
+def _varied(config: RelightTrainConfig, command: RelightTrainingOptions) -> RelightTrainConfig:
+    """With other losses, lenses and batches, where they are asked for."""
+    if command.edge_pixels_px:
+        for px in command.edge_pixels_px:
+            check_number("--edge-pixels-px", px, 1, _MOST_PIXEL_PX)
+        config = replace(config, edge_pixels_px=command.edge_pixels_px)
+    if command.knee is not None:
+        if command.network == "paper":
+            raise InputError("the paper's loss has no knee", where="--knee", remedy="Leave it out.")
+        check_number("--knee", command.knee, 1e-3, 1.0)
+        config = replace(config, knee=command.knee)
+    if command.zooms:
+        for zoom in command.zooms:
+            check_number("--zooms", zoom, 1 / _MOST_ZOOM, _MOST_ZOOM)
+        config = replace(config, data=replace(config.data, zooms=command.zooms))
+    if command.crops is not None:
+        check_number("--crops", command.crops, 1, _MOST_CROPS)
+        config = replace(config, data=replace(config.data, batch=command.crops))
+        config = replace(config, perception_crops=max(1, command.crops // 4))
+    if command.crop_px is not None:
+        check_number("--crop-px", command.crop_px, _LEAST_CROP_PX, _MOST_CROP_PX)
+        size_px = (command.crop_px, command.crop_px)
+        config = replace(config, data=replace(config.data, crop_px=size_px))
+    return config
+
+
+def _streets(command: RelightTrainingOptions) -> tuple[str, ...]:
+    """Those to learn from."""
+    names = command.streets or tuple(
+        path.name
+        for path in sorted(command.data.glob("*"))
+        if any(path.glob("*.npz")) and path.name not in command.validation
+    )
+    both = set(names) & set(command.validation)
+    missing = [n for n in (*names, *command.validation) if not (command.data / n).is_dir()]
+    if both or missing or not names:
+        raise InputError(
+            "a street would be learned from and tell how good that is"
+            if both
+            else "streets are missing",
+            where=command.data,
+            got=", ".join(sorted(both) or missing) or "none",
+            remedy="Give other --streets and --validation, or make them with lightsim train"
+            " prepare relight.",
+        )
+    return tuple(names)
+
+
+def _streets_of(first: WeightsRecord, command: RelightTrainingOptions) -> list[str]:
+    """What the weights that a training begins with have learned from: the next ones know it, too.
+
+    Raises:
+        InputError: nobody knows, or a street for validation is among them.
+    """
+    told = first.streets
+    seen = [] if isinstance(told, str) else sorted({*told["training"]} & {*command.validation})
+    if isinstance(told, str) or seen:
+        raise InputError(
+            "these weights have learned from streets for validation"
+            if seen
+            else "these weights do not tell what streets they learned from",
+            where=command.start,
+            got=", ".join(seen) or None,
+            remedy="Give weights of lightsim train relight, and other streets for --validation.",
+        )
+    return told["training"]
+
+
+def by_number(name: str) -> tuple[int, str]:
+    """Key that sorts streets."""
+    return (int(name) if name.isdigit() else 0, name)
+
+
+def _hash(train: Sequence[str], validation: Sequence[str]) -> str:
+    """SHA-256 of the sorted lines `street,side`."""
+    sides = {**dict.fromkeys(train, "train"), **dict.fromkeys(validation, "validation")}
+    lines = sorted(f"{name},{side}\n" for name, side in sides.items())
+    return hashlib.sha256("".join(lines).encode()).hexdigest()
