@@ -5,8 +5,9 @@ BIN := $(VENV)/bin
 # Processes that share the tests: some 2 GB each.
 WORKERS ?= 2
 INSTALLED := $(VENV)/.installed
+DOCUMENTING := $(VENV)/.documenting
 
-.PHONY: install demo test lint types format clean
+.PHONY: install demo test docs lint types format clean
 
 install: $(INSTALLED)
 
@@ -15,11 +16,19 @@ $(INSTALLED): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	touch $@
 
+$(DOCUMENTING): $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	touch $@
+
 demo: $(INSTALLED)
 	$(BIN)/lightsim demo
 
 test: lint types
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadscope --no-loadscope-reorder --durations=10
+
+# The site in out/docs; needs no network once the extra `docs` is installed.
+docs: $(DOCUMENTING)
+	$(BIN)/python tools/build_docs.py
 
 lint: $(INSTALLED)
 	$(BIN)/ruff format --check .

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import sys
+import tomllib
 from collections import Counter
 from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
@@ -124,3 +126,24 @@ def recorded_reads() -> Generator[tuple[set[tuple[str, str]], Counter[str]]]:
         patch.setattr(cameras, "load_image", read_image)
         patch.setattr(log, "load_sweep", read_sweep)
         yield reads, decoded
+
+
+@pytest.fixture
+def example_extension(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Generator[None]:
+    """The package in examples/extensions, as pip installs it: its sources and its entry points."""
+    from lightsim.core.extensions import registered
+
+    folder = Path(__file__).resolve().parents[1] / "examples" / "extensions"
+    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+    name, version = project["name"], project["version"]
+    info = tmp_path / "site" / f"{name.replace('-', '_')}-{version}.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    groups = project["entry-points"].items()
+    entries = ["".join(f"{key} = {value}\n" for key, value in group.items()) for _, group in groups]
+    lines = [f"[{group}]\n{text}" for (group, _), text in zip(groups, entries, strict=True)]
+    (info / "entry_points.txt").write_text("\n".join(lines))
+    monkeypatch.setattr(sys, "path", [str(info.parent), str(folder), *sys.path])
+    registered.cache_clear()
+    yield
+    registered.cache_clear()

@@ -103,7 +103,7 @@ def _packages() -> list[Finding]:
     for requirement in metadata.requires("lightsim") or []:
         name = re.match(r"[A-Za-z0-9_.-]+", requirement)
         extra = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", requirement)
-        if name is None or (extra and extra[1] == "dev"):
+        if name is None or (extra and extra[1] in ("dev", "docs")):
             continue
         version = _version(name[0])
         if version is not None:

@@ -20,7 +20,7 @@ class Simulate:
     work: tyro.conf.Positional[Path]
     """Work folder of a finished build."""
     scenario: tyro.conf.Positional[Path]
-    """SCENARIO.json: what differs from the log (docs/scenarios.md)."""
+    """SCENARIO.json: what differs from the log (docs/reference/scenario-json.md)."""
     options: Annotated[SimulateOptions, tyro.conf.arg(name="")]
     verbose: Verbose = False
     """Show the trace of an error."""

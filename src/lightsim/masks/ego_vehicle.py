@@ -47,7 +47,7 @@ _PAIR_PATH_M = 0.5
 # Where the road may lie below a camera, metres.
 _ROAD_BELOW_M = np.geomspace(0.8, 4.0, 24)
 # Squared change along the road's motion over that in place: noise alone gives 1. Roads in plain
-# shade gave .10 to .32, the bonnet of log 002 23 (docs/datasets.md).
+# shade gave .10 to .32, the bonnet of log 002 23 (docs/reference/datasets.md).
 _ROAD_RATIO = 0.7
 # Mean square of the difference of two rounded grey levels.
 _ROUNDING = 1 / 6

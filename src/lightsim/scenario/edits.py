@@ -16,7 +16,7 @@ from lightsim.store.entries import Entries
 
 VERSION = 1
 EVERY_ACTOR = ("all-moving", "all")
-_REMEDY = "Mend the scenario; docs/scenarios.md has the format."
+_REMEDY = "Mend the scenario; docs/reference/scenario-json.md has the format."
 _FORMAT = ("version", "name", "sky", "edits")
 _WRITTEN = (
     "sky_yaw_deg", "sky_scale", "move_sun", "sun_factor", "seed", "target_sky", "options", "notes",

@@ -59,8 +59,8 @@ def test_prepare_writes_what_the_options_ask_for(
 
 
 def documented() -> list[str]:
-    """The recipe of docs/training.md for the lighting networks."""
-    text = (Path(__file__).parents[3] / "docs" / "training.md").read_text()
+    """The recipe of docs/guides/training.md for the lighting networks."""
+    text = (Path(__file__).parents[3] / "docs" / "guides" / "training.md").read_text()
     lines = [line for line in text.splitlines() if line.startswith("lightsim train ")]
     return [line for line in lines if "relight" not in line]
 

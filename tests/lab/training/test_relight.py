@@ -352,7 +352,7 @@ def test_a_true_twin_leaves_nothing_to_mend(rng: np.random.Generator) -> None:
 
 
 def test_the_documented_commands_train_both_networks(streets: Path, tmp_path: Path) -> None:
-    text = (Path(__file__).parents[3] / "docs" / "training.md").read_text()
+    text = (Path(__file__).parents[3] / "docs" / "guides" / "training.md").read_text()
     lines = [line for line in text.splitlines() if line.startswith("lightsim train relight")]
     for line, kind in zip(lines, (RelitNet, PaperNet), strict=True):
         given = (

@@ -1,0 +1,1 @@
+"""Extensions of LightSim: see pyproject.toml for the entry points."""
