@@ -8,10 +8,10 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from tools import build_docs
 
 from lightsim.cli.app import parse_command
 from lightsim.core.extensions import COMMANDS, METHODS, READERS
-from tools import build_docs
 
 ROOT = Path(__file__).resolve().parents[1]
 GENERATED = build_docs.CLI_PAGE
@@ -30,9 +30,9 @@ _LINK = re.compile(r"\]\(([^)\s]+)\)")
 _OTHERS = {"torch", "numpy", "mitsuba", "pytest", "importlib"}
 """Packages of others that pages name."""
 _DATA_SUFFIXES = {
-    "blend", "csv", "done", "exr", "glb", "gltf", "gz", "hdr", "html", "jpg", "json", "jsonl", "lock",
-    "log", "md", "mp4", "npz", "obj", "pkl", "png", "pt", "safetensors", "toml", "txt", "usd", "webp",
-    "yaml", "yml", "zip",
+    "blend", "csv", "done", "exr", "glb", "gltf", "gz", "hdr", "html", "jpg", "json", "jsonl",
+    "lock", "log", "md", "mp4", "npz", "obj", "pkl", "png", "pt", "safetensors", "toml", "txt",
+    "usd", "webp", "yaml", "yml", "zip",
 }  # fmt: skip
 """Last parts of names that are those of written files, not of modules."""
 
@@ -43,7 +43,7 @@ def name_of(page: Path) -> str:
 
 def code_lines(page: Path) -> list[str]:
     """Return the lines of a page's code blocks; a backslash at the end joins two."""
-    blocks = _FENCE.findall(page.read_text())
+    blocks: list[str] = _FENCE.findall(page.read_text())
     return "\n".join(blocks).replace("\\\n", " ").splitlines()
 
 
@@ -58,7 +58,9 @@ def command_lines() -> list[tuple[str, str]]:
         (name_of(page), line[line.index("lightsim ") :])
         for page in PAGES
         for line in code_lines(page)
-        if re.match(r"(lightsim |[\w\s|{}$=-]*\b(xargs|torchrun|env|OMP\w+=\d+|time)\b.* lightsim )", line)
+        if re.match(
+            r"(lightsim |[\w\s|{}$=-]*\b(xargs|torchrun|env|OMP\w+=\d+|time)\b.* lightsim )", line
+        )
     ]
 
 
@@ -66,8 +68,9 @@ def words_of(line: str) -> list[str]:
     """Return the words of a command line: with optional parts, the first of alternatives, and 1
     in place of names of numbers."""
     line = re.sub(r"\$\{?\w+\}?|\$\(\([^)]*\)\)|\{\}", "1", line)
-    line = re.sub(r"[\[\]]|\.\.\.(?=\s|$)", " ", line)
-    words = [word.split("|")[0] for word in shlex.split(line, comments=True)[1:]]
+    # A comment begins after a blank, as in a shell; `FILE.exr#LAYER` is one word.
+    line = re.sub(r"\s#.*|[\[\]]|\.\.\.(?=\s|$)", " ", line)
+    words = [word.split("|")[0] for word in shlex.split(line)[1:]]
     numbers = re.findall(r"(--[\w-]+) \S*(?:INT|FLOAT)", help_texts()[command_named_by(words)])
     return [
         "1" if word.isupper() and before in numbers else word
@@ -115,15 +118,25 @@ def test_commands_and_options_in_the_text_exist(page: Path) -> None:
         words = span.split()
         if words[0] == "lightsim" and len(words) > 1 and words[1][:1].islower():
             command = command_named_by(words[1:])
-            texts = [text for other, text in help_texts().items() if other[: len(command)] == command]
+            texts = [
+                text for other, text in help_texts().items() if other[: len(command)] == command
+            ]
             if not command:
                 wrong.append(span)
         elif words[0].startswith("--"):
             texts = [everything]
         else:
             continue
-        options = [re.split(r"[=|\]]", word.lstrip("["))[0] for word in words if word.lstrip("[").startswith("--")]
-        wrong += [f"{span}: {o}" for o in options if not any(re.search(rf"(?<![\w-]){o}(?![\w-])", t) for t in texts)]
+        options = [
+            re.split(r"[=|\]]", word.lstrip("["))[0]
+            for word in words
+            if word.lstrip("[").startswith("--")
+        ]
+        wrong += [
+            f"{span}: {o}"
+            for o in options
+            if not any(re.search(rf"(?<![\w-]){o}(?![\w-])", t) for t in texts)
+        ]
     assert not wrong
 
 
@@ -162,7 +175,9 @@ def is_there(name: str) -> bool:
     if name.endswith((".py", ".cpp")):
         return any((ROOT / folder / name).is_file() for folder in FOLDERS)
     parts = name.split(".")
-    packages = [parts[0]] if parts[0] in ("lightsim", "lightsim_lab") else ["lightsim", "lightsim_lab"]
+    packages = (
+        [parts[0]] if parts[0] in ("lightsim", "lightsim_lab") else ["lightsim", "lightsim_lab"]
+    )
     inner = parts[1:] if parts[0] in packages else parts
     return any(is_defined(ROOT / "src" / package, inner) for package in packages)
 
@@ -179,7 +194,11 @@ def is_defined(folder: Path, parts: list[str]) -> bool:
         path, names = folder / "__init__.py", parts
     text = path.read_text() if path.is_file() else ""
     return bool(text) and all(
-        re.search(rf"\b(?:def|class) {part}\b|^\s*{part}\b[^\n]*[:=]|^\s*{part},$|\bimport .*\b{part}\b", text, re.M)
+        re.search(
+            rf"\b(?:def|class) {part}\b|^\s*{part}\b[^\n]*[:=]|^\s*{part},$|\bimport .*\b{part}\b",
+            text,
+            re.M,
+        )
         for part in names
     )
 
@@ -219,18 +238,25 @@ def test_pages_that_sources_name_exist(folder: str) -> None:
 
 
 def test_every_page_is_in_the_navigation() -> None:
-    listed = set(re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text()))
-    pages = {str(page.relative_to(ROOT / "docs")) for page in PAGES if ROOT / "docs" in page.parents}
+    text = (ROOT / "mkdocs.yml").read_text()
+    listed = set(re.findall(r"^\s+- (?:\w+: )?([\w/-]+\.md)$", text, re.M))
+    pages = {
+        str(page.relative_to(ROOT / "docs")) for page in PAGES if ROOT / "docs" in page.parents
+    }
     assert pages <= listed
     assert listed - pages <= {"reference/cli.md"}
 
 
 def test_the_command_line_page_has_every_command() -> None:
     page = build_docs.cli_reference()
-    titles = re.findall(r"^##+ lightsim(.*)$", page, re.M)
-    assert {tuple(title.split()) for title in titles} == set(help_texts())
-    assert ("train", "prepare", "relight") in help_texts()
-    assert "--neural-steps INT" in page.replace("{None}|", "")
+    titles = {tuple(title.split()) for title in re.findall(r"^##+ lightsim(.*)$", page, re.M)}
+    assert titles == {words for words, _ in build_docs.all_commands()}
+    assert {("build",), ("scenario", "cut-in"), ("train", "prepare", "relight")} <= titles
+    build = page.split("## lightsim build\n")[1].split("\n## ")[0]
+    assert re.search(r"^`--hold-out INT`\n:   \w", build, re.M)
+    assert set(re.findall(r"^\*\*(.+)\*\*$", build, re.M)) >= {"Options", "Reading options"}
+    # Every option that the usage of a command accepts has an entry with a description.
+    assert not re.findall(r"^`--.*`\n:   $", page, re.M)
 
 
 def test_the_documentation_stays_short() -> None:

@@ -7,15 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.conftest import BuiltStreet
+from tests.relighting import scene
 
 from lightsim import LogReading, cli, load_log
+from lightsim.cli.app import commands
 from lightsim.core.extensions import registered
 from lightsim.errors import InputError
 from lightsim.relighting.methods import method_names, relight_by
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs
 from lightsim.store.images import write_png
-from tests.conftest import BuiltStreet
-from tests.relighting import scene
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "extensions"
 
@@ -98,7 +99,7 @@ def test_an_extension_may_not_replace_a_command(
     monkeypatch.syspath_prepend(info.parent)
     registered.cache_clear()
     with pytest.raises(InputError, match="which LightSim has"):
-        cli.app.commands()
+        commands()
 
 
 @pytest.mark.usefixtures("example_extension")

@@ -29,13 +29,16 @@ _RULE = re.compile(r"\s-{10,}\s*")
 _ENTRY = re.compile(r"(?:• )?(\S(?:.*?\S)?)(?:\s{2,}(\S.*))?")
 """Name of an option or command; its description in a second column, or on the next lines."""
 _FOREIGN = re.compile(r"<(?:script|img|iframe|source)[^>]*\ssrc=\"?(?:https?:)?//[^\" >]+")
-_FOREIGN_LINK = re.compile(r"<link[^>]*rel=\"?(?:stylesheet|preconnect|preload)[^>]*https?://[^\" >]+")
+_FOREIGN_LINK = re.compile(
+    r"<link[^>]*rel=\"?(?:stylesheet|preconnect|preload)[^>]*https?://[^\" >]+"
+)
 _HEAD = """# Command line
 
 After this page you know every command and option of LightSim. It is generated from the help texts.
 
-`lightsim COMMAND --help` prints the same. The commands `demo`, `synthesize`, `train` and `evaluate` come from the
-laboratory. Exit codes: 0 done, 1 an error of LightSim, 2 wrong usage, 130 interrupted.
+`lightsim COMMAND --help` prints the same. The commands `demo`, `synthesize`, `train` and
+`evaluate` come from the laboratory. Exit codes: 0 done, 1 an error of LightSim, 2 wrong usage,
+130 interrupted.
 """
 
 

@@ -9,6 +9,7 @@ All suns are lit from one tracing. Relit frames are left in WORK/scenarios/sun-p
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,29 +17,57 @@ from PIL import Image, ImageDraw
 
 import lightsim
 from lightsim import RelightOptions
+from lightsim.build.workspace import Workspace
+from lightsim.core.log import DrivingLog
+from lightsim.core.solar import azimuth_elevation
+from lightsim.errors import InputError
 from lightsim.progress import terminal_progress
 
 ROUND_S = 6.0
-"""Duration of one round: slow enough to follow a shadow, short enough to wait for its repetition."""
-QUALITY = 72
-"""WebP quality at which 36 frames of 480x270 stay below 1 MB without visible blocks."""
+"""Duration of one round: slow enough to follow a shadow, short enough to watch it again."""
+QUALITY = 85
+"""WebP quality: 36 frames of 480x270 pixels take 0.5 MB, without visible blocks."""
 _DIAL_PX = 22
 """Radius of the dial that shows the sun's azimuth."""
 _EDGE_PX = 10
 """Distance of the dial from the corner."""
 
 
-def with_dial(picture: Image.Image, azimuth_deg: float) -> Image.Image:
-    """Return the picture with a dial in its upper right corner: north is up, a dot is the sun."""
-    size = 4  # Drawn larger and reduced, which smooths edges.
-    canvas = picture.resize((picture.width * size, picture.height * size))
-    draw = ImageDraw.Draw(canvas, "RGBA")
-    radius, edge = _DIAL_PX * size, _EDGE_PX * size
-    left, top = canvas.width - edge - 2 * radius, edge
-    box = (left, top, left + 2 * radius, top + 2 * radius)
-    draw.ellipse(box, fill=(0, 0, 0, 90), outline=(255, 255, 255, 200), width=size)
-    draw.pieslice(box, azimuth_deg - 95, azimuth_deg - 85, fill=(255, 214, 80, 255))
-    return canvas.resize(picture.size, Image.Resampling.LANCZOS)
+def viewing_azimuth_deg(log: DrivingLog, camera: str, stem: str) -> float:
+    """Return the azimuth of a frame's viewing direction, degrees clockwise from true north.
+
+    Raises:
+        InputError: the heading of the log is unknown.
+    """
+    frame = next(frame for frame in log.frames_of(camera) if frame.stem == stem)
+    if log.geo is None or log.geo.enu_from_world is None:
+        raise InputError(
+            "the heading of the log is unknown",
+            where=log.name,
+            remedy="Build with --heading-deg.",
+        )
+    forward = frame.world_from_camera.rotation[:, 2]
+    return azimuth_elevation(log.geo.enu_from_world.rotate(forward[None])[0]).azimuth_deg
+
+
+def with_dial(picture: Image.Image, sun_deg: float) -> Image.Image:
+    """Return the picture with a dial in its upper right corner; a dot marks the sun.
+
+    Args:
+        sun_deg: azimuth of the sun, clockwise from the viewing direction, which is up.
+    """
+    size = 4  # The dial is drawn larger and reduced, which smooths its edges.
+    side = 2 * _DIAL_PX * size
+    dial = Image.new("RGBA", (side, side))
+    draw = ImageDraw.Draw(dial)
+    draw.ellipse((0, 0, side - 1, side - 1), (0, 0, 0, 110), (255, 255, 255, 220), size)
+    angle, reach, dot = math.radians(sun_deg), 0.62 * side / 2, 0.24 * side / 2
+    x, y = side / 2 + reach * math.sin(angle), side / 2 - reach * math.cos(angle)
+    draw.ellipse((x - dot, y - dot, x + dot, y + dot), (255, 205, 70, 255))
+    dial = dial.resize((2 * _DIAL_PX, 2 * _DIAL_PX), Image.Resampling.LANCZOS)
+    shown = picture.copy()
+    shown.paste(dial, (picture.width - _EDGE_PX - dial.width, _EDGE_PX), dial)
+    return shown
 
 
 def save(pictures: Sequence[Image.Image], path: Path) -> None:
@@ -58,7 +87,7 @@ def save(pictures: Sequence[Image.Image], path: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("work", type=Path, help="work folder of a finished build")
-    parser.add_argument("--camera", default="front_left_camera")
+    parser.add_argument("--camera", default="front_camera")
     parser.add_argument("--frame", type=int, default=3, help="number of the log's frame")
     parser.add_argument("--suns", type=int, default=36, help="positions of the sun")
     parser.add_argument("--elevation", type=float, default=30.0, help="of the sun, degrees")
@@ -75,8 +104,14 @@ def main() -> None:
     )
     folders = lightsim.relight(asked.work, options, progress=terminal_progress())
     frames = [next((folder / "frames" / asked.camera).iterdir()) for folder in folders]
-    pictures = [Image.open(frame).convert("RGB") for frame in frames]
-    save([with_dial(p, a) for p, a in zip(pictures, azimuths, strict=True)], asked.out)
+    ahead_deg = viewing_azimuth_deg(Workspace(asked.work).log, asked.camera, frames[0].stem)
+    save(
+        [
+            with_dial(Image.open(frame).convert("RGB"), azimuth - ahead_deg)
+            for frame, azimuth in zip(frames, azimuths, strict=True)
+        ],
+        asked.out,
+    )
 
 
 if __name__ == "__main__":

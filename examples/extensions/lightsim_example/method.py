@@ -19,7 +19,8 @@ def relight(inputs: RelightInputs, config: RatioConfig) -> Estimate:
     """
     is_surface = np.isfinite(inputs.buffers.depth_z_m)
     before, after = (
-        float(luminance(light.shaded)[is_surface].mean()) for light in (inputs.source, inputs.target)
+        float(luminance(light.shaded)[is_surface].mean())
+        for light in (inputs.source, inputs.target)
     )
     surface = inputs.radiance * np.float32(after / before)
     sky = inputs.sky_matte[..., None]

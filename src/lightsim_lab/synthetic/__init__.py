@@ -1,4 +1,4 @@
-"""A procedural street with exact ground truth, written in PandaSet's layout (docs/guides/synthetic.md)."""
+"""Procedural streets with exact ground truth, in PandaSet's layout (docs/guides/synthetic.md)."""
 
 from __future__ import annotations
 
