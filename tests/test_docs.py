@@ -259,6 +259,22 @@ def test_the_command_line_page_has_every_command() -> None:
     assert not re.findall(r"^`--.*`\n:   $", page, re.M)
 
 
+@pytest.mark.parametrize(
+    ("line", "is_foreign"),
+    [
+        ('<script src="https://cdn.example.org/x.js"></script>', True),
+        ("<script defer src=//cdn.example.org/x.js></script>", True),
+        ('<link rel="stylesheet" href="https://fonts.example.org/css">', True),
+        ('<img alt="a" src="pictures/sun.webp"><a href="https://example.org">x</a>', False),
+    ],
+)
+def test_pages_that_load_from_other_hosts_are_found(
+    line: str, is_foreign: bool, tmp_path: Path
+) -> None:
+    (tmp_path / "page.html").write_text(f"<html>{line}</html>")
+    assert bool(build_docs.foreign_loads(tmp_path)) == is_foreign
+
+
 def test_the_documentation_stays_short() -> None:
     pages = [page for page in PAGES if ROOT / "docs" in page.parents]
     assert sum(len(page.read_text().split()) for page in pages) <= MAX_WORDS

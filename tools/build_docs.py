@@ -125,7 +125,19 @@ def foreign_loads(site: Path) -> list[str]:
     ]
 
 
+def check_laboratory() -> None:
+    """Exit without the laboratory: the command line page would lack its commands."""
+    from lightsim.cli.app import LABORATORY_COMMANDS, commands
+
+    if missing := set(LABORATORY_COMMANDS) - set(commands()):
+        sys.exit(
+            f"the commands {', '.join(sorted(missing))} are not installed; "
+            "run: pip install -c constraints.txt -e packages/lightsim-lab"
+        )
+
+
 def main() -> None:
+    check_laboratory()
     CLI_PAGE.write_text(cli_reference())
     # The theme prints an advertisement for its successor otherwise.
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
