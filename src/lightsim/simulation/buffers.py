@@ -26,12 +26,12 @@ from lightsim.progress import Progress
 from lightsim.render.renderers import Renderer, TracedFrame, make_renderer, renderer_settings
 from lightsim.scenario.apply import driven_beside
 from lightsim.scenario.replay import replay
-from lightsim.simulate.options import GEOMETRY, LIGHT, RenderOptions
-from lightsim.simulate.picture_images import PictureImages, shown_by_pictures
-from lightsim.simulate.relight import select_frames
-from lightsim.simulate.seen_light import SeenLight
-from lightsim.simulate.shard import Shard
-from lightsim.simulate.skies import TargetSky, made_from_sky, resolve_sky
+from lightsim.simulation.options import GEOMETRY, LIGHT, RenderOptions
+from lightsim.simulation.picture_images import PictureImages, shown_by_pictures
+from lightsim.simulation.relight import select_frames
+from lightsim.simulation.seen_light import SeenLight
+from lightsim.simulation.shard import Shard
+from lightsim.simulation.skies import TargetSky, made_from_sky, resolve_sky
 from lightsim.store.artefact import hash_names, json_ready, read_json, write_json
 from lightsim.store.atomic import sweep_partials
 from lightsim.store.exr import read_mark, write_exr

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.render.rendering_scenes import sun_sky
-from tests.simulate.test_edited_frames import pictures_of, psnr_db
+from tests.simulation.test_edited_frames import pictures_of, psnr_db
 from tests.tiny_world import (
     ABOVE,
     GAIN,
@@ -27,10 +27,10 @@ from lightsim.render.options import RendererChoice
 from lightsim.render.renderers import make_renderer
 from lightsim.scenario.apply import driven_beside
 from lightsim.scenario.replay import replay
-from lightsim.simulate.buffers import Layout, write_frames
-from lightsim.simulate.options import RelightOptions, RenderOptions
-from lightsim.simulate.picture_images import PictureImages, shown_by_pictures
-from lightsim.simulate.skies import TargetSky
+from lightsim.simulation.buffers import Layout, write_frames
+from lightsim.simulation.options import RelightOptions, RenderOptions
+from lightsim.simulation.picture_images import PictureImages, shown_by_pictures
+from lightsim.simulation.skies import TargetSky
 from lightsim.store.images import read_exr
 
 SKY = sun_sky(np.radians(30.0), 35.0, 0.15)

@@ -12,9 +12,9 @@ from lightsim.build.workspace import Workspace
 from lightsim.core.log import DrivingLog
 from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.render.renderers import transport_as_chosen
-from lightsim.simulate.options import RelightOptions, RenderOptions
-from lightsim.simulate.relighter import RelightConfig, Relighter
-from lightsim.simulate.skies import TargetSky
+from lightsim.simulation.options import RelightOptions, RenderOptions
+from lightsim.simulation.relighter import RelightConfig, Relighter
+from lightsim.simulation.skies import TargetSky
 
 
 def shown_by_pictures(scenario: Scenario, held_out: frozenset[str]) -> Scenario:

@@ -8,7 +8,7 @@ from lightsim.build.workspace import Workspace
 from lightsim.errors import InputError
 from lightsim.relighting.estimate import Relight
 from lightsim.relighting.methods import find_method, relight_by
-from lightsim.simulate.options import RelightOptions
+from lightsim.simulation.options import RelightOptions
 from lightsim.store.artefact import hash_file
 from lightsim.store.weights import list_weights
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
-from lightsim.simulate.relighter import RelitFrame
-from lightsim.simulate.skies import TargetSky
+from lightsim.simulation.relighter import RelitFrame
+from lightsim.simulation.skies import TargetSky
 from lightsim.store.images import read_srgb8, write_png
 from lightsim.view.figures import (
     dome_preview,

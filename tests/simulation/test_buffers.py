@@ -21,9 +21,9 @@ from lightsim.render.options import RendererChoice
 from lightsim.render.renderers import Renderer, make_renderer, renderer_settings
 from lightsim.render.transport.faces import TransportConfig
 from lightsim.render.transport.sky import prepare_sky
-from lightsim.simulate.buffers import Layout, write_frames
-from lightsim.simulate.options import RenderOptions
-from lightsim.simulate.shard import Shard
+from lightsim.simulation.buffers import Layout, write_frames
+from lightsim.simulation.options import RenderOptions
+from lightsim.simulation.shard import Shard
 from lightsim.store.images import read_exr
 from render.rendering_scenes import (
     box,
@@ -142,7 +142,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_files(
             raise KeyboardInterrupt
         write(path, picture, mark=mark)
 
-    from lightsim.simulate import buffers as rendering
+    from lightsim.simulation import buffers as rendering
 
     write = rendering.write_exr
     monkeypatch.setattr(rendering, "write_exr", failing)

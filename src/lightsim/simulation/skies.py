@@ -30,7 +30,7 @@ from lightsim.lighting.target_sky import (
     with_edited_sun,
 )
 from lightsim.masks.sky import estimate_sky_matte
-from lightsim.simulate.seen_light import SeenLight
+from lightsim.simulation.seen_light import SeenLight
 from lightsim.store.artefact import hash_file
 from lightsim.store.images import read_sky
 from lightsim.store.reading import is_file

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.render.rendering_scenes import constant_sky, sun_sky
-from tests.simulate.test_moving_shadow import is_dark, overlap, recorded, relit
+from tests.simulation.test_moving_shadow import is_dark, overlap, recorded, relit
 from tests.tiny_world import TinyWorkspace, ground_points, in_shadow, on_ground, tiny_world
 
 from lightsim.core.dome import SkyDome, split_sun
@@ -18,7 +18,7 @@ from lightsim.core.log import GeoReference
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import angle_between_deg, azimuth_elevation, direction_enu
 from lightsim.errors import InputError
-from lightsim.simulate.skies import made_from_sky, resolve_sky
+from lightsim.simulation.skies import made_from_sky, resolve_sky
 from lightsim.store.sky import write_sky
 
 UP = np.array([0.0, 0.0, 1.0])

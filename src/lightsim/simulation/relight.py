@@ -28,13 +28,13 @@ from lightsim.render.options import LightChoice
 from lightsim.render.renderers import check_installed, transport_as_chosen
 from lightsim.scenario.apply import driven_beside
 from lightsim.scenario.replay import replay
-from lightsim.simulate.labels import write_labels
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relight_methods import weights_hash
-from lightsim.simulate.relighter import RelightConfig, Relighter, RelitFrame
-from lightsim.simulate.report import report_frames, write_relight_report, write_report_strip
-from lightsim.simulate.seen_light import SeenLight
-from lightsim.simulate.skies import TargetSky, made_from_sky, resolve_sky
+from lightsim.simulation.labels import write_labels
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relight_methods import weights_hash
+from lightsim.simulation.relighter import RelightConfig, Relighter, RelitFrame
+from lightsim.simulation.report import report_frames, write_relight_report, write_report_strip
+from lightsim.simulation.seen_light import SeenLight
+from lightsim.simulation.skies import TargetSky, made_from_sky, resolve_sky
 from lightsim.store.artefact import (
     RECORD_NAME,
     ArtefactKey,

@@ -13,7 +13,7 @@ from lightsim.core.scenario import ActorPlacement, Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.scene import placed_meshes
-from lightsim.simulate.relighter import RelitFrame
+from lightsim.simulation.relighter import RelitFrame
 from lightsim.store.artefact import write_json
 from lightsim.store.exr import write_exr
 from lightsim.store.images import write_png, write_png16

@@ -40,11 +40,11 @@ from lightsim.render.transport.matrix import TransportConfig
 from lightsim.scenario.apply import apply_edits
 from lightsim.scenario.edits import Edit, Insert, Move, Remove, Waypoint
 from lightsim.scenario.ground import StandingGround
-from lightsim.simulate.labels import actor_labels, amodal_mask
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relighter import RelightConfig, Relighter, RelitFrame
-from lightsim.simulate.skies import TargetSky
-from lightsim.simulate.source_image import reaches_into
+from lightsim.simulation.labels import actor_labels, amodal_mask
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relighter import RelightConfig, Relighter, RelitFrame
+from lightsim.simulation.skies import TargetSky
+from lightsim.simulation.source_image import reaches_into
 
 SUNNY = sun_sky(np.radians(30.0), 35.0, 0.15)
 OVERCAST = constant_sky((0.6, 0.6, 0.6))

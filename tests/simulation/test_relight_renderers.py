@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.render.rendering_scenes import constant_sky, sun_sky
-from tests.simulate.test_moving_shadow import recorded
+from tests.simulation.test_moving_shadow import recorded
 from tests.tiny_world import TinyWorkspace, on_ground, scenario_of
 
 from lightsim.core.sky_choice import SkyChoice
@@ -18,10 +18,10 @@ from lightsim.progress import SilentProgress
 from lightsim.render.options import LightChoice
 from lightsim.render.reference import cycles
 from lightsim.render.reference.path_tracer import PathTracer
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relight import _settings, make_frames
-from lightsim.simulate.relighter import RelightConfig, Relighter, RelitFrame
-from lightsim.simulate.skies import TargetSky
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relight import _settings, make_frames
+from lightsim.simulation.relighter import RelightConfig, Relighter, RelitFrame
+from lightsim.simulation.skies import TargetSky
 
 SKY = sun_sky(np.radians(30.0), 35.0, 0.15)
 PYTHON = Path("python-with-blender")

@@ -19,7 +19,7 @@ from lightsim.errors import InputError
 from lightsim.relighting.methods import check_method, find_method
 from lightsim.render.options import LightChoice, RendererChoice
 from lightsim.scenario.edits import FARTHEST_M
-from lightsim.simulate.shard import Shard
+from lightsim.simulation.shard import Shard
 from lightsim.store.names import is_harmless
 
 _LONGEST_EXPOSURE_MS = 100.0

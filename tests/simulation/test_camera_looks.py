@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.ndimage import binary_erosion
-from tests.simulate.test_edited_frames import OVERCAST, edits_of, frame_of, photographed
+from tests.simulation.test_edited_frames import OVERCAST, edits_of, frame_of, photographed
 from tests.tiny_world import (
     ABOVE,
     BOX_LWH_M,
@@ -22,7 +22,7 @@ from tests.tiny_world import (
 from lightsim.core.colour import linear_from_srgb8, luminance, srgb8_from_linear
 from lightsim.core.frames import Trajectory
 from lightsim.scenario.edits import Insert, Waypoint
-from lightsim.simulate.camera_looks import CameraLooks, motion_in_picture
+from lightsim.simulation.camera_looks import CameraLooks, motion_in_picture
 
 PUT = (Insert("edit 1", "box", "new", (Waypoint(x_m=6.0, y_m=0.0, yaw_deg=0.0),)),)
 NOISE = 0.01

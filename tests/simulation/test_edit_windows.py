@@ -6,13 +6,13 @@ from dataclasses import fields, replace
 
 import numpy as np
 from scipy import ndimage
-from tests.simulate.test_edited_frames import BOX_GONE, SUNNY, edited, shows_box_or_shadow
+from tests.simulation.test_edited_frames import BOX_GONE, SUNNY, edited, shows_box_or_shadow
 from tests.tiny_world import ABOVE, LENS, NOTHING, TinyWorkspace, scenario_of, tiny_world
 
 from lightsim.core.scenario import Scenario, changed_placements
 from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
 from lightsim.render.transport.matrix import TransportConfig
-from lightsim.simulate.edit_window import edit_window
+from lightsim.simulation.edit_window import edit_window
 
 NOBODY = np.zeros((LENS.height_px, LENS.width_px), dtype=bool)
 

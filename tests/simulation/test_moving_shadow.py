@@ -23,9 +23,9 @@ from tests.tiny_world import (
 from lightsim.build.quality.metrics import psnr
 from lightsim.core.colour import luminance, srgb8_from_linear
 from lightsim.core.dome import SkyDome
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relighter import RelightConfig, Relighter
-from lightsim.simulate.skies import TargetSky
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relighter import RelightConfig, Relighter
+from lightsim.simulation.skies import TargetSky
 
 SKY = 0.15
 PIXEL_M = 0.32

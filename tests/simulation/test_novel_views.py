@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lightsim.simulate.novel_views import seen_and_guessed
+from lightsim.simulation.novel_views import seen_and_guessed
 
 SHAPE = 64, 96
 SKYLINE = 32

@@ -15,8 +15,8 @@ from lightsim.core.dome import SkyDome
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.reading import LogReading
 from lightsim.core.sky_choice import SkyChoice
-from lightsim.simulate.seen_light import SeenLight
-from lightsim.simulate.skies import resolve_sky
+from lightsim.simulation.seen_light import SeenLight
+from lightsim.simulation.skies import resolve_sky
 from lightsim.store.sky import write_sky
 
 EVENING = sun_sky(np.radians(90.0), 15.0, 0.2)

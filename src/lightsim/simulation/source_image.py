@@ -41,9 +41,9 @@ from lightsim.render.frame_renderer import (
 )
 from lightsim.render.transport.sky import EnvironmentCells
 from lightsim.render.window import seen_through
-from lightsim.simulate.camera_looks import CameraLooks, motion_in_picture
-from lightsim.simulate.edit_window import edit_window, put_into
-from lightsim.simulate.novel_views import NovelViews
+from lightsim.simulation.camera_looks import CameraLooks, motion_in_picture
+from lightsim.simulation.edit_window import edit_window, put_into
+from lightsim.simulation.novel_views import NovelViews
 
 _PIXEL_SAMPLES = 16
 """Of rendered actors: with 4, panes that mirror a street at a grazing angle are black and white

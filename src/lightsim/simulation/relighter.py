@@ -23,10 +23,10 @@ from lightsim.render.frame_renderer import FrameRenderer, TransportFrame, visibl
 from lightsim.render.renderers import Renderer, TracedFrame, make_reference
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.render.transport.sky import EnvironmentCells
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relight_methods import relight_of
-from lightsim.simulate.skies import TargetSky, resolve_sky
-from lightsim.simulate.source_image import SourceImage, SourceImages
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relight_methods import relight_of
+from lightsim.simulation.skies import TargetSky, resolve_sky
+from lightsim.simulation.source_image import SourceImage, SourceImages
 
 
 @dataclass(frozen=True)
