@@ -25,7 +25,7 @@ from lightsim.build.workspace import Workspace
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
 from lightsim.progress import SilentProgress
-from lightsim.simulate.skies import SkyChoice, resolve_sky
+from lightsim.simulation.skies import SkyChoice, resolve_sky
 from lightsim_lab.studies.against_truth import base_colours_of
 
 DEFAULT = IntrinsicConfig()

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from lightsim.lighting.scenery import place_step, without_scenery
 from lightsim.lighting.target_sky import dome_from_array
-from lightsim.simulate.skies import picture_matte
+from lightsim.simulation.skies import picture_matte
 from lightsim.store.images import read_sky
 
 

@@ -28,11 +28,11 @@ from lightsim.core.colour import linear_from_srgb8, luminance
 from lightsim.core.scenario import Scenario, ScenarioFrame, changed_placements
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.scenario.edits import read_scenario_request
-from lightsim.simulate.edited import asset_library, edited_scenario
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relight import replayed
-from lightsim.simulate.relighter import RelightConfig, Relighter
-from lightsim.simulate.skies import resolve_sky
+from lightsim.simulation.edited import asset_library, edited_scenario
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relight import replayed
+from lightsim.simulation.relighter import RelightConfig, Relighter
+from lightsim.simulation.skies import resolve_sky
 from lightsim_lab.metrics.consistency import (
     Matches,
     View,

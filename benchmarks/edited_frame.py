@@ -25,15 +25,15 @@ import numpy as np
 import lightsim.relighting.physical.filters as filters
 import lightsim.relighting.physical.ratio as ratio
 import lightsim.render.frame_renderer as frame_renderer
-import lightsim.simulate.source_image as source_image
+import lightsim.simulation.source_image as source_image
 from lightsim.build.workspace import Workspace
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.scenario.edits import read_scenario_request
-from lightsim.simulate.edited import asset_library, edited_scenario
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relight import replayed
-from lightsim.simulate.relighter import RelightConfig, Relighter
-from lightsim.simulate.skies import resolve_sky
+from lightsim.simulation.edited import asset_library, edited_scenario
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relight import replayed
+from lightsim.simulation.relighter import RelightConfig, Relighter
+from lightsim.simulation.skies import resolve_sky
 from lightsim.store.artefact import peak_memory_mb
 
 _REST = "rest"

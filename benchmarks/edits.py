@@ -32,11 +32,11 @@ from lightsim.build.workspace import Workspace
 from lightsim.core.colour import linear_from_srgb8, luminance
 from lightsim.core.scenario import Scenario
 from lightsim.scenario.edits import ScenarioRequest, read_scenario_request
-from lightsim.simulate.edited import asset_library, edited_scenario
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relight import replayed
-from lightsim.simulate.relighter import RelightConfig, Relighter
-from lightsim.simulate.skies import resolve_sky
+from lightsim.simulation.edited import asset_library, edited_scenario
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relight import replayed
+from lightsim.simulation.relighter import RelightConfig, Relighter
+from lightsim.simulation.skies import resolve_sky
 from lightsim.store.images import write_png
 from lightsim_lab.metrics.lpips import lpips_features, lpips_of_features
 from lightsim_lab.studies.edit_evaluation import TrueView, true_views

@@ -21,7 +21,7 @@ from lightsim.build.quality.statistics import rank_correlation
 from lightsim.build.workspace import Workspace
 from lightsim.core.resample import resize_area
 from lightsim.progress import terminal_progress
-from lightsim.simulate.options import RelightOptions
+from lightsim.simulation.options import RelightOptions
 from lightsim.store.images import read_grey8, read_srgb8
 from lightsim_lab.studies.against_truth import relit_folders
 from lightsim_lab.studies.true_surfaces import TrueSurfaces

@@ -4,7 +4,7 @@
 
 A smooth random log ratio stands for the light's change. Each further sky of a frame takes these
 five medians anew, the source's reflections included; everything else of `relight_physical` is
-cheaper (docs/relighting.md).
+cheaper (docs/concepts/relighting.md).
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.image import sky_image
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.scenario.replay import replay
-from lightsim.simulate.novel_views import NovelViews
+from lightsim.simulation.novel_views import NovelViews
 from lightsim_lab.metrics.lpips import Lpips
 
 

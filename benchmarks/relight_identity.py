@@ -19,10 +19,10 @@ import numpy as np
 from lightsim.build.quality.metrics import psnr
 from lightsim.build.workspace import Workspace
 from lightsim.core.sky_choice import SkyChoice
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relight import replayed
-from lightsim.simulate.relighter import RelightConfig, Relighter
-from lightsim.simulate.skies import resolve_sky
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relight import replayed
+from lightsim.simulation.relighter import RelightConfig, Relighter
+from lightsim.simulation.skies import resolve_sky
 
 
 def main() -> None:

@@ -42,7 +42,7 @@ from lightsim.relighting.physical.ratio import (
 from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
 from lightsim.render.image import sky_image
 from lightsim.scenario.replay import replay
-from lightsim.simulate.relighter import RelightConfig
+from lightsim.simulation.relighter import RelightConfig
 from lightsim.store.artefact import read_json
 from lightsim.store.exr import read_exr
 from lightsim.store.images import read_srgb8

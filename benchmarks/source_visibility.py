@@ -18,7 +18,7 @@ import numpy as np
 from lightsim.build.workspace import Workspace
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.scenario.replay import replay
-from lightsim.simulate.relighter import RelightConfig
+from lightsim.simulation.relighter import RelightConfig
 from lightsim.store.exr import read_exr
 from lightsim_lab.synthetic.reader import true_sky
 

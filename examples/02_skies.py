@@ -10,7 +10,7 @@ import numpy as np
 from lightsim.core.dome import split_sun
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import azimuth_elevation
-from lightsim.simulate.skies import sky_alone
+from lightsim.simulation.skies import sky_alone
 
 
 def main() -> None:

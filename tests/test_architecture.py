@@ -9,13 +9,14 @@ from pathlib import Path
 
 import pytest
 
+import lightsim
 from lightsim import errors
 from lightsim.store.source_hash import imported_names
 
 SOURCES = Path(__file__).resolve().parents[1] / "src"
 PRODUCT, LABORATORY = "lightsim", "lightsim_lab"
 FLOORS = (
-    "__main__", "cli", "api", "fleet", "simulate", "export", "build", "view", "relighting",
+    "__main__", "cli", "api", "fleet", "simulation", "export", "build", "view", "relighting",
     "lidar", "render", "scenario", "lighting", "appearance", "geometry", "reconstruct", "align",
     "masks", "datasets", "networks", "store", "core", "progress", "errors",
 )  # fmt: skip
@@ -26,7 +27,7 @@ STAGES = {
     "datasets", "masks", "align", "reconstruct", "geometry", "appearance", "lighting",
     "scenario", "render", "relighting", "view",
 }  # fmt: skip
-"""Steps of the build and of the simulation: they meet in build/ and simulate/ alone, through the
+"""Steps of the build and of the simulation: they meet in build/ and simulation/ alone, through the
 types of core."""
 ERRORS = {
     name for name, kind in vars(errors).items()
@@ -196,3 +197,9 @@ def test_errors_say_what_was_expected_or_what_to_do() -> None:
         for line in helpless_errors(path.read_text())
     ]
     assert not helpless
+
+
+def test_no_package_has_the_name_of_an_exported_function(imports: dict[str, set[str]]) -> None:
+    """Importing such a package would replace the function (docs/decisions/0003)."""
+    exported = set(lightsim.__all__)
+    assert not exported & {room(module) for module in imports if package(module) == PRODUCT}

@@ -12,7 +12,7 @@ from lightsim.cli import main
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
 from lightsim.render.options import LightChoice, RendererChoice
-from lightsim.simulate.options import RenderOptions, SimulateOptions
+from lightsim.simulation.options import RenderOptions, SimulateOptions
 
 READING = LogReading(source="log")
 BUILD = BuildOptions(reading=READING)
@@ -60,7 +60,7 @@ def test_names_and_skies_are_read_from_the_command_line(monkeypatch: pytest.Monk
         given.append(options)
         return []
 
-    monkeypatch.setattr("lightsim.simulate.relight.relight", relight)
+    monkeypatch.setattr("lightsim.simulation.relight.relight", relight)
     main(["relight", "w", "--name", "n", "--sky", "sun:10,20", "a.hdr", "--cameras", "left, right"])
     assert given == [
         RelightOptions(name="n", sky=("sun:10,20", "a.hdr"), cameras=("left", "right"))

@@ -14,9 +14,9 @@ from lightsim.datasets.reader import read_log
 from lightsim.datasets.scale import at_scale
 from lightsim.masks.ego_vehicle import ego_vehicle_masks
 from lightsim.progress import Progress, SilentProgress
-from lightsim.simulate import relight as scenarios
-from lightsim.simulate.edited import simulate as simulate_scenario
-from lightsim.simulate.options import RelightOptions, SimulateOptions
+from lightsim.simulation import relight as scenarios
+from lightsim.simulation.edited import simulate as simulate_scenario
+from lightsim.simulation.options import RelightOptions, SimulateOptions
 
 
 def load_log(reading: LogReading) -> DrivingLog:

@@ -15,7 +15,7 @@ import lightsim.build.stages as stages_package
 from lightsim.build.options import PRESETS, BuildOptions, Preset, SkyModel
 from lightsim.build.pipeline import STAGES, artefact_keys, stages_of
 from lightsim.core.reading import LogReading
-from lightsim.simulate.relighter import RelightConfig
+from lightsim.simulation.relighter import RelightConfig
 from lightsim.store.artefact import ArtefactKey, json_ready
 
 

@@ -32,10 +32,10 @@ from lightsim.progress import SilentProgress
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.options import RendererChoice
 from lightsim.render.renderers import TracedFrame
-from lightsim.simulate.buffers import render
-from lightsim.simulate.options import RelightOptions, RenderOptions
-from lightsim.simulate.relight import relight
-from lightsim.simulate.skies import made_from_sky
+from lightsim.simulation.buffers import render
+from lightsim.simulation.options import RelightOptions, RenderOptions
+from lightsim.simulation.relight import relight
+from lightsim.simulation.skies import made_from_sky
 from lightsim.store.images import read_exr, read_srgb8, read_srgb8_alpha, write_exr
 from lightsim.store.scenario import read_scenario
 from lightsim_lab.studies.true_surfaces import TrueSurfaces
@@ -364,7 +364,7 @@ def test_several_skies_are_traced_once_and_come_out_as_one_by_one(
 
     monkeypatch.setattr(FrameRenderer, "trace", counting)
     skies = ("sun:180,60", "sun:90,20")
-    # Scaling traces small pictures of its own (tests/simulate/test_seen_light.py).
+    # Scaling traces small pictures of its own (tests/simulation/test_seen_light.py).
     both = RelightOptions(
         name="day", sky=skies, sky_scale="none", cameras=("left_camera",), frames="0:1"
     )

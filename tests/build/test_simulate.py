@@ -176,6 +176,6 @@ def test_a_scene_is_laid_where_nobody_stands_in_the_way(
         ([("a", "b"), ("a",), *[("a", "b")] * 6], asked[1]),
     ):
         coming = iter(conflicts)
-        name = "lightsim.simulate.edited.find_conflicts"
+        name = "lightsim.simulation.edited.find_conflicts"
         monkeypatch.setattr(name, lambda *_, coming=coming: next(coming))
         assert edits("found") == expected

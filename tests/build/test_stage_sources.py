@@ -179,7 +179,7 @@ def stages_in(function: ast.FunctionDef) -> set[str]:
 
 
 def test_a_registered_method_counts_with_its_own_package() -> None:
-    relight = "lightsim.simulate.relight"
+    relight = "lightsim.simulation.relight"
     own = simulation_sources(relight, module_of_method("physical"))
     theirs = simulation_sources(relight, "lightsim_lab.baselines.methods")
     assert own.items() <= theirs.items()

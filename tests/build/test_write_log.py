@@ -27,8 +27,8 @@ from lightsim.datasets.safe_pickle import read_table
 from lightsim.errors import InputError, LightSimError
 from lightsim.export.pandaset.lists import WrittenFrames, _without_readout, _write
 from lightsim.export.pandaset.log import _is_made, log_folders
-from lightsim.simulate.options import SimulateOptions
-from lightsim.simulate.relight import replayed
+from lightsim.simulation.options import SimulateOptions
+from lightsim.simulation.relight import replayed
 from lightsim.store.pandaset_tables import cuboid_table, write_table
 from lightsim_lab.synthetic import shipped_street
 

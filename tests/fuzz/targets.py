@@ -26,9 +26,9 @@ from lightsim.lighting.target_sky import scale_to_source
 from lightsim.progress import SilentProgress
 from lightsim.reconstruct.field.config import config_from_json
 from lightsim.render.casters.embree import make_embree_caster
-from lightsim.simulate import relight as scenarios
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.skies import resolve_sky, sky_alone, sun_of_command
+from lightsim.simulation import relight as scenarios
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.skies import resolve_sky, sky_alone, sun_of_command
 from lightsim.store.alignment import read_alignment
 from lightsim.store.artefact import read_json
 from lightsim.store.assets import read_assets, read_mesh, write_assets

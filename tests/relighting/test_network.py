@@ -33,7 +33,7 @@ from lightsim.relighting.physical.ratio import (
     RelightInputs,
     relight_physical,
 )
-from lightsim.simulate.options import RelightOptions
+from lightsim.simulation.options import RelightOptions
 from lightsim.store.weights import (
     WEIGHTS_FOLDER,
     WeightsRecord,

@@ -1,7 +1,7 @@
 """Source code that decides the result of a stage or of a simulation.
 
 The hash of every such file is in the key of the artefact, so a changed constant makes the artefacts
-of the stages that use it stale, and no others. docs/pipeline.md lists what belongs to which stage.
+of the stages that use it stale, and no others. docs/artefacts.md lists what belongs to which stage.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ UNCOUNTED = {
     "lightsim.core.cores": "number of threads; results do not depend on it",
     "lightsim.core.option_types": "reads the command line; the values are in the configuration",
     "lightsim.build.options": "names and ranges of options; the values are in the configuration",
-    "lightsim.simulate.options": "the same, of simulations",
+    "lightsim.simulation.options": "the same, of simulations",
     "lightsim.core.checks": "accepts a value unchanged or raises",
     "lightsim.store.reading": "returns the bytes of a file or raises",
     "lightsim.store.atomic": "makes files appear whole",

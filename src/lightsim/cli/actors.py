@@ -21,7 +21,7 @@ class Actors:
 
     def run(self) -> None:
         """The table, and where the page with the pictures is."""
-        from lightsim.simulate.harvest import COLUMNS, write_actors_page
+        from lightsim.simulation.harvest import COLUMNS, write_actors_page
 
         page, table = write_actors_page(self.work)
         rows = [[str(cell) for cell in row] for row in table]

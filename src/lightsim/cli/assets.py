@@ -23,7 +23,7 @@ class AssetsList:
 
     def run(self) -> None:
         """A line an asset."""
-        from lightsim.simulate.edited import asset_library
+        from lightsim.simulation.edited import asset_library
 
         for info in asset_library(self.library).infos():
             size = " x ".join(f"{side:.2f}" for side in info.size_lwh_m)
@@ -57,7 +57,7 @@ class AssetsAdd:
     def run(self) -> None:
         """Store the model."""
         from lightsim.scenario.asset_library import add_model
-        from lightsim.simulate.edited import asset_library
+        from lightsim.simulation.edited import asset_library
 
         info = add_model(
             asset_library(self.library),
@@ -92,8 +92,8 @@ class AssetsHarvest:
 
     def run(self) -> None:
         """Store the actors."""
-        from lightsim.simulate.edited import asset_library
-        from lightsim.simulate.harvest import harvest
+        from lightsim.simulation.edited import asset_library
+        from lightsim.simulation.harvest import harvest
 
         prefix = self.prefix or self.work.resolve().name
         library = asset_library(self.library)

@@ -10,7 +10,7 @@ import tyro
 
 from lightsim.cli.options import Verbose, say
 from lightsim.progress import terminal_progress
-from lightsim.simulate.options import RelightOptions
+from lightsim.simulation.options import RelightOptions
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Relight:
 
     def run(self) -> None:
         """Relight, and say where the frames are."""
-        from lightsim.simulate.relight import relight
+        from lightsim.simulation.relight import relight
 
         for folder in relight(self.work, self.options, terminal_progress()):
             say(f"frames: {folder / 'frames'}")

@@ -10,7 +10,7 @@ import tyro
 
 from lightsim.cli.options import Verbose, say
 from lightsim.progress import terminal_progress
-from lightsim.simulate.options import RenderOptions
+from lightsim.simulation.options import RenderOptions
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Render:
 
     def run(self) -> None:
         """Render, and say how many frames were."""
-        from lightsim.simulate.buffers import render
+        from lightsim.simulation.buffers import render
 
         done = render(self.work, self.out, self.options, terminal_progress())
         kept = done.frames - done.rendered

@@ -49,7 +49,7 @@ class _Generator:
         from lightsim.scenario.edits import VERSION, parse_scenario
         from lightsim.scenario.generators import EgoLane
         from lightsim.scenario.replay import replay
-        from lightsim.simulate.edited import asset_library, edited_scenario, tell_conflicts
+        from lightsim.simulation.edited import asset_library, edited_scenario, tell_conflicts
         from lightsim.store.artefact import write_json
 
         workspace = Workspace(self.work)

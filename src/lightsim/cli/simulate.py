@@ -10,7 +10,7 @@ import tyro
 
 from lightsim.cli.options import Verbose, say
 from lightsim.progress import terminal_progress
-from lightsim.simulate.options import SimulateOptions
+from lightsim.simulation.options import SimulateOptions
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Simulate:
 
     def run(self) -> None:
         """Simulate, and say where the frames are."""
-        from lightsim.simulate.edited import simulate
+        from lightsim.simulation.edited import simulate
 
         for folder in simulate(self.work, self.scenario, self.options, terminal_progress()):
             say(f"frames: {folder / 'frames'}")

@@ -46,7 +46,7 @@ class SkyEstimateCommand:
             panorama_from_image,
         )
         from lightsim.lighting.sky.shipped import predict_sky
-        from lightsim.simulate.skies import sun_of_command
+        from lightsim.simulation.skies import sun_of_command
         from lightsim.store.images import read_srgb8_alpha
         from lightsim.store.sky import write_sky
 
@@ -80,7 +80,7 @@ class SkyShow:
 
     def run(self) -> None:
         """Describe a sky."""
-        from lightsim.simulate.skies import sky_alone
+        from lightsim.simulation.skies import sky_alone
         from lightsim.store.images import write_png
         from lightsim.view.figures import dome_preview
 

@@ -21,7 +21,7 @@ from lightsim.core.cores import THREADS, core_count
 from lightsim.core.version import __version__
 from lightsim.errors import InputError
 from lightsim.progress import Progress
-from lightsim.simulate.shard import Shard
+from lightsim.simulation.shard import Shard
 from lightsim.store.artefact import write_text
 from lightsim.store.reading import MAX_JSON_BYTES, read_bytes
 

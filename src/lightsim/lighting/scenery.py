@@ -24,7 +24,7 @@ EstimateMatte = Callable[
 _PLACE_STEP = 0.03
 """Mean step of log luminance from pixel to pixel, at `_WORKING_ROWS`, from 4 degrees above the
 horizon to it, or from there to 40 below. Of 53 outdoor day HDRIs the 9 without a place have at most
-0.023, the 44 places at least 0.037 (docs/lighting.md)."""
+0.023, the 44 places at least 0.037 (docs/benchmarks/lighting.md)."""
 _WORKING_ROWS = 256
 _EXPOSURE_LEVEL = 0.12
 """Value of the 60th percentile of the upper half in the pictures that are segmented: dark, so that

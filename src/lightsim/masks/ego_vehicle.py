@@ -21,7 +21,7 @@ _HOLD_S = 1.0
 
 
 # Grey levels run from 0 to 255. None was measured alone; the mask as a whole is worth 0.6 dB on
-# held-out frames of log 002 (docs/reconstruction.md).
+# held-out frames of log 002 (docs/benchmarks/reconstruction.md).
 
 # Pictures looked at, spread over the drive.
 _PICTURES = 12

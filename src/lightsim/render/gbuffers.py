@@ -27,7 +27,7 @@ def render_gbuffers(
     view: CameraFrame | RigidTransform,
     known: tuple[GBuffers, Int64[np.ndarray, " k"]] | None = None,
 ) -> GBuffers:
-    """Depth, position, normal, base colour and actor of every pixel (paper, Sec. 3.3).
+    """Depth, position, normal, base colour and actor of every pixel (paper, Sec. 4).
 
     `view` is a recorded frame, or the pose world_from_camera of a still camera.
     Normals are interpolated between vertices and face the camera. Ambient occlusion is 1:

@@ -22,7 +22,7 @@ from lightsim_lab.studies.paper_skies import PaperSkyOptions
 from lightsim_lab.studies.paper_table import PaperTableOptions
 
 if TYPE_CHECKING:
-    from lightsim.simulate.options import RelightOptions
+    from lightsim.simulation.options import RelightOptions
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class EvaluateRelight:
 
     def _relighting(self) -> list[RelightOptions]:
         """Of each method."""
-        from lightsim.simulate.options import RelightOptions
+        from lightsim.simulation.options import RelightOptions
 
         for method in self.method:
             check_choice("--method", method, tuple(ALL_METHODS))

@@ -26,8 +26,8 @@ from lightsim.errors import InputError
 from lightsim.progress import Progress
 from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import make_static_scene, without_actors
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relight import relight
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relight import relight
 from lightsim.store.exr import read_exr
 from lightsim_lab.baselines.colour_transfer_tables import BASELINES
 from lightsim_lab.metrics.base_colour import (

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from lightsim.errors import InputError
 from lightsim.fleet.batch import BatchCommand, BatchOptions, log_of, run_batch
 from lightsim.progress import Progress
-from lightsim.simulate.shard import Shard
+from lightsim.simulation.shard import Shard
 from lightsim.store.artefact import write_text
 from lightsim.store.weights import read_record
 from lightsim_lab.baselines.methods import ALL_METHODS, FIELD_METHOD

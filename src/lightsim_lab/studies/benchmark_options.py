@@ -11,7 +11,7 @@ from typing import Literal
 from lightsim.core.checks import check_choice
 from lightsim.core.option_types import Names
 from lightsim.errors import InputError
-from lightsim.simulate.shard import Shard
+from lightsim.simulation.shard import Shard
 from lightsim_lab.baselines.methods import ALL_METHODS, NETWORKS
 
 SourceSky = Literal["estimated", "true"]

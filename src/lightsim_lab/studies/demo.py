@@ -8,8 +8,8 @@ from lightsim.build.options import BuildOptions
 from lightsim.build.pipeline import build
 from lightsim.core.reading import LogReading
 from lightsim.progress import Progress
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relight import relight
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relight import relight
 from lightsim_lab.synthetic import shipped_street
 
 DEMO_SKIES = ("sun:100,25", "sun:265,12")

@@ -16,8 +16,8 @@ from lightsim.build.workspace import Workspace
 from lightsim.errors import InputError
 from lightsim.progress import Progress
 from lightsim.scenario.edits import read_scenario_request
-from lightsim.simulate.edited import simulate
-from lightsim.simulate.options import SimulateOptions
+from lightsim.simulation.edited import simulate
+from lightsim.simulation.options import SimulateOptions
 from lightsim.store.exr import read_exr
 from lightsim.store.images import read_srgb8
 from lightsim_lab.baselines.colour_transfer_tables import copy_source

@@ -17,7 +17,7 @@ from lightsim.build.quality.frames import FrameTask, score_frames
 from lightsim.build.workspace import Workspace
 from lightsim.errors import InputError
 from lightsim.progress import Progress
-from lightsim.simulate.options import RelightOptions
+from lightsim.simulation.options import RelightOptions
 from lightsim.store.images import read_grey8
 from lightsim_lab.baselines.colour_transfer_tables import BASELINES
 from lightsim_lab.metrics.consistency import ConsistencyRow

@@ -27,10 +27,10 @@ from lightsim.relighting.physical.ratio import (
     RelightInputs,
     relight_physical,
 )
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relight import replayed
-from lightsim.simulate.relighter import RelightConfig, Relighter, RelitFrame
-from lightsim.simulate.skies import resolve_sky
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relight import replayed
+from lightsim.simulation.relighter import RelightConfig, Relighter, RelitFrame
+from lightsim.simulation.skies import resolve_sky
 from lightsim.store.images import read_srgb8
 from lightsim_lab.studies.against_truth import as_truth
 from lightsim_lab.studies.benchmark_options import HELD_OUT

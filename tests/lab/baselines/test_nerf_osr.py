@@ -16,8 +16,8 @@ from lightsim.networks.loop import Session
 from lightsim.networks.stored import stored_tensors
 from lightsim.progress import SilentProgress
 from lightsim.reconstruct.field.ray_pool import RayPool
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relight_methods import relight_of, weights_hash
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relight_methods import relight_of, weights_hash
 from lightsim.store.artefact import hash_file
 from lightsim.store.checkpoint import FolderCheckpointer
 from lightsim.store.weights import WeightsRecord, write_weights

@@ -37,7 +37,7 @@ from lightsim.core.sensors import LazySweep, LidarSweep
 from lightsim.core.twin import Panorama, SceneAssets
 from lightsim.errors import InputError
 from lightsim.progress import SilentProgress
-from lightsim.simulate.options import RelightOptions
+from lightsim.simulation.options import RelightOptions
 from lightsim.store.images import write_exr, write_png
 from lightsim_lab.studies import against_truth, twin_error
 from lightsim_lab.studies.true_surfaces import TrueSurfaces

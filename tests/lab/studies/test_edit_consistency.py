@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_erosion
 from tests.render.rendering_scenes import look_at, plane
-from tests.simulate.test_edited_frames import SUNNY, edits_of, frame_of, photographed
+from tests.simulation.test_edited_frames import SUNNY, edits_of, frame_of, photographed
 from tests.tiny_world import ABOVE, LENS, TinyWorkspace, rendered, scenario_of, tiny_world
 
 from lightsim.core.buffers import BACKGROUND

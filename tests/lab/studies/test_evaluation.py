@@ -29,7 +29,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.reading import LogReading
 from lightsim.errors import InputError
 from lightsim.progress import SilentProgress
-from lightsim.simulate.options import RelightOptions
+from lightsim.simulation.options import RelightOptions
 from lightsim.store.images import write_exr, write_png
 from lightsim_lab.metrics.options import MeasureOptions
 from lightsim_lab.studies import against_truth, evaluation

@@ -13,8 +13,8 @@ from lightsim import cli
 from lightsim.errors import InputError
 from lightsim.progress import SilentProgress
 from lightsim.relighting.network.channels import LIGHT, SCENE, TARGET
-from lightsim.simulate.options import RelightOptions
-from lightsim.simulate.relight import relight
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relight import relight
 from lightsim.store.images import read_srgb8
 from lightsim_lab.studies.relight_samples import prepare_relight, write_samples
 from lightsim_lab.synthetic import shipped_street

@@ -38,7 +38,7 @@ def make_neural(
     fields, field = refine_by_field(log, fused, config, training, progress=context.progress)
     write_fields(folder, fields)
     record = WeightsRecord(
-        description="neural field of a log (docs/reconstruction.md)",
+        description="neural field of a log (docs/concepts/fields.md)",
         command="lightsim build",
         training_data="images and LiDAR of the log of this folder",
         split_hash=hash_names({"frames": [f"{f.camera_name}/{f.stem}" for f in log.frames]}),

@@ -1,6 +1,6 @@
 """One density over the sun's direction and over "clear sun or overcast" from all that is known.
 
-Cues (`sun_cues`) are taken as independent given the sun: their log likelihoods add up on a grid of
+Cues (`cues`) are taken as independent given the sun: their log likelihoods add up on a grid of
 directions of equal solid angle, which is made finer around the mass until it resolves it.
 """
 

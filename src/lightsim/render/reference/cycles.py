@@ -1,4 +1,4 @@
-"""Blender's Cycles as a reference renderer (paper, Sec. 3.3), in a process of its own.
+"""Blender's Cycles as a reference renderer (paper, Sec. 4), in a process of its own.
 
 The module bpy needs one exact version of Python and a NumPy before 2.0, which LightSim cannot use:
 it lives in another interpreter, which `cycles_worker.py` is run with.

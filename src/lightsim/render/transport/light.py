@@ -37,7 +37,7 @@ def light(
     sky: SkyDome | EnvironmentCells,
     config: TransportConfig,
 ) -> ShadowBuffers:
-    """Shaded and unshadowed images of one frame under one sky (paper, Sec. 3.3).
+    """Shaded and unshadowed images of one frame under one sky (paper, Sec. 4).
 
     The sky part and the bounce are linear in the dome. `unshadowed` sums the same rays as
     `sky` without their visibility, so that S <= 1, and S = 1 where nothing occludes, hold

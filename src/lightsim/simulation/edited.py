@@ -1,0 +1,121 @@
+"""`lightsim simulate`: the log with edits, under any sky."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from lightsim.build.workspace import Workspace
+from lightsim.core.scenario import Scenario
+from lightsim.errors import InputError
+from lightsim.export.pandaset.log import LogWriter, log_folders, write_logs
+from lightsim.progress import Progress
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.scenario.apply import apply_edits, driven_beside
+from lightsim.scenario.asset_library import AssetLibrary, default_folder
+from lightsim.scenario.conflicts import find_conflicts
+from lightsim.scenario.edits import Insert, ScenarioRequest, read_scenario_request
+from lightsim.scenario.ground import StandingGround
+from lightsim.scenario.shipped_assets import shipped_assets
+from lightsim.simulation.options import SimulateOptions
+from lightsim.simulation.relight import make_frames, opened_for, replayed
+from lightsim.simulation.relighter import RelightConfig
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def simulate(work: Path, request: Path, options: SimulateOptions, progress: Progress) -> list[Path]:
+    """Make the frames of SCENARIO.json from the twin of a work folder.
+
+    Returns:
+        WORK/scenarios/NAME for one sky; for several WORK/scenarios/NAME/<sky> of each, in order.
+
+    Raises:
+        ArtefactError: as `relight`.
+        InputError: as `relight`; or the scenario is wrong: an unknown actor or asset, a trajectory
+            outside the log's time; with `strict`, actors in one place, in walls or off the ground;
+            or the log cannot be written where it is asked for.
+    """
+    asked = read_scenario_request(request)
+    options = options.completed(asked.name, asked.sky)
+    with opened_for(work, options) as workspace:
+        recorded = scenario = replayed(workspace, options)
+        logs: Mapping[str, Path] = {}
+        if options.write_log is not None:
+            logs = log_folders(workspace, recorded, options.write_log, tuple(options.sky_by_name))
+        if asked.edits or options.ego_offset:
+            library = asset_library(options.library, request.parent)
+            scenario = edited_scenario(workspace, recorded, asked, library)
+            tell_conflicts(scenario.notes, asked.source, strict=options.strict)
+            if options.ego_offset is not None:
+                scenario = driven_beside(scenario, options.ego_offset)
+            made_of = _made_of(asked, library, options)
+            config = RelightConfig(exposure_s=options.exposure_time_ms / 1e3)
+            folders = make_frames(
+                workspace, scenario, options, progress, recorded, made_of, config, __name__
+            )
+        else:
+            folders = make_frames(workspace, recorded, options, progress)
+        if logs:
+            writer = LogWriter(workspace, recorded, scenario, progress)
+            write_logs(writer, logs, folders, is_overwriting=options.overwrite)
+        return folders
+
+
+def _made_of(
+    asked: ScenarioRequest, library: AssetLibrary, options: SimulateOptions
+) -> dict[str, Any]:
+    """What decides edited frames besides the options that all frames have."""
+    made_of: dict[str, Any] = {
+        "edits": asked.spelt,
+        "exposure_time_ms": options.exposure_time_ms,
+    }
+    named = sorted({edit.asset for edit in asked.edits if isinstance(edit, Insert)})
+    if named:
+        made_of["assets"] = {words: library.key(words) for words in named}
+    return made_of
+
+
+def asset_library(folder: Path | None, beside: Path = Path()) -> AssetLibrary:
+    """The library in a folder (by default the user's own), with what ships with LightSim."""
+    return AssetLibrary(folder or default_folder(), shipped_assets(), beside)
+
+
+def edited_scenario(
+    workspace: Workspace,
+    recorded: Scenario,
+    asked: ScenarioRequest,
+    library: AssetLibrary,
+) -> Scenario:
+    """The replayed log with the edits of SCENARIO.json; who stands in whose way is in its notes.
+
+    Raises:
+        InputError: an unknown actor or asset, or a trajectory outside the log's time.
+    """
+    background = make_embree_caster([workspace.twin.assets.background])
+    ground = StandingGround(workspace.fields.ground, background)
+    scenario = apply_edits(recorded, asked.edits, library.load, ground, workspace.log)
+    before = {id(track) for track in recorded.tracks}
+    edited = [track for track in scenario.tracks if id(track) not in before]
+    conflicts = find_conflicts(scenario, edited, ground)
+    return replace(scenario, edits=asked.spelt, notes=conflicts)
+
+
+def tell_conflicts(conflicts: Sequence[str], source: Path, *, strict: bool = False) -> None:
+    """Warn of what cannot be in a street.
+
+    Raises:
+        InputError: there is such a thing, and the user is strict.
+    """
+    if conflicts and strict:
+        raise InputError(
+            "the scenario is not possible",
+            where=source,
+            got="; ".join(conflicts),
+            remedy="Mend it, or leave --strict out to have it all the same.",
+        )
+    for conflict in conflicts:
+        _LOGGER.warning("%s: %s", source, conflict)

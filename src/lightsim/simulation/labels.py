@@ -1,0 +1,128 @@
+"""Labels of a frame: who is seen in which pixel, how far away, and how much of each is hidden."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Int32
+
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.scenario import ActorPlacement, Scenario
+from lightsim.core.sensors import CameraFrame
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.render.scene import placed_meshes
+from lightsim.simulation.relighter import RelitFrame
+from lightsim.store.artefact import write_json
+from lightsim.store.exr import write_exr
+from lightsim.store.images import write_png, write_png16
+
+
+def write_labels(folder: Path, scenario: Scenario, result: RelitFrame) -> None:
+    """labels/<camera>/<frame>.json, .actor.png (16 bit: the actor's number + 1, 0 nobody),
+    .depth.exr (metres along the optical axis, inf without a surface) and .edited.png (white where
+    the picture differs from the recorded one under the same sky); of a camera that stands elsewhere
+    .observed.png, too (white where recorded pictures show what it sees)."""
+    assert result.traced is not None
+    frame, buffers = result.frame, result.traced.geometry
+    stem = folder / "labels" / frame.camera_name / frame.stem
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    shown = np.maximum(buffers.actor_index, -1) + 1
+    write_png16(stem.with_name(f"{frame.stem}.actor.png"), shown.astype(np.uint16))
+    write_exr(stem.with_name(f"{frame.stem}.depth.exr"), buffers.depth_z_m)
+    is_edited = result.source.is_edited
+    write_png(stem.with_name(f"{frame.stem}.edited.png"), np.uint8(255) * is_edited)
+    is_observed = result.source.is_observed
+    if is_observed is not None:
+        write_png(stem.with_name(f"{frame.stem}.observed.png"), np.uint8(255) * is_observed)
+    camera = scenario.cameras[frame.camera_name]
+    write_json(
+        stem.with_name(f"{frame.stem}.json"),
+        {
+            "camera": frame.camera_name,
+            "frame": frame.stem,
+            "actors": actor_labels(scenario, frame, camera, buffers.actor_index),
+        },
+    )
+
+
+def actor_labels(
+    scenario: Scenario,
+    frame: CameraFrame,
+    camera: PinholeCamera,
+    actor_index: Int32[np.ndarray, "h w"],
+) -> list[dict[str, Any]]:
+    """What the actors show that have a shape and would be in the picture; see `_label`."""
+    labels = [
+        _label(scenario, placement, actor_index, frame, camera)
+        for placement in scenario.placements_at(frame.time_ns)
+    ]
+    return [label for label in labels if label["amodal_px"]]
+
+
+def _label(
+    scenario: Scenario,
+    placement: ActorPlacement,
+    actor_index: Int32[np.ndarray, "h w"],
+    frame: CameraFrame,
+    camera: PinholeCamera,
+) -> dict[str, Any]:
+    """What one actor shows: pixels, with nobody before it and as they are, and boxes round them
+    (left, top, right, bottom)."""
+    number = scenario.number_by_actor[placement.track.actor_id]
+    visible = actor_index == number
+    alone = amodal_mask(placement, frame, camera) | visible
+    return {
+        "actor_id": placement.track.actor_id,
+        "number": number,
+        "visible_px": int(visible.sum()),
+        "amodal_px": int(alone.sum()),
+        "visibility": float(visible.sum() / max(1, alone.sum())),
+        "visible_box": _box(visible),
+        "amodal_box": _box(alone),
+    }
+
+
+def amodal_mask(
+    placement: ActorPlacement, frame: CameraFrame, camera: PinholeCamera
+) -> Bool[np.ndarray, "h w"]:
+    """Pixels that would show an actor if nothing stood before it, within the picture."""
+    mask = np.zeros((camera.height_px, camera.width_px), dtype=bool)
+    rows, columns = _window(placement, frame, camera)
+    uv = camera.pixel_centres()[rows, columns]
+    if not uv.size:
+        return mask
+    caster = make_embree_caster(placed_meshes((placement,), frame.time_ns))
+    hits = caster.intersect(*frame.pixel_rays(camera, uv.reshape(-1, 2)))
+    mask[rows, columns] = hits.is_hit.reshape(uv.shape[:2])
+    return mask
+
+
+def _window(
+    placement: ActorPlacement, frame: CameraFrame, camera: PinholeCamera
+) -> tuple[slice, slice]:
+    """Rows and columns around an actor's box; all of them where a part of it is behind the
+    camera, none where all of it is."""
+    pose = placement.world_from_actor(frame.time_ns)
+    mesh = placement.asset.mesh.vertices.astype(np.float64)
+    ends = np.stack([mesh.min(axis=0), mesh.max(axis=0)])
+    corners = np.stack(np.meshgrid(*ends.T), axis=-1).reshape(-1, 3)
+    depth = frame.world_from_camera.inverse().apply(pose.apply(corners))[:, 2]
+    if (depth <= 0).all():
+        return slice(0, 0), slice(0, 0)
+    if (depth <= 0).any():
+        return slice(None), slice(None)
+    uv, _ = frame.project(camera, pose.apply(corners))
+    low = np.floor(uv.min(axis=0)).astype(int) - 1
+    high = np.ceil(uv.max(axis=0)).astype(int) + 1
+    left, right = np.clip([low[0], high[0]], 0, camera.width_px)
+    top, bottom = np.clip([low[1], high[1]], 0, camera.height_px)
+    return slice(top, bottom), slice(left, right)
+
+
+def _box(mask: Bool[np.ndarray, "h w"]) -> list[int] | None:
+    if not mask.any():
+        return None
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    return [int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1]

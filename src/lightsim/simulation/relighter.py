@@ -1,0 +1,253 @@
+"""Single frames of a twin under one target sky, and what is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from lightsim.build.workspace import Workspace
+from lightsim.core.buffers import ShadowBuffers
+from lightsim.core.dome import SkyDome, Sun
+from lightsim.core.log import DrivingLog
+from lightsim.core.scenario import Scenario, ScenarioFrame
+from lightsim.core.sensors import CameraFrame
+from lightsim.core.sky_choice import SkyChoice
+from lightsim.relighting.physical.compose import camera_image
+from lightsim.relighting.physical.glare import veiling_glare
+from lightsim.relighting.physical.ratio import Circumstances, RatioConfig, RelightInputs
+from lightsim.render.frame_renderer import FrameRenderer, TransportFrame, visible_sky
+from lightsim.render.renderers import Renderer, TracedFrame, make_reference
+from lightsim.render.transport.matrix import TransportConfig
+from lightsim.render.transport.sky import EnvironmentCells
+from lightsim.simulation.options import RelightOptions
+from lightsim.simulation.relight_methods import relight_of
+from lightsim.simulation.skies import TargetSky, resolve_sky
+from lightsim.simulation.source_image import SourceImage, SourceImages
+
+
+@dataclass(frozen=True)
+class RelightConfig:
+    """How frames are relit: settings that no option of all commands names."""
+
+    transport: TransportConfig = field(default_factory=lambda: TransportConfig(bounces=4))
+    """Light of source and target sky on the twin."""
+    ratio: RatioConfig = field(default_factory=RatioConfig)
+    """From the two lights to the relit pixels."""
+    exposure_s: float = 0.001
+    """How long shutters are open, where actors are new."""
+
+
+@dataclass(frozen=True, eq=False)
+class RelitFrame:
+    """One frame as it was asked for, and what it was made of.
+
+    Args:
+        frame: of the scenario.
+        image_srgb8: as the camera would have recorded it.
+        radiance: linear, scene units, before gain and exposure.
+        traced: the frame in the scenario; None where nothing had to be traced.
+        inputs: of relighting; None where pixels kept their light.
+        source: the frame under the source sky.
+        expected_error: mean absolute error expected of the picture's sRGB code, in [0, 1]; None
+            where the method does not tell.
+    """
+
+    frame: CameraFrame
+    image_srgb8: UInt8[np.ndarray, "h w 3"]
+    radiance: Float32[np.ndarray, "h w 3"]
+    traced: TransportFrame | None
+    inputs: RelightInputs | None
+    source: SourceImage
+    expected_error: Float32[np.ndarray, "h w"] | None = None
+
+    @property
+    def lights(self) -> tuple[ShadowBuffers, ShadowBuffers] | None:
+        """Of the source sky and of the target; None where pixels kept their light."""
+        return None if self.inputs is None else (self.inputs.source, self.inputs.target)
+
+
+@dataclass(frozen=True, eq=False)
+class RelightTarget:
+    """A target sky made ready for many frames.
+
+    Args:
+        sky: as it was resolved.
+        cells: for sums of light.
+        lit_by: the same for the renderer of the light that relighting reads.
+        level_ratio: light on level ground in the open, target over source.
+    """
+
+    sky: TargetSky
+    cells: EnvironmentCells
+    lit_by: Any
+    level_ratio: Float32[np.ndarray, "3"]
+
+
+class Relighter:
+    """Relights single frames of one workspace; a frame is traced once for all target skies."""
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        log: DrivingLog,
+        config: RelightConfig,
+        options: RelightOptions,
+        recorded: Scenario | None = None,
+        hidden: frozenset[str] = frozenset(),
+    ) -> None:
+        """`recorded`: the log as it was, where scenarios have edits. `hidden`: stems of frames
+        whose pictures do not help to show a view from elsewhere."""
+        self.log = log
+        self._options = options
+        self._relight = relight_of(workspace, options)
+        self._workspace = workspace
+        self._config = config
+        # Pictures show upper parts and sides of houses that no beam reached: they are matter there.
+        self._renderer = FrameRenderer(
+            workspace.twin.assets.background,
+            workspace.unobserved_occluders,
+            config.transport,
+            options.seed,
+            inferred_is_visible=True,
+        ).with_roofs(workspace.uncertain_roofs)
+        self._source_sky = workspace.sky.dome
+        if options.source_sky is not None:
+            given = SkyChoice(str(options.source_sky), scale="none")
+            self._source_sky = resolve_sky(given, workspace).dome
+        self._source = self._renderer.prepare(self._source_sky)
+        # Pictures of edits are always the light transport matrix's; what is relit is the chosen
+        # renderer's.
+        self._light: Renderer = self._renderer
+        if options.renderer.renderer != "transport":
+            self._light = make_reference(
+                options.renderer,
+                workspace.twin.assets.background,
+                workspace.unobserved_occluders,
+                options.seed,
+                inferred_is_visible=True,
+            )
+        self._light_source = self._prepared(self._source_sky, self._source)
+        self._images = SourceImages(
+            workspace,
+            log,
+            recorded,
+            self._renderer,
+            self._source,
+            config.exposure_s,
+            options.seed,
+            hidden,
+        )
+
+    def target(self, sky: TargetSky) -> RelightTarget:
+        """A target sky made ready."""
+        level = [d.horizontal_irradiance() for d in (self._source_sky, sky.dome)]
+        ratio = (level[1] / np.maximum(level[0], 1e-9)).astype(np.float32)
+        cells = self._renderer.prepare(sky.dome, sky.behind)
+        return RelightTarget(sky, cells, self._prepared(sky.dome, cells), ratio)
+
+    def _prepared(self, dome: SkyDome, cells: EnvironmentCells) -> Any:
+        """A sky for the renderer of light; `cells` are the light transport matrix's."""
+        return cells if self._light is self._renderer else self._light.prepare(dome)
+
+    def relit(
+        self, frame: ScenarioFrame, scenario: Scenario, targets: Sequence[RelightTarget]
+    ) -> Iterator[RelitFrame]:
+        """One frame under each target sky, in their order.
+
+        Under the source's own sky the source image is the answer; a frame without edits is not
+        traced for it.
+        """
+        camera = self.log.cameras[frame.camera_name]
+        is_needed = self._options.labels or not all(t.sky.is_source for t in targets)
+        is_needed |= self._images.is_needed(frame, scenario)
+        traced = self._renderer.trace(scenario, frame, camera) if is_needed else None
+        source = self._images.of(frame, scenario, traced)
+        lit, own_light, unveiled = None, None, None
+        for target in targets:
+            if target.sky.is_source:
+                image = source.srgb8
+                if self._options.exposure_ev:
+                    image = self._developed(frame, source.radiance)
+                yield RelitFrame(frame, image, source.radiance, traced, None, source)
+                continue
+            assert traced is not None
+            lit = lit or self._lit(traced, scenario)
+            own_light = own_light or lit.light(self._light_source)
+            lights = own_light, lit.light(target.lit_by)
+            if unveiled is None:
+                unveiled = self._veiled(traced, source.radiance, self._source.sun, -1)
+            yield self._relit(frame, traced, replace(source, radiance=unveiled), lights, target)
+
+    def _lit(self, traced: TransportFrame, scenario: Scenario) -> TracedFrame:
+        """A frame as the renderer of light has it."""
+        if self._light is self._renderer:
+            return traced
+        return self._light.trace(scenario, *traced.view)
+
+    def _developed(
+        self, frame: CameraFrame, radiance: Float32[np.ndarray, "h w 3"]
+    ) -> UInt8[np.ndarray, "h w 3"]:
+        gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
+        return camera_image(radiance, gain, self._options.exposure_ev)
+
+    def _veiled(
+        self,
+        traced: TransportFrame,
+        radiance: Float32[np.ndarray, "h w 3"],
+        sun: Sun | None,
+        sign: Literal[-1, 1],
+    ) -> Float32[np.ndarray, "h w 3"]:
+        """A picture with the glare of a sun on the lens, or (-1) without; as it is where no glare
+        is asked for."""
+        if sun is None or not self._options.glare:
+            return radiance
+        frame, camera = traced.view
+        rays = frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))[1]
+        veil = veiling_glare(
+            rays.reshape(camera.height_px, camera.width_px, 3),
+            frame.world_from_camera.rotation[:, 2],
+            sun,
+            traced.sun_on_lens(sun),
+            self._options.glare,
+        )
+        return np.maximum(radiance + sign * veil, 0)
+
+    def _relit(
+        self,
+        frame: ScenarioFrame,
+        traced: TransportFrame,
+        source: SourceImage,
+        lights: tuple[ShadowBuffers, ShadowBuffers],
+        target: RelightTarget,
+    ) -> RelitFrame:
+        gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
+        inputs = RelightInputs(
+            radiance=source.radiance,
+            is_clipped=source.is_clipped,
+            sky_matte=source.sky_matte,
+            buffers=traced.buffers,
+            source=lights[0],
+            target=lights[1],
+            target_sky=visible_sky(target.cells, *traced.view),
+            source_sun=self._source.sun,
+            target_sun=target.cells.sun,
+            found_visibility=traced.found_visibility(self._source.sun),
+            circumstances=Circumstances(
+                gain, frame.world_from_camera, self._source_sky, target.sky.dome
+            ),
+        )
+        found = self._relight(inputs, self._config.ratio)
+        radiance = found.radiance
+        ego_vehicle = self.log.ego_vehicle_masks.get(frame.camera_name)
+        if ego_vehicle is not None:
+            # It moves with the camera and has no mesh: lit as a level surface in the open.
+            radiance[ego_vehicle] = inputs.radiance[ego_vehicle] * target.level_ratio
+        radiance = self._veiled(traced, radiance, target.cells.sun, 1)
+        image = self._developed(frame, radiance)
+        return RelitFrame(
+            frame, image, radiance, traced, inputs, source, expected_error=found.expected_error
+        )
