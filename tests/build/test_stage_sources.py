@@ -202,7 +202,7 @@ def test_the_cause_is_told(tmp_path: Path, copied: Path, keys: dict[str, Artefac
     other = replace(sky, config=config, seed=1, inputs={**sky.inputs, "geometry": "0"})
     assert explain_staleness(record, other) == (
         "made with other settings: sun.gps = 'all', now 'none', model = 'analytic', now 'paper'",
-        "made from another geometry",
+        "its inputs have changed: geometry",
         "made with seed 0 instead of 1",
     )
     old = {name: value for name, value in record.items() if name != "sources"}

@@ -33,7 +33,7 @@ def explain_staleness(record: Mapping[str, Any], artefact_key: ArtefactKey) -> t
         name for name, key in artefact_key.inputs.items() if record["inputs"].get(name) != key
     ]
     if inputs:
-        reasons.append(f"made from another {_few(inputs)}")
+        reasons.append(f"its inputs have changed: {_few(inputs)}")
     if record.get("seed") != artefact_key.seed:
         reasons.append(f"made with seed {record.get('seed')} instead of {artefact_key.seed}")
     return tuple(reasons)
