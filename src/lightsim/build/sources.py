@@ -25,6 +25,7 @@ UNCOUNTED = {
     "lightsim.store.lock": "excludes a second process",
     "lightsim.store.artefact": "records and keys, which carry the number of their own format",
     "lightsim.store.source_hash": "computes these hashes",
+    "lightsim.store.staleness": "words about stale artefacts",
     "lightsim.build.sources": "this list",
 }
 """Modules that change no result, each with the reason. Neither they nor their imports count, so
