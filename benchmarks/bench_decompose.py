@@ -18,8 +18,9 @@ import numpy as np
 
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
 from lightsim.appearance.intrinsic.decompose import decompose
-from lightsim.build.source_light import SourceLight, static_returns
-from lightsim.build.stages.light import LIDAR_RETURNS, TwinConfig
+from lightsim.build.source_light import LIDAR_RETURNS, SourceLight
+from lightsim.build.stages.twin import TwinConfig
+from lightsim.build.static_returns import static_returns
 from lightsim.build.workspace import Workspace
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh

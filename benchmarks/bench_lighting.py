@@ -185,7 +185,7 @@ def _known_sun(direction: np.ndarray, sunny_probability: float) -> SunDirection:
 def _log(work: Path, truth: Path | None) -> None:
     """The sun of a build with all, some and no GPS; the stage sky stays as it is on disk."""
     from lightsim.build.source_sun import SourceSunConfig, find_source_sun
-    from lightsim.build.stages.light import SkyStageConfig, source_sky
+    from lightsim.build.stages.sky import SkyStageConfig, source_sky
     from lightsim.build.workspace import Workspace
     from lightsim.lighting.sky.shipped import predict_sky
     from lightsim_lab.synthetic.reader import true_sky

@@ -24,7 +24,7 @@ from scipy.spatial import KDTree
 from target_shadows import score
 
 from lightsim.build.assemble import roofs_over
-from lightsim.build.source_light import static_returns
+from lightsim.build.static_returns import static_returns
 from lightsim.build.workspace import Workspace
 from lightsim.core.buildings import Roofline
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes

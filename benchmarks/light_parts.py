@@ -30,17 +30,13 @@ import numpy as np
 from lightsim.appearance.build import AssetConfig, build_assets
 from lightsim.appearance.intrinsic import balance, decompose
 from lightsim.build.assemble import roofs_over
-from lightsim.build.source_light import SourceLight, static_returns
+from lightsim.build.source_light import IRRADIANCE, LIDAR_RETURNS, SourceLight
 from lightsim.build.source_sun import find_source_sun
 from lightsim.build.stages.context import Context
-from lightsim.build.stages.light import (
-    IRRADIANCE,
-    LIDAR_RETURNS,
-    SkyStageConfig,
-    TwinConfig,
-    make_panorama,
-    source_sky,
-)
+from lightsim.build.stages.panorama import make_panorama
+from lightsim.build.stages.sky import SkyStageConfig, source_sky
+from lightsim.build.stages.twin import TwinConfig
+from lightsim.build.static_returns import static_returns
 from lightsim.build.workspace import Workspace
 from lightsim.core.colour import LUMINANCE_WEIGHTS
 from lightsim.core.dome import SkyDome

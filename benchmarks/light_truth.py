@@ -29,19 +29,19 @@ from lightsim.appearance.intrinsic.shadow_pairs import (
     space_blocks,
 )
 from lightsim.build.assemble import roofs_over
-from lightsim.build.source_light import SourceLight, static_returns
+from lightsim.build.source_light import IRRADIANCE, LIDAR_RETURNS, SourceLight
 from lightsim.build.source_sun import SourceSunConfig, find_source_sun
-from lightsim.build.stages.light import IRRADIANCE, LIDAR_RETURNS
+from lightsim.build.static_returns import static_returns
 from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import BACKGROUND
 from lightsim.core.colour import LUMINANCE_WEIGHTS
 from lightsim.core.dome import SkyDome, resized
 from lightsim.core.frames import RigidTransform
+from lightsim.core.twin import parked_actor_meshes
 from lightsim.lighting.sky.balance import unseen_part
 from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
 from lightsim.lighting.sky.shipped import predict_sky
 from lightsim.progress import SilentProgress
-from lightsim.render.frame_renderer import parked_actor_meshes
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.sun import sun_visibility
 from lightsim.store.exr import read_exr

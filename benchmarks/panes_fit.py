@@ -25,7 +25,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 from true_materials import material_names
 
 from lightsim.build.stages.context import Context
-from lightsim.build.stages.surfaces import facades_of
+from lightsim.build.stages.geometry import facades_of
 from lightsim.build.workspace import Workspace
 from lightsim.core.buildings import Wall
 from lightsim.core.version import __version__

@@ -11,6 +11,7 @@ import pytest
 
 import lightsim
 from lightsim import errors
+from lightsim.store.source_hash import imported_names
 
 SOURCES = Path(__file__).resolve().parents[1] / "src"
 PRODUCT, LABORATORY = "lightsim", "lightsim_lab"
@@ -43,12 +44,9 @@ def module_name(path: Path) -> str:
 def imports_of(source: str, modules: set[str]) -> set[str]:
     """Return the modules of this repository that a source imports, inside functions too."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import):
-            names.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            inner = {f"{node.module}.{alias.name}" for alias in node.names}
-            names |= inner & modules or {node.module}
+    for module, member in imported_names(ast.parse(source), "", has_types=True):
+        inner = f"{module}.{member}"
+        names.add(inner if inner in modules else module)
     return {name for name in names if name.split(".")[0] in (PRODUCT, LABORATORY)}
 
 

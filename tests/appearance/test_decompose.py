@@ -13,12 +13,12 @@ from lightsim.appearance.intrinsic import reflectance
 from lightsim.appearance.intrinsic.balance import balance_light
 from lightsim.appearance.intrinsic.decompose import (
     IntrinsicConfig,
-    LidarReturns,
     SurfaceLight,
     decompose,
     patches_of,
 )
 from lightsim.appearance.intrinsic.light import LightAt, LightBalance, Reflections, SeenPoints
+from lightsim.core.lidar_returns import LidarReturns
 from lightsim.core.mesh import Texture, TriMesh
 from lightsim.core.twin import LightFreedom
 from lightsim.errors import InputError

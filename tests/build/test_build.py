@@ -18,7 +18,8 @@ import pytest
 from scipy.spatial import KDTree
 
 from lightsim.build.options import BuildOptions
-from lightsim.build.pipeline import build, status
+from lightsim.build.pipeline import build
+from lightsim.build.status import status
 from lightsim.build.workspace import Workspace
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.mesh import Provenance

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from lightsim import cli
-from lightsim.build.pipeline import status
 from lightsim.build.quality.metrics import psnr
+from lightsim.build.status import status
 from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import BACKGROUND, NO_SURFACE
 from lightsim.progress import SilentProgress

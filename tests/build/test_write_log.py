@@ -258,7 +258,7 @@ def test_a_log_is_made_anew_where_its_frames_or_lightsim_are_others(edited: Path
     with pytest.raises(InputError, match="--overwrite"):
         _is_made(log, others, is_overwriting=False)
     try:
-        (log / "simulated.json").write_text(json.dumps({**mark, "schema": 0}))
+        (log / "simulated.json").write_text(json.dumps({**mark, "code": "other"}))
         assert not _is_made(log, now, is_overwriting=False)
     finally:
         (log / "simulated.json").write_text(json.dumps(mark))

@@ -9,7 +9,7 @@ from unittest import mock
 import numpy as np
 
 from lightsim.api import load_log
-from lightsim.build.pipeline import status
+from lightsim.build.status import status
 from lightsim.build.workspace import FIELD_CONFIG_NAME, FIELD_NAME, Workspace
 from lightsim.core.actors import ActorKind
 from lightsim.core.dome import SkyDome

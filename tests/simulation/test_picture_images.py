@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,11 +28,14 @@ from lightsim.render.options import RendererChoice
 from lightsim.render.renderers import make_renderer
 from lightsim.scenario.apply import driven_beside
 from lightsim.scenario.replay import replay
-from lightsim.simulation.buffers import Layout, write_frames
+from lightsim.simulation import relight_methods
+from lightsim.simulation.buffers import Layout, _claim, _settings, write_frames
 from lightsim.simulation.options import RelightOptions, RenderOptions
 from lightsim.simulation.picture_images import PictureImages, shown_by_pictures
 from lightsim.simulation.skies import TargetSky
+from lightsim.store.artefact import hash_names, json_ready, read_json, write_json
 from lightsim.store.images import read_exr
+from lightsim.store.weights import list_weights
 
 SKY = sun_sky(np.radians(30.0), 35.0, 0.15)
 OPTIONS = RenderOptions(what=("image",))
@@ -117,3 +121,35 @@ def test_denoising_is_for_rendered_images() -> None:
     with pytest.raises(InputError, match="--image-from twin"):
         RenderOptions(what=("image",), renderer=denoised)
     assert not RenderOptions(what=("image",), image_from="twin", renderer=denoised).has_pictures
+
+
+def claim(out: Path, settings: dict[str, Any]) -> None:
+    _claim(Layout(out, ("image",), (), hash_names(settings)), settings, {})
+
+
+def test_a_folder_keeps_the_weights_and_the_code_that_its_images_were_made_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(TinyWorkspace, "record", lambda self, stage: {"key": stage}, raising=False)
+    work = workspace()
+    twin_alone = replace(OPTIONS, image_from="twin")
+    before, twin_before = (_settings(work, chosen, 1.0) for chosen in (OPTIONS, twin_alone))
+    assert before["method"] == "network"
+    claim(tmp_path, before)
+    claim(tmp_path, before)
+    assert read_json(tmp_path / "render.json") == json_ready(before)
+
+    other = {**list_weights(), "relight-network": {"relight-network.safetensors": "00"}}
+    monkeypatch.setattr(relight_methods, "list_weights", lambda folder: other)
+    assert _settings(work, twin_alone, 1.0) == twin_before
+    with pytest.raises(InputError, match=r"other settings.*weights = 00.*--out"):
+        claim(tmp_path, _settings(work, OPTIONS, 1.0))
+    with pytest.raises(InputError, match=r"other settings.*relighting"):
+        claim(tmp_path, {**before, "relighting": {**before["relighting"], "exposure_s": 1.0}})
+
+    changed = {**before["sources"], "lightsim/relighting/physical/ratio.py": "00"}
+    with pytest.raises(InputError, match=r"other code.*physical/ratio\.py changed.*--out"):
+        claim(tmp_path, {**before, "sources": changed})
+    write_json(tmp_path / "render.json", {"schema": 12, **before, "sources": None})
+    with pytest.raises(InputError, match=r"other code.*no record of it"):
+        claim(tmp_path, before)

@@ -20,7 +20,13 @@ from lightsim.store.artefact import (
 
 
 def artefact_key(**changes: object) -> ArtefactKey:
-    base = {"stage": "toy", "schema": 1, "config": {"size": 3}, "inputs": {"log": "a"}, "seed": 0}
+    base = {
+        "stage": "toy",
+        "sources": {"a.py": "1"},
+        "config": {"size": 3},
+        "inputs": {"log": "a"},
+        "seed": 0,
+    }
     return ArtefactKey(**{**base, **changes})  # type: ignore[arg-type]
 
 
@@ -39,8 +45,9 @@ def test_made_once_then_reused_then_stale(tmp_path: Path) -> None:
     assert first == second
     assert len(calls) == 1
     assert first["notes"] == ["said once"]
-    for change in ({"config": {"size": 4}}, {"inputs": {"log": "b"}}, {"seed": 1}, {"schema": 2}):
-        assert state_of(folder, artefact_key(**change)) == "stale"
+    changes = {"config": {"size": 4}, "inputs": {"log": "b"}, "seed": 1, "sources": {"a.py": "2"}}
+    for name, value in changes.items():
+        assert state_of(folder, artefact_key(**{name: value})) == "stale"
     assert [p.name for p in tmp_path.iterdir()] == ["toy"]
 
 

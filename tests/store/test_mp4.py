@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
 import av
 import numpy as np
 import pytest
 
 from lightsim.errors import InputError
-from lightsim.store.mp4 import Mp4Writer
+from lightsim.store.mp4 import DEFAULT_CODEC, Codec, Mp4Writer
 
 
 def _frame(index: int) -> np.ndarray:
@@ -17,14 +18,15 @@ def _frame(index: int) -> np.ndarray:
     return frame
 
 
-def _write(path: Path) -> None:
-    with Mp4Writer(path, 65, 49, 10.0) as video:
+def _write(path: Path, codec: Codec = DEFAULT_CODEC) -> None:
+    with Mp4Writer(path, 65, 49, 10.0, codec) as video:
         for index in range(8):
             video.write(_frame(index))
 
 
-def test_frames_come_back(tmp_path: Path) -> None:
-    _write(tmp_path / "a.mp4")
+@pytest.mark.parametrize("codec", get_args(Codec))
+def test_frames_come_back(tmp_path: Path, codec: Codec) -> None:
+    _write(tmp_path / "a.mp4", codec)
     with av.open(str(tmp_path / "a.mp4")) as container:
         back = [
             frame.reformat(format="rgb24", src_colorspace="ITU709").to_ndarray()
@@ -38,15 +40,17 @@ def test_frames_come_back(tmp_path: Path) -> None:
         assert np.abs(frame.astype(int) - expected).mean() < 6
 
 
-def test_standard_tags_and_same_bytes(tmp_path: Path) -> None:
-    _write(tmp_path / "a.mp4")
-    _write(tmp_path / "b.mp4")
+@pytest.mark.parametrize("codec", get_args(Codec))
+def test_standard_tags_and_same_bytes(tmp_path: Path, codec: Codec) -> None:
+    _write(tmp_path / "a.mp4", codec)
+    _write(tmp_path / "b.mp4", codec)
     data = (tmp_path / "a.mp4").read_bytes()
     assert data == (tmp_path / "b.mp4").read_bytes()
     assert data.find(b"moov") < data.find(b"mdat")
     with av.open(str(tmp_path / "a.mp4")) as container:
         stream = container.streams.video[0]
         context = stream.codec_context
+        assert context.codec.canonical_name == codec
         assert (context.pix_fmt, stream.average_rate) == ("yuv420p", 10)
         assert (context.color_primaries, context.color_trc, context.colorspace) == (1, 1, 1)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mp4", "b.mp4"]
@@ -63,3 +67,16 @@ def test_nothing_is_left_after_an_error(tmp_path: Path) -> None:
         Mp4Writer(tmp_path / "a.mp4", 64, 48, 0.0)
     with pytest.raises(InputError, match="does not exist"):
         Mp4Writer(tmp_path / "no" / "a.mp4", 64, 48, 10.0)
+
+
+def test_the_default_encoder_is_not_under_the_gpl(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the encoders under the GPL taken out of PyAV, films are written all the same; a codec
+    without an encoder is refused before a file is made."""
+    free = {name for name in av.codecs_available if not name.startswith(("libx264", "libx265"))}
+    monkeypatch.setattr(av, "codecs_available", free)
+    _write(tmp_path / "a.mp4")
+    with pytest.raises(InputError, match=r"--video-codec h264.*libx264.*expected one of vp9"):
+        _write(tmp_path / "b.mp4", "h264")
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mp4"]

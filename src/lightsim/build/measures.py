@@ -17,7 +17,7 @@ from lightsim.build.quality.geometry import (
     LidarScores,
     evaluate_lidar,
 )
-from lightsim.build.stages.recording import sample_guide
+from lightsim.build.sample_guide import sample_guide
 from lightsim.build.workspace import Workspace
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.log import DrivingLog

@@ -19,8 +19,26 @@ from lightsim.build.measures import MeasureConfig
 from lightsim.build.options import BuildOptions
 from lightsim.build.report import ReportConfig
 from lightsim.build.source_sun import SourceSunConfig
-from lightsim.build.stages import light, published, recording, results, surfaces
+from lightsim.build.sources import stage_sources
+from lightsim.build.stages.alignment import make_alignment
+from lightsim.build.stages.assets import make_assets
 from lightsim.build.stages.context import Context
+from lightsim.build.stages.fields import make_fields
+from lightsim.build.stages.geometry import make_geometry
+from lightsim.build.stages.log import make_log
+from lightsim.build.stages.masks import make_held_out_masks, make_masks
+from lightsim.build.stages.measures import make_measures
+from lightsim.build.stages.neural import make_neural
+from lightsim.build.stages.panorama import make_panorama
+from lightsim.build.stages.published.assets import make_assets as publish_assets
+from lightsim.build.stages.published.fields import make_fields as publish_fields
+from lightsim.build.stages.published.geometry import make_geometry as publish_geometry
+from lightsim.build.stages.published.sky import DecodedSkyConfig
+from lightsim.build.stages.published.sky import make_sky as publish_sky
+from lightsim.build.stages.published.twin import make_twin as publish_twin
+from lightsim.build.stages.report import make_report
+from lightsim.build.stages.sky import SkyStageConfig, make_sky
+from lightsim.build.stages.twin import TwinConfig, make_twin
 from lightsim.build.workspace import OPTIONS_NAME, Workspace
 from lightsim.core.checks import check_choice
 from lightsim.datasets.fingerprint import hash_recording
@@ -34,7 +52,6 @@ from lightsim.reconstruct.fusion import config as fuse_config
 from lightsim.store.artefact import (
     ArtefactKey,
     State,
-    find_damage,
     hash_names,
     json_ready,
     make_artefact,
@@ -46,7 +63,8 @@ from lightsim.store.artefact import (
 from lightsim.store.atomic import sweep_partials
 from lightsim.store.lock import LOCK_NAME, locked
 from lightsim.store.log import reading_from_json
-from lightsim.store.reading import is_folder
+from lightsim.store.source_hash import SourceTree
+from lightsim.store.staleness import explain_staleness
 
 logger = logging.getLogger(__name__)
 
@@ -69,14 +87,13 @@ class Stage:
 
     Args:
         name: of the artefact folder.
-        schema: raise it when the stage's algorithm, constants or files change.
         needs: artefacts it reads.
         config: what presets and options decide of it.
-        make: fills the folder, returns notes.
+        make: fills the folder, returns notes; its module and all that it imports are the sources
+            of the stage (build/sources.py).
     """
 
     name: str
-    schema: int
     needs: tuple[str, ...]
     config: Callable[[BuildOptions], Any]
     make: Callable[[Workspace, Any, Path, Context], Iterable[str]]
@@ -100,121 +117,61 @@ def _stitch_config(options: BuildOptions) -> StitchConfig:
     return StitchConfig(frame_count=1) if options.preset == "paper" else StitchConfig()
 
 
-def _sky_config(options: BuildOptions) -> light.SkyStageConfig:
+def _sky_config(options: BuildOptions) -> SkyStageConfig:
     sun = SourceSunConfig(gps=options.gps)
-    return light.SkyStageConfig(sun, model=options.sky_model or "analytic")
+    return SkyStageConfig(sun, model=options.sky_model or "analytic")
 
 
 def _no_settings(_: BuildOptions) -> None:
-    """Of a stage whose numbers are constants: its schema stands for them."""
+    """Return the configuration of a stage whose numbers are constants of its modules."""
 
 
 STAGES = (
-    Stage("log", 4, (), lambda o: replace(o.reading, source=""), recording.make_log),
-    Stage("masks", 11, ("log",), _no_settings, recording.make_masks),
-    Stage("held_out_masks", 9, ("log",), _no_settings, recording.make_held_out_masks),
-    Stage(
-        "alignment",
-        4,
-        ("log",),
-        lambda o: AlignConfig().without(o.no_refine),
-        recording.make_alignment,
-    ),
-    Stage("fields", 4, ("log", "alignment"), lambda o: _FUSE[o.preset](), recording.make_fields),
-    Stage(
-        "neural",
-        1,
-        ("log", "masks", "alignment", "fields"),
-        _neural_config,
-        recording.make_neural,
-    ),
-    Stage(
-        "geometry",
-        30,
-        ("log", "masks", "alignment", "neural"),
-        _no_settings,
-        surfaces.make_geometry,
-    ),
+    Stage("log", (), lambda o: replace(o.reading, source=""), make_log),
+    Stage("masks", ("log",), _no_settings, make_masks),
+    Stage("held_out_masks", ("log",), _no_settings, make_held_out_masks),
+    Stage("alignment", ("log",), lambda o: AlignConfig().without(o.no_refine), make_alignment),
+    Stage("fields", ("log", "alignment"), lambda o: _FUSE[o.preset](), make_fields),
+    Stage("neural", ("log", "masks", "alignment", "fields"), _neural_config, make_neural),
+    Stage("geometry", ("log", "masks", "alignment", "neural"), _no_settings, make_geometry),
     Stage(
         "assets",
-        12,
         ("log", "masks", "alignment", "fields", "neural", "geometry"),
         _asset_config,
-        surfaces.make_assets,
+        make_assets,
     ),
+    Stage("panorama", ("log", "masks", "alignment", "assets"), _stitch_config, make_panorama),
+    Stage("sky", ("log", "alignment", "geometry", "assets", "panorama"), _sky_config, make_sky),
     Stage(
-        "panorama",
-        2,
-        ("log", "masks", "alignment", "assets"),
-        _stitch_config,
-        light.make_panorama,
-    ),
-    Stage(
-        "sky",
-        14,
-        ("log", "alignment", "geometry", "assets", "panorama"),
-        _sky_config,
-        light.make_sky,
-    ),
-    Stage(
-        "twin",
-        20,
-        ("log", "alignment", "neural", "assets", "sky"),
-        lambda o: light.TwinConfig(),
-        light.make_twin,
+        "twin", ("log", "alignment", "neural", "assets", "sky"), lambda o: TwinConfig(), make_twin
     ),
     Stage(
         "measures",
-        2,
         ("log", "held_out_masks", "alignment", "assets", "sky"),
         lambda o: MeasureConfig(),
-        results.make_measures,
+        make_measures,
     ),
     Stage(
         "report",
-        2,
         ("log", "masks", "held_out_masks", "alignment", "panorama", "sky", "twin", "measures"),
         lambda o: ReportConfig(tuple(s.name for s in STAGES if s.name != "report")),
-        results.make_report,
+        make_report,
     ),
 )
 
 PUBLISHED = (
-    Stage(
-        "fields",
-        2,
-        ("log", "alignment"),
-        lambda o: fuse_config.paper(),
-        published.make_fields,
-    ),
-    Stage(
-        "geometry",
-        1,
-        ("log", "alignment", "neural"),
-        lambda o: BaseMaterials(),
-        published.make_geometry,
-    ),
+    Stage("fields", ("log", "alignment"), lambda o: fuse_config.paper(), publish_fields),
+    Stage("geometry", ("log", "alignment", "neural"), lambda o: BaseMaterials(), publish_geometry),
     Stage(
         "assets",
-        1,
         ("log", "alignment", "fields", "neural", "geometry"),
         _asset_config,
-        published.make_assets,
+        publish_assets,
     ),
     Stage(
-        "sky",
-        1,
-        ("log", "alignment", "panorama"),
-        lambda o: published.DecodedSkyConfig(gps=o.gps),
-        published.make_sky,
+        "sky", ("log", "alignment", "panorama"), lambda o: DecodedSkyConfig(gps=o.gps), publish_sky
     ),
-    Stage(
-        "twin",
-        1,
-        ("log", "alignment", "assets", "sky"),
-        _no_settings,
-        published.make_twin,
-    ),
+    Stage("twin", ("log", "alignment", "assets", "sky"), _no_settings, publish_twin),
 )
 """The rows that `--preset paper` has in place of those of the same names."""
 
@@ -225,17 +182,22 @@ def stages_of(options: BuildOptions) -> tuple[Stage, ...]:
     return tuple(own.get(stage.name, stage) for stage in STAGES)
 
 
-def artefact_keys(options: BuildOptions, source_key: str) -> dict[str, ArtefactKey]:
+def artefact_keys(
+    options: BuildOptions, source_key: str, tree: SourceTree | None = None
+) -> dict[str, ArtefactKey]:
     """The recipe of every stage; a stage's key holds the keys of all it needs.
 
     Args:
+        options: of the build.
         source_key: hash of the recording.
+        tree: source code of LightSim; by default the installed one.
     """
     made: dict[str, ArtefactKey] = {}
     for stage in stages_of(options):
         inputs = {name: made[name].key for name in stage.needs} or {"source": source_key}
+        sources = stage_sources(stage.make, is_first=not stage.needs, tree=tree)
         made[stage.name] = ArtefactKey(
-            stage.name, stage.schema, json_ready(_as_mapping(stage, options)), inputs, options.seed
+            stage.name, sources, json_ready(_as_mapping(stage, options)), inputs, options.seed
         )
     return made
 
@@ -288,7 +250,7 @@ def _build(work: Path, options: BuildOptions, progress: Progress, until: str) ->
         if state == "made":
             logger.info("%-14s kept", stage.name)
             continue
-        logger.info("%-14s %s", stage.name, "is damaged: anew ..." if state == "broken" else "...")
+        logger.info("%-14s %s...", stage.name, _why(folder, artefact_key, state))
         with workspace.opened((*stage.needs, stage.name)):
             record = make_artefact(
                 folder,
@@ -308,6 +270,16 @@ def _build(work: Path, options: BuildOptions, progress: Progress, until: str) ->
     return workspace
 
 
+def _why(folder: Path, artefact_key: ArtefactKey, state: State) -> str:
+    """Words for the user about an artefact that is made anew; none where it is missing."""
+    if state == "broken":
+        return "is damaged: anew "
+    record = read_record(folder) if state == "stale" else None
+    if record is None:
+        return ""
+    return f"{'; '.join(explain_staleness(record, artefact_key))}: anew "
+
+
 def _check_places(source: Path, work: Path) -> None:
     """The work folder must not become part of the recording."""
     inside = work.resolve()
@@ -323,57 +295,6 @@ def _check_places(source: Path, work: Path) -> None:
 def _stages_until(options: BuildOptions, name: str) -> tuple[Stage, ...]:
     """The table's rows up to one, with it."""
     return stages_of(options)[: [stage.name for stage in STAGES].index(name) + 1]
-
-
-@dataclass(frozen=True)
-class StageStatus:
-    """One line of `lightsim status`."""
-
-    name: str
-    state: State
-    seconds: float | None
-    peak_memory_mb: int | None
-    damage: tuple[str, ...]
-
-
-def status(work: Path, *, is_hashed: bool = False) -> list[StageStatus]:
-    """State of every artefact against the options that the last build of `work` used, and against
-    the recording, where that is still in its place.
-
-    Args:
-        is_hashed: read every file and compare its bytes, not only its size.
-
-    Raises:
-        ArtefactError: `work` holds no build.
-    """
-    options = read_options(work)
-    by_stage = artefact_keys(options, _source_key(work, Path(options.reading.source)))
-    return [
-        _status_of(work / name, artefact_key, is_hashed) for name, artefact_key in by_stage.items()
-    ]
-
-
-def _source_key(work: Path, source: Path) -> str:
-    """Hash of the recording; where it is gone, of what the build found."""
-    if is_folder(source):
-        return hash_names(hash_recording(source))
-    logger.warning("%s: the recording is gone; changes in it cannot be told", source)
-    record = read_record(work / "log")
-    return "" if record is None else record["inputs"].get("source", "")
-
-
-def _status_of(folder: Path, artefact_key: ArtefactKey, is_hashed: bool) -> StageStatus:
-    state = state_of(folder, artefact_key)
-    try:
-        record = read_record(folder)
-    except ArtefactError as error:
-        return StageStatus(folder.name, state, None, None, (error.what,))
-    if record is None:
-        return StageStatus(folder.name, state, None, None, ())
-    damage = find_damage(folder, record, is_hashed=is_hashed)
-    if damage and state == "made":
-        state = "broken"
-    return StageStatus(folder.name, state, record["seconds"], record["peak_memory_mb"], damage)
 
 
 def read_options(work: Path) -> BuildOptions:

@@ -14,11 +14,10 @@ from lightsim.core.dome import Sun
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
-from lightsim.core.twin import SceneAssets
+from lightsim.core.twin import SceneAssets, parked_actor_meshes
 from lightsim.geometry.completion.silhouettes import spaced_views
 from lightsim.geometry.materials import ASPHALT
 from lightsim.render.casters.embree import make_embree_caster
-from lightsim.render.frame_renderer import parked_actor_meshes
 from lightsim.render.transport.lobes import Lobes, normal_reflectance, sun_in_lobes
 
 _BASELINE_M, _PIXELS = 2.0, 2500

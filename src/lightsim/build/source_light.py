@@ -7,20 +7,24 @@ from dataclasses import replace
 import numpy as np
 
 from lightsim.appearance.intrinsic.light import LightAt, Reflections, SeenPoints, SurfaceLight
-from lightsim.appearance.intrinsic.surfels import LidarReturns
 from lightsim.core.dome import SkyDome
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
-from lightsim.core.twin import SceneAssets
+from lightsim.core.twin import SceneAssets, parked_actor_meshes
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.composite import CompositeCaster
-from lightsim.render.frame_renderer import parked_actor_meshes
 from lightsim.render.scene import FrameScene, make_static_scene, without_actors
 from lightsim.render.transport.irradiance import IrradianceConfig, irradiance_at
 from lightsim.render.transport.lobes import Lobes, normal_reflectance
-from lightsim.render.transport.matrix import static_face_table
+from lightsim.render.transport.matrix import TransportConfig, static_face_table
 from lightsim.render.transport.sun import sun_visibility, unshadowed_sun
+
+IRRADIANCE = IrradianceConfig(TransportConfig(sky_rays=32, face_rays=8, glossy_rays=64), 0.25)
+"""Sun, sky and the light of other surfaces as it was seen; what was not seen is grey. Few rays for
+reflections leave coloured clouds on shaded asphalt, whose own radiance is small."""
+LIDAR_RETURNS = 1_500_000
+"""LiDAR returns whose intensity is asked."""
 
 
 class SourceLight:
@@ -106,24 +110,3 @@ def _with_casters(scene: FrameScene, inferred: TriMesh) -> FrameScene:
         normals=(*scene.static.normals, inferred.vertex_normals()),
     )
     return replace(scene, static=static)
-
-
-def static_returns(log: DrivingLog, count: int, rng: np.random.Generator) -> LidarReturns:
-    """About `count` LiDAR returns from what does not move, in frame `world`."""
-    fraction = count / max(1, sum(len(s.load().intensity) for s in log.sweeps))
-    points, origins, intensity = [], [], []
-    for lazy in log.sweeps:
-        sweep = lazy.load()
-        keep = rng.random(len(sweep.intensity)) < fraction
-        for actor in log.actors_at(sweep.time_ns):
-            if actor.is_moving:
-                keep &= ~actor.contains(sweep.points_world.astype(np.float64), sweep.time_ns, 0.3)
-        points.append(sweep.points_world[keep])
-        origins.append(sweep.origins_world[keep])
-        intensity.append(sweep.intensity[keep])
-    empty = np.zeros((0, 3), np.float32)
-    return LidarReturns(
-        np.concatenate([empty, *points]),
-        np.concatenate([empty, *origins]),
-        np.concatenate([empty[:, 0], *intensity]),
-    )

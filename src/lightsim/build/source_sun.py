@@ -10,6 +10,7 @@ from lightsim.build.options import GpsUse
 from lightsim.build.workspace import Workspace
 from lightsim.core.log import GeoReference
 from lightsim.core.solar import solar_position
+from lightsim.core.twin import parked_actor_meshes
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sun.cues import Cue, NetworkCue, ShadowCue, ephemeris_cue, panorama_cues
 from lightsim.lighting.sun.direction import SunDirection
@@ -22,7 +23,6 @@ from lightsim.lighting.sun.shadow_likelihood import ShadowLikelihood, ShadowLike
 from lightsim.lighting.sun.surface_samples import sample_surfaces
 from lightsim.progress import Progress
 from lightsim.render.casters.embree import make_embree_caster
-from lightsim.render.frame_renderer import parked_actor_meshes
 
 
 @dataclass(frozen=True)

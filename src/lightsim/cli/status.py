@@ -12,7 +12,7 @@ from lightsim.cli.options import Verbose, say
 
 @dataclass(frozen=True)
 class Status:
-    """Show which artefacts of a work folder are made, stale, broken or missing."""
+    """Show which artefacts of a work folder are made, stale, broken or missing, and why."""
 
     work: tyro.conf.Positional[Path]
     """Work folder."""
@@ -22,12 +22,12 @@ class Status:
     """Show the trace of an error."""
 
     def run(self) -> None:
-        """A line for each artefact, and what is damaged."""
-        from lightsim.build import pipeline as pipeline
+        """Print a line for each artefact, and below it why it is stale or what is damaged."""
+        from lightsim.build.status import status
 
-        for line in pipeline.status(self.work, is_hashed=self.verify):
+        for line in status(self.work, is_hashed=self.verify):
             took = "" if line.seconds is None else f"{line.seconds:8.1f} s"
             memory = "" if line.peak_memory_mb is None else f"{line.peak_memory_mb:6d} MB"
             say(f"{line.name:16s}{line.state:8s}{took:>12s}{memory:>12s}")
-            for damage in line.damage:
-                say(f"          {damage}")
+            for reason in line.reasons:
+                say(f"          {reason}")

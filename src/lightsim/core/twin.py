@@ -153,3 +153,14 @@ class DigitalTwin:
     log: DrivingLog
     assets: SceneAssets
     sky: SkyEstimate
+
+
+def parked_actor_meshes(log: DrivingLog, assets: SceneAssets) -> list[TriMesh]:
+    """Meshes of the actors that never move, in frame `world`."""
+    return [
+        assets.actors[track.actor_id].mesh.transformed(
+            track.trajectory.at(track.trajectory.start_ns)
+        )
+        for track in log.actors
+        if not track.is_moving and track.actor_id in assets.actors
+    ]

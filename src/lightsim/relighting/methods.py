@@ -115,6 +115,12 @@ def find_method(name: str) -> Method:
     return OWN_METHODS[name] if name in OWN_METHODS else load_extension(METHODS, name)
 
 
+def module_of_method(name: str) -> str:
+    """Return the dotted name of the module that defines a method; raises as `check_method`."""
+    check_method(name)
+    return __name__ if name in OWN_METHODS else registered(METHODS)[name].module
+
+
 def relight_by(name: str, weights: Path | None = None) -> Relight:
     """Return the function of a method by name; networks run on CUDA where torch finds it.
 

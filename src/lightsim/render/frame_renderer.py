@@ -16,12 +16,10 @@ from lightsim.core.casting import MakeCaster
 from lightsim.core.dome import SkyDome, Sun
 from lightsim.core.equirect import sample_bilinear
 from lightsim.core.found_visibility import with_found_visibility
-from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
 from lightsim.core.scenario import ActorPlacement, Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.solar import angle_between_deg
-from lightsim.core.twin import SceneAssets
 from lightsim.core.window import Window
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.coverage import actor_coverage
@@ -52,17 +50,6 @@ from lightsim.render.window import WindowFrame, seen_through
 
 SHADOW_ERROR_M = 0.25
 """Shadows that pictures show lie this close to where a reconstructed actor casts them."""
-
-
-def parked_actor_meshes(log: DrivingLog, assets: SceneAssets) -> list[TriMesh]:
-    """Meshes of the actors that never move, in frame `world`."""
-    return [
-        assets.actors[track.actor_id].mesh.transformed(
-            track.trajectory.at(track.trajectory.start_ns)
-        )
-        for track in log.actors
-        if not track.is_moving and track.actor_id in assets.actors
-    ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
+from lightsim.build.sources import simulation_sources
 from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import GBuffers
 from lightsim.core.camera import PinholeCamera
@@ -27,7 +28,7 @@ from lightsim.render.renderers import Renderer, TracedFrame, make_renderer, rend
 from lightsim.scenario.apply import driven_beside
 from lightsim.scenario.replay import replay
 from lightsim.simulation.options import GEOMETRY, LIGHT, RenderOptions
-from lightsim.simulation.picture_images import PictureImages, shown_by_pictures
+from lightsim.simulation.picture_images import PictureImages, picture_settings, shown_by_pictures
 from lightsim.simulation.relight import select_frames
 from lightsim.simulation.seen_light import SeenLight
 from lightsim.simulation.shard import Shard
@@ -37,10 +38,10 @@ from lightsim.store.atomic import sweep_partials
 from lightsim.store.exr import read_mark, write_exr
 from lightsim.store.lock import LOCK_NAME, locked
 from lightsim.store.scenario import write_scenario
+from lightsim.store.staleness import describe_source_change
 
 _RECORD = "render.json"
 _SKY_RECORD = "sky.json"
-_SCHEMA = 12
 
 
 @dataclass(frozen=True)
@@ -184,15 +185,21 @@ def _render(
 
 
 def _settings(workspace: Workspace, options: RenderOptions, image_scale: float) -> dict[str, Any]:
-    """What decides the pictures, but for the skies."""
+    """Return what decides the pictures, except the skies.
+
+    How `image` is relit counts even where only other buffers are asked for: buffers that are
+    written one after the other into one folder have the same settings.
+    """
+    has_pictures = options.image_from == "pictures"
     return {
-        "schema": _SCHEMA,
+        "sources": simulation_sources(__name__),
         "twin": workspace.record("twin")["key"],
         "image_scale": image_scale,
         "seed": options.seed,
         "ego_offset_m": options.ego_offset,
         "image_from": options.image_from,
         **renderer_settings(options.renderer),
+        **(picture_settings(workspace, options) if has_pictures else {}),
     }
 
 
@@ -225,13 +232,22 @@ def _check_claim(path: Path, made_from: Mapping[str, Any]) -> None:
     if not isinstance(found, dict):
         raise InputError("the record is damaged", where=path, remedy="Choose another --out.")
     differing = [key for key in made_from if found.get(key) != made_from[key]]
+    remedy = "Choose another --out, or delete this one."
+    if "sources" in differing:
+        was = found["sources"] if isinstance(found.get("sources"), dict) else {}
+        raise InputError(
+            "the folder holds pictures that other code of LightSim made",
+            where=path,
+            got=describe_source_change(was, made_from["sources"]) if was else "no record of it",
+            remedy=remedy,
+        )
     if differing:
         raise InputError(
             "the folder holds pictures of other settings",
             where=path,
             got=", ".join(f"{key} = {found.get(key)}" for key in differing),
             expected=", ".join(f"{key} = {made_from[key]}" for key in differing),
-            remedy="Choose another --out, or delete this one.",
+            remedy=remedy,
         )
 
 

@@ -54,7 +54,9 @@ def simulate(work: Path, request: Path, options: SimulateOptions, progress: Prog
                 scenario = driven_beside(scenario, options.ego_offset)
             made_of = _made_of(asked, library, options)
             config = RelightConfig(exposure_s=options.exposure_time_ms / 1e3)
-            folders = make_frames(workspace, scenario, options, progress, recorded, made_of, config)
+            folders = make_frames(
+                workspace, scenario, options, progress, recorded, made_of, config, __name__
+            )
         else:
             folders = make_frames(workspace, recorded, options, progress)
         if logs:

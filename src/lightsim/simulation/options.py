@@ -20,6 +20,7 @@ from lightsim.relighting.methods import check_method, find_method
 from lightsim.render.options import LightChoice, RendererChoice
 from lightsim.scenario.edits import FARTHEST_M
 from lightsim.simulation.shard import Shard
+from lightsim.store.mp4 import DEFAULT_CODEC, Codec
 from lightsim.store.names import is_harmless
 
 _LONGEST_EXPOSURE_MS = 100.0
@@ -148,6 +149,9 @@ class RelightOptions(FrameOptions):
     expected_error: bool = False
     """Write how far off every pixel is expected to be, too (--method network): error/, grey PNGs in
     codes of the pictures, 8 bits."""
+    video_codec: Codec = DEFAULT_CODEC
+    """Codec of the videos, in .mp4 files. vp9: its encoder is under the BSD licence, and current
+    browsers play it. h264: for players without VP9; its encoder x264 is under the GPL (NOTICE)."""
     labels: bool = False
     """Write masks, depth and visibility of the actors beside every frame, which takes room."""
     overwrite: bool = False
@@ -158,6 +162,7 @@ class RelightOptions(FrameOptions):
         super().__post_init__()
         self._check_name()
         check_method(self.method)
+        check_choice("--video-codec", self.video_codec, get_args(Codec))
         if self.weights is not None and not find_method(self.method).has_weights:
             raise InputError(
                 "this method has no weights",

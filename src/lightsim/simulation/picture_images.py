@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
@@ -13,8 +14,10 @@ from lightsim.core.log import DrivingLog
 from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.render.renderers import transport_as_chosen
 from lightsim.simulation.options import RelightOptions, RenderOptions
+from lightsim.simulation.relight_methods import weights_hash
 from lightsim.simulation.relighter import RelightConfig, Relighter
 from lightsim.simulation.skies import TargetSky
+from lightsim.store.artefact import json_ready
 
 
 def shown_by_pictures(scenario: Scenario, held_out: frozenset[str]) -> Scenario:
@@ -25,6 +28,25 @@ def shown_by_pictures(scenario: Scenario, held_out: frozenset[str]) -> Scenario:
         for frame in scenario.frames
     )
     return replace(scenario, frames=frames)
+
+
+def picture_settings(workspace: Workspace, options: RenderOptions) -> dict[str, Any]:
+    """Return what decides `image` besides the settings of all buffers: the method of relighting,
+    its weights and its configuration.
+
+    Raises:
+        InputError: the package's list of weights is damaged.
+    """
+    asked, config = _relighting(options)
+    weights = weights_hash(workspace, asked)
+    return {"method": asked.method, **weights, "relighting": json_ready(config)}
+
+
+def _relighting(options: RenderOptions) -> tuple[RelightOptions, RelightConfig]:
+    """Return how frames are relit: as `lightsim relight` does by default."""
+    asked = RelightOptions(name="image", renderer=options.renderer, seed=options.seed)
+    config = RelightConfig()
+    return asked, replace(config, transport=transport_as_chosen(asked.renderer, config.transport))
 
 
 class PictureImages:
@@ -44,9 +66,7 @@ class PictureImages:
         options: RenderOptions,
         sky_by_name: Mapping[str, TargetSky],
     ) -> None:
-        asked = RelightOptions(name="image", renderer=options.renderer, seed=options.seed)
-        config = RelightConfig()
-        config = replace(config, transport=transport_as_chosen(asked.renderer, config.transport))
+        asked, config = _relighting(options)
         self._scenario = scenario
         self._relighter = Relighter(workspace, log, config, asked, scenario, workspace.held_out)
         self._targets = {n: self._relighter.target(sky) for n, sky in sky_by_name.items()}

@@ -10,12 +10,14 @@ import shutil
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from lightsim.build.sources import simulation_sources
 from lightsim.build.workspace import Workspace
 from lightsim.core.log import DrivingLog
 from lightsim.core.scenario import Scenario
@@ -24,6 +26,7 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.datasets.selection import FrameSelection
 from lightsim.errors import ArtefactError, InputError
 from lightsim.progress import Progress
+from lightsim.relighting.methods import module_of_method
 from lightsim.render.options import LightChoice
 from lightsim.render.renderers import check_installed, transport_as_chosen
 from lightsim.scenario.apply import driven_beside
@@ -46,14 +49,13 @@ from lightsim.store.artefact import (
 )
 from lightsim.store.images import read_srgb8, write_exr, write_png
 from lightsim.store.lock import LOCK_NAME, locked
-from lightsim.store.mp4 import Mp4Writer
+from lightsim.store.mp4 import DEFAULT_CODEC, Codec, Mp4Writer, check_codec
 from lightsim.store.scenario import write_scenario
 
-_SCHEMA = 17
 _STAGE = "relight"
 _OPTIONAL = (
     *("labels", "weights", "renderer", "source_sky", "edits", "assets", "exposure_time_ms"),
-    *("ego_offset_m", "glare", "expected_error"),
+    *("ego_offset_m", "glare", "expected_error", "video_codec"),
 )
 _PLAIN = RelightConfig()
 
@@ -121,6 +123,7 @@ def make_frames(
     recorded: Scenario | None = None,
     made_of: Mapping[str, Any] = MappingProxyType({}),
     config: RelightConfig = _PLAIN,
+    made_by: str = __name__,
 ) -> list[Path]:
     """Frames, films and reports of a scenario under each sky that is asked for.
 
@@ -128,16 +131,20 @@ def make_frames(
         recorded: the log as it was, where the scenario has edits.
         made_of: what decides the frames besides the options.
         config: settings that no option of every command names.
+        made_by: dotted name of the module that makes the scenario; the frames are stale when it
+            or a module that it imports changes.
 
     Returns:
         The folders, in the order of the skies.
     """
-    # First of all: nothing is replaced for a renderer that is not there.
+    # First of all: nothing is replaced for a renderer or an encoder that is not there.
     check_installed(options.renderer)
+    check_codec(options.video_codec)
     config = replace(config, transport=transport_as_chosen(options.renderer, config.transport))
     scale = _scale(workspace, options)
     base = workspace.root / "scenarios" / options.name
     weights = weights_hash(workspace, options)
+    sources = simulation_sources(made_by, module_of_method(options.method))
     skies = options.sky_by_name
     folders = [base] if len(skies) == 1 else [base / name for name in skies]
     jobs, seen = [], SeenLight(workspace)
@@ -147,18 +154,19 @@ def make_frames(
             _refuse_other_settings(folder, {**settings, "seed": options.seed})
         made_from = {**settings, "config": json_ready(config)}
         inputs = {"twin": workspace.record("twin")["key"]}
-        artefact_key = ArtefactKey(_STAGE, _SCHEMA, made_from, inputs, options.seed)
+        artefact_key = ArtefactKey(_STAGE, sources, made_from, inputs, options.seed)
         target = resolve_sky(choice, workspace, seen)
         jobs.append(_Job(folder, settings, artefact_key, replace(scenario, sky=choice), target))
     _make_room(base, folders, is_overwriting=options.overwrite)
     attempts = [(job, open_attempt(job.folder, job.artefact_key)) for job in jobs]
-    pending = [(job, partial) for job, partial in attempts if partial is not None]
+    pending = [(job, attempt) for job, attempt in attempts if attempt is not None]
     if pending:
         log = workspace.log_at(scale)
         relighter = Relighter(workspace, log, config, options, recorded)
         _write_frames(relighter, pending, progress, options)
     for job in jobs:
-        make_artefact(job.folder, job.artefact_key, lambda p, job=job: _finish(p, job, progress))
+        finish = partial(_finish, job=job, codec=options.video_codec, progress=progress)
+        make_artefact(job.folder, job.artefact_key, finish)
     return folders
 
 
@@ -177,6 +185,7 @@ def _settings(options: RelightOptions, sky: SkyChoice, image_scale: float) -> di
         **({"ego_offset_m": options.ego_offset} if options.ego_offset else {}),
         **({"glare": options.glare} if options.glare else {}),
         **({"expected_error": True} if options.expected_error else {}),
+        **({"video_codec": options.video_codec} if options.video_codec != DEFAULT_CODEC else {}),
         **({"renderer": light} if light != _settings_of(LightChoice()) else {}),
         **({"source_sky": hash_file(options.source_sky)} if options.source_sky else {}),
     }
@@ -205,11 +214,11 @@ def _make_room(base: Path, folders: Sequence[Path], *, is_overwriting: bool) -> 
             shutil.rmtree(folder)
 
 
-def _finish(partial: Path, job: _Job, progress: Progress) -> Iterable[str]:
+def _finish(folder: Path, job: _Job, codec: Codec, progress: Progress) -> Iterable[str]:
     """All that stands beside the frames."""
-    _write_videos(partial, job.scenario, progress)
-    write_scenario(partial, job.scenario, target_sky=job.sky.facts, options=job.settings)
-    write_relight_report(partial / "report.html", partial, job.scenario, job.sky)
+    _write_videos(folder, job.scenario, codec, progress)
+    write_scenario(folder, job.scenario, target_sky=job.sky.facts, options=job.settings)
+    write_relight_report(folder / "report.html", folder, job.scenario, job.sky)
     return ()
 
 
@@ -304,7 +313,7 @@ def _write_frame(folder: Path, result: RelitFrame, *, is_linear_written: bool) -
     write_png(path, result.image_srgb8)
 
 
-def _write_videos(folder: Path, scenario: Scenario, progress: Progress) -> None:
+def _write_videos(folder: Path, scenario: Scenario, codec: Codec, progress: Progress) -> None:
     (folder / "video").mkdir(exist_ok=True)
     cameras = list(dict.fromkeys(f.camera_name for f in scenario.frames))
     for name in progress.track(cameras, "video", len(cameras)):
@@ -312,9 +321,8 @@ def _write_videos(folder: Path, scenario: Scenario, progress: Progress) -> None:
         images = (read_srgb8(folder / "frames" / name / f"{f.stem}.png") for f in frames)
         first = read_srgb8(folder / "frames" / name / f"{frames[0].stem}.png")
         height, width = first.shape[:2]
-        with Mp4Writer(
-            folder / "video" / f"{name}.mp4", width, height, frame_rate(frames)
-        ) as video:
+        path = folder / "video" / f"{name}.mp4"
+        with Mp4Writer(path, width, height, frame_rate(frames), codec) as video:
             for image in images:
                 video.write(image)
 

@@ -1,10 +1,10 @@
 """Artefacts: folders that appear whole or not at all, and know what they were made from.
 
 A folder is written under a hidden temporary name and renamed when complete. Its artefact.json
-records stage, schema, config, the keys of its inputs, seed, package version, seconds, and size and
-hash of every file; the `key` is a hash of all that decides the content, so an artefact is stale
-exactly when the key that would be made now differs, and broken when a file is no longer what was
-written.
+records stage, hashes of the source code that made it, config, the keys of its inputs, seed,
+package version, seconds, and size and hash of every file; the `key` is a hash of all that decides
+the content, so an artefact is stale exactly when the key that would be made now differs, and broken
+when a file is no longer what was written.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from lightsim.store.reading import MAX_JSON_BYTES, read_bytes
 RECORD_NAME = "artefact.json"
 _PLAN = ".plan"
 """Key of the recipe that an unfinished attempt is at."""
-_FORMAT = 2
-"""Of the record; raising it makes all artefacts stale."""
+_FORMAT = 3
+"""Version of the record's entries; since 3 with `sources`. A change makes all artefacts stale."""
 _HASH_BLOCK = 1 << 20
 _ANEW = "Run the command that made it again: the folder is set aside and made anew."
 _ENTRIES: dict[str, type | tuple[type, ...]] = {
@@ -60,14 +60,15 @@ class ArtefactKey:
 
     Args:
         stage: name of the stage.
-        schema: version of the stage's files and algorithm; raise it when either changes.
+        sources: hashes of the source code and shipped data that decide the content, by path
+            (store/source_hash.py).
         config: JSON-ready configuration.
         inputs: key of every input artefact or source, by name.
         seed: of the stage's random numbers.
     """
 
     stage: str
-    schema: int
+    sources: Mapping[str, str]
     config: Mapping[str, Any]
     inputs: Mapping[str, str]
     seed: int
@@ -75,7 +76,7 @@ class ArtefactKey:
     @property
     def key(self) -> str:
         """128-bit BLAKE2b of all fields, as 32 hexadecimal digits."""
-        value = {"format": _FORMAT, **dataclasses.asdict(self)}
+        value = {"format": _FORMAT, **json_ready(self)}
         text = json.dumps(value, sort_keys=True, separators=(",", ":"))
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
@@ -106,13 +107,19 @@ def read_record(folder: Path) -> dict[str, Any] | None:
     if not isinstance(record, dict):
         raise _broken_record(path, f"a {type(record).__name__}")
     wrong = [name for name, kind in _ENTRIES.items() if not isinstance(record.get(name), kind)]
-    if wrong or not all(isinstance(key, str) for key in record["inputs"].values()):
+    if wrong or not _is_text_by_name(record["inputs"]):
         raise _broken_record(path, f"wrong entries: {', '.join(wrong) or 'inputs'}")
+    if not _is_text_by_name(record.get("sources", {})):
+        raise _broken_record(path, "the list of sources is damaged")
     if "format" not in record:  # LightSim 0.2: stale by its key, without a list of files.
         return {**record, "files": {}}
     if not _is_file_list(record.get("files")):
         raise _broken_record(path, "the list of files is damaged")
     return record
+
+
+def _is_text_by_name(value: Any) -> bool:
+    return isinstance(value, dict) and all(isinstance(text, str) for text in value.values())
 
 
 def _is_file_list(files: Any) -> bool:

@@ -15,7 +15,7 @@ from lightsim.build.assemble import roofs_over
 from lightsim.build.quality.frame_report import FramesReport
 from lightsim.build.quality.frames import FramesConfig, FrameTask, score_frames
 from lightsim.build.source_light import SourceLight
-from lightsim.build.stages.light import TwinConfig
+from lightsim.build.stages.twin import TwinConfig
 from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import BACKGROUND
 from lightsim.core.frames import RigidTransform

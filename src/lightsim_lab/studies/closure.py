@@ -13,8 +13,7 @@ from lightsim.build.assemble import roofs_over
 from lightsim.build.measures import QUICK, held_out_tasks, observed_radiance
 from lightsim.build.quality.frame_report import FramesReport
 from lightsim.build.quality.frames import score_frames
-from lightsim.build.source_light import SourceLight
-from lightsim.build.stages.light import IRRADIANCE
+from lightsim.build.source_light import IRRADIANCE, SourceLight
 from lightsim.build.workspace import Workspace
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.found_visibility import with_found_visibility

@@ -39,7 +39,6 @@ from lightsim.appearance.intrinsic.panes import pane_colours, pane_vertices
 from lightsim.appearance.intrinsic.reflectance import Members, materials_of
 from lightsim.appearance.intrinsic.surfels import (
     Graph,
-    LidarReturns,
     Surfels,
     connect,
     lidar_log_reflectance,
@@ -52,13 +51,13 @@ from lightsim.appearance.intrinsic.texture import (
     texture_without_light,
 )
 from lightsim.core.colour import LUMINANCE_WEIGHTS
+from lightsim.core.lidar_returns import LidarReturns
 from lightsim.core.mesh import MIRROR_ROUGHNESS, Provenance, SunVisibility, TriMesh
 from lightsim.errors import InputError
 
 __all__ = [
     "Decomposition",
     "IntrinsicConfig",
-    "LidarReturns",
     "Patches",
     "Road",
     "SurfaceLight",

@@ -10,6 +10,7 @@ from jaxtyping import Float32, Float64, Int32, Int64
 from scipy.spatial import KDTree
 
 from lightsim.appearance.intrinsic.light import SeenPoints
+from lightsim.core.lidar_returns import LidarReturns
 from lightsim.core.mesh import TriMesh
 
 _NEAR, _FAR = 8, 5
@@ -166,21 +167,6 @@ def _summed(keys: Int64[np.ndarray, " n"], values: Float64[np.ndarray, "n 14"]) 
     key, index, count = np.unique(keys, return_inverse=True, return_counts=True)
     sums = [np.bincount(index, column, minlength=len(key)) for column in values.T]
     return _Cells(key, count.astype(np.int64), np.stack(sums, axis=1))
-
-
-@dataclass(frozen=True, eq=False)
-class LidarReturns:
-    """Returns from what does not move, in the frame of the mesh.
-
-    Args:
-        points: where the beams ended.
-        origins: where the sensor stood.
-        intensity: in [0, 1].
-    """
-
-    points: Float32[np.ndarray, "n 3"]
-    origins: Float32[np.ndarray, "n 3"]
-    intensity: Float32[np.ndarray, " n"]
 
 
 def lidar_log_reflectance(

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from lightsim.build.sources import simulation_sources
 from lightsim.build.workspace import Workspace
 from lightsim.core.scenario import Scenario
 from lightsim.core.version import __version__
@@ -32,13 +33,11 @@ from lightsim.export.pandaset.boxes import BoxEditor
 from lightsim.export.pandaset.lists import ListWriter, WrittenFrames
 from lightsim.export.pandaset.sweeps import SweepEditor
 from lightsim.progress import Progress
-from lightsim.store.artefact import RECORD_NAME, read_json, write_json
+from lightsim.store.artefact import RECORD_NAME, hash_names, read_json, write_json
 from lightsim.store.atomic import unwritable
 from lightsim.store.images import read_srgb8, write_jpeg
 from lightsim.store.pandaset_tables import write_table
 
-_SCHEMA = 3
-"""Of what is written; raise it when layout or algorithm change."""
 _JPEG_QUALITY = 95
 _SUFFIX = ".pkl.gz"
 
@@ -75,7 +74,7 @@ class LogWriter:
             "recorded_frames": dict(stems),
             "jpeg_quality": _JPEG_QUALITY,
             "notes": scenario.notes,
-            "schema": _SCHEMA,
+            "code": _code(),
             **made_of,
         }
         write_json(folder / SIMULATED_NAME, mark)
@@ -265,7 +264,12 @@ def _is_made(log: Path, made_of: Mapping[str, Any], *, is_overwriting: bool) -> 
             got=f"scenario {mark.get('scenario')}, sky {mark.get('sky')}",
             remedy="Choose another --write-log, or give --overwrite.",
         )
-    return is_same and mark.get("schema") == _SCHEMA
+    return is_same and mark.get("code") == _code()
+
+
+def _code() -> str:
+    """Return the hash of the source code that writes logs; a log of other code is made anew."""
+    return hash_names(simulation_sources(__name__))
 
 
 def _mark_of(log: Path) -> Mapping[str, Any] | None:

@@ -9,7 +9,6 @@ section 3; used by UniSim (doi:10.1109/CVPR52729.2023.00140) and LightSim for th
 
 from __future__ import annotations
 
-import importlib
 from types import ModuleType
 from typing import Any, Literal
 
@@ -163,7 +162,9 @@ def _backend(points: Tensor) -> ModuleType:
     """The module of compiled loops for a device: look_up, scatter, point_gradient."""
     if not points.is_cuda:
         return hash_grid_cpu
-    return importlib.import_module(f"{__package__}.triton_kernels")
+    from lightsim.reconstruct.field.hash_grid import triton_kernels
+
+    return triton_kernels
 
 
 def _check(points: Tensor, table: Tensor, spec: HashGridSpec, salt: Tensor | None) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from typing import Any
 
@@ -71,11 +70,10 @@ class SparseAdam:
             self.gradient.is_touched.fill_(1)
             self.table.grad = None
         if self.table.is_cuda:
-            triton_loops = importlib.import_module(
-                "lightsim.reconstruct.field.hash_grid.triton_kernels"
-            )
+            from lightsim.reconstruct.field.hash_grid import triton_kernels
+
             moments = self.first_moment, self.second_moment
-            triton_loops.update(self.table, self.gradient.values, moments, rates)
+            triton_kernels.update(self.table, self.gradient.values, moments, rates)
         else:
             self._step_blocks(rates)
 

@@ -1,4 +1,4 @@
-"""From fields to coloured meshes."""
+"""Meshes of everything that has a shape, before it has a colour."""
 
 from __future__ import annotations
 
@@ -9,16 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from lightsim.appearance.build import AssetConfig, build_assets
-from lightsim.appearance.intrinsic.surfels import LidarReturns
-from lightsim.build.assemble import roofs_over
-from lightsim.build.source_light import static_returns
 from lightsim.build.stages.context import Context
+from lightsim.build.static_returns import static_returns
 from lightsim.build.workspace import Workspace
 from lightsim.core.buildings import Roofline
+from lightsim.core.lidar_returns import LidarReturns
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh, concatenate_meshes
-from lightsim.core.twin import SceneAssets
+from lightsim.core.twin import SceneAssets, parked_actor_meshes
 from lightsim.geometry.completion.before_sky import without_sky
 from lightsim.geometry.completion.buildings import MeasuredScene, complete_buildings
 from lightsim.geometry.completion.crown_colours import is_green
@@ -40,12 +38,12 @@ from lightsim.geometry.completion.walls import find_walls
 from lightsim.geometry.mesh_scene import mesh_scene
 from lightsim.geometry.simplify import simplify_planar
 from lightsim.render.casters.embree import make_embree_caster
-from lightsim.render.frame_renderer import parked_actor_meshes
-from lightsim.store.assets import write_assets, write_mesh
+from lightsim.store.assets import write_assets
 from lightsim.store.rooflines import write_rooflines
 
 _WALL_RETURNS = 3_000_000
 """LiDAR returns that walls are drawn onto, at most."""
+
 _BOX_MARGIN_M = 0.3
 """Returns this near the box of a vehicle at rest are its own."""
 
@@ -177,51 +175,3 @@ def _beams(log: DrivingLog, returns: LidarReturns) -> Beams:
             start_ns = track.trajectory.start_ns
             is_used &= ~track.contains(returns.points.astype(np.float64), start_ns, _BOX_MARGIN_M)
     return Beams(returns.origins[is_used], returns.points[is_used])
-
-
-def make_assets(
-    work: Workspace, config: AssetConfig, folder: Path, context: Context
-) -> Iterable[str]:
-    """Meshes coloured with observed radiance, and the camera gains found with them.
-
-    Inferred casters, which no image shows, take the colour of the nearest background.
-    """
-    assets = build_assets(
-        work.training_log,
-        work.meshes,
-        config,
-        make_caster=make_embree_caster,
-        progress=context.progress,
-        sky_matte=work.sky_matte,
-    )
-    if config.colour != "texture":
-        assets = _vertex_coloured(work, assets, config)
-    write_assets(folder, assets)
-    write_mesh(folder / "inferred.npz", roofs_over(assets.background, work.guessed_rooflines))
-    return ()
-
-
-def _vertex_coloured(work: Workspace, assets: SceneAssets, config: AssetConfig) -> SceneAssets:
-    """Colours at the vertices alone: means of the texture, or the neural field's k_d."""
-
-    def plain(mesh: TriMesh, actor: int) -> TriMesh:
-        mesh = replace(mesh, texture=None)
-        if field is None:
-            return mesh
-        return replace(mesh, base_colour=vertex_radiance(field, mesh, actor))
-
-    gains = assets.camera_gains
-    field = None
-    if config.colour == "field":
-        from lightsim.reconstruct.field.refine import vertex_radiance
-
-        field = work.scene_field
-        gains = field.radiance_gains()
-    number_by_actor = work.training_log.number_by_actor
-    actors = {
-        actor_id: replace(actor, mesh=plain(actor.mesh, number_by_actor[actor_id]))
-        for actor_id, actor in assets.actors.items()
-    }
-    return replace(
-        assets, background=plain(assets.background, -1), actors=actors, camera_gains=gains
-    )

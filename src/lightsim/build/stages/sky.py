@@ -1,59 +1,42 @@
-"""The source sky, and the base colour that it leaves."""
+"""The source sky: the light under which the log was recorded."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
 
-from lightsim.appearance.colour import colour_of_nearest
 from lightsim.appearance.intrinsic.balance import balance_light
-from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, Road, decompose, patches_of
+from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, patches_of
 from lightsim.appearance.intrinsic.labels import Observed
 from lightsim.appearance.intrinsic.light import LightBalance
 from lightsim.appearance.intrinsic.roofs import carve_roofs
-from lightsim.build.assemble import build_twin, roofs_over
+from lightsim.build.assemble import roofs_over
 from lightsim.build.options import SkyModel
-from lightsim.build.road_sheen import with_measured_road
-from lightsim.build.source_light import SourceLight, static_returns
+from lightsim.build.source_light import IRRADIANCE, LIDAR_RETURNS, SourceLight
 from lightsim.build.source_sun import SourceSunConfig, find_source_sun
 from lightsim.build.stages.context import Context
+from lightsim.build.static_returns import static_returns
 from lightsim.build.workspace import Workspace
 from lightsim.core.buildings import Roofline
-from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
-from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import LightFreedom, SkyEstimate
-from lightsim.lighting.panorama.stitch import StitchConfig, stitch_panorama
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.balance import rebalanced, unseen_part
 from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
 from lightsim.lighting.sky.shipped import completed_panorama, decoded_sky, predict_sky
 from lightsim.lighting.sun.direction import SunDirection
 from lightsim.progress import Progress
-from lightsim.render.frame_renderer import parked_actor_meshes
-from lightsim.render.gbuffers import render_gbuffers
-from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.irradiance import IrradianceConfig
-from lightsim.render.transport.matrix import TransportConfig
 from lightsim.store.rooflines import write_rooflines
 from lightsim.store.sky import (
     write_completed,
-    write_panorama,
     write_panorama_pictures,
     write_sky,
 )
-from lightsim.store.twin import write_twin
-
-IRRADIANCE = IrradianceConfig(TransportConfig(sky_rays=32, face_rays=8, glossy_rays=64), 0.25)
-"""Sun, sky and the light of other surfaces as it was seen; what was not seen is grey. Few rays for
-reflections leave coloured clouds on shaded asphalt, whose own radiance is small."""
-LIDAR_RETURNS = 1_500_000
-"""LiDAR returns whose intensity is asked."""
 
 
 @dataclass(frozen=True)
@@ -68,41 +51,6 @@ class SkyStageConfig:
     """How their shadows are found."""
     model: SkyModel = "analytic"
     """Who makes the dome."""
-
-
-@dataclass(frozen=True)
-class TwinConfig:
-    """From observed radiance to base colour."""
-
-    irradiance: IrradianceConfig = field(default_factory=lambda: IRRADIANCE)
-    """Light at the vertices."""
-    intrinsic: IntrinsicConfig = field(default_factory=IntrinsicConfig)
-    """How shadows are found."""
-
-
-def make_panorama(
-    work: Workspace, config: StitchConfig, folder: Path, context: Context
-) -> Iterable[str]:
-    """What the cameras saw around the ego's place in the middle of the log.
-
-    Depth comes from the static and parked surfaces: moving actors are not in it.
-    """
-    log, assets = work.training_log, work.assets
-    scene = without_actors(
-        make_static_scene([assets.background, *parked_actor_meshes(log, assets)])
-    )
-
-    def cast_depth(frame: CameraFrame, camera: PinholeCamera) -> Float32[np.ndarray, "h w"]:
-        return render_gbuffers(scene, camera, frame).depth_z_m
-
-    def sky_matte(frame: CameraFrame, camera: PinholeCamera) -> Float32[np.ndarray, "h w"]:
-        return work.sky_matte(frame)
-
-    panorama = stitch_panorama(
-        log, assets.camera_gains, cast_depth, sky_matte, config, progress=context.progress
-    )
-    write_panorama(folder, panorama)
-    return ()
 
 
 def make_sky(
@@ -217,43 +165,3 @@ def _moved_roofs(before: Sequence[Roofline], after: Sequence[Roofline]) -> str:
         f"{width:.0f} m of walls whose roof no view reaches; shadows moved it by"
         f" {np.mean(np.concatenate(steps)):.1f} m in the mean"
     )
-
-
-def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Context) -> Iterable[str]:
-    """Find and remove the source light, mesh by mesh, and write the twin."""
-    assets, log = work.assets, work.training_log
-    inferred = roofs_over(assets.background, work.rooflines)
-    source = SourceLight(log, assets, inferred, work.sky.dome, config.irradiance, context.seed)
-    rng = np.random.default_rng(context.seed)
-    light_at = source.on(RigidTransform.identity("world", "world"))
-    background, road_notes = with_measured_road(
-        log, assets, work.sky.dome.sun, light_at, context.seed
-    )
-    street = decompose(
-        background,
-        light_at,
-        config.intrinsic,
-        rng,
-        returns=static_returns(log, LIDAR_RETURNS, rng),
-        road=Road(work.fields.path_m, work.fields.ground),
-    )
-    tracks = {track.actor_id: track for track in log.actors}
-    actors = {}
-    for actor in context.progress.track(assets.actors.values(), "base colour", len(assets.actors)):
-        trajectory = tracks[actor.actor_id].trajectory
-        pose = trajectory.at(int(trajectory.times_ns[len(trajectory) // 2]))
-        mesh = decompose(
-            actor.mesh,
-            source.on(pose),
-            config.intrinsic,
-            rng,
-            is_symmetric=actor.kind.is_vehicle,
-        ).mesh
-        if tracks[actor.actor_id].is_moving:
-            mesh = replace(mesh, sun_visibility=None)
-        actors[actor.actor_id] = replace(actor, mesh=mesh)
-    # No picture shows a shadow on what nobody saw.
-    inferred = colour_of_nearest(inferred, street.mesh)
-    assets = replace(assets, background=street.mesh, actors=actors)
-    write_twin(folder, build_twin(work.log, assets, work.sky), inferred)
-    return (*street.notes, *road_notes)

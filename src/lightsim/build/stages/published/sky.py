@@ -1,4 +1,4 @@
-"""Stages that do what the paper describes and nothing else (`lightsim build --preset paper`)."""
+"""The source sky that the network's decoder draws."""
 
 from __future__ import annotations
 
@@ -8,30 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
-from lightsim.appearance.config import AssetConfig
-from lightsim.build.assemble import build_twin
 from lightsim.build.options import GpsUse
 from lightsim.build.stages.context import Context
 from lightsim.build.workspace import Workspace
 from lightsim.core.colour import luminance
 from lightsim.core.dome import SkyDome, add_sun, split_sun
-from lightsim.core.mesh import TriMesh
 from lightsim.core.solar import azimuth_elevation
-from lightsim.geometry.plain import BaseMaterials, mesh_plainly
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.shipped import completed_panorama, decoded_sky, predict_sky
 from lightsim.lighting.sun.direction import SunDirection, sun_from_geo
-from lightsim.reconstruct.field.occupied_fields import occupied_fields
-from lightsim.reconstruct.fusion.config import OccupiedConfig
-from lightsim.store.assets import write_assets, write_mesh
-from lightsim.store.fields import write_fields
 from lightsim.store.rooflines import write_rooflines
 from lightsim.store.sky import (
     write_completed,
     write_panorama_pictures,
     write_sky,
 )
-from lightsim.store.twin import empty_mesh, write_twin
 
 _WHITE_SUN = "the sun is white: the decoder's weights know how strong it is, not its colour"
 
@@ -44,53 +35,6 @@ class DecodedSkyConfig:
     """Rows of the dome; it is twice as wide."""
     gps: GpsUse = "all"
     """Whether place, time and heading say where the sun is; else the network does."""
-
-
-def make_fields(
-    work: Workspace, config: OccupiedConfig, folder: Path, context: Context
-) -> Iterable[str]:
-    """Where the field will be read out; nothing is fused."""
-    fields = occupied_fields(work.training_log, config, progress=context.progress)
-    write_fields(folder, fields)
-    return fields.notes
-
-
-def make_geometry(
-    work: Workspace, config: BaseMaterials, folder: Path, context: Context
-) -> Iterable[str]:
-    """Marching cubes and decimation; no wall, roof, pole, pane or far field is inferred."""
-    meshes = mesh_plainly(work.training_log, work.fields, config, progress=context.progress)
-    write_assets(folder, meshes)
-    write_rooflines(folder / "rooflines.npz", [])
-    return meshes.notes
-
-
-def make_assets(
-    work: Workspace, config: AssetConfig, folder: Path, context: Context
-) -> Iterable[str]:
-    """The same meshes with the field's k_d at their vertices."""
-    from lightsim.reconstruct.field.refine import vertex_radiance
-
-    assert config.colour == "field"
-    field, meshes = work.scene_field, work.meshes
-    numbers = work.training_log.number_by_actor
-
-    def coloured(mesh: TriMesh, actor: int) -> TriMesh:
-        return replace(mesh, base_colour=vertex_radiance(field, mesh, actor))
-
-    actors = {
-        actor_id: replace(actor, mesh=coloured(actor.mesh, numbers[actor_id]))
-        for actor_id, actor in meshes.actors.items()
-    }
-    assets = replace(
-        meshes,
-        background=coloured(meshes.background, -1),
-        actors=actors,
-        camera_gains=field.radiance_gains(),
-    )
-    write_assets(folder, assets)
-    write_mesh(folder / "inferred.npz", empty_mesh())
-    return ()
 
 
 def make_sky(
@@ -134,9 +78,3 @@ def _encoded_sun(predicted: SkyPrediction) -> SunDirection:
         float(np.degrees(1 / np.sqrt(predicted.concentration))),
         ("the sun is where the network sees it: GPS and heading were not asked",),
     )
-
-
-def make_twin(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
-    """Base colour is k_d as it was learned, with the light of the recording in it."""
-    write_twin(folder, build_twin(work.log, work.assets, work.sky), empty_mesh())
-    return ("base colour is the field's k_d: shadows and light of the recording are baked in",)

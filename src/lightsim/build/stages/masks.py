@@ -1,0 +1,48 @@
+"""Sky mattes of the frames that are built from, and of held-out frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from lightsim.build.stages.context import Context
+from lightsim.build.workspace import Workspace
+from lightsim.core.log import DrivingLog
+from lightsim.core.sensors import CameraFrame
+from lightsim.masks.sky import sky_mattes
+from lightsim.store.images import write_png
+
+
+def make_masks(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
+    """One matte for every frame that building may look at."""
+    log = work.recorded_training_log
+    _write_mattes(log, log.frames, folder, context)
+    return ()
+
+
+def make_held_out_masks(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
+    """The mattes of held-out frames: measuring and relighting need them, building must not.
+
+    What they know of surfaces, colours and sky is what building looks at.
+    """
+    frames = tuple(f for f in work.recorded_log.frames if f.stem in work.held_out)
+    _write_mattes(work.recorded_training_log, frames, folder, context)
+    return ()
+
+
+def _write_mattes(
+    log: DrivingLog, frames: Sequence[CameraFrame], folder: Path, context: Context
+) -> None:
+    """Mattes of frames by what the log shows; those that an interrupted run left are kept."""
+
+    def path_of(frame: CameraFrame) -> Path:
+        return folder / frame.camera_name / f"{frame.stem}.png"
+
+    for camera in log.cameras:
+        (folder / camera).mkdir(exist_ok=True)
+    wanted = [frame for frame in frames if not path_of(frame).exists()]
+    for frame, matte in sky_mattes(log, wanted, context.progress):
+        planes = np.stack([matte.expected, matte.likeliest], axis=-1)
+        write_png(path_of(frame), np.round(planes * 255).astype(np.uint8))

@@ -1,0 +1,46 @@
+"""The stitched panorama of what the cameras saw."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from lightsim.build.stages.context import Context
+from lightsim.build.workspace import Workspace
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.sensors import CameraFrame
+from lightsim.core.twin import parked_actor_meshes
+from lightsim.lighting.panorama.stitch import StitchConfig, stitch_panorama
+from lightsim.render.gbuffers import render_gbuffers
+from lightsim.render.scene import make_static_scene, without_actors
+from lightsim.store.sky import (
+    write_panorama,
+)
+
+
+def make_panorama(
+    work: Workspace, config: StitchConfig, folder: Path, context: Context
+) -> Iterable[str]:
+    """What the cameras saw around the ego's place in the middle of the log.
+
+    Depth comes from the static and parked surfaces: moving actors are not in it.
+    """
+    log, assets = work.training_log, work.assets
+    scene = without_actors(
+        make_static_scene([assets.background, *parked_actor_meshes(log, assets)])
+    )
+
+    def cast_depth(frame: CameraFrame, camera: PinholeCamera) -> Float32[np.ndarray, "h w"]:
+        return render_gbuffers(scene, camera, frame).depth_z_m
+
+    def sky_matte(frame: CameraFrame, camera: PinholeCamera) -> Float32[np.ndarray, "h w"]:
+        return work.sky_matte(frame)
+
+    panorama = stitch_panorama(
+        log, assets.camera_gains, cast_depth, sky_matte, config, progress=context.progress
+    )
+    write_panorama(folder, panorama)
+    return ()

@@ -1,0 +1,71 @@
+"""Base colours: the observed radiance without the light of the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from lightsim.appearance.colour import colour_of_nearest
+from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, Road, decompose
+from lightsim.build.assemble import build_twin, roofs_over
+from lightsim.build.road_sheen import with_measured_road
+from lightsim.build.source_light import IRRADIANCE, LIDAR_RETURNS, SourceLight
+from lightsim.build.stages.context import Context
+from lightsim.build.static_returns import static_returns
+from lightsim.build.workspace import Workspace
+from lightsim.core.frames import RigidTransform
+from lightsim.render.transport.irradiance import IrradianceConfig
+from lightsim.store.twin import write_twin
+
+
+@dataclass(frozen=True)
+class TwinConfig:
+    """From observed radiance to base colour."""
+
+    irradiance: IrradianceConfig = field(default_factory=lambda: IRRADIANCE)
+    """Light at the vertices."""
+    intrinsic: IntrinsicConfig = field(default_factory=IntrinsicConfig)
+    """How shadows are found."""
+
+
+def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Context) -> Iterable[str]:
+    """Find and remove the source light, mesh by mesh, and write the twin."""
+    assets, log = work.assets, work.training_log
+    inferred = roofs_over(assets.background, work.rooflines)
+    source = SourceLight(log, assets, inferred, work.sky.dome, config.irradiance, context.seed)
+    rng = np.random.default_rng(context.seed)
+    light_at = source.on(RigidTransform.identity("world", "world"))
+    background, road_notes = with_measured_road(
+        log, assets, work.sky.dome.sun, light_at, context.seed
+    )
+    street = decompose(
+        background,
+        light_at,
+        config.intrinsic,
+        rng,
+        returns=static_returns(log, LIDAR_RETURNS, rng),
+        road=Road(work.fields.path_m, work.fields.ground),
+    )
+    tracks = {track.actor_id: track for track in log.actors}
+    actors = {}
+    for actor in context.progress.track(assets.actors.values(), "base colour", len(assets.actors)):
+        trajectory = tracks[actor.actor_id].trajectory
+        pose = trajectory.at(int(trajectory.times_ns[len(trajectory) // 2]))
+        mesh = decompose(
+            actor.mesh,
+            source.on(pose),
+            config.intrinsic,
+            rng,
+            is_symmetric=actor.kind.is_vehicle,
+        ).mesh
+        if tracks[actor.actor_id].is_moving:
+            mesh = replace(mesh, sun_visibility=None)
+        actors[actor.actor_id] = replace(actor, mesh=mesh)
+    # No picture shows a shadow on what nobody saw.
+    inferred = colour_of_nearest(inferred, street.mesh)
+    assets = replace(assets, background=street.mesh, actors=actors)
+    write_twin(folder, build_twin(work.log, assets, work.sky), inferred)
+    return (*street.notes, *road_notes)

@@ -1,0 +1,23 @@
+"""LiDAR returns of many sweeps together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32
+
+
+@dataclass(frozen=True, eq=False)
+class LidarReturns:
+    """LiDAR returns from surfaces that do not move, in one frame.
+
+    Args:
+        points: ends of the beams, in metres.
+        origins: positions of the sensor, in metres.
+        intensity: of the returns, in [0, 1].
+    """
+
+    points: Float32[np.ndarray, "n 3"]
+    origins: Float32[np.ndarray, "n 3"]
+    intensity: Float32[np.ndarray, " n"]
