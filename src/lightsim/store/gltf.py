@@ -8,17 +8,24 @@ from __future__ import annotations
 import base64
 import json
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Shaped, UInt8
+from jaxtyping import Float64, Shaped
 from scipy.spatial.transform import Rotation
 
 from lightsim.core.mesh import Material
+from lightsim.errors import InputError
 from lightsim.store.images import decode_srgb8
-from lightsim.store.reading import MAX_JSON_BYTES
+from lightsim.store.primitives import ImageTexture, ModelFile, Primitive
+from lightsim.store.reading import MAX_JSON_BYTES, read_bytes
+
+_REMEDY = "Export the model again as glTF 2.0 binary (.glb) with triangles."
+_MAX_BYTES = 2 << 30
+"""A street of ten million vertices takes half of it; glTF itself ends at 4 GiB."""
 
 GLB_MAGIC = b"glTF"
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
@@ -32,27 +39,26 @@ _MAX_VERTICES = 20_000_000
 """Of all instances together; our largest street has half of it."""
 
 
-@dataclass(frozen=True, eq=False)
-class Primitive:
-    """Triangles of one material, placed in the scene, in glTF's axes (y up, metres).
+def read_gltf(path: Path) -> ModelFile:
+    """Return the triangles of a .glb or .gltf file, with notes on what was not read.
 
-    Args:
-        vertices: in the scene.
-        faces: vertex indices, counter-clockwise seen from outside.
-        colour: linear base colour of each vertex without the texture.
-        uv: texture coordinates, (0, 0) at the texture's top left; None without texture.
-        texture: 8-bit sRGB, multiplies `colour`; None without texture. Primitives that share an
-            image share this array.
-        own: attributes whose name starts with "_", which are no part of the standard.
+    Raises:
+        InputError: the file is missing or damaged, has no triangles, or needs an extension that is
+            not supported.
     """
-
-    vertices: Float64[np.ndarray, "n 3"]
-    faces: Int32[np.ndarray, "m 3"]
-    colour: Float32[np.ndarray, "n 3"]
-    uv: Float64[np.ndarray, "n 2"] | None
-    texture: UInt8[np.ndarray, "h w 3"] | None
-    material: Material
-    own: Mapping[str, Float32[np.ndarray, "n _"]]
+    try:
+        primitives = parse_glb(read_bytes(path, "model", _MAX_BYTES))
+        if not primitives:
+            raise ValueError("it has no triangles")
+    except (ValueError, ArithmeticError, LookupError, TypeError, AttributeError, struct.error) as e:
+        raise InputError(
+            "the model cannot be read",
+            where=path,
+            got=f"{type(e).__name__}: {e}"[:200],
+            expected="glTF 2.0",
+            remedy=_REMEDY,
+        ) from e
+    return ModelFile(path, tuple(primitives))
 
 
 def parse_glb(data: bytes) -> list[Primitive]:
@@ -113,7 +119,7 @@ def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
 class _File:
     document: dict[str, Any]
     binary: bytes
-    images: dict[int, UInt8[np.ndarray, "_ _ 3"]] = field(default_factory=dict)
+    images: dict[int, ImageTexture] = field(default_factory=dict)
 
     def placed_meshes(self) -> Iterator[tuple[Float64[np.ndarray, "4 4"], int]]:
         """(scene_from_mesh, mesh index) of every node with a mesh."""
@@ -168,7 +174,7 @@ class _File:
 
     def _texture(
         self, pbr: dict[str, Any], attributes: dict[str, Any]
-    ) -> tuple[Float64[np.ndarray, "n 2"] | None, UInt8[np.ndarray, "h w 3"] | None]:
+    ) -> tuple[Float64[np.ndarray, "n 2"] | None, ImageTexture | None]:
         if "baseColorTexture" not in pbr:
             return None, None
         reference = pbr["baseColorTexture"]
@@ -181,7 +187,8 @@ class _File:
         texture = self.document["textures"][reference["index"]]
         source = int(texture["source"])
         if source not in self.images:
-            self.images[source] = decode_srgb8(self._image_bytes(self.document["images"][source]))
+            pixels = decode_srgb8(self._image_bytes(self.document["images"][source]))
+            self.images[source] = ImageTexture(pixels)
         return uv, self.images[source]
 
     def _image_bytes(self, image: dict[str, Any]) -> bytes:
