@@ -23,7 +23,7 @@ from lightsim.store.reading import MAX_PICTURE_BYTES, open_regular, read_bytes
 
 __all__ = [
     "SkyFile",
-    "decode_srgb8",
+    "decode_texture",
     "read_exr",
     "read_grey8",
     "read_grey8_alpha",
@@ -281,13 +281,14 @@ def _reduction(path: Path, height: int, width: int, most_rows: int | None, notes
     )
 
 
-def decode_srgb8(data: bytes) -> UInt8[np.ndarray, "h w 3"]:
-    """8-bit sRGB of the bytes of a PNG, JPEG or WebP picture.
+def decode_texture(data: bytes) -> UInt8[np.ndarray, "h w _"]:
+    """8-bit sRGB of the bytes of a PNG, JPEG or WebP picture, and alpha where any is below 255.
 
     Raises:
         ValueError: the bytes are damaged, truncated, or not 8 bits a channel.
     """
-    return _decode_pil(data, "RGB")
+    rgba = _decode_pil(data, "RGBA")
+    return rgba if (rgba[..., 3] < 255).any() else np.ascontiguousarray(rgba[..., :3])
 
 
 def read_size(

@@ -2,24 +2,57 @@
 
 from __future__ import annotations
 
-import numpy as np
-from jaxtyping import Float, Float32, Float64, Int32
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-from lightsim.core.colour import linear_from_srgb8
-from lightsim.core.mesh import TriMesh
+import numpy as np
+from jaxtyping import Float32, Float64, Int32
+
+from lightsim.core.mesh import CAR_GLASS, Material, TriMesh
 from lightsim.errors import InputError
+from lightsim.store.alpha_shapes import (
+    BLEND_CUTOFF,
+    INVISIBLE_ALPHA,
+    OPAQUE_ALPHA,
+    Patch,
+    areas,
+    chosen,
+    cut,
+    glass_colour,
+    near_contour,
+    panes,
+)
+from lightsim.store.notes import Notes
 from lightsim.store.primitives import (
     Y_UP_FROM_Z_UP,
-    ImageTexture,
+    AlphaMode,
     ModelFile,
     Primitive,
     group_materials,
 )
 from lightsim.store.rejoin import rejoin
-from lightsim.store.subdivide import split_long_edges
+from lightsim.store.subdivide import Choice, longer_than, split_edges
+from lightsim.store.texture_sampling import sample_channel, sample_colour
 
 _MAX_FACES = 1_000_000
 """Of a model after its textured triangles are split."""
+_FINE_EDGES = 6
+"""Edges across the contour of a mask are shorter than others by this: 1 cm at the usual 6 cm, since
+the leaves of a tree and the letters of a sign have some centimetres. Chosen; not measured."""
+_CLEAR = 0.5
+"""Transmission from which on a surface is a pane of glass."""
+_EVEN = 1e-3
+"""Largest difference of alpha on a surface whose alpha counts as constant."""
+_POSITION, _UV, _COLOUR, _ALPHA = slice(0, 3), slice(3, 5), slice(5, 8), 8
+"""Columns of the values of a patch."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    vertices: Float64[np.ndarray, "n 3"]
+    faces: Int32[np.ndarray, "m 3"]
+    colour: Float32[np.ndarray, "n 3"]
+    material: Material
 
 
 def mesh_of(
@@ -29,7 +62,8 @@ def mesh_of(
 
     A file that `meshes.write_glb` wrote keeps its texture and vertices. In other files, a textured
     triangle is split until no edge is longer than `texture_edge_m` (at most a million faces), then
-    the texture is sampled at its vertices, in linear light.
+    the texture is sampled at its vertices, in linear light. Masked surfaces are cut along their
+    contour, panes become dark glass.
 
     Args:
         model: result of `read_gltf` or `read_obj`.
@@ -48,20 +82,34 @@ def mesh_of(
         raise InputError(
             "the mesh is damaged", where=model.path, got=error, remedy="Write or copy it again."
         ) from error
-    if mesh is None:
-        mesh = _foreign(list(model.primitives), frame, texture_edge_m)
-    return mesh, model.notes
+    if mesh is not None:
+        return mesh, model.notes
+    notes = Notes()
+    budgets = _budgets(model.primitives)
+    parts = [
+        part
+        for primitive, budget in zip(model.primitives, budgets, strict=True)
+        for part in _parts(primitive, texture_edge_m, budget, notes)
+        if len(part.faces)
+    ]
+    if not parts:
+        raise InputError(
+            "nothing of the model is visible",
+            where=model.path,
+            got="an alpha below the cutoff or near 0 everywhere",
+            expected="visible surfaces",
+            remedy="Export it with opaque materials.",
+        )
+    return _joined(parts, frame), (*model.notes, *notes.sentences())
 
 
-def _foreign(primitives: list[Primitive], frame: str, texture_edge_m: float) -> TriMesh:
-    """Textures become vertex colours."""
-    most = _MAX_FACES // len(primitives)
-    parts = [_textured(p, texture_edge_m, most) for p in primitives]
-    offsets = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts[:-1]])
-    faces = [f + np.int32(o) for (_, f, _), o in zip(parts, offsets, strict=True)]
-    vertices = np.concatenate([v for v, _, _ in parts]) @ Y_UP_FROM_Z_UP[:3, :3]
-    colour = np.clip(np.concatenate([c for _, _, c in parts]), 0.0, 1.0)
-    materials, face_material = group_materials(primitives, [len(f) for f in faces])
+def _joined(parts: Sequence[_Part], frame: str) -> TriMesh:
+    offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+    faces = [part.faces + np.int32(o) for part, o in zip(parts, offsets, strict=True)]
+    vertices = np.concatenate([part.vertices for part in parts]) @ Y_UP_FROM_Z_UP[:3, :3]
+    colour = np.clip(np.concatenate([part.colour for part in parts]), 0.0, 1.0)
+    counts = [len(part.faces) for part in parts]
+    materials, face_material = group_materials([part.material for part in parts], counts)
     return TriMesh(
         frame,
         vertices.astype(np.float32),
@@ -72,28 +120,121 @@ def _foreign(primitives: list[Primitive], frame: str, texture_edge_m: float) -> 
     )
 
 
+def _budgets(primitives: Sequence[Primitive]) -> list[int]:
+    """Most faces of each primitive: its own, and by area a share of what a model may have more."""
+    own = np.array([len(p.faces) for p in primitives])
+    area = np.array([areas(_patch(p)).sum() if _is_split(p) else 0.0 for p in primitives])
+    left = max(_MAX_FACES - int(own.sum()), 0)
+    share = area / area.sum() if area.sum() > 0 else area
+    return [int(n) for n in own + np.floor(left * np.nan_to_num(share))]
+
+
+def _is_split(primitive: Primitive) -> bool:
+    has_texture = primitive.texture is not None and primitive.uv is not None
+    return has_texture or (primitive.alpha_mode is not AlphaMode.OPAQUE and not _is_even(primitive))
+
+
+def _is_even(primitive: Primitive) -> bool:
+    """Return whether alpha is the same on the whole surface."""
+    texture = primitive.texture
+    if texture is not None and primitive.uv is not None and texture.pixels.shape[2] == 4:
+        return False
+    return primitive.alpha is None or bool(np.ptp(primitive.alpha) < _EVEN)
+
+
+def _patch(primitive: Primitive) -> Patch:
+    n = len(primitive.vertices)
+    uv = np.zeros((n, 2)) if primitive.uv is None else primitive.uv
+    alpha = np.ones(n) if primitive.alpha is None else primitive.alpha
+    columns = [primitive.vertices, uv, primitive.colour, alpha[:, None]]
+    return Patch(np.concatenate(columns, axis=1), primitive.faces)
+
+
+def _parts(primitive: Primitive, edge: float, most_faces: int, notes: Notes) -> list[_Part]:
+    """Return the visible surfaces of a primitive."""
+    name = primitive.material.name
+    patch = _patch(primitive)
+    if primitive.transmission >= _CLEAR:
+        return [_glass(primitive, patch, 1.0 - primitive.transmission, notes)]
+    if primitive.transmission > 0:
+        notes.add("transmission below one half is read as opaque", name)
+    if primitive.alpha_mode is AlphaMode.OPAQUE:
+        return [_textured(primitive, patch, edge, most_faces, notes)]
+    is_mask = primitive.alpha_mode is AlphaMode.MASK
+    if not _is_even(primitive):
+        return _uneven(primitive, patch, edge, most_faces, notes)
+    alpha = float(patch.values[0, _ALPHA])
+    if (is_mask and alpha < primitive.alpha_cutoff) or (not is_mask and alpha <= INVISIBLE_ALPHA):
+        notes.add("invisible surfaces are left out", name)
+        return []
+    if is_mask or alpha >= OPAQUE_ALPHA:
+        if alpha < 1 - INVISIBLE_ALPHA and not is_mask:
+            notes.add(f"surfaces with an alpha of {OPAQUE_ALPHA} or more are read as opaque", name)
+        return [_textured(primitive, patch, edge, most_faces, notes)]
+    return [_glass(primitive, patch, alpha, notes)]
+
+
+def _uneven(
+    primitive: Primitive, patch: Patch, edge: float, most_faces: int, notes: Notes
+) -> list[_Part]:
+    """Surfaces whose alpha differs from place to place: panes, and what the contour leaves."""
+
+    def alpha(values: Float64[np.ndarray, "k c"]) -> Float64[np.ndarray, " k"]:
+        if primitive.texture is None or primitive.uv is None:
+            return values[:, _ALPHA]
+        return values[:, _ALPHA] * sample_channel(primitive.texture, values[:, _UV], 3)
+
+    is_mask = primitive.alpha_mode is AlphaMode.MASK
+    cutoff = primitive.alpha_cutoff if is_mask else BLEND_CUTOFF
+    choice = near_contour(alpha, cutoff, edge, edge / _FINE_EDGES)
+    patch = _split(patch, choice, most_faces, notes)
+    at_vertex = alpha(patch.values)
+    is_pane = np.zeros(len(patch.faces), bool) if is_mask else panes(patch, at_vertex)
+    parts: list[_Part] = []
+    if is_pane.any():
+        pane = chosen(patch, is_pane)
+        parts.append(_glass(primitive, pane, float(alpha(pane.values).mean()), notes))
+    rest = Patch(patch.values, patch.faces[~is_pane])
+    is_cut = bool((at_vertex[rest.faces] < cutoff).any())
+    if is_cut and not is_mask:
+        notes.add(
+            f"blended surfaces are cut where their alpha is {cutoff}", primitive.material.name
+        )
+    rest = cut(rest, at_vertex, cutoff) if is_cut else rest
+    return [*parts, _coloured(primitive, rest)]
+
+
 def _textured(
-    primitive: Primitive, edge_m: float, most_faces: int
-) -> tuple[Float64[np.ndarray, "n 3"], Int32[np.ndarray, "m 3"], Float32[np.ndarray, "n 3"]]:
-    """Vertices, faces and linear colour with the texture multiplied in."""
-    if primitive.uv is None or primitive.texture is None:
-        return primitive.vertices, primitive.faces, primitive.colour
-    values = np.concatenate([primitive.vertices, primitive.uv, primitive.colour], axis=1)
-    values, faces = split_long_edges(values, primitive.faces, edge_m, most_faces)
-    texels = _sample_texture(primitive.texture, values[:, 3:5])
-    return values[:, :3], faces, texels * values[:, 5:].astype(np.float32)
+    primitive: Primitive, patch: Patch, edge: float, most_faces: int, notes: Notes
+) -> _Part:
+    if primitive.texture is not None and primitive.uv is not None:
+        patch = _split(patch, longer_than(edge), most_faces, notes)
+    return _coloured(primitive, patch)
 
 
-def _sample_texture(
-    texture: ImageTexture, uv: Float[np.ndarray, "n 2"]
-) -> Float32[np.ndarray, "n 3"]:
-    """Bilinear look-up in linear light; coordinates repeat, row 0 is v = 0."""
-    linear = linear_from_srgb8(texture.pixels[..., :3])
-    height, width = linear.shape[:2]
-    x, y = uv[:, 0] % 1.0 * width - 0.5, uv[:, 1] % 1.0 * height - 0.5
-    x0, y0 = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    fx, fy = (x - x0)[:, None], (y - y0)[:, None]
-    left, right, top, bottom = x0 % width, (x0 + 1) % width, y0 % height, (y0 + 1) % height
-    upper = linear[top, left] * (1 - fx) + linear[top, right] * fx
-    lower = linear[bottom, left] * (1 - fx) + linear[bottom, right] * fx
-    return (upper * (1 - fy) + lower * fy).astype(np.float32)
+def _split(patch: Patch, choice: Choice, most_faces: int, notes: Notes) -> Patch:
+    values, faces, is_fine = split_edges(patch.values, patch.faces, choice, most_faces)
+    if not is_fine:
+        notes.add(f"textures and contours are coarser than asked for, within {_MAX_FACES} faces")
+    return Patch(values, faces)
+
+
+def _coloured(primitive: Primitive, patch: Patch) -> _Part:
+    """The patch with its texture as colours of vertices."""
+    return _Part(
+        patch.values[:, _POSITION], patch.faces, _colour(primitive, patch), primitive.material
+    )
+
+
+def _glass(primitive: Primitive, patch: Patch, alpha: float, notes: Notes) -> _Part:
+    notes.add("transparent surfaces are read as dark glass", primitive.material.name)
+    colour = glass_colour(_colour(primitive, patch), alpha)
+    return _Part(patch.values[:, _POSITION], patch.faces, colour, CAR_GLASS)
+
+
+def _colour(primitive: Primitive, patch: Patch) -> Float32[np.ndarray, "n 3"]:
+    colour = patch.values[:, _COLOUR].astype(np.float32)
+    if primitive.texture is None or primitive.uv is None:
+        return colour
+    is_by_alpha = primitive.alpha_mode is not AlphaMode.OPAQUE
+    return colour * sample_colour(primitive.texture, patch.values[:, _UV], is_by_alpha=is_by_alpha)

@@ -21,6 +21,8 @@ Y_UP_FROM_Z_UP = np.array(
 """Axes of files from ours: x stays, our z becomes the file's y (up), our y becomes its -z."""
 _MAX_MATERIALS = 256
 """`TriMesh.face_material` is an 8-bit number."""
+_STEPS = 15
+"""Steps of roughness and metallic factor, whose combinations are as many as materials may be."""
 
 
 class Wrap(StrEnum):
@@ -74,6 +76,7 @@ class Primitive:
         alpha_mode: the meaning of alpha.
         alpha: alpha of each vertex without the texture; None: 1 everywhere.
         alpha_cutoff: least alpha of the surface in mode `MASK`.
+        transmission: fraction of light that passes through as through clear glass.
     """
 
     vertices: Float64[np.ndarray, "n 3"]
@@ -86,6 +89,7 @@ class Primitive:
     alpha_mode: AlphaMode = AlphaMode.OPAQUE
     alpha: Float32[np.ndarray, " n"] | None = None
     alpha_cutoff: float = 0.5
+    transmission: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,23 +109,25 @@ class ModelFile:
 
 
 def group_materials(
-    primitives: Sequence[Primitive], counts: list[int]
+    of_part: Sequence[Material], counts: Sequence[int]
 ) -> tuple[tuple[Material, ...], UInt8[np.ndarray, " m"] | None]:
     """Return the distinct materials and the material of each face.
 
-    Beyond 256 materials their face-weighted mean is used for all faces.
+    More than 256 materials lose their names and are rounded to 16 levels of roughness and of
+    metallic factor, of which there are 256.
 
     Args:
-        counts: number of faces of each primitive.
+        of_part, counts: material and number of faces of each part.
     """
-    of_primitive = [p.material for p in primitives]
-    materials = tuple(dict.fromkeys(of_primitive))
+    materials = tuple(dict.fromkeys(of_part))
     if len(materials) > _MAX_MATERIALS:
-        weights = np.array(counts, dtype=np.float64) / sum(counts)
-        numbers = np.array([[m.roughness, m.metallic] for m in of_primitive])
-        roughness, metallic = (weights @ numbers).tolist()
-        return (Material(float(roughness), float(metallic)),), None
+        of_part = [
+            Material(round(m.roughness * _STEPS) / _STEPS, round(m.metallic * _STEPS) / _STEPS)
+            for m in of_part
+        ]
+        materials = tuple(dict.fromkeys(of_part))
     if len(materials) == 1:
         return materials, None
-    numbers = np.array([materials.index(m) for m in of_primitive], dtype=np.uint8)
+    index = {material: i for i, material in enumerate(materials)}
+    numbers = np.array([index[m] for m in of_part], dtype=np.uint8)
     return materials, np.repeat(numbers, counts)

@@ -44,7 +44,9 @@ def rejoin(primitives: Sequence[Primitive], frame: str) -> TriMesh | None:
         if all(name in p.own for p in primitives)
     }
     colour = own[VERTEX_COLOUR] if is_textured else np.concatenate([p.colour for p in primitives])
-    materials, face_material = group_materials(primitives, [len(p.faces) for p in primitives])
+    materials, face_material = group_materials(
+        [p.material for p in primitives], [len(p.faces) for p in primitives]
+    )
     return TriMesh(
         frame,
         (vertices[first] @ Y_UP_FROM_Z_UP[:3, :3]).astype(np.float32),
