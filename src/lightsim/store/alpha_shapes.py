@@ -74,7 +74,7 @@ def cut(patch: Patch, alpha: Float64[np.ndarray, " n"], cutoff: float) -> Patch:
     """Return the part of a patch whose alpha is at least the cutoff.
 
     Triangles that the contour crosses are cut along it; alpha is linear within a triangle.
-    Triangles with a common edge are cut at the same point of it.
+    Triangles with a common edge are cut at the same point of it. Faces without area are left out.
     """
     is_in = alpha[patch.faces] >= cutoff
     count = is_in.sum(axis=1)
@@ -97,7 +97,9 @@ def cut(patch: Patch, alpha: Float64[np.ndarray, " n"], cutoff: float) -> Patch:
     faces.append(np.stack([v0, e01, e20], axis=1)[one])
     faces.append(np.stack([e01, v1, v2], axis=1)[two])
     faces.append(np.stack([e01, v2, e20], axis=1)[two])
-    return _compact(Patch(values, np.concatenate(faces).astype(np.int32)))
+    whole = Patch(values, np.concatenate(faces).astype(np.int32))
+    # Where a vertex lies on the contour, its point on an edge is the vertex itself.
+    return chosen(whole, areas(whole) > 0)
 
 
 def panes(patch: Patch, alpha: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " m"]:

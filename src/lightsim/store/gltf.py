@@ -17,10 +17,10 @@ from jaxtyping import Float32, Float64, Int32, Int64
 from lightsim.errors import InputError
 from lightsim.store.gltf_accessors import Accessors
 from lightsim.store.gltf_document import GltfDocument, extensions, read_document
-from lightsim.store.gltf_extensions import DRACO, check_required, unsupported
+from lightsim.store.gltf_extensions import DRACO, check_required, note_unknown, unsupported
 from lightsim.store.gltf_materials import Geometry, Materials, Surface
 from lightsim.store.gltf_scene import Placement, Scene, skinned
-from lightsim.store.gltf_textures import Textures
+from lightsim.store.gltf_textures import LARGEST_UV, Textures
 from lightsim.store.notes import Notes
 from lightsim.store.primitives import ModelFile, Primitive
 
@@ -29,7 +29,9 @@ _MAX_VERTICES = 20_000_000
 """Of all instances together; the largest street of ours has half of it."""
 _MAX_FACES = 2 * _MAX_VERTICES
 _MAX_PARTS = 20_000
-"""Primitives, each mesh counted at each node that has it. Scanned cities have some thousand."""
+"""Primitives, each mesh counted at each node that has it; so many take some seconds."""
+_FARTHEST = 1e12
+"""Largest coordinate, in units of the file: float32 numbers hold its square."""
 _MAX_SHOWN_VARIANTS = 4
 
 
@@ -46,7 +48,9 @@ def read_gltf(path: Path) -> ModelFile:
         document = read_document(path)
         check_required(path, document.json.get("extensionsRequired", []))
         reader = _Reader(document)
-        primitives = reader.primitives()
+        # Numbers that overflow are found afterwards, by their results.
+        with np.errstate(over="ignore", invalid="ignore"):
+            primitives = reader.primitives()
     except (
         ValueError, ArithmeticError, LookupError, TypeError, AttributeError, struct.error,
     ) as error:  # fmt: skip
@@ -107,6 +111,7 @@ class _Reader:
             if len(primitives) > _MAX_PARTS:
                 raise ValueError(f"it has more than {_MAX_PARTS} primitives")
         self._note_scene()
+        note_unknown(self._document.json.get("extensionsUsed", ()), self.notes)
         return primitives
 
     def _count(self, part: _Part, n_instances: int) -> None:
@@ -200,7 +205,12 @@ class _Reader:
         self, attributes: dict[str, Any], number: int, count: int
     ) -> Float64[np.ndarray, "n 2"] | None:
         name = f"TEXCOORD_{number}"
-        return self._rows(attributes[name], count, 2) if name in attributes else None
+        if name not in attributes:
+            return None
+        uv = self._rows(attributes[name], count, 2)
+        if (np.abs(uv) > LARGEST_UV).any():
+            raise ValueError(f"a texture coordinate is {np.abs(uv).max():.3g}")
+        return uv
 
     def _vertex_colour(
         self, attributes: dict[str, Any], count: int
@@ -208,7 +218,8 @@ class _Reader:
         if "COLOR_0" not in attributes:
             return None
         rows = self._rows(attributes["COLOR_0"], count, 3, 4, is_fraction=True)
-        return np.concatenate([rows, np.ones((count, 4 - rows.shape[1]))], axis=1)
+        rgba = np.concatenate([rows, np.ones((count, 4 - rows.shape[1]))], axis=1)
+        return np.clip(rgba, 0.0, 1.0)
 
     def _joints(
         self, attributes: dict[str, Any], count: int
@@ -224,6 +235,8 @@ class _Reader:
     def _note_scene(self) -> None:
         document = self._document
         nodes = [document.item("nodes", index) for index in self._scene.visited]
+        if len(document.items("scenes")) > 1:
+            self.notes.add(f"of {len(document.items('scenes'))} scenes the default one is read")
         if any("KHR_lights_punctual" in extensions(node) for node in nodes):
             self.notes.add("lights are not read")
         channels = [c for a in document.items("animations") for c in a.get("channels", ())]
@@ -259,6 +272,8 @@ def _placed(part: _Part, placement: Placement) -> Primitive:
         moved = part.vertices @ matrices[:, :3, :3].transpose(0, 2, 1) + matrices[:, None, :3, 3]
         vertices = moved.reshape(-1, 3)
         mirrored = np.linalg.det(matrices[:, :3, :3]) < 0
+    if not (np.abs(vertices) < _FARTHEST).all():
+        raise ValueError(f"a vertex is not finite, or {_FARTHEST:.0e} or more from the origin")
     k = len(mirrored)
     faces = np.where(mirrored[:, None, None], part.faces[:, ::-1], part.faces)
     faces = faces + (np.arange(k) * n)[:, None, None]

@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from lightsim.errors import InputError
+from lightsim.store.notes import Notes
 
 DRACO = "KHR_draco_mesh_compression"
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
@@ -25,6 +26,11 @@ NOTED_EXTENSIONS = frozenset({
     "KHR_animation_pointer", "KHR_xmp_json_ld", "KHR_xmp",
 })  # fmt: skip
 """A file that requires one of these is read; what it changes is a note."""
+_NOTED_ELSEWHERE = frozenset({DRACO, *MESHOPT, BASISU, "EXT_texture_avif", "MSFT_texture_dds"})
+_WITHOUT_EFFECT = frozenset({"FB_ngon_encoding", "MSFT_lod"})
+"""Hints for editors, and simpler shapes for the distance."""
+_MAX_UNKNOWN = 100
+"""Unknown extensions that are counted in the note."""
 _DECOMPRESS = (
     "Export it without mesh compression (Blender's glTF exporter: Data, Compression), or decompress"
     " it with gltf-transform: npx @gltf-transform/cli copy IN.glb OUT.glb."
@@ -48,6 +54,14 @@ def unsupported(path: Path, *names: str) -> InputError:
         expected="glTF 2.0 without them (docs/assets.md lists what is read)",
         remedy=" ".join(remedies) or "Export it again without these extensions.",
     )
+
+
+def note_unknown(used: object, notes: Notes) -> None:
+    """Add a note on extensions that this reader does not have."""
+    names = {name for name in used if isinstance(name, str)} if isinstance(used, list) else set()
+    known = READ_EXTENSIONS | NOTED_EXTENSIONS | _NOTED_ELSEWHERE | _WITHOUT_EFFECT
+    for name in sorted(names - known)[:_MAX_UNKNOWN]:
+        notes.add("extensions without a reader are left out", name)
 
 
 def check_required(path: Path, required: object) -> None:

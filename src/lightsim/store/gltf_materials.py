@@ -213,6 +213,7 @@ def _number(value: object) -> float:
 
 
 def _numbers(value: object, count: int) -> Float64[np.ndarray, " n"]:
+    """A colour, within [0, 1] as the standard has it."""
     if not isinstance(value, list) or len(value) != count:
         raise ValueError(f"a material has {str(value)[:40]} where {count} numbers are expected")
-    return np.array([_number(number) for number in value])
+    return np.clip([_number(number) for number in value], 0.0, 1.0)

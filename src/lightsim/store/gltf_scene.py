@@ -15,7 +15,7 @@ from jaxtyping import Float64
 from scipy.spatial.transform import Rotation
 
 from lightsim.store.gltf_accessors import Accessors
-from lightsim.store.gltf_document import GltfDocument, extensions
+from lightsim.store.gltf_document import GltfDocument, extensions, whole
 
 _MAX_DEPTH = 1000
 """Of nested nodes; a skeleton of a long chain has some hundred."""
@@ -66,7 +66,7 @@ class Scene:
         Raises:
             ValueError: nodes form a loop, or a transform or a skin is broken.
         """
-        stack = [(np.eye(4), root, 0) for root in self._roots()]
+        stack = [(np.eye(4), whole(root), 0) for root in self._roots()]
         visits = 0
         while stack:
             parent, index, depth = stack.pop()
@@ -81,18 +81,18 @@ class Scene:
             if "mesh" in node:
                 self._mark(index)
                 yield self._placement(index, node, matrix)
-            stack.extend((matrix, child, depth + 1) for child in node.get("children", ()))
+            stack.extend((matrix, whole(child), depth + 1) for child in node.get("children", ()))
 
     def _placement(
         self, index: int, node: dict[str, Any], matrix: Float64[np.ndarray, "4 4"]
     ) -> Placement:
         mesh = self._document.item("meshes", node["mesh"])
         weights = tuple(float(w) for w in node.get("weights", mesh.get("weights", ())))
-        joints = self._skin(node["skin"]) if "skin" in node else None
+        joints = self._skin(whole(node["skin"])) if "skin" in node else None
         instances = matrix[None]
         if joints is None and _INSTANCING in extensions(node):
             instances = matrix @ self._instances(extensions(node)[_INSTANCING])
-        return Placement(index, node["mesh"], instances, joints, weights)
+        return Placement(index, whole(node["mesh"]), instances, joints, weights)
 
     def _roots(self) -> list[int]:
         scenes = self._document.items("scenes")
@@ -105,7 +105,9 @@ class Scene:
     @cached_property
     def _parents(self) -> dict[int, int]:
         nodes = self._document.items("nodes")
-        return {child: i for i, node in enumerate(nodes) for child in node.get("children", ())}
+        return {
+            whole(child): i for i, node in enumerate(nodes) for child in node.get("children", ())
+        }
 
     def _local(self, index: int) -> Float64[np.ndarray, "4 4"]:
         if index not in self._locals:
@@ -138,7 +140,7 @@ class Scene:
             skin = self._document.item("skins", index)
             if not 0 < len(skin["joints"]) <= _MAX_JOINTS:
                 raise ValueError(f"a skin has {len(skin['joints'])} joints")
-            joints = np.stack([self._global(number) for number in skin["joints"]])
+            joints = np.stack([self._global(whole(number)) for number in skin["joints"]])
             if "inverseBindMatrices" in skin:
                 inverse = self._accessors.floats(skin["inverseBindMatrices"], 16)
                 if len(inverse) < len(joints):

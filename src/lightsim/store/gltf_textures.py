@@ -26,6 +26,8 @@ _OTHER_FORMATS = {
     "EXT_texture_avif": "AVIF pictures (EXT_texture_avif)",
     "MSFT_texture_dds": "DDS pictures (MSFT_texture_dds)",
 }
+LARGEST_UV = 1e9
+"""Largest texture coordinate: beyond it, float64 numbers do not resolve a pixel."""
 _MAX_PIXELS = 1 << 28
 """Of all pictures of a file together; as RGBA they take a gigabyte. A model of a car with four
 pictures of 8192 x 8192 px just fits."""
@@ -112,8 +114,8 @@ def coordinates(
     angle = float(transform.get("rotation", 0.0))
     cos, sin = np.cos(angle), np.sin(angle)
     moved = (uv * scale) @ np.array([[cos, -sin], [sin, cos]]) + offset
-    if not np.isfinite(moved).all():
-        raise ValueError("a texture transform is not finite")
+    if not (np.abs(moved) <= LARGEST_UV).all():
+        raise ValueError("a texture transform is not finite or too large")
     return moved
 
 

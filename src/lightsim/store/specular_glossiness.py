@@ -36,7 +36,7 @@ def metal_from_specular(
     m = metallic[..., None]
     of_diffuse = diffuse / np.maximum(1 - m, 1e-6)
     of_specular = (specular - _DIELECTRIC * (1 - m)) / np.maximum(m, 1e-6)
-    return np.clip(of_diffuse * (1 - m**2) + of_specular * m**2, 0.0, 1.0), metallic
+    return np.clip(of_diffuse * (1 - m**2) + of_specular * m**2, 0.0, 1.0), np.asarray(metallic)
 
 
 def convert_pictures(
