@@ -139,7 +139,7 @@ def rich_document() -> GltfBuilder:
     accessor = b.document["accessors"][box["attributes"]["POSITION"]]
     accessor["sparse"] = {
         "count": 1, "indices": {"bufferView": b.view(b"\1"), "componentType": 5121},
-        "values": {"bufferView": b.view(np.float32([0, 1, 0]).tobytes())},
+        "values": {"bufferView": b.view(np.array([0, 1, 0], np.float32).tobytes())},
     }  # fmt: skip
     person = b.primitive(BOX, BOX_FACES)
     b.document["meshes"][0]["primitives"].pop()

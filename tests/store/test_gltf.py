@@ -132,7 +132,7 @@ def _skinned(b: GltfBuilder) -> None:
 
 def _morphed(b: GltfBuilder) -> None:
     value = b.primitive(BOX * [1, 0.5, 1], BOX_FACES)
-    delta = b.accessor(BOX * np.float32([0, 1, 0]))
+    delta = b.accessor(BOX * np.array([0, 1, 0], np.float32))
     value["targets"] = [{"POSITION": b.accessor(BOX * 9)}, {"POSITION": delta}]
     b.document["meshes"][0]["weights"] = [1.0, 1.0]
     b.document["nodes"][0]["weights"] = [0.0, 0.5]
@@ -282,16 +282,17 @@ BROKEN: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("form", ["glb", "embedded"])
-@pytest.mark.parametrize("case", BROKEN)
+@pytest.mark.parametrize(
+    ("case", "form"),
+    [(case, form) for case in BROKEN for form in ("glb", "embedded")
+     if form == "glb" or case not in ("meshopt", "no buffer")],  # The buffer is another one there.
+)  # fmt: skip
 def test_what_is_broken_is_named_with_its_file(tmp_path: Path, case: str, form: str) -> None:
     builder = GltfBuilder()
     builder.primitive(BOX, BOX_FACES)
     builder.accessor(np.full((8, 4), 3), "u1")
     change, message = BROKEN[case]
     change(builder.document)
-    if form == "embedded" and case in ("meshopt", "no buffer"):
-        pytest.skip("the buffer is embedded")
     path = builder.write(tmp_path / "model.gltf", form)
     with pytest.raises(InputError, match=rf"model\.gltf: .*{message}"):
         read_gltf(path)

@@ -35,6 +35,15 @@ are found."""
 _CHUNK = 1 << 17
 """Edges whose alpha is sampled at once, which bounds memory."""
 
+_INNER = (
+    np.array(
+        [(3 * i + 1, 3 * j + 1, 10 - 3 * i - 3 * j) for i in range(4) for j in range(4 - i)]
+        + [(3 * i + 2, 3 * j + 2, 8 - 3 * i - 3 * j) for i in range(3) for j in range(3 - i)]
+    )
+    / 12.0
+)
+"""Barycentric coordinates of the middles of the 16 equal triangles that make up a triangle."""
+
 Alpha = Callable[[Float64[np.ndarray, "k c"]], Float64[np.ndarray, " k"]]
 """Returns the alpha of vertices, given their values."""
 
@@ -48,8 +57,8 @@ class Patch:
 
 
 def near_contour(alpha: Alpha, cutoff: float, coarse: float, fine: float) -> Choice:
-    """Return the choice of edges longer than `coarse`, and longer than `fine` in faces along whose
-    edges alpha passes the cutoff."""
+    """Return the choice of edges longer than `coarse`, and longer than `fine` in faces that the
+    contour crosses: along one of their edges, or between their middle and a corner."""
 
     def is_split(
         ends: Float64[np.ndarray, "k 2 c"], edges: Int64[np.ndarray, "m 3"]
@@ -62,9 +71,15 @@ def near_contour(alpha: Alpha, cutoff: float, coarse: float, fine: float) -> Cho
             along = ends[part, :1] + _EDGE_SAMPLES[:, None] * (ends[part, 1:] - ends[part, :1])
             values = alpha(along.reshape(-1, ends.shape[2])).reshape(-1, len(_EDGE_SAMPLES))
             is_crossed[part] = (values.min(axis=1) < cutoff) & (values.max(axis=1) >= cutoff)
+        long_faces = edges[(length[edges] > fine).any(axis=1)]
+        is_apart = ~is_crossed[long_faces].any(axis=1)
+        apart = long_faces[is_apart]
+        middles = ends.mean(axis=1)[apart].mean(axis=1)
+        is_hole = (alpha(middles) >= cutoff) != (alpha(ends[apart[:, 0], 0]) >= cutoff)
         # All edges of a face, or it would become a sliver.
         is_near = np.zeros(len(ends), bool)
-        is_near[edges[is_crossed[edges].any(axis=1)]] = True
+        is_near[long_faces[~is_apart]] = True
+        is_near[apart[is_hole]] = True
         return (length > coarse) | (is_near & (length > fine))
 
     return is_split
@@ -100,6 +115,42 @@ def cut(patch: Patch, alpha: Float64[np.ndarray, " n"], cutoff: float) -> Patch:
     whole = Patch(values, np.concatenate(faces).astype(np.int32))
     # Where a vertex lies on the contour, its point on an edge is the vertex itself.
     return chosen(whole, areas(whole) > 0)
+
+
+def shrink_unresolved(
+    patch: Patch, alpha: Alpha, cutoff: float, fine: float
+) -> tuple[Patch, Patch]:
+    """Return the faces whose contour the vertices show, and the others, shrunk to their visible
+    area.
+
+    For a surface that has more contours than faces may be: a shrunk face keeps its middle, and lets
+    as much light through as its holes do. Its other values are those of a visible point, so that it
+    has a visible colour.
+
+    Args:
+        fine: faces without a longer edge count as resolved.
+    """
+    is_in = alpha(patch.values)[patch.faces] >= cutoff
+    corners = patch.values[patch.faces, :3]
+    is_long = (np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2) > fine).any(axis=1)
+    is_visible = np.empty((len(patch.faces), len(_INNER)), bool)
+    for start in range(0, len(patch.faces), _CHUNK // len(_INNER)):
+        part = slice(start, start + _CHUNK // len(_INNER))
+        points = np.einsum("kc,mcv->mkv", _INNER, patch.values[patch.faces[part]])
+        at_point = alpha(points.reshape(-1, patch.values.shape[1]))
+        is_visible[part] = at_point.reshape(-1, len(_INNER)) >= cutoff
+    share = is_visible.mean(axis=1)
+    is_even = (is_in.all(axis=1) & (share == 1)) | (~is_in.any(axis=1) & (share == 0))
+    is_shrunk = is_long & ~is_even
+    seen = is_shrunk & (share > 0)
+    values = patch.values[patch.faces[seen]]
+    middle = values[:, :, :3].mean(axis=1, keepdims=True)
+    scale = np.sqrt(share[seen])[:, None, None]
+    first = _INNER[is_visible[seen].argmax(axis=1)]
+    shrunk = np.repeat(np.einsum("mc,mcv->mv", first, values)[:, None], 3, axis=1)
+    shrunk[:, :, :3] = middle + scale * (values[:, :, :3] - middle)
+    faces = np.arange(3 * len(shrunk), dtype=np.int32).reshape(-1, 3)
+    return chosen(patch, ~is_shrunk), Patch(shrunk.reshape(-1, patch.values.shape[1]), faces)
 
 
 def panes(patch: Patch, alpha: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " m"]:

@@ -21,6 +21,7 @@ from lightsim.store.alpha_shapes import (
     glass_colour,
     near_contour,
     panes,
+    shrink_unresolved,
 )
 from lightsim.store.notes import Notes
 from lightsim.store.primitives import (
@@ -70,11 +71,10 @@ def mesh_of(
         texture_edge_m: in units of the file: divide by its metres per unit.
 
     Returns:
-        The mesh in units of the file, and the notes of the file with those of this conversion.
+        The mesh in units of the file; the notes of the file and of this conversion.
 
     Raises:
-        InputError: a file of LightSim's own writer is damaged, or nothing of the model is visible
-            because its alpha is 0 everywhere.
+        InputError: a file of LightSim's own writer is damaged, or nothing is visible.
     """
     try:
         mesh = rejoin(model.primitives, frame)
@@ -186,11 +186,14 @@ def _uneven(
 
     is_mask = primitive.alpha_mode is AlphaMode.MASK
     cutoff = primitive.alpha_cutoff if is_mask else BLEND_CUTOFF
-    choice = near_contour(alpha, cutoff, edge, edge / _FINE_EDGES)
-    patch = _split(patch, choice, most_faces, notes)
+    fine = edge / _FINE_EDGES
+    patch, is_fine = _split(patch, near_contour(alpha, cutoff, edge, fine), most_faces, notes)
+    parts: list[_Part] = []
+    if not is_fine:
+        patch, shrunk = shrink_unresolved(patch, alpha, cutoff, fine)
+        parts.append(_coloured(primitive, shrunk))
     at_vertex = alpha(patch.values)
     is_pane = np.zeros(len(patch.faces), bool) if is_mask else panes(patch, at_vertex)
-    parts: list[_Part] = []
     if is_pane.any():
         pane = chosen(patch, is_pane)
         parts.append(_glass(primitive, pane, float(alpha(pane.values).mean()), notes))
@@ -208,15 +211,16 @@ def _textured(
     primitive: Primitive, patch: Patch, edge: float, most_faces: int, notes: Notes
 ) -> _Part:
     if primitive.texture is not None and primitive.uv is not None:
-        patch = _split(patch, longer_than(edge), most_faces, notes)
+        patch, _ = _split(patch, longer_than(edge), most_faces, notes)
     return _coloured(primitive, patch)
 
 
-def _split(patch: Patch, choice: Choice, most_faces: int, notes: Notes) -> Patch:
+def _split(patch: Patch, choice: Choice, most_faces: int, notes: Notes) -> tuple[Patch, bool]:
+    """The patch with shorter edges, and whether they are as short as asked for."""
     values, faces, is_fine = split_edges(patch.values, patch.faces, choice, most_faces)
     if not is_fine:
         notes.add(f"textures and contours are coarser than asked for, within {_MAX_FACES} faces")
-    return Patch(values, faces)
+    return Patch(values, faces), is_fine
 
 
 def _coloured(primitive: Primitive, patch: Patch) -> _Part:
