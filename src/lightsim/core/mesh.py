@@ -51,8 +51,7 @@ class Material:
 
 CAR_GLASS = Material(0.1, 0.0, "glass")
 CAR_GLASS_COLOUR = (0.03, 0.034, 0.036)
-"""Panes of vehicles: smooth, and dark because the cabin behind them is. Chosen by eye beside
-pictures of cars; not measured."""
+"""Panes of vehicles: smooth, and dark because the cabin behind them is. Chosen; not measured."""
 
 
 @dataclass(frozen=True, eq=False)
