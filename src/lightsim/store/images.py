@@ -39,6 +39,7 @@ __all__ = [
 ]
 _LOGGER = logging.getLogger(__name__)
 _READABLE = ("PNG", "JPEG", "WEBP")
+_TEXTURES = (*_READABLE, "BMP", "TGA")
 _EIGHT_BIT_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
 _PIL_ERRORS = (OSError, ValueError, SyntaxError, EOFError, LookupError, TypeError, struct.error)
 _MAX_PIXELS = 1 << 27
@@ -281,13 +282,15 @@ def _reduction(path: Path, height: int, width: int, most_rows: int | None, notes
     )
 
 
-def decode_texture(data: bytes) -> UInt8[np.ndarray, "h w _"]:
+def decode_texture(data: bytes, *, is_of_obj: bool = False) -> UInt8[np.ndarray, "h w _"]:
     """8-bit sRGB of the bytes of a PNG, JPEG or WebP picture, and alpha where any is below 255.
+
+    BMP and TGA, which OBJ files use, are read with `is_of_obj`.
 
     Raises:
         ValueError: the bytes are damaged, truncated, or not 8 bits a channel.
     """
-    rgba = _decode_pil(data, "RGBA")
+    rgba = _decode_pil(data, "RGBA", _TEXTURES if is_of_obj else _READABLE)
     return rgba if (rgba[..., 3] < 255).any() else np.ascontiguousarray(rgba[..., :3])
 
 
@@ -322,7 +325,7 @@ def read_size(
 def _read_pil(path: Path, mode: str) -> UInt8[np.ndarray, "h w *c"]:
     data = read_bytes(path, "picture", _MAX_BYTES)
     try:
-        return _decode_pil(data, mode)
+        return _decode_pil(data, mode, _READABLE)
     except ValueError as error:
         raise _unreadable(path, error) from error
 
@@ -337,13 +340,13 @@ def _unreadable(path: Path, error: ValueError, formats: tuple[str, ...] = _READA
     )
 
 
-def _decode_pil(data: bytes, mode: str) -> UInt8[np.ndarray, "h w *c"]:
+def _decode_pil(data: bytes, mode: str, formats: tuple[str, ...]) -> UInt8[np.ndarray, "h w *c"]:
     from PIL import Image
 
     # Pillow takes a PNG whose pixels are whole but whose end is cut off.
     if data.startswith(b"\x89PNG") and _PNG_END not in data:
         raise ValueError("the PNG is truncated")
-    with _pillow_errors(), Image.open(io.BytesIO(data), formats=_READABLE) as image:
+    with _pillow_errors(), Image.open(io.BytesIO(data), formats=formats) as image:
         _check_header(image.size, image.mode, data)
         return np.array(image.convert(mode), dtype=np.uint8)
 
