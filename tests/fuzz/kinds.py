@@ -11,7 +11,7 @@ from pathlib import Path
 from lightsim.store.artefact import RECORD_NAME, hash_file
 
 from .containers import mutate_glb, mutate_npz, mutate_safetensors
-from .models import read_model_case, write_model_case
+from .models import read_model_case, read_obj_case, write_model_case, write_obj_case
 from .mutations import Rng, mutate_bytes, mutate_json, mutate_text, pick
 from .options import read_options_case, write_options_case
 from .pictures import mutate_picture, write_exr_case, write_hdr_case
@@ -160,6 +160,10 @@ def _model(seeds: Seeds, folder: Path, rng: Rng) -> str:
     return write_model_case(folder, rng)
 
 
+def _obj(seeds: Seeds, folder: Path, rng: Rng) -> str:
+    return write_obj_case(folder, rng)
+
+
 def _panorama(seeds: Seeds, folder: Path, rng: Rng) -> str:
     path = folder / "panorama.png"
     shutil.copyfile(seeds.work / "panorama" / "panorama.png", path)
@@ -178,6 +182,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("sky exr", 2, _exr, read_sky_file),
     Kind("panorama", 2, _panorama, read_panorama_picture),
     Kind("models", 3, _model, read_model_case),
+    Kind("obj models", 3, _obj, read_obj_case),
     Kind("work json", 4, _in_work(_json), read_artefacts),
     Kind("work arrays", 3, _in_work(_signed(_arrays)), read_artefacts),
     Kind("work meshes", 3, _in_work(_signed(_meshes)), read_artefacts),

@@ -7,10 +7,12 @@ from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 
 import numpy as np
+from jaxtyping import Float64
 
 from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import TriMesh
 from lightsim.core.scenario import (
     ActorPlacement,
     Scenario,
@@ -35,6 +37,8 @@ _EGO_BODY = (ActorKind.CAR, np.array([4.5, 1.8, 1.5]))
 _HOLD_S = 0.1
 # The part of a motion below which a recorded track counts as standing.
 _STANDS_M = 0.3
+# Least side of the box of an inserted card without thickness: boxes have a volume.
+_THINNEST_M = 0.01
 
 
 @dataclass
@@ -192,11 +196,16 @@ def _insert(
             expected=error.expected,
             remedy=error.remedy or "lightsim assets list shows what there is.",
         ) from error
-    size = np.ptp(asset.mesh.vertices.astype(np.float64), axis=0)
+    size = box_size_m(asset.mesh)
     path = moved_along(edit.waypoints, span_ns, (asset.kind, size), ground, edit.where)
     free = replace(asset, mesh=replace(asset.mesh, sun_visibility=None))
     track = ActorTrack(edit.actor_id, asset.kind, size, path, _is_moving(path), asset.label)
     cast.put(track, free)
+
+
+def box_size_m(mesh: TriMesh) -> Float64[np.ndarray, "3"]:
+    """Return length, width and height of the box of an inserted mesh, each at least 1 cm."""
+    return np.maximum(np.ptp(mesh.vertices.astype(np.float64), axis=0), _THINNEST_M)
 
 
 def _is_moving(path: Trajectory) -> bool:
