@@ -95,7 +95,8 @@ def test_a_sky_can_be_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     # A ring marks the sun. The centre column looks along world +x: without a log, due east.
     assert column == pytest.approx(0.5 + 30 / 360, abs=0.01)
     assert row == pytest.approx((90 - 35) / 180, abs=0.01)
-    assert "sun_direction_world" in capsys.readouterr().out
+    lines = capsys.readouterr().out.splitlines()
+    assert "sun: azimuth 120.0, elevation 35.0 degrees (--sky sun:120.0,35.0)" in lines
 
 
 @pytest.mark.parametrize(
