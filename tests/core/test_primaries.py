@@ -56,7 +56,7 @@ def test_colours_in_xyz_stay_what_they_are() -> None:
 
 @pytest.mark.parametrize("scale", [1.0, 1.0 + 1e-7])
 def test_srgb_is_known_by_its_numbers(scale: float) -> None:
-    rounded = np.float32(np.array(SRGB) * scale).tolist()
+    rounded = tuple(float(np.float32(value * scale)) for value in SRGB)
     assert are_srgb(rounded)
     np.testing.assert_allclose(srgb_from_primaries(rounded), np.eye(3), atol=1e-5)
     assert not are_srgb((*SRGB[:6], 1 / 3, 1 / 3))

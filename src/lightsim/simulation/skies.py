@@ -39,6 +39,8 @@ from lightsim.store.sky import read_heading
 
 _LOGGER = logging.getLogger(__name__)
 SKY_HEIGHT_PX = 256
+_MAX_WORDS = 200
+"""Characters of --sky that an error shows, so that what is wrong with them is shown, too."""
 _READER = 2
 """Version of `read_sky`, part of what frames are made from: raised when it gives another dome."""
 
@@ -236,7 +238,7 @@ def _light_facts(dome: SkyDome) -> dict[str, Any]:
 
 
 def _check_file(choice: SkyChoice) -> None:
-    path, where = choice.path, f"--sky {choice.sky}"
+    path, where = choice.path, f"--sky {choice.sky[:_MAX_WORDS]}"
     if path is None or is_file(path):
         return
     if is_folder(path):

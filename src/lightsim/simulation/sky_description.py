@@ -8,6 +8,7 @@ import numpy as np
 
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import azimuth_elevation
+from lightsim.lighting.night import looks_like_night
 from lightsim.simulation.skies import TargetSky
 from lightsim.store.sky import read_heading
 
@@ -28,6 +29,8 @@ def describe_sky(choice: SkyChoice, sky: TargetSky) -> Iterator[str]:
     yield _north(choice, heading_deg)
     for note in sky.facts.get("notes", ()):
         yield f"note: {note}"
+    if choice.path is not None and looks_like_night(sky.dome):
+        yield "note: looks like a night panorama: what is taken as the sun may be a lamp"
     unit = "scene units" if choice.path is None else "the file's radiance"
     level, of_sky = sky.facts["horizontal_irradiance"], sky.facts["sky_irradiance"]
     yield f"irradiance on level ground: {_digits(level)} (red green blue, {unit} x sr)"
@@ -61,7 +64,7 @@ def _sun(direction_world: Sequence[float], heading_deg: float) -> str:
 def _digits(rgb: Sequence[float]) -> str:
     """Three digits of each number; powers of ten only where they save more than they hide."""
     return " ".join(
-        np.format_float_positional(value, 3, unique=False, fractional=False, trim="-")
+        np.format_float_positional(value, 3, unique=False, fractional=False, trim="k").rstrip(".")
         if _PLAIN[0] <= value < _PLAIN[1]
         else f"{value:.3g}"
         for value in rgb

@@ -149,7 +149,7 @@ class _Found:
 
     def read_gamma(self, value: bytes) -> None:
         (gamma,) = _numbers("GAMMA", value, 1)
-        # Written as the exponent and as its inverse, and no other reader applies it.
+        # No entry of Radiance's own; whether it is the exponent or its inverse is not settled.
         if abs(gamma - 1.0) > _PLAIN_GAMMA:
             self.notes.append(f"GAMMA={gamma:g} is not applied: pixels are taken as linear")
 
