@@ -102,8 +102,10 @@ def write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"], quality: int = 92)
     _write_pil(path, srgb8, "JPEG", quality=quality, subsampling=0)
 
 
-def decode_srgb8(data: bytes) -> UInt8[np.ndarray, "h w 3"]:
-    """8-bit sRGB of the bytes of a PNG, JPEG or WebP picture.
+def decode_texture(data: bytes, *, is_of_obj: bool = False) -> UInt8[np.ndarray, "h w _"]:
+    """8-bit sRGB of the bytes of a PNG, JPEG or WebP picture, and alpha where any is below 255.
+
+    BMP and TGA, which OBJ files use, are read with `is_of_obj`.
 
     Raises:
         ValueError: the bytes are damaged, truncated, or not 8 bits a channel.
