@@ -8,6 +8,7 @@ and buffers: bits of validity, then numbers, or offsets and UTF-8 (Arrow Columna
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,8 @@ from lightsim.datasets.pickle_values import (
 )
 
 _CODE_BY_TYPE = {
-    **{f"{sign}int{bits}": f"<{sign or 'i'}{bits // 8}" for sign in ("", "u") for bits in (8, 16, 32, 64)},
+    "int8": "<i1", "int16": "<i2", "int32": "<i4", "int64": "<i8",
+    "uint8": "<u1", "uint16": "<u2", "uint32": "<u4", "uint64": "<u8",
     "halffloat": "<f2", "float": "<f4", "double": "<f8",
 }  # fmt: skip
 _OFFSETS_BY_TYPE = {"string": "<i4", "large_string": "<i8"}
@@ -187,9 +189,7 @@ def _texts(
         raise RefusedError("an Arrow text outside its buffer")
     budget.take("decoded bytes", int(bounds[-1] - bounds[0]))
     ends = bounds.tolist()
-    texts[:] = [
-        checked_text(data[a:b].decode()) for a, b in zip(ends[:-1], ends[1:], strict=True)
-    ]
+    texts[:] = [checked_text(data[start:end].decode()) for start, end in pairwise(ends)]
     if is_null is not None:
         texts[is_null] = None
     return texts

@@ -14,8 +14,6 @@ from jaxtyping import Bool, Int64, Shaped
 from lightsim.datasets.safe_pickle import Table
 from lightsim.errors import InputError
 
-_MAX_ID = 2**31
-"""Ids of sensors and classes are small; beyond 2**53 floats skip whole numbers."""
 _TRUTHS = {"true": True, "false": False}
 
 
@@ -35,8 +33,8 @@ def number_column(table: Table, name: str, path: Path) -> Shaped[np.ndarray, " n
     if wrong:
         raise InputError(
             f"the column '{name}' holds no numbers",
-            where=f"{path}, row {wrong[0]}",
-            got=f"the text {cells[wrong[0]]!r:.40}",
+            where=path,
+            got=f"the text {cells[wrong[0]]!r:.40} in row {wrong[0]}",
             expected="numbers",
             remedy=f"Convert it before writing the table: table['{name}'].astype(float).",
         )
@@ -44,17 +42,21 @@ def number_column(table: Table, name: str, path: Path) -> Shaped[np.ndarray, " n
         return np.array([np.nan if cell is None else cell for cell in cells], dtype=np.float64)
     except OverflowError as error:
         raise InputError(
-            f"the column '{name}' holds a number that is too large", where=path, got=error
+            f"the column '{name}' holds a number that is too large",
+            where=path,
+            got=error,
+            expected="numbers of double precision",
         ) from error
 
 
 def whole_column(
-    table: Table, name: str, path: Path, least: int = -_MAX_ID, most: int = _MAX_ID
+    table: Table, name: str, path: Path, least: int, most: int, meaning: str = ""
 ) -> Int64[np.ndarray, " n"]:
     """Return a column of ids: whole numbers, also stored as floats or truths.
 
     Args:
         least, most: smallest and largest id that there is.
+        meaning: of the ids, for the message.
 
     Raises:
         InputError: a cell is no whole number, or out of range.
@@ -67,18 +69,16 @@ def whole_column(
         row = int(np.flatnonzero(~is_good)[0])
         raise InputError(
             f"the column '{name}' holds what is no id",
-            where=f"{path}, row {row}",
-            got=f"{column[row]}",
-            expected=f"whole numbers from {least} to {most}",
+            where=path,
+            got=f"{column[row]} in row {row}",
+            expected=meaning or f"whole numbers from {least} to {most}",
             remedy="Remove the row or fill the missing number, or copy the file again from the "
             "original data set.",
         )
     return column.astype(np.int64)
 
 
-def truth_column(
-    table: Table, name: str, path: Path, *, missing: bool
-) -> Bool[np.ndarray, " n"]:
+def truth_column(table: Table, name: str, path: Path, *, missing: bool) -> Bool[np.ndarray, " n"]:
     """Return a column of truths, also stored as numbers 0 and 1 or as text.
 
     Args:
@@ -95,8 +95,8 @@ def truth_column(
         if value not in (True, False):
             raise InputError(
                 f"the column '{name}' holds what is neither true nor false",
-                where=f"{path}, row {row}",
-                got=f"{cell!r:.40}",
+                where=path,
+                got=f"{cell!r:.40} in row {row}",
                 expected="True or False",
             )
         truths[row] = bool(value)

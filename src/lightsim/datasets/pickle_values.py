@@ -134,9 +134,10 @@ def _unit_s(metadata: Any) -> float:
     name = unit[0] if isinstance(unit, tuple) and len(unit) == 4 else None
     if type(name) is bytes:
         name = name[:2].decode("ascii", "replace")
-    if type(name) is not str or name not in _SECONDS_BY_UNIT or unit[1:3] != (1, 1):
+    length_s = _SECONDS_BY_UNIT.get(name) if type(name) is str else None
+    if length_s is None or not isinstance(unit, tuple) or unit[1:3] != (1, 1):
         raise RefusedError("a time of another unit than s, ms, us or ns")
-    return _SECONDS_BY_UNIT[name]
+    return length_s
 
 
 class Array(Values):

@@ -8,7 +8,7 @@ drives show, so that a plain error passes none of them and an odd log all.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from jaxtyping import Float64, Int64
 from lightsim.core.actors import ActorTrack
 from lightsim.core.checks import Limit
 from lightsim.core.frames import Trajectory, vector_from_rotation
+from lightsim.core.notes import grouped_notes
 from lightsim.errors import InputError
 
 LIMITS = {
@@ -294,15 +295,23 @@ def check_rigid(path: Path, ego: Trajectory, camera: Trajectory) -> tuple[str, .
     return ()
 
 
-def odd_track_notes(track: ActorTrack) -> tuple[str, ...]:
-    """Notes on an actor that is very long or moves very fast."""
-    notes: list[str] = []
-    name = f"actor {track.actor_id[:40]} ({track.label[:40]})"
-    size_m = float(track.size_lwh_m.max())
-    if size_m > LIMITS["box"].odd[1]:
-        notes.append(f"{name} is {size_m:.0f} m long")
-    steps_m = np.linalg.norm(np.diff(track.trajectory.positions_m, axis=0), axis=1)
-    speeds = steps_m / (np.diff(track.trajectory.times_ns) * 1e-9)
-    if len(speeds) and speeds.max() > LIMITS["speed"].odd[1]:
-        notes.append(f"{name} moves at {speeds.max():.0f} m/s: its id may name two actors")
-    return tuple(notes)
+def odd_track_notes(tracks: Iterable[ActorTrack]) -> tuple[str, ...]:
+    """Notes on actors that are very long or move very fast."""
+    long: list[str] = []
+    fast: list[str] = []
+    for track in tracks:
+        name = f"{track.actor_id[:40]} ({track.label[:40]})"
+        size_m = float(track.size_lwh_m.max())
+        if size_m > LIMITS["box"].odd[1]:
+            long.append(f"{name} {size_m:.0f} m")
+        steps_m = np.linalg.norm(np.diff(track.trajectory.positions_m, axis=0), axis=1)
+        speeds = steps_m / (np.diff(track.trajectory.times_ns) * 1e-9)
+        if len(speeds) and speeds.max() > LIMITS["speed"].odd[1]:
+            fast.append(f"{name} {speeds.max():.0f} m/s")
+    return grouped_notes(
+        {
+            "very long": long,
+            "very fast, as if one id named two actors": fast,
+        },
+        "actor",
+    )

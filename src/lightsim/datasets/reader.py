@@ -78,7 +78,9 @@ def check_layout(reading: LogReading) -> Dataset:
         raise InputError(
             "no such folder", where=source, remedy="SOURCE is the folder of one recording."
         )
-    readers = {name: READERS[name] for name in READERS if dataset in ("auto", name)}
+    readers: dict[Dataset, LogReader] = {
+        name: reader for name, reader in READERS.items() if dataset in ("auto", name)
+    }
     for name, reader in readers.items():
         if reader.detect(source):
             return name

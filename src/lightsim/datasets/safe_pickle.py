@@ -249,7 +249,7 @@ def parse_table(data: bytes, where: object, columns: Sequence[str] = ()) -> Tabl
         ) from error
 
 
-def names_in(data: bytes) -> frozenset[tuple[str, str]]:
+def names_in(data: bytes, where: object) -> frozenset[tuple[str, str]]:
     """Return module and name of every global that a pickled table asks for.
 
     Raises:
@@ -265,7 +265,12 @@ def names_in(data: bytes) -> frozenset[tuple[str, str]]:
     try:
         PickleMachine(find).run(data)
     except (RefusedError, *_DAMAGE) as error:
-        raise InputError("the pickle is no table", got=str(error)[:80]) from error
+        raise InputError(
+            "the pickle is no table",
+            where=where,
+            got=str(error)[:80],
+            expected="a pickled pandas data frame",
+        ) from error
     return frozenset(found)
 
 

@@ -351,7 +351,7 @@ def _lack_note(what: str, wanted: list[int], there: Collection[int]) -> str:
             spans[-1][1] = number
         else:
             spans.append([number, number])
-    words = [f"{a} to {b}" if b > a + 1 else ", ".join(map(str, dict.fromkeys((a, b)))) for a, b in spans]
+    words = [str(first) if first == last else f"{first} to {last}" for first, last in spans]
     more = len(words) - _SPANS_SHOWN
     shown = ", ".join(words[:_SPANS_SHOWN]) + (f" and {more} more gaps" if more > 0 else "")
     return f"{what} for {len(missing)} of {len(wanted)} frames: {shown}"

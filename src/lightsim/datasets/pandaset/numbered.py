@@ -74,8 +74,9 @@ def numbered_files(folder: Path, kind: FileKind) -> NumberedFiles:
     which is noted.
 
     Raises:
-        InputError: a file has no number for its name, two have the same name but for case or zeros, the folder holds files that look like the kind under another name, or
-            no folder stands where one belongs.
+        InputError: a file has no number for its name, two have the same name but for case or zeros,
+            the folder holds files that look like the kind under another name, or no folder stands
+            where one belongs.
     """
     if not has_folder(folder):
         return NumberedFiles({})

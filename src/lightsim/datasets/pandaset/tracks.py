@@ -24,6 +24,7 @@ _POSITION = ("position.x", "position.y", "position.z")
 _DIMENSIONS = ("dimensions.x", "dimensions.y", "dimensions.z")
 _COLUMNS = ("uuid", "label", "yaw", *_POSITION, *_DIMENSIONS)
 _BOTH, _ROOF, _FRONT = -1, 0, 1
+_SENSORS = "-1 (one box for both LiDARs), 0 (Pandar64) or 1 (PandarGT)"
 KIND_BY_LABEL = {
     "Car": ActorKind.CAR,
     "Pickup Truck": ActorKind.PICKUP,
@@ -117,8 +118,7 @@ def read_tracks(
     tracks.sort(key=lambda t: (-len(t.trajectory), t.actor_id))
     repeated = f"{n_repeated} boxes repeat an actor of the same sweep: the first of each is taken"
     notes = (repeated,) if n_repeated else ()
-    odd = (note for t in tracks for note in odd_track_notes(t))
-    return tuple(tracks), (*notes, *_unknown_labels(tracks), *odd)
+    return tuple(tracks), (*notes, *_unknown_labels(tracks), *odd_track_notes(tracks))
 
 
 def label_of(track: ActorTrack) -> str:
@@ -251,7 +251,7 @@ def _checked_numbers(
 def _sensors(table: Table, path: Path) -> np.ndarray:
     if "cuboids.sensor_id" not in table:
         return np.full(len(table["uuid"]), _BOTH)
-    return whole_column(table, "cuboids.sensor_id", path, _BOTH, _FRONT)
+    return whole_column(table, "cuboids.sensor_id", path, _BOTH, _FRONT, _SENSORS)
 
 
 def _labelled_moving(table: Table, path: Path) -> np.ndarray:
