@@ -90,7 +90,7 @@ def test_damaged_arrow_columns_are_refused(made: Any) -> None:
 
 BASE = pd.DataFrame({"s": ["a", None, "c"], "x": [0.5, NAN, -1.0], "n": [1, 2, 3]})
 TIMES = pd.to_datetime([1.5, None, 3.0], unit="s")
-PANDAS: dict[str, tuple[pd.DataFrame, dict[str, list[Any]]]] = {
+PANDAS: dict[str, tuple[Any, dict[str, list[Any]]]] = {
     "categories": (BASE.astype("category"), {"s": ["a", None, "c"], "x": [0.5, NAN, -1.0]}),
     "Int64": (BASE.astype({"n": "Int64"}), {"n": [1, 2, 3]}),
     "Int64 with a gap": (pd.DataFrame({"n": pd.array([1, None], "Int64")}), {"n": [1, NAN]}),

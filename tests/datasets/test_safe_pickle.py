@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from datasets import arrow_pickles
 from lightsim.datasets import pickle_values, safe_pickle
 from lightsim.datasets.safe_pickle import parse_table, read_table
 from lightsim.errors import InputError, LightSimError
@@ -166,7 +167,19 @@ def test_arbitrary_bytes_raise_only_our_errors(data: bytes) -> None:
         parse_table(data, "test")
 
 
-_VALID = [pickle.dumps(FRAME, protocol=p) for p in (2, 4, 5)]
+_VALID = [
+    *(pickle.dumps(FRAME, protocol=p) for p in (2, 4, 5)),
+    pickle.dumps(FRAME.astype({"label": "category", "n": "Int64"}), protocol=4),
+    arrow_pickles.text_frame({"uuid": ["a", "b", "c"], "yaw": [0.5, 1.5, 2.5]}),
+    arrow_pickles.frame(
+        {
+            "a": arrow_pickles.column(arrow_pickles.texts(["a", None, "c"], large=False)),
+            "b": arrow_pickles.column(
+                arrow_pickles.numbers(arrow_pickles.alias("int32"), "<i4", [1, None, 3])
+            ),
+        }
+    ),
+]
 _EDITS = st.lists(
     st.tuples(st.integers(0, 10**6), st.integers(0, 255), st.sampled_from("rid")), max_size=8
 )
