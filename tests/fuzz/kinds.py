@@ -100,16 +100,16 @@ def _calibration(folder: Path, canary: Path, rng: Rng) -> str:
 
 
 def _table(folder: Path, canary: Path, rng: Rng) -> str:
-    return mutate_table_file(pick(rng, _files(folder, "*.pkl.gz")), rng)
+    return mutate_table_file(pick(rng, _files(folder, "*.pkl.gz", "*.pkl")), rng)
 
 
 def _hostile(folder: Path, canary: Path, rng: Rng) -> str:
-    path = pick(rng, _files(folder, "00.pkl.gz"))
+    path = pick(rng, _files(folder, "00.pkl.gz", "01.pkl"))
     return f"{path.parent.name}/" + write_hostile_pickle(path, canary, rng)
 
 
 def _picture(folder: Path, canary: Path, rng: Rng) -> str:
-    return mutate_picture(pick(rng, _files(folder, "*.jpg", "*.png")), rng)
+    return mutate_picture(pick(rng, _files(folder, "*.jpg", "*.JPG", "*.png")), rng)
 
 
 def _special(folder: Path, canary: Path, rng: Rng) -> str:

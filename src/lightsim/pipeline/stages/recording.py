@@ -18,6 +18,7 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.geometry.surface import background_levels, extract_surface
 from lightsim.masks.sky import sky_mattes
 from lightsim.pipeline.stages.context import Context
+from lightsim.pipeline.suitability import check_sweeps, light_notes
 from lightsim.pipeline.workspace import FIELD_CONFIG_NAME, FIELD_NAME, Workspace
 from lightsim.progress import Progress
 from lightsim.reconstruct.field.config import NeuralConfig
@@ -38,8 +39,10 @@ from lightsim.version import __version__
 
 def make_log(work: Workspace, config: LogReading, folder: Path, context: Context) -> Iterable[str]:
     """The reading, a summary and the hashes of the recording's files; no pixel is copied."""
-    write_log(folder, work.recorded_log, config, work.source_hashes)
-    return work.recorded_log.notes
+    log = work.recorded_log
+    check_sweeps(log, context.progress)
+    write_log(folder, log, config, work.source_hashes)
+    return (*log.notes, *light_notes(log))
 
 
 def make_alignment(
