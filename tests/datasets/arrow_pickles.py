@@ -102,7 +102,9 @@ def texts(values: Sequence[str | None], *, large: bool = True, offset: int = 0) 
 
 def numbers(kind: Any, code: str, values: Sequence[Any]) -> Call:
     filled = [0 if value is None else value for value in values]
-    data = bits([bool(value) for value in filled]) if code == "?" else np.array(filled, code).tobytes()
+    data = (
+        bits([bool(value) for value in filled]) if code == "?" else np.array(filled, code).tobytes()
+    )
     return array(kind, len(values), [validity(values), buffer(data)])
 
 

@@ -24,6 +24,8 @@ def test_a_portable_table_keeps_its_bytes(tmp_path: Path, is_packed: bool) -> No
     own.write_bytes(gzip.compress(PORTABLE) if is_packed else PORTABLE)
     copy_table(own, target)
     assert gzip.decompress(target.read_bytes()) == PORTABLE
+    if is_packed:
+        assert target.read_bytes() == own.read_bytes()
 
 
 def test_a_table_of_a_new_pandas_is_written_anew(tmp_path: Path) -> None:

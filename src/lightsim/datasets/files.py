@@ -12,10 +12,12 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from lightsim.errors import InputError
-from lightsim.store.reading import MAX_JSON_BYTES, read_bytes
+from lightsim.store.reading import MAX_JSON_BYTES, open_regular, read_bytes
 
 _IN_BYTES, _OUT_BYTES = 1 << 16, 1 << 20
 """Read and written at once; little is read, since what follows a member is read again."""
+_MAX_PACKED = 1 << 30
+"""Bytes of a table file whose first bytes are looked at."""
 _MAX_MEMBERS = 10_000
 """Parallel compressors write one gzip member for every 64 KB or so."""
 _GZIP_WINDOW = 31
@@ -76,6 +78,16 @@ def read_packed(path: Path, max_bytes: int) -> bytes:
     if len(data) > max_bytes:
         raise _too_large(path, max_bytes)
     return data
+
+
+def is_gzip(path: Path) -> bool:
+    """Return whether a file is gzip by its first bytes.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    with open_regular(path, "table file", _MAX_PACKED) as handle:
+        return handle.read(len(_GZIP_MAGIC)) == _GZIP_MAGIC
 
 
 def _gunzipped(data: bytes, path: Path, max_bytes: int) -> bytes:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from lightsim.core.scenario import Scenario
-from lightsim.datasets.files import read_packed, read_times_ns
+from lightsim.datasets.files import is_gzip, read_packed, read_times_ns
 from lightsim.datasets.pandaset.log import SIMULATED_NAME
 from lightsim.datasets.pandaset.numbered import PICTURES, TABLES, numbered_files
 from lightsim.datasets.pandaset.places import BOXES, CLASSES, SWEEPS
@@ -114,7 +114,7 @@ class LogWriter:
             number, name = int(lazy.stem), self._file(lazy.stem, _SUFFIX)
             made = editor.edited(lazy)
             if made is None:
-                copy_table(recorded[number], folder / SWEEPS / name)
+                copy_table(recorded[number], folder / SWEEPS / name, "index")
                 if number in classes:
                     copy_table(classes[number], folder / CLASSES / name)
                 continue
@@ -302,17 +302,22 @@ def _mark_of(log: Path) -> Mapping[str, Any] | None:
     return mark
 
 
-def copy_table(own: Path, target: Path) -> None:
-    """Write a recorded table with gzip: as it is where pandas 1.0 can load it, else anew.
+def copy_table(own: Path, target: Path, index_name: str | None = None) -> None:
+    """Write a recorded table as NN.pkl.gz: its own bytes where pandas 1.0 can load them, else anew.
+
+    Args:
+        index_name: of the rows of a table that is written anew.
 
     Raises:
         InputError: it cannot be read.
     """
     data = read_packed(own, MAX_BYTES)
-    if names_in(data, own) <= PORTABLE_NAMES:
-        write_packed(target, data)
+    if not names_in(data, own) <= PORTABLE_NAMES:
+        write_table(target, parse_table(data, own), index_name)
+    elif is_gzip(own):
+        _copy(own, target)
     else:
-        write_table(target, parse_table(data, own))
+        write_packed(target, data)
 
 
 def _copy(own: Path, target: Path) -> None:
