@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from lightsim.arguments import Names
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import Verbose, program, say
 
 if TYPE_CHECKING:
     from lightsim.core.log import DrivingLog
@@ -71,21 +72,22 @@ class _Generator:
         self.out.parent.mkdir(parents=True, exist_ok=True)
         write_json(self.out, scene)
         say(f"{len(placed.edits)} edits: {self.out}")
-        say(f"next: lightsim simulate {self.work} {self.out}")
+        say(f"next: {program()} {shlex.join(['simulate', str(self.work), str(self.out)])}")
 
     def _tell(self, placed: PlacedScene, *, is_usual: bool) -> None:
         """Print where the scene is if not in its usual place, and what is in its way."""
         from lightsim.simulation.edited import tell_conflicts
 
         tell_conflicts([str(conflict) for conflict in placed.fixed], self.out)
-        if placed.fixed:
-            say(
-                "no free place: walls or missing ground are in the way wherever the scene was tried"
-            )
-        elif placed.blockers:
-            say(_blockers_line(placed.blockers, is_removing=self.remove_blockers))
+        in_way = (
+            ["what cannot be removed is in the way at every place tried"] if placed.fixed else []
+        )
+        if placed.blockers:
+            in_way.append(_blockers_line(placed.blockers, is_removing=self.remove_blockers))
+        if in_way:
+            say("no free place; " + "; ".join(in_way))
         if placed.unseen:
-            say(f"the front camera does not see {', '.join(placed.unseen)}")
+            say(f"no camera that looks ahead sees {', '.join(placed.unseen)}")
         if not is_usual:
             say(f"not at the usual place, but at: {placed.options}")
 
@@ -93,12 +95,11 @@ class _Generator:
 def _blockers_line(blockers: Sequence[str], *, is_removing: bool) -> str:
     named = ", ".join(blockers)
     if is_removing:
-        return f"no free place; removed from the log: {named}"
-    count = "1 actor stands" if len(blockers) == 1 else f"{len(blockers)} actors stand"
-    pronoun = "it" if len(blockers) == 1 else "them"
-    return (
-        f"no free place; {count} in the way: {named}; add --remove-blockers to take {pronoun} out"
-    )
+        return f"removed from the log: {named}"
+    if len(blockers) == 1:
+        return f"1 actor stands in the way: {named}; add --remove-blockers to take it out"
+    count = len(blockers)
+    return f"{count} actors stand in the way: {named}; add --remove-blockers to take them out"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,20 +303,24 @@ class ParkedRow(_Generator):
     a place is free, 0 to 60."""
     left_m: float | None = None
     """Offset from the ego's path; negative is right. By default -4, or where a place is free, 2.5
-    to 8 on either side."""
+    to 6 on either side."""
 
     def run(self) -> None:
         """Write the scenario."""
         from lightsim.scenario.generators import parked_row
-        from lightsim.scenario.layouts import Choice, outwards
+        from lightsim.scenario.layouts import OTHER_SIDE_M, Choice, outwards
 
-        right = outwards(self.left_m, -4.0, (-8.0, -2.5), 0.5, cost_m=2.0)
-        left = [Choice(-c.value, c.cost_m + 6.0) for c in right] if self.left_m is None else []
+        right = outwards(self.left_m, -4.0, (-6.0, -2.5), 0.5, cost_m=2.0)
+        left = (
+            [Choice(-c.value, c.cost_m + OTHER_SIDE_M) for c in right]
+            if self.left_m is None
+            else []
+        )
         fewer = [Choice(n, 8.0 * (5 - n)) for n in (5, 4, 3, 2)]
         self._write(
             lambda lane, _, **at: parked_row(lane, self.assets, **at),
             lambda _: {
-                "ahead_m": outwards(self.ahead_m, 6.0, (0.0, _FARTHEST_M), 2.0),
+                "ahead_m": outwards(self.ahead_m, 6.0, (0.0, _FARTHEST_M), 3.0),
                 "left_m": right + left,
                 "count": fewer if self.count is None else [Choice(self.count)],
             },

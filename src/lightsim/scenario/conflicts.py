@@ -1,4 +1,4 @@
-"""Conflicts of a scenario: an actor in another one, in the ego vehicle or a wall, or off the ground.
+"""Conflicts of a scenario: actors in each other, in the ego vehicle or a wall, off the ground.
 
 Only edited actors are tested: labelled boxes of a recording may touch each other.
 """
@@ -79,10 +79,15 @@ class ConflictSearch:
         Args:
             edited: tracks that differ from the log.
         """
+        first = {stem: number for number, stem in reversed([*enumerate(self._stems)])}
+        found = self.each(scenario, edited)
+        return tuple(sorted(found, key=lambda conflict: first[conflict.stems[0]]))
+
+    def each(self, scenario: Scenario, edited: Sequence[ActorTrack]) -> Iterator[Conflict]:
+        """Yield the conflicts of one edited actor after the other; arguments as of `find`."""
         there = [t for t in scenario.tracks if t.actor_id not in scenario.removed]
         names = {track.actor_id for track in edited}
         sampled = [self._sample(t, is_kept=t.actor_id not in names) for t in there]
-        found: list[tuple[int, Conflict]] = []
         for number, track in enumerate(there):
             if track.actor_id not in names:
                 continue
@@ -93,9 +98,7 @@ class ConflictSearch:
                 now = np.flatnonzero(is_now)
                 if len(now):
                     stems = self._stems[now[0]], self._stems[now[-1]]
-                    conflict = Conflict(track.actor_id, cause, other_id, stems)
-                    found.append((int(now[0]), conflict))
-        return tuple(conflict for _, conflict in sorted(found, key=lambda pair: pair[0]))
+                    yield Conflict(track.actor_id, cause, other_id, stems)
 
     def _sample(self, track: ActorTrack, *, is_kept: bool) -> _Sampled:
         if track not in self._kept:
@@ -114,7 +117,7 @@ class ConflictSearch:
             return
         size = one.track.size_lwh_m
         # What stands is tested once; interpolation leaves noise below a micrometre.
-        poses, which = np.unique(one.poses_at(now).round(6), axis=0, return_inverse=True)
+        poses, which = np.unique(one.poses[now].round(6), axis=0, return_inverse=True)
         which = which.reshape(-1)
         is_known = self._ground.is_known(poses[:, :2, 3])
         yield "ground", "", self._at(now, ~is_known[which])
@@ -122,7 +125,11 @@ class ConflictSearch:
             is_in = cuts_static(self._ground.background, poses, size)
             yield "static", "", self._at(now, is_in[which])
         if ego is not None:
-            yield "ego", "", self._at(now, _meets_ego(one.poses_at(now), size, ego, self._ns(now)))
+            yield (
+                "ego",
+                "",
+                self._at(now, _meets_ego(one.poses[now], size, ego, self._times_ns[now])),
+            )
         if others:
             yield from self._pairs(one, others)
 
@@ -130,22 +137,19 @@ class ConflictSearch:
         self, one: _Sampled, others: Sequence[_Sampled]
     ) -> Iterator[tuple[Cause, str, Bool[np.ndarray, " t"]]]:
         """Yield the actors whose boxes overlap that of another one, and when."""
-        away = np.stack([other.positions_m for other in others]) - one.positions_m
+        away = np.stack([other.poses[:, :3, 3] for other in others]) - one.poses[:, :3, 3]
         reach = np.array([other.reach_m for other in others]) + one.reach_m
         is_near = np.linalg.norm(away, axis=2) <= reach[:, None]
         is_near &= np.stack([other.is_present for other in others]) & one.is_present
         for k in np.flatnonzero(is_near.any(axis=1)).tolist():
             other, now = others[k], np.flatnonzero(is_near[k])
             is_overlap = boxes_overlap(
-                one.poses_at(now),
+                one.poses[now],
                 one.track.size_lwh_m,
-                other.poses_at(now),
+                other.poses[now],
                 other.track.size_lwh_m,
             )
             yield "actor", other.track.actor_id, self._at(now, is_overlap)
-
-    def _ns(self, now: np.ndarray) -> np.ndarray:
-        return self._times_ns[now]
 
     def _at(self, now: np.ndarray, holds: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " t"]:
         """Values of some of the times as values of all."""
@@ -156,25 +160,24 @@ class ConflictSearch:
 
 @dataclass(frozen=True, eq=False)
 class _Sampled:
-    """An actor at the times of a search; poses are those of the nearest end where it is absent."""
+    """An actor at the times of a search; where it is absent, it has the pose of the nearest end."""
 
     track: ActorTrack
-    times_ns: np.ndarray
     is_present: Bool[np.ndarray, " t"]
-    positions_m: Float64[np.ndarray, "t 3"]
+    poses: Float64[np.ndarray, "t 4 4"]
     reach_m: float
 
     @classmethod
     def of(cls, track: ActorTrack, times_ns: np.ndarray) -> _Sampled:
         """Sample a track."""
         is_present = np.array([track.is_present(int(t)) for t in times_ns], dtype=bool)
-        positions = track.trajectory.held_positions_m(times_ns)
-        reach_m = float(np.linalg.norm(track.size_lwh_m)) / 2
-        return cls(track, times_ns, is_present, positions, reach_m)
-
-    def poses_at(self, now: np.ndarray) -> Float64[np.ndarray, "n 4 4"]:
-        """Return world_from_actor at some of the times."""
-        return self.track.trajectory.held_at(self.times_ns[now])
+        path = track.trajectory
+        if (path.matrices == path.matrices[0]).all():
+            # What stands needs no interpolation.
+            poses = np.repeat(path.matrices[:1].astype(np.float64), len(times_ns), axis=0)
+        else:
+            poses = path.held_at(times_ns)
+        return cls(track, is_present, poses, float(np.linalg.norm(track.size_lwh_m)) / 2)
 
 
 def find_conflicts(

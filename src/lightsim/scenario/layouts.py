@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 Make = Callable[..., list[dict[str, Any]]]
 """Edits of a scene from its parameters."""
-_OTHER_SIDE_M = 6.0
+OTHER_SIDE_M = 6.0
 """Changing the side counts as much as moving the scene by this distance along the path: a driver
 who reads "from the left" notices it more than a few metres. Chosen, not measured."""
 
@@ -55,7 +55,7 @@ def sides(is_left: bool, is_right: bool, *, usually_left: bool) -> list[Choice]:
     """Return the side that the user gave as "is it the left one"; without one, both."""
     if is_left != is_right:
         return [Choice(is_left)]
-    return [Choice(usually_left), Choice(not usually_left, _OTHER_SIDE_M)]
+    return [Choice(usually_left), Choice(not usually_left, OTHER_SIDE_M)]
 
 
 def layouts(choices: Mapping[str, Sequence[Choice]]) -> list[Layout]:

@@ -1,12 +1,13 @@
-"""Search for a place of a common scene where it is in nobody's way and the front camera sees it."""
+"""Search for a place of a common scene where nothing is in its way and cameras see it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from lightsim.core.actors import ActorTrack
 from lightsim.core.scenario import Scenario
 from lightsim.pipeline.workspace import Workspace
 from lightsim.scenario.apply import apply_edits
@@ -30,7 +31,7 @@ class PlacedScene:
         blockers: actors of the log in its way, which can be removed.
         fixed: conflicts with what cannot be removed: walls, unmeasured ground, the ego vehicle, or
             another part of the scene.
-        unseen: new and moved actors that the front camera never sees.
+        unseen: its vehicles and persons that no camera that looks ahead ever sees.
     """
 
     edits: Edits
@@ -41,7 +42,7 @@ class PlacedScene:
 
     @property
     def is_free(self) -> bool:
-        """Whether nothing is in the way, and all of it is seen."""
+        """Whether nothing is in the way, and cameras see it."""
         return not (self.blockers or self.fixed or self.unseen)
 
     @property
@@ -52,6 +53,16 @@ class PlacedScene:
     def is_better_than(self, other: PlacedScene | None) -> bool:
         """Whether it has fewer faults."""
         return other is None or self._faults < other._faults
+
+    def with_conflict(self, conflict: Conflict, edited: Collection[str]) -> PlacedScene:
+        """Return the scene with one conflict more.
+
+        Args:
+            edited: ids of new and moved actors, which are parts of the scene.
+        """
+        if conflict.cause != "actor" or conflict.other_id in edited:
+            return replace(self, fixed=(*self.fixed, conflict))
+        return replace(self, blockers=tuple(dict.fromkeys((*self.blockers, conflict.other_id))))
 
     def without_blockers(self) -> PlacedScene:
         """Return the same scene after its blockers are removed from the log."""
@@ -70,7 +81,7 @@ class PlaceSearch:
         self._view = FrontView(self._log, self._ground.background, self._log.actors)
         self._every = replay(workspace.twin, source.stem, self._log.frames)
         # One camera's times show nearly all conflicts; what they find free is tried at all times.
-        seen = self._log.frames_of(self._view.camera_name)
+        seen = self._log.frames_of(self._view.camera_names[0])
         self._some = replay(workspace.twin, source.stem, seen)
         self._search_every, self._search_some = (
             ConflictSearch(scenario.frames, self._ground) for scenario in (self._every, self._some)
@@ -111,14 +122,20 @@ class PlaceSearch:
         request = parse_scenario(scene, self._source)
         scenario = apply_edits(recorded, request.edits, self._library.load, self._ground, self._log)
         edited = edited_tracks(recorded, scenario)
-        conflicts = search.find(scenario, edited)
         names = {track.actor_id for track in edited}
-        in_way = [c for c in conflicts if c.cause == "actor" and c.other_id not in names]
-        blockers = tuple(dict.fromkeys(c.other_id for c in in_way))
-        fixed = tuple(c for c in conflicts if c not in in_way)
-        found = PlacedScene(edits, options, blockers, fixed)
+        found = PlacedScene(edits, options)
+        for conflict in search.each(scenario, edited):
+            found = found.with_conflict(conflict, names)
+            if not found.is_better_than(best):
+                return None
         if not found.is_better_than(best):
             return None
-        gone = {*blockers, *scenario.removed}
-        unseen = tuple(t.actor_id for t in edited if not self._view.sees(t, gone))
-        return replace(found, unseen=unseen)
+        blockers = set(found.blockers)
+        return replace(found, unseen=self._unseen(edited, blockers | scenario.removed))
+
+    def _unseen(self, edited: Sequence[ActorTrack], gone: set[str]) -> tuple[str, ...]:
+        """Return what a scene is about and no camera sees: its vehicles and persons; of a scene
+        without them, all its parts if more than half of them are hidden."""
+        about = [t for t in edited if t.kind.is_vehicle or not t.kind.is_rigid_body]
+        hidden = [t.actor_id for t in about or edited if not self._view.sees(t, gone)]
+        return tuple(hidden) if about or 2 * len(hidden) > len(edited) else ()

@@ -39,8 +39,9 @@ from lightsim.store.sky import read_heading
 _LOGGER = logging.getLogger(__name__)
 SKY_HEIGHT_PX = 256
 _SAME_NORTH_DEG = 0.02
-"""Smaller turns only blur a dome whose columns are 0.7 degrees wide. The north of a synthetic log
-is found to 0.003 degrees (the shipped street), so that the true skies beside it stay as they are."""
+"""Smaller turns are not made: they only blur a dome whose columns are 0.7 degrees wide. The north
+of a synthetic log is found to 0.003 degrees (the shipped street): its true skies stay as they are.
+"""
 
 
 @dataclass(frozen=True, eq=False)
