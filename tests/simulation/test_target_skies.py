@@ -192,6 +192,19 @@ def test_a_layer_is_a_sky_of_its_own(tmp_path: Path) -> None:
         sky_alone(env)
 
 
+@pytest.mark.parametrize(("file_deg", "log_deg"), [(90.0, 90.01), (359.995, 0.005)])
+def test_a_turn_that_only_blurs_is_not_made(
+    file_deg: float, log_deg: float, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """True skies beside a synthetic log: its north is found to millidegrees."""
+    dome = sun_sky(np.radians(30.0), 35.0, SKY)
+    path = write(facing(tiny_world(dome), file_deg), dome, tmp_path)
+    sky = resolve_sky(SkyChoice(str(path), scale="none"), facing(tiny_world(dome), log_deg))
+    np.testing.assert_array_equal(sky.dome.radiance, dome.radiance)
+    assert not caplog.messages
+    assert not sky.facts["notes"]
+
+
 @pytest.mark.parametrize(
     ("file_deg", "log_deg", "named"), [(None, 90.0, "the file"), (90.0, None, "the log")]
 )

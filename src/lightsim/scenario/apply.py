@@ -31,8 +31,9 @@ AssetSource = Callable[[str], ActorAsset]
 
 Raises InputError where there is none."""
 _SHOWN = 12
-# The ego vehicle's box, where only the ground under its wheels matters.
-_EGO_BODY = (ActorKind.CAR, np.array([4.5, 1.8, 1.5]))
+EGO_BODY = (ActorKind.CAR, np.array([4.5, 1.8, 1.5]))
+"""Kind and (length, width, height) in metres of the ego vehicle: a middle-sized car, since logs do
+not give it. It decides the ground under the wheels, and what is too close to drive there."""
 # Cameras fire between the poses of the path's ends.
 _HOLD_S = 0.1
 # The part of a motion below which a recorded track counts as standing.
@@ -223,13 +224,13 @@ def _driven(
     path = log.ego if ego is None else ego
     if edit.offset_m is not None:
         return shifted(path, edit.offset_m)
-    driven = moved_along(edit.waypoints, span_ns, _EGO_BODY, ground, edit.where)
+    driven = moved_along(edit.waypoints, span_ns, EGO_BODY, ground, edit.where)
     if edit.waypoints[0].z_m is None:
         over = path.positions_m[:, 2] - ground.height_m(path.positions_m[:, :2])
         up_m = float(np.median(over))
     else:
         up_m = 0.0
-    bottom = shifted(driven, (0.0, 0.0, up_m - float(_EGO_BODY[1][2]) / 2))
+    bottom = shifted(driven, (0.0, 0.0, up_m - float(EGO_BODY[1][2]) / 2))
     return Trajectory("world", "ego", bottom.times_ns, bottom.matrices)
 
 
