@@ -34,7 +34,8 @@ from lightsim.build.options import BuildOptions
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.reading import LogReading
 from lightsim.datasets.files import read_json, read_times_ns
-from lightsim.datasets.pandaset.cameras import numbered_files, read_poses
+from lightsim.datasets.pandaset.cameras import read_poses
+from lightsim.datasets.pandaset.numbered import PICTURES, numbered_files
 from lightsim.datasets.pandaset.rig import READOUT_S, calibration_path, read_rig
 from lightsim.datasets.safe_pickle import read_table
 from lightsim.progress import LineProgress
@@ -92,7 +93,7 @@ def make_log(source: Path, folder: Path, count: int) -> None:
     partial = folder.with_name(folder.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
     cameras = sorted(path for path in (source / "camera").iterdir() if path.is_dir())
-    seen = set.intersection(*(set(numbered_files(path, ".jpg")) for path in cameras))
+    seen = set.intersection(*(set(numbered_files(path, PICTURES).paths) for path in cameras))
     numbers = sorted(seen)
     clock = read_times_ns(source / "lidar" / "timestamps.json")
     # Half a sweep apart from the frames there, so that clocks of all sensors go on growing.

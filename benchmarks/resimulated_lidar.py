@@ -186,7 +186,8 @@ def with_sweeps(recorded: Path, edited: Path, folder: Path) -> Path:
             (folder / path.name).symlink_to(path.resolve())
     for path in (recorded / "lidar").glob("*.json"):
         (folder / "lidar" / path.name).symlink_to(path.resolve())
-    for stem, path in sweep_paths(edited).items():
+    for path in sweep_paths(edited).values():
+        stem = path.name.partition(".")[0]
         (folder / "lidar" / f"{stems.get(stem, stem)}.pkl.gz").symlink_to(path.resolve())
     return folder
 

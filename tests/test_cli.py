@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.render.rendering_scenes import sun_sky
 
 from lightsim import cli
 from lightsim.cli.doctor import Doctor
-from lightsim.store.images import read_srgb8, write_hdr, write_png
+from lightsim.store.images import read_srgb8, write_exr, write_hdr, write_png
 from lightsim.view import figures
 
 COMMANDS = ["build", "relight", "render", "sky", "evaluate", "synthesize", "demo", "doctor"]
@@ -95,7 +96,8 @@ def test_a_sky_can_be_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     # A ring marks the sun. The centre column looks along world +x: without a log, due east.
     assert column == pytest.approx(0.5 + 30 / 360, abs=0.01)
     assert row == pytest.approx((90 - 35) / 180, abs=0.01)
-    assert "sun_direction_world" in capsys.readouterr().out
+    lines = capsys.readouterr().out.splitlines()
+    assert "sun: azimuth 120.0, elevation 35.0 degrees (--sky sun:120.0,35.0)" in lines
 
 
 @pytest.mark.parametrize(
@@ -164,12 +166,62 @@ def test_places_and_suns_that_cannot_be_are_named(
     assert not (tmp_path / "sky").exists()
 
 
-@pytest.mark.parametrize("sky", ["nowhere.hdr", "a" * 5000, "sun:nan,5", "sun:5,-5", "a\0b"])
-def test_words_that_name_no_sky_are_refused(sky: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("sky", "wrong"),
+    [
+        ("nowhere.hdr", "no such file"),
+        ("~/no/where", "no such file"),
+        ("nowhere.exr#Layer", "no such file"),
+        (".", "is a folder"),
+        ("noon", "neither a file nor a known form"),
+        ("Sun:10,20", "Write sun in lower case"),
+        ("a" * 5000, "neither a file"),
+        ("a\0b", "neither a file"),
+        ("sun:nan,5", "the sun cannot be read"),
+        ("sun:120", "the sun cannot be read"),
+        ("sun:5,-5", "elevation is out of range"),
+    ],
+)
+def test_words_that_name_no_sky_are_refused(
+    sky: str, wrong: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run("sky", "show", sky) == 1
     (line,) = capsys.readouterr().err.strip().splitlines()
+    assert wrong in line
     assert "expected" in line
     assert len(line) < 2000
+
+
+def test_a_picture_of_8_bits_is_to_be_estimated_from(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_png(tmp_path / "a.png", np.full((16, 32, 3), 90, np.uint8))
+    assert run("sky", "show", str(tmp_path / "a.png")) == 1
+    assert "`lightsim sky estimate a.png --out DIR`" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("heading_deg", [None, 200.0])
+def test_a_file_is_described_in_the_words_of_options(
+    heading_deg: float | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The sun as --sky sun: takes it, from the file's north where it has one; notes as lines."""
+    radiance = sun_sky(np.radians(30.0), 35.0, 0.1).radiance
+    numbers = {} if heading_deg is None else {"headingDeg": heading_deg}
+    write_exr(
+        tmp_path / "a.exr", np.pad(radiance, ((0, 0), (2, 2), (0, 0)), "wrap"), False, "", numbers
+    )
+    assert run("sky", "show", str(tmp_path / "a.exr"), "--out", str(tmp_path / "a.png")) == 0
+    printed = capsys.readouterr()
+    lines = printed.out.splitlines()
+    azimuth = 60.0 if heading_deg is None else 170.0
+    (sun,) = [line for line in lines if line.startswith("sun: ")]
+    words = sun[sun.index("sun:", 4) : -1]
+    found, elevation = map(float, words.removeprefix("sun:").split(","))
+    assert (found, elevation) == (pytest.approx(azimuth, abs=0.7), pytest.approx(35.0, abs=0.3))
+    assert "note: resampled from 516x256 to 512x256 px" in lines
+    assert not any("[" in line for line in lines)
+    assert not printed.err
+    assert run("sky", "show", words, "--out", str(tmp_path / "b.png")) == 0
 
 
 def test_a_sky_lit_only_from_below_is_refused(

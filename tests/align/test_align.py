@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from tests.align.scene import CAMERA, make_log, mounting
 
-from lightsim.align.build import align_log
+from lightsim.align.build import align_log, large_notes
+from lightsim.align.cameras import CameraFit
 from lightsim.align.config import AlignConfig
 from lightsim.align.edges import depth_edges
 from lightsim.core.actors import ActorKind
-from lightsim.core.alignment import Alignment
+from lightsim.core.alignment import Alignment, CameraCorrection
 from lightsim.core.frames import RigidTransform, rotation_from_vector
 from lightsim.core.log import DrivingLog
 from lightsim.errors import InputError
@@ -45,6 +46,27 @@ def test_a_wandering_path_is_straightened() -> None:
     after = left - left.mean(axis=0)
     assert np.abs(after[:, 1:]).max() < 0.35 * np.abs(before[:, 1:]).max()
     assert found.numbers["path residual after, m"] < 0.6 * found.numbers["path residual before, m"]
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "shift_m", "is_kept", "words"),
+    [
+        (0.29, 0.09, True, ""),
+        (0.31, 0.0, True, "front_camera was turned by 0.31 degrees and moved by 0.0 cm"),
+        (0.0, 0.11, True, "front_camera was turned by 0.00 degrees and moved by 11.0 cm"),
+        (0.4, 0.2, False, ""),
+    ],
+)
+def test_a_large_correction_has_a_note(
+    turn_deg: float, shift_m: float, is_kept: bool, words: str
+) -> None:
+    axis = np.array([0.6, 0.0, 0.8])
+    correction = CameraCorrection(np.radians(turn_deg) * axis, shift_m * axis, 0.0)
+    fit = CameraFit("front_camera", correction, 0.1, 0.2, is_kept)
+    notes = large_notes(None, [fit])
+    assert [words in note and "--no-refine camera_poses" in note for note in notes] == (
+        [True] if words else []
+    )
 
 
 @pytest.mark.slow

@@ -440,7 +440,7 @@ def test_wrong_words_are_named(tmp_path: Path) -> None:
         status(tmp_path)
     with pytest.raises(InputError, match="shiny"):
         RenderOptions(what=("depth", "shiny"))
-    with pytest.raises(InputError, match="sun:AZ,EL"):
+    with pytest.raises(InputError, match=r"no such file.*sun:AZIMUTH"):
         made_from_sky(SkyChoice("no_such_file.hdr"))
     broken = replace(options().reading, source=str(tmp_path / "nowhere"))
     with pytest.raises(InputError, match="no such folder"):

@@ -152,7 +152,7 @@ def test_what_reads_an_artefact_is_in_the_sources_of_what_wrote_it() -> None:
     tree = ast.parse(Path(workspace.__file__).read_text())
     imports = {
         member: f"{module}.{member}" if is_module(f"{module}.{member}") else module
-        for module, member in imported_names(tree, "lightsim.pipeline")
+        for module, member in imported_names(tree, "lightsim.build")
         if module.startswith("lightsim.") and module not in UNCOUNTED
     }
     (owner,) = (n for n in tree.body if isinstance(n, ast.ClassDef) and n.name == "Workspace")

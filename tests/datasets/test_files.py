@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lightsim.datasets import files
-from lightsim.datasets.files import read_gzip, read_json, read_times_ns, require_numbers
+from lightsim.datasets.files import read_json, read_packed, read_times_ns, require_numbers
 from lightsim.datasets.pandaset.cameras import read_poses
 from lightsim.datasets.selection import FrameSelection
 from lightsim.errors import InputError, LightSimError
@@ -48,7 +48,7 @@ def names_the_file(read: Callable[[Path], Any], path: Path) -> None:
 def test_arbitrary_bytes_raise_only_our_errors(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "any"
     path.write_bytes(data)
-    for read in (read_json, read_poses, read_times_ns, lambda p: read_gzip(p, 1000)):
+    for read in (read_json, read_poses, read_times_ns, lambda p: read_packed(p, 1000)):
         names_the_file(read, path)
 
 
@@ -75,12 +75,12 @@ def test_gzip_members_and_padding(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     path = tmp_path / "a.gz"
     parts = [bytes(300_000), b"", np.random.default_rng(0).bytes(200_000), b"end"]
     path.write_bytes(b"".join(map(gzip.compress, parts)) + bytes(1000))
-    assert read_gzip(path, 500_003) == b"".join(parts)
+    assert read_packed(path, 500_003) == b"".join(parts)
     with pytest.raises(InputError, match="decompresses to more"):
-        read_gzip(path, 500_002)
+        read_packed(path, 500_002)
     monkeypatch.setattr(files, "_MAX_MEMBERS", 3)
     with pytest.raises(InputError, match="in 3 gzip members"):
-        read_gzip(path, 500_003)
+        read_packed(path, 500_003)
 
 
 def test_json_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

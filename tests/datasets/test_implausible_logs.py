@@ -129,6 +129,17 @@ def link_to_nowhere(log: Path) -> None:
     (log / "meta/gps.json").symlink_to(log / "gone.json")
 
 
+def resized(factor: float) -> Break:
+    """All pictures of the front camera at another size, its intrinsics as they were."""
+
+    def apply(log: Path) -> None:
+        size = (round(WIDTH_PX * factor), round(HEIGHT_PX * factor))
+        for path in (log / FRONT).glob("*.jpg"):
+            Image.new("RGB", size, (90, 120, 150)).save(path)
+
+    return apply
+
+
 INTRINSICS = f"{FRONT}/intrinsics.json"
 CASES: list[tuple[str, Break, str]] = [
     ("16-bit grey", picture("png16"), r"01\.jpg: the picture cannot be read.*(I;16|16 bits)"),
@@ -187,6 +198,18 @@ CASES: list[tuple[str, Break, str]] = [
         "a box around the vehicle",
         change_boxes(position__x=0.0, position__y=0.0, dimensions__z=9.0),
         r"cuboids/00.*row 0 .*holds the recording LiDAR",
+    ),
+    (
+        "pictures of half the size",
+        resized(0.5),
+        r"intrinsics\.json: .*another size, got pictures of 32x18 px.*about 64x36 px.*by 0\.5\.",
+    ),
+    ("pictures of a quarter", resized(0.25), r"intrinsics\.json: .*another size.*16x9 px"),
+    ("pictures of twice the size", resized(2.0), r"intrinsics\.json: .*another size.*128x72 px"),
+    (
+        "PandaSet's lens for other pictures",
+        change_json(INTRINSICS, lambda k: {"fx": 1970, "fy": 1970, "cx": 970, "cy": 483.3}),
+        r"intrinsics\.json: .*got pictures of 64x36 px.*about 1920x1080 px.*by 0\.03333",
     ),
     ("slow readout", calibration("readout_s: 0.0", "readout_s: 0.5"), r"front_camera': no camera"),
     (
@@ -257,6 +280,11 @@ NOTED: list[tuple[str, Break, str]] = [
         "front_camera sees 5 degrees",
     ),
     (
+        "a crop of the lower half",
+        change_json(INTRINSICS, lambda k: {**k, "cy": 35.0}),
+        "front_camera: the optical axis at 31.5, 35 px is far from the centre of 64x36 px",
+    ),
+    (
         "a clock a little late",
         retimed("camera/back_camera", lambda t: t + 0.35),
         "back_camera: times are up to 0.25 s from",
@@ -264,7 +292,7 @@ NOTED: list[tuple[str, Break, str]] = [
     (
         "a long tram",
         long_tram,
-        "actor parked (Car) is 45 m long",
+        "actor parked (Car) 45 m: very long",
     ),
     (
         "an id twice in one sweep",
@@ -274,7 +302,7 @@ NOTED: list[tuple[str, Break, str]] = [
     (
         "an actor that jumps",
         change_boxes(position__y=[66.0, 0.0, 0.0]),
-        "actor parked (Car) moves at",
+        "actor parked (Car) 539 m/s: very fast, as if one id named two actors",
     ),
 ]
 

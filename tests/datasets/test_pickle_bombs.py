@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets import arrow_pickles as arrow
 from datasets.test_safe_pickle import FRAME
-from lightsim.datasets import pickle_machine, safe_pickle
+from lightsim.datasets import pickle_machine, pickle_values, safe_pickle
 from lightsim.datasets.safe_pickle import parse_table
 from lightsim.errors import InputError
 from limits import run_limited
@@ -115,6 +116,48 @@ BOMBS: dict[str, bytes] = {
     "steps without end": b"\x80\x02" + b"}" * 5_000_000 + b".",
     "nested without end": b"\x80\x02N" + b"\x85" * MANY + b"Nb.",
 }
+LONG = 2_000_000
+"""Rows of the longest table."""
+BYTES = np.zeros(LONG, np.int8)
+ALL_NULL = arrow.array(arrow.alias("null"), LONG, [None])
+SOME_NULL = arrow.array(
+    arrow.alias("int8"), LONG, [arrow.buffer(bytes(LONG // 8)), arrow.buffer(bytes(LONG))]
+)
+NO_TEXT = [None, arrow.buffer(bytes(8 * (LONG + 1))), arrow.buffer(b"")]
+EMPTY_TEXTS = arrow.array(arrow.alias("large_string"), LONG, NO_TEXT)
+A_TEXT = b"a" * (1 << 16)
+LONG_TEXTS = arrow.array(
+    arrow.alias("string"),
+    1 << 16,
+    [
+        None,
+        arrow.buffer(np.arange((1 << 16) + 1, dtype="<i4").tobytes()),
+        arrow.buffer(b"a" * (1 << 16)),
+    ],
+)
+MASKED = arrow.Global("pandas.arrays", "IntegerArray")(state={"_data": BYTES, "_mask": BYTES == 0})
+CATEGORIES = arrow.Global("pandas", "CategoricalDtype")(
+    state={"categories": arrow.Global("pandas", "Index")(np.array(["a", "b"], object))}
+)
+CODES = arrow.Global("pandas.arrays", "Categorical")(state=(CATEGORIES, BYTES))
+
+
+def repeated(made: arrow.Call, count: int = 500) -> bytes:
+    """The same parts built again and again, each time by a call of its own."""
+    return arrow.dumped(
+        [arrow.Call(made.function, made.arguments, made.state) for _ in range(count)]
+    )
+
+
+BOMBS |= {
+    "nothing without end": repeated(ALL_NULL),
+    "a mask of Arrow again and again": repeated(SOME_NULL),
+    "empty texts again and again": repeated(EMPTY_TEXTS),
+    "texts again and again": repeated(LONG_TEXTS),
+    "one chunk many times": arrow.dumped(arrow.arrow("chunked_array")([SOME_NULL] * 9_000)),
+    "a mask of pandas again and again": repeated(MASKED),
+    "categories again and again": repeated(CODES),
+}
 READ = """
 from pathlib import Path
 from lightsim.errors import InputError
@@ -147,7 +190,8 @@ def test_the_parts_make_a_table() -> None:
 def test_limits_of_a_table(monkeypatch: pytest.MonkeyPatch, limit: str, value: int) -> None:
     data = pickle.dumps(FRAME)
     parse_table(data, "test")
-    monkeypatch.setattr(safe_pickle, limit, value)
+    module = safe_pickle if hasattr(safe_pickle, limit) else pickle_values
+    monkeypatch.setattr(module, limit, value)
     with pytest.raises(InputError, match="no table needs"):
         parse_table(data, "test")
 

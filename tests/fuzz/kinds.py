@@ -11,6 +11,7 @@ from pathlib import Path
 from lightsim.store.artefact import RECORD_NAME, hash_file
 
 from .containers import mutate_glb, mutate_npz, mutate_safetensors
+from .models import read_model_case, read_obj_case, write_model_case, write_obj_case
 from .mutations import Rng, mutate_bytes, mutate_json, mutate_text, pick
 from .options import read_options_case, write_options_case
 from .pictures import mutate_picture, write_exr_case, write_hdr_case
@@ -99,16 +100,16 @@ def _calibration(folder: Path, canary: Path, rng: Rng) -> str:
 
 
 def _table(folder: Path, canary: Path, rng: Rng) -> str:
-    return mutate_table_file(pick(rng, _files(folder, "*.pkl.gz")), rng)
+    return mutate_table_file(pick(rng, _files(folder, "*.pkl.gz", "*.pkl")), rng)
 
 
 def _hostile(folder: Path, canary: Path, rng: Rng) -> str:
-    path = pick(rng, _files(folder, "00.pkl.gz"))
+    path = pick(rng, _files(folder, "00.pkl.gz", "01.pkl"))
     return f"{path.parent.name}/" + write_hostile_pickle(path, canary, rng)
 
 
 def _picture(folder: Path, canary: Path, rng: Rng) -> str:
-    return mutate_picture(pick(rng, _files(folder, "*.jpg", "*.png")), rng)
+    return mutate_picture(pick(rng, _files(folder, "*.jpg", "*.JPG", "*.png")), rng)
 
 
 def _special(folder: Path, canary: Path, rng: Rng) -> str:
@@ -155,6 +156,14 @@ def _exr(seeds: Seeds, folder: Path, rng: Rng) -> str:
     return write_exr_case(folder / "sky.exr", rng)
 
 
+def _model(seeds: Seeds, folder: Path, rng: Rng) -> str:
+    return write_model_case(folder, rng)
+
+
+def _obj(seeds: Seeds, folder: Path, rng: Rng) -> str:
+    return write_obj_case(folder, rng)
+
+
 def _panorama(seeds: Seeds, folder: Path, rng: Rng) -> str:
     path = folder / "panorama.png"
     shutil.copyfile(seeds.work / "panorama" / "panorama.png", path)
@@ -172,6 +181,8 @@ KINDS: tuple[Kind, ...] = (
     Kind("sky hdr", 3, _hdr, read_sky_file),
     Kind("sky exr", 2, _exr, read_sky_file),
     Kind("panorama", 2, _panorama, read_panorama_picture),
+    Kind("models", 3, _model, read_model_case),
+    Kind("obj models", 3, _obj, read_obj_case),
     Kind("work json", 4, _in_work(_json), read_artefacts),
     Kind("work arrays", 3, _in_work(_signed(_arrays)), read_artefacts),
     Kind("work meshes", 3, _in_work(_signed(_meshes)), read_artefacts),

@@ -96,6 +96,9 @@ def _chunk(kind: bytes, body: bytes) -> bytes:
     return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
 
 
+_ENTRIES = (b"COLORCORR=", b"PRIMARIES=", b"GAMMA=", b"PIXASPECT=", b"EXPOSURE=", b"\tEXPOSURE=")
+
+
 def write_hdr_case(path: Path, rng: Rng) -> str:
     """A Radiance sky: honest, then damaged in header, runs or bytes."""
     height = int(pick(rng, (8, 16, 32, 64)))
@@ -120,9 +123,13 @@ def _other_header(data: bytes, rng: Rng) -> tuple[bytes, str]:
     lines = {
         "exposure": lambda: data.replace(b"\n\n", b"\nEXPOSURE=" + number + b"\n\n", 1),
         "format": lambda: data.replace(b"32-bit_rle_rgbe", pick(rng, (b"32-bit_rle_xyze", number))),
+        "entry": lambda: data.replace(b"\n\n", b"\n" + pick(rng, _ENTRIES) + b" ".join(
+            pick(rng, NUMBER_WORDS)[:20].encode() if rng.random() < 0.3 else b".3"
+            for _ in range(int(pick(rng, (1, 3, 8))))) + b"\n\n", 1),
         "size": lambda: re.sub(
             rb"-Y \d+ \+X \d+", pick(rng, (b"-Y 16384 +X 32768", b"-Y 8 +X " + number,
-            b"-Y 10000 +X 20000", b"+X 16 -Y 8", b"+Y 8 -X 16", b"-Y 30000 +X 16",
+            b"-Y 10000 +X 20000", b"+X 16 -Y 8", b"-X 64 +Y 32", b"+X 9999 -Y 9998",
+            b"+Y 8 -X 16", b"-Y 30000 +X 16",
             b"-Y 2 +X 32767", b"-Y 999999 +X 999999")).replace(b"\\", b""), data, count=1,
         ),
         "end": lambda: data.replace(b"\n\n", pick(rng, (b"\n", b"\r\n\r\n", b"")), 1),
@@ -161,7 +168,7 @@ def _flat_values(data: bytes, rng: Rng) -> tuple[bytes, str]:
 def write_exr_case(path: Path, rng: Rng) -> str:
     """An OpenEXR sky: damaged bytes, a false window, strange values, channels or sizes."""
     height = int(pick(rng, (8, 16, 32)))
-    way = int(rng.integers(5))
+    way = int(rng.integers(7))
     picture = _honest(height, 2 * height, rng)
     words = ""
     if way == 2:
@@ -172,6 +179,8 @@ def write_exr_case(path: Path, rng: Rng) -> str:
             _honest(max(height, 4), max(width, 4), rng)[:height, :width],
             f"{width}x{height}",
         )
+    if way > 4:
+        return f"{path.name}: {_other_structure(path, picture, rng)}"
     if way == 4 and rng.random() < 0.5:
         return f"{path.name}: {_other_channels(path, picture, rng)}"
     with np.errstate(over="ignore"):
@@ -216,7 +225,7 @@ def _other_channels(path: Path, picture: np.ndarray, rng: Rng) -> str:
     import OpenEXR
 
     grey = np.ascontiguousarray(picture[..., 0])
-    names = pick(
+    names: tuple[str, ...] = pick(
         rng, (("R", "G"), ("Z",), ("a.R", "a.G", "a.B", "b.R"), ("a.R", "b.G", "c.B"), ("Y", "RY"))
     )
     kind = pick(rng, (np.float32, np.float16, np.uint32))
@@ -225,3 +234,43 @@ def _other_channels(path: Path, picture: np.ndarray, rng: Rng) -> str:
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     OpenEXR.File(header, channels).write(str(path))
     return f"channels {names} of {np.dtype(kind)}"
+
+
+def _other_structure(path: Path, picture: np.ndarray, rng: Rng) -> str:
+    """Parts, windows, views and colours as they may be, some of them absurd; bytes damaged then."""
+    import OpenEXR
+
+    height, width = picture.shape[:2]
+    left, top = (int(pick(rng, (0, 0, -5, 3, 10**6, -(2**30)))) for _ in range(2))
+    right, bottom = (int(pick(rng, (0, 1, 15, 63, 4095, 2**20, 2**30))) for _ in range(2))
+    corners = [(left, top), (left + width - 1, top + height - 1), (0, 0), (right, bottom)]
+    data, end, start, far = (np.array(corner, np.int32) for corner in corners)
+    numbers = (0.0, 0.3, 0.33, 0.6, 1.0, -1.0, np.nan, np.inf, 1e30)
+    entries = {
+        "chromaticities": tuple(float(pick(rng, numbers)) for _ in range(8)),
+        "dataWindow": (data, end),
+        "displayWindow": (start, far),
+        "acesImageContainerFlag": int(pick(rng, (0, 1, -1))),
+        "whiteLuminance": float(pick(rng, numbers)),
+        "adoptedNeutral": np.array([pick(rng, numbers), 0.3], np.float32),
+        "multiView": list(pick(rng, (("left", "right"), ("",), ("R",)))),
+        "colorInteropID": str(pick(rng, ("lin_ap1_scene", "lin_ap0_scene", "x" * 99, ""))),
+    }
+    kept = {key: value for key, value in entries.items() if rng.random() < 0.25}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **kept}
+    layers = [str(pick(rng, ("", "a.", "left.", "x.Combined.", "."))) for _ in range(2)]
+    planes = [
+        {f"{layer}{c}": np.ascontiguousarray(picture[..., i]) for i, c in enumerate("RGB")}
+        for layer in layers
+    ]
+    try:
+        if rng.random() < 0.5:
+            parts = [OpenEXR.Part(dict(header), p, n) for p, n in zip(planes, "ab", strict=True)]
+            OpenEXR.File(parts).write(str(path))
+        else:
+            OpenEXR.File(header, planes[0] | planes[1]).write(str(path))
+    except (RuntimeError, ValueError, TypeError):
+        write_exr(path, picture)
+    if rng.random() < 0.3:
+        path.write_bytes(mutate_bytes(path.read_bytes(), rng)[0])
+    return f"layers {layers}, {sorted(kept)}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import shutil
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -9,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.mini_log import write_json, write_mini_log
+from datasets.arrow_pickles import text_frame
+from datasets.mini_log import PERIOD_S, START_S, cuboid_columns, write_json, write_mini_log
 from lightsim.build.options import BuildOptions
 from lightsim.build.pipeline import STAGES, artefact_keys
 from lightsim.build.workspace import FIELD_CONFIG_NAME, FIELD_NAME, OPTIONS_NAME
@@ -55,11 +57,25 @@ def make_seeds(folder: Path, source: Path | None) -> Seeds:
     if source is None:
         write_mini_log(log)
         write_json(log / "annotations" / "semseg" / "classes.json", {"7": "Road", "13": "Car"})
+        _rewrite_some(log)
     else:
         _copy_a_little(source, log)
     work = folder / "work"
     _write_work(work, log)
     return Seeds(log, work)
+
+
+def _rewrite_some(log: Path) -> None:
+    """Frame 1 as today's mirrors and exporters have it: no gzip, text of Arrow, JPG."""
+    for part in ("lidar", "annotations/semseg"):
+        path = log / part / "01.pkl.gz"
+        (log / part / "01.pkl").write_bytes(gzip.decompress(path.read_bytes()))
+        path.unlink()
+    boxes = log / "annotations" / "cuboids"
+    (boxes / "01.pkl").write_bytes(text_frame(cuboid_columns(START_S + PERIOD_S)))
+    (boxes / "01.pkl.gz").unlink()
+    for path in (log / "camera").glob("*/01.jpg"):
+        path.rename(path.with_suffix(".JPG"))
 
 
 def _copy_a_little(source: Path, log: Path) -> None:

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from lightsim.datasets.safe_pickle import read_table
+from lightsim.datasets.files import read_packed
+from lightsim.datasets.safe_pickle import MAX_BYTES, read_table
 
 from .hostile_pickles import BUILDERS
 from .mutations import Rng, mutate_bytes, pick
@@ -20,7 +21,8 @@ _CELLS: tuple[Any, ...] = (
     None, True, "../../outside", "/outside", "a/b", "\0", "x" * 5000, "é\n\x1b[2J",
 )  # fmt: skip
 _TYPES = ("float32", "float16", "int8", "int64", "uint64", "bool", "object", "str", "complex64",
-          "datetime64[ns]", "category", "longdouble")  # fmt: skip
+          "datetime64[ns]", "datetime64[s]", "category", "longdouble", "string", "Int64",
+          "boolean", "Float64")  # fmt: skip
 
 
 def mutate_table_file(path: Path, rng: Rng) -> str:
@@ -31,8 +33,8 @@ def mutate_table_file(path: Path, rng: Rng) -> str:
         path.write_bytes(data)
         return f"{path.name}, file {words}"
     if way < 0.45:
-        data, words = mutate_bytes(gzip.decompress(path.read_bytes()), rng)
-        path.write_bytes(gzip.compress(data, 1))
+        data, words = mutate_bytes(read_packed(path, MAX_BYTES), rng)
+        _pack(path, data)
         return f"{path.name}, pickle {words}"
     columns: dict[str, Any] = dict(read_table(path, ()))
     words_: list[str] = []
@@ -50,12 +52,17 @@ def write_hostile_pickle(path: Path, canary: Path, rng: Rng) -> str:
     words = ""
     if rng.random() < 0.3:
         data, words = mutate_bytes(data, rng)
-    path.write_bytes(gzip.compress(data, 1))
+    _pack(path, data)
     return f"{path.name}: pickle {builder.__name__} {words}"
 
 
 def _write(path: Path, table: pd.DataFrame, protocol: int) -> None:
-    path.write_bytes(gzip.compress(pickle.dumps(table, protocol=protocol), 1))
+    _pack(path, pickle.dumps(table, protocol=protocol))
+
+
+def _pack(path: Path, data: bytes) -> None:
+    """With gzip as the file's name tells."""
+    path.write_bytes(gzip.compress(data, 1) if path.suffix == ".gz" else data)
 
 
 def _mutate_columns(columns: dict[str, Any], rng: Rng) -> tuple[dict[str, Any], str]:

@@ -9,7 +9,7 @@ from tests.render.rendering_scenes import box, plane
 from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.render.casters.embree import make_embree_caster
-from lightsim.scenario.conflicts import boxes_overlap, is_cut
+from lightsim.scenario.conflicts import boxes_overlap, cuts_static
 
 
 def standing(x: float, y: float, yaw_deg: float = 0.0, z: float = 0.75) -> ActorTrack:
@@ -34,15 +34,19 @@ def standing(x: float, y: float, yaw_deg: float = 0.0, z: float = 0.75) -> Actor
     ],
 )
 def test_boxes_overlap_as_they_stand(other: ActorTrack, is_overlap: bool) -> None:
-    assert boxes_overlap(standing(0, 0), other, 0) == is_overlap
-    assert boxes_overlap(other, standing(0, 0), 0) == is_overlap
+    here = standing(0, 0)
+    for a, b in ((here, other), (other, here)):
+        found = boxes_overlap(
+            a.trajectory.matrices, a.size_lwh_m, b.trajectory.matrices, b.size_lwh_m
+        )
+        assert found.tolist() == [is_overlap]
 
 
 def test_a_wall_in_the_box_is_found_and_the_ground_is_not() -> None:
     ground = plane(20.0, 4, np.full(3, 0.3, np.float32))
     wall = box((0.0, 5.0, 3.0), (20.0, 0.4, 6.0), 0.5)
     caster = make_embree_caster([ground, wall])
-    assert not is_cut(caster, standing(0, 0), 0)
-    assert not is_cut(caster, standing(0, 3.6), 0)
-    assert is_cut(caster, standing(0, 4.2), 0)
-    assert is_cut(caster, standing(0, 3.2, 90.0), 0)
+    places = [standing(0, 0), standing(0, 3.6), standing(0, 4.2), standing(0, 3.2, 90.0)]
+    poses = np.concatenate([place.trajectory.matrices for place in places])
+    is_cut = cuts_static(caster, poses, places[0].size_lwh_m)
+    assert is_cut.tolist() == [False, False, True, True]

@@ -14,7 +14,8 @@ from lightsim.core.mesh import Material, TriMesh, concatenate_meshes
 from lightsim.core.twin import ActorAsset
 from lightsim.errors import InputError
 from lightsim.scenario.asset_library import AssetLibrary, add_model
-from lightsim.scenario.models import Front, read_model
+from lightsim.scenario.models import ModelSettings, read_model
+from lightsim.scenario.orientation import Front
 from lightsim.scenario.shipped_assets import shipped_assets
 from lightsim.store.meshes import write_glb
 
@@ -55,7 +56,8 @@ def test_obj_files_and_other_units_are_read(tmp_path: Path) -> None:
 def test_what_is_added_can_be_listed_and_loaded(tmp_path: Path) -> None:
     write_glb(tmp_path / "van.glb", wedge("-x"))
     library = AssetLibrary(tmp_path / "library", {})
-    info = add_model(library, tmp_path / "van.glb", "my-van", length_m=5.0, kind=ActorKind.TRUCK)
+    settings = ModelSettings(length_m=5.0)
+    info, _ = add_model(library, tmp_path / "van.glb", "my-van", settings, kind=ActorKind.TRUCK)
     assert info.size_lwh_m == pytest.approx((5.0, 2.25, 1.875))
     assert [i.name for i in library.infos()] == ["my-van"]
     asset = library.load("my-van")
@@ -74,7 +76,8 @@ def test_a_file_is_read_once_and_anew_when_it_is_replaced(tmp_path: Path) -> Non
     library = AssetLibrary(tmp_path / "library", {}, beside=tmp_path)
     assert library.load("van.glb") is library.load("van.glb")
     for length_m in (5.0, 4.0):
-        add_model(library, tmp_path / "van.glb", "van", length_m=length_m, is_replacing=True)
+        settings = ModelSettings(length_m=length_m)
+        add_model(library, tmp_path / "van.glb", "van", settings, is_replacing=True)
         assert np.ptp(library.load("van").mesh.vertices[:, 0]) == pytest.approx(length_m)
 
 

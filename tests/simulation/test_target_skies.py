@@ -6,11 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
+from tests.lighting.test_night import street_of_lamps
 from tests.render.rendering_scenes import constant_sky, sun_sky
 from tests.simulation.test_moving_shadow import is_dark, overlap, recorded, relit
 from tests.tiny_world import TinyWorkspace, ground_points, in_shadow, on_ground, tiny_world
 
+from lightsim.core.colour import luminance
 from lightsim.core.dome import SkyDome, split_sun
 from lightsim.core.equirect import pixel_directions
 from lightsim.core.frames import RigidTransform
@@ -18,7 +21,9 @@ from lightsim.core.log import GeoReference
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import angle_between_deg, azimuth_elevation, direction_enu
 from lightsim.errors import InputError
-from lightsim.simulation.skies import made_from_sky, resolve_sky
+from lightsim.simulation.seen_light import SeenLight
+from lightsim.simulation.skies import made_from_sky, resolve_sky, sky_alone
+from lightsim.store.images import write_exr
 from lightsim.store.sky import write_sky
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -135,6 +140,69 @@ def test_the_sky_of_another_log_keeps_its_north(tmp_path: Path) -> None:
     assert "turned by -120.00 degrees" in back.facts["notes"][-1]
     same = resolve_sky(SkyChoice(str(write(here, dome, tmp_path)), scale="none"), here).dome
     np.testing.assert_array_equal(same.radiance, dome.radiance)
+
+
+class LevelLight(SeenLight):
+    """Light of white level ground, in the place of a log's surfaces."""
+
+    def mean_luminance(self, dome: SkyDome) -> float:
+        return float(luminance(dome.horizontal_irradiance()))
+
+
+@pytest.mark.parametrize("is_night", [False, True])
+def test_the_factor_of_automatic_scaling_is_noted(
+    is_night: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A warning where it makes a night as bright as the recording."""
+    dome = sun_sky(np.radians(30.0), 35.0, SKY)
+    sky = SkyDome(street_of_lamps(64), None) if is_night else dome
+    path = tmp_path / "a.exr"
+    write_exr(path, sky.radiance)
+    caplog.set_level("INFO")
+    work = facing(tiny_world(dome), 0.0)
+    found = resolve_sky(SkyChoice(str(path)), work, LevelLight(work))
+    note = found.facts["notes"][-1]
+    assert f"multiplied by {found.facts['scale_factor']:.3g}," in note
+    assert "--sky-scale none keeps the file's own level" in note
+    assert ("looks like a night panorama" in note) == is_night
+    (record,) = [r for r in caplog.records if note in r.message]
+    assert record.levelname == ("WARNING" if is_night else "INFO")
+    own = resolve_sky(SkyChoice(str(path), scale="none"), work)
+    assert not any("multiplied" in text for text in own.facts["notes"])
+
+
+def test_a_layer_is_a_sky_of_its_own(tmp_path: Path) -> None:
+    dome = sun_sky(np.radians(30.0), 35.0, SKY)
+    layers = {
+        f"{layer}.{c}": np.ascontiguousarray(dome.radiance[..., i] * factor)
+        for layer, factor in (("Combined", 1), ("Env", 2))
+        for i, c in enumerate("RGB")
+    }
+    path = tmp_path / "a#1.exr"
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, layers).write(str(path))
+    combined, env = SkyChoice(str(path)), SkyChoice(f"{path}#Env")
+    assert (combined.name, env.name) == ("a_1", "a_1_Env")
+    assert made_from_sky(combined) != made_from_sky(env)
+    np.testing.assert_array_equal(
+        sky_alone(env).dome.radiance, 2 * sky_alone(combined).dome.radiance
+    )
+    # A file that exists is taken by its whole name.
+    (tmp_path / "a#1.exr#Env").write_bytes(b"no picture")
+    with pytest.raises(InputError, match="not an HDR picture"):
+        sky_alone(env)
+
+
+@pytest.mark.parametrize(("file_deg", "log_deg"), [(90.0, 90.01), (359.995, 0.005)])
+def test_a_turn_that_only_blurs_is_not_made(
+    file_deg: float, log_deg: float, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """True skies beside a synthetic log: its north is found to millidegrees."""
+    dome = sun_sky(np.radians(30.0), 35.0, SKY)
+    path = write(facing(tiny_world(dome), file_deg), dome, tmp_path)
+    sky = resolve_sky(SkyChoice(str(path), scale="none"), facing(tiny_world(dome), log_deg))
+    np.testing.assert_array_equal(sky.dome.radiance, dome.radiance)
+    assert not caplog.messages
+    assert not sky.facts["notes"]
 
 
 @pytest.mark.parametrize(

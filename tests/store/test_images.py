@@ -14,7 +14,8 @@ from PIL import Image
 
 from lightsim.core.dome import SkyDome
 from lightsim.errors import InputError
-from lightsim.store import exr, images, radiance
+from lightsim.store import exr_file, images, radiance, radiance_header
+from lightsim.store import hdr as hdr_files
 from limits import run_limited
 
 FUZZ = settings(
@@ -171,7 +172,7 @@ def test_large_skies_are_averaged_over_squares(
         head = b"#?RADIANCE\n\n-Y 30 +X 60\n"
         path.write_bytes(head + radiance._codes_from_rgb(picture.astype(np.float64)).tobytes())
     whole = images.read_hdr(path)
-    monkeypatch.setattr(images, "_MAX_SKY_ROWS", 8)
+    monkeypatch.setattr(hdr_files, "_MAX_SKY_ROWS", 8)
     monkeypatch.setattr(radiance, "_BLOCK_PIXELS", 900)
     sky = images.read_sky(path)
     expected = whole.reshape(6, 5, 12, 5, 3).mean(axis=(1, 3))
@@ -206,8 +207,8 @@ def test_sizes_are_refused_by_their_headers(
     images.write_hdr(tmp_path / "a.hdr", hdr)
     assert images.read_size(grey) == (8, 4)
     monkeypatch.setattr(images, "_MAX_PIXELS", 31)
-    monkeypatch.setattr(exr, "_MAX_VALUES", 3 * 16 * 32 - 1)
-    monkeypatch.setattr(radiance, "_MAX_PIXELS", 16 * 32 - 1)
+    monkeypatch.setattr(exr_file, "MAX_VALUES", 3 * 16 * 32 - 1)
+    monkeypatch.setattr(radiance_header, "MAX_PIXELS", 16 * 32 - 1)
     for read, path, message in (
         (images.read_size, grey, "8x4 px, more than 31"),
         (images.read_srgb8, grey, "8x4 px, more than 31"),

@@ -14,7 +14,7 @@ from tools.shipped_models.person import person_parts
 from tools.shipped_models.truck import truck_parts
 
 from lightsim.core.actors import ActorKind
-from lightsim.core.mesh import Material, TriMesh
+from lightsim.core.mesh import CAR_GLASS, CAR_GLASS_COLOUR, Material, TriMesh
 from lightsim.scenario.shipped_assets import ASSETS_FOLDER
 from lightsim.store.artefact import write_json
 from lightsim.store.meshes import write_glb
@@ -27,7 +27,7 @@ _LOOKS: Mapping[str, tuple[tuple[float, float, float], Material]] = {
     "black": ((0.035, 0.037, 0.04), _PAINT),
     "grey": ((0.40, 0.41, 0.42), _PAINT),
     "red": ((0.42, 0.035, 0.03), _PAINT),
-    "car_glass": ((0.03, 0.034, 0.036), Material(0.1, 0.0, "glass")),
+    "car_glass": (CAR_GLASS_COLOUR, CAR_GLASS),
     "rubber": ((0.035, 0.035, 0.036), Material(0.7, 0.0, "rubber")),
     "steel": ((0.42, 0.43, 0.44), Material(0.4, 0.5, "metal")),
     "lamp": ((0.38, 0.39, 0.40), Material(0.12, 0.0, "glass")),

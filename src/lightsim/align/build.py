@@ -24,6 +24,10 @@ _LEAST_FRAMES = 4
 
 # Each part as a whole is measured (docs/decisions/0004-alignment-stage.md), none of these alone.
 
+# Turn and shift of a correction beyond which it gets a note of its own: twice what a mounting is
+# expected to be off (0.15 degrees), and more than any sensor shifts on a vehicle.
+_LARGE_TURN_DEG = 0.3
+_LARGE_SHIFT_M = 0.1
 # Frames of each camera that are compared with depth edges.
 _CAMERA_FRAMES = 12
 
@@ -65,6 +69,7 @@ def align_log(
     tracks += _moved_tracks(log, found, correction, config, rng, notes)
     fits = _aligned_cameras(log, frames, found, config, rng, progress)
     notes += [_camera_note(fit) for fit in fits]
+    notes += large_notes(path, fits)
     for fit in fits:
         numbers[f"{fit.camera_name} edge score before"] = fit.score_before
         numbers[f"{fit.camera_name} edge score after"] = fit.score_after
@@ -175,6 +180,26 @@ def _camera_note(fit: CameraFit) -> str:
         f"{1000 * fit.correction.time_offset_s:+.1f} ms; edge strength under held-back depth "
         f"edges {fit.score_before:.3f} -> {fit.score_after:.3f}"
     )
+
+
+def large_notes(path: PathFit | None, fits: Sequence[CameraFit]) -> list[str]:
+    """Return notes on corrections so large that the recording's own numbers may be wrong."""
+    moved: list[tuple[str, str, float, float]] = []
+    if path is not None and path.is_kept:
+        turn_deg, shift_m = float(path.turns_deg.max()), float(path.shifts_m.max())
+        moved.append(("the ego's path", "lidar_poses", turn_deg, shift_m))
+    for fit in fits:
+        if fit.is_kept:
+            turn_deg = float(np.degrees(np.linalg.norm(fit.correction.rotation_rad)))
+            shift_m = float(np.linalg.norm(fit.correction.shift_m))
+            moved.append((fit.camera_name, "camera_poses", turn_deg, shift_m))
+    return [
+        f"large correction: {name} was turned by {turn_deg:.2f} degrees and moved by "
+        f"{100 * shift_m:.1f} cm at most; poses, calibration or intrinsics may be wrong "
+        f"(--no-refine {part} leaves them as recorded)"
+        for name, part, turn_deg, shift_m in moved
+        if turn_deg > _LARGE_TURN_DEG or shift_m > _LARGE_SHIFT_M
+    ]
 
 
 def _verdict(is_kept: bool) -> str:

@@ -8,7 +8,7 @@ a sky matte, light at vertices) is handed to it in pipeline/stages/.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -39,8 +39,10 @@ from lightsim.build.stages.published.twin import make_twin as publish_twin
 from lightsim.build.stages.report import make_report
 from lightsim.build.stages.sky import SkyStageConfig, make_sky
 from lightsim.build.stages.twin import TwinConfig, make_twin
+from lightsim.build.suitability import check_places, check_suitable
 from lightsim.build.workspace import OPTIONS_NAME, Workspace
 from lightsim.core.checks import check_choice
+from lightsim.core.notes import printed_note, unseen_notes
 from lightsim.datasets.fingerprint import hash_recording
 from lightsim.datasets.reader import check_layout
 from lightsim.errors import ArtefactError, InputError
@@ -50,6 +52,7 @@ from lightsim.progress import Progress
 from lightsim.reconstruct.field import config as neural_config
 from lightsim.reconstruct.fusion import config as fuse_config
 from lightsim.store.artefact import (
+    RECORD_NAME,
     ArtefactKey,
     State,
     hash_names,
@@ -221,7 +224,7 @@ def build(
     check_choice("--until", until, [stage.name for stage in STAGES])
     source = Path(options.reading.source).resolve()
     options = replace(options, reading=replace(options.reading, source=str(source)))
-    _check_places(source, work)
+    check_places(source, work)
     check_layout(options.reading)
     try:
         work.mkdir(parents=True, exist_ok=True)
@@ -243,13 +246,17 @@ def _build(work: Path, options: BuildOptions, progress: Progress, until: str) ->
     write_json(work / OPTIONS_NAME, options)
     workspace = Workspace(work, options.reading, source_hashes)
     context = Context(progress, options.seed, options.preset, options.device)
-    for stage in _stages_until(options, until):
-        artefact_key = by_stage[stage.name]
-        folder = work / stage.name
+    seen, is_checked = set[str](), False
+    stages = _stages_until(options, until)
+    for stage in stages:
+        artefact_key, folder = by_stage[stage.name], work / stage.name
         state = state_of(folder, artefact_key, is_hashed=True)
         if state == "made":
             logger.info("%-14s kept", stage.name)
             continue
+        if stage.name != "log" and not is_checked:
+            check_suitable(workspace.recorded_training_log, options, [s.name for s in stages])
+            is_checked = True
         logger.info("%-14s %s...", stage.name, _why(folder, artefact_key, state))
         with workspace.opened((*stage.needs, stage.name)):
             record = make_artefact(
@@ -259,14 +266,7 @@ def _build(work: Path, options: BuildOptions, progress: Progress, until: str) ->
                     workspace, stage.config(options), partial, context
                 ),
             )
-        logger.info(
-            "%-14s made in %.1f s (peak memory %d MB)",
-            stage.name,
-            record["seconds"],
-            record["peak_memory_mb"],
-        )
-        for note in record["notes"]:
-            logger.info("          note: %s", note)
+        _log_made(folder, record, seen)
     return workspace
 
 
@@ -280,16 +280,16 @@ def _why(folder: Path, artefact_key: ArtefactKey, state: State) -> str:
     return f"{'; '.join(explain_staleness(record, artefact_key))}: anew "
 
 
-def _check_places(source: Path, work: Path) -> None:
-    """The work folder must not become part of the recording."""
-    inside = work.resolve()
-    if source in (inside, *inside.parents):
-        raise InputError(
-            "the work folder lies in the recording, which is never written to",
-            where=f"--work {work}",
-            got=f"SOURCE {source}",
-            remedy="Choose a folder beside it.",
-        )
+def _log_made(folder: Path, record: Mapping[str, Any], seen: set[str]) -> None:
+    """A line of time and memory, and the stage's notes that no earlier stage had."""
+    logger.info(
+        "%-14s made in %.1f s (peak memory %d MB)",
+        folder.name,
+        record["seconds"],
+        record["peak_memory_mb"],
+    )
+    for note in unseen_notes(record["notes"], seen):
+        logger.info("          note: %s", printed_note(note, str(folder / RECORD_NAME)))
 
 
 def _stages_until(options: BuildOptions, name: str) -> tuple[Stage, ...]:

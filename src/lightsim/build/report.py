@@ -11,6 +11,7 @@ import numpy as np
 from lightsim.build.measures import Measures, read_measures
 from lightsim.build.workspace import Workspace
 from lightsim.core.colour import srgb8_from_linear
+from lightsim.core.notes import unseen_notes
 from lightsim.core.sensors import CameraFrame
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.transport.matrix import TransportConfig
@@ -143,13 +144,14 @@ def _number_section(measured: Measures) -> Section:
 
 
 def _stage_section(work: Workspace, stage_names: Sequence[str]) -> Section:
-    rows, notes = [], []
+    rows, notes, seen = [], [], set[str]()
     for name in stage_names:
         record = read_record(work.folder(name))
         if record is not None:
             rows.append([name, record["seconds"], record["peak_memory_mb"]])
             # Those of the sky stand beside its picture.
-            notes += [f"{name}: {note}." for note in record["notes"] if name != "sky"]
+            own = () if name == "sky" else unseen_notes(record["notes"], seen)
+            notes += [f"{name}: {note}." for note in own]
     summary = read_json(work.need("log") / "log.json")
-    text = f"Held out: {', '.join(summary['held_out']) or 'nothing'}.\n\n" + "\n\n".join(notes[:30])
+    text = f"Held out: {', '.join(summary['held_out']) or 'nothing'}.\n\n" + "\n\n".join(notes)
     return Section("Stages", text, tables=[Table(["stage", "seconds", "peak MB so far"], rows)])

@@ -39,14 +39,16 @@ class AssetsAdd:
     """A .glb, .gltf or .obj file."""
     name: str = ""
     """By which scenarios name it; by default the file's."""
-    front: Literal["auto", "+x", "-x", "+z", "-z"] = "auto"
-    """Where the model looks in its file, whose y is up; auto: along its length, the lower end."""
+    up: Literal["auto", "x", "y", "z"] = "auto"
+    """Axis of the file that points up; auto: y, unless wheels or the base indicate another one."""
+    front: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
+    """Axis of the file that points ahead; auto: along the longer side, towards the lower end."""
     metres_per_unit: float = 1.0
-    """0.01 for a model in centimetres."""
+    """Size of the file's unit: 0.01 for centimetres, 0.001 for millimetres, 0.0254 for inches."""
     length_m: float | None = None
-    """Scale it to this length."""
+    """Scale the model to this length along its front, whatever its unit."""
     kind: ActorKind | None = None
-    """What it is; by default guessed by name and size."""
+    """Kind of actor; by default the kind that a whole word of the file's name is, else by size."""
     library: Path | None = None
     """Folder of the library; by default the user's own."""
     overwrite: bool = False
@@ -57,20 +59,27 @@ class AssetsAdd:
     def run(self) -> None:
         """Store the model."""
         from lightsim.scenario.asset_library import add_model
+        from lightsim.scenario.models import ModelSettings
         from lightsim.simulation.edited import asset_library
 
-        info = add_model(
+        info, model = add_model(
             asset_library(self.library),
             self.model,
             self.name or self.model.stem,
-            front=self.front,
-            metres_per_unit=self.metres_per_unit,
-            length_m=self.length_m,
+            ModelSettings(
+                up=self.up,
+                front=self.front,
+                metres_per_unit=self.metres_per_unit,
+                length_m=self.length_m,
+            ),
             kind=self.kind,
             is_replacing=self.overwrite,
         )
         size = " x ".join(f"{side:.2f}" for side in info.size_lwh_m)
-        say(f"{info.name}: {info.kind}, {size} m, {info.faces} faces")
+        say(
+            f"{info.name}: {info.kind}, {size} m, {info.faces} faces, up {model.up}, front"
+            f" {model.front} (options --kind, --up, --front, --length-m change them)"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import shutil
 import sys
 from pathlib import Path
 from typing import Annotated, Protocol, runtime_checkable
@@ -28,6 +30,17 @@ def say(text: str) -> None:
     """A line on standard output, at once."""
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
+
+
+def program() -> str:
+    """Return how this program is started again: `lightsim` where the PATH leads to it, else the
+    path by which it was started, such as .venv/bin/lightsim."""
+    started = Path(sys.argv[0])
+    if started.name != "lightsim":
+        return f"{shlex.quote(sys.executable)} -m lightsim"
+    found = shutil.which("lightsim")
+    is_found = found is not None and Path(found).resolve() == started.resolve()
+    return "lightsim" if is_found else shlex.quote(str(started))
 
 
 def names(text: str) -> tuple[str, ...]:

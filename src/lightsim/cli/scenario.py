@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import shlex
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import Verbose, program, say
 from lightsim.core.option_types import Names
 
 if TYPE_CHECKING:
     from lightsim.core.log import DrivingLog
-    from lightsim.scenario.generators import EgoLane
+    from lightsim.scenario.layouts import Choice
+    from lightsim.simulation.placing import PlacedScene
 
-
-_AROUND_M = (0.0, 2.0, -2.0, 4.0, -4.0, 6.0, 8.0, 10.0)
-"""Places are tried this far from the usual one, until nobody stands in the way."""
-
-
-def _places(asked_m: float | None, usual_m: float) -> tuple[float, ...]:
-    return tuple(usual_m + step for step in _AROUND_M) if asked_m is None else (asked_m,)
+_FARTHEST_M = 60.0
+"""Distance along the path up to which places are tried: a car is 30 pixels wide there in a picture
+of 960 pixels and 60 degrees."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +30,8 @@ class _Generator:
     """Work folder of a finished build."""
     out: Path
     """SCENARIO.json to write."""
+    remove_blockers: bool = False
+    """Where no place is free, take the actors of the log out that are in the way."""
     lane_width_m: float = 3.5
     """Width of the lanes."""
     sky: str = "source"
@@ -40,42 +41,65 @@ class _Generator:
 
     def _write(
         self,
-        make: Callable[[EgoLane, DrivingLog, float], list[dict[str, Any]]],
-        places_m: Sequence[float] = (0.0,),
+        make: Callable[..., list[dict[str, Any]]],
+        choices: Callable[[DrivingLog], Mapping[str, Sequence[Choice]]],
     ) -> None:
-        """Write the scene at the first place where nobody stands in the way; if there is none, at
-        that with the fewest conflicts."""
+        """Write the scene at the first free place; if there is none, at the one with the fewest
+        things in the way.
+
+        Args:
+            make: edits from the lane, the log and the chosen values.
+            choices: values of the scene's parameters, by name.
+        """
         from lightsim.build.workspace import Workspace
-        from lightsim.scenario.edits import VERSION, parse_scenario
+        from lightsim.scenario.edits import VERSION
         from lightsim.scenario.generators import EgoLane
-        from lightsim.scenario.replay import replay
-        from lightsim.simulation.edited import asset_library, edited_scenario, tell_conflicts
+        from lightsim.scenario.layouts import layouts
+        from lightsim.simulation.edited import asset_library
+        from lightsim.simulation.placing import PlaceSearch
         from lightsim.store.artefact import write_json
 
         workspace = Workspace(self.work)
         log = workspace.log
         lane = EgoLane.of(log, self.lane_width_m)
-        recorded = replay(workspace.twin, self.out.stem, log.frames)
-        library = asset_library(None, self.out.parent)
-        scenario: dict[str, Any] = {}
-        conflicts: tuple[str, ...] | None = None
-        for place_m in places_m:
-            scene = {"version": VERSION, "name": self.out.stem, "sky": self.sky}
-            scene["edits"] = make(lane, log, place_m)
-            request = parse_scenario(scene, self.out)
-            # A missing asset, or who stands in the way, is told now and not when frames are made.
-            odd = edited_scenario(workspace, recorded, request, library).notes
-            if conflicts is None or len(odd) < len(conflicts):
-                scenario, conflicts = scene, odd
-            if not conflicts:
-                break
-        tell_conflicts(conflicts or (), self.out)
+        tried = layouts(choices(log))
+        search = PlaceSearch(workspace, asset_library(None, self.out.parent), self.out)
+        placed = search.find(partial(make, lane, log), tried)
+        self._tell(placed, is_usual=placed.options == tried[0].options)
+        if self.remove_blockers:
+            placed = placed.without_blockers()
+        scene = {"version": VERSION, "name": self.out.stem, "sky": self.sky, "edits": placed.edits}
         self.out.parent.mkdir(parents=True, exist_ok=True)
-        write_json(self.out, scenario)
-        say(f"{len(scenario['edits'])} edits: {self.out}")
-        if conflicts:
-            say("change the edits (take out who is in the way), or move the scene by its options")
-        say(f"next: lightsim simulate {self.work} {self.out}")
+        write_json(self.out, scene)
+        say(f"{len(placed.edits)} edits: {self.out}")
+        say(f"next: {program()} {shlex.join(['simulate', str(self.work), str(self.out)])}")
+
+    def _tell(self, placed: PlacedScene, *, is_usual: bool) -> None:
+        """Print where the scene is if not in its usual place, and what is in its way."""
+        from lightsim.simulation.edited import tell_conflicts
+
+        tell_conflicts([str(conflict) for conflict in placed.fixed], self.out)
+        in_way = (
+            ["what cannot be removed is in the way at every place tried"] if placed.fixed else []
+        )
+        if placed.blockers:
+            in_way.append(_blockers_line(placed.blockers, is_removing=self.remove_blockers))
+        if in_way:
+            say("no free place; " + "; ".join(in_way))
+        if placed.unseen:
+            say(f"no camera that looks ahead sees {', '.join(placed.unseen)}")
+        if not is_usual:
+            say(f"not at the usual place, but at: {placed.options}")
+
+
+def _blockers_line(blockers: Sequence[str], *, is_removing: bool) -> str:
+    named = ", ".join(blockers)
+    if is_removing:
+        return f"removed from the log: {named}"
+    if len(blockers) == 1:
+        return f"1 actor stands in the way: {named}; add --remove-blockers to take it out"
+    count = len(blockers)
+    return f"{count} actors stand in the way: {named}; add --remove-blockers to take them out"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,8 +109,10 @@ class CutIn(_Generator):
     asset: str = "car-red"
     """What drives: a file, a library name, or WORK#actor_id."""
     gap_m: float | None = None
-    """Ahead of the ego vehicle at the start, centre to centre; by default 10, or where nobody
-    stands in the way, 6 to 20."""
+    """Ahead of the ego vehicle at the start, centre to centre; by default 10, or where a place is
+    free, 6 to 60."""
+    from_left: bool = False
+    """It comes from the left; by default from the left, or from the right where that is free."""
     from_right: bool = False
     """It comes from the right."""
     actor: str = ""
@@ -95,10 +121,14 @@ class CutIn(_Generator):
     def run(self) -> None:
         """Write the scenario."""
         from lightsim.scenario.generators import cut_in
+        from lightsim.scenario.layouts import outwards, sides
 
         self._write(
-            lambda lane, _, gap_m: cut_in(lane, self.asset, gap_m, not self.from_right, self.actor),
-            _places(self.gap_m, 10.0),
+            lambda lane, _, **at: cut_in(lane, self.asset, actor_id=self.actor, **at),
+            lambda _: {
+                "gap_m": outwards(self.gap_m, 10.0, (6.0, _FARTHEST_M), 1.0),
+                "from_left": sides(self.from_left, self.from_right, usually_left=True),
+            },
         )
 
 
@@ -109,18 +139,24 @@ class LaneChange(_Generator):
     asset: str = "car"
     """What drives."""
     gap_m: float | None = None
-    """Ahead of the ego vehicle at the start, centre to centre; by default 15, or where nobody
-    stands in the way, 11 to 25."""
+    """Ahead of the ego vehicle at the start, centre to centre; by default 15, or where a place is
+    free, 6 to 60."""
+    to_left: bool = False
+    """It goes to the left; by default to the left, or to the right where that is free."""
     to_right: bool = False
     """It goes to the right."""
 
     def run(self) -> None:
         """Write the scenario."""
         from lightsim.scenario.generators import lane_change
+        from lightsim.scenario.layouts import outwards, sides
 
         self._write(
-            lambda lane, _, gap_m: lane_change(lane, self.asset, gap_m, not self.to_right),
-            _places(self.gap_m, 15.0),
+            lambda lane, _, **at: lane_change(lane, self.asset, **at),
+            lambda _: {
+                "gap_m": outwards(self.gap_m, 15.0, (6.0, _FARTHEST_M), 1.0),
+                "to_left": sides(self.to_left, self.to_right, usually_left=True),
+            },
         )
 
 
@@ -131,18 +167,19 @@ class HardBrake(_Generator):
     asset: str = "car"
     """What drives."""
     gap_m: float | None = None
-    """Ahead of the ego vehicle at the start, centre to centre; by default 15, or where nobody
-    stands in the way, 11 to 25."""
+    """Ahead of the ego vehicle at the start, centre to centre; by default 15, or where a place is
+    free, 6 to 60."""
     after_s: float = 0.5
     """When it begins to brake."""
 
     def run(self) -> None:
         """Write the scenario."""
         from lightsim.scenario.generators import hard_brake
+        from lightsim.scenario.layouts import outwards
 
         self._write(
-            lambda lane, _, gap_m: hard_brake(lane, self.asset, gap_m, self.after_s),
-            _places(self.gap_m, 15.0),
+            lambda lane, _, **at: hard_brake(lane, self.asset, after_s=self.after_s, **at),
+            lambda _: {"gap_m": outwards(self.gap_m, 15.0, (6.0, _FARTHEST_M), 1.0)},
         )
 
 
@@ -153,16 +190,23 @@ class Stalled(_Generator):
     asset: str = "van"
     """What stands there."""
     ahead_m: float | None = None
-    """Ahead of where the ego vehicle is at the end; by default 20, or where nobody stands in the
-    way, 16 to 30."""
+    """Ahead of where the ego vehicle is at the end; by default 20, or where a place is free, 12 to
+    60."""
+    left_m: float | None = None
+    """Offset from the middle of the lane; negative is right. By default 0, or where a place is
+    free, up to 1 to both sides."""
 
     def run(self) -> None:
         """Write the scenario."""
         from lightsim.scenario.generators import stalled
+        from lightsim.scenario.layouts import outwards
 
         self._write(
-            lambda lane, _, ahead_m: stalled(lane, self.asset, ahead_m),
-            _places(self.ahead_m, 20.0),
+            lambda lane, _, **at: stalled(lane, self.asset, **at),
+            lambda _: {
+                "ahead_m": outwards(self.ahead_m, 20.0, (12.0, _FARTHEST_M), 1.0),
+                "left_m": outwards(self.left_m, 0.0, (-1.0, 1.0), 0.5, cost_m=3.0),
+            },
         )
 
 
@@ -170,23 +214,33 @@ class Stalled(_Generator):
 class Construction(_Generator):
     """Road works: cones along a taper, barriers, a sign."""
 
-    ahead_m: float = 8.0
-    """Where they begin, ahead of where the ego vehicle is at the end."""
-    length_m: float = 24.0
-    """How far they reach."""
+    ahead_m: float | None = None
+    """Where they begin, ahead of where the ego vehicle is at the end; by default 8, or where a
+    place is free, 4 to 60."""
+    length_m: float | None = None
+    """How far they reach; by default 24, or where a place is free, down to 12."""
     from_left: bool = False
-    """They close the left half of the lane."""
+    """They close the left half of the lane; by default the right one, or the left one where that
+    is free."""
+    from_right: bool = False
+    """They close the right half of the lane."""
     next_lane: bool = False
     """They close all of the lane beside."""
 
     def run(self) -> None:
         """Write the scenario."""
         from lightsim.scenario.generators import construction
+        from lightsim.scenario.layouts import Choice, outwards, sides
 
+        next_lane = [Choice(True)] if self.next_lane else [Choice(False), Choice(True, 12.0)]
         self._write(
-            lambda lane, *_: construction(
-                lane, self.ahead_m, self.length_m, self.from_left, self.next_lane
-            )
+            lambda lane, _, **at: construction(lane, **at),
+            lambda _: {
+                "ahead_m": outwards(self.ahead_m, 8.0, (4.0, _FARTHEST_M), 2.0),
+                "length_m": outwards(self.length_m, 24.0, (12.0, 24.0), 4.0, cost_m=6.0),
+                "from_left": sides(self.from_left, self.from_right, usually_left=False),
+                "is_next_lane": next_lane,
+            },
         )
 
 
@@ -197,17 +251,43 @@ class Replace(_Generator):
     assets: Names = ("car-red", "van", "car-black")
     """Who drives now, in turn: files, library names, or OTHER_WORK#actor_id."""
     actors: Names = ()
-    """Whom they replace; by default the moving vehicles that come nearest to the ego."""
-    count: int = 3
-    """How many of the nearest."""
+    """Whom they replace; by default the moving vehicles that come nearest to the ego, or where
+    those cannot be seen or the assets do not fit, farther ones."""
+    count: int | None = None
+    """How many of the nearest; by default 3, or fewer where no more are free."""
 
     def run(self) -> None:
         """Write the scenario."""
-        from lightsim.scenario.generators import replaced
+        from lightsim.scenario.generators import EgoLane, nearest_movers, replaced
+        from lightsim.scenario.layouts import Choice
+
+        def choices(log: DrivingLog) -> Mapping[str, Sequence[Choice]]:
+            lane = EgoLane.of(log, self.lane_width_m)
+            movers = [t.actor_id for t in nearest_movers(lane, log.actors)]
+            chosen = [Choice(self.actors)] if self.actors else _groups(movers, self.count)
+            turns = [
+                Choice(self.assets[k:] + self.assets[:k], float(k))
+                for k in range(max(1, len(self.assets)))
+            ]
+            return {"actors": chosen, "assets": turns}
 
         self._write(
-            lambda lane, log, _: replaced(lane, log.actors, self.assets, self.actors, self.count)
+            lambda lane, log, assets, actors: replaced(lane, log.actors, assets, actors, count=0),
+            choices,
         )
+
+
+def _groups(nearest: Sequence[str], count: int | None) -> list[Choice]:
+    """Groups of the nearest actors, the largest first; the empty one where there is none."""
+    from lightsim.scenario.layouts import Choice
+
+    most = max(0, min(3 if count is None else count, len(nearest)))
+    least = most if count is not None else min(1, most)
+    return [
+        Choice(tuple(nearest[k : k + size]), 10.0 * (most - size) + 3.0 * k)
+        for size in range(most, least - 1, -1)
+        for k in range(len(nearest) - size + 1)
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -216,16 +296,35 @@ class ParkedRow(_Generator):
 
     assets: Names = ("car", "van", "car-black", "car-red")
     """What stands there, in turn."""
-    count: int = 5
-    """How many."""
-    left_m: float = -4.0
-    """Offset from the ego's path; negative is right."""
+    count: int | None = None
+    """How many; by default 5, or fewer where no more are free."""
+    ahead_m: float | None = None
+    """Where the row begins, ahead of where the ego vehicle is at the start; by default 6, or where
+    a place is free, 0 to 60."""
+    left_m: float | None = None
+    """Offset from the ego's path; negative is right. By default -4, or where a place is free, 2.5
+    to 6 on either side."""
 
     def run(self) -> None:
         """Write the scenario."""
         from lightsim.scenario.generators import parked_row
+        from lightsim.scenario.layouts import OTHER_SIDE_M, Choice, outwards
 
-        self._write(lambda lane, *_: parked_row(lane, self.assets, self.count, self.left_m))
+        right = outwards(self.left_m, -4.0, (-6.0, -2.5), 0.5, cost_m=2.0)
+        left = (
+            [Choice(-c.value, c.cost_m + OTHER_SIDE_M) for c in right]
+            if self.left_m is None
+            else []
+        )
+        fewer = [Choice(n, 8.0 * (5 - n)) for n in (5, 4, 3, 2)]
+        self._write(
+            lambda lane, _, **at: parked_row(lane, self.assets, **at),
+            lambda _: {
+                "ahead_m": outwards(self.ahead_m, 6.0, (0.0, _FARTHEST_M), 3.0),
+                "left_m": right + left,
+                "count": fewer if self.count is None else [Choice(self.count)],
+            },
+        )
 
 
 Scenarios = (

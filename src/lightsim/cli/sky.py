@@ -72,7 +72,8 @@ class SkyShow:
     """Describe a sky (sun, illuminance) and write a picture of it."""
 
     sky: tyro.conf.Positional[str]
-    """A .hdr or .exr file, or sun:AZIMUTH,ELEVATION[,TURBIDITY] with world +y as north."""
+    """A .hdr or .exr file, FILE.exr#LAYER, or sun:AZIMUTH,ELEVATION[,TURBIDITY] with world +y as
+    north."""
     out: Path = Path("sky.png")
     """Picture to write."""
     verbose: Verbose = False
@@ -81,12 +82,14 @@ class SkyShow:
     def run(self) -> None:
         """Describe a sky."""
         from lightsim.simulation.skies import sky_alone
+        from lightsim.simulation.sky_description import describe_sky
         from lightsim.store.images import write_png
         from lightsim.view.figures import dome_preview
 
-        sky = sky_alone(SkyChoice(self.sky))
-        for name, value in sky.facts.items():
-            say(f"{name}: {value}")
+        choice = SkyChoice(self.sky)
+        sky = sky_alone(choice)
+        for line in describe_sky(choice, sky):
+            say(line)
         write_png(self.out, dome_preview(sky.dome))
         say(f"picture: {self.out}")
 

@@ -49,6 +49,11 @@ class Material:
     name: str = "matte"
 
 
+CAR_GLASS = Material(0.1, 0.0, "glass")
+CAR_GLASS_COLOUR = (0.03, 0.034, 0.036)
+"""Panes of vehicles: smooth, and dark because the cabin behind them is. Chosen; not measured."""
+
+
 @dataclass(frozen=True, eq=False)
 class Texture:
     """Colour at image resolution.

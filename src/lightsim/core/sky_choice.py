@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +19,12 @@ _MIN_SCALE = 1e-9
 _MAX_SUN_FACTOR = 1e3
 """From a veiled sun to a clear one is a factor of a hundred."""
 POSITION = "AZIMUTH,ELEVATION in degrees"
+FORMS = (
+    "a .hdr or .exr file (FILE.exr#LAYER takes a layer of it), sun:AZIMUTH,ELEVATION[,TURBIDITY],"
+    " time:ISO or source"
+)
+_LAYER = re.compile(r"(?P<path>.*\.(exr|hdr))#(?P<layer>.+)", re.DOTALL | re.IGNORECASE)
+_SUFFIX = re.compile(r"\.[a-z]\w{1,4}$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -25,7 +32,8 @@ class SkyChoice:
     """A target sky as the user names it.
 
     Args:
-        sky: a .hdr or .exr file, sun:AZIMUTH,ELEVATION[,TURBIDITY], time:ISO or source.
+        sky: a .hdr or .exr file, FILE.exr#LAYER, sun:AZIMUTH,ELEVATION[,TURBIDITY], time:ISO or
+            source. A file that exists is taken by its whole name, "#" included.
         yaw_deg: turns the sky clockwise seen from above.
         scale: "auto", "none" or a number.
         move_sun: "AZIMUTH,ELEVATION" where the sun is put; empty where it stays.
@@ -62,15 +70,34 @@ class SkyChoice:
 
     @property
     def path(self) -> Path | None:
-        """The file, if the sky is one."""
+        """The file, if the sky is one; a leading ~ is the home folder."""
         named = self.sky == "source" or self.sky.startswith(("sun:", "time:"))
-        return None if named else Path(self.sky)
+        return None if named else Path(os.path.expanduser(self._file_and_layer[0]))
+
+    @property
+    def layer(self) -> str:
+        """The layer of an OpenEXR file that is asked for; empty where none is."""
+        return self._file_and_layer[1]
+
+    @property
+    def is_like_path(self) -> bool:
+        """Whether the words look like a file's path, not like a misspelt form."""
+        words = self._file_and_layer[0]
+        return "/" in words or words.startswith("~") or _SUFFIX.search(words) is not None
 
     @property
     def name(self) -> str:
-        """A name for files: a file's stem, or the words with signs that file systems know."""
-        words = self.sky if self.path is None else self.path.stem
+        """A name for files: a file's stem and layer, or the words, in signs that file systems
+        allow."""
+        words = self.sky if self.path is None else f"{self.path.stem}_{self.layer}"
         return re.sub(r"[^\w.+-]+", "_", words).strip("._-") or "sky"
+
+    @property
+    def _file_and_layer(self) -> tuple[str, str]:
+        match = _LAYER.fullmatch(self.sky)
+        if match is None or os.path.isfile(os.path.expanduser(self.sky)):
+            return self.sky, ""
+        return match["path"], match["layer"]
 
     @property
     def scale_mode(self) -> Literal["auto", "none"] | float:

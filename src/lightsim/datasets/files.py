@@ -1,4 +1,4 @@
-"""Reading of untrusted JSON and gzip files: one clear error each, with the file's name."""
+"""Reading of untrusted JSON and compressed files: one clear error each, with the file's name."""
 
 from __future__ import annotations
 
@@ -12,14 +12,29 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from lightsim.errors import InputError
-from lightsim.store.reading import MAX_JSON_BYTES, read_bytes
+from lightsim.store.reading import MAX_JSON_BYTES, open_regular, read_bytes
 
 _IN_BYTES, _OUT_BYTES = 1 << 16, 1 << 20
 """Read and written at once; little is read, since what follows a member is read again."""
+_MAX_PACKED = 1 << 30
+"""Bytes of a table file whose first bytes are looked at."""
 _MAX_MEMBERS = 10_000
 """Parallel compressors write one gzip member for every 64 KB or so."""
 _GZIP_WINDOW = 31
 """What zlib calls a gzip header with the largest window."""
+_GZIP_MAGIC = b"\x1f\x8b"
+_UNPACK = "Unpack it, or write the table with gzip or without compression."
+_OTHER_CONTENT = (
+    (b"version https://git-lfs", "a pointer of Git LFS, not the data", "Run: git lfs pull"),
+    (b"<", "a web page or XML, such as a failed download", "Download the file again."),
+    (b"BZh", "bzip2", _UNPACK),
+    (b"\xfd7zXZ", "xz", _UNPACK),
+    (b"\x28\xb5\x2f\xfd", "Zstandard", _UNPACK),
+    (b"PK\x03\x04", "a zip archive", _UNPACK),
+    (b"PAR1", "Parquet", "Write the table with pandas.DataFrame.to_pickle."),
+    (b"ARROW1", "Feather", "Write the table with pandas.DataFrame.to_pickle."),
+)
+"""First bytes of what stands under a pickle's name in downloads and exports, and what to do."""
 MAX_NUMBER = 1e15
 """No quantity of a log in SI units comes near it, and its square still is a float."""
 _BROKEN = "Copy the file again from the original data set."
@@ -40,15 +55,42 @@ def read_json(path: Path) -> Any:
         ) from error
 
 
-def read_gzip(path: Path, max_bytes: int) -> bytes:
-    """The decompressed bytes, at most `max_bytes` of them.
+def read_packed(path: Path, max_bytes: int) -> bytes:
+    """Return the bytes of a file, decompressed where it is gzip by its first bytes.
 
     Raises:
-        InputError: the file is missing, no regular file, truncated, no gzip, or decompresses to
-            more.
+        InputError: the file is missing, no regular file, truncated, compressed by something else
+            than gzip, or decompresses to more than `max_bytes`.
     """
     # Gzip never needs as much as twice its content, not even for noise in small members.
-    data = read_bytes(path, "gzip file", 2 * max_bytes)
+    data = read_bytes(path, "table file", 2 * max_bytes)
+    if data.startswith(_GZIP_MAGIC):
+        return _gunzipped(data, path, max_bytes)
+    for magic, found, remedy in _OTHER_CONTENT:
+        if data.startswith(magic):
+            raise InputError(
+                "the file is no pickled table",
+                where=path,
+                got=found,
+                expected="a pickle, or a pickle compressed with gzip",
+                remedy=remedy,
+            )
+    if len(data) > max_bytes:
+        raise _too_large(path, max_bytes)
+    return data
+
+
+def is_gzip(path: Path) -> bool:
+    """Return whether a file is gzip by its first bytes.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    with open_regular(path, "table file", _MAX_PACKED) as handle:
+        return handle.read(len(_GZIP_MAGIC)) == _GZIP_MAGIC
+
+
+def _gunzipped(data: bytes, path: Path, max_bytes: int) -> bytes:
     try:
         return _inflated(data, max_bytes)
     except (EOFError, zlib.error) as error:
@@ -56,11 +98,15 @@ def read_gzip(path: Path, max_bytes: int) -> bytes:
             "the gzip file is truncated or damaged", where=path, got=error, remedy=_BROKEN
         ) from error
     except OverflowError as error:
-        raise InputError(
-            "the file decompresses to more than a sweep or label file can hold",
-            where=path,
-            expected=f"at most {max_bytes} bytes in {_MAX_MEMBERS} gzip members",
-        ) from error
+        raise _too_large(path, max_bytes) from error
+
+
+def _too_large(path: Path, max_bytes: int) -> InputError:
+    return InputError(
+        "the file decompresses to more than a sweep or label file can hold",
+        where=path,
+        expected=f"at most {max_bytes} bytes in {_MAX_MEMBERS} gzip members",
+    )
 
 
 def _inflated(data: bytes, max_bytes: int) -> bytes:

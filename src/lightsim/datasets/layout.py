@@ -28,15 +28,31 @@ def has_file(path: Path) -> bool:
 
 
 def subfolders(folder: Path) -> list[Path]:
-    """Folders in a folder, by name, without hidden ones; none where it is not there.
+    """Return the folders in a folder, by name, without hidden ones; none without the folder.
 
     Raises:
         InputError: a visible entry is no folder.
     """
     if not has_folder(folder):
         return []
-    visible = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
-    return [path for path in visible if has_folder(path)]
+    return [path for path in visible_entries(folder) if has_folder(path)]
+
+
+def visible_entries(folder: Path) -> list[Path]:
+    """Return the entries of a folder, by name, without hidden ones.
+
+    Raises:
+        InputError: one may not look into the folder.
+    """
+    try:
+        return sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    except OSError as error:
+        raise InputError(
+            "one may not look here",
+            where=folder,
+            got=error.strerror,
+            remedy="Check the permissions.",
+        ) from error
 
 
 def _is_there(path: Path, is_kind: Callable[[int], bool], kind: str) -> bool:

@@ -16,8 +16,8 @@ from typing import Any
 
 MAX_STEPS = 500_000
 """A label file of 5,000 boxes takes some 200,000 instructions, a sweep 500."""
-_MAX_ARGUMENTS = 8
-"""What pandas and numpy hand to their constructors; the longest is a dtype's state."""
+_MAX_ARGUMENTS = 9
+"""Arguments that pandas and numpy hand to their constructors; the longest is a time's dtype."""
 
 _LITERALS = frozenset(
     (

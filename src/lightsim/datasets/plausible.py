@@ -8,7 +8,7 @@ drives show, so that a plain error passes none of them and an odd log all.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from jaxtyping import Float64, Int64
 from lightsim.core.actors import ActorTrack
 from lightsim.core.checks import Limit
 from lightsim.core.frames import Trajectory, vector_from_rotation
+from lightsim.core.notes import grouped_notes
 from lightsim.errors import InputError
 
 LIMITS = {
@@ -86,6 +87,17 @@ MAX_PIXEL_ASPECT = 2.0
 """Pixels are square within a percent; anamorphic lenses squeeze by two at most."""
 
 
+_PUBLISHED_PX = (1920, 1080)
+"""Size of PandaSet's pictures."""
+_OTHER_SIZE = 1.15
+"""Ratio of the size by the optical axis, 2 cx by 2 cy, to the pictures' size beyond which they are
+of another scale: of PandaSet's six cameras it is .93 to 1.02 (geometric mean of both axes)."""
+_SAME_SHAPE = 1.33
+"""Scaling changes both axes alike, a crop does not; PandaSet's own axes differ by 1.17 at most."""
+_OFF_CENTRE = 1.33
+"""The same ratio of one axis that is worth a note: the axis lies a third of the half side off."""
+
+
 def check_poses(path: Path, trajectory: Trajectory) -> tuple[str, ...]:
     """Notes on the poses of one sensor.
 
@@ -143,6 +155,7 @@ def check_intrinsics(
     """
     (width, height), (fx, fy), (cx, cy) = size_px, focal_px, centre_px
     got = f"fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g} for {width}x{height} px"
+    notes = _check_size(path, size_px, centre_px)
     is_square = fx > 0 and fy > 0 and 1 / MAX_PIXEL_ASPECT <= fx / fy <= MAX_PIXEL_ASPECT
     if not is_square or not (-width < cx < 2 * width and -height < cy < 2 * height):
         raise InputError(
@@ -154,8 +167,45 @@ def check_intrinsics(
         )
     view_deg = float(np.degrees(2 * np.arctan(max(width / fx, height / fy) / 2)))
     if LIMITS["view"].check(path, view_deg, f"{got}: a view of {view_deg:.3g} degrees"):
-        return (f"{path.parent.name} sees {view_deg:.0f} degrees: its focal length may be wrong",)
-    return ()
+        notes += (f"{path.parent.name} sees {view_deg:.0f} degrees: its focal length may be wrong",)
+    return notes
+
+
+def _check_size(
+    path: Path, size_px: tuple[int, int], centre_px: tuple[float, float]
+) -> tuple[str, ...]:
+    """Notes on an optical axis off the pictures' centre.
+
+    Raises:
+        InputError: the axis is in the centre of pictures of another size.
+    """
+    width, height = size_px
+    meant = (2 * centre_px[0] + 1, 2 * centre_px[1] + 1)
+    if min(meant) <= 0:
+        return ()
+    x, y = meant[0] / width, meant[1] / height
+    scale = math.sqrt(x * y)
+    is_same_shape = 1 / _SAME_SHAPE < x / y < _SAME_SHAPE
+    if is_same_shape and not 1 / _OTHER_SIZE <= scale <= _OTHER_SIZE:
+        published_x, published_y = meant[0] / _PUBLISHED_PX[0], meant[1] / _PUBLISHED_PX[1]
+        is_published = all(0.8 < ratio < 1.25 for ratio in (published_x, published_y))
+        wide, high = _PUBLISHED_PX if is_published else map(round, meant)
+        raise InputError(
+            "the intrinsics are for pictures of another size",
+            where=path,
+            got=f"pictures of {width}x{height} px and an optical axis at {centre_px[0]:g}, "
+            f"{centre_px[1]:g} px",
+            expected=f"pictures of about {wide}x{high} px, with the axis near their centre",
+            remedy="Put the pictures of that size back (--image-scale reduces them while "
+            f"reading), or multiply fx, fy, cx, cy by {width / wide:.4g}.",
+        )
+    if all(1 / _OFF_CENTRE <= ratio <= _OFF_CENTRE for ratio in (x, y)):
+        return ()
+    return (
+        f"{path.parent.name}: the optical axis at {centre_px[0]:g}, {centre_px[1]:g} px is far "
+        f"from the centre of {width}x{height} px, as of cropped pictures; scaled ones need other "
+        "intrinsics",
+    )
 
 
 def check_readout(where: object, readout_s: float) -> None:
@@ -245,15 +295,23 @@ def check_rigid(path: Path, ego: Trajectory, camera: Trajectory) -> tuple[str, .
     return ()
 
 
-def odd_track_notes(track: ActorTrack) -> tuple[str, ...]:
-    """Notes on an actor that is very long or moves very fast."""
-    notes: list[str] = []
-    name = f"actor {track.actor_id[:40]} ({track.label[:40]})"
-    size_m = float(track.size_lwh_m.max())
-    if size_m > LIMITS["box"].odd[1]:
-        notes.append(f"{name} is {size_m:.0f} m long")
-    steps_m = np.linalg.norm(np.diff(track.trajectory.positions_m, axis=0), axis=1)
-    speeds = steps_m / (np.diff(track.trajectory.times_ns) * 1e-9)
-    if len(speeds) and speeds.max() > LIMITS["speed"].odd[1]:
-        notes.append(f"{name} moves at {speeds.max():.0f} m/s: its id may name two actors")
-    return tuple(notes)
+def odd_track_notes(tracks: Iterable[ActorTrack]) -> tuple[str, ...]:
+    """Notes on actors that are very long or move very fast."""
+    long: list[str] = []
+    fast: list[str] = []
+    for track in tracks:
+        name = f"{track.actor_id[:40]} ({track.label[:40]})"
+        size_m = float(track.size_lwh_m.max())
+        if size_m > LIMITS["box"].odd[1]:
+            long.append(f"{name} {size_m:.0f} m")
+        steps_m = np.linalg.norm(np.diff(track.trajectory.positions_m, axis=0), axis=1)
+        speeds = steps_m / (np.diff(track.trajectory.times_ns) * 1e-9)
+        if len(speeds) and speeds.max() > LIMITS["speed"].odd[1]:
+            fast.append(f"{name} {speeds.max():.0f} m/s")
+    return grouped_notes(
+        {
+            "very long": long,
+            "very fast, as if one id named two actors": fast,
+        },
+        "actor",
+    )

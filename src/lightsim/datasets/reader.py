@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,25 +11,36 @@ from types import MappingProxyType
 from lightsim.core.extensions import READERS, load_extension
 from lightsim.core.log import DrivingLog, FindEgoVehicle, without_ego_vehicle
 from lightsim.core.reading import LogReading, dataset_names
-from lightsim.datasets.layout import has_folder
-from lightsim.datasets.pandaset.log import is_pandaset, read_pandaset
+from lightsim.datasets.layout import has_folder, visible_entries
+from lightsim.datasets.pandaset.log import read_pandaset
+from lightsim.datasets.pandaset.places import is_sequence, other_place
 from lightsim.errors import InputError
 from lightsim.store.names import is_harmless
+from lightsim.store.reading import is_file
 
+_SHOWN = 6
+"""Entries of a folder that a message names."""
 ReadDataset = Callable[[LogReading, FindEgoVehicle], DrivingLog]
 """(options, find_ego_vehicle) -> recording."""
 
 
 @dataclass(frozen=True)
 class LogReader:
-    """How a data set is recognised and read."""
+    """How a data set is recognised and read.
+
+    Args:
+        detect: returns whether a folder has its layout.
+        other_place: returns where the recording is that a wrong SOURCE may mean, in words and as a
+            folder.
+    """
 
     detect: Callable[[Path], bool]
+    other_place: Callable[[Path], tuple[str, Path] | None]
     read: ReadDataset
 
 
 OWN_READERS: Mapping[str, LogReader] = MappingProxyType(
-    {"pandaset": LogReader(is_pandaset, read_pandaset)}
+    {"pandaset": LogReader(is_sequence, other_place, read_pandaset)}
 )
 
 
@@ -66,19 +78,38 @@ def check_layout(reading: LogReading) -> str:
         InputError: no such folder, or not of this data set, or of none.
     """
     source, dataset = Path(reading.source), reading.dataset
+    if is_file(source):
+        raise InputError(
+            "SOURCE is a file",
+            where=source,
+            expected="the folder of one recording",
+            remedy="Unpack the archive, and give the folder of one recording in it.",
+        )
     if not has_folder(source):
         raise InputError(
             "no such folder", where=source, remedy="SOURCE is the folder of one recording."
         )
-    for name in dataset_names():
-        if dataset in ("auto", name) and reader_of(name).detect(source):
+    readers = {name: reader_of(name) for name in dataset_names() if dataset in ("auto", name)}
+    for name, reader in readers.items():
+        if reader.detect(source):
             return name
+    places = filter(None, (reader.other_place(source) for reader in readers.values()))
+    found, folder = next(places, (None, None))
     raise InputError(
         "the folder has the layout of no known data set",
         where=source,
+        got=found or _content(source),
         expected=dataset if dataset != "auto" else f"one of {', '.join(dataset_names())}",
-        remedy="PandaSet: give the folder of one sequence, such as pandaset/002.",
+        remedy="PandaSet: give the folder of one sequence, such as pandaset/002."
+        if folder is None
+        else f"Run: lightsim build {shlex.quote(str(folder))} --work WORK",
     )
+
+
+def _content(folder: Path) -> str:
+    names = [path.name for path in visible_entries(folder)]
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return f"a folder with {', '.join(names[:_SHOWN])}{more}" if names else "an empty folder"
 
 
 def _check_camera_names(log: DrivingLog, source: str) -> None:

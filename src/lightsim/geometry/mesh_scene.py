@@ -13,6 +13,7 @@ from lightsim.core.casting import MakeCaster
 from lightsim.core.fields import SceneFields, TsdfGrid
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh, concatenate_meshes
+from lightsim.core.notes import grouped_notes
 from lightsim.core.twin import ActorAsset, SceneAssets
 from lightsim.errors import InputError
 from lightsim.geometry.actors.body import Body
@@ -58,15 +59,17 @@ def mesh_scene(
     """Background and actors as black meshes; no gains yet (assets.build.build_assets)."""
     background = mesh_background(fields, make_caster, smooth_planes)
     background = classify_background(background, log, fields.ground)
-    actors, notes = {}, list(fields.notes)
+    actors: dict[str, ActorAsset] = {}
+    defaults: list[str] = []
     returns = returns_of_actors(log)
     for track in progress.track(log.actors, "mesh the actors", len(log.actors)):
         grid = fields.actors.get(track.actor_id)
         mesh = _actor_mesh(track, grid, returns.get(track.actor_id))
         actors[track.actor_id] = ActorAsset(track.actor_id, track.kind, mesh, track.label)
         if grid is None:
-            notes.append(f"actor {track.actor_id} ({track.label}): default shape, too few returns")
-    return SceneAssets(background, actors, {}, tuple(notes))
+            defaults.append(f"{track.actor_id} ({track.label})")
+    notes = grouped_notes({"default shape, too few returns": defaults}, "actor")
+    return SceneAssets(background, actors, {}, (*fields.notes, *notes))
 
 
 def _actor_mesh(

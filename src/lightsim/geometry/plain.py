@@ -9,6 +9,7 @@ import numpy as np
 from lightsim.core.fields import SceneFields
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
+from lightsim.core.notes import grouped_notes
 from lightsim.core.twin import ActorAsset, SceneAssets
 from lightsim.geometry.mesh_scene import no_surface, simplified
 from lightsim.geometry.surface import background_levels, extract_surface
@@ -44,15 +45,17 @@ def mesh_plainly(
     background = _of(concatenate_meshes(levels), materials.background)
     if len(background.faces) == 0:
         raise no_surface()
-    actors, notes = {}, list(fields.notes)
+    actors: dict[str, ActorAsset] = {}
+    empty: list[str] = []
     for track in progress.track(log.actors, "mesh the actors", len(log.actors)):
         grid = fields.actors[track.actor_id]
         mesh = _of(simplified(extract_surface(grid), grid.voxel_m), materials.actor)
         if len(mesh.faces) == 0:
-            notes.append(f"actor {track.actor_id} ({track.label}): the field has no surface")
+            empty.append(f"{track.actor_id} ({track.label})")
             continue
         actors[track.actor_id] = ActorAsset(track.actor_id, track.kind, mesh, track.label)
-    return SceneAssets(background, actors, {}, tuple(notes))
+    notes = grouped_notes({"the field has no surface": empty}, "actor")
+    return SceneAssets(background, actors, {}, (*fields.notes, *notes))
 
 
 def _of(mesh: TriMesh, material: Material) -> TriMesh:

@@ -15,7 +15,8 @@ from lightsim.core.casting import MakeCaster, RayCaster
 from lightsim.core.log import DrivingLog
 from lightsim.core.scenario import ActorPlacement
 from lightsim.core.sensors import LazySweep, LidarSweep
-from lightsim.datasets.pandaset.cameras import numbered_files
+from lightsim.datasets.pandaset.numbered import TABLES, numbered_files
+from lightsim.datasets.pandaset.places import SWEEPS
 from lightsim.datasets.pandaset.sweeps import read_rows
 from lightsim.datasets.safe_pickle import Table
 from lightsim.lidar.beams import (
@@ -61,10 +62,9 @@ _NOISE_SAMPLES = 4000
 _NOISE_RANGE_M = (4.0, 40.0)
 
 
-def sweep_paths(source: Path) -> dict[str, Path]:
-    """The sweeps' files of a recording in PandaSet's layout, by stem."""
-    files = numbered_files(source / "lidar", ".pkl.gz")
-    return {path.name.removesuffix(".pkl.gz"): path for path in files.values()}
+def sweep_paths(source: Path) -> Mapping[int, Path]:
+    """Return the sweeps' files of a recording in PandaSet's layout, by frame number."""
+    return numbered_files(source / SWEEPS, TABLES).paths
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,10 +100,10 @@ class RecordedBeams:
 
     Args:
         log: in the world of the twin.
-        paths: of the sweeps' files, by stem.
+        paths: of the sweeps' files, by frame number.
     """
 
-    def __init__(self, log: DrivingLog, paths: Mapping[str, Path]) -> None:
+    def __init__(self, log: DrivingLog, paths: Mapping[int, Path]) -> None:
         self._log = log
         self._paths = paths
 
@@ -121,7 +121,7 @@ class RecordedBeams:
         return RecordedSweep(sweep, rows, joined(parts))
 
     def _load(self, lazy: LazySweep) -> tuple[LidarSweep, Table, Int64[np.ndarray, " n"]]:
-        rows, is_good = read_rows(self._paths[lazy.stem])
+        rows, is_good = read_rows(self._paths[int(lazy.stem)])
         rows = {name: column[is_good] for name, column in rows.items()}
         return lazy.load(), rows, rows["d"].astype(np.int64)
 

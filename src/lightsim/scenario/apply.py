@@ -7,10 +7,12 @@ from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 
 import numpy as np
+from jaxtyping import Float64
 
 from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import TriMesh
 from lightsim.core.scenario import (
     ActorPlacement,
     Scenario,
@@ -29,12 +31,15 @@ AssetSource = Callable[[str], ActorAsset]
 
 Raises InputError where there is none."""
 _SHOWN = 12
-# The ego vehicle's box, where only the ground under its wheels matters.
-_EGO_BODY = (ActorKind.CAR, np.array([4.5, 1.8, 1.5]))
+EGO_BODY = (ActorKind.CAR, np.array([4.5, 1.8, 1.5]))
+"""Kind and (length, width, height) in metres of the ego vehicle: a middle-sized car, since logs do
+not give it. It decides the ground under the wheels, and what is too close to drive there."""
 # Cameras fire between the poses of the path's ends.
 _HOLD_S = 0.1
 # The part of a motion below which a recorded track counts as standing.
 _STANDS_M = 0.3
+# Least side of the box of an inserted card without thickness: boxes have a volume.
+_THINNEST_M = 0.01
 
 
 @dataclass
@@ -192,11 +197,16 @@ def _insert(
             expected=error.expected,
             remedy=error.remedy or "lightsim assets list shows what there is.",
         ) from error
-    size = np.ptp(asset.mesh.vertices.astype(np.float64), axis=0)
+    size = box_size_m(asset.mesh)
     path = moved_along(edit.waypoints, span_ns, (asset.kind, size), ground, edit.where)
     free = replace(asset, mesh=replace(asset.mesh, sun_visibility=None))
     track = ActorTrack(edit.actor_id, asset.kind, size, path, _is_moving(path), asset.label)
     cast.put(track, free)
+
+
+def box_size_m(mesh: TriMesh) -> Float64[np.ndarray, "3"]:
+    """Return length, width and height of the box of an inserted mesh, each at least 1 cm."""
+    return np.maximum(np.ptp(mesh.vertices.astype(np.float64), axis=0), _THINNEST_M)
 
 
 def _is_moving(path: Trajectory) -> bool:
@@ -214,13 +224,13 @@ def _driven(
     path = log.ego if ego is None else ego
     if edit.offset_m is not None:
         return shifted(path, edit.offset_m)
-    driven = moved_along(edit.waypoints, span_ns, _EGO_BODY, ground, edit.where)
+    driven = moved_along(edit.waypoints, span_ns, EGO_BODY, ground, edit.where)
     if edit.waypoints[0].z_m is None:
         over = path.positions_m[:, 2] - ground.height_m(path.positions_m[:, :2])
         up_m = float(np.median(over))
     else:
         up_m = 0.0
-    bottom = shifted(driven, (0.0, 0.0, up_m - float(_EGO_BODY[1][2]) / 2))
+    bottom = shifted(driven, (0.0, 0.0, up_m - float(EGO_BODY[1][2]) / 2))
     return Trajectory("world", "ego", bottom.times_ns, bottom.matrices)
 
 

@@ -6,18 +6,21 @@ by an actor of another twin (`OTHER_WORK#actor_id`).
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float64
 
 from lightsim.core.actors import ActorKind
 from lightsim.core.mesh import TriMesh
 from lightsim.core.twin import ActorAsset
 from lightsim.errors import InputError, LightSimError
-from lightsim.scenario.models import Front, centred, guessed_kind, read_model
+from lightsim.scenario.kinds import guessed_kind
+from lightsim.scenario.models import Model, ModelSettings, centred, load_model
 from lightsim.scenario.wheels import with_wheels
 from lightsim.store.artefact import hash_file, hash_names, read_record, write_json
 from lightsim.store.entries import Entries
@@ -83,12 +86,12 @@ class AssetLibrary:
         return self._loaded[words]
 
     def _read(self, words: str) -> ActorAsset:
-        if "#" in words:
-            return self._of_work(*words.rsplit("#", 1))
         path = self._file(words)
         if path is not None:
-            mesh = read_model(path)
-            return with_wheels(ActorAsset(path.stem, guessed_kind(path.stem, mesh), mesh))
+            mesh = load_model(path).mesh
+            return with_wheels(ActorAsset(path.stem, guessed_kind(path.stem, _size(mesh)), mesh))
+        if "#" in words:
+            return self._of_work(*words.rsplit("#", 1))
         if is_harmless(words) and is_file(self.folder / f"{words}.glb"):
             return self._stored(words)
         if words in self.built_in:
@@ -101,12 +104,16 @@ class AssetLibrary:
         )  # fmt: skip
 
     def key(self, words: str) -> str:
-        """What decides the asset's shape; moving or renaming its file does not."""
+        """Return a hash of what decides the asset's shape; moving or renaming its file does not."""
+        path = self._file(words)
+        if path is not None:
+            # Not of the file: its textures and materials are in others.
+            return _mesh_key(self.load(words).mesh)
         if "#" in words:
             work, actor_id = words.rsplit("#", 1)
             record = read_record(Path(work) / "twin")
             return hash_names({"twin": None if record is None else record["key"], "id": actor_id})
-        path = self._file(words) or self.folder / f"{words}.glb"
+        path = self.folder / f"{words}.glb"
         return hash_file(path) if is_file(path) else words
 
     def infos(self) -> Iterator[AssetInfo]:
@@ -184,28 +191,27 @@ def add_model(
     library: AssetLibrary,
     path: Path,
     name: str,
+    settings: ModelSettings | None = None,
     *,
-    front: Front = "auto",
-    metres_per_unit: float = 1.0,
-    length_m: float | None = None,
     kind: ActorKind | None = None,
     is_replacing: bool = False,
-) -> AssetInfo:
-    """Take a CAD file into the library.
+) -> tuple[AssetInfo, Model]:
+    """Read a CAD file into the library.
 
     Args:
-        front: where the model looks, in its file's axes.
-        length_m: scale it to this length.
+        name: by which scenarios name it.
+        settings: axes and size of the file.
+        kind: of actor; None: guessed by the file's name and size.
+
+    Returns:
+        The new line of the library, and the model with the axes that were chosen.
 
     Raises:
         InputError: the file cannot be read, or the name is taken.
     """
-    mesh = read_model(path, front, metres_per_unit)
-    if length_m is not None:
-        factor = np.float32(length_m / np.ptp(mesh.vertices[:, 0]))
-        mesh = replace(mesh, vertices=mesh.vertices * factor)
-    asset = ActorAsset(name, kind or guessed_kind(path.stem, mesh), mesh)
-    return library.add(name, asset, path.name, is_replacing=is_replacing)
+    model = load_model(path, settings)
+    asset = ActorAsset(name, kind or guessed_kind(path.stem, _size(model.mesh)), model.mesh)
+    return library.add(name, asset, path.name, is_replacing=is_replacing), model
 
 
 def _info(name: str, asset: ActorAsset, origin: str, score: float | None = None) -> AssetInfo:
@@ -215,8 +221,26 @@ def _info(name: str, asset: ActorAsset, origin: str, score: float | None = None)
     )
 
 
-def _size(mesh: TriMesh) -> np.ndarray:
+def _size(mesh: TriMesh) -> Float64[np.ndarray, "3"]:
     return np.ptp(mesh.vertices.astype(np.float64), axis=0)
+
+
+def _mesh_key(mesh: TriMesh) -> str:
+    arrays = {
+        "vertices": mesh.vertices,
+        "faces": mesh.faces,
+        "base_colour": mesh.base_colour,
+        "face_material": mesh.face_material,
+    }
+    texture = mesh.texture
+    if texture is not None:
+        arrays |= {"texture": texture.image, "corner_uv": texture.corner_uv}
+    hashes = {
+        name: hashlib.blake2b(np.ascontiguousarray(array).data, digest_size=16).hexdigest()
+        for name, array in arrays.items()
+        if array is not None
+    }
+    return hash_names({**hashes, "materials": [vars(m) for m in mesh.materials]})
 
 
 def _read_info(path: Path) -> AssetInfo:

@@ -1,19 +1,23 @@
-"""What cannot be in a street: two actors in one place, one through a wall, one where nothing is.
+"""Conflicts of a scenario: actors in each other, in the ego vehicle or a wall, off the ground.
 
-Only edited actors are looked at: boxes of a recording may touch as they were labelled.
+Only edited actors are tested: labelled boxes of a recording may touch each other.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Bool, Float, Float64
 
 from lightsim.core.actors import ActorTrack
 from lightsim.core.casting import RayCaster
+from lightsim.core.frames import Trajectory
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
+from lightsim.scenario.apply import EGO_BODY
 from lightsim.scenario.ground import StandingGround
 
 # Boxes that interpenetrate by less touch as labelled boxes do.
@@ -22,91 +26,236 @@ _TOUCH_M = 0.1
 _KERB_M = 0.35
 # Rays over the box, so many along each axis: a pole of 0.3 m between them is not missed by much.
 _GRID = 6
+# Shorter products of two edges are those of parallel edges, which give no axis of their own.
+_PARALLEL = 1e-6
+
+Cause = Literal["ground", "static", "ego", "actor"]
+_WORDS: dict[Cause, str] = {
+    "ground": "'{0}' is off the reconstructed ground",
+    "static": "'{0}' stands in a wall or another fixed thing",
+    "ego": "'{0}' and the ego vehicle are in one place",
+    "actor": "'{0}' and '{1}' are in one place",
+}
+
+
+@dataclass(frozen=True)
+class Conflict:
+    """An edited actor where nothing can be at some frames.
+
+    Args:
+        actor_id: the edited actor.
+        cause: no measured ground below, static surface in the box, the ego vehicle, another actor.
+        other_id: the other actor; empty for other causes.
+        stems: first and last frame.
+    """
+
+    actor_id: str
+    cause: Cause
+    other_id: str
+    stems: tuple[str, str]
+
+    def __str__(self) -> str:
+        first, last = self.stems
+        frames = f"frame {first}" if first == last else f"frames {first} to {last}"
+        return f"{_WORDS[self.cause].format(self.actor_id, self.other_id)}: {frames}"
+
+
+class ConflictSearch:
+    """Finds conflicts at the times of frames.
+
+    The places of actors that no edit touches are sampled once, so that many edits can be tried.
+    """
+
+    def __init__(self, frames: Sequence[CameraFrame], ground: StandingGround) -> None:
+        by_time = {frame.time_ns: frame.stem for frame in frames}
+        self._times_ns = np.array(sorted(by_time), dtype=np.int64)
+        self._stems = [by_time[int(time_ns)] for time_ns in self._times_ns]
+        self._ground = ground
+        self._kept: dict[ActorTrack, _Sampled] = {}
+
+    def find(self, scenario: Scenario, edited: Sequence[ActorTrack]) -> tuple[Conflict, ...]:
+        """Return one conflict for each actor and cause, in the order of their first frames.
+
+        Args:
+            edited: tracks that differ from the log.
+        """
+        first = {stem: number for number, stem in reversed([*enumerate(self._stems)])}
+        found = self.each(scenario, edited)
+        return tuple(sorted(found, key=lambda conflict: first[conflict.stems[0]]))
+
+    def each(self, scenario: Scenario, edited: Sequence[ActorTrack]) -> Iterator[Conflict]:
+        """Yield the conflicts of one edited actor after the other; arguments as of `find`."""
+        there = [t for t in scenario.tracks if t.actor_id not in scenario.removed]
+        names = {track.actor_id for track in edited}
+        sampled = [self._sample(t, is_kept=t.actor_id not in names) for t in there]
+        for number, track in enumerate(there):
+            if track.actor_id not in names:
+                continue
+            # A pair of two edited actors is tested once.
+            others = [s for s in sampled[:number] if s.track.actor_id not in names]
+            others += sampled[number + 1 :]
+            for cause, other_id, is_now in self._of(sampled[number], others, scenario.ego):
+                now = np.flatnonzero(is_now)
+                if len(now):
+                    stems = self._stems[now[0]], self._stems[now[-1]]
+                    yield Conflict(track.actor_id, cause, other_id, stems)
+
+    def _sample(self, track: ActorTrack, *, is_kept: bool) -> _Sampled:
+        if track not in self._kept:
+            sampled = _Sampled.of(track, self._times_ns)
+            if not is_kept:
+                return sampled
+            self._kept[track] = sampled
+        return self._kept[track]
+
+    def _of(
+        self, one: _Sampled, others: Sequence[_Sampled], ego: Trajectory | None
+    ) -> Iterator[tuple[Cause, str, Bool[np.ndarray, " t"]]]:
+        """Yield causes, other actors and the times at which they hold."""
+        now = np.flatnonzero(one.is_present)
+        if not len(now):
+            return
+        size = one.track.size_lwh_m
+        # What stands is tested once; interpolation leaves noise below a micrometre.
+        poses, which = np.unique(one.poses[now].round(6), axis=0, return_inverse=True)
+        which = which.reshape(-1)
+        is_known = self._ground.is_known(poses[:, :2, 3])
+        yield "ground", "", self._at(now, ~is_known[which])
+        if self._ground.background is not None:
+            is_in = cuts_static(self._ground.background, poses, size)
+            yield "static", "", self._at(now, is_in[which])
+        if ego is not None:
+            yield (
+                "ego",
+                "",
+                self._at(now, _meets_ego(one.poses[now], size, ego, self._times_ns[now])),
+            )
+        if others:
+            yield from self._pairs(one, others)
+
+    def _pairs(
+        self, one: _Sampled, others: Sequence[_Sampled]
+    ) -> Iterator[tuple[Cause, str, Bool[np.ndarray, " t"]]]:
+        """Yield the actors whose boxes overlap that of another one, and when."""
+        away = np.stack([other.poses[:, :3, 3] for other in others]) - one.poses[:, :3, 3]
+        reach = np.array([other.reach_m for other in others]) + one.reach_m
+        is_near = np.linalg.norm(away, axis=2) <= reach[:, None]
+        is_near &= np.stack([other.is_present for other in others]) & one.is_present
+        for k in np.flatnonzero(is_near.any(axis=1)).tolist():
+            other, now = others[k], np.flatnonzero(is_near[k])
+            is_overlap = boxes_overlap(
+                one.poses[now],
+                one.track.size_lwh_m,
+                other.poses[now],
+                other.track.size_lwh_m,
+            )
+            yield "actor", other.track.actor_id, self._at(now, is_overlap)
+
+    def _at(self, now: np.ndarray, holds: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " t"]:
+        """Values of some of the times as values of all."""
+        everywhere = np.zeros(len(self._times_ns), dtype=bool)
+        everywhere[now] = holds
+        return everywhere
+
+
+@dataclass(frozen=True, eq=False)
+class _Sampled:
+    """An actor at the times of a search; where it is absent, it has the pose of the nearest end."""
+
+    track: ActorTrack
+    is_present: Bool[np.ndarray, " t"]
+    poses: Float64[np.ndarray, "t 4 4"]
+    reach_m: float
+
+    @classmethod
+    def of(cls, track: ActorTrack, times_ns: np.ndarray) -> _Sampled:
+        """Sample a track."""
+        is_present = np.array([track.is_present(int(t)) for t in times_ns], dtype=bool)
+        path = track.trajectory
+        if (path.matrices == path.matrices[0]).all():
+            # What stands needs no interpolation.
+            poses = np.repeat(path.matrices[:1].astype(np.float64), len(times_ns), axis=0)
+        else:
+            poses = path.held_at(times_ns)
+        return cls(track, is_present, poses, float(np.linalg.norm(track.size_lwh_m)) / 2)
 
 
 def find_conflicts(
     scenario: Scenario, edited: Sequence[ActorTrack], ground: StandingGround
-) -> tuple[str, ...]:
-    """One line for each pair that is in conflict, with the first and last frame of it.
-
-    Args:
-        edited: tracks that differ from the log.
-    """
-    frames = sorted({f.time_ns: f for f in scenario.frames}.values(), key=lambda f: f.time_ns)
-    found: dict[str, list[CameraFrame]] = {}
-    for frame in frames:
-        for words in _at(scenario, edited, ground, frame.time_ns):
-            found.setdefault(words, []).append(frame)
-    return tuple(f"{words}: {_frames(seen)}" for words, seen in found.items())
+) -> tuple[Conflict, ...]:
+    """Return the conflicts of edited tracks at the scenario's frames."""
+    return ConflictSearch(scenario.frames, ground).find(scenario, edited)
 
 
-def _frames(seen: Sequence[CameraFrame]) -> str:
-    stems = list(dict.fromkeys(f.stem for f in seen))
-    return f"frame {stems[0]}" if len(stems) == 1 else f"frames {stems[0]} to {stems[-1]}"
+def _meets_ego(
+    poses: Float64[np.ndarray, "n 4 4"],
+    size: Float[np.ndarray, "3"],
+    ego: Trajectory,
+    times_ns: np.ndarray,
+) -> Bool[np.ndarray, " n"]:
+    """Test the ego vehicle's box, as high as the other one: logs place its origin at any height."""
+    ego_poses = ego.held_at(times_ns).copy()
+    ego_poses[:, 2, 3] = poses[:, 2, 3]
+    return boxes_overlap(poses, size, ego_poses, EGO_BODY[1])
 
 
-def _at(
-    scenario: Scenario, edited: Sequence[ActorTrack], ground: StandingGround, time_ns: int
-) -> Iterable[str]:
-    there = scenario.tracks_at(time_ns)
-    names = {track.actor_id for track in edited}
-    for number, track in enumerate(there):
-        if track.actor_id not in names:
-            continue
-        if not ground.is_known(track.world_from_actor(time_ns).translation_m[None, :2])[0]:
-            yield f"'{track.actor_id}' is off the reconstructed ground"
-        if ground.background is not None and is_cut(ground.background, track, time_ns):
-            yield f"'{track.actor_id}' stands in a wall or another fixed thing"
-        for k, other in enumerate(there):
-            # Of two edited actors the pair is told once.
-            if k == number or (other.actor_id in names and k < number):
-                continue
-            if boxes_overlap(track, other, time_ns):
-                yield f"'{track.actor_id}' and '{other.actor_id}' are in one place"
-
-
-def boxes_overlap(a: ActorTrack, b: ActorTrack, time_ns: int) -> bool:
-    """Whether the boxes of two actors share more than touching labels do.
+def boxes_overlap(
+    a_poses: Float[np.ndarray, "n 4 4"],
+    a_size: Float[np.ndarray, "3"],
+    b_poses: Float[np.ndarray, "n 4 4"],
+    b_size: Float[np.ndarray, "3"],
+) -> Bool[np.ndarray, " n"]:
+    """Test whether two boxes share more than touching labels do, for n pairs of poses.
 
     By separating axes (Gottschalk, Lin & Manocha 1996, doi:10.1145/237170.237244): two boxes are
     apart where their shadows on a face normal or on a product of two edges are.
+
+    Args:
+        a_poses, b_poses: world_from_actor of the boxes.
+        a_size, b_size: (length, width, height) in metres.
     """
-    now_ns = np.array([time_ns])
-    places = [track.trajectory.held_positions_m(now_ns)[0] for track in (a, b)]
-    reach_m = float(sum(np.linalg.norm(track.size_lwh_m) for track in (a, b))) / 2
-    if np.linalg.norm(places[1] - places[0]) > reach_m:
-        # Most of a street: turns need not be known.
-        return False
-    poses = [track.world_from_actor(time_ns) for track in (a, b)]
-    halves = [track.size_lwh_m / 2 for track in (a, b)]
-    between = poses[1].translation_m - poses[0].translation_m
-    edges = [pose.rotation.T for pose in poses]
-    products = np.cross(edges[0][:, None], edges[1][None]).reshape(-1, 3)
-    length = np.linalg.norm(products, axis=1)
-    axes = np.concatenate([*edges, products[length > 1e-6] / length[length > 1e-6, None]])
-    reach = sum(np.abs(axes @ e.T) @ h for e, h in zip(edges, halves, strict=True))
-    return bool((np.abs(axes @ between) < reach - _TOUCH_M).all())
+    between = b_poses[:, :3, 3] - a_poses[:, :3, 3]
+    # Rows are edges.
+    a_edges, b_edges = (np.swapaxes(p[:, :3, :3], 1, 2) for p in (a_poses, b_poses))
+    products = np.cross(a_edges[:, :, None], b_edges[:, None]).reshape(-1, 9, 3)
+    length = np.linalg.norm(products, axis=2, keepdims=True)
+    is_axis = np.concatenate(
+        [np.ones((len(between), 6), dtype=bool), length[..., 0] > _PARALLEL], 1
+    )
+    products = products / np.where(length > _PARALLEL, length, 1.0)
+    axes = np.concatenate([a_edges, b_edges, products], axis=1)
+    reach = sum(
+        np.abs(np.einsum("nac,nec->nae", axes, edges)) @ (size / 2)
+        for edges, size in ((a_edges, a_size), (b_edges, b_size))
+    )
+    apart = np.abs(np.einsum("nac,nc->na", axes, between)) >= reach - _TOUCH_M
+    return ~(apart & is_axis).any(axis=1)
 
 
-def is_cut(background: RayCaster, track: ActorTrack, time_ns: int) -> bool:
-    """Whether static surface lies within an actor's box, above what wheels roll over.
+def cuts_static(
+    background: RayCaster, poses: Float[np.ndarray, "n 4 4"], size: Float[np.ndarray, "3"]
+) -> Bool[np.ndarray, " n"]:
+    """Test whether static surface lies within a box, above what wheels roll over, at n poses.
 
     Rays run through the box along its length and across it, from side to side.
+
+    Args:
+        poses: world_from_actor.
+        size: (length, width, height) in metres.
     """
-    pose = track.world_from_actor(time_ns)
-    size = np.maximum(track.size_lwh_m - 2 * _TOUCH_M, 0.02)
+    size = np.maximum(size - 2 * _TOUCH_M, 0.02)
     low = -size[2] / 2 + _KERB_M
+    is_cut = np.zeros(len(poses), dtype=bool)
     if low > size[2] / 2:
-        return False
+        return is_cut
     height = np.linspace(low, size[2] / 2, _GRID)
     for along, across in ((0, 1), (1, 0)):
         starts = _face_points(along, size, height, np.linspace(-0.5, 0.5, _GRID) * size[across])
-        direction = np.zeros_like(starts)
-        direction[:, along] = 1.0
-        hits = background.intersect(pose.apply(starts), pose.rotate(direction))
-        if bool((hits.distance_m < size[along]).any()):
-            return True
-    return False
+        starts = starts @ np.swapaxes(poses[:, :3, :3], 1, 2) + poses[:, None, :3, 3]
+        directions = np.broadcast_to(poses[:, None, :3, along], starts.shape)
+        hits = background.intersect(starts.reshape(-1, 3), directions.reshape(-1, 3))
+        is_cut |= (hits.distance_m.reshape(len(poses), -1) < size[along]).any(axis=1)
+    return is_cut
 
 
 def _face_points(

@@ -241,15 +241,20 @@ def replaced(
             expected="actors of the log",
             remedy="lightsim actors WORK lists them.",
         )
-    moving = [t for t in by_id.values() if t.is_moving and t.kind.is_vehicle]
-    nearest = sorted(moving, key=lambda track: _nearest_m(lane, track))[:count]
-    chosen = [by_id[name] for name in actor_ids] or nearest
+    chosen = [by_id[name] for name in actor_ids] or nearest_movers(lane, tracks)[:count]
     if not chosen:
         raise InputError("nobody can be replaced", expected="a vehicle that moves, or actors named")
     edits: Edits = [{"do": "remove", "actor": track.actor_id} for track in chosen]
     for k, track in enumerate(chosen):
         edits.append({"do": "insert", "asset": assets[k % len(assets)], **_as_driven(lane, track)})
     return edits
+
+
+def nearest_movers(lane: EgoLane, tracks: Sequence[ActorTrack]) -> list[ActorTrack]:
+    """Return the vehicles that move between the first and the last picture, sorted by their least
+    distance from the ego vehicle."""
+    moving = [t for t in tracks if t.is_moving and t.kind.is_vehicle and _during(lane, t).any()]
+    return sorted(moving, key=lambda track: _nearest_m(lane, track))
 
 
 def _during(lane: EgoLane, track: ActorTrack) -> Bool[np.ndarray, " n"]:

@@ -1,108 +1,290 @@
-"""CAD files as actors: metres, z up, the front ahead, the origin in the middle of the box."""
+"""CAD files as actors: metres, z up, the front along x, the origin in the middle of the box."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float64, Int32
 
-from lightsim.core.actors import ActorKind
 from lightsim.core.mesh import TriMesh
 from lightsim.errors import InputError
-from lightsim.store.meshes import read_glb
+from lightsim.scenario.kinds import is_plausible, named_kinds
+from lightsim.scenario.orientation import (
+    DEFAULT_UP,
+    Front,
+    Up,
+    find_front,
+    find_up,
+    is_horizontal,
+    turned,
+)
+from lightsim.store.gltf import read_gltf
+from lightsim.store.obj import read_obj
+from lightsim.store.primitive_mesh import mesh_of
+from lightsim.store.primitives import Y_UP_FROM_Z_UP, ModelFile
 
-Front = Literal["auto", "+x", "-x", "+z", "-z"]
-"""Where a model looks, in the axes of its file (y up). glTF says +z, but many models lie along x:
-`auto` takes the longer side as the length and its lower end, the bonnet, as the front."""
+_LOGGER = logging.getLogger(__name__)
+MODEL_SUFFIXES = (".glb", ".gltf", ".obj")
+_READERS: dict[str, Callable[[Path], ModelFile]] = {
+    ".glb": read_gltf,
+    ".gltf": read_gltf,
+    ".obj": read_obj,
+}
+_BLENDER = "Convert it: Blender reads it by File > {}, and writes .glb by File > Export > glTF 2.0."
+_REMEDY_BY_SUFFIX = {
+    **dict.fromkeys((".fbx", ".dae", ".stl", ".ply", ".abc", ".usd", ".usda", ".usdc", ".usdz",
+                     ".wrl", ".x3d", ".svg"), _BLENDER.format("Import")),
+    ".blend": _BLENDER.format("Open"),
+    **dict.fromkeys((".step", ".stp", ".iges", ".igs"),
+                    "Convert it: FreeCAD opens it, and writes .glb or .obj by File > Export."),
+    **dict.fromkeys((".3ds", ".max", ".c4d", ".ma", ".mb", ".skp", ".3dm"),
+                    "Export it from the program that wrote it as .glb, .obj or .fbx."),
+    ".zip": "Unpack it, and give the model in it.",
+}  # fmt: skip
 _LONGEST_M, _SHORTEST_M = 60.0, 0.05
-_END, _EVEN = 0.1, 0.02
-"""Parts of the length and of the height: how far an end reaches, and what differs in height."""
-_CAR_M = ((2.8, 1.3, 1.0), (6.0, 2.5, 2.4))
+"""Longest side of the largest and of the smallest thing in a street: a tram, a bottle."""
+_UNITS = {
+    0.001: "millimetres", 0.01: "centimetres", 0.0254: "inches", 0.3048: "feet", 10.0: "decametres",
+    100.0: "metres, divided by 100 on export", 1000.0: "metres, divided by 1000 on export",
+}  # fmt: skip
+"""Metres per unit of what programs write; the last ones are scaled twice by an exporter."""
+_TYPICAL_M = (0.2, 20.0)
+"""Longest side of most things in a street, by which a unit is proposed."""
+_CARD = 1e-3
+"""Thickness of a card, as part of its longest side. Panels of signs have 0.003 and more."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelSettings:
+    """Choices of a user about a model file.
+
+    Args:
+        up: axis of the file that points up.
+        front: axis of the file that points ahead.
+        metres_per_unit: size of the file's unit, in metres.
+        length_m: length along the front to which the model is scaled, in metres; replaces the unit.
+    """
+
+    up: Up = "auto"
+    front: Front = "auto"
+    metres_per_unit: float = 1.0
+    length_m: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A model file as an actor.
+
+    Args:
+        mesh: in frame `actor`.
+        up, front: axes of the file that point up and ahead.
+        notes: what of the file was not read or decided, one sentence each.
+    """
+
+    mesh: TriMesh
+    up: Up
+    front: Front
+    notes: tuple[str, ...]
 
 
 def read_model(path: Path, front: Front = "auto", metres_per_unit: float = 1.0) -> TriMesh:
-    """A .glb, .gltf or .obj file as a mesh in frame `actor`, with its materials.
+    """Return the mesh of a model file in frame `actor`; see `load_model`."""
+    return load_model(path, ModelSettings(front=front, metres_per_unit=metres_per_unit)).mesh
+
+
+def load_model(path: Path, settings: ModelSettings | None = None) -> Model:
+    """Read a .glb, .gltf or .obj file as an actor, and log its notes as one warning.
 
     Raises:
-        InputError: it cannot be read, or is too large or small for anything in a street.
+        InputError: the file cannot be read, lies flat on the ground, or is too large or small for
+            anything in a street; or a setting does not fit it.
     """
-    mesh = read_glb(path, "actor") if path.suffix.lower() == ".glb" else _converted(path)
-    vertices = mesh.vertices.astype(np.float64) * metres_per_unit
-    extent = np.ptp(vertices, axis=0)
-    if not _SHORTEST_M <= extent.max() <= _LONGEST_M:
-        raise InputError(
-            "the model has not the size of anything in a street",
-            where=path,
-            got=" x ".join(f"{e:.4g}" for e in extent) + " m",
-            expected=f"a longest side from {_SHORTEST_M} to {_LONGEST_M} m",
-            remedy="Tell its unit: lightsim assets add --metres-per-unit 0.01 for centimetres.",
-        )
-    vertices = vertices @ _turn(_front_of(vertices) if front == "auto" else front).T
-    return centred(replace(mesh, vertices=vertices.astype(np.float32)))
-
-
-def _front_of(vertices: Float[np.ndarray, "n 3"]) -> Front:
-    """The bonnet of cars, pickups and trucks is lower than what their other end has; models whose
-    ends are equally high look to the positive one."""
-    low, extent = vertices.min(axis=0), np.ptp(vertices, axis=0)
-    along = 0 if extent[0] >= extent[1] else 1
-    part = (vertices[:, along] - low[along]) / extent[along]
-    ends = [vertices[is_end, 2].max() for is_end in (part <= _END, part >= 1 - _END)]
-    is_negative = ends[0] < ends[1] - _EVEN * extent[2]
-    if along == 0:
-        return "-x" if is_negative else "+x"
-    # Their z is our -y.
-    return "+z" if is_negative or abs(ends[0] - ends[1]) <= _EVEN * extent[2] else "-z"
-
-
-def _turn(front: Front) -> Float[np.ndarray, "3 3"]:
-    """Brings the front to +x. Files are y up: their z is our -y."""
-    quarters = {"+x": 0, "+z": 1, "-x": 2, "-z": 3, "auto": 0}[front]
-    c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarters]
-    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]], dtype=np.float64)
+    settings = settings or ModelSettings()
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise _unknown_format(path)
+    model = _placed(reader(path), settings, is_stated=reader is read_gltf)
+    if model.notes:
+        _LOGGER.warning("%s: %s.", path, "; ".join(model.notes))
+    return model
 
 
 def centred(mesh: TriMesh) -> TriMesh:
-    """The mesh with the origin in the middle of its own box."""
+    """Return the mesh with the origin in the middle of its own box."""
     middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
     return replace(mesh, vertices=mesh.vertices - middle)
 
 
-def _converted(path: Path) -> TriMesh:
-    """Other formats by way of glTF, which trimesh writes."""
-    import tempfile
+def _unknown_format(path: Path) -> InputError:
+    suffix = path.suffix.lower()
+    return InputError(
+        "the model's format is not read",
+        where=path,
+        got=repr(suffix or "no suffix")[:40],
+        expected=" or ".join(MODEL_SUFFIXES),
+        remedy=_REMEDY_BY_SUFFIX.get(suffix, "Export it as .glb from the program that wrote it."),
+    )
 
-    import trimesh
 
-    if path.suffix.lower() not in (".gltf", ".obj"):
+def _placed(file: ModelFile, settings: ModelSettings, *, is_stated: bool) -> Model:
+    """Turn, scale and join the parts of a file."""
+    path = file.path
+    vertices, faces = _triangles(file)
+    up, evidence = _up(path, vertices, faces, settings, is_stated=is_stated)
+    front = settings.front if settings.front != "auto" else find_front(vertices, up)
+    if not is_horizontal(front, up):
         raise InputError(
-            "the model's format is not understood", where=path, expected=".glb, .gltf or .obj"
-        )
-    try:
-        data = trimesh.load_scene(path).export(file_type="glb")
-    except Exception as error:
-        raise InputError(
-            "the model cannot be read",
+            "the front points up or down",
             where=path,
-            got=f"{type(error).__name__}: {error}"[:200],
-            remedy="Export it again as .glb.",
-        ) from error
-    with tempfile.TemporaryDirectory() as folder:
-        glb = Path(folder) / "model.glb"
-        assert isinstance(data, bytes)
-        glb.write_bytes(data)
-        return read_glb(glb, "actor")
+            got=f"--front {front} with --up {settings.up}, {up} being up",
+            expected="a front along another axis than up",
+            remedy="Choose another --front or --up.",
+        )
+    extent = np.ptp(turned(vertices, up, front), axis=0)
+    scale = _scale(path, extent, settings)
+    _check_size(path, extent, scale)
+    notes = _card_notes(path, extent, up)
+    if evidence:
+        notes.append(f"{up} is up, because {evidence} (lightsim assets add --up changes it)")
+    notes += _unit_notes(path, extent * scale, settings)
+    placed = tuple(
+        replace(p, vertices=turned(p.vertices, up, front) * scale @ Y_UP_FROM_Z_UP[:3, :3].T)
+        for p in file.primitives
+    )
+    mesh, reader_notes = mesh_of(replace(file, primitives=placed), "actor")
+    if settings.length_m is not None:
+        # Parts that are transparent everywhere are gone.
+        rest = np.float32(settings.length_m / np.ptp(mesh.vertices[:, 0]))
+        mesh = replace(mesh, vertices=mesh.vertices * rest)
+    return Model(centred(mesh), up, front, (*reader_notes, *notes))
 
 
-def guessed_kind(name: str, mesh: TriMesh) -> ActorKind:
-    """What a model is, by its name, else by its size."""
-    words = name.lower().replace("_", " ").replace("-", " ")
-    for kind in ActorKind:
-        if str(kind) in words and kind is not ActorKind.OTHER:
-            return kind
-    size = np.ptp(mesh.vertices, axis=0)
-    low, high = np.array(_CAR_M)
-    return ActorKind.CAR if ((size > low) & (size < high)).all() else ActorKind.OTHER
+def _triangles(file: ModelFile) -> tuple[Float64[np.ndarray, "n 3"], Int32[np.ndarray, "m 3"]]:
+    """Return all vertices that faces use, and the faces.
+
+    Raises:
+        InputError: the vertices are one point, or not finite.
+    """
+    starts = np.cumsum([0] + [len(p.vertices) for p in file.primitives[:-1]])
+    faces = np.concatenate(
+        [p.faces + np.int32(n) for p, n in zip(file.primitives, starts, strict=True)]
+    )
+    vertices = np.concatenate([p.vertices for p in file.primitives])
+    used, numbers = np.unique(faces, return_inverse=True)
+    vertices, faces = vertices[used], numbers.reshape(-1, 3).astype(np.int32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        longest = np.ptp(vertices, axis=0).max()
+    if not (np.isfinite(longest) and longest > 0):
+        raise InputError(
+            "the model has no extent",
+            where=file.path,
+            got=f"a longest side of {longest:g}",
+            expected="triangles of finite, positive size",
+            remedy="Export it again.",
+        )
+    return vertices, faces
+
+
+def _up(
+    path: Path,
+    vertices: Float64[np.ndarray, "n 3"],
+    faces: Int32[np.ndarray, "m 3"],
+    settings: ModelSettings,
+    *,
+    is_stated: bool,
+) -> tuple[Up, str]:
+    if settings.up != "auto":
+        return settings.up, ""
+    if settings.front[1:] == DEFAULT_UP:
+        return "z", "the front is along y"
+    scale = settings.metres_per_unit if settings.length_m is None else None
+    ahead = settings.front[1:] if settings.front != "auto" else ""
+    return find_up(vertices, faces, path.stem, scale, ahead, is_stated=is_stated)
+
+
+def _scale(path: Path, extent: Float64[np.ndarray, "3"], settings: ModelSettings) -> float:
+    for option, value in (
+        ("--metres-per-unit", settings.metres_per_unit), ("--length-m", settings.length_m),
+    ):  # fmt: skip
+        if value is not None and not 0 < value < np.inf:
+            raise InputError(
+                f"{option} is not a size", where=path, got=value, expected="a number above 0"
+            )
+    if settings.length_m is None:
+        return settings.metres_per_unit
+    if extent[0] < _CARD * extent.max():
+        raise InputError(
+            "the model has no length along its front",
+            where=path,
+            got=f"{_words(extent)} units (length x width x height), --length-m {settings.length_m}",
+            expected="a length that can be scaled",
+            remedy="Give --metres-per-unit instead of --length-m, or another --front.",
+        )
+    return settings.length_m / extent[0]
+
+
+def _check_size(path: Path, extent: Float64[np.ndarray, "3"], scale: float) -> None:
+    if _SHORTEST_M <= extent.max() * scale <= _LONGEST_M:
+        return
+    proposals = _proposals(extent)
+    with_units = "; ".join(proposals) or "no common unit makes it fit"
+    with_length = f"with --length-m 4.4, {_words(extent * 4.4 / extent[0])} m"
+    raise InputError(
+        "the model does not have the size of anything in a street",
+        where=path,
+        got=f"{_words(extent * scale)} m (length x width x height)",
+        expected=f"a longest side from {_SHORTEST_M} to {_LONGEST_M:g} m",
+        remedy=f"Give its unit or its length to lightsim assets add: {with_units}; {with_length}.",
+    )
+
+
+def _proposals(extent: Float64[np.ndarray, "3"]) -> list[str]:
+    """Return options that give a common size, with that size."""
+    return [
+        f"with --metres-per-unit {unit:g} ({name}) it would be {_words(extent * unit)} m"
+        for unit, name in _UNITS.items()
+        if _TYPICAL_M[0] <= extent.max() * unit <= _TYPICAL_M[1]
+    ]
+
+
+def _unit_notes(path: Path, size: Float64[np.ndarray, "3"], settings: ModelSettings) -> list[str]:
+    """Note a size that the name excludes, if a common unit makes it plausible."""
+    kinds = named_kinds(path.stem)
+    if not kinds or settings.length_m is not None or any(is_plausible(k, size) for k in kinds):
+        return []
+    proposals = [
+        f"{settings.metres_per_unit * unit:g} ({_words(size * unit)} m)"
+        for unit in _UNITS
+        if is_plausible(kinds[0], size * unit)
+    ]
+    if not proposals:
+        return []
+    return [
+        f"{_words(size)} m is not the size of a {kinds[0]}: --metres-per-unit may be"
+        f" {' or '.join(proposals)}"
+    ]
+
+
+def _card_notes(path: Path, extent: Float64[np.ndarray, "3"], up: Up) -> list[str]:
+    """Note an upright card; a level one has no height, and is an error."""
+    if extent.min() >= _CARD * extent.max():
+        return []
+    if extent[2] >= _CARD * extent.max():
+        return ["it is a card without thickness, which has no shadow for a sun in its plane"]
+    others = [axis for axis in "xyz" if axis != up]
+    raise InputError(
+        "the model lies flat on the ground",
+        where=path,
+        got=f"{_words(extent)} units (length x width x height), {up} being up",
+        expected="a height above 0: marks on the road are no actors",
+        remedy=f"If it is upright, give lightsim assets add --up {others[0]} or --up {others[1]};"
+        " else give it a thickness.",
+    )
+
+
+def _words(size: Float64[np.ndarray, "3"]) -> str:
+    return " x ".join(f"{side:.2f}" if 0.1 <= side < 1e4 else f"{side:.3g}" for side in size)

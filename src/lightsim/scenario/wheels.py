@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Float64, Int32, Int64
 
 from lightsim.core.mesh import TriMesh
 from lightsim.core.twin import ActorAsset, Wheel
@@ -21,21 +21,34 @@ _TURN = np.array([[1, 0, 1], [0, np.sqrt(2), 0], [-1, 0, 1]]) / np.sqrt(2)
 _SIZES = (0.12, 0.6)
 # Wheels of a pair differ in place and size by less than this part of the diameter.
 _PAIRED = 0.15
+# Largest number of round parts that are compared in pairs; trucks with all nuts have some hundred.
+_MAX_ROUND = 1000
 
 
 def with_wheels(asset: ActorAsset) -> ActorAsset:
-    """The asset with the wheels that its mesh has as parts of their own.
+    """Return the asset with the wheels that are separate parts of its mesh.
 
-    A wheel is a round part that stands on the ground, with another one on the vehicle's other side;
-    what lies within it (rims, nuts) turns with it. What has fewer than two pairs has none.
+    A wheel is a round part that touches the ground, with another one on the vehicle's other side;
+    parts inside it (rims, nuts) turn with it. A mesh of fewer than two pairs has no wheels.
     """
     return replace(asset, wheels=find_wheels(asset.mesh))
 
 
 def find_wheels(mesh: TriMesh) -> tuple[Wheel, ...]:
-    """The wheels of a vehicle's mesh in frame `actor`; empty where it has not two pairs."""
-    part = _part_of_vertex(mesh)
+    """Return the wheels of a vehicle's mesh in frame `actor`; none without two pairs."""
     vertices = mesh.vertices.astype(np.float64)
+    return wheels_among(vertices, part_of_vertex(vertices, mesh.faces))
+
+
+def wheels_among(
+    vertices: Float64[np.ndarray, "n 3"], part: Int64[np.ndarray, " n"]
+) -> tuple[Wheel, ...]:
+    """Return the wheels of a vehicle whose length is along x and whose height is along z.
+
+    Args:
+        vertices: corners of the vehicle, in any unit; its middle is at y = 0.
+        part: connected part of each vertex, as `part_of_vertex` returns it.
+    """
     low, high = _bounds(vertices, part)
     centre, size = (low + high) / 2, high - low
     turned = np.subtract(*reversed(_bounds(vertices @ _TURN.T, part)))
@@ -47,6 +60,7 @@ def find_wheels(mesh: TriMesh) -> tuple[Wheel, ...]:
     is_wheel &= (diameter >= _SIZES[0] * height) & (diameter <= _SIZES[1] * height)
     is_wheel &= size[:, 1] <= diameter
     chosen = np.flatnonzero(is_wheel)
+    chosen = np.sort(chosen[np.argsort(-diameter[chosen], kind="stable")[:_MAX_ROUND]])
     chosen = chosen[_has_partner(centre[chosen], diameter[chosen])]
     wheels: list[Wheel] = []
     is_taken = np.zeros(len(vertices), bool)
@@ -69,14 +83,16 @@ def _bounds(
     return low, high
 
 
-def _part_of_vertex(mesh: TriMesh) -> Int64[np.ndarray, " n"]:
-    """The number of the connected part that each vertex belongs to."""
+def part_of_vertex(
+    vertices: Float64[np.ndarray, "n 3"], faces: Int32[np.ndarray, "m 3"]
+) -> Int64[np.ndarray, " n"]:
+    """Return the number of the connected part of each vertex; vertices are in metres."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    cells = np.round(mesh.vertices / _SAME_M).astype(np.int64)
+    cells = np.round(vertices / _SAME_M).astype(np.int64)
     same = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
-    corners = same[mesh.faces]
+    corners = same[faces]
     start, end = corners[:, :2].ravel(), corners[:, 1:].ravel()
     size = int(same.max()) + 1
     graph = coo_array((np.ones(len(start), bool), (start, end)), shape=(size, size))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lightsim.build.workspace import Workspace
+from lightsim.core.actors import ActorTrack
 from lightsim.core.scenario import Scenario
 from lightsim.errors import InputError
 from lightsim.export.pandaset.log import LogWriter, log_folders, write_logs
@@ -95,13 +96,22 @@ def edited_scenario(
     Raises:
         InputError: an unknown actor or asset, or a trajectory outside the log's time.
     """
-    background = make_embree_caster([workspace.twin.assets.background])
-    ground = StandingGround(workspace.fields.ground, background)
+    ground = standing_ground(workspace)
     scenario = apply_edits(recorded, asked.edits, library.load, ground, workspace.log)
+    conflicts = find_conflicts(scenario, edited_tracks(recorded, scenario), ground)
+    return replace(scenario, edits=asked.spelt, notes=tuple(map(str, conflicts)))
+
+
+def standing_ground(workspace: Workspace) -> StandingGround:
+    """Return the ground of a twin with a caster over its static meshes."""
+    background = make_embree_caster([workspace.twin.assets.background])
+    return StandingGround(workspace.fields.ground, background)
+
+
+def edited_tracks(recorded: Scenario, scenario: Scenario) -> list[ActorTrack]:
+    """Return the tracks that edits have inserted or moved."""
     before = {id(track) for track in recorded.tracks}
-    edited = [track for track in scenario.tracks if id(track) not in before]
-    conflicts = find_conflicts(scenario, edited, ground)
-    return replace(scenario, edits=asked.spelt, notes=conflicts)
+    return [track for track in scenario.tracks if id(track) not in before]
 
 
 def tell_conflicts(conflicts: Sequence[str], source: Path, *, strict: bool = False) -> None:

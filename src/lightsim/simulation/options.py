@@ -37,8 +37,8 @@ class FrameOptions:
     """Which frames of a twin, and under which skies."""
 
     sky: tuple[str, ...] = ("source",)
-    """One or more of: a .hdr or .exr file, sun:AZIMUTH,ELEVATION[,TURBIDITY], time:ISO, source.
-    Each frame is traced once for all of them."""
+    """One or more of: a .hdr or .exr file, FILE.exr#LAYER (docs/reference/sky-files.md),
+    sun:AZIMUTH,ELEVATION[,TURBIDITY], time:ISO, source. Each frame is traced once for all."""
     sky_yaw_deg: float = 0.0
     """Turn the skies, clockwise seen from above."""
     sky_scale: str = "auto"

@@ -16,9 +16,10 @@ from lightsim.core.checks import check_number
 from lightsim.core.dome import SkyDome, find_sun
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import GeoReference
-from lightsim.core.sky_choice import SkyChoice
+from lightsim.core.sky_choice import FORMS, SkyChoice
 from lightsim.core.twin import SkyEstimate
 from lightsim.errors import InputError
+from lightsim.lighting.night import looks_like_night
 from lightsim.lighting.scenery import without_scenery
 from lightsim.lighting.sun.direction import SunDirection, sun_from_geo
 from lightsim.lighting.target_sky import (
@@ -33,11 +34,19 @@ from lightsim.masks.sky import estimate_sky_matte
 from lightsim.simulation.seen_light import SeenLight
 from lightsim.store.artefact import hash_file
 from lightsim.store.images import read_sky
-from lightsim.store.reading import is_file
+from lightsim.store.reading import is_file, is_folder
 from lightsim.store.sky import read_heading
 
 _LOGGER = logging.getLogger(__name__)
 SKY_HEIGHT_PX = 256
+_MAX_WORDS = 200
+"""Characters of --sky that an error shows, so that what is wrong with them is shown, too."""
+_READER = 2
+"""Version of `read_sky`, part of what frames are made from: raised when it gives another dome."""
+_SAME_NORTH_DEG = 0.02
+"""Smaller turns are not made: they only blur a dome whose columns are 0.7 degrees wide. The north
+of a synthetic log is found to 0.003 degrees (the shipped street): its true skies stay as they are.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +72,10 @@ def made_from_sky(choice: SkyChoice) -> dict[str, Any]:
         InputError: the words are neither a file nor a known form.
     """
     _check_file(choice)
-    key = choice.sky if choice.path is None else hash_file(choice.path)
-    return {**asdict(choice), "sky": key}
+    if choice.path is None:
+        return asdict(choice)
+    key = {"sky": hash_file(choice.path), "reader": _READER}
+    return {**asdict(choice), **key} | ({"layer": choice.layer} if choice.layer else {})
 
 
 def resolve_sky(
@@ -84,14 +95,16 @@ def resolve_sky(
     geo = workspace.log.geo
     dome, facts = _dome_of(choice, geo, workspace.sky)
     if choice.path is not None:
-        dome, notes = _turned_to_north(dome, choice.path, geo)
-        facts["notes"] += notes
+        dome, turned = _turned_to_north(dome, choice.path, geo)
+        facts["notes"] += turned
     if choice.yaw_deg:
         dome = dome.rotated(-choice.yaw_deg)
     seen = seen or SeenLight(workspace)
     source = workspace.sky.dome
     dome, factor = scale_to_source(dome, source, choice.scale_mode, seen.mean_luminance)
     facts |= {"yaw_deg": choice.yaw_deg, "scale": choice.scale, "scale_factor": factor}
+    if choice.path is not None and choice.scale_mode == "auto":
+        facts["notes"].append(_note_scale(dome, choice.path, factor))
     if choice.has_edited_sun:
         dome, edited = _with_edited_sun(dome, choice, geo)
         facts |= edited
@@ -119,7 +132,9 @@ def _turned_to_north(
     if file_deg is not None and log_deg is not None:
         # Seen from above, +x of the file's world lies this far counter-clockwise from the log's;
         # headers hold 32 bits.
-        yaw_deg = float(np.float32(log_deg)) - file_deg
+        yaw_deg = (float(np.float32(log_deg)) - file_deg + 180.0) % 360.0 - 180.0
+        if abs(yaw_deg) < _SAME_NORTH_DEG:
+            return dome, []
         return dome.rotated(yaw_deg), [f"turned by {yaw_deg:.2f} degrees to the log's north"]
     unknown = "the file" if file_deg is None else "the log"
     note = (
@@ -128,6 +143,19 @@ def _turned_to_north(
     )
     _LOGGER.warning("%s: %s", path, note)
     return dome, [note]
+
+
+def _note_scale(dome: SkyDome, path: Path, factor: float) -> str:
+    """What "auto" did to a file's level; a warning where that makes a night as bright as a day."""
+    note = (
+        f"multiplied by {factor:.3g}, so that the street is as bright as recorded (--sky-scale"
+        " auto); --sky-scale none keeps the file's own level, a number sets the factor"
+    )
+    is_night = looks_like_night(dome)
+    if is_night:
+        note = f"looks like a night panorama; {note}"
+    _LOGGER.log(logging.WARNING if is_night else logging.INFO, "%s: %s", path, note)
+    return note
 
 
 def _with_edited_sun(
@@ -143,7 +171,8 @@ def _with_edited_sun(
 
 
 def sky_alone(choice: SkyChoice) -> TargetSky:
-    """A sky without a log: world axes are taken as east, north, up; nothing is scaled."""
+    """Return a sky without a log: world axes are taken as east, north, up; nothing is scaled, and
+    notes are not logged."""
     dome, facts = _dome_of(choice, None, None)
     return TargetSky(dome, facts | _light_facts(dome))
 
@@ -189,7 +218,7 @@ def _dome_of(
         )
         return dome, facts | {"description": description, **found}
     _check_file(choice)
-    file = read_sky(choice.path)
+    file = read_sky(choice.path, choice.layer, is_logged=source is not None)
     dome = dome_from_array(file.radiance, str(choice.path))
     if not dome.horizontal_irradiance().max() > 0:
         raise InputError(
@@ -215,9 +244,21 @@ def _light_facts(dome: SkyDome) -> dict[str, Any]:
 
 
 def _check_file(choice: SkyChoice) -> None:
-    if choice.path is not None and not is_file(choice.path):
+    path, where = choice.path, f"--sky {choice.sky[:_MAX_WORDS]}"
+    if path is None or is_file(path):
+        return
+    if is_folder(path):
         raise InputError(
-            "the sky is neither a file nor a known form",
-            where=f"--sky {choice.sky}",
-            expected="a .hdr or .exr file, sun:AZ,EL[,TURBIDITY], time:ISO or source",
+            "the sky is a folder", where=where, expected=FORMS, remedy="Name one file in it."
         )
+    if choice.is_like_path:
+        raise InputError("no such file", where=where, expected=FORMS, remedy="Check the path.")
+    word = choice.sky.partition(":")[0].strip().lower()
+    raise InputError(
+        "the sky is neither a file nor a known form",
+        where=where,
+        expected=FORMS,
+        remedy=f"Write {word} in lower case, without blanks."
+        if word in ("sun", "time", "source")
+        else None,
+    )

@@ -1,4 +1,4 @@
-"""OpenEXR pictures with one channel or with R, G, B, in half or float."""
+"""OpenEXR pictures of our own: one channel or R, G, B, in half or float, and marks beside them."""
 
 from __future__ import annotations
 
@@ -8,52 +8,51 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32, Shaped
+from jaxtyping import Float, Float32
 
 from lightsim.errors import InputError
 from lightsim.store.atomic import whole_file
-from lightsim.store.reading import MAX_PICTURE_BYTES, open_regular
+from lightsim.store.exr_file import (
+    LIBRARY_ERRORS,
+    data_window,
+    display_window,
+    read_channels,
+    read_headers,
+)
 
-EXR_MAGIC = b"\x76\x2f\x31\x01"
-_MAX_VALUES = 1 << 27
-"""An 8k panorama, 8192x4096 in four channels: 512 MiB as floats, and again when they are joined."""
-_FLAT_TYPES = ("scanlineimage", "tiledimage")
 _HALF_MAX = 65504.0
 _MARK = "lightsim"
 _LEAST_BYTES = 64
 """No picture is smaller; the library must not be given less."""
-_REMEDY = "Download or export the file again."
 
 
 def read_exr(path: Path) -> Float32[np.ndarray, "h w *c"]:
-    """An OpenEXR buffer as it is: [h, w] of one channel, [h, w, 3] of R, G, B; inf and NaN stay.
-
-    Alpha is dropped; R, G, B may carry a layer's name ("ViewLayer.Combined.R").
+    """Return a buffer as it is: [h, w] of one channel, [h, w, 3] of R, G, B; inf and NaN stay.
 
     Raises:
-        InputError: the file is missing, damaged, truncated, not OpenEXR, cropped, or has other
-            channels.
+        InputError: the file is missing, damaged, truncated, not OpenEXR, or has other channels,
+            several parts, or a data window that is not its display window.
     """
-    with open_regular(path, "picture", MAX_PICTURE_BYTES) as handle:
-        if handle.read(len(EXR_MAGIC)) != EXR_MAGIC:
-            raise InputError("not an OpenEXR file", where=path, expected="a .exr picture")
-    import OpenEXR
+    headers = read_headers(path)
+    names = [channel.name for channel in headers[0]["channels"]]
+    names = list("RGB") if set(names) in (set("RGB"), set("RGBA")) else names
+    is_whole = data_window(headers[0]).is_same(display_window(headers[0]))
+    if len(headers) > 1 or not is_whole or (len(names) != 1 and names != list("RGB")):
+        raise _no_buffer(path, names)
+    channels = read_channels(path, headers, 0, names)
+    if len(names) == 1:
+        return channels[0].pixels.astype(np.float32)
+    return np.stack([channel.pixels for channel in channels], axis=-1).astype(np.float32)
 
-    try:
-        with OpenEXR.File(str(path), header_only=True) as file:
-            _check_header(file.header())
-            if len(file.parts) > 1:
-                raise ValueError(f"it holds {len(file.parts)} pictures")
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            pixels_by_name = {str(n): channel.pixels for n, channel in file.channels().items()}
-    except (RuntimeError, ValueError, TypeError, LookupError, MemoryError) as error:
-        raise InputError(
-            "the OpenEXR picture cannot be read; it is truncated, damaged or cropped",
-            where=path,
-            got=f"{error}"[:200],
-            remedy=_REMEDY,
-        ) from error
-    return _picture(path, pixels_by_name)
+
+def _no_buffer(path: Path, names: list[str]) -> InputError:
+    return InputError(
+        "the OpenEXR picture is no buffer of LightSim",
+        where=path,
+        got=f"channels {', '.join(sorted(names)[:12])}",
+        expected="one part with R, G, B or a single channel, without a crop",
+        remedy="Write it again with the command that made it.",
+    )
 
 
 def read_mark(path: Path) -> str | None:
@@ -77,7 +76,7 @@ def _attribute(path: Path, name: str) -> Any:
             return None
         with OpenEXR.File(str(path), header_only=True) as file:
             return file.header().get(name)
-    except (OSError, RuntimeError, ValueError, TypeError, LookupError, MemoryError):
+    except (OSError, *LIBRARY_ERRORS):
         return None
 
 
@@ -117,40 +116,3 @@ def write_exr(
     channels: dict[str, Any] = {"Y": pixels} if array.ndim == 2 else {"RGB": pixels}
     with whole_file(path) as temporary:
         OpenEXR.File(header, channels).write(str(temporary))
-
-
-def _check_header(header: Mapping[str, Any]) -> None:
-    """Refuse before pixels are allocated; a cropped picture would shift silently."""
-    data, display = (np.array(header[k], np.int64) for k in ("dataWindow", "displayWindow"))
-    width, height = (data[1] - data[0] + 1).tolist()
-    count = len(header["channels"])
-    if width < 1 or height < 1 or width * height * count > _MAX_VALUES:
-        raise ValueError(f"the size {width}x{height} px in {count} channels is out of range")
-    if (data != display).any():
-        raise ValueError(f"its data window {data.tolist()} is not its frame {display.tolist()}")
-    if header["type"].name not in _FLAT_TYPES:
-        raise ValueError(f"its pixels are of type {header['type'].name}")
-
-
-def _picture(
-    path: Path, pixels_by_name: Mapping[str, Shaped[np.ndarray, "..."]]
-) -> Float32[np.ndarray, "h w *c"]:
-    names = list(pixels_by_name)
-    picked = [[n for n in names if n.rpartition(".")[2] == letter] for letter in "RGB"]
-    if all(len(found) == 1 for found in picked):
-        chosen = [pixels_by_name[found[0]] for found in picked]
-    elif len(names) == 1:
-        chosen = [pixels_by_name[names[0]]]
-    else:
-        raise InputError(
-            "the OpenEXR picture does not hold one picture",
-            where=path,
-            got=f"channels {sorted(names)[:12]}",
-            expected="R, G, B (once each), or a single channel",
-            remedy="Export one layer as RGB.",
-        )
-    if any(c.ndim != 2 or c.dtype.hasobject or c.shape != chosen[0].shape for c in chosen):
-        raise InputError("its channels are deep or subsampled", where=path, remedy=_REMEDY)
-    if len(chosen) == 1:
-        return chosen[0].astype(np.float32)
-    return np.stack(chosen, axis=-1).astype(np.float32)

@@ -1,247 +1,297 @@
-"""A reader of binary glTF 2.0: triangles, linear colours, base-colour textures, node transforms.
+"""A reader of glTF 2.0, binary (.glb) and text (.gltf): triangles with their looks.
 
 Reference: Khronos glTF 2.0 specification (registry.khronos.org/glTF/specs/2.0).
 """
 
 from __future__ import annotations
 
-import base64
-import json
 import struct
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Shaped, UInt8
-from scipy.spatial.transform import Rotation
+from jaxtyping import Float32, Float64, Int32, Int64
 
-from lightsim.core.mesh import Material
-from lightsim.store.images import decode_srgb8
-from lightsim.store.reading import MAX_JSON_BYTES
+from lightsim.errors import InputError
+from lightsim.store.gltf_accessors import Accessors
+from lightsim.store.gltf_document import GltfDocument, extensions, read_document
+from lightsim.store.gltf_extensions import DRACO, check_required, note_unknown, unsupported
+from lightsim.store.gltf_materials import Geometry, Materials, Surface
+from lightsim.store.gltf_scene import Placement, Scene, skinned
+from lightsim.store.gltf_textures import LARGEST_UV, Textures
+from lightsim.store.notes import Notes
+from lightsim.store.primitives import ModelFile, Primitive
 
-GLB_MAGIC = b"glTF"
-JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
-_DTYPE_BY_COMPONENT = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTH_BY_TYPE = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-_UNDERSTOOD = {"KHR_mesh_quantization", "KHR_materials_unlit", "KHR_materials_specular"}
-_TRIANGLES = 4
-_MAX_DEPTH = 64
-_MAX_INSTANCES = 100_000
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _MAX_VERTICES = 20_000_000
-"""Of all instances together; our largest street has half of it."""
+"""Of all instances together; the largest street of ours has half of it."""
+_MAX_FACES = 2 * _MAX_VERTICES
+_MAX_PARTS = 20_000
+"""Primitives, each mesh counted at each node that has it; so many take some seconds."""
+_FARTHEST = 1e12
+"""Largest coordinate, in units of the file: float32 numbers hold its square."""
+_MAX_SHOWN_VARIANTS = 4
+
+
+def read_gltf(path: Path) -> ModelFile:
+    """Return the triangles of a .glb or .gltf file, with notes on what was not read.
+
+    Points and lines are left out. Axes and units are the file's: y up, metres.
+
+    Raises:
+        InputError: the file is missing or damaged, has no triangles, or needs an extension that is
+            not supported.
+    """
+    try:
+        document = read_document(path)
+        check_required(path, document.json.get("extensionsRequired", []))
+        reader = _Reader(document)
+        # Numbers that overflow are found afterwards, by their results.
+        with np.errstate(over="ignore", invalid="ignore"):
+            primitives = reader.primitives()
+    except (
+        ValueError, ArithmeticError, LookupError, TypeError, AttributeError, struct.error,
+    ) as error:  # fmt: skip
+        is_plain = isinstance(error, ValueError)
+        raise InputError(
+            "the model cannot be read",
+            where=path,
+            got=f"{'' if is_plain else type(error).__name__ + ': '}{error}"[:200],
+            expected="glTF 2.0 (.glb or .gltf)",
+            remedy="Check it with a glTF validator, or export it again.",
+        ) from error
+    if not primitives:
+        raise InputError(
+            "the model has no triangles",
+            where=path,
+            got="points or lines alone" if reader.n_left_out else "no mesh in its default scene",
+            expected="triangles",
+            remedy="Export its surfaces.",
+        )
+    return ModelFile(path, tuple(primitives), reader.notes.sentences())
 
 
 @dataclass(frozen=True, eq=False)
-class Primitive:
-    """Triangles of one material, placed in the scene, in glTF's axes (y up, metres).
-
-    Args:
-        vertices: in the scene.
-        faces: vertex indices, counter-clockwise seen from outside.
-        colour: linear base colour of each vertex without the texture.
-        uv: texture coordinates, (0, 0) at the texture's top left; None without texture.
-        texture: 8-bit sRGB, multiplies `colour`; None without texture. Primitives that share an
-            image share this array.
-        own: attributes whose name starts with "_", which are no part of the standard.
-    """
+class _Part:
+    """A primitive before it is placed in the scene."""
 
     vertices: Float64[np.ndarray, "n 3"]
     faces: Int32[np.ndarray, "m 3"]
-    colour: Float32[np.ndarray, "n 3"]
-    uv: Float64[np.ndarray, "n 2"] | None
-    texture: UInt8[np.ndarray, "h w 3"] | None
-    material: Material
+    surface: Surface
+    vertex_colour: Float64[np.ndarray, "n 4"] | None
+    joints: tuple[Float64[np.ndarray, "n k"], Float64[np.ndarray, "n k"]] | None
     own: Mapping[str, Float32[np.ndarray, "n _"]]
 
 
-def parse_glb(data: bytes) -> list[Primitive]:
-    """All triangles of the default scene; points and lines are left out.
+class _Reader:
+    """Reads the primitives of one document."""
 
-    A material that does not name its metallic factor counts as non-metallic: exporters of older
-    formats leave it out, and the standard's 1 would leave such models without diffuse colour.
+    def __init__(self, document: GltfDocument) -> None:
+        self.notes = Notes()
+        self.n_left_out = 0
+        self._document = document
+        self._accessors = Accessors(document)
+        self._materials = Materials(document, Textures(document), self.notes)
+        self._scene = Scene(document, self._accessors)
+        self._parts: dict[tuple[int, tuple[float, ...]], list[_Part]] = {}
+        self._n_vertices = self._n_faces = 0
 
-    Raises:
-        ValueError, LookupError, TypeError, struct.error: the file breaks the standard, or needs
-            an extension that is not understood.
-    """
-    document, binary = _chunks(data)
-    required = set(document.get("extensionsRequired", ())) - _UNDERSTOOD
-    if required:
-        raise ValueError(f"it needs the extensions {sorted(required)}, which are not understood")
-    file = _File(document, binary)
-    primitives: list[Primitive] = []
-    n_vertices = 0
-    for matrix, mesh_index in file.placed_meshes():
-        for primitive in document["meshes"][mesh_index]["primitives"]:
-            if primitive.get("mode", _TRIANGLES) > _TRIANGLES:
-                raise ValueError("triangle strips and fans are not understood")
-            if primitive.get("mode", _TRIANGLES) == _TRIANGLES:
-                primitives.append(file.primitive(primitive, matrix))
-                n_vertices += len(primitives[-1].vertices)
-            if n_vertices > _MAX_VERTICES:
-                raise ValueError(f"its instances have more than {_MAX_VERTICES} vertices")
-    return [p for p in primitives if len(p.faces)]
+    def primitives(self) -> list[Primitive]:
+        """Return all triangles of the default scene."""
+        primitives: list[Primitive] = []
+        for placement in self._scene.placements():
+            key = (placement.mesh, placement.weights)
+            if key not in self._parts:
+                self._parts[key] = list(self._mesh_parts(*key))
+            for part in self._parts[key]:
+                self._count(part, len(placement.scene_from_mesh))
+                primitives.append(_placed(part, placement))
+            if len(primitives) > _MAX_PARTS:
+                raise ValueError(f"it has more than {_MAX_PARTS} primitives")
+        self._note_scene()
+        note_unknown(self._document.json.get("extensionsUsed", ()), self.notes)
+        return primitives
 
+    def _count(self, part: _Part, n_instances: int) -> None:
+        self._n_vertices += n_instances * len(part.vertices)
+        self._n_faces += n_instances * len(part.faces)
+        if self._n_vertices > _MAX_VERTICES or self._n_faces > _MAX_FACES:
+            raise ValueError(f"its instances have more than {_MAX_VERTICES} vertices or faces")
 
-def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
-    magic, version, total = struct.unpack_from("<4sII", data)
-    if magic != GLB_MAGIC or version != 2:
-        raise ValueError(f"it is no glTF 2 binary file but {magic!r} version {version}")
-    if total > len(data):
-        raise ValueError(f"it is truncated: {len(data)} of {total} bytes")
-    chunks: dict[int, bytes] = {}
-    position = 12
-    while position + 8 <= total:
-        length, kind = struct.unpack_from("<II", data, position)
-        if position + 8 + length > total:
-            raise ValueError("a chunk runs past the end")
-        chunks.setdefault(kind, data[position + 8 : position + 8 + length])
-        position += 8 + length
-    if len(chunks[JSON_CHUNK]) > MAX_JSON_BYTES:
-        raise ValueError(f"its JSON has {len(chunks[JSON_CHUNK])} bytes")
-    try:
-        document = json.loads(chunks[JSON_CHUNK])
-    except RecursionError as error:
-        raise ValueError("its JSON is nested too deep") from error
-    if not isinstance(document, dict):
-        raise ValueError("its JSON is no object")
-    return document, chunks.get(BINARY_CHUNK, b"")
+    def _mesh_parts(self, mesh: int, weights: tuple[float, ...]) -> list[_Part]:
+        values = self._document.item("meshes", mesh)["primitives"]
+        if len(values) > _MAX_PARTS:
+            raise ValueError(f"a mesh has more than {_MAX_PARTS} primitives")
+        parts = [self._part(value, weights) for value in values]
+        return [part for part in parts if part is not None]
 
-
-@dataclass(frozen=True, eq=False)
-class _File:
-    document: dict[str, Any]
-    binary: bytes
-    images: dict[int, UInt8[np.ndarray, "_ _ 3"]] = field(default_factory=dict)
-
-    def placed_meshes(self) -> Iterator[tuple[Float64[np.ndarray, "4 4"], int]]:
-        """(scene_from_mesh, mesh index) of every node with a mesh."""
-        nodes = self.document.get("nodes", [])
-        if "scenes" in self.document:
-            roots = self.document["scenes"][self.document.get("scene", 0)].get("nodes", [])
-        else:
-            children = {c for node in nodes for c in node.get("children", ())}
-            roots = [i for i in range(len(nodes)) if i not in children]
-        stack = [(np.eye(4), root, 0) for root in roots]
-        visited = 0
-        while stack:
-            parent, index, depth = stack.pop()
-            visited += 1
-            if depth > _MAX_DEPTH or visited > _MAX_INSTANCES:
-                raise ValueError("its nodes form a loop or are nested too deep")
-            node = nodes[index]
-            matrix = parent @ _node_matrix(node)
-            if "mesh" in node:
-                yield matrix, int(node["mesh"])
-            stack.extend((matrix, child, depth + 1) for child in node.get("children", ()))
-
-    def primitive(self, value: dict[str, Any], matrix: Float64[np.ndarray, "4 4"]) -> Primitive:
-        """One primitive with its vertices in the scene's frame; ValueError for bad indices."""
+    def _part(self, value: dict[str, Any], weights: tuple[float, ...]) -> _Part | None:
+        """One primitive; None if it has no triangles."""
+        mode = value.get("mode", _TRIANGLES)
+        if mode not in range(7):
+            raise ValueError(f"a primitive of mode {str(mode)[:20]}, not 0 to 6")
+        if mode < _TRIANGLES:
+            self.n_left_out += 1
+            self.notes.add("points and lines are left out")
+            return None
         attributes = value["attributes"]
-        local = self.accessor(attributes["POSITION"]).astype(np.float64)
-        vertices = local @ matrix[:3, :3].T + matrix[:3, 3]
-        if "indices" in value:
-            indices = self.accessor(value["indices"]).astype(np.int64).reshape(-1)
-        else:
-            indices = np.arange(len(vertices))
-        faces = indices[: len(indices) // 3 * 3].reshape(-1, 3).astype(np.int32)
-        if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
-            raise ValueError("a triangle names no vertex")
-        if np.linalg.det(matrix[:3, :3]) < 0:
-            faces = np.ascontiguousarray(faces[:, ::-1])
-        material = self.document["materials"][value["material"]] if "material" in value else {}
-        pbr = material.get("pbrMetallicRoughness", {})
-        colour = np.ones((len(vertices), 3), dtype=np.float32)
-        if "COLOR_0" in attributes:
-            colour = self.accessor(attributes["COLOR_0"])[:, :3].astype(np.float32)
-        colour = colour * np.array(pbr.get("baseColorFactor", [1.0] * 4), np.float32)[:3]
-        uv, texture = self._texture(pbr, attributes)
+        self._require_data(value)
+        vertices = self._accessors.floats(attributes["POSITION"], 3)
+        faces = _faces(self._corners(value, len(vertices)), mode)
+        if not len(faces):
+            return None
+        vertices = vertices + self._morphed(value, weights, len(vertices))
+        geometry = Geometry(vertices, faces, lambda n: self._uv(attributes, n, len(vertices)))
         own = {
-            name: self.accessor(index).astype(np.float32)
+            name: self._accessors.rows(index).astype(np.float32)
             for name, index in attributes.items()
             if name.startswith("_")
         }
         if any(len(values) != len(vertices) for values in own.values()):
             raise ValueError("an attribute has other vertices")
-        return Primitive(vertices, faces, colour, uv, texture, _material(material, value), own)
-
-    def _texture(
-        self, pbr: dict[str, Any], attributes: dict[str, Any]
-    ) -> tuple[Float64[np.ndarray, "n 2"] | None, UInt8[np.ndarray, "h w 3"] | None]:
-        if "baseColorTexture" not in pbr:
-            return None, None
-        reference = pbr["baseColorTexture"]
-        name = f"TEXCOORD_{int(reference.get('texCoord', 0))}"
-        if name not in attributes:
-            return None, None
-        uv = self.accessor(attributes[name]).astype(np.float64)
-        if uv.shape[1] != 2 or not np.isfinite(uv).all():
-            raise ValueError("a texture coordinate is broken")
-        texture = self.document["textures"][reference["index"]]
-        source = int(texture["source"])
-        if source not in self.images:
-            self.images[source] = decode_srgb8(self._image_bytes(self.document["images"][source]))
-        return uv, self.images[source]
-
-    def _image_bytes(self, image: dict[str, Any]) -> bytes:
-        if "bufferView" in image:
-            start, length, _ = self._view(image["bufferView"])
-            return self.binary[start : start + length]
-        head, _, body = image["uri"].partition(",")
-        if not head.startswith("data:"):
-            raise ValueError(f"its texture is another file ({image['uri'][:60]}); embed it")
-        return base64.b64decode(body)
-
-    def _view(self, index: int) -> tuple[int, int, int]:
-        view = self.document["bufferViews"][index]
-        if view.get("buffer", 0) != 0 or "uri" in self.document["buffers"][0]:
-            raise ValueError("its data lie in another file; embed them")
-        start, length = int(view.get("byteOffset", 0)), int(view["byteLength"])
-        if start < 0 or length < 0 or start + length > len(self.binary):
-            raise ValueError("a buffer view runs past the end")
-        return start, length, int(view.get("byteStride", 0))
-
-    def accessor(self, index: int) -> Shaped[np.ndarray, "n c"]:
-        """Rows of an accessor; normalised integers come as floats in [0, 1] or [-1, 1]."""
-        accessor = self.document["accessors"][index]
-        if "sparse" in accessor or "bufferView" not in accessor:
-            raise ValueError("sparse accessors are not understood")
-        dtype = np.dtype(_DTYPE_BY_COMPONENT[accessor["componentType"]])
-        width, count = _WIDTH_BY_TYPE[accessor["type"]], int(accessor["count"])
-        start, length, stride = self._view(accessor["bufferView"])
-        offset = int(accessor.get("byteOffset", 0))
-        stride = stride or width * dtype.itemsize
-        needed = offset + stride * (count - 1) + width * dtype.itemsize
-        if count < 1 or offset < 0 or stride < width * dtype.itemsize or needed > length:
-            raise ValueError("an accessor runs past its buffer view")
-        rows = np.ndarray(
-            (count, width), dtype, self.binary, start + offset, (stride, dtype.itemsize)
+        return _Part(
+            vertices,
+            faces,
+            self._materials.surface(value.get("material"), geometry),
+            self._vertex_colour(attributes, len(vertices)),
+            self._joints(attributes, len(vertices)),
+            own,
         )
-        if not accessor.get("normalized", False):
-            return rows.copy()
-        return np.maximum(rows.astype(np.float32) / np.iinfo(dtype).max, np.float32(-1.0))
+
+    def _require_data(self, value: dict[str, Any]) -> None:
+        """Raise an error if positions or indices are in an extension alone."""
+        named = [
+            value["attributes"]["POSITION"],
+            *([value["indices"]] if "indices" in value else []),
+        ]
+        if all(self._accessors.has_data(index) for index in named):
+            return
+        if DRACO in extensions(value):
+            raise unsupported(self._document.path, DRACO)
+        raise ValueError("a primitive has positions or indices without data")
+
+    def _corners(self, value: dict[str, Any], n_vertices: int) -> Int64[np.ndarray, " n"]:
+        if "indices" not in value:
+            return np.arange(n_vertices)
+        corners = self._accessors.indices(value["indices"])
+        if corners.min() < 0 or corners.max() >= n_vertices:
+            raise ValueError(f"a triangle names vertex {corners.max()}, of {n_vertices}")
+        return corners
+
+    def _morphed(
+        self, value: dict[str, Any], weights: tuple[float, ...], n_vertices: int
+    ) -> Float64[np.ndarray, "n 3"]:
+        """Displacements by morph targets with their default weights."""
+        moved = np.zeros((n_vertices, 3))
+        for target, weight in zip(value.get("targets", ()), weights, strict=False):
+            if weight != 0 and "POSITION" in target:
+                moved += weight * self._rows(target["POSITION"], n_vertices, 3)
+            if weight != 0 and any(name.startswith(("TEXCOORD", "COLOR")) for name in target):
+                self.notes.add("morph targets of colours and texture coordinates are not read")
+        return moved
+
+    def _rows(
+        self, index: object, count: int, *widths: int, is_fraction: bool = False
+    ) -> Float64[np.ndarray, "n c"]:
+        """Rows of an attribute that has one for each vertex."""
+        rows = self._accessors.floats(index, *widths, is_fraction=is_fraction)
+        if len(rows) != count:
+            raise ValueError(f"accessors[{index}] has {len(rows)} rows for {count} vertices")
+        return rows
+
+    def _uv(
+        self, attributes: dict[str, Any], number: int, count: int
+    ) -> Float64[np.ndarray, "n 2"] | None:
+        name = f"TEXCOORD_{number}"
+        if name not in attributes:
+            return None
+        uv = self._rows(attributes[name], count, 2)
+        if (np.abs(uv) > LARGEST_UV).any():
+            raise ValueError(f"a texture coordinate is {np.abs(uv).max():.3g}")
+        return uv
+
+    def _vertex_colour(
+        self, attributes: dict[str, Any], count: int
+    ) -> Float64[np.ndarray, "n 4"] | None:
+        if "COLOR_0" not in attributes:
+            return None
+        rows = self._rows(attributes["COLOR_0"], count, 3, 4, is_fraction=True)
+        rgba = np.concatenate([rows, np.ones((count, 4 - rows.shape[1]))], axis=1)
+        return np.clip(rgba, 0.0, 1.0)
+
+    def _joints(
+        self, attributes: dict[str, Any], count: int
+    ) -> tuple[Float64[np.ndarray, "n k"], Float64[np.ndarray, "n k"]] | None:
+        """Joint numbers and weights, all sets side by side."""
+        numbers, weights = [], []
+        while f"JOINTS_{len(numbers)}" in attributes:
+            suffix = len(numbers)
+            numbers.append(self._rows(attributes[f"JOINTS_{suffix}"], count, 4))
+            weights.append(self._rows(attributes[f"WEIGHTS_{suffix}"], count, 4, is_fraction=True))
+        return (np.hstack(numbers), np.hstack(weights)) if numbers else None
+
+    def _note_scene(self) -> None:
+        document = self._document
+        nodes = [document.item("nodes", index) for index in self._scene.visited]
+        if len(document.items("scenes")) > 1:
+            self.notes.add(f"of {len(document.items('scenes'))} scenes the default one is read")
+        if any("KHR_lights_punctual" in extensions(node) for node in nodes):
+            self.notes.add("lights are not read")
+        channels = [c for a in document.items("animations") for c in a.get("channels", ())]
+        if any(c.get("target", {}).get("node") in self._scene.moving for c in channels):
+            self.notes.add("animations are not read: the model has its rest pose")
+        variants = extensions(document.json).get("KHR_materials_variants", {}).get("variants", [])
+        if len(variants) > 1:
+            names = ", ".join(str(v.get("name"))[:40] for v in variants[:_MAX_SHOWN_VARIANTS])
+            self.notes.add(f"of {len(variants)} variants ({names} ...) the default look is read")
 
 
-def _material(material: dict[str, Any], primitive: dict[str, Any]) -> Material:
-    pbr = material.get("pbrMetallicRoughness", {})
-    name = material.get("name", f"material {primitive.get('material', 'by default')}")
-    roughness, metallic = pbr.get("roughnessFactor", 1.0), pbr.get("metallicFactor", 0.0)
-    return Material(float(roughness), float(metallic), str(name))
-
-
-def _node_matrix(node: dict[str, Any]) -> Float64[np.ndarray, "4 4"]:
-    if "matrix" in node:
-        matrix = np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
+def _faces(corners: Int64[np.ndarray, " n"], mode: int) -> Int32[np.ndarray, "m 3"]:
+    """Triangles of a list, strip or fan; those of a strip that join its pieces are left out."""
+    if mode == _TRIANGLES:
+        return corners[: len(corners) // 3 * 3].reshape(-1, 3).astype(np.int32)
+    i = np.arange(max(len(corners) - 2, 0))
+    if mode == _STRIP:
+        faces = np.stack([corners[i], corners[i + 1 + i % 2], corners[i + 2 - i % 2]], axis=1)
     else:
-        matrix = np.eye(4)
-        if "rotation" in node:
-            quaternion = np.array(node["rotation"], dtype=np.float64)
-            if not (np.abs(quaternion) < 2.0).all():
-                raise ValueError("a node's rotation is no unit quaternion")
-            matrix[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
-        matrix[:3, :3] *= np.array(node.get("scale", [1.0] * 3), dtype=np.float64)
-        matrix[:3, 3] = np.array(node.get("translation", [0.0] * 3), dtype=np.float64)
-    if not np.isfinite(matrix).all():
-        raise ValueError("a node's transform is not finite")
-    return matrix
+        faces = np.stack([corners[i + 1], corners[i + 2], np.broadcast_to(corners[:1], i.shape)], 1)
+    is_whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    return faces[is_whole].astype(np.int32)
+
+
+def _placed(part: _Part, placement: Placement) -> Primitive:
+    """The part in the scene, all its instances as one primitive."""
+    n = len(part.vertices)
+    if placement.joints is not None and part.joints is not None:
+        vertices, is_mirrored = skinned(part.vertices, placement.joints, *part.joints)
+        mirrored = np.array([is_mirrored])
+    else:
+        matrices = placement.scene_from_mesh
+        moved = part.vertices @ matrices[:, :3, :3].transpose(0, 2, 1) + matrices[:, None, :3, 3]
+        vertices = moved.reshape(-1, 3)
+        mirrored = np.linalg.det(matrices[:, :3, :3]) < 0
+    if not (np.abs(vertices) < _FARTHEST).all():
+        raise ValueError(f"a vertex is not finite, or {_FARTHEST:.0e} or more from the origin")
+    k = len(mirrored)
+    faces = np.where(mirrored[:, None, None], part.faces[:, ::-1], part.faces)
+    faces = faces + (np.arange(k) * n)[:, None, None]
+    surface = part.surface
+    factor = np.broadcast_to(surface.factor, (n, 4))
+    if part.vertex_colour is not None:
+        factor = part.vertex_colour * factor
+    factor = np.tile(factor, (k, 1))
+    return Primitive(
+        vertices,
+        faces.reshape(-1, 3).astype(np.int32),
+        factor[:, :3].astype(np.float32),
+        None if surface.uv is None else np.tile(surface.uv, (k, 1)),
+        surface.texture,
+        surface.material,
+        {name: np.tile(values, (k, 1)) for name, values in part.own.items()},
+        surface.alpha_mode,
+        factor[:, 3].astype(np.float32),
+        surface.alpha_cutoff,
+        surface.transmission,
+    )

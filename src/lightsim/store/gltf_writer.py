@@ -21,7 +21,7 @@ from jaxtyping import Float32, Float64, Int, Int32, Int64, Shaped, UInt8
 
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.mesh import Material, Provenance, TriMesh
-from lightsim.store.gltf import BINARY_CHUNK, GLB_MAGIC, JSON_CHUNK
+from lightsim.store.gltf_document import BINARY_CHUNK, GLB_MAGIC, JSON_CHUNK
 
 VERTEX_NUMBER, VERTEX_COLOUR, CONFIDENCE = "_VERTEX", "_BASE_COLOUR", "_CONFIDENCE"
 PROVENANCE = "_PROVENANCE"

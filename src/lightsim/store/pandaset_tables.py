@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from jaxtyping import Shaped
 
 from lightsim.core.frames import RigidTransform, quaternion_from_matrix
 from lightsim.store.atomic import whole_file
+from lightsim.store.table_pickle import pickled_frame
 
 CUBOID_COLUMNS = (
     "uuid", "label", "yaw", "stationary", "camera_used",
@@ -50,24 +50,18 @@ def cuboid_table(
 def write_table(
     path: Path, columns: Mapping[str, Shaped[np.ndarray, " n"]], index_name: str | None = None
 ) -> None:
-    """A gzipped pickle of a data frame; missing folders are made, equal tables give equal bytes.
+    """Write a data frame as a gzipped pickle that pandas 1.0 to 3 load (`table_pickle`).
 
-    Text is stored as plain objects, the names of the columns too: the text type of pandas 3 cannot
-    be read by older ones.
+    Missing folders are made; equal tables give equal bytes.
     """
-    import pandas as pd
+    write_packed(path, pickled_frame(columns, index_name))
 
-    count = len(next(iter(columns.values())))
-    frame = pd.DataFrame(
-        {name: pd.Series(values, dtype=values.dtype) for name, values in columns.items()},
-        columns=pd.Index(list(columns), dtype=object),
-    )
-    frame.index = pd.RangeIndex(count, name=index_name)
-    buffer = io.BytesIO()
-    frame.to_pickle(buffer, protocol=4)
+
+def write_packed(path: Path, data: bytes) -> None:
+    """Write bytes with gzip; missing folders are made, equal bytes give equal files."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
-        temporary.write_bytes(gzip.compress(buffer.getvalue(), 9, mtime=0))
+        temporary.write_bytes(gzip.compress(data, 9, mtime=0))
 
 
 def pose_entry(world_from_sensor: RigidTransform) -> dict[str, dict[str, float]]:

@@ -6,30 +6,27 @@ picture_format.html.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
-_MAGIC = (b"#?RADIANCE", b"#?RGBE", b"#?AUTOPANO")
-_RESOLUTION = re.compile(rb"^([-+])Y (\d{1,6}) ([-+])X (\d{1,6})$")
-_MAX_PIXELS = 1 << 27
-"""A 16k panorama, 16384x8192."""
+from lightsim.errors import InputError
+from lightsim.store.radiance_header import RadianceHeader, damaged, read_header
+
 _BLOCK_PIXELS = 1 << 20
 """Decoded at once; 12 MB as floats."""
 _MAX_MARKED_PIXELS = 1 << 25
 """8192x4096; the first generation's run lengths are older than pictures of a tenth of that."""
-_HEADER_BYTES = 1 << 16
 
 
 def decode_radiance(data: bytes, factor: int = 1) -> Float32[np.ndarray, "h w 3"]:
-    """Linear RGB of a .hdr file's bytes, row 0 up, EXPOSURE divided out.
+    """Return linear colours of a .hdr file's bytes, row 0 up, EXPOSURE and COLORCORR divided out;
+    their primaries are those of the header.
 
     A code (m, e) means m x 2^(e - 136), as in Blender, OpenCV and stb; Radiance's own half-code
-    offset is not added. Rows are decoded a few at a time, so that beside the file and the result
-    little is held.
+    offset is not added. Scanlines are decoded a few at a time, so that beside the file and the
+    result little is held.
 
     Args:
         data: the whole file.
@@ -37,38 +34,34 @@ def decode_radiance(data: bytes, factor: int = 1) -> Float32[np.ndarray, "h w 3"
             height and width.
 
     Raises:
-        ValueError: what is wrong with the bytes.
+        InputError: what is wrong with the bytes; `where` is left open.
     """
-    header = _read_header(data)
-    if header.height % factor or header.width % factor:
-        raise ValueError(f"{header.width}x{header.height} px do not split by {factor}")
-    height, width = header.height // factor, header.width // factor
-    rgb = np.empty((height, width, 3), dtype=np.float32)
-    scale_by_exponent = np.ldexp(np.float32(1.0 / header.exposure), np.arange(256) - 136)
-    scale_by_exponent = scale_by_exponent.astype(np.float32)
-    scale_by_exponent[0] = 0.0
-    row = 0
+    header = read_header(data)
+    lines, length = header.scanlines
+    if lines % factor or length % factor:
+        raise InputError(
+            "the picture cannot be reduced by this factor",
+            got=f"{factor} of {header.width}x{header.height} px",
+            expected="a divisor of both",
+        )
+    rgb = np.empty((lines // factor, length // factor, 3), dtype=np.float32)
+    powers = np.ldexp(1.0, np.arange(256) - 136)
+    powers[0] = 0.0
+    with np.errstate(over="ignore", under="ignore"):
+        scales = (powers[:, None] / header.divisor).astype(np.float32)
+    line = 0
     for codes in _code_blocks(data, header, factor):
-        block = codes[..., :3] * scale_by_exponent[codes[..., 3]][..., None]
+        block = codes[..., :3] * scales[codes[..., 3]]
         count = len(block) // factor
         if factor > 1:
-            squares = block.reshape(count, factor, width, factor, 3)
+            squares = block.reshape(count, factor, length // factor, factor, 3)
             block = squares.mean(axis=(1, 3), dtype=np.float32)
-        rgb[row : row + count] = block
-        row += count
+        rgb[line : line + count] = block
+        line += count
+    rgb = rgb.swapaxes(0, 1) if header.is_column_major else rgb
     rgb = rgb[::-1] if header.is_flipped_y else rgb
     rgb = rgb[:, ::-1] if header.is_flipped_x else rgb
     return np.ascontiguousarray(rgb)
-
-
-def radiance_size(data: bytes) -> tuple[int, int]:
-    """Height and width by the header of a .hdr file's bytes.
-
-    Raises:
-        ValueError: what is wrong with the header.
-    """
-    header = _read_header(data)
-    return header.height, header.width
 
 
 def encode_radiance(rgb: Float[np.ndarray, "h w 3"]) -> bytes:
@@ -92,44 +85,11 @@ def encode_radiance(rgb: Float[np.ndarray, "h w 3"]) -> bytes:
     return b"".join(lines)
 
 
-@dataclass(frozen=True)
-class _Header:
-    height: int
-    width: int
-    is_flipped_y: bool
-    is_flipped_x: bool
-    exposure: float
-    end: int
-    """Where the pixels begin."""
-
-
-def _read_header(data: bytes) -> _Header:
-    if not data.startswith(_MAGIC):
-        raise ValueError("it does not start with #?RADIANCE")
-    end = data.find(b"\n\n", 0, _HEADER_BYTES)
-    line_end = data.find(b"\n", end + 2, end + 2 + 80)
-    if end < 0 or line_end < 0:
-        raise ValueError("the header does not end")
-    exposure = 1.0
-    for line in data[:end].split(b"\n")[1:]:
-        key, _, value = line.partition(b"=")
-        if key.strip() == b"FORMAT" and value.strip() != b"32-bit_rle_rgbe":
-            raise ValueError(f"the pixel format {value[:40]!r} is not 32-bit_rle_rgbe")
-        exposure *= float(value) if key.strip() == b"EXPOSURE" else 1.0
-    match = _RESOLUTION.match(data[end + 2 : line_end].strip())
-    if match is None:
-        raise ValueError(f"the resolution line {data[end + 2 : line_end]!r} is not '-Y h +X w'")
-    height, width = int(match[2]), int(match[4])
-    if height < 1 or width < 1 or height * width > _MAX_PIXELS:
-        raise ValueError(f"the size {width}x{height} px is out of range")
-    if not 1e-30 < exposure < 1e30:
-        raise ValueError(f"the exposure {exposure} is out of range")
-    return _Header(height, width, match[1] == b"+", match[3] == b"-", exposure, line_end + 1)
-
-
-def _code_blocks(data: bytes, header: _Header, factor: int) -> Iterator[UInt8[np.ndarray, "_ w 4"]]:
-    """Rows from the file's first to its last, some at a time, always a multiple of `factor`."""
-    height, width, start = header.height, header.width, header.end
+def _code_blocks(
+    data: bytes, header: RadianceHeader, factor: int
+) -> Iterator[UInt8[np.ndarray, "_ w 4"]]:
+    """Scanlines from the file's first to its last, some at a time, a multiple of `factor`."""
+    (height, width), start = header.scanlines, header.end
     step = factor * max(1, _BLOCK_PIXELS // (factor * width))
     is_coded = 8 <= width < 32768 and data[start : start + 2] == b"\x02\x02"
     # A slice: the file may end here.
@@ -139,15 +99,13 @@ def _code_blocks(data: bytes, header: _Header, factor: int) -> Iterator[UInt8[np
         return
     # Every row needs a marker and four runs at the least: refuse before allocating.
     if len(data) - start < height * (4 + 8 * ((width + 126) // 127)):
-        raise ValueError("the file is truncated")
+        raise damaged("fewer bytes than pixels")
     marker = bytes([2, 2, width >> 8, width & 255])
     for row in range(0, height, step):
         codes = np.empty((min(step, height - row), 4, width), dtype=np.uint8)
         for line in range(len(codes)):
             if data[start : start + 4] != marker:
-                raise ValueError(
-                    f"row {row + line} does not start where it should; truncated or damaged"
-                )
+                raise damaged(f"scanline {row + line} does not start where it should")
             values, start = _expand_runs(data, start + 4, 4 * width, width)
             codes[line] = np.frombuffer(values, dtype=np.uint8).reshape(4, width)
         yield np.moveaxis(codes, 1, 2)
@@ -159,7 +117,7 @@ def _expand_runs(data: bytes, position: int, count: int, width: int) -> tuple[by
     filled, channel_end, last = 0, width, len(data) - 1
     while filled < count:
         if position >= last:
-            raise ValueError("the file is truncated")
+            raise damaged("fewer bytes than pixels")
         length = data[position]
         if length > 128:
             length -= 128
@@ -170,7 +128,7 @@ def _expand_runs(data: bytes, position: int, count: int, width: int) -> tuple[by
             position += 1 + length
         filled += length
         if length == 0 or filled > channel_end or position > last + 1:
-            raise ValueError("a run of pixels is damaged")
+            raise damaged("a run of pixels is damaged")
         if filled == channel_end:
             channel_end += width
     return line, position
@@ -184,19 +142,19 @@ def _read_flat(data: bytes, start: int, count: int) -> UInt8[np.ndarray, "n 4"]:
     marks = np.flatnonzero((words & 0xFFFFFF) == 0x010101)
     if not len(marks):
         if usable < count:
-            raise ValueError("the file is truncated")
+            raise damaged("fewer bytes than pixels")
         return words.view(np.uint8).reshape(-1, 4)
     if count > _MAX_MARKED_PIXELS:
-        raise ValueError(f"repeat marks of 1989 in a picture of {count} pixels")
+        raise damaged(f"repeat marks of 1989 in a picture of {count} pixels")
     repeats = np.ones(usable, dtype=np.int64)
     shift = 0
     for previous, mark in zip(np.concatenate([[-2], marks[:-1]]), marks, strict=True):
         shift = shift + 8 if mark == previous + 1 else 0
         if shift > 16:
-            raise ValueError("a repeat mark is damaged")
+            raise damaged("a repeat mark is damaged")
         repeats[mark] = int(words[mark] >> 24) << shift
     if marks[0] == 0 or not count <= repeats.sum() <= count + usable:
-        raise ValueError("the repeat marks do not add up to the picture; truncated or damaged")
+        raise damaged("repeat marks that do not add up to the picture")
     is_pixel = np.ones(usable, dtype=bool)
     is_pixel[marks] = False
     source = np.maximum.accumulate(np.where(is_pixel, np.arange(usable), 0))

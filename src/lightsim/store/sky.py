@@ -72,8 +72,7 @@ def write_sky(
     Args:
         heading_deg: azimuth of world +x from true north, for the picture's header; None of unknown.
     """
-    numbers = {} if heading_deg is None else {_HEADING: heading_deg}
-    write_exr(folder / dome_name, sky.dome.radiance, numbers=numbers)
+    write_dome(folder / dome_name, sky.dome.radiance, heading_deg)
     sun = sky.dome.sun
     write_json(
         folder / "sun.json",
@@ -90,6 +89,18 @@ def write_sky(
             "notes": list(sky.notes),
         },
     )
+
+
+def write_dome(
+    path: Path, radiance: Float32[np.ndarray, "h w 3"], heading_deg: float | None
+) -> None:
+    """Write a dome as float EXR, with its north in the header.
+
+    Args:
+        heading_deg: azimuth of world +x from true north, which the centre column looks along; None
+            where it is unknown.
+    """
+    write_exr(path, radiance, numbers={} if heading_deg is None else {_HEADING: heading_deg})
 
 
 def read_heading(path: Path) -> float | None:

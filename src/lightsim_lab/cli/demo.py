@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import Verbose, program, say
 from lightsim.progress import terminal_progress
 
 
@@ -24,6 +24,10 @@ class Demo:
 
     def run(self) -> None:
         """Build, relight and measure the shipped street."""
-        from lightsim_lab.studies.demo import run_demo
+        from lightsim_lab.studies.demo import next_steps, run_demo
 
-        say(f"open: {run_demo(self.out, self.seed, terminal_progress(), is_full=self.full)}")
+        page = run_demo(self.out, self.seed, terminal_progress(), is_full=self.full)
+        say("try next, on the street that was built (up to two minutes each):")
+        for _, words in next_steps(self.out):
+            say(f"  {program()} {words}")
+        say(f"open: {page}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 from lightsim.build.options import BuildOptions
@@ -42,4 +43,23 @@ def run_demo(out: Path, seed: int, progress: Progress, *, is_full: bool = False)
     from lightsim_lab.studies.report import write_demo_report
 
     report = relit_frames(work, street / "truth", progress, QUICK)
-    return write_demo_report(out / "index.html", work, folders, report)
+    return write_demo_report(out / "index.html", work, folders, report, next_steps(out))
+
+
+def next_steps(out: Path) -> list[tuple[str, str]]:
+    """Return what can be tried on the demo's street, and the command of each without its program.
+
+    Each takes less than a minute on two cores but the last, which takes one to two.
+    """
+    work, scene = (shlex.quote(str(path)) for path in (out / "street", out / "cut.json"))
+    few = "--cameras front_camera --frames 4:6"
+    return [
+        ("what is made", f"status {work}"),
+        ("who can be edited, with pictures", f"actors {work}"),
+        ("another sun", f"relight {work} --sky sun:200,50 --name noon {few}"),
+        (
+            "a car cuts in: a file to edit",
+            f"scenario cut-in {work} --out {scene} --remove-blockers",
+        ),
+        ("its pictures", f"simulate {work} {scene} {few}"),
+    ]

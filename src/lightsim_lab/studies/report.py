@@ -17,9 +17,14 @@ from lightsim_lab.metrics.report import EvaluationReport
 
 
 def write_demo_report(
-    path: Path, work: Path, scenarios: Sequence[Path], relit: FramesReport
+    path: Path,
+    work: Path,
+    scenarios: Sequence[Path],
+    relit: FramesReport,
+    next_steps: Sequence[tuple[str, str]],
 ) -> Path:
-    """index.html of the demo: links, films, and relit frames against ground truth."""
+    """Write index.html of the demo: links, films, relit frames against ground truth, and commands
+    to try, in words and without the program."""
     films, pictures, reports = [], [], []
     log = Workspace(work).log
     for folder in scenarios:
@@ -41,6 +46,11 @@ def write_demo_report(
         Section("Relit frames", text, figures=pictures),
         Section("Against ground truth", tables=[_relit_table(relit)]),
         Section("Films", videos=films),
+        Section(
+            "Try next",
+            "From the folder in which the demo was started, with LightSim's .venv activated.",
+            tables=[Table(["what", "command"], [[w, f"lightsim {c}"] for w, c in next_steps])],
+        ),
         Section(
             "More",
             f"Build report: {work.name}/report/index.html. Relight reports: {', '.join(reports)}",

@@ -106,7 +106,7 @@ def synthesize(
     _write_sweeps(log, street, config, progress)
     skies = [build_sky(spec, plan) for spec in sky_specs(plan)] + further.of(plan)
     for sky in skies:
-        write_sky(truth / "skies", sky, config.dome_height_px)
+        write_sky(truth / "skies", sky, config.dome_height_px, plan.enu_from_world)
     _write_buffers(truth, street, config, cameras, skies[0], progress)
     guide = _PoseGuides(street, config) if is_denoised else None
     for number, sky in enumerate(skies):

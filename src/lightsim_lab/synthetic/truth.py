@@ -14,7 +14,7 @@ from lightsim.core.dome import SOLAR_RADIUS_DEG, disc_directions
 from lightsim.core.frames import RigidTransform
 from lightsim.core.solar import azimuth_elevation
 from lightsim.store.atomic import whole_file
-from lightsim.store.images import write_exr
+from lightsim.store.sky import write_dome
 from lightsim_lab.synthetic.geometry import Snapshot
 from lightsim_lab.synthetic.lidar import STEP_M
 from lightsim_lab.synthetic.plan import StreetConfig
@@ -26,11 +26,13 @@ from lightsim_lab.synthetic.writer import write_json
 _SUN_RAYS = 16
 
 
-def write_sky(folder: Path, sky: Sky, height_px: int) -> None:
-    """NAME.exr (world frame, scene units, the sun in the image) and NAME.json, its sun."""
+def write_sky(folder: Path, sky: Sky, height_px: int, enu_from_world: RigidTransform) -> None:
+    """Write NAME.exr (world frame, scene units, the sun in the image, the true north in the header)
+    and NAME.json, its sun."""
     folder.mkdir(parents=True, exist_ok=True)
     name = sky.spec.name
-    write_exr(folder / f"{name}.exr", sky.dome(height_px).radiance)
+    heading_deg = azimuth_elevation(enu_from_world.matrix[:3, 0]).azimuth_deg
+    write_dome(folder / f"{name}.exr", sky.dome(height_px).radiance, heading_deg)
     sun = sky.sun
     position = sky.spec.sun
     write_json(

@@ -20,6 +20,7 @@ from lightsim.datasets.reader import read_log
 from lightsim.errors import InputError
 from lightsim.progress import SilentProgress
 from lightsim.store.images import read_exr
+from lightsim.store.sky import read_heading
 from lightsim_lab.synthetic import generate, shipped_street, synthesize
 from lightsim_lab.synthetic.generate import guides_at
 from lightsim_lab.synthetic.geometry import Snapshot
@@ -261,6 +262,8 @@ def test_shipped_log_reads_and_agrees_with_its_truth() -> None:
     towards = direction_world(position.azimuth_deg, position.elevation_deg, log.geo.enu_from_world)
     source = json.loads((folder / "truth" / "skies" / "source.json").read_text())
     assert angle_between_deg(towards, np.array(source["direction_world"])) < 0.05
+    for sky in (folder / "truth" / "skies").glob("*.exr"):
+        assert read_heading(sky) == pytest.approx(log.geo.heading_deg, abs=0.01)
 
 
 def test_shipped_sweeps_agree_with_the_true_depth() -> None:

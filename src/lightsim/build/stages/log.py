@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from lightsim.build.stages.context import Context
+from lightsim.build.suitability import check_sweeps, light_notes
 from lightsim.build.workspace import Workspace
 from lightsim.core.reading import LogReading
 from lightsim.store.log import write_log
@@ -13,5 +14,7 @@ from lightsim.store.log import write_log
 
 def make_log(work: Workspace, config: LogReading, folder: Path, context: Context) -> Iterable[str]:
     """The reading, a summary and the hashes of the recording's files; no pixel is copied."""
-    write_log(folder, work.recorded_log, config, work.source_hashes)
-    return work.recorded_log.notes
+    log = work.recorded_log
+    check_sweeps(log, context.progress)
+    write_log(folder, log, config, work.source_hashes)
+    return (*log.notes, *light_notes(log))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -26,7 +26,7 @@ from lightsim.datasets.files import (
     require_numbers,
     require_object,
 )
-from lightsim.datasets.layout import has_folder
+from lightsim.datasets.pandaset.numbered import PICTURES, numbered_files
 from lightsim.datasets.plausible import check_intrinsics, check_poses
 from lightsim.errors import InputError
 from lightsim.store.images import read_size, read_srgb8
@@ -52,7 +52,7 @@ class CameraFolder:
     notes: tuple[str, ...] = ()
 
 
-def read_camera(folder: Path, readout_s: float) -> CameraFolder:
+def read_camera(folder: Path, readout_s: float, digits: int) -> CameraFolder:
     """Everything in one camera folder; pictures are opened for their size only.
 
     PandaSet's times mark the end of a picture's readout (measured on sequence 002 by depth edges:
@@ -62,6 +62,7 @@ def read_camera(folder: Path, readout_s: float) -> CameraFolder:
     Args:
         folder: of the camera.
         readout_s: from the top row to the bottom row; 0 for a global shutter.
+        digits: of the frames' stems.
 
     Raises:
         InputError: a file is missing, broken or implausible (plausible.py), pictures differ in
@@ -78,9 +79,10 @@ def read_camera(folder: Path, readout_s: float) -> CameraFolder:
         )
     trajectory = Trajectory("world", folder.name, times_ns, matrices)
     notes = check_poses(folder / "poses.json", trajectory)
-    images = numbered_files(folder, ".jpg")
+    pictures = numbered_files(folder, PICTURES)
+    images = pictures.paths
     if not images:
-        raise InputError("the camera has no pictures", where=folder, expected="files like 00.jpg")
+        raise InputError("the camera has no pictures", where=folder, expected=PICTURES.example)
     last = max(images)
     if last >= len(times_ns):
         raise InputError(
@@ -92,27 +94,37 @@ def read_camera(folder: Path, readout_s: float) -> CameraFolder:
     camera, lens_notes = _read_intrinsics(folder, list(images.values()))
     velocities = _velocities(trajectory)
     frames = tuple(
-        _frame(trajectory, index, path, camera, RollingShutter(readout_s, *velocities[index]))
+        _frame(
+            trajectory,
+            index,
+            f"{index:0{digits}d}",
+            partial(load_image, path, camera.width_px, camera.height_px),
+            RollingShutter(readout_s, *velocities[index]),
+        )
         for index, path in images.items()
     )
-    return CameraFolder(camera, trajectory, frames, (*notes, *lens_notes))
+    return CameraFolder(camera, trajectory, frames, (*notes, *lens_notes, *pictures.notes))
 
 
 def _frame(
-    trajectory: Trajectory, index: int, path: Path, camera: PinholeCamera, motion: RollingShutter
+    trajectory: Trajectory,
+    index: int,
+    stem: str,
+    load: Callable[[], UInt8[np.ndarray, "h w 3"]],
+    motion: RollingShutter,
 ) -> CameraFrame:
-    """The picture at the time and pose of its middle row."""
+    """Return the picture with the time and pose of its middle row."""
     back_s = motion.readout_s / 2
     matrix = trajectory.matrices[index].copy()
     turn = rotation_from_vector(-back_s * motion.angular_velocity_rad_s)
     matrix[:3, :3] = turn @ matrix[:3, :3]
     matrix[:3, 3] -= back_s * motion.velocity_m_s
     return CameraFrame(
-        camera.name,
-        path.name.removesuffix(".jpg"),
+        trajectory.src,
+        stem,
         int(trajectory.times_ns[index]) - round(back_s * 1e9),
         RigidTransform("world", "camera", matrix),
-        partial(load_image, path, camera.width_px, camera.height_px),
+        load,
         motion if motion.readout_s > 0 else None,
     )
 
@@ -178,31 +190,6 @@ def read_poses(path: Path) -> Float64[np.ndarray, "n 4 4"]:
             )
     matrices[:, :3, :3] = matrices_from_quaternions(quaternions)
     return matrices
-
-
-def numbered_files(folder: Path, suffix: str) -> dict[int, Path]:
-    """Files such as 42.jpg or 00.pkl.gz by number, in its order, without hidden files.
-
-    Raises:
-        InputError: a file of that kind has no number for its name, or two have the same, or no
-            folder stands where one belongs.
-    """
-    found: dict[int, Path] = {}
-    if not has_folder(folder):
-        return found
-    for path in sorted(folder.glob(f"*{suffix}")):
-        stem = path.name.removesuffix(suffix)
-        if stem.startswith("."):
-            continue
-        if not (stem.isascii() and stem.isdigit() and len(stem) < 9) or int(stem) in found:
-            raise InputError(
-                "the file's name must be a frame number of its own",
-                where=path,
-                expected=f"names like 00{suffix}",
-                remedy="Rename or remove it.",
-            )
-        found[int(stem)] = path
-    return dict(sorted(found.items()))
 
 
 def _read_intrinsics(folder: Path, images: Sequence[Path]) -> tuple[PinholeCamera, tuple[str, ...]]:

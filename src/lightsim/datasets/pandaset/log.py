@@ -1,13 +1,14 @@
 """Reader of PandaSet sequences (Xiao et al. 2021, doi:10.1109/ITSC48978.2021.9565009).
 
 Layout: camera/<name>/{*.jpg, intrinsics.json, poses.json, timestamps.json}, lidar/{*.pkl.gz,
-timestamps.json}, annotations/{cuboids,semseg}/*.pkl.gz, meta/gps.json. A file's number is its
-index into the lists of poses, times and GPS fixes.
+timestamps.json}, annotations/{cuboids,semseg}/*.pkl.gz, meta/gps.json; tables also as *.pkl,
+pictures also as *.png (numbered.py). A file's number is its index into the lists of poses, times
+and GPS fixes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int64
 
+from lightsim.core.actors import ActorTrack
 from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog, FindEgoVehicle
 from lightsim.core.reading import LogReading
@@ -22,7 +24,9 @@ from lightsim.core.sensors import CameraFrame, LazySweep
 from lightsim.datasets.files import read_json, read_times_ns, require_list, require_numbers
 from lightsim.datasets.geo import GpsTrack, locate
 from lightsim.datasets.layout import has_file, has_folder, subfolders
-from lightsim.datasets.pandaset.cameras import CameraFolder, numbered_files, read_camera
+from lightsim.datasets.pandaset.cameras import CameraFolder, read_camera
+from lightsim.datasets.pandaset.numbered import PICTURES, TABLES, NumberedFiles, numbered_files
+from lightsim.datasets.pandaset.places import BOXES, CLASSES, SWEEPS, check_not_elsewhere
 from lightsim.datasets.pandaset.rig import READOUT_S, Rig, ego_trajectory, read_rig
 from lightsim.datasets.pandaset.sweeps import (
     ScanTiming,
@@ -43,17 +47,15 @@ _EGO_HOLD_S = 0.2
 """Sweeps end a little after the last camera pose."""
 
 
+_SPANS_SHOWN = 8
+"""Gaps that a note on missing files names."""
+
+
 @dataclass(frozen=True)
 class _Sweeps:
     lazy: tuple[LazySweep, ...]
     sources: Mapping[int, SweepSource]
     times_ns: Int64[np.ndarray, " n"]
-    notes: tuple[str, ...]
-
-
-def is_pandaset(source: Path) -> bool:
-    """Whether the folder has PandaSet's layout."""
-    return (source / "camera").is_dir() and any(source.glob("camera/*/intrinsics.json"))
 
 
 def read_pandaset(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> DrivingLog:
@@ -68,18 +70,34 @@ def read_pandaset(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> Driv
     """
     source, selection = Path(reading.source), FrameSelection.parse(reading.frames)
     rig = read_rig(source)
-    folders, helpers = _read_cameras(source, reading.cameras, rig)
+    names, helper_names = _camera_names(source, reading.cameras, rig)
+    tables = {part: _tables(source, part) for part in (SWEEPS, BOXES, CLASSES)}
+    digits = _stem_digits(source, (*names, *helper_names), tables[SWEEPS])
+
+    def read(name: str) -> CameraFolder:
+        readout_s = rig.readout_s_by_camera.get(name, READOUT_S)
+        return read_camera(source / "camera" / name, readout_s, digits)
+
+    folders, helpers = [read(name) for name in names], [read(name) for name in helper_names]
     clock_notes = _check_clocks(source, (*folders, *helpers))
     paths = {f.camera.name: f.world_from_camera for f in (*folders, *helpers)}
     ego = ego_trajectory(rig, paths, source)
     rigid_notes = _check_rigid(source, (*folders, *helpers), ego)
-    sweeps = _read_sweeps(source, ego, rig, selection)
     selected = _select_frames(folders, selection, source)
-    actors, actor_notes = _read_actors(source, ego, sweeps)
+    sweeps = _read_sweeps(source, tables, digits, ego, rig, selection)
+    actors, actor_notes = _read_actors(source, tables[BOXES], ego, sweeps)
     track = _read_gps(source, selected[0].time_ns)
     geo, geo_notes = locate(track, ego, selected[0].time_ns, reading.heading_deg)
     masks, mask_notes = find_ego_vehicle([(f.camera, f.frames) for f in folders], ego)
-    odd = (*_picture_notes(folders), *rig.notes, *clock_notes, *rigid_notes)
+    class_names = read_class_names(source / CLASSES / "classes.json")
+    notes = (
+        *_origin_notes(source),
+        *(note for folder in folders for note in folder.notes),
+        *(note for files in tables.values() for note in files.notes),
+        *rig.notes, *clock_notes, *rigid_notes,
+        *_missing_notes(folders, tables, selection, class_names),
+        *actor_notes, *geo_notes, *mask_notes,
+    )  # fmt: skip
     return DrivingLog(
         source.resolve().name,
         {folder.camera.name: folder.camera for folder in folders},
@@ -89,14 +107,29 @@ def read_pandaset(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> Driv
         actors,
         geo,
         masks,
-        (*_origin_notes(source), *odd, *sweeps.notes, *actor_notes, *geo_notes, *mask_notes),
-        read_class_names(source / "annotations" / "semseg" / "classes.json"),
+        notes,
+        class_names,
     )
 
 
-def _read_cameras(
+def _tables(source: Path, part: str) -> NumberedFiles:
+    """Files of sweeps, boxes or classes; where there are none, they stand nowhere else."""
+    files = numbered_files(source / part, TABLES)
+    if not files.paths:
+        check_not_elsewhere(source, part)
+    return files
+
+
+def _stem_digits(source: Path, cameras: tuple[str, ...], sweeps: NumberedFiles) -> int:
+    """Digits of all stems of the log: pictures and sweeps of one frame may be 000.jpg and 00.pkl,
+    but later stages find them by one stem, which sorts as numbers do."""
+    pictures = [numbered_files(source / "camera" / name, PICTURES) for name in cameras]
+    return max(1, sweeps.digits, *(files.digits for files in pictures))
+
+
+def _camera_names(
     source: Path, wanted: tuple[str, ...], rig: Rig
-) -> tuple[list[CameraFolder], list[CameraFolder]]:
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The wanted cameras, and others that only serve the ego's path."""
     parent = source / "camera"
     available = [path.name for path in subfolders(parent)]
@@ -114,12 +147,7 @@ def _read_cameras(
     names = tuple(dict.fromkeys(wanted)) or tuple(available)
     has_path = any(name in rig.camera_from_pandar64 for name in names)
     needs_helper = _EGO_CAMERA in available and (_EGO_CAMERA not in names or not has_path)
-    helpers = [_EGO_CAMERA] if needs_helper else []
-
-    def read(name: str) -> CameraFolder:
-        return read_camera(parent / name, rig.readout_s_by_camera.get(name, READOUT_S))
-
-    return [read(n) for n in names], [read(n) for n in helpers]
+    return names, (_EGO_CAMERA,) if needs_helper else ()
 
 
 def _select_frames(
@@ -156,14 +184,19 @@ def _check_rigid(
     return tuple(notes)
 
 
-def _read_sweeps(source: Path, ego: Trajectory, rig: Rig, selection: FrameSelection) -> _Sweeps:
-    folder = source / "lidar"
-    files = numbered_files(folder, ".pkl.gz")
-    has_times = has_file(folder / "timestamps.json")
-    if not files and not has_times:
-        return _Sweeps((), {}, np.empty(0, dtype=np.int64), ("the log has no LiDAR sweeps",))
-    times_ns = read_times_ns(folder / "timestamps.json")
-    classes = numbered_files(source / "annotations" / "semseg", ".pkl.gz")
+def _read_sweeps(
+    source: Path,
+    tables: Mapping[str, NumberedFiles],
+    digits: int,
+    ego: Trajectory,
+    rig: Rig,
+    selection: FrameSelection,
+) -> _Sweeps:
+    files = tables[SWEEPS].paths
+    clock = source / SWEEPS / "timestamps.json"
+    if not files and not (has_folder(clock.parent) and has_file(clock)):
+        return _Sweeps((), {}, np.empty(0, dtype=np.int64))
+    times_ns = read_times_ns(clock)
     sources: dict[int, SweepSource] = {}
     for number, path in files.items():
         if number >= len(times_ns):
@@ -173,16 +206,16 @@ def _read_sweeps(source: Path, ego: Trajectory, rig: Rig, selection: FrameSelect
                 got=number,
                 expected=f"0 to {len(times_ns) - 1}",
             )
-        stem = path.name.removesuffix(".pkl.gz")
         time_ns = int(times_ns[number])
         _require_covered(ego, time_ns, path)
-        sources[number] = SweepSource(path, classes.get(number), stem, time_ns, ego, rig)
+        class_path = tables[CLASSES].paths.get(number)
+        sources[number] = SweepSource(path, class_path, f"{number:0{digits}d}", time_ns, ego, rig)
     lazy = tuple(
         LazySweep(s.stem, s.time_ns, partial(load_sweep, s))
         for number, s in sources.items()
         if selection.holds(number)
     )
-    return _Sweeps(lazy, sources, times_ns, _gap_notes("LiDAR sweeps", list(files)))
+    return _Sweeps(lazy, sources, times_ns)
 
 
 def _require_covered(ego: Trajectory, time_ns: int, path: Path) -> None:
@@ -196,10 +229,11 @@ def _require_covered(ego: Trajectory, time_ns: int, path: Path) -> None:
         )
 
 
-def _read_actors(source: Path, ego: Trajectory, sweeps: _Sweeps) -> tuple[tuple, tuple[str, ...]]:
-    files = numbered_files(source / "annotations" / "cuboids", ".pkl.gz")
-    if not files:
-        return (), ("the log has no labelled boxes: moving actors stay in the background",)
+def _read_actors(
+    source: Path, files: NumberedFiles, ego: Trajectory, sweeps: _Sweeps
+) -> tuple[tuple[ActorTrack, ...], tuple[str, ...]]:
+    if not files.paths:
+        return (), ()
     if len(sweeps.times_ns) == 0:
         raise InputError(
             "boxes need the sweeps' times",
@@ -214,7 +248,7 @@ def _read_actors(source: Path, ego: Trajectory, sweeps: _Sweeps) -> tuple[tuple,
     else:
         notes = ("without sweeps, boxes are timed at the end of the LiDAR's revolution",)
     cuboids: list[CuboidFile] = []
-    for number, path in files.items():
+    for number, path in files.paths.items():
         if number >= len(sweeps.times_ns):
             raise InputError(
                 "the label file's number lies beyond the list of times",
@@ -272,17 +306,52 @@ def _origin_notes(source: Path) -> tuple[str, ...]:
     return (f"the log was simulated, not recorded: {SIMULATED_NAME} says from what",)
 
 
-def _picture_notes(folders: list[CameraFolder]) -> tuple[str, ...]:
+def _missing_notes(
+    folders: list[CameraFolder],
+    tables: Mapping[str, NumberedFiles],
+    selection: FrameSelection,
+    class_names: Mapping[int, str],
+) -> tuple[str, ...]:
+    """Notes on files that the selected frames lack."""
+    by_camera = {
+        f.camera.name: [n for n in map(int, (x.stem for x in f.frames)) if selection.holds(n)]
+        for f in folders
+    }
+    frames = sorted({number for numbers in by_camera.values() for number in numbers})
     notes = [
-        (*f.notes, *_gap_notes(f.camera.name, [int(x.stem) for x in f.frames])) for f in folders
+        _lack_note(f"{name}: no picture", frames, numbers) for name, numbers in by_camera.items()
     ]
-    return tuple(note for some in notes for note in some)
+    sweeps, boxes, classes = (tables[part].paths for part in (SWEEPS, BOXES, CLASSES))
+    nothing = (
+        (sweeps, "no LiDAR sweeps, without which a build makes no geometry"),
+        (boxes, "no labelled boxes: moving actors stay in the background"),
+        (classes, "no point classes: materials are inferred without them"),
+    )
+    notes += [f"the log has {words}" for files, words in nothing if not files]
+    if sweeps:
+        notes.append(_lack_note("no LiDAR sweep", frames, sweeps))
+    scanned = [number for number in frames if number in sweeps]
+    if boxes:
+        notes.append(_lack_note("no labelled boxes", scanned, boxes))
+    if classes:
+        notes.append(_lack_note("no point classes", scanned, classes))
+        if not class_names:
+            notes.append(f"no {CLASSES}/classes.json: the point classes have no names")
+    return tuple(note for note in notes if note)
 
 
-def _gap_notes(what: str, numbers: list[int]) -> tuple[str, ...]:
-    if not numbers:
-        return (f"{what}: none",)
-    missing = sorted(set(range(min(numbers), max(numbers) + 1)) - set(numbers))
+def _lack_note(what: str, wanted: list[int], there: Collection[int]) -> str:
+    """Words on the wanted numbers that are not there; empty where all are."""
+    missing = [number for number in wanted if number not in there]
     if not missing:
-        return ()
-    return (f"{what}: missing {', '.join(map(str, missing))} between the first and the last",)
+        return ""
+    spans: list[list[int]] = []
+    for number in missing:
+        if spans and number == spans[-1][1] + 1:
+            spans[-1][1] = number
+        else:
+            spans.append([number, number])
+    words = [str(first) if first == last else f"{first} to {last}" for first, last in spans]
+    more = len(words) - _SPANS_SHOWN
+    shown = ", ".join(words[:_SPANS_SHOWN]) + (f" and {more} more gaps" if more > 0 else "")
+    return f"{what} for {len(missing)} of {len(wanted)} frames: {shown}"

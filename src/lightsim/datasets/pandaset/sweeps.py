@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from lightsim.core.frames import Trajectory
 from lightsim.core.sensors import LidarSweep
+from lightsim.datasets.columns import number_column, whole_column
 from lightsim.datasets.files import read_json, require_object
 from lightsim.datasets.layout import has_file
 from lightsim.datasets.pandaset.rig import Rig, ego_from_pandar64, positions_along
@@ -22,6 +23,8 @@ from lightsim.errors import InputError
 _LOGGER = logging.getLogger(__name__)
 _COLUMNS = ("x", "y", "z", "i", "t", "d")
 _CLASS = re.compile(r"[0-9]{1,6}")
+_MAX_CLASS = 2**15 - 1
+"""Largest class id; PandaSet has 42 classes."""
 _MAX_TIME_OFFSET_S = 0.5
 _ROOF, _FRONT = 0, 1
 _N_BINS = 72
@@ -127,15 +130,8 @@ def read_rows(path: Path) -> tuple[Table, Bool[np.ndarray, " n"]]:
     Raises:
         InputError: the file is damaged, or no row is valid.
     """
-    table = read_table(path, _COLUMNS)
-    for name in _COLUMNS:
-        if table[name].dtype.kind not in "fiu":
-            raise InputError(
-                f"the column '{name}' holds no numbers",
-                where=path,
-                got=table[name].dtype,
-                expected=f"numbers in {', '.join(_COLUMNS)}",
-            )
+    table = dict(read_table(path, _COLUMNS))
+    table |= {name: number_column(table, name, path) for name in _COLUMNS}
     n = len(table["x"])
     is_good = np.ones(n, dtype=bool)
     for name in _COLUMNS:
@@ -194,15 +190,16 @@ def _origins(
 def _read_classes(source: SweepSource, n: int) -> np.ndarray:
     if source.class_path is None:
         return np.full(n, -1, dtype=np.int16)
-    classes = read_table(source.class_path, ("class",))["class"]
-    if classes.dtype.kind not in "iu" or len(classes) != n:
+    table = read_table(source.class_path, ("class",))
+    if len(table["class"]) != n:
         raise InputError(
             "the classes do not match the sweep's points",
             where=source.class_path,
-            got=f"{len(classes)} rows of {classes.dtype}",
-            expected=f"{n} integers",
+            got=f"{len(table['class'])} rows",
+            expected=f"{n}, one for each point of {source.path.name}",
+            remedy="Sweep and classes must be of one sequence; copy both again.",
         )
-    return classes.astype(np.int16)
+    return whole_column(table, "class", source.class_path, -1, _MAX_CLASS).astype(np.int16)
 
 
 def read_class_names(path: Path) -> dict[int, str]:

@@ -12,6 +12,7 @@ from jaxtyping import Float64
 
 from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.frames import RigidTransform, Trajectory
+from lightsim.datasets.columns import number_column, truth_column, whole_column
 from lightsim.datasets.files import MAX_NUMBER
 from lightsim.datasets.pandaset.rig import EGO_BELOW_LIDAR_M
 from lightsim.datasets.pandaset.sweeps import ScanTiming
@@ -23,6 +24,7 @@ _POSITION = ("position.x", "position.y", "position.z")
 _DIMENSIONS = ("dimensions.x", "dimensions.y", "dimensions.z")
 _COLUMNS = ("uuid", "label", "yaw", *_POSITION, *_DIMENSIONS)
 _BOTH, _ROOF, _FRONT = -1, 0, 1
+_SENSORS = "-1 (one box for both LiDARs), 0 (Pandar64) or 1 (PandarGT)"
 KIND_BY_LABEL = {
     "Car": ActorKind.CAR,
     "Pickup Truck": ActorKind.PICKUP,
@@ -116,8 +118,7 @@ def read_tracks(
     tracks.sort(key=lambda t: (-len(t.trajectory), t.actor_id))
     repeated = f"{n_repeated} boxes repeat an actor of the same sweep: the first of each is taken"
     notes = (repeated,) if n_repeated else ()
-    odd = (note for t in tracks for note in odd_track_notes(t))
-    return tuple(tracks), (*notes, *_unknown_labels(tracks), *odd)
+    return tuple(tracks), (*notes, *_unknown_labels(tracks), *odd_track_notes(tracks))
 
 
 def label_of(track: ActorTrack) -> str:
@@ -152,13 +153,13 @@ def _read_boxes(file: CuboidFile, timing: ScanTiming) -> list[_Box]:
     ego_from_world = file.world_from_ego.inverse()
     _check_places(file, ids, centres, yaw, sizes)
     offsets_s = timing.offsets_s(ego_from_world.apply(centres))
-    is_moving = _labelled_moving(table)
+    is_moving = _labelled_moving(table, file.path)
     siblings = table.get("cuboids.sibling_id", np.array(ids, dtype=object))
     return [
         _Box(
             file.time_ns + int(offsets_s[i] * 1e9),
             ids[i],
-            str(siblings[i]),
+            id_text(siblings[i]),
             int(sensors[i]),
             str(table["label"][i]),
             centres[i],
@@ -170,12 +171,18 @@ def _read_boxes(file: CuboidFile, timing: ScanTiming) -> list[_Box]:
     ]
 
 
+def id_text(value: object) -> str:
+    """Return an id as text; whole numbers, of which a merge makes floats, have no point."""
+    return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
+
+
 def _ids(table: Table, path: Path) -> list[str]:
     """The actors' ids: text, or whole numbers as text."""
     ids: list[str] = []
     for i, value in enumerate(table["uuid"].tolist()):
-        is_kind = isinstance(value, str) or type(value) is int
-        text = str(value)
+        text = id_text(value)
+        is_kind = isinstance(value, (str, int, float)) and not isinstance(value, bool)
+        is_kind &= not isinstance(value, float) or value.is_integer()
         if not is_kind or not 0 < len(text) <= MAX_ID_CHARACTERS or not text.isprintable():
             raise InputError(
                 "an actor's id is no text",
@@ -221,14 +228,9 @@ def _check_places(
 def _checked_numbers(
     table: Table, path: Path
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
-    for name in ("yaw", *_POSITION, *_DIMENSIONS):
-        if table[name].dtype.kind not in "fiu":
-            raise InputError(
-                f"the column '{name}' holds no numbers",
-                where=path,
-                got=table[name].dtype,
-                expected="numbers",
-            )
+    table = {k: number_column(table, k, path) for k in ("yaw", *_POSITION, *_DIMENSIONS)} | {
+        "uuid": table["uuid"]
+    }
     centres = np.stack([table[name] for name in _POSITION], axis=1).astype(np.float64)
     sizes = np.stack([table[name] for name in _DIMENSIONS], axis=1).astype(np.float64)
     yaw = table["yaw"].astype(np.float64)
@@ -249,22 +251,15 @@ def _checked_numbers(
 def _sensors(table: Table, path: Path) -> np.ndarray:
     if "cuboids.sensor_id" not in table:
         return np.full(len(table["uuid"]), _BOTH)
-    sensors = table["cuboids.sensor_id"]
-    if sensors.dtype.kind not in "iu" or not np.isin(sensors, (_BOTH, _ROOF, _FRONT)).all():
-        raise InputError(
-            "the column 'cuboids.sensor_id' names an unknown LiDAR",
-            where=path,
-            expected="-1 (one box for both), 0 (Pandar64) or 1 (PandarGT)",
-        )
-    return sensors
+    return whole_column(table, "cuboids.sensor_id", path, _BOTH, _FRONT, _SENSORS)
 
 
-def _labelled_moving(table: Table) -> np.ndarray:
+def _labelled_moving(table: Table, path: Path) -> np.ndarray:
     is_moving = np.zeros(len(table["uuid"]), dtype=bool)
     if "attributes.object_motion" in table:
         is_moving |= table["attributes.object_motion"] == "Moving"
-    if "stationary" in table and table["stationary"].dtype.kind == "b":
-        is_moving |= ~table["stationary"]
+    if "stationary" in table:
+        is_moving |= ~truth_column(table, "stationary", path, missing=True)
     return is_moving
 
 

@@ -12,7 +12,7 @@ from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.alignment import PathCorrection
 from lightsim.core.scenario import Scenario
 from lightsim.datasets.pandaset.sweeps import ScanTiming
-from lightsim.datasets.pandaset.tracks import label_of, owner_by_uuid
+from lightsim.datasets.pandaset.tracks import id_text, label_of, owner_by_uuid
 from lightsim.datasets.safe_pickle import Table
 from lightsim.store.pandaset_tables import Columns, cuboid_table
 
@@ -68,8 +68,8 @@ class BoxEditor:
             pair
             for table in tables
             for pair in zip(
-                map(str, table["uuid"]),
-                map(str, table.get("cuboids.sibling_id", table["uuid"])),
+                map(id_text, table["uuid"].tolist()),
+                map(id_text, table.get("cuboids.sibling_id", table["uuid"]).tolist()),
                 strict=True,
             )
         )
@@ -81,7 +81,7 @@ class BoxEditor:
     def edited(self, table: Table | None, time_ns: int) -> Columns | None:
         """The boxes of a sweep; None where they are the recorded ones."""
         table = cuboid_table([]) if table is None else table
-        uuids = [str(uuid) for uuid in table["uuid"]]
+        uuids = [id_text(uuid) for uuid in table["uuid"].tolist()]
         rows = [
             {name: table[name][i] for name in table}
             for i, uuid in enumerate(uuids)

@@ -21,13 +21,14 @@ from lightsim.build.sources import simulation_sources
 from lightsim.build.workspace import Workspace
 from lightsim.core.scenario import Scenario
 from lightsim.core.version import __version__
-from lightsim.datasets.files import read_times_ns
-from lightsim.datasets.pandaset.cameras import numbered_files
+from lightsim.datasets.files import is_gzip, read_packed, read_times_ns
 from lightsim.datasets.pandaset.log import SIMULATED_NAME
+from lightsim.datasets.pandaset.numbered import PICTURES, TABLES, numbered_files
+from lightsim.datasets.pandaset.places import BOXES, CLASSES, SWEEPS
 from lightsim.datasets.pandaset.rig import read_rig
 from lightsim.datasets.pandaset.sweeps import ScanTiming, SweepSource, measure_timing
 from lightsim.datasets.reader import check_layout
-from lightsim.datasets.safe_pickle import read_table
+from lightsim.datasets.safe_pickle import MAX_BYTES, names_in, parse_table, read_table
 from lightsim.errors import ArtefactError, InputError
 from lightsim.export.pandaset.boxes import BoxEditor
 from lightsim.export.pandaset.lists import ListWriter, WrittenFrames
@@ -36,10 +37,12 @@ from lightsim.progress import Progress
 from lightsim.store.artefact import RECORD_NAME, hash_names, read_json, write_json
 from lightsim.store.atomic import unwritable
 from lightsim.store.images import read_srgb8, write_jpeg
-from lightsim.store.pandaset_tables import write_table
+from lightsim.store.pandaset_tables import write_packed, write_table
+from lightsim.store.table_pickle import PORTABLE_NAMES
 
 _JPEG_QUALITY = 95
 _SUFFIX = ".pkl.gz"
+_JPEG_MAGIC = b"\xff\xd8\xff"
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,59 +83,68 @@ class LogWriter:
         write_json(folder / SIMULATED_NAME, mark)
 
     def write_pictures(self, folder: Path, frames: Path) -> None:
-        """camera/<name>/NN.jpg: the recorded bytes where the picture is the recorded one, else of
+        """camera/<name>/NN.jpg: the recorded bytes where the picture is the recorded JPEG, else of
         JPEG quality 95 with full chroma."""
         source = self._source / "camera"
+        recorded = {name: numbered_files(source / name, PICTURES) for name in self._cameras}
         kept = [f for f in self.scenario.frames if int(f.stem) in self._frames.stems]
         for frame in self.progress.track(kept, "write pictures", len(kept)):
             path = folder / "camera" / frame.camera_name / self._file(frame.stem, ".jpg")
             path.parent.mkdir(parents=True, exist_ok=True)
             made = read_srgb8(frames / "frames" / frame.camera_name / f"{frame.stem}.png")
-            own = source / frame.camera_name / f"{frame.stem}.jpg"
+            own = recorded[frame.camera_name].paths[int(frame.stem)]
             shown = read_srgb8(own)
-            if made.shape == shown.shape and np.array_equal(made, shown):
+            is_jpeg = own.read_bytes()[: len(_JPEG_MAGIC)] == _JPEG_MAGIC
+            if is_jpeg and made.shape == shown.shape and np.array_equal(made, shown):
                 shutil.copyfile(own, path)
             else:
                 write_jpeg(path, made, quality=_JPEG_QUALITY)
+
+    @property
+    def _cameras(self) -> set[str]:
+        return {frame.camera_name for frame in self.scenario.frames}
 
     def _write_sweeps(self, folder: Path) -> None:
         """lidar/NN.pkl.gz and annotations/semseg/NN.pkl.gz."""
         editor = SweepEditor(self.workspace, self.recorded, self.scenario, self.progress)
         sweeps = [s for s in self.workspace.log.sweeps if int(s.stem) in self._frames.stems]
-        classes = self._source / "annotations" / "semseg"
+        recorded, classes = self._tables(SWEEPS), self._tables(CLASSES)
         for lazy in self.progress.track(sweeps, "write sweeps", len(sweeps)):
-            name, own = self._file(lazy.stem, _SUFFIX), f"{lazy.stem}{_SUFFIX}"
+            number, name = int(lazy.stem), self._file(lazy.stem, _SUFFIX)
             made = editor.edited(lazy)
             if made is None:
-                _copy(self._source / "lidar" / own, folder / "lidar" / name)
-                _copy(classes / own, folder / "annotations" / "semseg" / name)
+                copy_table(recorded[number], folder / SWEEPS / name, "index")
+                if number in classes:
+                    copy_table(classes[number], folder / CLASSES / name)
                 continue
-            write_table(folder / "lidar" / name, made.columns, "index")
-            if (classes / own).is_file():
-                column = {"class": made.semantic_class}
-                write_table(folder / "annotations" / "semseg" / name, column)
-        _copy(classes / "classes.json", folder / "annotations" / "semseg" / "classes.json")
+            write_table(folder / SWEEPS / name, made.columns, "index")
+            if number in classes:
+                write_table(folder / CLASSES / name, {"class": made.semantic_class})
+        _copy(self._source / CLASSES / "classes.json", folder / CLASSES / "classes.json")
 
     def _write_boxes(self, folder: Path) -> None:
         """annotations/cuboids/NN.pkl.gz; boxes are of a sweep's time, so without times there are
         none."""
-        clock = self._source / "lidar" / "timestamps.json"
+        clock = self._source / SWEEPS / "timestamps.json"
         if not clock.is_file():
             return
         times_ns = read_times_ns(clock)
-        paths = numbered_files(self._source / "annotations" / "cuboids", _SUFFIX)
+        paths = self._tables(BOXES)
         tables = {n: read_table(path, ("uuid",)) for n, path in paths.items()}
         path = self.workspace.alignment.path
         editor = BoxEditor.between(
             self.recorded, self.scenario, list(tables.values()), self._timing, path
         )
         for number, stem in self._frames.stems.items():
-            target = folder / "annotations" / "cuboids" / f"{stem}{_SUFFIX}"
+            target = folder / BOXES / f"{stem}{_SUFFIX}"
             made = editor.edited(tables.get(number), int(times_ns[number]))
             if made is not None:
                 write_table(target, made)
             elif number in paths:
-                _copy(paths[number], target)
+                copy_table(paths[number], target)
+
+    def _tables(self, part: str) -> Mapping[int, Path]:
+        return numbered_files(self._source / part, TABLES).paths
 
     @cached_property
     def _source(self) -> Path:
@@ -151,7 +163,7 @@ class LogWriter:
         if not log.sweeps:
             return ScanTiming.instantaneous()
         lazy = log.sweeps[0]
-        path = self._source / "lidar" / f"{lazy.stem}{_SUFFIX}"
+        path = self._tables(SWEEPS)[int(lazy.stem)]
         rig = read_rig(self._source)
         return measure_timing(SweepSource(path, None, lazy.stem, lazy.time_ns, log.ego, rig))
 
@@ -292,6 +304,24 @@ def _mark_of(log: Path) -> Mapping[str, Any] | None:
             remedy="Choose another --write-log.",
         )
     return mark
+
+
+def copy_table(own: Path, target: Path, index_name: str | None = None) -> None:
+    """Write a recorded table as NN.pkl.gz: its own bytes where pandas 1.0 can load them, else anew.
+
+    Args:
+        index_name: of the rows of a table that is written anew.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    data = read_packed(own, MAX_BYTES)
+    if not names_in(data, own) <= PORTABLE_NAMES:
+        write_table(target, parse_table(data, own), index_name)
+    elif is_gzip(own):
+        _copy(own, target)
+    else:
+        write_packed(target, data)
 
 
 def _copy(own: Path, target: Path) -> None:

@@ -131,7 +131,7 @@ def ephemeris_cue(geo: GeoReference, time_ns: int) -> EphemerisCue:
         raise InputError(
             "the sun is below the horizon: twilight and night are not modelled",
             got=f"elevation {position.elevation_deg:.2f} degrees",
-            remedy="Give an HDR file as the sky.",
+            remedy="Build with --gps none, which finds the light by the pictures alone.",
         )
     return EphemerisCue(position, geo)
 

@@ -1,0 +1,103 @@
+"""Columns of a table as what they stand for: measured numbers, whole numbers of ids, truths.
+
+Exporters change types on the way: a merge makes floats of whole numbers, a missing cell makes
+objects of truths. What still has one meaning is read; the rest is an error that names the row.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Int64, Shaped
+
+from lightsim.datasets.safe_pickle import Table
+from lightsim.errors import InputError
+
+_TRUTHS = {"true": True, "false": False}
+
+
+def number_column(table: Table, name: str, path: Path) -> Shaped[np.ndarray, " n"]:
+    """Return a column of measured numbers, of the stored type or float64; missing ones are NaN.
+
+    Raises:
+        InputError: a cell is text, or no single number.
+    """
+    column = table[name]
+    if column.dtype.kind in "fiu":
+        return column
+    if column.dtype.kind == "b":
+        return column.astype(np.uint8)
+    cells = column.tolist()
+    wrong = [i for i, cell in enumerate(cells) if isinstance(cell, str)]
+    if wrong:
+        raise InputError(
+            f"the column '{name}' holds no numbers",
+            where=path,
+            got=f"the text {cells[wrong[0]]!r:.40} in row {wrong[0]}",
+            expected="numbers",
+            remedy=f"Convert it before writing the table: table['{name}'].astype(float).",
+        )
+    try:
+        return np.array([np.nan if cell is None else cell for cell in cells], dtype=np.float64)
+    except OverflowError as error:
+        raise InputError(
+            f"the column '{name}' holds a number that is too large",
+            where=path,
+            got=error,
+            expected="numbers of double precision",
+        ) from error
+
+
+def whole_column(
+    table: Table, name: str, path: Path, least: int, most: int, meaning: str = ""
+) -> Int64[np.ndarray, " n"]:
+    """Return a column of ids: whole numbers, also stored as floats or truths.
+
+    Args:
+        least, most: smallest and largest id that there is.
+        meaning: of the ids, for the message.
+
+    Raises:
+        InputError: a cell is no whole number, or out of range.
+    """
+    column = number_column(table, name, path)
+    # Written so that NaN is bad.
+    is_good = (column >= least) & (column <= most)
+    is_good[is_good] = np.mod(column[is_good], 1) == 0
+    if not is_good.all():
+        row = int(np.flatnonzero(~is_good)[0])
+        raise InputError(
+            f"the column '{name}' holds what is no id",
+            where=path,
+            got=f"{column[row]} in row {row}",
+            expected=meaning or f"whole numbers from {least} to {most}",
+            remedy="Remove the row or fill the missing number, or copy the file again from the "
+            "original data set.",
+        )
+    return column.astype(np.int64)
+
+
+def truth_column(table: Table, name: str, path: Path, *, missing: bool) -> Bool[np.ndarray, " n"]:
+    """Return a column of truths, also stored as numbers 0 and 1 or as text.
+
+    Args:
+        missing: value of cells without one.
+
+    Raises:
+        InputError: a cell is none of these.
+    """
+    truths = np.full(len(table[name]), missing)
+    for row, cell in enumerate(table[name].tolist()):
+        if cell is None or cell != cell:
+            continue
+        value = _TRUTHS.get(cell.lower()) if isinstance(cell, str) else cell
+        if value not in (True, False):
+            raise InputError(
+                f"the column '{name}' holds what is neither true nor false",
+                where=path,
+                got=f"{cell!r:.40} in row {row}",
+                expected="True or False",
+            )
+        truths[row] = bool(value)
+    return truths

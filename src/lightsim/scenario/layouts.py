@@ -1,0 +1,88 @@
+"""Layouts of one scene: values of its free parameters, from the usual ones outwards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import product
+from typing import Any, NamedTuple
+
+Make = Callable[..., list[dict[str, Any]]]
+"""Edits of a scene from its parameters."""
+OTHER_SIDE_M = 6.0
+"""Changing the side counts as much as moving the scene by this distance along the path: a driver
+who reads "from the left" notices it more than a few metres. Chosen, not measured."""
+
+
+class Choice(NamedTuple):
+    """A value of a parameter.
+
+    Args:
+        cost_m: difference from the usual value, as metres of displacement along the path.
+    """
+
+    value: Any
+    cost_m: float = 0.0
+
+
+class Layout(NamedTuple):
+    """Values of all parameters of a scene by name, and the same as command-line options."""
+
+    values: dict[str, Any]
+    options: str
+
+
+def outwards(
+    asked: float | None,
+    usual: float,
+    bounds: tuple[float, float],
+    step: float,
+    cost_m: float | None = None,
+) -> list[Choice]:
+    """Return the value that the user gave; without one, the usual one and those within bounds.
+
+    Args:
+        step: between two values.
+        cost_m: of one step; by default the step itself.
+    """
+    if asked is not None:
+        return [Choice(asked)]
+    low, high = (round((bound - usual) / step) for bound in bounds)
+    each = step if cost_m is None else cost_m
+    return [Choice(usual + k * step, abs(k) * each) for k in range(low, high + 1)]
+
+
+def sides(is_left: bool, is_right: bool, *, usually_left: bool) -> list[Choice]:
+    """Return the side that the user gave as "is it the left one"; without one, both."""
+    if is_left != is_right:
+        return [Choice(is_left)]
+    return [Choice(usually_left), Choice(not usually_left, OTHER_SIDE_M)]
+
+
+def layouts(choices: Mapping[str, Sequence[Choice]]) -> list[Layout]:
+    """Return all combinations, those with the lowest total cost first; ties keep the order of the
+    choices."""
+    free = {name for name, values in choices.items() if len(values) > 1}
+    combined = sorted(product(*choices.values()), key=lambda row: sum(c.cost_m for c in row))
+    return [
+        Layout(
+            {name: choice.value for name, choice in zip(choices, row, strict=True)},
+            " ".join(
+                _option(name, choice.value)
+                for name, choice in zip(choices, row, strict=True)
+                if name in free and _option(name, choice.value)
+            ),
+        )
+        for row in combined
+    ]
+
+
+def _option(name: str, value: Any) -> str:
+    """Spell a value as its command-line option; empty for a flag that is not given."""
+    flag = name.removeprefix("is_").replace("_", "-")
+    if value is True:
+        return f"--{flag}"
+    if value is False:
+        return f"--{flag.replace('left', 'right')}" if "left" in flag else ""
+    if isinstance(value, tuple):
+        return f"--{flag} {','.join(map(str, value))}"
+    return f"--{flag} {value:g}" if isinstance(value, float) else f"--{flag} {value}"

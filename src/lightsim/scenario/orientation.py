@@ -1,0 +1,191 @@
+"""Up axis and front of CAD models: from options, else from their shape."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float64, Int32, Int64
+
+from lightsim.scenario.kinds import is_plausible, named_kinds
+from lightsim.scenario.wheels import part_of_vertex, wheels_among
+
+Up = Literal["auto", "x", "y", "z"]
+"""Axis of the file that points up; `auto` decides by wheels and by how the model rests on the
+ground, and takes y, the axis of glTF, without evidence for another one."""
+Front = Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"]
+"""Axis of the file that points ahead. glTF has +z, but many models lie along x: `auto` takes the
+longer horizontal side as the length and its lower end, the bonnet, as the front."""
+DEFAULT_UP: Up = "y"
+_AXES = "xyz"
+_END, _EVEN = 0.1, 0.02
+"""Parts of the length and of the height: extent of an end, and what differs in height."""
+_TYPICAL_M = 5.0
+"""Length to which a model of unknown unit is scaled before its connected parts are found."""
+_ROUND = 0.04
+"""Largest difference of widths of a round outline, as part of the width."""
+_LOWEST = 0.01
+"""Part of the height within which faces that look down rest on the ground."""
+_DOWN = -0.95
+"""Vertical component of the normal of such faces."""
+_RESTS, _FLOATS = 0.5, 0.1
+"""Part of the footprint that touches the ground: of a model that rests on it (a base plate), and
+of one that does not (the edge of that plate)."""
+_BOTH_SIDES = 0.5
+"""A side is no ground if the opposite one is flat too: sides of trucks are."""
+_MIRRORED, _UNLIKE = 0.05, 0.15
+"""Part of the surface whose mirror image is not there, of two equal halves and of unequal ones."""
+_BINS = 64
+_LIKE_CAR = 1.1
+"""A car is wider than high by this factor or more when its sides alone indicate the up axis."""
+
+
+def find_up(
+    vertices: Float64[np.ndarray, "n 3"],
+    faces: Int32[np.ndarray, "m 3"],
+    name: str,
+    scale: float | None,
+    ahead: str,
+    *,
+    is_stated: bool,
+) -> tuple[Up, str]:
+    """Return the up axis of a model, and the evidence if it is not y.
+
+    Args:
+        vertices, faces: all triangles, in axes and units of the file.
+        name: of the file.
+        scale: metres per unit; None if unknown.
+        ahead: axis of the front, which is not up; empty if unknown.
+        is_stated: the format's standard states the axis: then only wheels and a size that the name
+            excludes are evidence against it.
+    """
+    extent = np.ptp(vertices, axis=0)
+    part = part_of_vertex(vertices * (_TYPICAL_M / extent.max()), faces)
+    for up in ("y", "z", "x"):
+        if up != ahead and _has_wheels(vertices, part, up):
+            return up, "" if up == DEFAULT_UP else "its wheels are on the ground then"
+    if ahead == "z":
+        return DEFAULT_UP, ""
+    if scale is not None:
+        for kind in named_kinds(name):
+            sizes = {up: extent[list(_horizontal(up)) + [_AXES.index(up)]] * scale for up in _AXES}
+            if not is_plausible(kind, sizes[DEFAULT_UP]) and is_plausible(kind, sizes["z"]):
+                return "z", f"a {kind} has no other size"
+    evidence = "" if is_stated else _shape_evidence(vertices, faces)
+    return ("z", evidence) if evidence else (DEFAULT_UP, "")
+
+
+def find_front(vertices: Float64[np.ndarray, "n 3"], up: Up) -> Front:
+    """Return the axis of the file along which a model looks.
+
+    The bonnet of cars, pickups and trucks is lower than their other end. Models whose ends are
+    equally high look along the positive axis.
+    """
+    low, extent = vertices.min(axis=0), np.ptp(vertices, axis=0)
+    first, second = _horizontal(up)
+    along = first if extent[first] >= extent[second] else second
+    height = vertices[:, _AXES.index(up)]
+    part = (vertices[:, along] - low[along]) / max(extent[along], np.finfo(float).tiny)
+    ends = [height[is_end].max() for is_end in (part <= _END, part >= 1 - _END)]
+    is_negative = ends[0] < ends[1] - _EVEN * np.ptp(height)
+    front: Front = f"{'-' if is_negative else '+'}{_AXES[along]}"  # type: ignore[assignment]
+    return front
+
+
+def turned(
+    vertices: Float64[np.ndarray, "n 3"], up: Up, front: Front
+) -> Float64[np.ndarray, "n 3"]:
+    """Return points of the file in axes of frame `actor`: x ahead, y left, z up.
+
+    Coordinates are permuted and negated, so that equal points stay equal.
+
+    Args:
+        front: horizontal, which is not checked here.
+    """
+    ahead, above = _AXES.index(front[1]), _AXES.index(up)
+    sign = -1.0 if front[0] == "-" else 1.0
+    left = 3 - ahead - above
+    # Left is up x ahead: positive for cyclic (up, ahead, left).
+    left_sign = sign if (ahead - above) % 3 == 1 else -sign
+    x, y = vertices[:, ahead] * sign, vertices[:, left] * left_sign
+    return np.stack([x, y, vertices[:, above]], axis=1)
+
+
+def is_horizontal(front: Front, up: Up) -> bool:
+    """Return if a front lies on the ground."""
+    return front[1] != up
+
+
+def _horizontal(up: str) -> tuple[int, int]:
+    first, second = (n for n, axis in enumerate(_AXES) if axis != up)
+    return first, second
+
+
+def _has_wheels(
+    vertices: Float64[np.ndarray, "n 3"], part: Int64[np.ndarray, " n"], up: Up
+) -> bool:
+    """Return if there are wheels on the ground with this axis up, along either horizontal axis."""
+    for axis in _horizontal(up):
+        front: Front = f"+{_AXES[axis]}"  # type: ignore[assignment]
+        points = turned(vertices, up, front)
+        middle = (points.min(axis=0) + points.max(axis=0)) / 2
+        if wheels_among(points - middle, part):
+            return True
+    return False
+
+
+def _shape_evidence(vertices: Float64[np.ndarray, "n 3"], faces: Int32[np.ndarray, "m 3"]) -> str:
+    """Return why z is up rather than y, which a format does not state; empty without evidence."""
+    points = vertices - vertices.min(axis=0)
+    points = points / points.max()
+    extent = points.max(axis=0)
+    if extent.min() < _LOWEST:
+        return ""
+    round_axes = [axis for axis in range(3) if _is_round(points, axis)]
+    if round_axes == [2] and extent[2] >= extent[:2].max():
+        return "it is round about z"
+    corners = points[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    area = np.linalg.norm(normal, axis=1)
+    on_y, _ = _contacts(corners, normal, area, 1)
+    on_z, above_z = _contacts(corners, normal, area, 2)
+    if on_y <= _FLOATS and on_z >= _RESTS and above_z <= _BOTH_SIDES * on_z:
+        return "it rests on a flat base then"
+    across_y, across_z = _mirror_error(corners, area, 1), _mirror_error(corners, area, 2)
+    is_like_car = extent[0] > extent[1] >= _LIKE_CAR * extent[2]
+    if is_like_car and across_y <= _MIRRORED and across_z >= _UNLIKE:
+        return "its sides mirror each other then"
+    return ""
+
+
+def _is_round(points: Float64[np.ndarray, "n 3"], axis: int) -> bool:
+    """Return if the outline seen along an axis has the same width from four directions."""
+    u, v = (points[:, n] for n in range(3) if n != axis)
+    half = np.sqrt(0.5)
+    widths = [np.ptp(values) for values in (u, v, (u + v) * half, (u - v) * half)]
+    return bool(np.ptp(widths) <= _ROUND * max(widths))
+
+
+def _contacts(
+    corners: Float64[np.ndarray, "m 3 3"],
+    normal: Float64[np.ndarray, "m 3"],
+    area: Float64[np.ndarray, " m"],
+    axis: int,
+) -> tuple[float, float]:
+    """Return the area of the faces that rest on the ground, and of those that would upside down,
+    as parts of the footprint."""
+    height = corners[:, :, axis]
+    footprint = np.prod([np.ptp(corners[:, :, n]) for n in range(3) if n != axis])
+    slope = normal[:, axis] / np.where(area > 0, area, 1.0)
+    is_low = (height <= _LOWEST * height.max()).all(axis=1) & (slope <= _DOWN)
+    is_high = (height >= (1 - _LOWEST) * height.max()).all(axis=1) & (slope >= -_DOWN)
+    return float(area[is_low].sum() / footprint), float(area[is_high].sum() / footprint)
+
+
+def _mirror_error(
+    corners: Float64[np.ndarray, "m 3 3"], area: Float64[np.ndarray, " m"], axis: int
+) -> float:
+    """Return the part of the surface without a counterpart beyond the middle of an axis."""
+    middle = corners[:, :, axis].mean(axis=1) / corners[:, :, axis].max()
+    share = np.histogram(middle, _BINS, (0.0, 1.0), weights=area)[0] / max(area.sum(), 1e-30)
+    return float(np.abs(share - share[::-1]).sum() / 2)

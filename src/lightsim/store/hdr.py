@@ -1,0 +1,274 @@
+"""Linear HDR pictures on disk (Radiance .hdr, OpenEXR), and panoramas made fit for a sky dome."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from lightsim.core.primaries import (
+    SRGB,
+    Primaries,
+    are_srgb,
+    name_of_primaries,
+    srgb_from_primaries,
+)
+from lightsim.core.resample import resize_area
+from lightsim.errors import InputError
+from lightsim.store.atomic import whole_file
+from lightsim.store.exr_file import EXR_MAGIC
+from lightsim.store.exr_picture import read_exr_picture, unusable_primaries
+from lightsim.store.radiance import decode_radiance, encode_radiance
+from lightsim.store.radiance_header import is_radiance, read_header
+from lightsim.store.reading import MAX_PICTURE_BYTES, open_regular, read_bytes
+
+_LOGGER = logging.getLogger(__name__)
+_START_BYTES = 4096
+"""Enough of a file to see what it is: headers of Radiance's oldest programs are a few lines."""
+_MAX_SKY_ROWS = 2048
+"""Pixels of 0.09 degrees: a sun spans six, and what follows holds some hundred bytes a pixel."""
+_ASPECT_TOLERANCE = 0.02
+_NEGATIVE_TOLERANCE = 0.01
+"""Share of the light: rounding and resampling filters make some 0.1 %, subtraction more."""
+_ROWS_AT_ONCE = 256
+"""Converted together; 12 MB as floats in a panorama of 4096 columns."""
+_LDR_MAGIC = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF", b"GIF8", b"BM")
+"""PNG, JPEG, WebP, GIF, BMP."""
+
+
+@dataclass(frozen=True, eq=False)
+class SkyFile:
+    """Radiance of a sky file, fit for a SkyDome.
+
+    Args:
+        radiance: linear sRGB at the file's level, non-negative and finite, exactly 2:1.
+        notes: what was chosen or changed on the way in; empty for a plain, clean file.
+    """
+
+    radiance: Float32[np.ndarray, "h w 3"]
+    notes: tuple[str, ...]
+
+
+def read_hdr(path: Path) -> Float32[np.ndarray, "h w 3"]:
+    """Return linear sRGB of a .hdr or .exr picture, row 0 up; grey is repeated, alpha is dropped.
+
+    The content decides, not the suffix. Negative values are returned as they are.
+
+    Raises:
+        InputError: the file is missing, damaged, truncated, of another kind, or has NaN or inf.
+    """
+    pixels, primaries = _decode(path, "", None, [])
+    return _in_srgb(path, pixels, primaries)
+
+
+def read_sky(path: Path, layer: str = "", is_logged: bool = True) -> SkyFile:
+    """Return the radiance of a .hdr or .exr sky, fit for a SkyDome; every change is noted.
+
+    Colours are converted from the file's primaries to linear sRGB. A picture of more than 2048 rows
+    is averaged over squares of pixels, negative values that hold less than 1 % of the light are
+    clipped, a width within 2 % of twice the height is resampled to it.
+
+    Args:
+        layer: of an OpenEXR file; empty takes the finished picture.
+        is_logged: notes are logged as warnings, too.
+
+    Raises:
+        InputError: as `read_hdr`; or not about 2:1, without light, or too negative.
+    """
+    notes: list[str] = []
+    radiance, primaries = _decode(path, layer, _MAX_SKY_ROWS, notes)
+    _check_aspect(path, *radiance.shape[:2])
+    radiance = _clip_negatives(path, radiance, notes)
+    if not (radiance > 0).any():
+        raise InputError(
+            "the sky is black everywhere", where=path, remedy="Export it again with its light."
+        )
+    if not are_srgb(primaries):
+        radiance = _in_srgb(path, radiance, primaries)
+        notes.append(f"converted from {name_of_primaries(primaries)} to linear sRGB")
+        radiance = _clip_out_of_gamut(radiance, notes)
+    radiance = _fit_aspect(radiance, notes)
+    if is_logged:
+        for note in notes:
+            _LOGGER.warning("%s: %s", path, note)
+    return SkyFile(radiance, tuple(notes))
+
+
+def write_hdr(path: Path, rgb: Float[np.ndarray, "h w 3"]) -> None:
+    """Write linear RGB as a run-length coded Radiance picture (relative error <= 1/256).
+
+    Raises:
+        InputError: a value is negative, not finite or too large for RGBE.
+    """
+    try:
+        data = encode_radiance(rgb)
+    except ValueError as error:
+        raise InputError(
+            "cannot write this picture", where=path, got=error, expected="finite values from 0 up"
+        ) from error
+    with whole_file(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def _decode(
+    path: Path, layer: str, most_rows: int | None, notes: list[str]
+) -> tuple[Float32[np.ndarray, "h w 3"], Primaries]:
+    """Finite pixels as stored, at most so many rows of them, and their primaries."""
+    with open_regular(path, "picture", MAX_PICTURE_BYTES) as handle:
+        start = handle.read(_START_BYTES)
+    if start.startswith(EXR_MAGIC):
+        image, primaries = read_exr_picture(path, layer, notes)
+        height, width = image.shape[:2]
+        factor = _reduction(path, height, width, most_rows, notes)
+        if factor > 1:
+            image = resize_area(image, height // factor, width // factor)
+        return _finite(path, image), primaries
+    if not is_radiance(start):
+        raise _other_kind(path, start)
+    if layer:
+        raise InputError(
+            "a Radiance picture has no layers", where=path, got=layer, remedy="Leave #LAYER out."
+        )
+    data = read_bytes(path, "picture", MAX_PICTURE_BYTES)
+    try:
+        header = read_header(data)
+        notes += header.notes
+        factor = _reduction(path, header.height, header.width, most_rows, notes)
+        image = decode_radiance(data, factor)
+    except InputError as error:
+        raise error.at(path) from error
+    return _finite(path, image), header.primaries or SRGB
+
+
+def _other_kind(path: Path, start: bytes) -> InputError:
+    remedy = "Convert the panorama to .exr or .hdr."
+    if start.startswith(_LDR_MAGIC):
+        remedy = (
+            "An LDR picture holds too little light: export the panorama as .exr or .hdr, or"
+            f" estimate its sky with `lightsim sky estimate {path.name} --out DIR` and give"
+            " DIR/sky.exr."
+        )
+    return InputError(
+        "not an HDR picture",
+        where=path,
+        got=f"a file that starts with {start[:8]!r}",
+        expected="Radiance .hdr or OpenEXR .exr",
+        remedy=remedy,
+    )
+
+
+def _finite(path: Path, image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
+    bad = image.size - sum(int(np.isfinite(row).sum()) for row in image)
+    if bad:
+        raise InputError(
+            "the picture has NaN or infinite values",
+            where=path,
+            got=f"{bad} of {image.size}",
+            remedy="Replace them by finite values in an image editor.",
+        )
+    return image
+
+
+def _in_srgb(
+    path: Path, pixels: Float32[np.ndarray, "h w 3"], primaries: Primaries
+) -> Float32[np.ndarray, "h w 3"]:
+    """The colours as linear sRGB; untouched where they are that already."""
+    try:
+        if are_srgb(primaries):
+            return pixels
+        matrix = srgb_from_primaries(primaries).T
+    except ValueError as error:
+        raise unusable_primaries(path, error) from error
+    converted = np.empty_like(pixels)
+    for row in range(0, len(pixels), _ROWS_AT_ONCE):
+        part = slice(row, row + _ROWS_AT_ONCE)
+        with np.errstate(over="ignore", invalid="ignore"):
+            converted[part] = pixels[part] @ matrix
+    return _finite(path, converted)
+
+
+def _clip_negatives(
+    path: Path, radiance: Float32[np.ndarray, "h w 3"], notes: list[str]
+) -> Float32[np.ndarray, "h w 3"]:
+    count, negative, positive = _negatives(radiance)
+    if not count:
+        return radiance
+    if negative > _NEGATIVE_TOLERANCE * positive:
+        raise InputError(
+            "the sky has negative radiance",
+            where=path,
+            got=f"{count} values that sum to {-negative:.3g} against {positive:.3g} of light",
+            expected=f"at most {_NEGATIVE_TOLERANCE:.0%} of the light",
+            remedy="Convert it to linear sRGB primaries and clip it at zero.",
+        )
+    notes.append(f"clipped {count} negative values ({negative / positive:.2g} of the light)")
+    return np.maximum(radiance, np.float32(0.0))
+
+
+def _clip_out_of_gamut(
+    radiance: Float32[np.ndarray, "h w 3"], notes: list[str]
+) -> Float32[np.ndarray, "h w 3"]:
+    """No display of sRGB primaries shows these colours: what is negative becomes 0."""
+    count, negative, positive = _negatives(radiance)
+    if not count:
+        return radiance
+    share = negative / max(positive, np.finfo(np.float64).tiny)
+    notes.append(f"clipped {count} values of colours outside sRGB ({share:.2g} of the light)")
+    return np.maximum(radiance, np.float32(0.0))
+
+
+def _negatives(radiance: Float32[np.ndarray, "h w 3"]) -> tuple[int, float, float]:
+    """Number of negative values, their sum without sign, and the sum of the others."""
+    count = int((radiance < 0).sum())
+    if not count:
+        return 0, 0.0, 0.0
+    negative = -float(np.minimum(radiance, 0).sum(dtype=np.float64))
+    return count, negative, float(np.maximum(radiance, 0).sum(dtype=np.float64))
+
+
+def _check_aspect(path: Path, height: int, width: int) -> None:
+    if height < 2 or abs(width / (2 * height) - 1) > _ASPECT_TOLERANCE:
+        raise InputError(
+            "a sky must be a full equirectangular panorama, twice as wide as high",
+            where=path,
+            got=f"{width}x{height} px",
+            remedy="Convert light probes, cube maps or cropped panoramas to equirectangular; of two"
+            " views in one picture keep one.",
+        )
+
+
+def _fit_aspect(
+    radiance: Float32[np.ndarray, "h w 3"], notes: list[str]
+) -> Float32[np.ndarray, "h v 3"]:
+    height, width = radiance.shape[:2]
+    if width == 2 * height:
+        return radiance
+    notes.append(f"resampled from {width}x{height} to {2 * height}x{height} px")
+    position = (np.arange(2 * height) + 0.5) * width / (2 * height) - 0.5
+    left = np.floor(position).astype(np.int64)
+    part = (position - left).astype(np.float32)[None, :, None]
+    mixed = radiance[:, left % width] * (1 - part) + radiance[:, (left + 1) % width] * part
+    return mixed.astype(np.float32)
+
+
+def _reduction(path: Path, height: int, width: int, most_rows: int | None, notes: list[str]) -> int:
+    """Edge in pixels of the squares that become one pixel; noted unless it is 1."""
+    if most_rows is None or height <= most_rows:
+        return 1
+    least = -(-height // most_rows)
+    for factor in range(least, 4 * least + 1):
+        if height % factor == 0 and width % factor == 0:
+            notes.append(
+                f"reduced from {width}x{height} to {width // factor}x{height // factor} px"
+            )
+            return factor
+    raise InputError(
+        "the sky is too large, and its sides have no common factor to reduce it by",
+        where=path,
+        got=f"{width}x{height} px",
+        expected=f"at most {most_rows} rows, or a multiple of them",
+        remedy="Resize it to 4096x2048 px.",
+    )

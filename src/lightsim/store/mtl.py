@@ -1,0 +1,209 @@
+"""Materials of MTL text, with the PBR statements of Clara.io and Blender.
+
+Reference: Wavefront Advanced Visualizer, Appendix B2, Material Template Library, version 3.0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lightsim.store.notes import Notes
+
+_OPTIONS = frozenset((
+    "-blendu", "-blendv", "-bm", "-boost", "-cc", "-clamp", "-imfchan", "-mm", "-o", "-s", "-t",
+    "-texres", "-type",
+))  # fmt: skip
+_WORD_OPTIONS = frozenset(("-blendu", "-blendv", "-cc", "-clamp", "-imfchan", "-type"))
+"""Those that are followed by one word; numbers follow the others."""
+_USED_OPTIONS = frozenset(("-o", "-s", "-clamp", "-imfchan", "-cc"))
+"""`-cc` corrects colours of lights, `-imfchan` chooses the channel, which the picture decides."""
+_USED_MAPS = {name.lower(): name for name in ("map_Kd", "map_d", "map_Pr", "map_Pm")}
+_SHAPE_MAPS = frozenset(("bump", "map_bump", "norm", "map_kn", "disp", "map_disp"))
+_OTHER_MAPS = frozenset((
+    "decal", "map_ks", "map_ns", "map_tr", "map_opacity", "map_refl", "refl", "map_rma", "map_orm",
+    "map_ps",
+))  # fmt: skip
+_SHEENS = frozenset(("ps", "pc", "pcr", "aniso", "anisor"))
+_WITHOUT_EFFECT = frozenset(("ka", "map_ka", "ks", "ni", "tf", "illum", "sharpness", "map_aat"))
+"""Ambient light is traced, all surfaces but metal reflect 4 %, and panes do not refract. `illum` is
+a choice of a viewer's shading, which exporters write regardless of the material."""
+_MOST_EXPONENT = 900.0
+"""Of `Ns` in Blender's rule: roughness 0."""
+_BYTE_COLOUR = 2.0
+"""Colours with a component above are numbers of 0 to 255."""
+
+
+@dataclass(frozen=True)
+class TextureMap:
+    """A picture that a material names.
+
+    Args:
+        words: its file as written, which may be another system's path.
+        scale, offset: texture coordinates are multiplied by `scale`, then moved by `offset`.
+        is_clamped: coordinates beyond [0, 1] show the picture's border instead of repeating it.
+    """
+
+    words: str
+    scale: tuple[float, float] = (1.0, 1.0)
+    offset: tuple[float, float] = (0.0, 0.0)
+    is_clamped: bool = False
+
+
+@dataclass
+class MtlMaterial:
+    """One material as written; None where it is silent.
+
+    Args:
+        colour: linear `Kd`.
+        opacity: `d`, or 1 - `Tr`.
+        roughness: `Pr`, or `Ns` by Blender's rule.
+        metallic: `Pm`.
+        maps: pictures by statement: map_Kd, map_d, map_Pr, map_Pm.
+    """
+
+    name: str
+    colour: tuple[float, float, float] | None = None
+    opacity: float | None = None
+    roughness: float | None = None
+    metallic: float | None = None
+    maps: dict[str, TextureMap] = field(default_factory=dict)
+
+
+def parse_mtl(text: str, notes: Notes) -> dict[str, MtlMaterial]:
+    """Return the materials of a text by name; what is not used is added to the notes."""
+    materials: dict[str, MtlMaterial] = {}
+    reader = _Reader(notes)
+    for line in text.splitlines():
+        keyword, *tail = line.split(None, 1)[:2] or ("#",)
+        rest = tail[0].strip() if tail else ""
+        if keyword == "newmtl":
+            reader.material = materials[rest] = MtlMaterial(rest)
+            reader.has_dissolve = False
+        elif not keyword.startswith("#") and reader.material is not None:
+            reader.read(keyword, rest)
+    return materials
+
+
+@dataclass
+class _Reader:
+    notes: Notes
+    material: MtlMaterial | None = None
+    has_dissolve: bool = False
+
+    def read(self, keyword: str, rest: str) -> None:
+        """Read one statement of the present material."""
+        material = self.material
+        assert material is not None
+        used_map = _USED_MAPS.get(keyword.lower())
+        numbers = _numbers(rest.split())
+        if keyword == "Kd":
+            material.colour = self._colour(rest)
+        elif keyword in ("d", "Tr"):
+            self._read_opacity(keyword, _numbers(rest.removeprefix("-halo").split()))
+        elif keyword == "Ns" and numbers:
+            if material.roughness is None:
+                material.roughness = 1.0 - float(
+                    np.sqrt(np.clip(numbers[0] / _MOST_EXPONENT, 0, 1))
+                )
+        elif keyword == "Pr" and numbers:
+            material.roughness = float(np.clip(numbers[0], 0, 1))
+        elif keyword == "Pm" and numbers:
+            material.metallic = float(np.clip(numbers[0], 0, 1))
+        elif used_map:
+            material.maps[used_map] = self._map(rest)
+        else:
+            self._note_unused(keyword, numbers)
+
+    def _note_unused(self, keyword: str, numbers: list[float]) -> None:
+        assert self.material is not None
+        name = self.material.name
+        word = keyword.lower()
+        if word in ("ke", "map_ke"):
+            if word == "map_ke" or any(numbers):
+                self.notes.add("emission (Ke) is not used: materials give no light", name)
+        elif word in _SHAPE_MAPS:
+            self.notes.add("bump, normal and height maps are not used", name)
+        elif word in _OTHER_MAPS:
+            self.notes.add(f"{keyword} is not used", name)
+        elif word in _SHEENS:
+            if any(numbers):
+                self.notes.add(f"{keyword} is not used", name)
+        elif word not in _WITHOUT_EFFECT:
+            self.notes.add(f"the statement {keyword[:20]} is not known", name)
+
+    def _read_opacity(self, keyword: str, numbers: list[float]) -> None:
+        material = self.material
+        assert material is not None
+        if not numbers:
+            return
+        value = float(np.clip(numbers[0], 0, 1))
+        if keyword == "d":
+            material.opacity, self.has_dissolve = value, True
+        elif self.has_dissolve:
+            return
+        elif value == 1:
+            self.notes.add(
+                "Tr 1 without d is read as opaque, as some exporters write it", material.name
+            )
+        else:
+            material.opacity = 1 - value
+
+    def _colour(self, rest: str) -> tuple[float, float, float] | None:
+        assert self.material is not None
+        numbers = _numbers(rest.split())
+        if not numbers:
+            self.notes.add("a Kd that is not in RGB is not used: mid grey", self.material.name)
+            return None
+        rgb = np.array(numbers[:3] if len(numbers) >= 3 else numbers[:1] * 3)
+        if rgb.max() > _BYTE_COLOUR:
+            self.notes.add("Kd above 2 is divided by 255", self.material.name)
+            rgb /= 255
+        r, g, b = np.clip(rgb, 0, 1).tolist()
+        return r, g, b
+
+    def _map(self, rest: str) -> TextureMap:
+        """Options come first; what follows them is the file's name, blanks included."""
+        assert self.material is not None
+        values: dict[str, list[str]] = {}
+        while rest.startswith("-"):
+            option, _, tail = rest.partition(" ")
+            if option not in _OPTIONS:
+                break
+            taken: list[str] = []
+            most = 1 if option in _WORD_OPTIONS or option in ("-bm", "-boost", "-texres") else 3
+            most = 2 if option == "-mm" else most
+            while len(taken) < most and tail.strip():
+                word, _, after = tail.strip().partition(" ")
+                if option not in _WORD_OPTIONS and not _numbers([word]):
+                    break
+                taken.append(word)
+                tail = after
+            values[option] = taken
+            if option not in _USED_OPTIONS:
+                self.notes.add(
+                    f"the option {option} of texture maps is not used", self.material.name
+                )
+            rest = tail.strip()
+        scale, offset = _numbers(values.get("-s", [])), _numbers(values.get("-o", []))
+        return TextureMap(
+            rest.strip("\"'"),
+            (scale[0] if scale else 1.0, scale[1] if len(scale) > 1 else 1.0),
+            (offset[0] if offset else 0.0, offset[1] if len(offset) > 1 else 0.0),
+            values.get("-clamp") == ["on"],
+        )
+
+
+def _numbers(words: list[str]) -> list[float]:
+    """Return the finite numbers before the first other word."""
+    found: list[float] = []
+    for word in words:
+        try:
+            value = float(word)
+        except ValueError:
+            break
+        if not abs(value) < 1e6:
+            break
+        found.append(value)
+    return found
