@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lightsim.build.suitability import check_suitable, light_notes
 
 from datasets.mini_log import write_mini_log
 from lightsim.build.options import BuildOptions
 from lightsim.build.pipeline import build
+from lightsim.build.suitability import check_suitable, light_notes
 from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading
 from lightsim.datasets.reader import read_log

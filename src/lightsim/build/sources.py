@@ -1,7 +1,8 @@
 """Source code that decides the result of a stage or of a simulation.
 
 The hash of every such file is in the key of the artefact, so a changed constant makes the artefacts
-of the stages that use it stale, and no others. docs/reference/artefacts.md lists what belongs to which stage.
+of the stages that use it stale, and no others. docs/reference/artefacts.md lists what belongs to
+which stage.
 """
 
 from __future__ import annotations

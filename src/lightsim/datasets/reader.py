@@ -35,12 +35,12 @@ class LogReader:
     """
 
     detect: Callable[[Path], bool]
-    other_place: Callable[[Path], tuple[str, Path] | None]
     read: ReadDataset
+    other_place: Callable[[Path], tuple[str, Path] | None] = lambda folder: None
 
 
 OWN_READERS: Mapping[str, LogReader] = MappingProxyType(
-    {"pandaset": LogReader(is_sequence, other_place, read_pandaset)}
+    {"pandaset": LogReader(is_sequence, read_pandaset, other_place)}
 )
 
 
