@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from lightsim.scenario.edits import read_scenario_request
 from lightsim.scenario.shipped_assets import shipped_assets
 from lightsim.store.images import read_grey8, read_srgb8
 from lightsim.store.scenario import read_scenario
+from lightsim_lab.studies.demo import next_steps
 
 ONE_FRAME = ("--frames", "0:1", "--cameras", "front_camera")
 
@@ -160,22 +162,21 @@ def test_what_can_be_edited_and_inserted_is_listed(
     assert not missing.exists()
 
 
-def test_a_scene_is_laid_where_nobody_stands_in_the_way(
-    built_street: BuiltStreet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_what_the_demo_proposes_to_try_works(
+    built_street: BuiltStreet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The usual place and the next one are taken; of places that are all taken, the least so."""
-
-    def edits(name: str, *words: str) -> Any:
-        out = tmp_path / f"{name}.json"
-        cli.main(["scenario", "cut-in", str(built_street.work), "--out", str(out), *words])
-        return json.loads(out.read_text())["edits"]
-
-    asked = [edits(f"at_{gap_m}", "--gap-m", str(gap_m)) for gap_m in (10, 12, 8)]
-    for conflicts, expected in (
-        ([("a",), ("a",), ()], asked[2]),
-        ([("a", "b"), ("a",), *[("a", "b")] * 6], asked[1]),
-    ):
-        coming = iter(conflicts)
-        name = "lightsim.simulation.edited.find_conflicts"
-        monkeypatch.setattr(name, lambda *_, coming=coming: next(coming))
-        assert edits("found") == expected
+    """On a street of fewer frames, so that only the frame numbers differ."""
+    (tmp_path / "street").symlink_to(built_street.work)
+    steps = next_steps(tmp_path)
+    assert [words.split()[0] for _, words in steps] == [
+        "status", "actors", "relight", "scenario", "simulate",
+    ]  # fmt: skip
+    for _, words in steps:
+        cli.main(shlex.split(words.replace("--frames 4:6", "--frames 2:3")))
+        capsys.readouterr()
+    assert {edit["do"] for edit in read_scenario_request(tmp_path / "cut.json").spelt} >= {"insert"}
+    for name in ("noon", "cut"):
+        folder = tmp_path / "street" / "scenarios" / name
+        assert [p.stem for p in (folder / "frames" / "front_camera").glob("*.png")] == ["02"]
+    notes = json.loads((tmp_path / "street/scenarios/cut/scenario.json").read_text())["notes"]
+    assert not notes
