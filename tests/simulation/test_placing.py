@@ -23,11 +23,11 @@ from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
 from lightsim.scenario.edits import read_scenario_request
 from lightsim.scenario.replay import replay
-
-# Read before `Workspace` is another thing: checked annotations name it.
-from lightsim.simulation import placing  # noqa: F401
+from lightsim.simulation import placing
 from lightsim.simulation.edited import asset_library, edited_scenario
 
+_LOADED = placing
+"""Loaded before tests replace `Workspace`: its checked annotations name that class."""
 SPEED_M_S = 6.0
 HALF_M = 100.0
 WIDE = 3.4

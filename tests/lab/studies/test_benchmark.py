@@ -20,6 +20,7 @@ from lightsim.store.weights import (
     read_record,
     write_weights,
 )
+from lightsim_lab.baselines.methods import ALL_METHODS
 from lightsim_lab.studies import benchmark as module
 from lightsim_lab.studies.benchmark import benchmark
 from lightsim_lab.studies.benchmark_options import HELD_OUT, TRAINING, BenchmarkOptions

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from lightsim.store.weights import WeightsRecord, read_record
+from lightsim_lab.baselines.methods import ALL_METHODS
 from lightsim_lab.studies.benchmark_options import HELD_OUT
 from lightsim_lab.training.hdr_skies import read_split
 
