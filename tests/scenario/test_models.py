@@ -333,3 +333,17 @@ def test_the_command_prints_what_it_chose_and_the_options(
     assert all(option in printed for option in ("--kind", "--up", "--front"))
     (record,) = caplog.records
     assert all(word in record.message for word in ("m.obj", "m.mtl", "grey", "z is up"))
+
+
+def test_a_model_far_from_the_origin_keeps_its_shape(tmp_path: Path) -> None:
+    """UTM coordinates, where float32 has steps of half a metre."""
+    wanted = load_model(write_model(tmp_path / "m.obj", car())).mesh
+    text = (tmp_path / "m.obj").read_text()
+    far = re.sub(
+        r"v (\S+) (\S+) (\S+)",
+        lambda m: f"v {float(m[1]) + 691e3:.6f} {float(m[2])} {float(m[3]) + 5334e3:.6f}",
+        text,
+    )
+    (tmp_path / "m.obj").write_text(far)
+    found = load_model(tmp_path / "m.obj").mesh
+    np.testing.assert_allclose(found.vertices, wanted.vertices, atol=1e-5)

@@ -107,7 +107,7 @@ def load_model(path: Path, settings: ModelSettings | None = None) -> Model:
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise _unknown_format(path)
-    model = _placed(reader(path), settings, is_stated=reader is read_gltf)
+    model = _placed(_near_origin(reader(path)), settings, is_stated=reader is read_gltf)
     if model.notes:
         _LOGGER.warning("%s: %s.", path, "; ".join(model.notes))
     return model
@@ -117,6 +117,18 @@ def centred(mesh: TriMesh) -> TriMesh:
     """Return the mesh with the origin in the middle of its own box."""
     middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
     return replace(mesh, vertices=mesh.vertices - middle)
+
+
+def _near_origin(file: ModelFile) -> ModelFile:
+    """Return the file with the middle of its box at the origin.
+
+    Meshes are float32, which resolves half a metre at UTM coordinates; files may be float64.
+    """
+    corners = [(p.vertices.min(axis=0), p.vertices.max(axis=0)) for p in file.primitives]
+    low, high = np.min(corners, axis=(0, 1)), np.max(corners, axis=(0, 1))
+    middle = (low + high) / 2
+    moved = tuple(replace(p, vertices=p.vertices - middle) for p in file.primitives)
+    return replace(file, primitives=moved)
 
 
 def _unknown_format(path: Path) -> InputError:
