@@ -463,7 +463,9 @@ def test_a_size_that_the_name_excludes_is_noted_without_a_unit_too(
 ) -> None:
     mesh = box((0, 0, 0.5), (40.0, 1.0, 1.0))
     (note,) = load_model(write_model(tmp_path / f"cone{suffix}", mesh)).notes
-    assert "40.00 x 1.00 x 1.00 m is not the size of a cone: no common unit" in note
+    assert "40.00 x 1.00 x 1.00 m is not the size of a cone: check --length-m" in note
+    scaled = load_model(tmp_path / f"cone{suffix}", ModelSettings(length_m=20.0))
+    assert "20.00 x 0.50 x 0.50 m is not the size of a cone" in scaled.notes[0]
     path = write_model(tmp_path / "cone.obj", cone(), unit=0.1)
     assert "may be 0.1 (0.36 x 0.36 x 0.70 m)" in load_model(path).notes[0]
 
@@ -481,3 +483,5 @@ def test_a_car_without_wheels_is_wider_than_high(tmp_path: Path, name: str, up: 
     ]
     bus = box((0, 0, 1.6), (12.0, 2.5, 3.2))
     assert load_model(write_model(tmp_path / "bus.obj", bus)).up == "y"
+    sign = box((0, 0, 1), (0.8, 0.1, 2.0))
+    assert load_model(write_model(tmp_path / "car_sign.obj", sign)).up == "y"

@@ -455,7 +455,7 @@ def test_the_library_of_the_models_name_is_read_without_another(
     "words",
     ["D:\\work\\Textures\\RED.png", "/home/me/textures/red.png", "TEXTURES\\red.PNG",
      "-s\t1 1 1\ttextures/red.png", "-clamp\toff textures/red.png # the paint",
-     "textures/./red.png"],
+     "textures/./red.png", "work/car/textures/red.png"],
 )  # fmt: skip
 def test_ends_of_paths_in_any_case_are_found(tmp_path: Path, words: str) -> None:
     picture(tmp_path / "textures" / "red.png")

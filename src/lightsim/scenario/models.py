@@ -302,14 +302,14 @@ def _proposals(extent: Float64[np.ndarray, "3"]) -> list[str]:
 def _unit_notes(path: Path, size: Float64[np.ndarray, "3"], settings: ModelSettings) -> list[str]:
     """Note a size that the name excludes, with the common units that make it plausible."""
     kinds = named_kinds(path.stem)
-    if not kinds or settings.length_m is not None or any(is_plausible(k, size) for k in kinds):
+    if not kinds or any(is_plausible(k, size) for k in kinds):
         return []
     proposals = [
         f"{settings.metres_per_unit * unit:g} ({_words(size * unit)} m)"
         for unit in _UNITS
-        if is_plausible(kinds[0], size * unit)
+        if settings.length_m is None and is_plausible(kinds[0], size * unit)
     ]
-    remedy = "no common unit makes it one; --length-m scales it, --up and --front turn it"
+    remedy = "check --length-m, --metres-per-unit, --up and --front"
     if proposals:
         remedy = f"--metres-per-unit may be {' or '.join(proposals)}"
     return [f"{_words(size)} m is not the size of a {kinds[0]}: {remedy}"]

@@ -76,16 +76,21 @@ def find_up(
             sizes = {up: extent[list(_horizontal(up)) + [_AXES.index(up)]] * scale for up in _AXES}
             if not is_plausible(kind, sizes[DEFAULT_UP]) and is_plausible(kind, sizes["z"]):
                 return "z", f"a {kind} has no other size"
-    if not is_stated and not _LOW_KINDS.isdisjoint(named_kinds(name)):
-        (width_y, height_y), (width_z, height_z) = (_width_height(extent, up) for up in ("y", "z"))
-        if height_y > width_y and width_z >= _LIKE_CAR * height_z:
-            return "z", "a car is wider than high"
+    if not is_stated and _is_car_on_its_side(extent, name, scale):
+        return "z", "a car is wider than high"
     evidence = "" if is_stated else _shape_evidence(vertices, faces)
     return ("z", evidence) if evidence else (DEFAULT_UP, "")
 
 
-def _width_height(extent: Float64[np.ndarray, "3"], up: Up) -> tuple[float, float]:
-    return float(extent[list(_horizontal(up))].min()), float(extent[_AXES.index(up)])
+def _is_car_on_its_side(extent: Float64[np.ndarray, "3"], name: str, scale: float | None) -> bool:
+    """Return if a model of a car's name is higher than wide with y up, and not with z up."""
+    kinds = named_kinds(name)
+    if not kinds or kinds[0] not in _LOW_KINDS:
+        return False
+    if scale is not None and not is_plausible(kinds[0], extent * scale):
+        return False
+    x, y, z = extent.tolist()
+    return y > min(x, z) and min(x, y) >= _LIKE_CAR * z
 
 
 def find_front(vertices: Float64[np.ndarray, "n 3"], up: Up) -> Front:

@@ -178,10 +178,11 @@ def _library_paths(path: Path, words: str, notes: Notes) -> list[Path]:
 
 
 def _beside(path: Path, words: str) -> Path | None:
-    """Return a file that `path` names, else one of its name beside `path`."""
+    """Return a file that `path` names, else the longest end of that path which is there."""
     for text in dict.fromkeys((words, without_comment(words))):
         name = text.strip(" \t\v\f\"'")
-        for reference in dict.fromkeys((name, name.replace("\\", "/").rsplit("/", 1)[-1])):
+        # With "/" before it, any end of the path may be the one that is there.
+        for reference in (name, f"/{name}"):
             try:
                 return path_beside(path, reference, "file")
             except InputError:
