@@ -303,8 +303,10 @@ def test_files_with_a_number_sign_are_files(tmp_path: Path) -> None:
     library = AssetLibrary(tmp_path / "library", {}, beside=tmp_path)
     for words in ("car #2.glb", "a#b.obj"):
         assert len(library.load(words).wheels) == 4
-    with pytest.raises(InputError, match="the other twin"):
+    with pytest.raises(InputError, match="no such file"):
         library.load("car #3.glb")
+    with pytest.raises(InputError, match="the other twin"):
+        library.load("work#3")
 
 
 def test_the_key_of_a_file_covers_its_materials(tmp_path: Path) -> None:

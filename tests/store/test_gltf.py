@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -225,3 +226,59 @@ def test_data_that_the_fallback_has_is_read(tmp_path: Path) -> None:
     builder.document["bufferViews"][0]["extensions"] = extension
     mesh, notes = read(builder, tmp_path)
     assert (len(mesh.faces), len(notes)) == (12, 1)
+
+
+def test_texts_that_are_like_data_uris_and_capital_ones_are_read(tmp_path: Path) -> None:
+    builder = GltfBuilder(asset={"version": "2"})
+    builder.primitive(BOX, BOX_FACES, material=0)
+    builder.document["materials"] = [RED | {"name": "data:red"}]
+    path = builder.write(tmp_path / "m.gltf", "embedded")
+    text = path.read_text().replace("data:application", "DATA:application")
+    path.write_text(text.replace(";base64,", ";BASE64,"))
+    (primitive,) = read_gltf(path).primitives
+    assert primitive.material.name == "data:red"
+    np.testing.assert_array_equal(primitive.vertices, BOX)
+
+
+def test_a_json_chunk_may_be_filled_with_zeros(tmp_path: Path) -> None:
+    builder = GltfBuilder(asset={"version": "2.0", "generator": "odd"})
+    builder.primitive(BOX, BOX_FACES)
+    path = builder.write(tmp_path / "m.glb")
+    data = path.read_bytes()
+    end = data.index(b"BIN\0") - 4
+    text = data[20:end].rstrip() + b"\0" * 8
+    head = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(data) - end, len(text), b"JSON")
+    path.write_bytes(head + text + data[end:])
+    np.testing.assert_array_equal(read_gltf(path).primitives[0].vertices, BOX)
+
+
+def _no_rows(b: GltfBuilder, value: dict[str, Any]) -> None:
+    b.document["accessors"][value["attributes"]["POSITION"]]["count"] = 0
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        _no_rows,
+        lambda b, value: b.document["accessors"][value["indices"]].update(count=0),
+        lambda b, value: value["attributes"].pop("POSITION"),
+        lambda b, value: value.pop("attributes"),
+        lambda b, value: b.document["meshes"][1].update(primitives=[]),
+        lambda b, value: b.document["meshes"][1].pop("primitives"),
+    ],
+)
+def test_empty_primitives_are_left_out(
+    tmp_path: Path, spoil: Callable[[GltfBuilder, dict[str, Any]], None]
+) -> None:
+    builder = GltfBuilder(nodes=[{"mesh": 0, "children": [1]}, {"mesh": 1}])
+    builder.primitive(BOX, BOX_FACES)
+    value = builder.primitive(QUAD, QUAD_FACES)
+    builder.document["meshes"][0]["primitives"].pop()
+    builder.document["meshes"].append({"primitives": [value]})
+    spoil(builder, value)
+    model = read_gltf(builder.write(tmp_path / "m.glb"))
+    assert [len(p.faces) for p in model.primitives] == [12]
+    assert any(n.startswith("empty meshes and primitives are left out (") for n in model.notes)
+    builder.document["nodes"] = [{"mesh": 1}]
+    with pytest.raises(InputError, match="no triangles, got empty meshes"):
+        read_gltf(builder.write(tmp_path / "m.glb"))

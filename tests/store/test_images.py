@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -300,3 +302,21 @@ def _grey_png(folder: Path) -> Path:
     path = folder / "grey.png"
     images.write_png(path, np.full((4, 8), 77, np.uint8))
     return path
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_textures_of_16_bits_are_rounded_to_8(channels: int) -> None:
+    """Written here chunk by chunk, since Pillow writes 16 bits in grey alone."""
+    values = np.arange(64).reshape(4, 4, 4)[..., :channels] * 4
+    rows = b"".join(b"\0" + row.tobytes() for row in (values * 257).astype(">u2"))
+    kind = {1: 0, 3: 2, 4: 6}[channels]
+    data = b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+        for name, body in (
+            (b"IHDR", struct.pack(">IIBBBBB", 4, 4, 16, kind, 0, 0, 0)),
+            (b"IDAT", zlib.compress(rows)),
+            (b"IEND", b""),
+        )
+    )
+    found = images.decode_texture(data)
+    np.testing.assert_array_equal(found, np.repeat(values, 3 if channels == 1 else 1, axis=2))

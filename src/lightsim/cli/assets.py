@@ -39,7 +39,7 @@ class AssetsAdd:
     """A .glb, .gltf or .obj file."""
     name: str = ""
     """By which scenarios name it; by default the file's."""
-    up: Literal["auto", "x", "y", "z"] = "auto"
+    up: Literal["auto", "x", "y", "z", "-x", "-y", "-z"] = "auto"
     """Axis of the file that points up; auto: y, unless wheels or the base indicate another one."""
     front: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
     """Axis of the file that points ahead; auto: along the longer side, towards the lower end."""
@@ -65,7 +65,7 @@ class AssetsAdd:
         info, model = add_model(
             asset_library(self.library),
             self.model,
-            self.name or self.model.stem,
+            self.name,
             ModelSettings(
                 up=self.up,
                 front=self.front,

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from lightsim.errors import InputError
+from lightsim.store.foreign import foreign_content
 from lightsim.store.reading import MAX_JSON_BYTES, open_regular, read_bytes
 
 _IN_BYTES, _OUT_BYTES = 1 << 16, 1 << 20
@@ -23,18 +24,11 @@ _MAX_MEMBERS = 10_000
 _GZIP_WINDOW = 31
 """What zlib calls a gzip header with the largest window."""
 _GZIP_MAGIC = b"\x1f\x8b"
-_UNPACK = "Unpack it, or write the table with gzip or without compression."
-_OTHER_CONTENT = (
-    (b"version https://git-lfs", "a pointer of Git LFS, not the data", "Run: git lfs pull"),
-    (b"<", "a web page or XML, such as a failed download", "Download the file again."),
-    (b"BZh", "bzip2", _UNPACK),
-    (b"\xfd7zXZ", "xz", _UNPACK),
-    (b"\x28\xb5\x2f\xfd", "Zstandard", _UNPACK),
-    (b"PK\x03\x04", "a zip archive", _UNPACK),
+_OTHER_TABLES = (
     (b"PAR1", "Parquet", "Write the table with pandas.DataFrame.to_pickle."),
     (b"ARROW1", "Feather", "Write the table with pandas.DataFrame.to_pickle."),
 )
-"""First bytes of what stands under a pickle's name in downloads and exports, and what to do."""
+"""First bytes of tables that are no pickles, and what to do."""
 MAX_NUMBER = 1e15
 """No quantity of a log in SI units comes near it, and its square still is a float."""
 _BROKEN = "Copy the file again from the original data set."
@@ -66,15 +60,16 @@ def read_packed(path: Path, max_bytes: int) -> bytes:
     data = read_bytes(path, "table file", 2 * max_bytes)
     if data.startswith(_GZIP_MAGIC):
         return _gunzipped(data, path, max_bytes)
-    for magic, found, remedy in _OTHER_CONTENT:
-        if data.startswith(magic):
-            raise InputError(
-                "the file is no pickled table",
-                where=path,
-                got=found,
-                expected="a pickle, or a pickle compressed with gzip",
-                remedy=remedy,
-            )
+    tables = (entry[1:] for entry in _OTHER_TABLES if data.startswith(entry[0]))
+    foreign = foreign_content(data) or next(tables, None)
+    if foreign is not None:
+        raise InputError(
+            "the file is no pickled table",
+            where=path,
+            got=foreign[0],
+            expected="a pickle, or a pickle compressed with gzip",
+            remedy=foreign[1],
+        )
     if len(data) > max_bytes:
         raise _too_large(path, max_bytes)
     return data

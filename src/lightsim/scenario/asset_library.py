@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,7 +21,13 @@ from lightsim.core.mesh import TriMesh
 from lightsim.core.twin import ActorAsset
 from lightsim.errors import InputError, LightSimError
 from lightsim.scenario.kinds import guessed_kind
-from lightsim.scenario.models import Model, ModelSettings, centred, load_model
+from lightsim.scenario.models import (
+    MODEL_SUFFIXES,
+    Model,
+    ModelSettings,
+    centred,
+    load_model,
+)
 from lightsim.scenario.wheels import with_wheels
 from lightsim.store.artefact import hash_file, hash_names, read_record, write_json
 from lightsim.store.entries import Entries
@@ -90,12 +97,18 @@ class AssetLibrary:
         if path is not None:
             mesh = load_model(path).mesh
             return with_wheels(ActorAsset(path.stem, guessed_kind(path.stem, _size(mesh)), mesh))
-        if "#" in words:
-            return self._of_work(*words.rsplit("#", 1))
         if is_harmless(words) and is_file(self.folder / f"{words}.glb"):
             return self._stored(words)
         if words in self.built_in:
             return self.built_in[words]
+        if words.lower().endswith(MODEL_SUFFIXES):
+            raise InputError(
+                "there is no such file", got=repr(words)[:200],
+                expected=f"a model, looked for in {self.beside.resolve()} and {Path.cwd()}",
+                remedy="Check the path, and the case of its letters.",
+            )  # fmt: skip
+        if "#" in words:
+            return self._of_work(*words.rsplit("#", 1))
         names = ", ".join(info.name for info in self.infos())
         raise InputError(
             "there is no such asset", got=repr(words)[:80],
@@ -163,7 +176,9 @@ class AssetLibrary:
         return with_wheels(asset) if info.is_null("score") else asset
 
     def _file(self, words: str) -> Path | None:
-        places = (self.beside / words, Path(words)) if Path(words).suffix else ()
+        # Scenarios that were written on Windows.
+        paths = dict.fromkeys((words, words.replace("\\", "/"))) if Path(words).suffix else ()
+        places = [folder / path for path in paths for folder in (self.beside, Path())]
         return next((place for place in places if is_file(place)), None)
 
     def _of_work(self, work: str, actor_id: str) -> ActorAsset:
@@ -190,7 +205,7 @@ class AssetLibrary:
 def add_model(
     library: AssetLibrary,
     path: Path,
-    name: str,
+    name: str = "",
     settings: ModelSettings | None = None,
     *,
     kind: ActorKind | None = None,
@@ -199,7 +214,7 @@ def add_model(
     """Read a CAD file into the library.
 
     Args:
-        name: by which scenarios name it.
+        name: by which scenarios name it; empty: the file's, without its suffix.
         settings: axes and size of the file.
         kind: of actor; None: guessed by the file's name and size.
 
@@ -207,8 +222,18 @@ def add_model(
         The new line of the library, and the model with the axes that were chosen.
 
     Raises:
-        InputError: the file cannot be read, or the name is taken.
+        InputError: the file cannot be read, or the name is taken or not fit.
     """
+    if not name and not is_harmless(path.stem):
+        fit = re.sub(r"[^A-Za-z0-9._-]+", "-", path.stem).strip("-._")
+        raise InputError(
+            "the file's name is not fit for an asset",
+            where=path,
+            got=path.stem[:80],
+            expected="letters, digits and . _ -, a letter or digit first",
+            remedy=f"Give --name {fit if is_harmless(fit) else 'model'}.",
+        )
+    name = name or path.stem
     model = load_model(path, settings)
     asset = ActorAsset(name, kind or guessed_kind(path.stem, _size(model.mesh)), model.mesh)
     return library.add(name, asset, path.name, is_replacing=is_replacing), model

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,10 +23,14 @@ from lightsim.scenario.orientation import (
     is_horizontal,
     turned,
 )
+from lightsim.store.foreign import foreign_content
 from lightsim.store.gltf import read_gltf
+from lightsim.store.gltf_document import GLB_MAGIC
 from lightsim.store.obj import read_obj
+from lightsim.store.obj_text import as_utf8
 from lightsim.store.primitive_mesh import mesh_of
 from lightsim.store.primitives import Y_UP_FROM_Z_UP, ModelFile
+from lightsim.store.reading import open_regular
 
 _LOGGER = logging.getLogger(__name__)
 MODEL_SUFFIXES = (".glb", ".gltf", ".obj")
@@ -45,11 +50,18 @@ _REMEDY_BY_SUFFIX = {
                     "Export it from the program that wrote it as .glb, .obj or .fbx."),
     ".zip": "Unpack it, and give the model in it.",
 }  # fmt: skip
+_FBX = "FBX", _REMEDY_BY_SUFFIX[".fbx"]
+_MAX_BYTES = 2 << 30
+"""The largest file that a reader takes; each has its own limit."""
+_HEAD_BYTES = 1 << 16
+"""Comments of an exporter before the first vertex of an OBJ file are shorter."""
+_OBJ_VERTEX = re.compile(rb"^[ \t]*[vV][ \t]+[-+.\d]", re.MULTILINE)
 _LONGEST_M, _SHORTEST_M = 60.0, 0.05
 """Longest side of the largest and of the smallest thing in a street: a tram, a bottle."""
 _UNITS = {
-    0.001: "millimetres", 0.01: "centimetres", 0.0254: "inches", 0.3048: "feet", 10.0: "decametres",
-    100.0: "metres, divided by 100 on export", 1000.0: "metres, divided by 1000 on export",
+    0.001: "millimetres", 0.01: "centimetres", 0.0254: "inches", 0.1: "decimetres", 0.3048: "feet",
+    10.0: "decametres", 100.0: "metres, divided by 100 on export",
+    1000.0: "metres, divided by 1000 on export",
 }  # fmt: skip
 """Metres per unit of what programs write; the last ones are scaled twice by an exporter."""
 _TYPICAL_M = (0.2, 20.0)
@@ -104,10 +116,11 @@ def load_model(path: Path, settings: ModelSettings | None = None) -> Model:
             anything in a street; or a setting does not fit it.
     """
     settings = settings or ModelSettings()
-    reader = _READERS.get(path.suffix.lower())
-    if reader is None:
-        raise _unknown_format(path)
-    model = _placed(reader(path), settings, is_stated=reader is read_gltf)
+    reader, named = _reader(path), _READERS.get(path.suffix.lower())
+    model = _placed(_near_origin(reader(path)), settings, is_stated=reader is read_gltf)
+    if reader is not named:
+        note = f"its content is {'glTF' if reader is read_gltf else 'OBJ'}, and is read as such"
+        model = replace(model, notes=(note, *model.notes))
     if model.notes:
         _LOGGER.warning("%s: %s.", path, "; ".join(model.notes))
     return model
@@ -117,6 +130,41 @@ def centred(mesh: TriMesh) -> TriMesh:
     """Return the mesh with the origin in the middle of its own box."""
     middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
     return replace(mesh, vertices=mesh.vertices - middle)
+
+
+def _reader(path: Path) -> Callable[[Path], ModelFile]:
+    """Return the reader of a file: its content decides between the formats that are read.
+
+    Raises:
+        InputError: the suffix or the content is another format's.
+    """
+    named = _READERS.get(path.suffix.lower())
+    if named is None:
+        raise _unknown_format(path)
+    with open_regular(path, "model", _MAX_BYTES) as handle:
+        head = handle.read(_HEAD_BYTES)
+    foreign = foreign_content(head) or (_FBX if head.startswith(b"Kaydara FBX") else None)
+    if foreign is not None:
+        raise InputError(
+            "the file is no model", where=path, got=foreign[0],
+            expected=f"the content of a {path.suffix.lower()} file", remedy=foreign[1],
+        )  # fmt: skip
+    text = as_utf8(head)
+    if text.startswith(GLB_MAGIC) or text.lstrip().startswith(b"{"):
+        return read_gltf
+    return read_obj if _OBJ_VERTEX.search(text) else named
+
+
+def _near_origin(file: ModelFile) -> ModelFile:
+    """Return the file with the middle of its box at the origin.
+
+    Meshes are float32, which resolves half a metre at UTM coordinates; files may be float64.
+    """
+    corners = [(p.vertices.min(axis=0), p.vertices.max(axis=0)) for p in file.primitives]
+    low, high = np.min(corners, axis=(0, 1)), np.max(corners, axis=(0, 1))
+    middle = (low + high) / 2
+    moved = tuple(replace(p, vertices=p.vertices - middle) for p in file.primitives)
+    return replace(file, primitives=moved)
 
 
 def _unknown_format(path: Path) -> InputError:
@@ -252,21 +300,19 @@ def _proposals(extent: Float64[np.ndarray, "3"]) -> list[str]:
 
 
 def _unit_notes(path: Path, size: Float64[np.ndarray, "3"], settings: ModelSettings) -> list[str]:
-    """Note a size that the name excludes, if a common unit makes it plausible."""
+    """Note a size that the name excludes, with the common units that make it plausible."""
     kinds = named_kinds(path.stem)
-    if not kinds or settings.length_m is not None or any(is_plausible(k, size) for k in kinds):
+    if not kinds or any(is_plausible(k, size) for k in kinds):
         return []
     proposals = [
         f"{settings.metres_per_unit * unit:g} ({_words(size * unit)} m)"
         for unit in _UNITS
-        if is_plausible(kinds[0], size * unit)
+        if settings.length_m is None and is_plausible(kinds[0], size * unit)
     ]
-    if not proposals:
-        return []
-    return [
-        f"{_words(size)} m is not the size of a {kinds[0]}: --metres-per-unit may be"
-        f" {' or '.join(proposals)}"
-    ]
+    remedy = "check --length-m, --metres-per-unit, --up and --front"
+    if proposals:
+        remedy = f"--metres-per-unit may be {' or '.join(proposals)}"
+    return [f"{_words(size)} m is not the size of a {kinds[0]}: {remedy}"]
 
 
 def _card_notes(path: Path, extent: Float64[np.ndarray, "3"], up: Up) -> list[str]:
@@ -275,7 +321,7 @@ def _card_notes(path: Path, extent: Float64[np.ndarray, "3"], up: Up) -> list[st
         return []
     if extent[2] >= _CARD * extent.max():
         return ["it is a card without thickness, which has no shadow for a sun in its plane"]
-    others = [axis for axis in "xyz" if axis != up]
+    others = [axis for axis in "xyz" if axis != up[-1]]
     raise InputError(
         "the model lies flat on the ground",
         where=path,

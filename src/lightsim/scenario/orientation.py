@@ -7,16 +7,19 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float64, Int32, Int64
 
+from lightsim.core.actors import ActorKind
 from lightsim.scenario.kinds import is_plausible, named_kinds
 from lightsim.scenario.wheels import part_of_vertex, wheels_among
 
-Up = Literal["auto", "x", "y", "z"]
-"""Axis of the file that points up; `auto` decides by wheels and by how the model rests on the
-ground, and takes y, the axis of glTF, without evidence for another one."""
+Up = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]
+"""Axis of the file that points up, -z for one whose z points down; `auto` decides by wheels and by
+how the model rests on the ground, and takes y, the axis of glTF, without evidence for another."""
 Front = Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"]
 """Axis of the file that points ahead. glTF has +z, but many models lie along x: `auto` takes the
 longer horizontal side as the length and its lower end, the bonnet, as the front."""
 DEFAULT_UP: Up = "y"
+_BY_WHEELS: tuple[Up, ...] = ("y", "z", "x", "-y", "-z", "-x")
+"""Axes whose ground is looked at for wheels, the first one that has them counts."""
 _AXES = "xyz"
 _END, _EVEN = 0.1, 0.02
 """Parts of the length and of the height: extent of an end, and what differs in height."""
@@ -38,6 +41,8 @@ _MIRRORED, _UNLIKE = 0.05, 0.15
 _BINS = 64
 _LIKE_CAR = 1.1
 """A car is wider than high by this factor or more when its sides alone indicate the up axis."""
+_LOW_KINDS = frozenset((ActorKind.CAR, ActorKind.PICKUP))
+"""Vehicles that are wider than high; trucks and buses are often higher than wide."""
 
 
 def find_up(
@@ -61,8 +66,8 @@ def find_up(
     """
     extent = np.ptp(vertices, axis=0)
     part = part_of_vertex(vertices * (_TYPICAL_M / extent.max()), faces)
-    for up in ("y", "z", "x"):
-        if up != ahead and _has_wheels(vertices, part, up):
+    for up in _BY_WHEELS:
+        if up[-1] != ahead and _has_wheels(vertices, part, up):
             return up, "" if up == DEFAULT_UP else "its wheels are on the ground then"
     if ahead == "z":
         return DEFAULT_UP, ""
@@ -71,8 +76,21 @@ def find_up(
             sizes = {up: extent[list(_horizontal(up)) + [_AXES.index(up)]] * scale for up in _AXES}
             if not is_plausible(kind, sizes[DEFAULT_UP]) and is_plausible(kind, sizes["z"]):
                 return "z", f"a {kind} has no other size"
+    if not is_stated and _is_car_on_its_side(extent, name, scale):
+        return "z", "a car is wider than high"
     evidence = "" if is_stated else _shape_evidence(vertices, faces)
     return ("z", evidence) if evidence else (DEFAULT_UP, "")
+
+
+def _is_car_on_its_side(extent: Float64[np.ndarray, "3"], name: str, scale: float | None) -> bool:
+    """Return if a model of a car's name is higher than wide with y up, and not with z up."""
+    kinds = named_kinds(name)
+    if not kinds or kinds[0] not in _LOW_KINDS:
+        return False
+    if scale is not None and not is_plausible(kinds[0], extent * scale):
+        return False
+    x, y, z = extent.tolist()
+    return y > min(x, z) and min(x, y) >= _LIKE_CAR * z
 
 
 def find_front(vertices: Float64[np.ndarray, "n 3"], up: Up) -> Front:
@@ -84,7 +102,7 @@ def find_front(vertices: Float64[np.ndarray, "n 3"], up: Up) -> Front:
     low, extent = vertices.min(axis=0), np.ptp(vertices, axis=0)
     first, second = _horizontal(up)
     along = first if extent[first] >= extent[second] else second
-    height = vertices[:, _AXES.index(up)]
+    height = vertices[:, _AXES.index(up[-1])] * _sign(up)
     part = (vertices[:, along] - low[along]) / max(extent[along], np.finfo(float).tiny)
     ends = [height[is_end].max() for is_end in (part <= _END, part >= 1 - _END)]
     is_negative = ends[0] < ends[1] - _EVEN * np.ptp(height)
@@ -102,22 +120,26 @@ def turned(
     Args:
         front: horizontal, which is not checked here.
     """
-    ahead, above = _AXES.index(front[1]), _AXES.index(up)
-    sign = -1.0 if front[0] == "-" else 1.0
+    ahead, above = _AXES.index(front[1]), _AXES.index(up[-1])
+    sign, up_sign = _sign(front), _sign(up)
     left = 3 - ahead - above
     # Left is up x ahead: positive for cyclic (up, ahead, left).
-    left_sign = sign if (ahead - above) % 3 == 1 else -sign
+    left_sign = sign * up_sign * (1.0 if (ahead - above) % 3 == 1 else -1.0)
     x, y = vertices[:, ahead] * sign, vertices[:, left] * left_sign
-    return np.stack([x, y, vertices[:, above]], axis=1)
+    return np.stack([x, y, vertices[:, above] * up_sign], axis=1)
 
 
 def is_horizontal(front: Front, up: Up) -> bool:
     """Return if a front lies on the ground."""
-    return front[1] != up
+    return front[1] != up[-1]
+
+
+def _sign(direction: str) -> float:
+    return -1.0 if direction.startswith("-") else 1.0
 
 
 def _horizontal(up: str) -> tuple[int, int]:
-    first, second = (n for n, axis in enumerate(_AXES) if axis != up)
+    first, second = (n for n, axis in enumerate(_AXES) if axis != up[-1])
     return first, second
 
 

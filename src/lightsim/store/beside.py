@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import os
 import re
+import unicodedata
 from pathlib import Path
 from urllib.parse import unquote
 
 from lightsim.errors import InputError
-from lightsim.store.reading import is_file
+from lightsim.store.reading import is_file, is_folder
 
 _MAX_ENTRIES = 10_000
 """Entries of a folder that are compared without regard to case."""
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:")
 """Start of a URL. Drive letters of Windows have one letter."""
-_DRIVE = re.compile(r"[A-Za-z]:")
+_DRIVE = re.compile(r"^[A-Za-z]:")
+_MAX_CHARACTERS, _MAX_PARTS = 4096, 16
+"""Longest path of Linux, and folders of it that are compared; paths of models have some five."""
 
 
 def path_beside(model: Path, reference: str, kind: str) -> Path:
@@ -22,8 +25,9 @@ def path_beside(model: Path, reference: str, kind: str) -> Path:
 
     References are relative to the model's folder, and may start with `../` as exporters write it.
     They are read with and without percent-decoding, with `\\` as `/`, and without regard to case
-    where only that differs. Of an absolute path only the file name counts, beside the model. URLs
-    are refused. The caller opens the result with `reading.open_regular`.
+    and to the form of Unicode (macOS writes accents apart) where only that differs. Of an absolute
+    path, the longest end that is there counts: `textures/red.png` of `D:/work/textures/red.png`,
+    else `red.png`. URLs are refused. The caller opens the result with `reading.open_regular`.
 
     Args:
         kind: a word for errors, such as "picture".
@@ -53,15 +57,45 @@ def path_beside(model: Path, reference: str, kind: str) -> Path:
 
 
 def _existing(folder: Path, text: str) -> Path | None:
-    if text.startswith("/") or _DRIVE.match(text):
-        text = text.rsplit("/", 1)[-1]
-    path = folder / text
-    if not text or is_file(path):
-        return path if text else None
-    try:
-        with os.scandir(path.parent) as entries:
-            names = [entry.name for entry, _ in zip(entries, range(_MAX_ENTRIES), strict=False)]
-    except (OSError, ValueError):
+    if len(text) > _MAX_CHARACTERS:
         return None
-    alike = [name for name in names if name.casefold() == path.name.casefold()]
-    return path.parent / alike[0] if len(alike) == 1 and is_file(path.parent / alike[0]) else None
+    if not text.startswith("/") and not _DRIVE.match(text):
+        return _at(folder, text.split("/"))
+    parts = [part for part in _DRIVE.sub("", text).split("/") if part][-_MAX_PARTS:]
+    tails = (_at(folder, parts[n:]) for n in range(len(parts)))
+    return next((path for path in tails if path is not None), None)
+
+
+def _at(folder: Path, parts: list[str]) -> Path | None:
+    """Return the file at a relative path, each part as written or, if one entry is, alike."""
+    path = folder.joinpath(*parts)
+    if not parts[-1] or is_file(path):
+        return path if parts[-1] else None
+    if len(parts) > _MAX_PARTS:
+        return None
+    path = folder
+    for part in parts:
+        if part in ("", ".", "..") or _is_there(path / part):
+            path = path / part
+            continue
+        alike = [name for name in _names(path) if _plain(name) == _plain(part)]
+        if len(alike) != 1:
+            return None
+        path = path / alike[0]
+    return path if is_file(path) else None
+
+
+def _is_there(path: Path) -> bool:
+    return is_file(path) or is_folder(path)
+
+
+def _names(folder: Path) -> list[str]:
+    try:
+        with os.scandir(folder) as entries:
+            return [entry.name for entry, _ in zip(entries, range(_MAX_ENTRIES), strict=False)]
+    except (OSError, ValueError):
+        return []
+
+
+def _plain(name: str) -> str:
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())

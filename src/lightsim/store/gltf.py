@@ -66,7 +66,7 @@ def read_gltf(path: Path) -> ModelFile:
         raise InputError(
             "the model has no triangles",
             where=path,
-            got="points or lines alone" if reader.n_left_out else "no mesh in its default scene",
+            got=reader.left_out or "no mesh in its default scene",
             expected="triangles",
             remedy="Export its surfaces.",
         )
@@ -90,7 +90,7 @@ class _Reader:
 
     def __init__(self, document: GltfDocument) -> None:
         self.notes = Notes()
-        self.n_left_out = 0
+        self.left_out = ""
         self._document = document
         self._accessors = Accessors(document)
         self._materials = Materials(document, Textures(document), self.notes)
@@ -121,7 +121,9 @@ class _Reader:
             raise ValueError(f"its instances have more than {_MAX_VERTICES} vertices or faces")
 
     def _mesh_parts(self, mesh: int, weights: tuple[float, ...]) -> list[_Part]:
-        values = self._document.item("meshes", mesh)["primitives"]
+        values = self._document.item("meshes", mesh).get("primitives", [])
+        if not values:
+            self._leave_out_empty(f"meshes[{mesh}]")
         if len(values) > _MAX_PARTS:
             raise ValueError(f"a mesh has more than {_MAX_PARTS} primitives")
         parts = [self._part(value, weights) for value in values]
@@ -133,11 +135,15 @@ class _Reader:
         if mode not in range(7):
             raise ValueError(f"a primitive of mode {str(mode)[:20]}, not 0 to 6")
         if mode < _TRIANGLES:
-            self.n_left_out += 1
+            self.left_out = "points or lines alone"
             self.notes.add("points and lines are left out")
             return None
-        attributes = value["attributes"]
-        self._require_data(value)
+        attributes = value.get("attributes", {})
+        named = [attributes.get("POSITION"), *([value["indices"]] if "indices" in value else [])]
+        if named[0] is None or any(self._accessors.is_empty(index) for index in named):
+            self._leave_out_empty("no position or corner")
+            return None
+        self._require_data(value, named)
         vertices = self._accessors.floats(attributes["POSITION"], 3)
         faces = _faces(self._corners(value, len(vertices)), mode)
         if not len(faces):
@@ -160,12 +166,16 @@ class _Reader:
             own,
         )
 
-    def _require_data(self, value: dict[str, Any]) -> None:
-        """Raise an error if positions or indices are in an extension alone."""
-        named = [
-            value["attributes"]["POSITION"],
-            *([value["indices"]] if "indices" in value else []),
-        ]
+    def _leave_out_empty(self, what: str) -> None:
+        self.left_out = "empty meshes or primitives alone"
+        self.notes.add("empty meshes and primitives are left out", what)
+
+    def _require_data(self, value: dict[str, Any], named: list[Any]) -> None:
+        """Raise an error if positions or indices are in an extension alone.
+
+        Args:
+            named: accessors of positions and indices.
+        """
         if all(self._accessors.has_data(index) for index in named):
             return
         if DRACO in extensions(value):

@@ -71,6 +71,10 @@ class Accessors:
         accessor = self.document.item("accessors", index)
         return "bufferView" in accessor or "sparse" in accessor
 
+    def is_empty(self, index: object) -> bool:
+        """Return whether the accessor has no rows, which the standard forbids."""
+        return self.document.item("accessors", index).get("count") == 0
+
     def _stored(self, accessor: dict[str, Any], index: object) -> Shaped[np.ndarray, "n c"]:
         dtype = np.dtype(_DTYPE_BY_COMPONENT[accessor["componentType"]])
         width, count = _WIDTH_BY_TYPE[accessor["type"]], whole(accessor["count"])

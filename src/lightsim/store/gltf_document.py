@@ -23,7 +23,8 @@ JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 _MAX_BYTES = 2 << 30
 """Of a file, and of all buffers together. A street of ten million vertices takes half of it; glTF
 itself ends at 4 GiB."""
-_DATA_URI = re.compile(rb'"data:[^"\\]*(?:\\.[^"\\]*)*"')
+_DATA_URI = re.compile(rb'("uri"\s*:\s*)("(?i:data):[^"\\]*(?:\\.[^"\\]*)*")')
+"""Those of buffers and pictures; other texts, such as names, may start with "data:" too."""
 
 
 @dataclass(eq=False)
@@ -107,7 +108,7 @@ class GltfDocument:
         text = json.loads(self.embedded[int(uri.removeprefix("data:"))])
         head, _, body = text.partition(",")
         data = unquote_to_bytes(body) if "%" in body else body.encode()
-        if head.endswith(";base64"):
+        if head.lower().endswith(";base64"):
             data = base64.b64decode(data + b"=" * (-len(data) % 4))
         self._count(len(data))
         return data
@@ -131,8 +132,8 @@ def read_document(path: Path) -> GltfDocument:
 
     def replace(match: re.Match[bytes]) -> bytes:
         # Data may be larger than what is safe to parse as JSON.
-        embedded.append(match.group())
-        return b'"data:%d"' % (len(embedded) - 1)
+        embedded.append(match[2])
+        return match[1] + b'"data:%d"' % (len(embedded) - 1)
 
     return GltfDocument(path, _parsed(_DATA_URI.sub(replace, bytes(text))), binary, embedded)
 
@@ -153,7 +154,9 @@ def _chunks(data: memoryview) -> tuple[memoryview, memoryview | None]:
         position += 8 + length
     if JSON_CHUNK not in chunks:
         raise ValueError("it has no JSON chunk")
-    return chunks[JSON_CHUNK], chunks.get(BINARY_CHUNK)
+    # Blanks fill the chunk by the standard; some exporters write zeros.
+    text = chunks[JSON_CHUNK]
+    return text[: len(bytes(text).rstrip(b"\0"))], chunks.get(BINARY_CHUNK)
 
 
 def _parsed(text: bytes) -> dict[str, Any]:
@@ -170,7 +173,7 @@ def _parsed(text: bytes) -> dict[str, Any]:
     if not isinstance(document, dict) or "asset" not in document:
         raise ValueError("its JSON is no glTF document")
     version = str(document["asset"].get("version"))
-    if not version.startswith("2."):
+    if version != "2" and not version.startswith("2."):
         raise ValueError(f"it is glTF {version[:20]}, not glTF 2")
     return document
 

@@ -37,6 +37,8 @@ __all__ = [
 _READABLE = ("PNG", "JPEG", "WEBP")
 _TEXTURES = (*_READABLE, "BMP", "TGA")
 _EIGHT_BIT_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
+_GREY16 = "I;16"
+_TEXTURE_MODES = (*_EIGHT_BIT_MODES, _GREY16)
 _PIL_ERRORS = (OSError, ValueError, SyntaxError, EOFError, LookupError, TypeError, struct.error)
 _MAX_PIXELS = 1 << 27
 """A 16k panorama, 16384x8192; decoded by Pillow it takes a gigabyte."""
@@ -105,12 +107,14 @@ def write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"], quality: int = 92)
 def decode_texture(data: bytes, *, is_of_obj: bool = False) -> UInt8[np.ndarray, "h w _"]:
     """8-bit sRGB of the bytes of a PNG, JPEG or WebP picture, and alpha where any is below 255.
 
-    BMP and TGA, which OBJ files use, are read with `is_of_obj`.
+    PNG of 16 bits a channel are rounded to 8. BMP and TGA, which OBJ files use, are read with
+    `is_of_obj`.
 
     Raises:
-        ValueError: the bytes are damaged, truncated, or not 8 bits a channel.
+        ValueError: the bytes are damaged, truncated, or of another depth.
     """
-    rgba = _decode_pil(data, "RGBA", _TEXTURES if is_of_obj else _READABLE)
+    formats = _TEXTURES if is_of_obj else _READABLE
+    rgba = _decode_pil(data, "RGBA", formats, _TEXTURE_MODES, 16)
     return rgba if (rgba[..., 3] < 255).any() else np.ascontiguousarray(rgba[..., :3])
 
 
@@ -160,19 +164,33 @@ def _unreadable(path: Path, error: ValueError, formats: tuple[str, ...] = _READA
     )
 
 
-def _decode_pil(data: bytes, mode: str, formats: tuple[str, ...]) -> UInt8[np.ndarray, "h w *c"]:
+def _decode_pil(
+    data: bytes,
+    mode: str,
+    formats: tuple[str, ...],
+    modes: tuple[str, ...] = _EIGHT_BIT_MODES,
+    most_bits: int = 8,
+) -> UInt8[np.ndarray, "h w *c"]:
     from PIL import Image
 
     # Pillow takes a PNG whose pixels are whole but whose end is cut off.
     if data.startswith(b"\x89PNG") and _PNG_END not in data:
         raise ValueError("the PNG is truncated")
     with _pillow_errors(), Image.open(io.BytesIO(data), formats=formats) as image:
-        _check_header(image.size, image.mode, data)
+        _check_header(image.size, image.mode, data, modes, most_bits)
+        if image.mode == _GREY16:
+            # Pillow would clip the numbers; in colour it takes their upper byte by itself.
+            grey = np.rint(np.array(image) / 257).astype(np.uint8)
+            return np.array(Image.fromarray(grey).convert(mode), dtype=np.uint8)
         return np.array(image.convert(mode), dtype=np.uint8)
 
 
 def _check_header(
-    size: tuple[int, int], mode: str, data: bytes, modes: tuple[str, ...] = _EIGHT_BIT_MODES
+    size: tuple[int, int],
+    mode: str,
+    data: bytes,
+    modes: tuple[str, ...] = _EIGHT_BIT_MODES,
+    most_bits: int = 8,
 ) -> None:
     """Refuse before pixels are allocated."""
     width, height = size
@@ -181,8 +199,8 @@ def _check_header(
     if mode not in modes:
         raise ValueError(f"pixels of mode {mode}, not one of {', '.join(modes)}")
     # Pillow makes a 16-bit RGB picture one of 8 bits without a word.
-    if data.startswith(b"\x89PNG") and data[_PNG_DEPTH_AT] > 8:
-        raise ValueError(f"{data[_PNG_DEPTH_AT]} bits a channel instead of 8")
+    if data.startswith(b"\x89PNG") and data[_PNG_DEPTH_AT] > most_bits:
+        raise ValueError(f"{data[_PNG_DEPTH_AT]} bits a channel instead of {most_bits}")
 
 
 @contextmanager

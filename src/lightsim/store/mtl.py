@@ -5,11 +5,13 @@ Reference: Wavefront Advanced Visualizer, Appendix B2, Material Template Library
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from lightsim.store.notes import Notes
+from lightsim.store.obj_text import as_utf8, decode
 
 _OPTIONS = frozenset((
     "-blendu", "-blendv", "-bm", "-boost", "-cc", "-clamp", "-imfchan", "-mm", "-o", "-s", "-t",
@@ -19,14 +21,14 @@ _WORD_OPTIONS = frozenset(("-blendu", "-blendv", "-cc", "-clamp", "-imfchan", "-
 """Those that are followed by one word; numbers follow the others."""
 _USED_OPTIONS = frozenset(("-o", "-s", "-clamp", "-imfchan", "-cc"))
 """`-cc` corrects colours of lights, `-imfchan` chooses the channel, which the picture decides."""
-_USED_MAPS = {name.lower(): name for name in ("map_Kd", "map_d", "map_Pr", "map_Pm")}
+_USED_MAPS = {name.lower(): name for name in ("map_Kd", "map_Ka", "map_d", "map_Pr", "map_Pm")}
 _SHAPE_MAPS = frozenset(("bump", "map_bump", "norm", "map_kn", "disp", "map_disp"))
 _OTHER_MAPS = frozenset((
     "decal", "map_ks", "map_ns", "map_tr", "map_opacity", "map_refl", "refl", "map_rma", "map_orm",
     "map_ps",
 ))  # fmt: skip
 _SHEENS = frozenset(("ps", "pc", "pcr", "aniso", "anisor"))
-_WITHOUT_EFFECT = frozenset(("ka", "map_ka", "ks", "ni", "tf", "illum", "sharpness", "map_aat"))
+_WITHOUT_EFFECT = frozenset(("ka", "ks", "ni", "tf", "illum", "sharpness", "map_aat"))
 """Ambient light is traced, all surfaces but metal reflect 4 %, and panes do not refract. `illum` is
 a choice of a viewer's shading, which exporters write regardless of the material."""
 _MOST_EXPONENT = 900.0
@@ -60,7 +62,7 @@ class MtlMaterial:
         opacity: `d`, or 1 - `Tr`.
         roughness: `Pr`, or `Ns` by Blender's rule.
         metallic: `Pm`.
-        maps: pictures by statement: map_Kd, map_d, map_Pr, map_Pm.
+        maps: pictures by statement: map_Kd (or map_Ka without one), map_d, map_Pr, map_Pm.
     """
 
     name: str
@@ -71,18 +73,27 @@ class MtlMaterial:
     maps: dict[str, TextureMap] = field(default_factory=dict)
 
 
-def parse_mtl(text: str, notes: Notes) -> dict[str, MtlMaterial]:
-    """Return the materials of a text by name; what is not used is added to the notes."""
+def parse_mtl(data: bytes, notes: Notes) -> dict[str, MtlMaterial]:
+    """Return the materials of a text by name; what is not used is added to the notes.
+
+    Each line is decoded for itself, since a comment may have another encoding than a name. Blanks
+    are those of ASCII: bytes of other encodings in a name are no blanks or line ends.
+    """
     materials: dict[str, MtlMaterial] = {}
     reader = _Reader(notes)
-    for line in text.splitlines():
-        keyword, *tail = line.split(None, 1)[:2] or ("#",)
-        rest = tail[0].strip() if tail else ""
-        if keyword == "newmtl":
+    for line in as_utf8(data).splitlines():
+        words = line.split(None, 1) or [b"#"]
+        keyword, rest = decode(words[0]), decode(words[1].strip()) if len(words) > 1 else ""
+        if keyword.lower() == "newmtl":
             reader.material = materials[rest] = MtlMaterial(rest)
             reader.has_dissolve = False
         elif not keyword.startswith("#") and reader.material is not None:
             reader.read(keyword, rest)
+    for material in materials.values():
+        ambient = material.maps.pop("map_Ka", None)
+        if ambient is not None and "map_Kd" not in material.maps:
+            material.maps["map_Kd"] = ambient
+            notes.add("map_Ka is read as the map_Kd that is missing", material.name)
     return materials
 
 
@@ -96,20 +107,21 @@ class _Reader:
         """Read one statement of the present material."""
         material = self.material
         assert material is not None
-        used_map = _USED_MAPS.get(keyword.lower())
+        word = keyword.lower()
+        used_map = _USED_MAPS.get(word)
         numbers = _numbers(rest.split())
-        if keyword == "Kd":
+        if word == "kd":
             material.colour = self._colour(rest)
-        elif keyword in ("d", "Tr"):
-            self._read_opacity(keyword, _numbers(rest.removeprefix("-halo").split()))
-        elif keyword == "Ns" and numbers:
+        elif word in ("d", "tr"):
+            self._read_opacity(word, _numbers(rest.removeprefix("-halo").split()))
+        elif word == "ns" and numbers:
             if material.roughness is None:
                 material.roughness = 1.0 - float(
                     np.sqrt(np.clip(numbers[0] / _MOST_EXPONENT, 0, 1))
                 )
-        elif keyword == "Pr" and numbers:
+        elif word == "pr" and numbers:
             material.roughness = float(np.clip(numbers[0], 0, 1))
-        elif keyword == "Pm" and numbers:
+        elif word == "pm" and numbers:
             material.metallic = float(np.clip(numbers[0], 0, 1))
         elif used_map:
             material.maps[used_map] = self._map(rest)
@@ -168,14 +180,14 @@ class _Reader:
         assert self.material is not None
         values: dict[str, list[str]] = {}
         while rest.startswith("-"):
-            option, _, tail = rest.partition(" ")
+            option, tail = _first_word(rest)
             if option not in _OPTIONS:
                 break
             taken: list[str] = []
             most = 1 if option in _WORD_OPTIONS or option in ("-bm", "-boost", "-texres") else 3
             most = 2 if option == "-mm" else most
-            while len(taken) < most and tail.strip():
-                word, _, after = tail.strip().partition(" ")
+            while len(taken) < most and tail:
+                word, after = _first_word(tail)
                 if option not in _WORD_OPTIONS and not _numbers([word]):
                     break
                 taken.append(word)
@@ -185,7 +197,7 @@ class _Reader:
                 self.notes.add(
                     f"the option {option} of texture maps is not used", self.material.name
                 )
-            rest = tail.strip()
+            rest = tail
         scale, offset = _numbers(values.get("-s", [])), _numbers(values.get("-o", []))
         return TextureMap(
             rest.strip("\"'"),
@@ -193,6 +205,12 @@ class _Reader:
             (offset[0] if offset else 0.0, offset[1] if len(offset) > 1 else 0.0),
             values.get("-clamp") == ["on"],
         )
+
+
+def _first_word(text: str) -> tuple[str, str]:
+    """Return a text up to its first blank of ASCII, and what follows the blanks."""
+    word, *rest = re.split(r"[ \t\v\f]+", text, maxsplit=1)
+    return word, rest[0] if rest else ""
 
 
 def _numbers(words: list[str]) -> list[float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from lightsim.store.beside import path_beside
 from lightsim.store.images import decode_texture
 from lightsim.store.mtl import MtlMaterial, TextureMap, parse_mtl
 from lightsim.store.notes import Notes
-from lightsim.store.obj_text import decode
+from lightsim.store.obj_text import without_comment
 from lightsim.store.primitives import AlphaMode, ImageTexture, Wrap
 from lightsim.store.reading import MAX_PICTURE_BYTES, read_bytes
 
@@ -96,8 +97,9 @@ def looks_of(
         names: materials of the faces.
         notes: receives what is missing or not used.
     """
-    found = _libraries(path, libraries, notes)
-    by_case = {name.casefold(): pair for name, pair in found.items()}
+    is_used = any(name is not None for name in names)
+    found = _libraries(path, libraries, notes, is_used=is_used)
+    find = _Finder(found)
     pictures = _Pictures(notes)
     looks: dict[str | None, ObjLook] = {}
     for name in names:
@@ -105,7 +107,7 @@ def looks_of(
             if not has_vertex_colours:
                 notes.add("faces without a material are mid grey (0.5 linear)")
             looks[None] = ObjLook(_GREY, Material(name="no material"))
-        elif (pair := found.get(name) or by_case.get(name.casefold())) is not None:
+        elif (pair := find(name)) is not None:
             looks[name] = _look(*pair, pictures, notes)
         else:
             notes.add("materials that no library defines are mid grey, 0.5 linear", name)
@@ -113,17 +115,47 @@ def looks_of(
     return looks
 
 
+class _Finder:
+    """Finds materials by name: as written, without regard to case, without a comment behind it."""
+
+    def __init__(self, found: dict[str, tuple[MtlMaterial, Path]]) -> None:
+        self._by_name = {name.casefold(): pair for name, pair in found.items()} | found
+        bare = [without_comment(name) for name in found]
+        counts = Counter(bare)
+        # Of `paint #2` and `paint #3`, neither is `paint`.
+        self._by_bare_name = {
+            name: pair for name, pair in zip(bare, found.values(), strict=True) if counts[name] == 1
+        }
+
+    def __call__(self, name: str) -> tuple[MtlMaterial, Path] | None:
+        for key in dict.fromkeys((name, name.casefold())):
+            if key in self._by_name:
+                return self._by_name[key]
+        if name in self._by_bare_name:
+            return self._by_bare_name[name]
+        bare = without_comment(name)
+        return self._by_name.get(bare) or self._by_name.get(bare.casefold())
+
+
 def _libraries(
-    path: Path, libraries: Sequence[str], notes: Notes
+    path: Path, libraries: Sequence[str], notes: Notes, *, is_used: bool
 ) -> dict[str, tuple[MtlMaterial, Path]]:
-    """Return the materials of all MTL files with their file; the first one of a name counts."""
+    """Return the materials of all MTL files with their file; the first one of a name counts.
+
+    Args:
+        is_used: a face names a material; without an MTL file of the statements, the one with the
+            model's own name is read then.
+    """
     found: dict[str, tuple[MtlMaterial, Path]] = {}
     remarks = Notes()
-    for words in dict.fromkeys(libraries):
-        for library in _library_paths(path, words, notes):
-            text = decode(read_bytes(library, "material library", _MAX_MTL_BYTES))
-            for name, material in parse_mtl(text, remarks).items():
-                found.setdefault(name, (material, library))
+    paths = [p for words in dict.fromkeys(libraries) for p in _library_paths(path, words, notes)]
+    if is_used and not paths and (own := _beside(path, f"{path.stem}.mtl")) is not None:
+        notes.add("no mtllib names the material library beside the model, which is read", own.name)
+        paths = [own]
+    for library in dict.fromkeys(paths):
+        data = read_bytes(library, "material library", _MAX_MTL_BYTES)
+        for name, material in parse_mtl(data, remarks).items():
+            found.setdefault(name, (material, library))
     for sentence in remarks.sentences():
         notes.add(sentence)
     return found
@@ -146,13 +178,15 @@ def _library_paths(path: Path, words: str, notes: Notes) -> list[Path]:
 
 
 def _beside(path: Path, words: str) -> Path | None:
-    """Return a file that `path` names, else one of its name beside `path`."""
-    words = words.strip().strip("\"'")
-    for reference in dict.fromkeys((words, words.replace("\\", "/").rsplit("/", 1)[-1])):
-        try:
-            return path_beside(path, reference, "file")
-        except InputError:
-            continue
+    """Return a file that `path` names, else the longest end of that path which is there."""
+    for text in dict.fromkeys((words, without_comment(words))):
+        name = text.strip(" \t\v\f\"'")
+        # With "/" before it, any end of the path may be the one that is there.
+        for reference in (name, f"/{name}"):
+            try:
+                return path_beside(path, reference, "file")
+            except InputError:
+                continue
     return None
 
 
@@ -216,7 +250,7 @@ def _look(material: MtlMaterial, library: Path, pictures: _Pictures, notes: Note
     colour = material.colour or _GREY
     picture, mask = loaded.get("map_Kd"), loaded.get("map_d")
     if mask is picture and mask is not None and mask.shape[2] < 4:
-        notes.add("map_d is the picture of map_Kd, which has no alpha: no holes", material.name)
+        notes.add("map_d is the picture of map_Kd, which is opaque: no holes", material.name)
         mask = None
     if picture is None and "map_Kd" in maps and max(colour) == 0:
         colour = _GREY  # The black that exporters write beside a texture.

@@ -23,8 +23,12 @@ _BLOCK_BYTES = 32 << 20
 _FARTHEST = 1e12
 """Largest coordinate: squares and products of four of them are float64 numbers."""
 _NEWLINE, _SPACE, _SLASH, _HASH = b"\n /#"
+_LOWER = np.uint8(0x20)
+"""Bit in which a capital differs from its small letter."""
 _BLANK = np.zeros(256, bool)
 _BLANK[list(b" \t\n\r\v\f")] = True
+_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+_COMMENT = re.compile(r"(?<=[^ \t])[ \t]+#")
 _SILENT = frozenset((b"o", b"g", b"mg"))
 """Names and groups, which change no surface."""
 
@@ -101,16 +105,28 @@ def parse_obj(data: bytes) -> ObjText:
 
 
 def decode(name: bytes) -> str:
-    """Return a name in a text of unknown encoding."""
+    """Return a name in a text of unknown encoding; equal bytes give equal names."""
     try:
         return name.decode("utf-8")
     except UnicodeDecodeError:
         return name.decode("latin-1")
 
 
+def as_utf8(data: bytes) -> bytes:
+    """Return text without its byte order mark, UTF-16 (of Windows editors) as UTF-8."""
+    if data.startswith(_UTF16_MARKS):
+        return data.decode("utf-16", "replace").encode("utf-8")
+    return data.removeprefix(b"\xef\xbb\xbf")
+
+
+def without_comment(words: str) -> str:
+    """Return a name without a comment behind it: ` #` may also be a part of the name."""
+    return _COMMENT.split(words, maxsplit=1)[0]
+
+
 def _plain(data: bytes) -> bytes:
     """One statement a line, no blanks before it, LF at the ends."""
-    data = data.removeprefix(b"\xef\xbb\xbf")
+    data = as_utf8(data)
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if b"\\\n" in data:
@@ -141,6 +157,7 @@ class _Lines:
         kinds = np.full(len(self.starts), _Kind.OTHER, np.uint8)
         is_short, is_pair = _BLANK[second], _BLANK[third]
         kinds[_BLANK[first] | (first == _HASH)] = _Kind.NOTHING
+        first, second = first | _LOWER, second | _LOWER
         kinds[(first == ord("v")) & is_short] = _Kind.POSITION
         kinds[(first == ord("v")) & (second == ord("t")) & is_pair] = _Kind.UV
         kinds[(first == ord("v")) & (second == ord("n")) & is_pair] = _Kind.NORMAL
@@ -298,7 +315,7 @@ def _read_other(text: ObjText, lines: _Lines, numbers: Int64[np.ndarray, " k"]) 
     for n in numbers.tolist():
         start = int(lines.starts[n])
         words = lines.data[start : start + int(lines.lengths[n])].split(None, 1)
-        keyword, rest = words[0], words[1].strip() if len(words) > 1 else b""
+        keyword, rest = words[0].lower(), words[1].strip() if len(words) > 1 else b""
         if keyword == b"usemtl":
             text.materials.append((n, decode(rest)))
         elif keyword == b"s":
