@@ -14,16 +14,16 @@ from limits import run_limited
 READ_ALL = """
 from pathlib import Path
 from lightsim.errors import LightSimError
-from lightsim.datasets.files import read_gzip, read_json
+from lightsim.datasets.files import read_packed, read_json
 from lightsim.datasets.pandaset.rig import read_rig
-from lightsim.store import artefact, arrays, exr, images, meshes
+from lightsim.store import artefact, arrays, exr, gltf, images, meshes, obj
 from lightsim_lab.training.hdr_skies import read_split
 path = Path(sys.argv[1])
 readers = [
-    read_json, lambda p: read_gzip(p, 1 << 20), lambda p: read_rig(p.parent), images.read_srgb8,
+    read_json, lambda p: read_packed(p, 1 << 20), lambda p: read_rig(p.parent), images.read_srgb8,
     images.read_srgb8_alpha, images.read_grey8, images.read_grey8_alpha, images.read_size,
     images.read_hdr, images.read_sky, exr.read_exr, lambda p: meshes.read_glb(p, "world"),
-    arrays.load_arrays, artefact.read_json, read_split,
+    gltf.read_gltf, obj.read_obj, arrays.load_arrays, artefact.read_json, read_split,
 ]
 for read in readers:
     try:
@@ -53,7 +53,7 @@ def test_every_reader_refuses_what_is_no_regular_file(tmp_path: Path, kind: str)
     else:
         path.symlink_to("/dev/zero")
     finished = run_limited(READ_ALL, path, cpu_s=20, memory_mb=6000, wall_s=60)
-    assert finished.output.splitlines() == ["a pipe, device or socket"] * 15
+    assert finished.output.splitlines() == ["a pipe, device or socket"] * 17
 
 
 def test_files_are_read_whole_and_bounded(tmp_path: Path) -> None:

@@ -110,7 +110,7 @@ def test_a_stored_field_comes_back_and_another_networks_is_refused(tmp_path: Pat
 
 def test_a_street_uses_the_field_in_its_own_folder(tmp_path: Path) -> None:
     options, work = RelightOptions(name="x", method="nerf-osr"), Workspace(tmp_path)
-    with pytest.raises(InputError, match="no relightable field"):
+    with pytest.raises(InputError, match="no weights of --method nerf-osr"):
         weights_hash(work, options)
     path = tmp_path / FIELD_WEIGHTS
     path.parent.mkdir()
