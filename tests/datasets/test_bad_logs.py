@@ -134,7 +134,16 @@ CASES: list[tuple[str, Break, str]] = [
         drop_column(SWEEP, "i", sweep_columns),
         r"00\.pkl\.gz: the column 'i'",
     ),
-    ("sweep of text", change_sweep(x="far"), r"00\.pkl\.gz: the column 'x' holds no numbers"),
+    (
+        "sweep of text",
+        change_sweep(x="far"),
+        r"00\.pkl\.gz: the column 'x' holds no numbers.* Write the numbers",
+    ),
+    (
+        "sweep of digits",
+        change_sweep(x="1.5"),
+        r"the column 'x' holds no numbers.*astype\(float\)",
+    ),
     ("sweep of NaN", change_sweep(x=np.nan), r"00\.pkl\.gz: the sweep has no valid point"),
     ("sweep of another day", change_sweep(t=START_S + 86400), r"00\.pkl\.gz: the points' times"),
     ("unknown LiDAR", change_sweep(d=3), r"00\.pkl\.gz: the column 'd'"),

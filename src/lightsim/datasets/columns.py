@@ -36,7 +36,9 @@ def number_column(table: Table, name: str, path: Path) -> Shaped[np.ndarray, " n
             where=path,
             got=f"the text {cells[wrong[0]]!r:.40} in row {wrong[0]}",
             expected="numbers",
-            remedy=f"Convert it before writing the table: table['{name}'].astype(float).",
+            remedy=f"Convert it before writing the table: table['{name}'].astype(float)."
+            if _is_number(cells[wrong[0]])
+            else "Write the numbers of PandaSet's own tables, such as class ids instead of names.",
         )
     try:
         return np.array([np.nan if cell is None else cell for cell in cells], dtype=np.float64)
@@ -101,3 +103,11 @@ def truth_column(table: Table, name: str, path: Path, *, missing: bool) -> Bool[
             )
         truths[row] = bool(value)
     return truths
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
