@@ -76,7 +76,7 @@ class OutOfRangeError(LightSimError):
 
 
 class ArtefactError(LightSimError):
-    """An artefact folder is missing, incomplete or of another schema version."""
+    """An artefact folder is missing, incomplete or made in another format."""
 
 
 class MissingDependencyError(LightSimError):

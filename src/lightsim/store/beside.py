@@ -26,7 +26,7 @@ def path_beside(model: Path, reference: str, kind: str) -> Path:
     References are relative to the model's folder, and may start with `../` as exporters write it.
     They are read with and without percent-decoding, with `\\` as `/`, and without regard to case
     and to the form of Unicode (macOS writes accents apart) where only that differs. Of an absolute
-    path, the longest end that is there counts: `textures/red.png` of `D:/work/textures/red.png`,
+    path, the longest end that is there counts: `textures/red.png` of `D:/models/textures/red.png`,
     else `red.png`. URLs are refused. The caller opens the result with `reading.open_regular`.
 
     Args:
