@@ -12,15 +12,14 @@ from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.sensors import SWEEP_HOLD_S, LidarSweep
 from lightsim.errors import InputError
 
+# Upper bound of an actor's motion during one sweep: 30 m/s for 0.1 s. Only widens a search.
 _SWEPT_M = 3.0
-"""An actor moves by less while a sweep lasts."""
 
 
 class ActorKind(StrEnum):
-    """What an actor is, as far as shape, motion and material depend on it.
+    """Class of an actor, which decides its default shape, motion model and materials.
 
-    Readers map a data set's own labels to it. Nothing is assumed about OTHER: none of the
-    predicates holds.
+    Readers map the labels of a data set to it. For OTHER all predicates are false.
     """
 
     CAR = "car"
@@ -45,17 +44,17 @@ class ActorKind(StrEnum):
 
     @property
     def is_vehicle(self) -> bool:
-        """Has a body on three wheels or more, whose two halves mirror each other."""
+        """True for bodies on three or more wheels, whose left and right halves are symmetric."""
         return self in _VEHICLES
 
     @property
     def is_person(self) -> bool:
-        """Is a person, with or without what carries them."""
+        """True for people on foot and on personal mobility devices."""
         return self in _PERSONS
 
     @property
     def is_rigid_body(self) -> bool:
-        """Keeps its shape while it moves: one pose says where all of it is."""
+        """True if one pose describes the position of the whole actor at a time."""
         return self.is_vehicle or self in _STREET_FURNITURE
 
 
@@ -73,7 +72,7 @@ _STREET_FURNITURE = frozenset(
 class ActorTrack:
     """One actor: `trajectory` is world_from_actor; the actor frame sits at the box centre.
 
-    `label` is the recording's own word for it, for people and outputs; by default the kind's.
+    `label` is the name in the recording, used in messages and outputs; by default that of `kind`.
     """
 
     actor_id: str
@@ -95,7 +94,7 @@ class ActorTrack:
             )
 
     def is_present(self, time_ns: int, hold_s: float = 0.1) -> bool:
-        """Whether the actor has a pose then: within its labelled times, or `hold_s` beyond them."""
+        """True from the first to the last labelled time, extended by `hold_s` at both ends."""
         return self.trajectory.covers(time_ns, hold_s)
 
     def world_from_actor(self, time_ns: int, hold_s: float = 0.1) -> RigidTransform:
@@ -106,7 +105,7 @@ class ActorTrack:
     def contains(
         self, points_world: Float[np.ndarray, "n 3"], time_ns: int, margin_m: float = 0.0
     ) -> Bool[np.ndarray, " n"]:
-        """Which points lie inside the box (grown by `margin_m`) at a time."""
+        """Return a mask of the points inside the box, grown by `margin_m`, at a time."""
         pose = self.world_from_actor(time_ns)
         half = self.size_lwh_m / 2 + margin_m
         near = _beside(points_world, pose, float(np.linalg.norm(half)))
@@ -118,8 +117,8 @@ class ActorTrack:
     def returns_beside(
         self, sweep: LidarSweep
     ) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, "k 3"]]:
-        """Returns of a sweep around the actor: their numbers, and where they lie in frame `actor`
-        at the time when beams met it. The actor is present at the sweep's time."""
+        """Return indices of the returns near the actor, and their positions in frame `actor` at the
+        time when the beams met it. The actor must be present at the sweep's time."""
         pose = self.world_from_actor(sweep.time_ns, SWEEP_HOLD_S)
         reach_m = float(np.linalg.norm(self.size_lwh_m)) / 2 + _SWEPT_M
         near = _beside(sweep.points_world, pose, reach_m)
@@ -133,6 +132,7 @@ class ActorTrack:
 def _beside(
     points_world: Float[np.ndarray, "n 3"], pose: RigidTransform, reach_m: float
 ) -> Int64[np.ndarray, " k"]:
-    """Points less than `reach_m` from a pose along x and y: most of a sweep lies elsewhere."""
+    """Return indices of the points less than `reach_m` from a pose along x and along y."""
+    # A cheap test first: most points of a sweep are far from any one actor.
     offset = points_world[:, :2] - pose.translation_m[:2].astype(points_world.dtype)
     return np.flatnonzero((np.abs(offset) < reach_m).all(axis=1))

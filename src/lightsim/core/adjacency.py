@@ -1,4 +1,4 @@
-"""Which vertices of a mesh share an edge."""
+"""Adjacency of mesh vertices."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 
 
 def adjacency(faces: Int32[np.ndarray, "m 3"], count: int) -> csr_matrix:
-    """Symmetric 0/1 matrix of vertices that share an edge."""
+    """Return the symmetric matrix that is 1 for two vertices joined by an edge, else 0."""
     i = np.concatenate([faces[:, 0], faces[:, 1], faces[:, 2]])
     j = np.concatenate([faces[:, 1], faces[:, 2], faces[:, 0]])
     matrix = coo_matrix((np.ones(len(i), dtype=np.float32), (i, j)), shape=(count, count)).tocsr()

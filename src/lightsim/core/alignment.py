@@ -1,4 +1,4 @@
-"""Corrections that bring the sensors, the ego's path and the boxes of a log into agreement."""
+"""Corrections of sensor poses, ego path and actor boxes, as the alignment stage estimates them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lightsim.core.sensors import CameraFrame, LazySweep, LidarSweep
 @dataclass(frozen=True, eq=False)
 class PathCorrection:
     """A small rigid motion of the world as recorded at each time, linear between its knots and
-    constant beyond them: all that was located by the ego's pose at that time moves along.
+    constant beyond them. It applies to everything that was located by the ego pose of that time.
 
     Args:
         times_ns: of the knots, increasing.
@@ -41,7 +41,7 @@ class PathCorrection:
     def transformed(
         self, points_world: Float[np.ndarray, "m 3"], times_ns: Int64[np.ndarray, " m"]
     ) -> Float[np.ndarray, "m 3"]:
-        """Points that were located at the given times, corrected."""
+        """Correct points, each of which was located at the given time."""
         turned = turned_by(
             points_world - self.pivot_world, self._between(self.rotations_rad, times_ns)
         )
@@ -50,13 +50,12 @@ class PathCorrection:
     def undone(
         self, points_world: Float[np.ndarray, "m 3"], times_ns: Int64[np.ndarray, " m"]
     ) -> Float[np.ndarray, "m 3"]:
-        """Where points that were located at the given times lie in the world as recorded: what
-        `transformed` brings back."""
+        """Inverse of `transformed`: from the corrected world to the world as recorded."""
         shifted = points_world - self.pivot_world - self._between(self.shifts_m, times_ns)
         return turned_by(shifted, -self._between(self.rotations_rad, times_ns)) + self.pivot_world
 
     def at(self, time_ns: int) -> RigidTransform:
-        """The motion of the world as recorded at a time, `world_from_world`."""
+        """Return the correction at a time, from the recorded to the corrected world."""
         times = np.array([time_ns], dtype=np.int64)
         rotation = rotation_from_vector(self._between(self.rotations_rad, times)[0])
         shift = self.pivot_world - rotation @ self.pivot_world
@@ -66,7 +65,7 @@ class PathCorrection:
 
 @dataclass(frozen=True, eq=False)
 class CameraCorrection:
-    """How one camera sits and ticks otherwise than recorded, all through the log.
+    """Constant error of the mounting pose and the clock of one camera.
 
     Args:
         rotation_rad: rotation vector of the true camera's axes, in frame `camera`.
@@ -79,14 +78,14 @@ class CameraCorrection:
     time_offset_s: float
 
     def recorded_from_true(self) -> RigidTransform:
-        """From the true frame `camera` to the recorded one."""
+        """Return the transform from the true frame `camera` to the recorded one."""
         rotation = rotation_from_vector(self.rotation_rad)
         return RigidTransform.from_rotation("camera", "camera", rotation, self.shift_m)
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """Everything that `align` found; None or an absent name leaves things as recorded.
+    """All corrections of a log; None or an absent name means no correction.
 
     Args:
         path: of the ego; sweeps, cameras and boxes move along with it.
@@ -95,8 +94,8 @@ class Alignment:
         has_rolling_shutter: whether frames keep the shutter that the log's reader gave them.
         has_point_times: whether returns keep their own times and origins, not their sweep's.
         has_ego_vehicle_masks: whether the log keeps its masks of the ego vehicle.
-        numbers: what was measured, by name; for reports.
-        notes: for people.
+        numbers: measured values for reports, by name.
+        notes: sentences for reports.
     """
 
     path: PathCorrection | None = None
@@ -109,7 +108,7 @@ class Alignment:
     notes: tuple[str, ...] = ()
 
     def applied_to(self, log: DrivingLog) -> DrivingLog:
-        """The log with all corrections; sweeps are corrected when they are read."""
+        """Return the log with all corrections; sweeps are corrected when they are read."""
         frames = [self._frame(log, frame) for frame in log.frames]
         frames.sort(key=lambda frame: (frame.time_ns, frame.camera_name))
         return replace(
@@ -152,7 +151,7 @@ class Alignment:
 def corrected_frame(
     frame: CameraFrame, correction: CameraCorrection, ego: Trajectory
 ) -> CameraFrame:
-    """The frame at its true time, seen from where the car carried the true camera by then."""
+    """Return the frame with its true time and with the true camera pose at that time."""
     later_ns = frame.time_ns + round(correction.time_offset_s * 1e9)
     pose = _carried(ego, frame.world_from_camera, frame.time_ns, later_ns)
     pose = pose @ correction.recorded_from_true()
@@ -162,8 +161,8 @@ def corrected_frame(
 def _carried(
     ego: Trajectory, world_from_camera: RigidTransform, from_ns: int, to_ns: int
 ) -> RigidTransform:
-    """The pose that a camera fixed to the car has at another time; at the ends of the ego's path
-    it goes on as in its last interval."""
+    """Return the pose of a camera fixed to the vehicle at another time; beyond the ends of the ego
+    path, the motion of the nearest interval is repeated."""
     inner_ns = min(max(from_ns, ego.start_ns), ego.end_ns)
     outer_ns = inner_ns + (to_ns - from_ns)
     if ego.covers(outer_ns):
@@ -175,7 +174,7 @@ def _carried(
 
 
 def _timeless_loader(load: Callable[[], LidarSweep]) -> Callable[[], LidarSweep]:
-    """All returns at the time of the sweep, from the mean of their origins."""
+    """Return a loader that gives all returns the sweep's time and the mean of their origins."""
 
     def load_timeless() -> LidarSweep:
         sweep = load()

@@ -1,4 +1,4 @@
-"""What the renderer hands to relighting, per frame; arrays are [h, w]."""
+"""Geometry and light buffers of one frame, rendered for relighting; arrays are [h, w]."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from jaxtyping import Bool, Float32, Int32
 from lightsim.core.window import Window
 
 NO_SURFACE = -2
-"""actor_index of a pixel that sees the sky."""
+"""`actor_index` of a pixel that shows the sky."""
 BACKGROUND = -1
-"""actor_index of a pixel that sees the static background."""
+"""`actor_index` of a pixel that shows the static background."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,32 +29,32 @@ class GBuffers:
     actor_index: Int32[np.ndarray, "h w"]
     """Index into the frame's list of placed actors, BACKGROUND or NO_SURFACE."""
     offset_world: Float32[np.ndarray, "h w 3"] | None = None
-    """Points of the curved surface that the faces' smooth normals tell of; None: the position."""
+    """Points on the curved surface that the smooth vertex normals imply; None: the position."""
     towards_camera_world: Float32[np.ndarray, "h w 3"] | None = None
-    """Unit; 0 without a surface. None: nothing reflects."""
+    """Unit vector to the camera; 0 without a surface. None: no specular reflection is rendered."""
     material: Float32[np.ndarray, "h w 2"] | None = None
-    """Roughness and metallic. None: nothing reflects."""
+    """Roughness and metallic. None: no specular reflection is rendered."""
     found_visibility: Float32[np.ndarray, "h w"] | None = None
-    """Fraction of the recorded sun that the twin found to reach the surfaces, moving actors left
-    out; NaN where it found none. None: nowhere."""
+    """Fraction of the recorded sun that reaches the surface, estimated from all pictures without
+    the shadows of moving actors; NaN where there is no estimate. None: no estimate at all."""
 
     @property
     def ray_starts_world(self) -> Float32[np.ndarray, "h w 3"]:
-        """Where rays that leave the surface start: on the curved surface, not on the flat faces,
-        which would shadow themselves where they turn away from the light."""
+        """Origins of secondary rays, on the curved surface of the smooth normals."""
+        # Rays from the flat faces would be blocked by neighbouring faces near the terminator.
         return self.position_world if self.offset_world is None else self.offset_world
 
     @property
     def has_surface(self) -> Bool[np.ndarray, "h w"]:
-        """Pixels whose ray meets a mesh; the others show the sky."""
+        """True where the pixel's ray meets a mesh; elsewhere it shows the sky."""
         return np.isfinite(self.depth_z_m)
 
     def part(self, window: Window) -> GBuffers:
-        """A window of the picture."""
+        """Return the buffers of a window of the picture."""
         return _each(self, lambda values, _: values[window])
 
     def within(self, mask: Bool[np.ndarray, "h w"]) -> GBuffers:
-        """These pixels alone: the others show no surface."""
+        """Return the buffers with all pixels outside `mask` set to "no surface"."""
         return _each(self, lambda values, empty: _kept(values, mask, empty))
 
 
@@ -64,11 +64,11 @@ _EMPTY = {
     "actor_index": float(NO_SURFACE),
     "found_visibility": np.nan,
 }
-"""What buffers hold without a surface, where that is not 0."""
+"""Values of pixels without a surface, for the buffers where that is not 0."""
 
 
 def _each(buffers: GBuffers, change: Callable[[np.ndarray, float], np.ndarray]) -> GBuffers:
-    """The buffers with each array changed; told what it holds without a surface."""
+    """Apply `change(array, value without a surface)` to each array."""
     arrays = {f.name: getattr(buffers, f.name) for f in fields(buffers)}
     changed = {n: change(a, _EMPTY.get(n, 0.0)) for n, a in arrays.items() if a is not None}
     return replace(buffers, **changed)
@@ -86,19 +86,19 @@ class ShadowBuffers:
     shows exactly this radiance.
 
     Args:
-        sun_visibility: fraction of the solar disc seen (0 below the horizon of the surface).
+        sun_visibility: visible fraction of the solar disc (0 below the horizon of the surface).
         direct_sun: sun light with visibility.
         sky: light of the dome without the sun, with visibility.
         bounce: light from other surfaces.
         shaded: direct_sun + sky + bounce.
         unshadowed: the same light without visibility rays and without bounce.
         coverage: fraction of each pixel that shows a surface, where pixels were sampled; light is
-            the mean over that share. None: 1 where the pixel's centre shows a surface, else 0.
-        diffuse: radiance of the surfaces by diffuse reflection, mean over the covered share.
+            the mean over that fraction. None: 1 where the pixel's centre shows a surface, else 0.
+        diffuse: radiance of the surfaces by diffuse reflection, mean over the covered fraction.
             None: base colour times `shaded`.
-        glossy: radiance by specular reflection, mean over the covered share; no part of S.
+        glossy: radiance by specular reflection, mean over the covered fraction; no part of S.
             None: 0.
-        glossy_sun: what of `glossy` the sun would give where nothing stands before it. None: 0.
+        glossy_sun: part of `glossy` that an unoccluded sun would cause. None: 0.
     """
 
     sun_visibility: Float32[np.ndarray, "h w"]

@@ -1,4 +1,4 @@
-"""Walls of buildings and how high they rise."""
+"""Walls of buildings and the height profiles of their roof edges."""
 
 from __future__ import annotations
 
@@ -10,18 +10,21 @@ from scipy.special import expit
 
 from lightsim.core.profiles import best_profile, least_energies
 
-# A step of a roof, and each metre of it, in nats. Not measured alone.
-_STEP, _STEP_PER_M = 4.0, 0.2
+# Prior cost of a step of the roof profile, in nats. Chosen with the next one on synthetic streets;
+# their sensitivity was not measured.
+_STEP = 4.0
+# Prior cost of each metre of such a step, in nats.
+_STEP_PER_M = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class Wall:
-    """A rectangle of an upright plane that measured faces lie on, frame world.
+    """Rectangle of a vertical plane through measured faces, frame `world`.
 
     Args:
         origin_m: a point of the plane at height 0 and s = 0.
         normal: horizontal, away from the building.
-        along: horizontal, in the plane; from left to right seen from outside.
+        along: horizontal, in the plane; from left to right for an observer outside.
         span_m: lowest and highest s.
         height_m: lowest and highest z.
     """
@@ -43,7 +46,7 @@ class Wall:
     def grid(
         self, cell_m: float, shape: tuple[int, ...]
     ) -> tuple[Float64[np.ndarray, "s z"], Float64[np.ndarray, "s z"]]:
-        """s and z of the middle of square cells, from the lowest corner on."""
+        """Return s and z of the centres of square cells, from the lowest corner upwards."""
         s, z = (
             low + (np.arange(count) + 0.5) * cell_m
             for low, count in zip((self.span_m[0], self.height_m[0]), shape, strict=True)
@@ -54,14 +57,14 @@ class Wall:
     def place(
         self, points_world: Float64[np.ndarray, "*n 3"]
     ) -> tuple[Float64[np.ndarray, "*n"], Float64[np.ndarray, "*n"]]:
-        """s of points, and how far before the plane they lie."""
+        """Return s of points, and their signed distance in front of the plane, in metres."""
         offset = points_world - self.origin_m
         return offset @ self.along, offset @ self.normal
 
 
 @dataclass(frozen=True)
 class WallPart:
-    """A level rectangle of a wall.
+    """Rectangle of a wall with level edges.
 
     Args:
         span_m, height_m: lowest and highest s along the wall, and z.
@@ -72,13 +75,13 @@ class WallPart:
     height_m: tuple[float, float]
 
     def middle(self, out_m: float = 0.0) -> Float64[np.ndarray, "3"]:
-        """Frame world, `out_m` in front of the wall's plane."""
+        """Return the centre in frame `world`, `out_m` in front of the wall's plane."""
         s, z = (np.array(np.mean(limits)) for limits in (self.span_m, self.height_m))
         return self.wall.at(s, z, out_m)
 
     def holds(self, place_world: Float64[np.ndarray, "3"], out_m: float, within_m: float) -> bool:
-        """Whether a place lies in the rectangle, and less than `within_m` from `out_m` in front of
-        the wall's plane."""
+        """Return whether a place lies within the rectangle's limits, and at a distance in front of
+        the plane that differs from `out_m` by less than `within_m`."""
         (s,), (out,) = self.wall.place(place_world[None])
         is_in = self.span_m[0] < s < self.span_m[1]
         is_in &= self.height_m[0] < place_world[2] < self.height_m[1]
@@ -87,18 +90,18 @@ class WallPart:
 
 @dataclass(frozen=True, eq=False)
 class Roofline:
-    """How high one wall rises, column by column.
+    """Roof edge of one wall, as a height for each column of cells.
 
     Args:
         wall: the plane.
         cell_m: width of a column, and unit of heights along it.
         ground_m: z of the ground before each column.
-        energy: nats against each number of filled cells, counted from the wall's lowest part.
-        shown: cells of each column up to which something was measured or some view shows matter.
-        top: cells up to the roof.
-        is_seen: a view shows the sky above the roof.
+        energy: cost of each number of filled cells from the bottom, in nats.
+        shown: number of cells up to the highest one with a measurement or a view that shows matter.
+        top: number of cells below the roof edge.
+        is_seen: whether a view shows the sky above the roof edge.
         depth_m: of the building behind; 0 behind fences.
-        log_std: of the height of a roof that no view reaches.
+        log_std: standard deviation of the log height where no view shows the roof edge.
     """
 
     wall: Wall
@@ -113,22 +116,22 @@ class Roofline:
 
     @property
     def s_m(self) -> Float64[np.ndarray, " s"]:
-        """Middle of each column along the wall."""
+        """Centre of each column along the wall, in metres."""
         return self.wall.span_m[0] + (np.arange(len(self.top)) + 0.5) * self.cell_m
 
     @property
     def top_m(self) -> Float64[np.ndarray, " s"]:
-        """z of the roof's edge."""
+        """z of the roof edge, in metres."""
         return self.wall.height_m[0] + self.top * self.cell_m
 
     @property
     def height_m(self) -> Float64[np.ndarray, " s"]:
-        """The roof's edge above the ground."""
+        """Height of the roof edge above the ground, in metres."""
         return self.top_m - self.ground_m
 
     def filled(self) -> Float64[np.ndarray, "s c"]:
-        """Probability of each cell to lie below the roof: best profile with it against best profile
-        without it."""
+        """Return the probability that each cell lies below the roof edge, from the energies of the
+        best profile that contains the cell and of the best one that does not."""
         energy = self.energy.astype(np.float64)
         least = least_energies(energy, _STEP, _STEP_PER_M * self.cell_m)
         free = np.minimum.accumulate(least, axis=1)[:, :-1]
@@ -136,7 +139,11 @@ class Roofline:
         return np.asarray(expit(free - filled))
 
     def solved(self, further: Float64[np.ndarray, "s t"] | None = None) -> Roofline:
-        """With the most probable profile; `further` energy counts where no view shows the roof."""
+        """Return the roofline with the most probable profile.
+
+        Args:
+            further: energy to add in columns whose roof edge no view shows, nats.
+        """
         energy = self.energy.astype(np.float64)
         if further is not None:
             energy = energy + np.where(self.is_seen[:, None], 0.0, further)

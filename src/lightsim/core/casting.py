@@ -1,4 +1,4 @@
-"""What stages ask of a ray caster; `render` brings implementations, build/ hands them on."""
+"""Interface of ray casters, so that stages do not depend on `render`, which implements it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lightsim.core.mesh import TriMesh
 from lightsim.errors import FrameMismatchError
 
 MISS = -1
-"""face_index of a ray that hit nothing."""
+"""`face_index` of a ray that meets no face."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +22,7 @@ class RayHits:
 
     Args:
         distance_m: along the unit direction.
-        mesh_index: which of the caster's meshes.
+        mesh_index: index into the caster's meshes.
         face_index: face within that mesh.
         barycentric: weights of the face's three vertices.
     """
@@ -34,7 +34,7 @@ class RayHits:
 
     @classmethod
     def misses(cls, count: int) -> RayHits:
-        """Of rays that meet nothing, to be filled in."""
+        """Return arrays for `count` rays, all of them misses."""
         return cls(
             np.full(count, np.inf, dtype=np.float32),
             np.full(count, MISS, dtype=np.int32),
@@ -44,34 +44,34 @@ class RayHits:
 
     @property
     def is_hit(self) -> Bool[np.ndarray, " n"]:
-        """Rays that met a face."""
+        """True for rays that meet a face."""
         return self.face_index != MISS
 
 
 @runtime_checkable
 class RayCaster(Protocol):
-    """Rays against a fixed list of meshes in frame `world`. Directions are unit vectors."""
+    """Intersects rays with a fixed list of meshes in frame `world`. Directions are unit vectors."""
 
     @property
     def meshes(self) -> Sequence[TriMesh]:
-        """The meshes, in the order that `RayHits.mesh_index` counts."""
+        """The meshes, in the order of `RayHits.mesh_index`."""
         ...
 
     def intersect(
         self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
     ) -> RayHits:
-        """The nearest face that each ray meets, from either side."""
+        """Return the nearest face on each ray; faces count from both sides."""
         ...
 
     def is_occluded(
         self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
     ) -> Bool[np.ndarray, " n"]:
-        """Whether a ray meets any face, at whatever distance."""
+        """Return whether each ray meets a face at any distance."""
         ...
 
 
 def check_world(meshes: Sequence[TriMesh]) -> None:
-    """Rays are cast in frame `world` alone.
+    """Refuse meshes outside of frame `world`.
 
     Raises:
         FrameMismatchError: a mesh lies in another frame.

@@ -1,4 +1,4 @@
-"""Ranges of options, checked where the options are made."""
+"""Range checks of options and of measured quantities."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from dataclasses import dataclass
 from lightsim.errors import InputError
 
 MAX_SEED = 2**32 - 1
-"""All generators in use (numpy, torch, Mitsuba) take seeds of 32 bits."""
+"""Largest seed: the generators in use (numpy, torch, Mitsuba) accept 32 bits."""
 MAX_EXPOSURE_EV = 30.0
-"""Thirty stops take the darkest value of an 8-bit camera beyond any sun."""
+"""Largest exposure correction, in stops: it maps one 8-bit code beyond any sun."""
 MIN_IMAGE_SCALE = 0.01
-"""A camera of 1920 pixels would be 19 wide: nothing can be seen on less."""
+"""Smallest image scale: 1920 columns become 19, and smaller pictures are useless."""
 
 
 def check_number(
     where: str, value: float | int, least: float | int = -math.inf, most: float | int = math.inf
 ) -> None:
-    """Refuse what is not a finite number from `least` to `most`.
+    """Refuse a value that is not a finite number from `least` to `most`.
 
     Args:
         where: the option, as a user writes it.
@@ -40,17 +40,17 @@ def check_number(
 
 
 def check_seed(seed: int, where: str = "--seed") -> None:
-    """Refuse a seed that a generator would not take."""
+    """Refuse a seed that a generator would not accept."""
     check_number(where, seed, 0, MAX_SEED)
 
 
 def check_image_scale(image_scale: float) -> None:
-    """Refuse a factor on the recorded size that leaves nothing, or would invent pixels."""
+    """Refuse an image scale below MIN_IMAGE_SCALE or above 1."""
     check_number("--image-scale", image_scale, MIN_IMAGE_SCALE, 1.0)
 
 
 def check_choice(where: str, value: str | None, choices: Sequence[str | None]) -> None:
-    """Refuse a word that is not one of an option's."""
+    """Refuse a word that is not one of the choices of an option."""
     if value not in choices:
         raise InputError(
             "there is no such choice",
@@ -62,15 +62,15 @@ def check_choice(where: str, value: str | None, choices: Sequence[str | None]) -
 
 @dataclass(frozen=True)
 class Limit:
-    """Between which values a measured quantity is taken, and what is said of others.
+    """Accepted range of a measured quantity, with the error message for values outside.
 
     Args:
-        what: the message where it is refused.
-        most: largest value that is taken.
+        what: error message for a refused value.
+        most: largest accepted value.
         unit: of all four numbers, for the message.
-        least: smallest value that is taken.
-        odd: outside these two it is taken, but worth a note.
-        remedy: what to do where it is refused.
+        least: smallest accepted value.
+        odd: limits of the usual range; accepted values outside of it deserve a note.
+        remedy: advice for a refused value.
     """
 
     what: str
@@ -81,7 +81,7 @@ class Limit:
     remedy: str | None = None
 
     def check(self, where: object, value: float, got: str) -> bool:
-        """Refuse what lies outside; whether the value is odd.
+        """Refuse a value out of range; return whether an accepted value is unusual (`odd`).
 
         Args:
             where: the file or entry.

@@ -1,4 +1,4 @@
-"""Sky domes: equirectangular HDR radiance in frame `world`, with the sun as a known part."""
+"""Sky domes: equirectangular HDR radiance in frame `world`, with an explicit sun."""
 
 from __future__ import annotations
 
@@ -24,10 +24,13 @@ from lightsim.errors import InputError
 SOLAR_RADIUS_DEG = 0.265
 """Mean angular radius of the solar disc."""
 MAX_RADIANCE = 1e15
-"""Squares, summed over all pixels of a large dome, stay within float32; suns reach 1e10."""
+"""Largest accepted radiance, scene units: sums of squares over a large dome stay within float32.
+Suns reach 1e10."""
+# Radius of the region around the sun whose excess radiance belongs to the sun, degrees: it holds
+# the glare of the cameras that took the skies. Chosen; sensitivity not measured.
 _SUN_REGION_DEG = 4.0
 _WHOLE_COLUMN = 1e-6
-"""Turning by a number of columns this close to a whole one interpolates nothing."""
+"""Rotations this close to a whole number of columns are not interpolated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +52,7 @@ class Sun:
         return float(np.degrees(np.arcsin(np.clip(self.direction_world[2], -1, 1))))
 
     def rotated(self, yaw_deg: float) -> Sun:
-        """The sun turned counter-clockwise seen from above."""
+        """Return the sun rotated about z, counter-clockwise from above."""
         c, s = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
         rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         return Sun(rotation @ self.direction_world, self.irradiance, self.angular_radius_deg)
@@ -57,15 +60,15 @@ class Sun:
 
 @dataclass(frozen=True, eq=False)
 class SkyDome:
-    """Radiance of the whole sphere, row 0 up, the sun included in the image.
+    """Radiance of the whole sphere, row 0 at the zenith; the image includes the sun.
 
     Args:
         radiance: linear RGB, scene units, non-negative.
         sun: direction and irradiance of the sun that the image contains, if any.
 
     Raises:
-        InputError: the image is not (h, 2h, 3) with h >= 2, or has negative or non-finite values
-            or such beyond MAX_RADIANCE.
+        InputError: the image is not (h, 2h, 3) with h >= 2, or has values that are negative,
+            not finite, or above MAX_RADIANCE.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]
@@ -97,13 +100,13 @@ class SkyDome:
 
     @functools.cached_property
     def mean_radiance(self) -> Float[np.ndarray, "3"]:
-        """RGB, over all directions: what a ball or a wire receives from all sides."""
+        """RGB mean over all directions."""
         rows = self.radiance.sum(axis=1, dtype=np.float64)
         return (rows * solid_angles_sr(self.height_px)).sum(axis=0) / (4 * np.pi)
 
     def irradiance(self, normal_world: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-        """RGB irradiance on a surface with a normal; a known sun shines from its own direction,
-        not from the centres of the pixels that hold it."""
+        """Return the RGB irradiance on a surface with a normal; the light of a known sun arrives
+        from its exact direction, not from the centres of its pixels."""
         lifted = _lifted_sun(self)
         if lifted is None:
             return irradiance(self.radiance, normal_world)
@@ -111,7 +114,7 @@ class SkyDome:
         return irradiance(lifted.rest, normal_world) + lifted.energy * cosine
 
     def scaled(self, factor: ArrayLike | float) -> SkyDome:
-        """Radiance and sun times a number or an RGB factor.
+        """Return the dome with radiance and sun multiplied by a number or an RGB factor.
 
         Raises:
             InputError: the product exceeds MAX_RADIANCE.
@@ -128,7 +131,7 @@ class SkyDome:
         return SkyDome((self.radiance * rgb).astype(np.float32), sun)
 
     def rotated(self, yaw_deg: float) -> SkyDome:
-        """The sky turned counter-clockwise seen from above; total energy is kept.
+        """Return the sky rotated about z, counter-clockwise from above, with the same total energy.
 
         Between whole columns the sky is interpolated. A known sun is not: it is taken out and put
         into the pixels that its disc covers at the new azimuth.
@@ -159,7 +162,7 @@ class SkyDome:
         return SkyDome(_with_disc(rolled, sun, lifted.energy), sun)
 
     def look_up(self, directions_world: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        """Radiance from unit directions, bilinear between pixel centres."""
+        """Return the radiance from unit directions, bilinear between pixel centres."""
         return sample_bilinear(self.radiance, directions_world)
 
 
@@ -176,16 +179,18 @@ def _require_in_range(largest: float) -> None:
 def irradiance(
     radiance: Float[np.ndarray, "h w 3"], normal_world: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3"]:
-    """RGB irradiance on a surface with a normal: the cosine-weighted solid-angle integral."""
+    """Return the RGB irradiance on a surface with a normal: the integral of radiance times
+    cosine."""
     weight = cosine_weights_sr(radiance.shape[0], normal_world)
     return np.einsum("hwc,hw->c", radiance.astype(np.float64), weight)
 
 
 def add_sun(radiance: Float[np.ndarray, "h w 3"], sun: Sun) -> SkyDome:
-    """A dome of a sky without sun and a sun; the disc's energy goes into the pixels it covers.
+    """Return a dome from a sky without a sun and a sun, whose energy goes into the pixels it
+    covers.
 
-    The disc is sampled with many points, so that its irradiance is kept exactly at any
-    resolution (a 0.53 degree disc is smaller than a pixel below 680 columns).
+    The disc is sampled with many points, so that its irradiance is exact at any resolution: a disc
+    of 0.53 degrees is smaller than a pixel below 680 columns.
     """
     return SkyDome(_with_disc(radiance, sun, sun.irradiance), sun)
 
@@ -202,7 +207,7 @@ def _with_disc(
 def _disc_radiance(
     sun: Sun, energy: Float[np.ndarray, "3"], height_px: int
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-    """Flat indices of the pixels that the disc covers, and the radiance that it adds to each."""
+    """Return flat indices of the pixels that the disc covers, and the radiance it adds to each."""
     across_px = 2 * sun.angular_radius_deg / 180.0 * height_px
     count = int(max(256, 32 * across_px**2))
     uv = uv_from_directions(disc_directions(sun.direction_world, sun.angular_radius_deg, count))
@@ -215,7 +220,7 @@ def _disc_radiance(
 
 @dataclass(frozen=True, eq=False)
 class _LiftedSun:
-    """A dome in two parts: its known sun with the energy of its pixels, and all the rest."""
+    """A dome split into its known sun, with the energy of its pixels, and the remaining sky."""
 
     sun: Sun
     energy: Float[np.ndarray, "3"]
@@ -223,8 +228,10 @@ class _LiftedSun:
 
 
 def _lifted_sun(dome: SkyDome) -> _LiftedSun | None:
-    """What the known sun put into the pixels of its disc, as far as they exceed their neighbours;
-    unlike in `split_sun`, the glow around the disc stays in the sky."""
+    """Split off the known sun: the radiance of its disc's pixels above that of their neighbours.
+
+    Unlike in `split_sun`, the glow around the disc remains part of the sky.
+    """
     if dome.sun is None:
         return None
     height, width = dome.radiance.shape[:2]
@@ -249,7 +256,7 @@ def _lifted_sun(dome: SkyDome) -> _LiftedSun | None:
 def disc_directions(
     centre: Float[np.ndarray, "3"], radius_deg: float, count: int
 ) -> Float[np.ndarray, "n 3"]:
-    """Unit vectors spread evenly over a small disc on the sphere (Vogel's spiral)."""
+    """Return unit vectors distributed evenly over a small disc on the sphere (Vogel's spiral)."""
     k = np.arange(count) + 0.5
     radius = np.radians(radius_deg) * np.sqrt(k / count)
     angle = k * np.pi * (3.0 - np.sqrt(5.0))
@@ -263,11 +270,11 @@ def disc_directions(
 
 
 def split_sun(dome: SkyDome) -> tuple[Float32[np.ndarray, "h w 3"], Sun | None]:
-    """The dome without its sun, and the sun with the energy that the image gives it.
+    """Return the dome without its sun, and the sun with the energy of its pixels.
 
-    A dome without a known sun is searched for one (`find_sun`). Inside 4 degrees of the sun
-    (more where pixels are coarse), what exceeds the brightest tenth of the surrounding ring is
-    the sun's. The two parts add up to the dome's energy.
+    In a dome without a known sun, the sun is searched for (`find_sun`). Within 4 degrees of the
+    sun (more for coarse pixels), radiance above the 90th percentile of the surrounding ring belongs
+    to the sun. The energies of both parts add up to that of the dome.
     """
     direction = dome.sun.direction_world if dome.sun else _sun_direction(dome.radiance)
     if direction is None:
@@ -290,7 +297,7 @@ def split_sun(dome: SkyDome) -> tuple[Float32[np.ndarray, "h w 3"], Sun | None]:
 
 
 def find_sun(radiance: Float32[np.ndarray, "h w 3"]) -> Sun | None:
-    """The sun of an HDR sky, or None where no small, dominant source is above the horizon."""
+    """Return the sun of an HDR sky, or None if no small, dominant source is above the horizon."""
     direction = _sun_direction(radiance)
     if direction is None:
         return None
@@ -298,8 +305,8 @@ def find_sun(radiance: Float32[np.ndarray, "h w 3"]) -> Sun | None:
 
 
 def _sun_direction(radiance: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3"] | None:
-    """Energy-weighted centre of the brightest spot of the upper half, if it is sun-like:
-    30 times the median sky and 3 % of the light that arrives on a surface facing it."""
+    """Return the energy-weighted centre of the brightest spot of the upper half if it is a sun: at
+    least 30 times the median sky, and 3 % of the light on a surface that faces it."""
     height = radiance.shape[0]
     upper = luminance(radiance[: height // 2].astype(np.float32))
     row, column = np.unravel_index(int(upper.argmax()), upper.shape)
@@ -319,7 +326,7 @@ def _sun_direction(radiance: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, 
 
 
 def resized(dome: SkyDome, height_px: int) -> SkyDome:
-    """The dome at another height; the sun keeps its direction and energy.
+    """Return the dome at another height in pixels; direction and energy of the sun are unchanged.
 
     The sky without its sun (`split_sun`) is averaged by solid angle, or looked up bilinearly where
     pixels become smaller, and its rows are scaled by about 1, so that energy and irradiance on
@@ -336,8 +343,8 @@ def resized(dome: SkyDome, height_px: int) -> SkyDome:
 def _row_factors(
     old: Float[np.ndarray, "a b 3"], new: Float[np.ndarray, "h w 3"]
 ) -> Float[np.ndarray, "h 3"]:
-    """Factors of the new rows, RGB, that bring back the old energy and level irradiance from
-    above and from below: coarse rows mix radiance of different cosines."""
+    """Return RGB factors of the new rows that restore the energy and the irradiance on level
+    surfaces from above and from below: coarse rows mix radiance of different cosines."""
     energy, bases = _row_energy(new), _row_bases(len(new))
     missing = _row_bases(len(old)).T @ _row_energy(old) - bases.T @ energy
     factors = np.ones_like(energy)
@@ -352,7 +359,7 @@ def _row_energy(radiance: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h 3"
 
 
 def _row_bases(height_px: int) -> Float[np.ndarray, "h 3"]:
-    """1, and the mean over each row's solid angle of the cosine to up and of that to down."""
+    """Return, for each row, 1 and the mean cosines to the zenith and to the nadir."""
     z = np.cos(np.linspace(0.0, np.pi, height_px + 1))
     size = z[:-1] - z[1:]
     above, below = np.clip(z, 0, None) ** 2, np.clip(-z, 0, None) ** 2

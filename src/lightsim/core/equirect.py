@@ -1,5 +1,5 @@
 """The equirectangular mapping of sky domes (CONVENTIONS: Sky domes): row 0 is up, the centre
-column looks along world +x, columns grow clockwise seen from above."""
+column looks along world +x, columns grow clockwise from above."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Float
 
 _FINE_ROWS = 128
-"""Below this many rows, pixels are divided before cosines are clipped at the horizon."""
+"""Domes with fewer rows are subdivided before cosines are clipped at the horizon."""
 
 
 def directions_from_uv(uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:
-    """Unit world directions of (u, v) fractions of the width and height."""
+    """Return unit world directions of (u, v), given as fractions of width and height."""
     azimuth = (0.5 - uv[..., 0]) * 2 * np.pi
     polar = uv[..., 1] * np.pi
     sine = np.sin(polar)
@@ -19,7 +19,7 @@ def directions_from_uv(uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3
 
 
 def uv_from_directions(directions_world: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
-    """(u, v) fractions in [0, 1) x [0, 1] of unit world directions."""
+    """Return (u, v) in [0, 1) x [0, 1], as fractions of width and height, of unit directions."""
     x, y, z = np.moveaxis(directions_world, -1, 0)
     u = (0.5 - np.arctan2(y, x) / (2 * np.pi)) % 1.0
     v = np.arccos(np.clip(z, -1.0, 1.0)) / np.pi
@@ -27,7 +27,7 @@ def uv_from_directions(directions_world: Float[np.ndarray, "*n 3"]) -> Float[np.
 
 
 def pixel_directions(height_px: int) -> Float[np.ndarray, "h w 3"]:
-    """Unit world directions of the pixel centres of an (h, 2h) dome."""
+    """Return unit world directions of the pixel centres of an (h, 2h) dome."""
     u = (np.arange(2 * height_px) + 0.5) / (2 * height_px)
     v = (np.arange(height_px) + 0.5) / height_px
     uv = np.stack(np.meshgrid(u, v), axis=-1)
@@ -35,14 +35,14 @@ def pixel_directions(height_px: int) -> Float[np.ndarray, "h w 3"]:
 
 
 def solid_angles_sr(height_px: int) -> Float[np.ndarray, "h 1"]:
-    """Exact solid angle of a pixel of each row; times 2h and summed, this is 4 pi."""
+    """Return the exact solid angle of a pixel of each row; times 2h, the sum is 4 pi."""
     edges = np.cos(np.linspace(0.0, np.pi, height_px + 1))
     return ((edges[:-1] - edges[1:]) * 2 * np.pi / (2 * height_px))[:, None]
 
 
 def pixel_vectors_sr(height_px: int) -> Float[np.ndarray, "h w 3"]:
-    """Exact integral of the direction over each pixel: its dot product with a normal is the
-    cosine-weighted solid angle of a pixel that lies in front of the surface."""
+    """Return the exact integral of the direction over each pixel. Its dot product with a normal is
+    the cosine-weighted solid angle of a pixel in front of the surface."""
     polar = np.linspace(0.0, np.pi, height_px + 1)
     azimuth = np.linspace(np.pi, -np.pi, 2 * height_px + 1)
     level = np.diff(polar / 2 - np.sin(2 * polar) / 4)[:, None]
@@ -55,9 +55,9 @@ def pixel_vectors_sr(height_px: int) -> Float[np.ndarray, "h w 3"]:
 def cosine_weights_sr(
     height_px: int, normal_world: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "h w"]:
-    """Cosine-weighted solid angle of each pixel in front of a surface; for the normal up they add
-    up to pi. Coarse pixels are divided, so that those which the horizon cuts count with their
-    part in front of it."""
+    """Return the cosine-weighted solid angle of each pixel in front of a surface; for the normal up
+    their sum is pi."""
+    # Coarse pixels are subdivided, so that a pixel across the horizon counts by its visible part.
     parts = max(1, -(-_FINE_ROWS // height_px))
     fine = np.clip(pixel_vectors_sr(parts * height_px) @ normal_world, 0.0, None)
     return fine.reshape(height_px, parts, 2 * height_px, parts).sum(axis=(1, 3))
@@ -66,7 +66,7 @@ def cosine_weights_sr(
 def sample_bilinear(
     image: Float[np.ndarray, "h w c"], directions_world: Float[np.ndarray, "*n 3"]
 ) -> Float[np.ndarray, "*n c"]:
-    """Bilinear look-up by direction: wraps around in azimuth, clamps at the poles."""
+    """Look an image up by direction: bilinear, periodic in azimuth, clamped at the poles."""
     height, width = image.shape[:2]
     uv = uv_from_directions(directions_world)
     x = uv[..., 0] * width - 0.5

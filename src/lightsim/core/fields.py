@@ -13,6 +13,7 @@ from lightsim.errors import ArtefactError
 
 BLOCK = 8
 """Samples along each edge of a block."""
+# Layout of `SceneFields.to_arrays`; raised when an array changes its meaning.
 _VERSION = 1
 
 
@@ -41,7 +42,7 @@ class TsdfGrid:
     weight: Float32[np.ndarray, "b 8 8 8"]
 
     def positions(self, block: int) -> Float[np.ndarray, "8 8 8 3"]:
-        """Where the samples of one block lie."""
+        """Return the positions of the samples of one block, in metres."""
         steps = np.stack(np.meshgrid(*[np.arange(BLOCK)] * 3, indexing="ij"), axis=-1)
         return self.origin_m + self.voxel_m * (BLOCK * self.block_coords[block] + steps)
 
@@ -63,7 +64,7 @@ class GroundMap:
     is_observed: Bool[np.ndarray, "nx ny"]
 
     def look_up(self, xy_world: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-        """Bilinear height; the border's height outside."""
+        """Return the bilinear height at points; outside of the map, that of the nearest border."""
         nx, ny = self.height_m.shape
         grid = (xy_world - self.origin_m) / self.cell_m
         # Clipped first: far beyond the map a float is no integer.
@@ -77,7 +78,8 @@ class GroundMap:
         return (1 - u) * low + u * high
 
     def observes(self, xy_world: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-        """Whether returns of the ground fell into the cell of each point; False outside."""
+        """Return whether the cell of each point has returns of the ground; False outside the
+        map."""
         nearest = np.rint((xy_world - self.origin_m) / self.cell_m)
         is_in = np.all((nearest >= 0) & (nearest < self.height_m.shape), axis=1)
         cell = np.where(is_in[:, None], nearest, 0.0).astype(np.int64)
@@ -90,7 +92,7 @@ class SceneFields:
 
     Args:
         background: static scene in frame `world`, finest level first.
-        background_radius_m: each level counts up to this horizontal distance from the path.
+        background_radius_m: horizontal distance from the path up to which each level is valid.
         actors: one grid in frame `actor` by actor id; actors with too few returns are absent.
         ground: height of the ground.
         path_m: positions of the sensors' carrier, the centre line of the levels.
@@ -105,7 +107,7 @@ class SceneFields:
     notes: tuple[str, ...] = ()
 
     def to_arrays(self) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """Plain arrays for an .npz file; `from_arrays` is the exact inverse."""
+        """Return plain arrays for an .npz file; `from_arrays` is the exact inverse."""
         meta = {
             "version": _VERSION,
             "radius_m": list(self.background_radius_m),

@@ -1,4 +1,4 @@
-"""Leaves in pictures: how green they are, and those that a twin's crowns lack."""
+"""Foliage in pictures: excess green, and leaves beyond the crowns of the twin."""
 
 from __future__ import annotations
 
@@ -16,31 +16,33 @@ from lightsim.core.outline import nearest_of
 _FOLIAGE = "vegetation"
 """Name of the material class."""
 GREENER = 0.15
-"""Octaves by which leaves are greener than their pictures. Chosen while looking at log 002, where
-it parts trees from all else."""
+"""Least excess green of leaves, in octaves. Chosen on PandaSet log 002, where it separates trees
+from all other surfaces."""
+# Added to linear light before the logarithm: less than two 8-bit codes of the darkest pixels.
 _DARKEST = np.float32(1e-3)
+# Every seventh pixel gives the median of a picture: a 49th of the work, the same median.
 _USUAL_STEP_PX = 7
-"""Pixels of a picture between those that tell how green it is."""
-# Crowns of pictures reach this far beyond those of the twin, whose outermost twigs no beam meets.
+# Distance by which crowns in pictures extend beyond those of the twin: no beam meets the outermost
+# twigs. Chosen; sensitivity not measured, as for the next three.
 _REACH_M = 1.5
-# Leaves are smaller than gaps between them: their colour is that of so much around.
+# Leaves are smaller than the gaps between them: their colour is averaged over this side length.
 _AROUND_M = 0.15
-# Leaves are this much as green as the crowns of their picture, at least.
+# Least excess green of leaves, as a fraction of the median over the crowns of the picture.
 _LIKE_CROWN = 0.35
-# Surfaces less far behind a crown may belong to it.
+# Relative distance behind a crown up to which a surface may belong to the crown.
 _BEHIND = 0.05
 
 
 def excess_green(
     srgb8: UInt8[np.ndarray, "h w 3"], around_px: int = 1
 ) -> Float32[np.ndarray, "h w"]:
-    """How much greener pixels are than is usual in their picture, in octaves.
+    """Return the excess green of each pixel over the median of its picture, in octaves.
 
-    log2(green / sqrt(red blue)), the excess green of Woebbecke et al. 1995
-    (doi:10.13031/2013.27838) free of exposure, less its median.
+    log2(green / sqrt(red blue)): the excess green of Woebbecke et al. 1995
+    (doi:10.13031/2013.27838) in a form that does not depend on exposure.
 
     Args:
-        around_px: side of the square whose mean light stands for a pixel.
+        around_px: side of the square over which the light is averaged.
     """
     light = linear_from_srgb8(srgb8)
     if around_px > 1:
@@ -52,7 +54,7 @@ def excess_green(
 
 
 def foliage_faces(mesh: TriMesh) -> Bool[np.ndarray, " m"]:
-    """Faces that are leaves."""
+    """Return the faces whose material is foliage."""
     is_foliage = np.array([material.name == _FOLIAGE for material in mesh.materials], dtype=bool)
     if mesh.face_material is None:
         return np.full(len(mesh.faces), is_foliage[0])
@@ -60,7 +62,7 @@ def foliage_faces(mesh: TriMesh) -> Bool[np.ndarray, " m"]:
 
 
 def shows_foliage(meshes: Sequence[TriMesh], hits: RayHits) -> Bool[np.ndarray, " n"]:
-    """Rays that met leaves."""
+    """Return the rays that meet a face of foliage."""
     is_leaf = np.zeros(len(hits.face_index), dtype=bool)
     for number, mesh in enumerate(meshes):
         rows = np.flatnonzero(hits.is_hit & (hits.mesh_index == number))
@@ -71,12 +73,13 @@ def shows_foliage(meshes: Sequence[TriMesh], hits: RayHits) -> Bool[np.ndarray, 
 def crown_beside(
     is_leaf: Bool[np.ndarray, "h w"], distance_m: Float32[np.ndarray, "h w"], focal_px: float
 ) -> Float32[np.ndarray, "h w"]:
-    """Distance of the crown beside which pixels show something further away, inf elsewhere: leaves
-    may hide that, since crowns of pictures reach beyond those of the twin.
+    """Return the distance of the adjacent crown for pixels that show a farther surface, else inf.
+
+    Leaves may hide that surface, since crowns in pictures extend beyond those of the twin.
 
     Args:
         is_leaf: pixels that show a crown of the twin.
-        distance_m: of all that the twin shows, inf where that is nothing.
+        distance_m: of the twin's surface, inf where there is none.
     """
     if not is_leaf.any():
         return np.full(is_leaf.shape, np.inf, dtype=np.float32)
@@ -95,13 +98,13 @@ def leaves_before(
     *,
     has_twigs: bool = False,
 ) -> Float32[np.ndarray, "h w"]:
-    """Distance of leaves that hide what the twin has there, as a picture shows; inf elsewhere.
+    """Return the distance of leaves that hide the twin's surface in a picture, else inf.
 
-    They are about as green as the crowns of the twin, and hang together with one.
+    Such leaves are about as green as the crowns of the twin and are connected to one.
 
     Args:
         crown_m: distance of the crown (`crown_beside`).
-        has_twigs: with the edge, which is as pale as what is behind it.
+        has_twigs: add the pale edge, where leaves and background mix.
     """
     is_near = np.isfinite(crown_m)
     if not is_near.any():

@@ -1,7 +1,7 @@
-"""Light with another visibility of the sun than the rendered one.
+"""Source light with the sun visibility that was estimated from all pictures.
 
-The twin keeps what all pictures together show of the recorded sun's shadows, which no geometry
-renders to the pixel.
+The twin stores this estimate because reconstructed geometry does not render the recorded shadows
+to the pixel.
 """
 
 from __future__ import annotations
@@ -15,12 +15,13 @@ from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.dome import Sun
 
 _UNDECIDED = 0.1, 0.9
-"""What pictures tell of shade and of light. Texture is taken for light now and then, so that shade
-has a few hundredths of the sun and never less than none; a twentieth is a fifth of its light."""
+"""Estimates below the first value become 0, above the second 1. Texture that is mistaken for light
+leaves a few hundredths of the sun in the shade, and a twentieth of the sun is a fifth of the light
+there. Chosen; sensitivity not measured."""
 
 
 def decided(visibility: Float[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n"]:
-    """A visibility found in pictures without what is noise beside light and shade."""
+    """Stretch an estimated visibility, so that values near 0 and 1 become exactly 0 and 1."""
     shade, light = _UNDECIDED
     return np.clip((visibility - shade) / (light - shade), 0.0, 1.0).astype(np.float32)
 
@@ -28,7 +29,8 @@ def decided(visibility: Float[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n"]:
 def unoccluded_sun(
     buffers: GBuffers, shadows: ShadowBuffers, sun: Sun
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Sun light over pi without visibility; from the rendered light itself where it is lit."""
+    """Return the unoccluded sunlight divided by pi; in lit pixels, from the rendered light
+    itself."""
     direction = sun.direction_world.astype(np.float32)
     cosine = np.maximum(buffers.normal_world @ direction, 0.0)[..., None]
     computed = cosine * (sun.irradiance / np.float32(np.pi))
@@ -44,8 +46,12 @@ def with_found_visibility(
     sun: Sun,
     found: Float32[np.ndarray, "h w"] | None,
 ) -> ShadowBuffers:
-    """The source's light with the sun visibility that all pictures together show; as rendered where
-    they show none (NaN), and everywhere if `found` is None."""
+    """Return the source light with an estimated sun visibility.
+
+    Args:
+        found: estimate from all pictures; NaN where the rendered visibility holds. None:
+        everywhere.
+    """
     if found is None:
         return shadows
     is_found = np.isfinite(found) & buffers.has_surface
@@ -58,14 +64,14 @@ def with_sun_visibility(
     sunlight: Float32[np.ndarray, "h w 3"],
     visibility: Float32[np.ndarray, "h w"],
 ) -> ShadowBuffers:
-    """The same light with another sun visibility; pixels where it is unchanged stay exact."""
+    """Return the light with another sun visibility; pixels with an equal value stay exact."""
     is_same = visibility == shadows.sun_visibility
     direct = np.where(is_same[..., None], shadows.direct_sun, sunlight * visibility[..., None])
     direct = direct.astype(np.float32)
     shaded = np.where(is_same[..., None], shadows.shaded, direct + shadows.sky + shadows.bounce)
     diffuse, glossy = shadows.diffuse, shadows.glossy
     if diffuse is not None:
-        # The colour that the samples of the pixel showed stays.
+        # The mean colour of the pixel's samples is unchanged.
         brighter = shaded / np.maximum(shadows.shaded, np.float32(1e-9))
         diffuse = np.where(is_same[..., None], diffuse, diffuse * brighter).astype(np.float32)
     if glossy is not None:

@@ -10,6 +10,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from lightsim.errors import FrameMismatchError, InputError, OutOfRangeError
 
+# Largest error of R R^T from identity: float32 calibrations reach 1e-7 and quaternions with six
+# digits 1e-6.
 _ORTHONORMAL_TOLERANCE = 1e-6
 
 
@@ -55,7 +57,7 @@ class RigidTransform:
 
     @staticmethod
     def identity(dst: str, src: str) -> RigidTransform:
-        """The transform between two frames that coincide."""
+        """Return the transform between two frames that coincide."""
         return RigidTransform(dst, src, np.eye(4))
 
     @staticmethod
@@ -65,7 +67,7 @@ class RigidTransform:
         rotation: Float[np.ndarray, "3 3"],
         translation_m: Float[np.ndarray, "3"],
     ) -> RigidTransform:
-        """From a rotation and the origin of `src` in `dst`."""
+        """Return the transform with a rotation and the origin of `src` in `dst`."""
         matrix = np.eye(4)
         matrix[:3, :3] = rotation
         matrix[:3, 3] = translation_m
@@ -78,7 +80,8 @@ class RigidTransform:
         quaternion_wxyz: Float[np.ndarray, "4"],
         translation_m: Float[np.ndarray, "3"],
     ) -> RigidTransform:
-        """From a (w, x, y, z) quaternion, normalised here; zero length raises InputError."""
+        """Return the transform of a (w, x, y, z) quaternion, normalised here; zero length raises
+        InputError."""
         rotation = matrices_from_quaternions(np.asarray(quaternion_wxyz, dtype=np.float64)[None])
         return RigidTransform.from_rotation(dst, src, rotation[0], translation_m)
 
@@ -86,7 +89,7 @@ class RigidTransform:
     def from_yaw(
         dst: str, src: str, yaw_rad: float, translation_m: Float[np.ndarray, "3"]
     ) -> RigidTransform:
-        """A rotation by `yaw_rad` about z (counter-clockwise seen from above)."""
+        """Return a rotation by `yaw_rad` about z, counter-clockwise from above."""
         c, s = np.cos(yaw_rad), np.sin(yaw_rad)
         rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         return RigidTransform.from_rotation(dst, src, rotation, translation_m)
@@ -117,14 +120,14 @@ class RigidTransform:
         return RigidTransform(self.dst, other.src, self.matrix @ other.matrix)
 
     def inverse(self) -> RigidTransform:
-        """`src_from_dst`, by the transposed rotation: exact to rounding."""
+        """Return `src_from_dst` by the transposed rotation, exact to rounding."""
         rotation = self.rotation.T
         return RigidTransform.from_rotation(
             self.src, self.dst, rotation, -rotation @ self.translation_m
         )
 
     def apply(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        """Points (rows) in `src` to points in `dst`."""
+        """Transform points (rows) from `src` to `dst`."""
         return points @ self.rotation.T + self.translation_m
 
     def rotate(self, vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
@@ -231,8 +234,8 @@ class Trajectory:
         return self.matrices[:, :3, 3]
 
     def distance_ahead_m(self, time_ns: int) -> float:
-        """Way along the x axis of `src` from the first pose to a time; backwards counts less than
-        0. Beyond the ends it is that of the end."""
+        """Return the distance travelled along the x axis of `src` since the first pose, in metres;
+        negative for reverse motion. Beyond the ends it is that of the end."""
         steps = np.diff(self.positions_m, axis=0)
         ahead = (self.matrices[:-1, :3, 0] + self.matrices[1:, :3, 0]) / 2
         way = np.concatenate([[0.0], np.cumsum(np.einsum("nc,nc->n", steps, ahead))])
@@ -240,12 +243,12 @@ class Trajectory:
         return float(np.interp((time_ns - self.start_ns) / 1e9, seconds, way))
 
     def covers(self, time_ns: int, hold_s: float = 0.0) -> bool:
-        """Whether `at` answers: from the first pose to the last, and `hold_s` beyond either."""
+        """Return whether `at` has a pose: from the first to the last one, extended by `hold_s`."""
         hold_ns = int(hold_s * 1e9)
         return self.start_ns - hold_ns <= time_ns <= self.end_ns + hold_ns
 
     def at(self, time_ns: int, hold_s: float = 0.0) -> RigidTransform:
-        """Interpolated pose; within `hold_s` beyond an end, the pose of that end.
+        """Return the interpolated pose; within `hold_s` beyond an end, the pose of that end.
 
         Raises:
             OutOfRangeError: `time_ns` lies outside the trajectory.
@@ -270,16 +273,16 @@ class Trajectory:
         return RigidTransform.from_rotation(self.dst, self.src, rotation, translation)
 
     def held(self, time_ns: int) -> RigidTransform:
-        """Interpolated pose; beyond an end, the pose of that end."""
+        """Return the interpolated pose; beyond an end, the pose of that end."""
         return self.at(min(max(time_ns, self.start_ns), self.end_ns))
 
     def held_positions_m(self, times_ns: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, "m 3"]:
-        """As `held_at`, where alone: a fraction of the work."""
+        """Return the translations of `held_at` without computing rotations."""
         seconds, knots_s = self._seconds(times_ns), self._seconds(self.times_ns)
         return np.stack([np.interp(seconds, knots_s, k) for k in self.positions_m.T], axis=1)
 
     def held_at(self, times_ns: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, "m 4 4"]:
-        """As `held`, of many times."""
+        """Return the poses `held` at many times."""
         if len(self) == 1:
             return np.repeat(self.matrices, len(times_ns), axis=0)
         knots_s = self._seconds(self.times_ns)
@@ -291,5 +294,6 @@ class Trajectory:
         return poses
 
     def _seconds(self, times_ns: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, " m"]:
-        """From the start: nanoseconds since 1970 exceed the precision of a float."""
+        """Return seconds since the first pose: nanoseconds since 1970 exceed a float's
+        precision."""
         return (times_ns - self.start_ns) * 1e-9

@@ -1,4 +1,4 @@
-"""Decoded sweeps are kept: a build asks for each of them about ten times."""
+"""Cache of decoded LiDAR sweeps: a build reads each of them about ten times."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ MAX_BYTES = 512 << 20
 
 
 class KeptSweeps:
-    """One form of each sweep, by its stem: the one that was asked for last, as recorded or aligned.
+    """Cache with one form of each sweep, by its stem: the last one loaded, as recorded or aligned.
 
-    Nothing makes way for others when `max_bytes` are in use. Stages read all sweeps in their order,
-    so whatever came last would push out what is wanted next, and no sweep would ever be found.
+    Nothing is evicted when `max_bytes` are in use. Stages read all sweeps in order, so that any
+    eviction would remove the sweep that is needed next.
     """
 
     def __init__(self, max_bytes: int = MAX_BYTES) -> None:
@@ -25,8 +25,8 @@ class KeptSweeps:
         self._kept: dict[str, tuple[LazySweep, LidarSweep]] = {}
 
     def of(self, sweeps: tuple[LazySweep, ...]) -> tuple[LazySweep, ...]:
-        """The same sweeps, loaded once each as long as there is room; their arrays are read-only,
-        since all who ask get the same."""
+        """Return sweeps that are loaded once each while there is room. Their arrays are read-only,
+        because all callers receive the same ones."""
         return tuple(replace(lazy, load=partial(self._load, lazy)) for lazy in sweeps)
 
     def _load(self, lazy: LazySweep) -> LidarSweep:

@@ -1,4 +1,4 @@
-"""Holes in regular grids closed smoothly."""
+"""Filling of holes in regular grids."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scipy.sparse.linalg import spsolve
 def nearest_known(
     values: Float[np.ndarray, "nx ny *c"], is_known: Bool[np.ndarray, "nx ny"]
 ) -> Float[np.ndarray, "nx ny *c"]:
-    """Each cell's value, or that of the nearest cell that has one."""
+    """Fill unknown cells with the value of the nearest known cell."""
     nearest = np.asarray(
         ndimage.distance_transform_edt(~is_known, return_distances=False, return_indices=True)
     )

@@ -1,4 +1,4 @@
-"""LiDAR returns of many sweeps together."""
+"""LiDAR returns of several sweeps in one array."""
 
 from __future__ import annotations
 

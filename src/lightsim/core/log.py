@@ -1,4 +1,4 @@
-"""A recording: cameras, frames, sweeps, the ego's motion, actors and where on Earth it was."""
+"""A recording: cameras, frames, sweeps, ego motion, actors and place on Earth."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class GeoReference:
 
 @dataclass(frozen=True, eq=False)
 class DrivingLog:
-    """One recording. All frames, sweeps and tracks are in time order and share one clock."""
+    """One recording. All frames, sweeps and tracks are in time order on one clock."""
 
     name: str
     cameras: Mapping[str, PinholeCamera]
@@ -53,14 +53,15 @@ class DrivingLog:
     actors: tuple[ActorTrack, ...]
     geo: GeoReference | None
     ego_vehicle_masks: Mapping[str, Bool[np.ndarray, "h w"]]
-    """True where a camera sees the ego vehicle itself; cameras without an entry do not."""
+    """True where a camera shows the ego vehicle itself; cameras without an entry show none of
+    it."""
     notes: tuple[str, ...] = ()
-    """What was odd or substituted while reading: said once, recorded in the artefact."""
+    """Unusual or substituted input: printed once and recorded in the artefact."""
     semantic_names: Mapping[int, str] = field(default_factory=dict[int, str])
-    """The log's own name of each id in `LidarSweep.semantic_class`; empty where unlabelled."""
+    """Name of each id of `LidarSweep.semantic_class` in the recording; empty if unlabelled."""
 
     def frames_of(self, camera_name: str) -> tuple[CameraFrame, ...]:
-        """Frames of one camera, in time order.
+        """Return the frames of one camera, in time order.
 
         Raises:
             InputError: no such camera.
@@ -74,16 +75,16 @@ class DrivingLog:
         return tuple(f for f in self.frames if f.camera_name == camera_name)
 
     def actors_at(self, time_ns: int) -> tuple[ActorTrack, ...]:
-        """The actors whose track holds at a time (`ActorTrack.is_present`)."""
+        """Return the actors that are present at a time (`ActorTrack.is_present`)."""
         return tuple(actor for actor in self.actors if actor.is_present(time_ns))
 
     def with_frames(self, frames: tuple[CameraFrame, ...]) -> DrivingLog:
-        """The log with other camera frames; sweeps, ego and actors stay."""
+        """Return the log with other camera frames; sweeps, ego and actors are unchanged."""
         return replace(self, frames=frames)
 
     @cached_property
     def number_by_actor(self) -> dict[str, int]:
-        """The number of every actor, the same in fields, buffers and files."""
+        """Number of each actor, the same in fields, buffers and files."""
         return {actor.actor_id: number for number, actor in enumerate(self.actors)}
 
     @property
@@ -102,5 +103,5 @@ FindEgoVehicle = Callable[
 def without_ego_vehicle(
     views: Sequence[tuple[PinholeCamera, Sequence[CameraFrame]]], ego: Trajectory
 ) -> tuple[dict[str, Bool[np.ndarray, "h w"]], tuple[str, ...]]:
-    """No masks: nobody looked for the ego vehicle."""
+    """Return no masks; for readers that do not search for the ego vehicle."""
     return {}, ()

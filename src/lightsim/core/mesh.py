@@ -12,27 +12,26 @@ from lightsim.core.frames import RigidTransform
 from lightsim.errors import FrameMismatchError, InputError
 
 MATTE_ROUGHNESS = 0.6
-"""Surfaces at least this rough have lobes so wide that what they reflect changes as slowly from
-pixel to pixel as diffuse light does. Their diffuse reflection is Lambert's: towards grazing angles
-the diffuse part of rough materials brightens about as Fresnel's reflection dims it (Burley 2012,
-Sec. 5.3)."""
+"""Least roughness of a matte surface. Its specular lobe is so wide that the reflection varies as
+slowly over the picture as diffuse light. Its diffuse reflection is Lambertian: towards grazing
+angles, the diffuse gain of rough materials about cancels Fresnel's loss (Burley 2012, Sec. 5.3)."""
 MIRROR_ROUGHNESS = 0.2
-"""Smoother surfaces are panes: what they show is a reflection, or stands behind them."""
+"""Largest roughness of a pane, whose picture is a reflection or shows what is behind it."""
 
 
 class Provenance(IntEnum):
-    """Where the shape of a face comes from."""
+    """Evidence for the shape of a face."""
 
     MEASURED = 0
-    """Sensors saw the surface."""
+    """Sensors observed the surface."""
     MIRRORED = 1
-    """The other half of a vehicle was seen."""
+    """Sensors observed the opposite half of a vehicle."""
     INTERPOLATED = 2
     """A hole within measured surface was closed: ground under a vehicle, a window pane."""
     INFERRED = 3
-    """Guessed beyond what was measured: default shapes, roofs, upper facades."""
+    """Extrapolated: default shapes, roofs, upper facades."""
     BACKGROUND_PROXY = 4
-    """Stands for everything beyond the sensors' reach."""
+    """Represents everything beyond the range of the sensors."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class Material:
 
     Args:
         roughness: perceptual; its square is the width of the microfacets' slopes.
-        name: the class, such as "car paint", for people: nothing is decided by it.
+        name: the class, such as "car paint"; for display only.
     """
 
     roughness: float = 0.8
@@ -49,17 +48,18 @@ class Material:
     name: str = "matte"
 
 
+# Panes of vehicles: smooth, as float glass is.
 CAR_GLASS = Material(0.1, 0.0, "glass")
 CAR_GLASS_COLOUR = (0.03, 0.034, 0.036)
-"""Panes of vehicles: smooth, and dark because the cabin behind them is. Chosen; not measured."""
+"""Base colour of vehicle panes: dark, as the cabin behind them is. Chosen; not measured."""
 
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """Colour at image resolution.
+    """Colours of a mesh at image resolution.
 
     Args:
-        image: linear; what it means is what `TriMesh.base_colour` means.
+        image: linear, of the same quantity as `TriMesh.base_colour`.
         corner_uv: (u, v) of each face's three corners, in pixels of `image` (CONVENTIONS: Pixels:
             the first pixel's centre is (0.5, 0.5)). Bilinear look-up between pixel centres is
             safe everywhere inside a face.
@@ -71,7 +71,7 @@ class Texture:
     def look_up(
         self, face: Int[np.ndarray, " n"], barycentric: Float[np.ndarray, "n 3"]
     ) -> Float32[np.ndarray, "n 3"]:
-        """Bilinear colour at points of faces."""
+        """Return the bilinear colour at points of faces."""
         return self.look_up_in(self.image, face, barycentric)
 
     def look_up_in(
@@ -80,7 +80,7 @@ class Texture:
         face: Int[np.ndarray, " n"],
         barycentric: Float[np.ndarray, "n 3"],
     ) -> Float32[np.ndarray, "n c"]:
-        """The same in another image of these texels."""
+        """Look up another image with the layout of this texture, at points of faces."""
         height, width = image.shape[:2]
         uv = (barycentric[:, :, None] * self.corner_uv[face]).sum(axis=1)
         x = np.clip(uv[:, 0] - 0.5, 0, width - 1)
@@ -109,7 +109,7 @@ class SunVisibility:
 
 @dataclass(frozen=True, eq=False)
 class TriMesh:
-    """Triangles in `frame`; counter-clockwise seen from outside.
+    """Triangle mesh in `frame`; faces are counter-clockwise from outside.
 
     Args:
         vertices: metres.
@@ -123,7 +123,7 @@ class TriMesh:
         face_provenance: a `Provenance` for each face; None: all are measured.
         towards_camera: of each vertex, mean direction to the cameras that gave its colour, unit; 0
             where none did. None: unknown.
-        sun_visibility: as the pictures show it; None: unknown, or it changed as the mesh moved.
+        sun_visibility: estimate from the pictures; None: unknown, or the mesh has moved since.
     """
 
     frame: str
@@ -168,23 +168,24 @@ class TriMesh:
 
     @property
     def material(self) -> Material:
-        """Of the first class."""
+        """The first of the mesh's materials."""
         return self.materials[0]
 
     def comes_from(self, *sources: Provenance) -> Bool[np.ndarray, " m"]:
-        """Which faces have one of these provenances."""
+        """Return the faces with one of these provenances."""
         if self.face_provenance is None:
             return np.full(len(self.faces), Provenance.MEASURED in sources)
         return np.isin(self.face_provenance, sources)
 
     def with_provenance(self, provenance: Provenance) -> TriMesh:
-        """The same mesh, all of whose faces come from one source."""
+        """Return the mesh with one provenance for all faces."""
         return replace(self, face_provenance=np.full(len(self.faces), provenance, dtype=np.uint8))
 
     def colour_at(
         self, face: Int[np.ndarray, " n"], barycentric: Float[np.ndarray, "n 3"]
     ) -> Float32[np.ndarray, "n 3"]:
-        """Base colour at points of faces: of the texture, else between the vertices."""
+        """Return the base colour at points of faces, from the texture or, without one, the
+        vertices."""
         if self.texture is not None:
             return self.texture.look_up(face, barycentric)
         corners = self.base_colour[self.faces[face]]
@@ -193,7 +194,8 @@ class TriMesh:
     def sun_visibility_at(
         self, face: Int[np.ndarray, " n"], barycentric: Float[np.ndarray, "n 3"]
     ) -> Float32[np.ndarray, " n"]:
-        """Found visibility of the recorded sun at points of faces; NaN where it is unknown."""
+        """Return the estimated visibility of the recorded sun at points of faces; NaN if
+        unknown."""
         found = self.sun_visibility
         if found is None:
             return np.full(len(face), np.nan, np.float32)
@@ -204,7 +206,7 @@ class TriMesh:
         return (values / 255.0).astype(np.float32)
 
     def transformed(self, transform: RigidTransform) -> TriMesh:
-        """The same mesh in frame `transform.dst`."""
+        """Return the mesh in frame `transform.dst`."""
         if transform.src != self.frame:
             raise FrameMismatchError(
                 "the transform does not start in the mesh's frame",
@@ -218,35 +220,35 @@ class TriMesh:
         return replace(self, frame=transform.dst, vertices=vertices, towards_camera=towards)
 
     def face_roughness(self) -> Float32[np.ndarray, " m"]:
-        """Roughness of each face's material."""
+        """Return the roughness of each face's material."""
         known = np.array([material.roughness for material in self.materials], dtype=np.float32)
         if self.face_material is None:
             return np.full(len(self.faces), known[0])
         return known[self.face_material]
 
     def vertex_roughness(self) -> Float32[np.ndarray, " n"]:
-        """Of the smoothest face around each vertex; 1 for vertices without a face."""
+        """Return the least roughness of the faces around each vertex; 1 without a face."""
         roughness = np.ones(len(self.vertices), dtype=np.float32)
         np.minimum.at(roughness, self.faces.ravel(), np.repeat(self.face_roughness(), 3))
         return roughness
 
     def face_normals(self) -> Float[np.ndarray, "m 3"]:
-        """Unit normals; zero for degenerate faces."""
+        """Return unit normals; zero for degenerate faces."""
         across = self._edge_products()
         length = np.linalg.norm(across, axis=1, keepdims=True)
         return across / np.where(length > 0, length, 1.0)
 
     def face_areas_m2(self) -> Float64[np.ndarray, " m"]:
-        """Area of each face."""
+        """Return the area of each face, in square metres."""
         return np.linalg.norm(self._edge_products(), axis=1) / 2
 
     def _edge_products(self) -> Float64[np.ndarray, "m 3"]:
-        """Cross product of two edges of each face: its normal, as long as twice its area."""
+        """Return the cross product of two edges of each face: its normal times twice its area."""
         a, b, c = (self.vertices[self.faces[:, i]].astype(np.float64) for i in range(3))
         return np.cross(b - a, c - a)
 
     def vertex_normals(self) -> Float32[np.ndarray, "n 3"]:
-        """Area-weighted unit normals; zero for vertices without a face."""
+        """Return area-weighted unit normals; zero for vertices without a face."""
         weighted = self._edge_products()
         normals = np.zeros((len(self.vertices), 3))
         for i in range(3):
@@ -259,9 +261,9 @@ class TriMesh:
 
 
 def concatenate_meshes(meshes: list[TriMesh]) -> TriMesh:
-    """One mesh of several in the same frame.
+    """Join several meshes of one frame.
 
-    Textures are dropped (they belong to single meshes); confidence stays where all have it.
+    Textures are dropped (they belong to single meshes); confidence is retained if all have it.
     """
     if not meshes:
         raise InputError("no meshes to concatenate", expected="one mesh or more")
@@ -303,7 +305,7 @@ def _joined_provenance(meshes: list[TriMesh]) -> UInt8[np.ndarray, " m"] | None:
 
 
 def _renumbered(mesh: TriMesh, materials: tuple[Material, ...]) -> UInt8[np.ndarray, " m"]:
-    """The mesh's face materials as indices into a longer list."""
+    """Return the mesh's face materials as indices into a longer list."""
     number = np.array([materials.index(m) for m in mesh.materials], dtype=np.uint8)
     if mesh.face_material is None:
         return np.full(len(mesh.faces), number[0], dtype=np.uint8)

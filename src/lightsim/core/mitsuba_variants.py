@@ -13,20 +13,20 @@ from typing import Any, Literal
 from lightsim.errors import InputError
 
 Variant = Literal["scalar_rgb", "llvm_ad_rgb", "cuda_ad_rgb"]
-"""How Mitsuba computes: interpreted, compiled for the processor, or on CUDA."""
+"""Mitsuba's modes: interpreted, compiled for the processor, or on CUDA."""
 TracingDevice = Literal["cpu", "cuda"]
-"""As commands name it: scalar and LLVM variants compute on the processor."""
+"""Value of --device: the interpreted and LLVM variants run on the processor."""
 
 # Versions 14 to 16 cannot translate Mitsuba's kernels for every processor and end the process
-# (seen on processors with AVX-512).
+# (observed on processors with AVX-512).
 _MIN_LLVM = 17
 
 
 def choose_variant(*, may_use_cuda: bool = True) -> Variant:
-    """The fastest variant that runs here: CUDA where it may be used, LLVM where one is named.
+    """Return the fastest usable variant: CUDA if allowed and present, LLVM if configured.
 
-    Mitsuba by itself takes the first LLVM it finds, which may end the process; so LLVM is used
-    only where DRJIT_LIBLLVM_PATH names one of at least version 17.
+    Mitsuba itself uses the first LLVM it finds, which may end the process. LLVM is therefore used
+    only if DRJIT_LIBLLVM_PATH names version 17 or newer.
     """
     if may_use_cuda and has_cuda():
         return "cuda_ad_rgb"
@@ -34,7 +34,7 @@ def choose_variant(*, may_use_cuda: bool = True) -> Variant:
 
 
 def variant_on(device: TracingDevice) -> Variant:
-    """The fastest variant of a device.
+    """Return the fastest variant of a device.
 
     Raises:
         InputError: there is no CUDA device.
@@ -47,8 +47,9 @@ def variant_on(device: TracingDevice) -> Variant:
 
 
 def has_cuda() -> bool:
-    """Whether the driver finds a CUDA device."""
-    # Asked of the driver itself: Dr.Jit ends the process where a variant needs one and finds none.
+    """Return whether the driver finds a CUDA device."""
+    # The driver itself is queried: Dr.Jit ends the process if a variant needs a device and has
+    # none.
     try:
         driver = ctypes.CDLL("libcuda.so.1")
     except OSError:
@@ -58,7 +59,7 @@ def has_cuda() -> bool:
 
 
 def has_llvm() -> bool:
-    """Whether DRJIT_LIBLLVM_PATH names a library of at least version 17."""
+    """Return whether DRJIT_LIBLLVM_PATH names a library of version 17 or newer."""
     path = Path(os.environ.get("DRJIT_LIBLLVM_PATH", ""))
     version = re.search(r"LLVM(?:-|\.so\.)(\d+)", path.name)
     return path.is_file() and version is not None and int(version.group(1)) >= _MIN_LLVM
@@ -66,7 +67,7 @@ def has_llvm() -> bool:
 
 @contextmanager
 def mitsuba_with(variant: Variant) -> Generator[Any]:
-    """Mitsuba with a variant; the caller's variant comes back afterwards."""
+    """Provide Mitsuba with a variant, and restore the caller's variant afterwards."""
     import mitsuba
 
     previous = mitsuba.variant()

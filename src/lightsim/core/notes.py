@@ -1,4 +1,4 @@
-"""Notes: sentences on what was odd or substituted, kept with what was made and printed once."""
+"""Notes: sentences on unusual or substituted input, stored with the artefact and printed once."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ _PRINTED = 300
 
 
 def grouped_notes(ids_by_what: Mapping[str, Sequence[str]], noun: str) -> tuple[str, ...]:
-    """Return one note for each thing that several have in common, with all of their names.
+    """Return one note for each property, with the names of all that have it.
 
     Args:
-        ids_by_what: names by what is said of them, such as "has a default shape".
-        noun: for one of them, such as "actor".
+        ids_by_what: names by their common property, such as "has a default shape".
+        noun: singular for one of them, such as "actor".
     """
     return tuple(
         f"{noun} {ids[0]}: {what}"
@@ -25,7 +25,7 @@ def grouped_notes(ids_by_what: Mapping[str, Sequence[str]], noun: str) -> tuple[
 
 
 def printed_note(note: str, place: str) -> str:
-    """Return a note as it is printed: long ones are cut between two words.
+    """Return a note for the terminal: long ones are cut between two words.
 
     Args:
         place: file that holds the whole note.
@@ -36,9 +36,9 @@ def printed_note(note: str, place: str) -> str:
 
 
 def unseen_notes(notes: Iterable[str], seen: set[str]) -> list[str]:
-    """Return the notes that were not seen before, each once, and remember them in `seen`.
+    """Return the notes that are not in `seen`, each once, and add them to it.
 
-    Stages hand on the notes of what they read; read by people, each counts once.
+    Stages repeat the notes of their inputs; users read each note once.
     """
     found = [note for note in dict.fromkeys(notes) if note not in seen]
     seen.update(found)

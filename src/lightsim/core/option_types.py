@@ -1,4 +1,4 @@
-"""Types of options that Python and the command line share."""
+"""Types of options, for Python and the command line alike."""
 
 from __future__ import annotations
 

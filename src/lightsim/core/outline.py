@@ -1,4 +1,4 @@
-"""What things hide in a picture, whose reconstruction lacks a little."""
+"""Outlines of objects in pictures, beyond their slightly too small reconstruction."""
 
 from __future__ import annotations
 
@@ -6,23 +6,25 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64
 from scipy import ndimage
 
-# A recorded actor reaches this far beyond its reconstruction (mirrors, what the mesh lacks), and
-# its outline in the picture is this soft.
-_OUTLINE_M, _OUTLINE_PX = 0.12, 1.5
-
-# Walls and roofs reach this far beyond theirs before the sky: cornices, signs, corners.
+# Distance by which a recorded actor extends beyond its reconstruction (mirrors, missing surface),
+# in metres. Chosen with the next two by the look of removed actors; sensitivity not measured.
+_OUTLINE_M = 0.12
+# Width of the soft edge of its outline, in pixels.
+_OUTLINE_PX = 1.5
+# Distance by which walls and roofs extend beyond their reconstruction before the sky (cornices,
+# signs), in metres.
 _EDGE_M = 0.5
 
 
 def grown_outline(
     is_inside: Bool[np.ndarray, "h w"], depth_z_m: Float[np.ndarray, "h w"], focal_px: float
 ) -> Float32[np.ndarray, "h w"]:
-    """How much of each pixel actors hide: their reconstruction, grown by what it may lack, soft at
-    the edge.
+    """Return the fraction of each pixel that actors hide: their reconstruction, grown by what it
+    may lack, with a soft edge.
 
     Args:
         is_inside: pixels that show their reconstruction.
-        depth_z_m: there; not looked at elsewhere.
+        depth_z_m: depth in these pixels; not read elsewhere.
         focal_px: of the camera, in these pixels.
     """
     if not is_inside.any():
@@ -35,12 +37,12 @@ def grown_outline(
 def surface_beside(
     is_surface: Bool[np.ndarray, "h w"], distance_m: Float32[np.ndarray, "h w"], focal_px: float
 ) -> Float32[np.ndarray, "h w"]:
-    """Distance of the surface beside which pixels show nothing of the twin, inf elsewhere: it may
-    go on there.
+    """Return the distance of the adjacent surface for pixels where the twin has none, else inf: the
+    real surface may extend there.
 
     Args:
-        is_surface: pixels that show a surface that may.
-        distance_m: of all that the twin shows, inf where that is nothing.
+        is_surface: pixels that show a surface which may extend.
+        distance_m: of the twin's surface, inf where there is none.
     """
     if not is_surface.any():
         return np.full(is_surface.shape, np.inf, dtype=np.float32)
@@ -53,8 +55,8 @@ def surface_beside(
 def goes_on(
     is_surface: Bool[np.ndarray, "h w"], is_matter: Bool[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Pixels from which matter alone leads straight to the nearest surface, and those around them,
-    which are partly matter: walls go on there, wires that pass by do not count.
+    """Return the pixels to which the nearest surface extends: the straight line to it shows matter
+    only. Their neighbours are included, as they may be partly matter. Passing wires do not count.
 
     Args:
         is_matter: pixels that show no sky.
@@ -73,7 +75,8 @@ def goes_on(
 def nearest_of(
     mask: Bool[np.ndarray, "h w"],
 ) -> tuple[Float64[np.ndarray, "h w"], tuple[np.ndarray, np.ndarray]]:
-    """Distance to the mask's nearest pixel, and its rows and columns; one is set, or more."""
+    """Return the distance to the nearest pixel of a mask that is not empty, and its row and
+    column."""
     found = ndimage.distance_transform_edt(~mask, return_indices=True)
     assert isinstance(found, tuple)
     return found[0], (found[1][0], found[1][1])

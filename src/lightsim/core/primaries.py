@@ -20,7 +20,9 @@ CIE_XYZ: Primaries = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3)
 """Tristimulus values X, Y, Z in the place of R, G, B; their unit is written as white E."""
 ACES_AP0: Primaries = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.0770, 0.32168, 0.33767)
 """SMPTE ST 2065-1."""
+# Academy S-2014-004.
 _ACES_AP1 = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
+# White of sRGB.
 _D65 = SRGB[6:]
 _NAMED: dict[str, Primaries] = {
     "ACES2065-1": ACES_AP0,
@@ -94,7 +96,7 @@ def srgb_from_primaries(primaries: Sequence[float]) -> Float[np.ndarray, "3 3"]:
 
 
 def luminance_weights(primaries: Sequence[float]) -> Float[np.ndarray, "3"]:
-    """Return the share of red, green and blue in the luminance Y; they sum to 1.
+    """Return the weights of red, green and blue in the luminance Y; they sum to 1.
 
     Raises:
         ValueError: as `srgb_from_primaries`.

@@ -1,4 +1,4 @@
-"""The best integer for every column of a row, where steps between neighbours cost."""
+"""Profiles: one label for each column, with a cost for steps between neighbours."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from jaxtyping import Float64, Int64
 def best_profile(
     energy: Float64[np.ndarray, "s t"], step: float, step_per_label: float
 ) -> Int64[np.ndarray, " s"]:
-    """The profile of least total energy, exactly (Viterbi 1967, doi:10.1109/TIT.1967.1054010).
+    """Return the profile of least total energy, exactly (Viterbi 1967,
+    doi:10.1109/TIT.1967.1054010).
 
     Args:
-        energy: of each column at each label, nats.
-        step: of two neighbours with different labels, nats.
-        step_per_label: the same, for every label between them.
+        energy: cost of each label in each column, nats.
+        step: cost of two neighbours with different labels, nats.
+        step_per_label: further cost for each label between them, nats.
     """
     count, labels = energy.shape
     levels = np.arange(labels)
@@ -35,8 +36,8 @@ def best_profile(
 def least_energies(
     energy: Float64[np.ndarray, "s t"], step: float, step_per_label: float
 ) -> Float64[np.ndarray, "s t"]:
-    """Of all profiles with this label in this column, the least total energy, up to a constant of
-    each column: min-marginals. The arguments are those of `best_profile`."""
+    """Return min-marginals: the least total energy of the profiles with a label in a column, up to
+    a constant of each column. The arguments are those of `best_profile`."""
     change = _change(energy.shape[1], step, step_per_label)
     before, after = np.zeros_like(energy), np.zeros_like(energy)
     for s in range(1, len(energy)):
@@ -51,17 +52,16 @@ def least_energies(
 def label_probabilities(
     energy: Float64[np.ndarray, "s t"], fresh: Float64[np.ndarray, "s t"], chance: float
 ) -> Float64[np.ndarray, "s t"]:
-    """Of each label in each column, over all profiles: the best one alone has no steps where
-    nothing speaks for one.
+    """Return the marginal probability of each label in each column, over all profiles.
 
-    A column has its neighbour's label (or, one in ten times, the next), but with a chance it
-    begins something new; sums over all profiles by the forward-backward algorithm (Rabiner 1989,
-    doi:10.1109/5.18626).
+    Model: with probability `chance` a column starts a new segment; otherwise it has the label of
+    its neighbour or, one time in ten, an adjacent one. Marginals follow from the forward-backward
+    algorithm (Rabiner 1989, doi:10.1109/5.18626).
 
     Args:
-        energy: of each column at each label, nats.
-        fresh: probability of each label where something new begins.
-        chance: of that, for each column.
+        energy: cost of each label in each column, nats.
+        fresh: probability of each label at the start of a segment.
+        chance: probability of a new segment, for each column.
     """
     likelihood = np.exp(energy.min(axis=1, keepdims=True) - energy)
     before, after = likelihood * fresh, np.ones_like(energy)
@@ -79,13 +79,13 @@ def label_probabilities(
 
 
 def _wandering(weight: Float64[np.ndarray, " t"]) -> Float64[np.ndarray, " t"]:
-    """One in ten moves to a label beside it."""
+    """Move a tenth of the weight to adjacent labels."""
     padded = np.pad(weight, 1, mode="edge")
     return 0.9 * weight + 0.05 * (padded[2:] + padded[:-2])
 
 
 def _change(labels: int, step: float, step_per_label: float) -> Float64[np.ndarray, "t t"]:
-    """Energy of every pair of neighbours' labels."""
+    """Return the cost of each pair of labels of two neighbours."""
     levels = np.arange(labels)
     rise = np.abs(levels[:, None] - levels)
     return np.where(rise > 0, step + step_per_label * rise, 0.0)
@@ -94,8 +94,8 @@ def _change(labels: int, step: float, step_per_label: float) -> Float64[np.ndarr
 def energy_of_filling(
     against_filled: Float64[np.ndarray, "s c"], against_free: Float64[np.ndarray, "s c"]
 ) -> Float64[np.ndarray, "s t"]:
-    """Energy of each number of filled cells, counted from the first: what speaks against these
-    being filled, and against all others being free."""
+    """Return the cost of each number of filled cells from the bottom: the costs of these being
+    filled and of all others being free."""
     energy = np.zeros((against_filled.shape[0], against_filled.shape[1] + 1))
     energy[:, 1:] += np.cumsum(against_filled, axis=1)
     energy[:, :-1] += np.cumsum(against_free[:, ::-1], axis=1)[:, ::-1]

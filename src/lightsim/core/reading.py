@@ -1,4 +1,4 @@
-"""How a log is read: the options that reading, building and the log artefact share."""
+"""Options of reading a log, used by readers, builds and the log artefact."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lightsim.core.option_types import Names
 from lightsim.errors import InputError
 
 OWN_DATASETS = ("pandaset",)
-"""Formats that datasets/ has a reader for; other packages register more."""
+"""Formats with a reader in datasets/; other packages register more."""
 
 
 def dataset_names() -> tuple[str, ...]:
@@ -23,7 +23,7 @@ def dataset_names() -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class LogReading:
-    """How the recording is read; reading again with the same options gives the same log."""
+    """Options of reading a recording; the same options give the same log."""
 
     source: Positional[Annotated[str, arg(metavar="SOURCE")]]
     """Folder of the recording."""
@@ -39,7 +39,7 @@ class LogReading:
     image_scale: float = 0.5
     """Factor on the image size."""
     heading_deg: float | None = None
-    """Azimuth of the world x axis, where the log cannot tell it (clockwise from north)."""
+    """Azimuth of the world x axis, clockwise from true north, for logs that do not contain it."""
 
     def __post_init__(self) -> None:
         check_choice("--dataset", self.dataset, ("auto", *dataset_names()))
@@ -48,7 +48,7 @@ class LogReading:
             check_number("--heading-deg", self.heading_deg, -360.0, 360.0)
         if self.hold_out < 0 or self.hold_out == 1:
             raise InputError(
-                "nothing would be left to build from" if self.hold_out == 1 else "out of range",
+                "no frame would remain for the build" if self.hold_out == 1 else "out of range",
                 where="--hold-out",
                 got=self.hold_out,
                 expected="0 for none, or 2 and more: every n-th frame",

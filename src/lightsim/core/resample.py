@@ -10,7 +10,7 @@ from scipy.sparse import csr_matrix
 def resize_area(
     image: Float[np.ndarray, "a b c"], height_px: int, width_px: int
 ) -> Float32[np.ndarray, "h w c"]:
-    """Mean over the area that each new pixel covers (box filter); the mean is kept.
+    """Average over the area of each new pixel (box filter); the mean of the image is unchanged.
 
     Whole factors are plain block means.
     """

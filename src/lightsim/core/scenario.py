@@ -1,4 +1,4 @@
-"""What is rendered: which frames, under which sky, with which actors where."""
+"""Description of a rendering: its frames, sky and actors with their poses."""
 
 from __future__ import annotations
 
@@ -74,18 +74,19 @@ class Scenario:
         name: of the scenario.
         frames: to make.
         placements: actors that have a shape.
-        tracks: all actors, those that nobody reconstructed too; their order is the one numbering
-            of actors in buffers and files. By default those of the placements.
+        tracks: all actors, including those without a reconstruction; their order is the numbering
+        of
+            actors in buffers and files. By default those of the placements.
         cameras: by name, those of the frames.
-        ego: path of the ego vehicle, `world_from_ego`; None where no vehicle is asked about.
+        ego: path of the ego vehicle, `world_from_ego`; None if it is not needed.
         sky: target sky; None where only geometry is rendered.
-        edits: what differs from the log, as SCENARIO.json spells it; placements and ego have it
-            already.
+        edits: differences from the log in the form of SCENARIO.json; placements and ego include
+            them.
         seed: of all random numbers.
-        removed: ids of tracks that are not there; they keep their numbers.
-        vacated: where actors stood in the log that stand elsewhere here, or nowhere: the shadows
-            that pictures show of them are gone.
-        notes: what is odd about it, such as two actors in one place.
+        removed: ids of removed tracks; the numbers of other tracks are unchanged.
+        vacated: recorded placements of actors that were moved or removed; their recorded shadows
+            disappear.
+        notes: unusual facts, such as two actors in one place.
     """
 
     name: str
@@ -107,15 +108,15 @@ class Scenario:
 
     @cached_property
     def number_by_actor(self) -> dict[str, int]:
-        """The number of every actor, the same in all frames."""
+        """Number of each actor, the same in all frames."""
         return {track.actor_id: number for number, track in enumerate(self.tracks)}
 
     def placements_at(self, time_ns: int) -> tuple[ActorPlacement, ...]:
-        """Actors present at a time, in the order of the placements."""
+        """Return the placements of actors that are present at a time."""
         return tuple(p for p in self.placements if p.track.is_present(time_ns))
 
     def tracks_at(self, time_ns: int) -> tuple[ActorTrack, ...]:
-        """All actors present at a time."""
+        """Return all actors that are present at a time."""
         there = (t for t in self.tracks if t.actor_id not in self.removed)
         return tuple(track for track in there if track.is_present(time_ns))
 
@@ -123,7 +124,7 @@ class Scenario:
 def placed_elsewhere(
     recorded: Sequence[ActorPlacement], placements: Sequence[ActorPlacement]
 ) -> tuple[ActorPlacement, ...]:
-    """Those of the recorded placements whose actors are gone or follow another track now."""
+    """Return the recorded placements of actors that are removed or follow another track."""
     tracks = {p.track.actor_id: p.track for p in placements}
     return tuple(
         p
@@ -143,8 +144,8 @@ def _is_same(a: ActorTrack, b: ActorTrack) -> bool:
 def changed_placements(
     recorded: Scenario, scenario: Scenario, time_ns: int
 ) -> tuple[tuple[ActorPlacement, ...], tuple[ActorPlacement, ...]] | None:
-    """Who stood somewhere in the recorded scenario at a time and does not in the other one, and the
-    other way round; None where nothing differs."""
+    """Return the placements at a time of the recorded scenario alone, and those of the other
+    scenario alone; None if they are equal."""
     before, after = recorded.placements_at(time_ns), scenario.placements_at(time_ns)
     kept = {id(p) for p in before} & {id(p) for p in after}
     gone = tuple(p for p in before if id(p) not in kept)

@@ -1,4 +1,4 @@
-"""What sensors recorded: camera frames and LiDAR sweeps. Bytes are loaded when asked for."""
+"""Camera frames and LiDAR sweeps. Pixels and points are loaded on demand."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from jaxtyping import Bool, Float, Float32, Int16, UInt8
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform, turned_by
 
-# Actors are labelled once a sweep, whose returns lie up to a sweep (0.1 s) from the label's moment:
-# their first and last pose hold for this long.
+# Time for which the first and last pose of an actor remain valid beyond its labels: labels are made
+# once a sweep, and returns of that sweep are up to 0.1 s away from them.
 SWEEP_HOLD_S = 0.15
-
+# Fixed-point iterations of `CameraFrame.project`: the error shrinks to a few percent in each.
 _PROJECTION_ROUNDS = 4
 
 
 @dataclass(frozen=True, eq=False)
 class RollingShutter:
-    """The camera moves while its rows are read from top to bottom: each row has its own pose.
+    """Motion of a camera while its rows are read from top to bottom.
 
     Args:
         readout_s: seconds from the top edge of the image to the bottom edge; the frame's time
@@ -34,19 +34,20 @@ class RollingShutter:
     angular_velocity_rad_s: Float[np.ndarray, "3"]
 
     def seconds(self, v: Float[np.ndarray, " n"], height_px: int) -> Float[np.ndarray, " n"]:
-        """When rows are read, relative to the frame's time; rows outside count as the nearest."""
+        """Return the readout time of rows relative to the frame's time; v is clamped to the
+        image."""
         return (np.clip(v / height_px, 0.0, 1.0) - 0.5) * self.readout_s
 
     def rotated(
         self, vectors_world: Float[np.ndarray, "n 3"], seconds: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, "n 3"]:
-        """Vectors fixed to the camera at the frame's time, as they point `seconds` later."""
+        """Rotate vectors that are fixed to the camera from the frame's time to `seconds` later."""
         return turned_by(vectors_world, seconds[:, None] * self.angular_velocity_rad_s)
 
 
 @dataclass(frozen=True, eq=False)
 class CameraFrame:
-    """One image of one camera. `stem` is the log's own file stem and names every output.
+    """One image of one camera. `stem` is the file stem in the log and names all outputs.
 
     Args:
         world_from_camera: pose at `time_ns`.
@@ -76,10 +77,10 @@ class CameraFrame:
     def project(
         self, camera: PinholeCamera, points_world: Float[np.ndarray, "n 3"]
     ) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
-        """(u, v) at which points appear, and whether that lies inside the image; NaN behind it.
+        """Return (u, v) of points, NaN behind the camera, and whether they lie inside the image.
 
-        With a rolling shutter the row decides the pose and the pose the row: solved by fixed-point
-        iteration, whose error shrinks by the image's speed in rows per row, a few percent.
+        With a rolling shutter, row and pose depend on each other. Fixed-point iteration solves for
+        both; each round reduces the error to a few percent.
         """
         points = points_world.astype(np.float64)
         uv, inside = camera.project(self.world_from_camera.inverse().apply(points))
@@ -101,7 +102,7 @@ class LidarSweep:
 
     Args:
         points_world: returns, metres.
-        origins_world: where the sensor stood when each was measured, metres.
+        origins_world: position of the sensor at the time of each return, metres.
         intensity: reflectance as the sensor gives it, scaled to [0, 1].
         time_offset_s: seconds from the sweep's `time_ns`.
         ring: laser index, -1 where unknown.
@@ -119,7 +120,7 @@ class LidarSweep:
 
     @property
     def distances_m(self) -> Float[np.ndarray, " n"]:
-        """Length of each beam, from where the sensor then stood."""
+        """Length of each beam, in metres."""
         return np.linalg.norm(self.points_world - self.origins_world, axis=1)
 
 

@@ -1,4 +1,4 @@
-"""Where the sun stands: ephemeris by pvlib, azimuth clockwise from true north."""
+"""Position of the sun by pvlib's ephemeris; azimuth is clockwise from true north."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ from lightsim.errors import InputError
 
 @dataclass(frozen=True)
 class SolarPosition:
-    """Apparent direction of the sun's centre: refraction is included."""
+    """Apparent direction of the sun's centre, refraction included."""
 
     azimuth_deg: float
     elevation_deg: float
 
 
 def solar_position(latitude_deg: float, longitude_deg: float, time_ns: int) -> SolarPosition:
-    """NREL's SPA (Reda & Andreas 2004, doi:10.1016/j.solener.2003.12.003) through pvlib.
+    """Return the sun's position by NREL's SPA (Reda & Andreas 2004,
+    doi:10.1016/j.solener.2003.12.003) through pvlib.
 
     Raises:
-        InputError: the place is none on Earth.
+        InputError: latitude or longitude is out of range.
     """
     if not (abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 360.0):
         raise InputError(
-            "the place is none on Earth",
+            "latitude or longitude is out of range",
             got=f"latitude {latitude_deg}, longitude {longitude_deg} degrees",
             expected="-90 to 90, and -360 to 360",
         )
@@ -42,7 +43,8 @@ def solar_position(latitude_deg: float, longitude_deg: float, time_ns: int) -> S
 
 
 def direction_enu(azimuth_deg: float, elevation_deg: float) -> Float[np.ndarray, "3"]:
-    """Unit vector in frame `enu` towards (azimuth clockwise from north, elevation)."""
+    """Return the unit vector in frame `enu` of an azimuth, clockwise from north, and an
+    elevation."""
     azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
     return np.array(
         [
@@ -54,7 +56,7 @@ def direction_enu(azimuth_deg: float, elevation_deg: float) -> Float[np.ndarray,
 
 
 def azimuth_elevation(direction: Float[np.ndarray, "3"]) -> SolarPosition:
-    """Inverse of `direction_enu`; azimuth in [0, 360)."""
+    """Return azimuth in [0, 360) and elevation of a direction: inverse of `direction_enu`."""
     x, y, z = direction / np.linalg.norm(direction)
     azimuth = float(np.degrees(np.arctan2(x, y)) % 360.0)
     return SolarPosition(azimuth, float(np.degrees(np.arcsin(z))))
@@ -63,11 +65,11 @@ def azimuth_elevation(direction: Float[np.ndarray, "3"]) -> SolarPosition:
 def direction_world(
     azimuth_deg: float, elevation_deg: float, enu_from_world: RigidTransform
 ) -> Float[np.ndarray, "3"]:
-    """The direction (azimuth from true north, elevation) in frame `world`."""
+    """Return the unit vector in frame `world` of an azimuth from true north and an elevation."""
     return enu_from_world.inverse().rotate(direction_enu(azimuth_deg, elevation_deg))
 
 
 def angle_between_deg(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> float:
-    """Angle between two directions, accurate for small angles too."""
+    """Return the angle between two directions; accurate for small angles, too."""
     cross, dot = float(np.linalg.norm(np.cross(a, b))), float(a @ b)
     return float(np.degrees(np.arctan2(cross, dot)))

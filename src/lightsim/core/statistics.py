@@ -9,8 +9,7 @@ from jaxtyping import Float, Float64, Shaped
 def weighted_median(
     values: Float64[np.ndarray, "p k"], weight: Shaped[np.ndarray, " p"]
 ) -> Float[np.ndarray, " k"]:
-    """Of each column: the value at which half of the weight is reached; the least one of all where
-    no weight is above 0."""
+    """Return the weighted median of each column; the least value if no weight is above 0."""
     order = np.argsort(values, axis=0)
     reached = np.cumsum(weight[order], axis=0)
     row = np.minimum((reached < 0.5 * weight.sum()).sum(axis=0), len(values) - 1)

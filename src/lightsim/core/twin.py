@@ -16,11 +16,11 @@ from lightsim.core.mesh import TriMesh
 
 @dataclass(frozen=True, eq=False)
 class Wheel:
-    """A part of a vehicle that turns about an axle along the vehicle's y axis.
+    """Wheel of a vehicle; its axle is parallel to the vehicle's y axis.
 
     Args:
-        vertices: numbers of the mesh's vertices that belong to it.
-        centre: of the axle, frame `actor`.
+        vertices: indices of the mesh's vertices that belong to it.
+        centre: centre of the axle, frame `actor`.
         radius_m: of the tyre.
     """
 
@@ -31,7 +31,7 @@ class Wheel:
     def turned(
         self, vertices: Float32[np.ndarray, "n 3"], distance_m: float
     ) -> Float32[np.ndarray, "n 3"]:
-        """The mesh's vertices after the vehicle has rolled ahead by a distance."""
+        """Return the mesh's vertices after the vehicle has rolled forward by a distance."""
         angle = distance_m / self.radius_m
         x, y, z = (vertices[self.vertices] - self.centre).T
         c, s = np.cos(angle), np.sin(angle)
@@ -44,7 +44,7 @@ class Wheel:
 class ActorAsset:
     """A reconstructed actor; `mesh` lies in frame `actor` (origin at the box centre).
 
-    `label` is the recording's own word for it; by default the kind's. `wheels` are those that turn.
+    `label` is the name in the recording; by default that of `kind`. `wheels` are those that rotate.
     """
 
     actor_id: str
@@ -67,7 +67,7 @@ class SceneAssets:
         actors: by actor id.
         camera_gains: RGB g with linear pixel value = g x scene radiance; geometric mean over
             the cameras 1 per channel, which fixes the scene unit.
-        notes: what was substituted, such as default shapes of actors with too few returns.
+        notes: substitutions, such as default shapes of actors with too few returns.
     """
 
     background: TriMesh
@@ -78,11 +78,11 @@ class SceneAssets:
 
 @dataclass(frozen=True, eq=False)
 class Panorama:
-    """What all cameras saw around one point, equirectangular in frame `world`.
+    """Radiance around one point from all cameras, equirectangular in frame `world`.
 
     Args:
-        radiance: linear RGB in scene units (gains divided out), 0 where not seen.
-        is_seen: observed at all.
+        radiance: linear RGB in scene units (gains divided out), 0 where not observed.
+        is_seen: whether any camera observed the direction.
         is_sky: observed, and no reconstructed surface on that ray.
         is_clipped: at least one channel of every contributing pixel was saturated.
     """
@@ -122,11 +122,11 @@ class SkyEstimate:
 
 @dataclass(frozen=True, eq=False)
 class LightFreedom:
-    """How far an estimated light may still be off.
+    """Uncertainty of an estimated light.
 
     Args:
-        unseen: of each pixel of the dome, 1 where no camera saw the sky, 0 where the dome shows
-            what was seen.
+        unseen: for each pixel of the dome, 1 where no camera observed the sky, 0 where the dome
+            shows an observation.
         unseen_log_std: one standard deviation of the log of the radiance of the unseen sky.
         log_clear_sun: log of a clear sun's irradiance at the estimated sky over the estimate's.
         sun_log_std: one standard deviation of the log of a clear sun over the sky.
@@ -141,14 +141,14 @@ class LightFreedom:
 
     @property
     def is_veiled(self) -> bool:
-        """Cloud before the sun is more probable than a clear sun: shadows are soft or none, and
-        what is dark by nature passes for them."""
+        """True if cloud in front of the sun is more probable than a clear sun. Shadows are then
+        soft or absent, and dark materials are easily mistaken for them."""
         return self.cloud_probability >= 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class DigitalTwin:
-    """Everything relighting needs: the log, its meshes and its sky."""
+    """Input of relighting: the log, its meshes and its sky."""
 
     log: DrivingLog
     assets: SceneAssets
@@ -156,7 +156,7 @@ class DigitalTwin:
 
 
 def parked_actor_meshes(log: DrivingLog, assets: SceneAssets) -> list[TriMesh]:
-    """Meshes of the actors that never move, in frame `world`."""
+    """Return the meshes of the actors that never move, in frame `world`."""
     return [
         assets.actors[track.actor_id].mesh.transformed(
             track.trajectory.at(track.trajectory.start_ns)

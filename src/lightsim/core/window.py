@@ -1,4 +1,4 @@
-"""A part of a picture."""
+"""Rectangular parts of pictures."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Window = tuple[slice, slice]
 
 
 def window_around(mask: Bool[np.ndarray, "h w"], margin_px: int) -> Window:
-    """The smallest window that holds the mask and a margin; the mask holds a pixel."""
+    """Return the smallest window around a mask that is not empty, grown by a margin."""
     spans = []
     for axis, size in ((1, mask.shape[0]), (0, mask.shape[1])):
         found = np.flatnonzero(mask.any(axis=axis))
