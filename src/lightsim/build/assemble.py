@@ -1,4 +1,4 @@
-"""The twin is put together, and checked before anything is rendered from it."""
+"""Assembly and checks of a digital twin."""
 
 from __future__ import annotations
 
@@ -20,12 +20,13 @@ from lightsim.geometry.completion.rooflines import height_prior, tops_at
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.roofs import UncertainRoofs
 
+# Number of sampled height profiles of unobserved roofs. A shadow of uncertain length has as many
+# steps. Chosen; sensitivity not measured.
 _GUESSES = 8
-"""Of what no view shows; a shadow that they do not share has so many steps."""
 
 
 def roofs_over(background: TriMesh, rooflines: Sequence[Roofline]) -> TriMesh:
-    """Casters that no image shows, in the colours of the nearest background."""
+    """Return the inferred roofs and rear walls, in the colours of the nearest background."""
     casters = roof_casters(rooflines, background, make_caster=make_embree_caster)
     return colour_of_nearest(casters, background)
 
@@ -33,8 +34,8 @@ def roofs_over(background: TriMesh, rooflines: Sequence[Roofline]) -> TriMesh:
 def uncertain_roofs(
     background: TriMesh, rooflines: Sequence[Roofline], recorded_sun: Sun | None
 ) -> UncertainRoofs | None:
-    """Guesses of what `roofs_over` gives the most probable one of; None where every roof was
-    seen."""
+    """Return samples of the inferred roofs, of which `roofs_over` returns the most probable one;
+    None if views show every roof edge."""
     if all(r.is_seen.all() for r in rooflines):
         return None
 
@@ -42,7 +43,7 @@ def uncertain_roofs(
         prior = height_prior(rooflines)
         levels = (np.arange(_GUESSES) + 0.5) / _GUESSES
         tops = [tops_at(r, prior, levels) for r in rooflines]
-        # Of the background, once for all guesses.
+        # One caster of the background serves all samples.
         caster = make_embree_caster([background])
         return [
             make_embree_caster([roof_casters(guess, background, make_caster=lambda _: caster)])

@@ -36,30 +36,30 @@ from lightsim.store.artefact import read_json, write_json
 
 LoadMask = Bool[np.ndarray, "h w"]
 Show = Callable[[CameraFrame], UInt8[np.ndarray, "h w 3"]]
-"""A picture of a frame, as its camera would have taken it."""
+"""Returns the picture of a frame, 8-bit sRGB."""
 MEASURES_NAME = "measures.json"
 QUICK = FramesConfig(with_exposure=False)
-"""Scores that a build can afford: raw PSNR and SSIM."""
+"""Scores of a build: raw PSNR and SSIM, without the slow ones."""
 
 
 @dataclass(frozen=True)
 class MeasureConfig:
-    """What a build measures of itself."""
+    """Settings of the measures of a build."""
 
     frames: FramesConfig = QUICK
-    """Of held-out images."""
+    """Scores of held-out images."""
     lidar: GeometryConfig = field(default_factory=GeometryConfig)
-    """Of beams cast again."""
+    """Measures of LiDAR beams against the meshes."""
 
 
 @dataclass(frozen=True)
 class Measures:
-    """What a build says of itself.
+    """Results of the measures of a build.
 
     Args:
-        lidar: LiDAR beams cast again on the meshes.
-        is_held_out: whether the sweeps were kept from the build.
-        frames: held-out images; None where nothing was held out.
+        lidar: LiDAR beams against the meshes.
+        is_held_out: whether `lidar` is from held-out sweeps.
+        frames: scores of held-out images; None if nothing was held out.
     """
 
     lidar: LidarScores
@@ -68,14 +68,14 @@ class Measures:
 
 
 def measure(work: Workspace, config: MeasureConfig, progress: Progress) -> Measures:
-    """All that a build can measure without ground truth."""
+    """Compute all measures that need no ground truth."""
     lidar, is_held_out = lidar_error(work, progress, np.random.default_rng(0))
     frames = held_out_frames(work, progress, config.frames) if work.held_out else None
     return Measures(lidar, is_held_out, frames)
 
 
 def write_measures(folder: Path, measures: Measures) -> None:
-    """measures.json; scores without a value are null."""
+    """Write measures.json; scores without a value are null."""
     frames = None if measures.frames is None else measures.frames.json_rows()
     write_json(
         folder / MEASURES_NAME,
@@ -88,7 +88,7 @@ def write_measures(folder: Path, measures: Measures) -> None:
 
 
 def read_measures(folder: Path) -> Measures:
-    """What `write_measures` wrote.
+    """Read measures.json.
 
     Raises:
         ArtefactError: the file is missing or broken.
@@ -115,22 +115,21 @@ def held_out_frames(
     *,
     with_field: bool = False,
 ) -> FramesReport:
-    """Novel-view images of the twin at held-out frames, against the camera; see
-    `held_out_frame_tasks`."""
+    """Score renderings of the twin at held-out frames; see `held_out_frame_tasks`."""
     tasks = held_out_frame_tasks(workspace, with_field=with_field)
     return score_frames(tasks, config or FramesConfig(), progress=progress)
 
 
 def held_out_frame_tasks(workspace: Workspace, *, with_field: bool = False) -> list[FrameTask]:
-    """Held-out frames as the twin shows them.
+    """Return the held-out frames with renderings of the twin.
 
-    The twin's observed radiance is rendered through each held-out camera; beside it stands the
-    trivial baseline, the nearest training image of the same camera, and `with_field` the neural
-    field itself, volume-rendered. The region `masked` leaves out sky and ego vehicle.
+    Methods are the twin's observed radiance, the nearest training image of the same camera as a
+    trivial baseline, and, `with_field`, the neural field by volume rendering. The region `masked`
+    excludes sky and ego vehicle.
 
     Raises:
-        InputError: the build held nothing out.
-        ArtefactError: `with_field`, and the build trained none.
+        InputError: nothing was held out of the build.
+        ArtefactError: `with_field`, and the build trained no field.
     """
     if not workspace.held_out:
         raise InputError(
@@ -149,7 +148,8 @@ def held_out_frame_tasks(workspace: Workspace, *, with_field: bool = False) -> l
 
 
 def nearest_recorded(workspace: Workspace) -> Show:
-    """The camera's own picture that is nearest in time and not held out, as it is."""
+    """Return the method that copies the nearest picture in time of the camera, held-out ones
+    aside."""
 
     def nearest(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
         frames = workspace.log.frames_of(frame.camera_name)
@@ -160,11 +160,12 @@ def nearest_recorded(workspace: Workspace) -> Show:
 
 
 def observed_radiance(workspace: Workspace, sky: SkyEstimate | None = None) -> Show:
-    """Pictures of the twin as it was seen, its estimated sky behind.
+    """Return the method that renders observed radiance in front of the estimated sky.
 
     Args:
-        sky: stands there instead; of builds up to the assets, or so that builds differ by their
-            surfaces alone.
+        sky: sky to use instead: for builds that end before the sky stage, or to compare the
+        surfaces
+            of builds alone.
     """
     log, assets, sky = workspace.log, workspace.assets, sky or workspace.sky
     renderer = FrameRenderer(assets.background, workspace.inferred, TransportConfig(), 0)
@@ -183,11 +184,11 @@ def observed_radiance(workspace: Workspace, sky: SkyEstimate | None = None) -> S
 def held_out_tasks(
     workspace: Workspace, methods: Mapping[str, Show], log: DrivingLog | None = None
 ) -> list[FrameTask]:
-    """Held-out frames beside what methods make of them; valid is what is neither sky nor ego
-    vehicle.
+    """Return the held-out frames with the pictures of methods; pixels of sky and ego vehicle are
+    not valid.
 
     Args:
-        log: at the scale of the pictures; None: the workspace's.
+        log: the log at the scale of the pictures; None: the log of the work folder.
     """
     ego_vehicle_masks = (log or workspace.recorded_log).ego_vehicle_masks
     log = log or workspace.log
@@ -228,7 +229,7 @@ def lidar_error(
 ) -> tuple[LidarScores, bool]:
     """Return the error of LiDAR beams cast again on the meshes.
 
-    Held-out sweeps are used where there are any; the flag says whether.
+    Held-out sweeps are used if there are any; the flag returns whether.
     """
     log, assets = workspace.log, workspace.assets
     held = tuple(s for s in log.sweeps if s.stem in workspace.held_out)

@@ -1,4 +1,4 @@
-"""What a build is made from, as a user gives it."""
+"""Options of a build."""
 
 from __future__ import annotations
 
@@ -15,43 +15,44 @@ from lightsim.errors import InputError
 Preset = Literal["draft", "standard", "paper"]
 PRESETS: tuple[Preset, ...] = get_args(Preset)
 GpsUse = Literal["all", "place", "none"]
-"""Place, time and heading; place and time alone; or the images alone."""
+"""GPS data for the sun's direction: place, time and heading; place and time; or none."""
 SkyModel = Literal["analytic", "paper"]
-"""The source sky as one light found from all evidence, or as the sky network's decoder draws it."""
+"""Source sky: a physical model fitted to all evidence, or the output of the sky network's
+decoder."""
 Device = Literal["auto", "cpu", "cuda"]
+# Largest number of training steps: weeks of training; more is a typing error.
 _MAX_STEPS = 10_000_000
-"""Weeks of training; beyond it somebody has slipped a digit."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BuildOptions:
-    """What a build is made from."""
+    """Options of a build."""
 
     reading: LogReading
-    """How the recording is read."""
+    """Options of reading the recording."""
     preset: Preset = "standard"
-    """Quality of the reconstruction; paper: the published system and nothing of ours, to compare
-    with (docs/paper-map.md)."""
+    """Quality of the reconstruction. draft: fast; standard: best; paper: the published system
+    alone, for comparison (docs/paper-map.md)."""
     colour: Colour | None = None
-    """Colour of the meshes: at image resolution, at vertices, or (the paper's) the neural field's
-    at vertices; by default the preset's."""
+    """Colour of the meshes: at image resolution, at vertices, or the neural field's colour at
+    vertices (as in the paper); by default that of the preset."""
     no_refine: Names = ()
-    """Comma-separated physics of the log to leave out: rolling_shutter, point_times,
-    ego_vehicle_masks, lidar_poses, actor_tracks, camera_poses, camera_gains."""
+    """Comma-separated corrections to leave out: rolling_shutter, point_times, ego_vehicle_masks,
+    lidar_poses, actor_tracks, camera_poses, camera_gains."""
     gps: GpsUse = "all"
-    """What the sun is found with besides the images: place, time and heading; place and time; or
-    nothing."""
+    """GPS data for the sun's direction, besides the images. all: place, time and heading; place:
+    place and time; none."""
     sky_model: SkyModel | None = None
-    """How the source sky is made: a physical sky fitted to what was seen with the sun by shadows,
-    or (the paper's) by the decoder of the sky network, from its latent and peak and the GPS sun; by
-    default the preset's."""
+    """Model of the source sky. analytic: a physical sky fitted to images and shadows; paper: the
+    sky network's decoder, from its latent, its peak and the GPS sun; by default that of the
+    preset."""
     device: Device = "auto"
-    """Where the neural field is trained; auto takes CUDA where there is one. Results on the CPU do
-    not depend on it."""
+    """Device on which the neural field is trained; auto uses CUDA if present."""
     neural_steps: int | None = None
-    """Training steps of the neural field; by default the preset's; 0 keeps the fused LiDAR."""
+    """Training steps of the neural field; by default those of the preset; 0 uses the fused LiDAR as
+    it is."""
     seed: int = 0
-    """Of all random numbers."""
+    """Seed of all random numbers."""
 
     def __post_init__(self) -> None:
         check_choice("--preset", self.preset, PRESETS)
@@ -67,7 +68,7 @@ class BuildOptions:
             self._check_paper()
 
     def _check_paper(self) -> None:
-        """The paper's system is one switch: nothing of ours goes into it."""
+        """Refuse options that the published system does not have."""
         ours = {
             "--colour": self.colour not in (None, "field"),
             "--sky-model": self.sky_model not in (None, "paper"),
@@ -76,7 +77,7 @@ class BuildOptions:
         wrong = [name for name, is_ours in ours.items() if is_ours]
         if wrong:
             raise InputError(
-                "the preset paper is the published system, which knows no such part",
+                "the preset paper is the published system, which has no such part",
                 where=", ".join(wrong),
                 expected="--colour field, --sky-model paper, --neural-steps 1 or more",
                 remedy="Leave the option out, or choose --preset standard.",

@@ -1,8 +1,8 @@
-"""From a log to a twin: the ordered table of stages. The whole build can be read here.
+"""The build: an ordered table of stages from a log to a twin.
 
-Each stage is a function call on what earlier stages made, and its result an artefact folder
-(store/artefact.py). Stages know nothing of each other: what one needs from another (a ray caster,
-a sky matte, light at vertices) is handed to it in pipeline/stages/.
+Each stage is a function of the results of earlier stages, and its result is an artefact folder
+(store/artefact.py). Stages do not import each other: build/stages passes what one needs from
+another (a ray caster, a sky matte, light at vertices).
 """
 
 from __future__ import annotations
@@ -86,14 +86,14 @@ _ASSETS = {
 
 @dataclass(frozen=True)
 class Stage:
-    """One row of the table.
+    """One stage of the build.
 
     Args:
-        name: of the artefact folder.
-        needs: artefacts it reads.
-        config: what presets and options decide of it.
-        make: fills the folder, returns notes; its module and all that it imports are the sources
-            of the stage (build/sources.py).
+        name: name of the artefact folder.
+        needs: artefacts that the stage reads.
+        config: returns the settings of the stage for the options of a build.
+        make: fills the folder and returns notes. Its module and all modules it imports are the
+            sources of the stage (build/sources.py).
     """
 
     name: str
@@ -116,7 +116,7 @@ def _neural_config(options: BuildOptions) -> neural_config.NeuralConfig:
 
 
 def _stitch_config(options: BuildOptions) -> StitchConfig:
-    """The paper stitches one moment."""
+    """Return the settings of the panorama; the paper stitches one moment."""
     return StitchConfig(frame_count=1) if options.preset == "paper" else StitchConfig()
 
 
@@ -126,7 +126,7 @@ def _sky_config(options: BuildOptions) -> SkyStageConfig:
 
 
 def _no_settings(_: BuildOptions) -> None:
-    """Return the configuration of a stage whose numbers are constants of its modules."""
+    """Return no settings: all numbers of the stage are constants of its modules."""
 
 
 STAGES = (
@@ -176,11 +176,11 @@ PUBLISHED = (
     ),
     Stage("twin", ("log", "alignment", "assets", "sky"), _no_settings, publish_twin),
 )
-"""The rows that `--preset paper` has in place of those of the same names."""
+"""Stages of `--preset paper`, in place of those with the same names."""
 
 
 def stages_of(options: BuildOptions) -> tuple[Stage, ...]:
-    """The rows of the table that a build runs, in order."""
+    """Return the stages of a build, in order."""
     own = {s.name: s for s in PUBLISHED} if options.preset == "paper" else {}
     return tuple(own.get(stage.name, stage) for stage in STAGES)
 
@@ -188,10 +188,10 @@ def stages_of(options: BuildOptions) -> tuple[Stage, ...]:
 def artefact_keys(
     options: BuildOptions, source_key: str, tree: SourceTree | None = None
 ) -> dict[str, ArtefactKey]:
-    """The recipe of every stage; a stage's key holds the keys of all it needs.
+    """Return the key of every stage's artefact; it contains the keys of all artefacts it needs.
 
     Args:
-        options: of the build.
+        options: options of the build.
         source_key: hash of the recording.
         tree: source code of LightSim; by default the installed one.
     """
@@ -213,13 +213,13 @@ def _as_mapping(stage: Stage, options: BuildOptions) -> dict[str, Any]:
 def build(
     work: Path, options: BuildOptions, progress: Progress, until: str = "report"
 ) -> Workspace:
-    """Make what is missing or stale in `work`, in order, up to the stage `until`; finished
-    artefacts are kept, damaged ones are made anew.
+    """Make missing, stale and damaged artefacts of `work`, in order, up to the stage `until`;
+    finished ones are reused.
 
     Raises:
         InputError: the log is broken, an option is out of range, or there is no such stage.
-        ArtefactError: another command is at work in `work`, or what must be replaced there is not
-            ours.
+        ArtefactError: another command is using `work`, or a folder to replace is no artefact of
+            LightSim.
     """
     check_choice("--until", until, [stage.name for stage in STAGES])
     source = Path(options.reading.source).resolve()
@@ -271,7 +271,7 @@ def _build(work: Path, options: BuildOptions, progress: Progress, until: str) ->
 
 
 def _why(folder: Path, artefact_key: ArtefactKey, state: State) -> str:
-    """Words for the user about an artefact that is made anew; none where it is missing."""
+    """Return the reason why an artefact is made again; empty if it is missing."""
     if state == "broken":
         return "is damaged: anew "
     record = read_record(folder) if state == "stale" else None
@@ -281,7 +281,7 @@ def _why(folder: Path, artefact_key: ArtefactKey, state: State) -> str:
 
 
 def _log_made(folder: Path, record: Mapping[str, Any], seen: set[str]) -> None:
-    """A line of time and memory, and the stage's notes that no earlier stage had."""
+    """Log time, memory, and the notes that no earlier stage had."""
     logger.info(
         "%-14s made in %.1f s (peak memory %d MB)",
         folder.name,
@@ -293,12 +293,12 @@ def _log_made(folder: Path, record: Mapping[str, Any], seen: set[str]) -> None:
 
 
 def _stages_until(options: BuildOptions, name: str) -> tuple[Stage, ...]:
-    """The table's rows up to one, with it."""
+    """Return the stages up to and including one."""
     return stages_of(options)[: [stage.name for stage in STAGES].index(name) + 1]
 
 
 def read_options(work: Path) -> BuildOptions:
-    """The options that the last build of `work` used.
+    """Read the options of the last build of `work`.
 
     Raises:
         ArtefactError: `work` holds no build, or its options are broken.

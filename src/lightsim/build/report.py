@@ -1,4 +1,4 @@
-"""report/index.html of a build: pictures of the twin, and the numbers that its stages stored."""
+"""Report of a build (report/index.html): pictures of the twin and stored measures."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from lightsim.view.report import Card, Figure, Section, Table, write_report
 
 @dataclass(frozen=True)
 class ReportConfig:
-    """What the page shows."""
+    """Settings of the report."""
 
     stages: tuple[str, ...]
-    """Stages with their times and notes."""
+    """Names of the stages to list with their times and notes."""
     transport: TransportConfig = field(default_factory=TransportConfig)
-    """Light of the pictures."""
+    """Settings of the light in the pictures."""
 
 
 def write_build_report(path: Path, work: Workspace, config: ReportConfig) -> None:
-    """report/index.html of a build: sky, meshes, held-out numbers, timings."""
+    """Write the report: sky, meshes, scores of held-out frames, times."""
     measured = read_measures(work.need("measures"))
     frames, log = measured.frames, work.log
     cards = [
@@ -81,8 +81,8 @@ def _sky_section(work: Workspace) -> Section:
     seen = f"{100 * panorama.is_sky[: panorama.is_sky.shape[0] // 2].mean():.0f} %"
     return Section(
         "Sky",
-        f"The cameras saw {seen} of the upper hemisphere as sky. Centre column along world +x.\n\n"
-        + "\n\n".join(f"{note}." for note in sky.notes),
+        f"The cameras observed {seen} of the upper hemisphere as sky. The centre column of both "
+        "pictures is world +x.\n\n" + "\n\n".join(f"{note}." for note in sky.notes),
         figures=[
             Figure("stitched panorama", srgb8_from_linear(panorama.radiance)),
             Figure("estimated sky, tone-mapped, ring around the sun", dome_preview(sky.dome)),
@@ -149,7 +149,7 @@ def _stage_section(work: Workspace, stage_names: Sequence[str]) -> Section:
         record = read_record(work.folder(name))
         if record is not None:
             rows.append([name, record["seconds"], record["peak_memory_mb"]])
-            # Those of the sky stand beside its picture.
+            # Notes of the sky are printed beside its picture.
             own = () if name == "sky" else unseen_notes(record["notes"], seen)
             notes += [f"{name}: {note}." for note in own]
     summary = read_json(work.need("log") / "log.json")

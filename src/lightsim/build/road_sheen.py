@@ -1,4 +1,4 @@
-"""The roughness of a log's road, as its pictures show it before the recorded sun."""
+"""Roughness of the road, estimated from the sun's reflection in the pictures."""
 
 from __future__ import annotations
 
@@ -20,22 +20,29 @@ from lightsim.geometry.materials import ASPHALT
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.transport.lobes import Lobes, normal_reflectance, sun_in_lobes
 
-_BASELINE_M, _PIXELS = 2.0, 2500
-"""How far apart views are, and how many pixels of each are looked at."""
-_REACH_M, _LEVEL = 25.0, 0.95
+# All five were chosen; their sensitivity was not measured.
+
+# Least distance between two views, in metres.
+_BASELINE_M = 2.0
+# Random pixels of each view.
+_PIXELS = 2500
+# Largest distance of a road point from the camera, in metres.
+_REACH_M = 25.0
+# Least z component of the normal of level asphalt: 18 degrees.
+_LEVEL = 0.95
+# Margin around the boxes of actors, in metres: pixels there may show the actor.
 _BESIDE_M = 0.5
-"""Of the boxes of actors: what is seen there may be theirs."""
 
 
 def with_measured_road(
     log: DrivingLog, assets: SceneAssets, sun: Sun | None, light_at: LightAt, seed: int
 ) -> tuple[TriMesh, tuple[str, ...]]:
-    """The background with its asphalt as rough as the pictures say, and a note; as it was where
-    they say nothing.
+    """Return the background with the estimated roughness of its asphalt, and a note; unchanged if
+    the pictures contain no evidence.
 
     Args:
-        assets: meshes that show radiance.
-        light_at: of the recorded sky, frame `world`.
+        assets: meshes coloured with observed radiance.
+        light_at: light of the recorded sky, frame `world`.
     """
     background = assets.background
     if sun is None or sun.direction_world[2] <= 0 or ASPHALT not in background.materials:
@@ -68,7 +75,8 @@ def with_measured_road(
 def _road_in_pictures(
     log: DrivingLog, assets: SceneAssets, rng: np.random.Generator
 ) -> tuple[np.ndarray, SeenPoints]:
-    """Radiance that single pictures show of level asphalt, and where and from where."""
+    """Return the radiance of points on level asphalt in single pictures, with points and
+    viewpoints."""
     mesh = assets.background
     caster = make_embree_caster([mesh, *parked_actor_meshes(log, assets)])
     normals = mesh.face_normals()
@@ -100,7 +108,7 @@ def _road_in_pictures(
 def _own_pixels(
     log: DrivingLog, frame: CameraFrame, rng: np.random.Generator
 ) -> Int64[np.ndarray, "n 2"]:
-    """Random pixels (column, row) of a frame that do not show the ego vehicle."""
+    """Return random pixels (column, row) of a frame that do not show the ego vehicle."""
     camera = log.cameras[frame.camera_name]
     size = np.array([camera.width_px, camera.height_px])
     pixel = np.floor(rng.random((_PIXELS, 2)) * size).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Where the rays of a neural field are sampled."""
+"""Guide that places the samples on the rays of the neural field."""
 
 from __future__ import annotations
 
@@ -16,8 +16,11 @@ from lightsim.render.casters.embree import make_embree_caster
 def sample_guide(
     log: DrivingLog, fields: SceneFields, config: NeuralConfig, progress: Progress
 ) -> Guide:
-    """What tells a neural field where its rays are sampled: the meshes of the fused LiDAR where it
-    learns a residual on it; else the space that has returns in it, by the log's rays alone."""
+    """Return the guide of a field's samples.
+
+    A field that learns a residual is sampled near the meshes of the fused LiDAR, any other one in
+    the cells that contain LiDAR returns.
+    """
     if not config.has_prior:
         return Occupancy.of_returns(log, fields.path_m, fields.background_radius_m[-1], progress)
     at_origin = RigidTransform.identity("world", "actor")

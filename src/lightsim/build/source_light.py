@@ -1,4 +1,4 @@
-"""The estimated source light on the surfaces of a log, as intrinsic decomposition asks for it."""
+"""Estimated source light on the surfaces of a log, the input of intrinsic decomposition."""
 
 from __future__ import annotations
 
@@ -21,15 +21,14 @@ from lightsim.render.transport.matrix import TransportConfig, static_face_table
 from lightsim.render.transport.sun import sun_visibility, unshadowed_sun
 
 IRRADIANCE = IrradianceConfig(TransportConfig(sky_rays=32, face_rays=8, glossy_rays=64), 0.25)
-"""Sun, sky and the light of other surfaces as it was seen; what was not seen is grey. Few rays for
-reflections leave coloured clouds on shaded asphalt, whose own radiance is small."""
+"""Rays of the source light. Fewer rays for reflections leave coloured blotches on shaded asphalt,
+whose own radiance is small. Surfaces that no camera observed reflect as grey."""
 LIDAR_RETURNS = 1_500_000
-"""LiDAR returns whose intensity is asked."""
+"""Number of LiDAR returns whose intensity is read."""
 
 
 class SourceLight:
-    """The estimated source light on meshes of a log: with the measured surfaces alone, and with
-    the inferred ones."""
+    """Estimated source light on the meshes of a log, with and without the inferred casters."""
 
     def __init__(
         self,
@@ -52,7 +51,7 @@ class SourceLight:
             self._faces = static_face_table(self._all, config.transport, seed)
 
     def on(self, world_from_mesh: RigidTransform) -> LightAt:
-        """Light at points of a mesh at a pose."""
+        """Return the light at points of a mesh at a pose."""
 
         def light_at(points: SeenPoints) -> SurfaceLight:
             placed, normals, towards = (
@@ -102,7 +101,8 @@ class SourceLight:
 
 
 def _with_casters(scene: FrameScene, inferred: TriMesh) -> FrameScene:
-    """The scene with a mesh that no camera sees; the structure over the rest serves both."""
+    """Return the scene with an additional mesh that is invisible to cameras; both scenes use the
+    same acceleration structure for all other meshes."""
     static = replace(
         scene.static,
         inferred=(inferred,),

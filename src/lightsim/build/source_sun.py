@@ -1,4 +1,4 @@
-"""Where the source sun of a log stands: all cues that the log has, in one posterior."""
+"""Direction of the source sun of a log: the posterior of all cues."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from lightsim.render.casters.embree import make_embree_caster
 
 @dataclass(frozen=True)
 class SourceSunConfig:
-    """What is asked about the sun."""
+    """Settings of the search for the source sun."""
 
     votes: ShadowLikelihoodConfig = field(default_factory=ShadowLikelihoodConfig)
-    """Light and shade on the surfaces."""
+    """Likelihood of light and shade on the surfaces."""
     gps: GpsUse = "all"
-    """How much of the log's place, time and heading is used."""
+    """GPS data to use."""
 
 
 def find_source_sun(
@@ -43,13 +43,13 @@ def find_source_sun(
     progress: Progress,
     prediction: SkyPrediction | None = None,
 ) -> tuple[SunDirection, SunPosterior]:
-    """The sun in the middle of the log.
+    """Estimate the direction of the sun in the middle of the log.
 
     Args:
-        prediction: what a network says of the log's panorama.
+        prediction: output of the sky network for the log's panorama.
 
     Raises:
-        InputError: by place and time the sun is below the horizon.
+        InputError: the sun of place and time is below the horizon.
     """
     log = work.training_log
     middle_ns = log.frames[len(log.frames) // 2].time_ns
@@ -72,7 +72,7 @@ def find_source_sun(
 def source_shadow_likelihood(
     work: Workspace, config: ShadowLikelihoodConfig, *, seed: int, progress: Progress
 ) -> ShadowLikelihood:
-    """What light and shade on the static surfaces say about the sun."""
+    """Compute the likelihood of sun directions from light and shade on static surfaces."""
     log, assets = work.training_log, work.assets
     rng = np.random.default_rng(seed)
     path_world = np.array([frame.world_from_camera.translation_m for frame in log.frames])

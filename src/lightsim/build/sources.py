@@ -1,8 +1,8 @@
-"""Source code that decides the result of a stage or of a simulation.
+"""Source files that determine the result of a stage or of a simulation.
 
 The hash of every such file is in the key of the artefact, so a changed constant makes the artefacts
-of the stages that use it stale, and no others. docs/reference/artefacts.md lists what belongs to
-which stage.
+of the stages that use it stale, and no others. docs/reference/artefacts.md lists the files of each
+stage.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ UNCOUNTED = {
     "lightsim.store.staleness": "words about stale artefacts",
     "lightsim.build.sources": "this list",
 }
-"""Modules that change no result, each with the reason. Neither they nor their imports count, so
-that a better error message does not make a twin stale."""
+"""Modules that do not affect results, each with the reason. They and their imports are not hashed,
+so that a better error message does not make a twin stale."""
 WORKSPACE = "lightsim.build.workspace"
 """Reads artefacts with the modules that wrote them. Those modules are in the key of the stage that
 wrote, and that key is in the key of the stage that reads: the imports need not count again. If they

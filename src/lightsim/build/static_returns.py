@@ -1,4 +1,4 @@
-"""LiDAR returns from what does not move."""
+"""LiDAR returns from static surfaces."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lightsim.core.log import DrivingLog
 
 
 def static_returns(log: DrivingLog, count: int, rng: np.random.Generator) -> LidarReturns:
-    """About `count` LiDAR returns from what does not move, in frame `world`."""
+    """Draw about `count` LiDAR returns from static surfaces, in frame `world`."""
     fraction = count / max(1, sum(len(s.load().intensity) for s in log.sweeps))
     points, origins, intensity = [], [], []
     for lazy in log.sweeps:

@@ -28,11 +28,11 @@ class StageStatus:
     """One line of `lightsim status`.
 
     Args:
-        name: of the stage.
-        state: of its artefact.
-        seconds: that the stage took; None where it is not recorded.
-        peak_memory_mb: largest memory of the process until then; None where it is not recorded.
-        reasons: why the artefact is stale, or what is damaged.
+        name: name of the stage.
+        state: state of its artefact.
+        seconds: wall time of the stage; None if not recorded.
+        peak_memory_mb: largest memory of the process until its end; None if not recorded.
+        reasons: reasons why the artefact is stale, or its damaged files.
     """
 
     name: str
@@ -43,8 +43,8 @@ class StageStatus:
 
 
 def status(work: Path, *, is_hashed: bool = False) -> list[StageStatus]:
-    """State of every artefact against the options that the last build of `work` used, and against
-    the recording, where that is still in its place.
+    """Compare every artefact with the options of the last build, and with the recording if it still
+    exists.
 
     Args:
         is_hashed: read every file and compare its bytes, not only its size.
@@ -60,7 +60,7 @@ def status(work: Path, *, is_hashed: bool = False) -> list[StageStatus]:
 
 
 def _source_key(work: Path, source: Path) -> str:
-    """Hash of the recording; where it is gone, of what the build found."""
+    """Return the hash of the recording; if it is gone, the hash that the build stored."""
     if is_folder(source):
         return hash_names(hash_recording(source))
     logger.warning("%s: the recording is gone; changes in it cannot be told", source)

@@ -1,4 +1,4 @@
-"""What a build needs of a recording, checked in its first stage instead of minutes later."""
+"""Early checks of a recording, so that a build does not fail after minutes."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from lightsim.core.solar import solar_position
 from lightsim.errors import InputError
 from lightsim.progress import Progress
 
+# Mean luminance of the upper third of a picture (1.0: pixel value 255) below which it is dark.
+# PandaSet log 002, with the sun at 12 degrees, has .27 to .38; not measured at night.
 _DARK = 0.04
-"""Mean luminance of the upper third of a picture (1.0: pixel value 255) below which it is dark.
-Log 002 under a sun 12 degrees high has .27 to .38; not measured at night."""
+# Number of pictures of each camera that are examined.
 _PICTURES = 3
-"""Pictures of each camera that are looked at."""
+# The upper third of a picture is examined: sky and buildings, no road in the headlights.
 _UPPER = 3
-"""The upper third of a picture: sky and buildings, no road lit by the vehicle's own lamps."""
 _NEEDS_SWEEPS = "fields"
 _NEEDS_SUN = "sky"
 
 
 def check_places(source: Path, work: Path) -> None:
-    """Refuse a work folder that would become part of the recording.
+    """Refuse a work folder inside the recording.
 
     Raises:
-        InputError: it lies in the recording.
+        InputError: it is inside.
     """
     inside = work.resolve()
     if source in (inside, *inside.parents):
@@ -42,14 +42,14 @@ def check_places(source: Path, work: Path) -> None:
 
 
 def check_suitable(log: DrivingLog, options: BuildOptions, stages: Collection[str]) -> None:
-    """Refuse a recording that one of the stages would refuse.
+    """Refuse a recording that a later stage would refuse.
 
     Args:
-        log: as recorded, without what is held out.
-        stages: names of those that will run.
+        log: the recorded log without held-out frames and sweeps.
+        stages: names of the stages that will run.
 
     Raises:
-        InputError: there are no sweeps, or it is night by place and time.
+        InputError: there are no sweeps, or place and time are at night.
     """
     if _NEEDS_SWEEPS in stages and not log.sweeps:
         raise InputError(
@@ -83,7 +83,7 @@ def sun_elevation_deg(log: DrivingLog) -> float | None:
 
 
 def light_notes(log: DrivingLog) -> tuple[str, ...]:
-    """Notes on a recording at night, by GPS and clock or else by dark pictures."""
+    """Return notes on a recording at night, detected by GPS and clock, or else by dark pictures."""
     elevation_deg = sun_elevation_deg(log)
     if elevation_deg is not None and elevation_deg <= 0:
         return (
@@ -105,7 +105,7 @@ def light_notes(log: DrivingLog) -> tuple[str, ...]:
 
 
 def _upper_luminance(log: DrivingLog) -> float:
-    """Median over some pictures of all cameras."""
+    """Return the median luminance of the upper third of some pictures of all cameras."""
     found: list[float] = []
     for name in log.cameras:
         frames = log.frames_of(name)

@@ -1,4 +1,4 @@
-"""A work folder: one sub-folder per artefact, loaded when asked for and kept."""
+"""A work folder: one sub-folder per artefact, loaded on first access and cached."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ OPTIONS_NAME = "build.json"
 
 
 class _MadeOf(Generic[T]):
-    """Like cached_property; the artefacts that a value is made of are checked at every access."""
+    """Cached property whose source artefacts are checked at every access."""
 
     def __init__(self, function: Callable[[Workspace], T], stages: tuple[str, ...]) -> None:
         self._function, self._stages = function, stages
@@ -67,15 +67,15 @@ class _MadeOf(Generic[T]):
 
 
 def made_of(*stages: str) -> Callable[[Callable[[Workspace], T]], _MadeOf[T]]:
-    """Decorates what is read once from the artefacts of these stages."""
+    """Decorate a property that is read once from the artefacts of these stages."""
     return lambda function: _MadeOf(function, stages)
 
 
 class Workspace:
     """The artefacts of one log under `root` (INTERFACE: WORK).
 
-    Every artefact is held against the hashes in its record before it is first read, and the
-    recording against what the build found.
+    Before its first use, every artefact is compared with the hashes in its record, and the
+    recording with the hashes of the build.
     """
 
     def __init__(
@@ -89,10 +89,10 @@ class Workspace:
         """
         Args:
             root: the work folder.
-            reading: how the log is read; by default as the build of `root` did.
-            source_hashes: of the recording's files (datasets/fingerprint.py); by default they are
-                made when the recording is first read, and compared with those of the build.
-            is_stale_allowed: go on where the recording has changed since the build.
+            reading: options of reading the log; by default those of the build of `root`.
+            source_hashes: hashes of the recording's files (datasets/fingerprint.py); by default
+                computed when the recording is first read, and compared with those of the build.
+            is_stale_allowed: continue if the recording has changed since the build.
         """
         self.root = root
         self._reading = reading
@@ -103,12 +103,13 @@ class Workspace:
         self._sweeps = KeptSweeps()
 
     def folder(self, stage: str) -> Path:
-        """Where a stage's artefact stands, or will."""
+        """Return the folder of a stage's artefact, which need not exist yet."""
         return self.root / stage
 
     @contextmanager
     def opened(self, stages: Iterable[str]) -> Generator[None]:
-        """Only these artefacts can be read while the block runs: what a stage declares to need."""
+        """Restrict reading to these artefacts, which a stage declares as inputs, during the
+        block."""
         before, self._open = self._open, frozenset(stages)
         try:
             yield
@@ -116,11 +117,11 @@ class Workspace:
             self._open = before
 
     def check_open(self, stage: str) -> None:
-        """An AssertionError, which is a fault of ours, where a stage reads undeclared artefacts."""
+        """Raise AssertionError, a programming error, if a stage reads an undeclared artefact."""
         assert self._open is None or stage in self._open, f"'{stage}' is not declared as needed"
 
     def need(self, stage: str) -> Path:
-        """Folder of a finished artefact, whose files are as they were written.
+        """Return the folder of a finished, undamaged artefact.
 
         Raises:
             ArtefactError: it has not been made, or is damaged.
@@ -129,7 +130,7 @@ class Workspace:
         return self.folder(stage)
 
     def record(self, stage: str) -> dict[str, Any]:
-        """artefact.json of a finished artefact; raises as `need`."""
+        """Return artefact.json of a finished artefact; raises as `need`."""
         self.check_open(stage)
         if stage not in self._records:
             record = require_whole(self.folder(stage), self._remedy)
@@ -150,10 +151,10 @@ class Workspace:
 
     @cached_property
     def reading(self) -> LogReading:
-        """How the log is read: as was given, else as the build of `root` did.
+        """Options of reading the log: the given ones, else those of the build of `root`.
 
         Raises:
-            ArtefactError: nothing was given, and there is no finished build to ask.
+            ArtefactError: none were given, and there is no finished build.
         """
         if self._reading is not None:
             return self._reading
@@ -162,7 +163,7 @@ class Workspace:
 
     @cached_property
     def source_hashes(self) -> Mapping[str, str]:
-        """Hashes of the recording's files as they are now."""
+        """Current hashes of the recording's files."""
         from lightsim.datasets.fingerprint import hash_recording
 
         if self._source_hashes is not None:
@@ -170,7 +171,7 @@ class Workspace:
         return hash_recording(Path(self.reading.source))
 
     def _check_source(self) -> None:
-        """The recording must be the one that was built from."""
+        """Refuse a recording that has changed since the build."""
         from lightsim.datasets.fingerprint import describe_change
 
         if self._source_hashes is not None or self._is_stale_allowed:
@@ -212,7 +213,7 @@ class Workspace:
     def _find_ego_vehicle(
         self, views: Sequence[tuple[PinholeCamera, Sequence[CameraFrame]]], ego: Trajectory
     ) -> tuple[dict[str, Bool[np.ndarray, "h w"]], tuple[str, ...]]:
-        """The ego vehicle, looked for in the pictures that building may look at."""
+        """Find the masks of the ego vehicle, from pictures that are not held out."""
         from lightsim.datasets.selection import FrameSelection
         from lightsim.masks.ego_vehicle import ego_vehicle_masks
 
@@ -224,7 +225,7 @@ class Workspace:
         return ego_vehicle_masks(allowed, ego)
 
     def log_at(self, image_scale: float) -> DrivingLog:
-        """The aligned log at another image scale."""
+        """Return the aligned log at another image scale."""
         return self.alignment.applied_to(self._recorded_at(image_scale))
 
     def _recorded_at(self, image_scale: float) -> DrivingLog:
@@ -234,17 +235,17 @@ class Workspace:
 
     @made_of("log")
     def held_out(self) -> frozenset[str]:
-        """Stems of the frames and sweeps that building may not look at."""
+        """Stems of held-out frames and sweeps, which stages of the build must not read."""
         return held_out_stems(self._full_log, self.reading.hold_out)
 
     @made_of("log", "alignment")
     def training_log(self) -> DrivingLog:
-        """The log without held-out frames and sweeps: all that building may look at."""
+        """The log without held-out frames and sweeps: the input of the build."""
         return self._without_held_out(self.log)
 
     @made_of("log")
     def recorded_training_log(self) -> DrivingLog:
-        """The recorded log without what is held out: what the alignment is found on."""
+        """The recorded log without held-out frames and sweeps: the input of the alignment."""
         return self._without_held_out(self.recorded_log)
 
     def _without_held_out(self, log: DrivingLog) -> DrivingLog:
@@ -256,12 +257,16 @@ class Workspace:
         )
 
     def sky_matte(self, frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
-        """Expected fraction of sky at the build's image scale. Those of held-out frames are an
-        artefact of their own, which the stages that build declare no need of."""
+        """Return the expected fraction of sky of each pixel, at the build's image scale.
+
+        Mattes of held-out frames are a separate artefact, which no stage that builds surfaces
+        reads.
+        """
         return self._sky_matte(frame, 0)
 
     def likeliest_sky(self, frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
-        """The same as pictures are put together by it: what is likelier sky than not is sky."""
+        """Return the maximum a posteriori matte, for compositing (`sky_matte` is its
+        expectation)."""
         return self._sky_matte(frame, 1)
 
     def _sky_matte(self, frame: CameraFrame, plane: int) -> Float32[np.ndarray, "h w"]:
@@ -271,12 +276,12 @@ class Workspace:
 
     @made_of("fields")
     def fused(self) -> SceneFields:
-        """The fused LiDAR."""
+        """Signed-distance grids of the fused LiDAR."""
         return read_fields(self.need("fields"))
 
     @made_of("neural")
     def fields(self) -> SceneFields:
-        """The geometry that is meshed: the fused LiDAR as the neural field has refined it."""
+        """Signed-distance grids for meshing: the fused LiDAR, refined by the neural field."""
         return read_fields(self.need("neural"))
 
     @made_of("log", "alignment", "fields", "neural")
@@ -284,7 +289,7 @@ class Workspace:
         """The trained neural field.
 
         Raises:
-            ArtefactError: the build trained none.
+            ArtefactError: the build trained no field.
         """
         from lightsim.reconstruct.field.config import config_from_json
         from lightsim.reconstruct.field.neural import make_field
@@ -298,33 +303,33 @@ class Workspace:
 
     @made_of("geometry")
     def meshes(self) -> SceneAssets:
-        """Background and actors before they are coloured."""
+        """Meshes of background and actors without colours."""
         return read_assets(self.need("geometry"))
 
     @made_of("assets")
     def assets(self) -> SceneAssets:
-        """Meshes whose colour is the observed radiance under the source sky."""
+        """Meshes coloured with the observed radiance under the source sky."""
         return read_assets(self.need("assets"))
 
     @made_of("geometry")
     def guessed_rooflines(self) -> list[Roofline]:
-        """How high walls rise, before shadows were asked."""
+        """Roof edges of walls before shadows are evaluated."""
         return read_rooflines(self.need("geometry") / "rooflines.npz")
 
     @made_of("sky")
     def rooflines(self) -> list[Roofline]:
-        """How high walls rise, as views and shadows have it."""
+        """Roof edges of walls, estimated from views and shadows."""
         return read_rooflines(self.need("sky") / "rooflines.npz")
 
     @made_of("assets")
     def inferred(self) -> TriMesh:
-        """Roofs and rear walls that no sensor measured but that cast shadows, as guessed before
-        the pictures' shadows were asked."""
+        """Inferred roofs and rear walls, which cast shadows but were not measured; heights are
+        those of `guessed_rooflines`."""
         return read_mesh(self.need("assets") / "inferred.npz", "world")
 
     @made_of("panorama")
     def panorama(self) -> Panorama:
-        """What the cameras saw around the ego's place in the middle of the log, scene units."""
+        """Stitched panorama around the ego's position in the middle of the log, scene units."""
         return read_panorama(self.need("panorama"))
 
     @made_of("sky")
@@ -343,7 +348,7 @@ class Workspace:
 
     @made_of("sky", "twin")
     def uncertain_roofs(self) -> UncertainRoofs | None:
-        """How else the inferred casters may be; None where all was seen."""
+        """Samples of the inferred casters; None if views show every roof edge."""
         from lightsim.build.assemble import uncertain_roofs
 
         background = self._twin_assets[0].background
@@ -356,8 +361,8 @@ class Workspace:
 
 
 def read_source(path: Path) -> str:
-    """Where the recording was at the last build: the one thing about it that may change without
-    anything becoming stale.
+    """Read the path of the recording at the last build. A recording may move without making
+    artefacts stale.
 
     Args:
         path: build.json of a work folder.

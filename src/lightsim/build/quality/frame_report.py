@@ -1,4 +1,4 @@
-"""Tables of image scores: rows of sequences, and what they come to for a condition."""
+"""Tables of image scores: rows of sequences, and means for each condition."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ from lightsim.build.quality.statistics import Samples, Spread, clustered_mean
 from lightsim.errors import InputError
 
 Region = str
-"""`whole` or `masked`: everywhere, or where the mask says that a pixel counts; or a class of
-pixels."""
+"""`whole`: all pixels; `masked`: valid pixels; any other name: a class of pixels."""
 DIGITS = {"psnr_db": 2, "ssim": 3, "lpips": 3, "lpips_alex": 3}
-"""The scores, and how many decimals are worth printing."""
+"""Decimals to print for each score."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +24,7 @@ class FrameRow:
     """Mean scores over the frames of one sequence. The exposure factor of raw rows is 1.
 
     Args:
-        scores_by_stem: of each frame.
+        scores_by_stem: scores of each frame.
     """
 
     condition: str
@@ -40,15 +39,15 @@ class FrameRow:
 
     @property
     def key(self) -> tuple[str, Region, bool, str]:
-        """What a line of the table is about."""
+        """Condition, region, exposure and method: the key of a line of the table."""
         return self.condition, self.region, self.is_exposed, self.method
 
     @classmethod
     def from_json(cls, row: Mapping[str, Any]) -> FrameRow:
-        """A row of `FramesReport.to_json`; null comes back as NaN.
+        """Read a row of `FramesReport.to_json`; null becomes NaN.
 
         Raises:
-            KeyError, TypeError, AttributeError: it is none.
+            KeyError, TypeError, AttributeError: the row is malformed.
         """
         by_stem = {stem: _scores(s) for stem, s in row.get("scores_by_stem", {}).items()}
         return cls(**{**row, "scores": _scores(row["scores"]), "scores_by_stem": by_stem})
@@ -63,7 +62,7 @@ class FramesReport:
     def mean(
         self, condition: str, method: str, region: Region, is_exposed: bool = False
     ) -> ImageScores:
-        """Mean over all frames of all cameras of a condition.
+        """Return the mean over all frames of all cameras of a condition.
 
         Raises:
             InputError: nothing was measured under these names.
@@ -76,7 +75,7 @@ class FramesReport:
     def spread(
         self, score: str, condition: str, method: str, region: Region, is_exposed: bool = False
     ) -> Spread:
-        """The same mean of one score with its standard error over the cameras' sequences.
+        """Return the mean of one score with its standard error over the cameras' sequences.
 
         Raises:
             InputError: nothing was measured under these names.
@@ -112,8 +111,8 @@ class FramesReport:
         return tuple(dict.fromkeys(row.method for row in self.rows))
 
     def lines(self) -> list[tuple[str, ...]]:
-        """Cells of the table: condition, region, exposure, method and every score, all cameras
-        together."""
+        """Return the cells of the table: condition, region, exposure, method and every score,
+        pooled over cameras."""
         keys = dict.fromkeys(row.key for row in self.rows)
         cells = []
         for condition, region, is_exposed, method in sorted(keys, key=lambda k: k[:3]):
@@ -126,7 +125,7 @@ class FramesReport:
         return cells
 
     def to_table(self) -> str:
-        """Markdown: a line per condition, region, exposure and method, all cameras together."""
+        """Return a Markdown table of `lines`."""
         lines = [
             "| condition | region | exposure | method | PSNR dB | SSIM | LPIPS VGG | LPIPS Alex |",
             "|---|---|---|---|---:|---:|---:|---:|",
@@ -134,7 +133,7 @@ class FramesReport:
         return "\n".join(lines + [f"| {' | '.join(cells)} |" for cells in self.lines()])
 
     def to_json(self) -> str:
-        """All rows, cameras apart, and their frames; scores without a value are null."""
+        """Return all rows of single cameras with their frames; scores without a value are null."""
         return json.dumps({"rows": self.json_rows()}, indent=2, allow_nan=False)
 
     def json_rows(self) -> list[dict[str, Any]]:
@@ -143,7 +142,7 @@ class FramesReport:
 
 
 def samples(rows: list[FrameRow], score: str) -> Samples:
-    """One score of all frames of some rows, as statistics takes them; NaN is left out."""
+    """Return one score of all frames of some rows, for statistics; NaN is left out."""
     found = {
         ((row.condition, row.camera_name), stem): float(getattr(scores, score))
         for row in rows
@@ -158,7 +157,7 @@ def _scores(values: Mapping[str, float | None]) -> ImageScores:
 
 
 def finite(value: Any) -> Any:
-    """JSON without NaN and infinity."""
+    """Return a JSON value in which NaN and infinity are null."""
     if isinstance(value, dict):
         return {key: finite(inner) for key, inner in value.items()}
     if isinstance(value, list):

@@ -69,12 +69,12 @@ class FramesConfig:
 
 @dataclass(frozen=True, eq=False)
 class FrameTask:
-    """One true frame and what the methods made of it. Images are 8-bit sRGB.
+    """One true frame and the pictures of methods. Images are 8-bit sRGB.
 
     Args:
-        condition: what is grouped in the table, such as the name of the target sky.
-        load_prediction_by_method: each method's image of the size of the truth.
-        load_is_valid: pixels that count in the region `masked`; None measures `whole` only.
+        condition: group in the table, such as the name of the target sky.
+        load_prediction_by_method: image of each method, of the size of the truth.
+        load_is_valid: valid pixels, the region `masked`; None: only `whole` is scored.
         load_classes: pixels of further regions, by name; scored without LPIPS.
     """
 
@@ -93,7 +93,7 @@ def score_frames(
     *,
     progress: Progress | None = None,
 ) -> FramesReport:
-    """Scores of every sequence; frames are loaded one by one, twice if exposure is fitted.
+    """Score every sequence; frames are loaded one by one, twice if exposure is fitted.
 
     Raises:
         InputError: there is nothing to score, or an image has another size than its truth.
@@ -116,7 +116,7 @@ def _sequence_key(task: FrameTask) -> tuple[str, str]:
 
 
 def _score_sequence(tasks: Sequence[FrameTask], config: FramesConfig) -> Iterator[FrameRow]:
-    """Rows of one condition and camera."""
+    """Yield the rows of one condition and camera."""
     methods = tuple(tasks[0].load_prediction_by_method)
     factors = {(method, False): 1.0 for method in methods}
     if config.with_exposure:
@@ -150,7 +150,7 @@ def _score_sequence(tasks: Sequence[FrameTask], config: FramesConfig) -> Iterato
 
 
 def _sequence_exposure(tasks: Sequence[FrameTask], method: str) -> float:
-    """Fitted on the pixels that count (all of them where there is no mask)."""
+    """Fit one exposure factor for a sequence on its valid pixels."""
     predicted, truths = [], []
     for task in tasks:
         truth = unit_srgb(task.load_truth())
@@ -232,7 +232,7 @@ def _load_prediction(
 
 
 def unit_srgb(srgb8: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
-    """8-bit sRGB as numbers in [0, 1]."""
+    """Return 8-bit sRGB as numbers in [0, 1]."""
     return srgb8.astype(np.float32) / np.float32(255)
 
 

@@ -1,4 +1,4 @@
-"""How well meshes agree with LiDAR, and with true meshes where there are any."""
+"""Agreement of meshes with LiDAR and, if available, with true meshes."""
 
 from __future__ import annotations
 
@@ -16,45 +16,47 @@ from lightsim.core.sensors import LazySweep, LidarSweep
 from lightsim.errors import InputError
 from lightsim.progress import Progress, SilentProgress
 
+# Rounds of drawing samples, at most: a thirtieth of the mesh is then in the observed part.
 _MOST_ROUNDS = 30
+# Tolerance of the visibility test, in metres: larger than float32 rounding at 80 m.
 _IN_SIGHT_M = 0.02
 ActorsAt = Callable[[int], Sequence[TriMesh]]
 """Actor meshes in frame `world` at a time, ns."""
 
 
-# What the measure is defined by.
+# The following constants define the measure.
 
 # LiDAR returns drawn from each sweep.
 _RETURNS_PER_SWEEP = 20_000
-# Nearer returns are the ego vehicle itself.
+# Nearer returns may be from the ego vehicle.
 _LEAST_DISTANCE_M = 3.0
-# Farther returns do not count.
+# Farther returns are ignored.
 _LARGEST_DISTANCE_M = 80.0
-# True surface farther than this from every LiDAR return was not seen and is not asked for.
+# Surfaces farther than this from every LiDAR return count as unobserved and are ignored.
 _SEEN_WITHIN_M = 0.3
-# Distances below which a point counts as right.
+# Distances below which a point counts as correct.
 THRESHOLDS_M = (0.05, 0.10)
 
 
 @dataclass(frozen=True)
 class GeometryConfig:
-    """How much is measured."""
+    """Numbers of samples."""
 
     samples: int = 100_000
     """Points drawn from each surface for the F-score."""
     support_samples: int = 1_000_000
-    """Points by which the nearest triangle of the other surface is found."""
+    """Points that locate the nearest triangle of the other surface."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeenSurface:
-    """What sensors can have seen of a scene.
+    """Observed part of a scene.
 
     Args:
-        points_world: LiDAR returns; surface near one counts.
-        viewpoints_world: sensor positions; true surface counts only where a straight line leads
-            to one of them, so that the far side of a thin wall is not asked for.
-        make_caster: of rays against the true mesh.
+        points_world: LiDAR returns; surface near one of them counts.
+        viewpoints_world: sensor positions; true surface counts only if visible from one of them,
+            which excludes the far side of a thin wall.
+        make_caster: makes the ray caster of the true mesh.
     """
 
     points_world: Float[np.ndarray, "n 3"]
@@ -64,7 +66,7 @@ class SeenSurface:
     def is_visible(
         self, points_world: Float[np.ndarray, "n 3"], truth: TriMesh
     ) -> Bool[np.ndarray, " n"]:
-        """Which points on the true mesh are in sight of a sensor position."""
+        """Return whether each point on the true mesh is visible from a sensor position."""
         caster = self.make_caster([truth])
         visible = np.zeros(len(points_world), dtype=bool)
         for viewpoint in self.viewpoints_world:
@@ -79,17 +81,17 @@ class SeenSurface:
 
 @dataclass(frozen=True)
 class LidarScores:
-    """Distance along the beam, mesh against return. Errors are those of beams that hit.
+    """Errors of the mesh along LiDAR beams; beams without a hit have no error.
 
     Args:
         count: returns compared.
-        hit_rate: fraction of the beams that meet a mesh at all.
+        hit_rate: fraction of the beams that meet a mesh.
         median_abs_m: median of the absolute error.
         percentile_90_m: 90th percentile of it.
-        median_signed_m: positive where meshes lie behind the returns.
+        median_signed_m: median of the signed error; positive if meshes lie behind the returns.
         within_10_cm: fraction of all beams whose error is below 10 cm.
-        median_across_m: median of the error across the surface (times the cosine of incidence):
-            a road met at two degrees turns 1 cm of height into 30 cm along the beam.
+        median_across_m: median of the error perpendicular to the surface (times the cosine of
+            incidence): at two degrees, 1 cm of road height is 30 cm along the beam.
     """
 
     count: int
@@ -119,13 +121,13 @@ class SurfaceScores:
 
 @dataclass(frozen=True)
 class GeometryReport:
-    """What was measured; `surface` is empty without a true mesh."""
+    """LiDAR and surface scores; `surface` is empty without a true mesh."""
 
     lidar: LidarScores
     surface: tuple[SurfaceScores, ...] = ()
 
     def to_table(self) -> str:
-        """Markdown."""
+        """Return a Markdown table."""
         s = self.lidar
         lines = [
             "| LiDAR returns | hit rate | median abs m | 90 % m | median signed m | < 10 cm "
@@ -145,7 +147,7 @@ class GeometryReport:
         return "\n".join(lines)
 
     def to_json(self) -> str:
-        """LiDAR and surface scores, the F-score of each threshold included."""
+        """Return the scores as JSON, with the F-score of each threshold."""
         surface = [asdict(row) | {"f_score": row.f_score} for row in self.surface]
         return json.dumps({"lidar": asdict(self.lidar), "surface": surface}, indent=2)
 
@@ -159,7 +161,7 @@ def evaluate_lidar(
     rng: np.random.Generator,
     progress: Progress | None = None,
 ) -> LidarScores:
-    """Beams of the sweeps cast again on the meshes. The nearer of background and actors counts.
+    """Cast the beams of sweeps on the meshes; the nearest of background and actors counts.
 
     Raises:
         InputError: there is no sweep, or none has a return in range.
@@ -190,7 +192,7 @@ def evaluate_lidar(
 def _cast(
     caster: RayCaster, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Distance, and cosine between beam and face normal, of each beam."""
+    """Return the distance of each beam's hit, and the cosine between beam and face normal."""
     hits = caster.intersect(origins, directions)
     cosine = np.zeros(len(origins))
     for index, mesh in enumerate(caster.meshes):
@@ -205,7 +207,7 @@ def _cast(
 def _draw_beams(
     sweep: LidarSweep, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """Origins, unit directions and distances of some returns in range."""
+    """Draw returns within the range limits: origins, unit directions and distances."""
     along = sweep.points_world.astype(np.float64) - sweep.origins_world
     distances = np.linalg.norm(along, axis=1)
     in_range = (distances > _LEAST_DISTANCE_M) & (distances < _LARGEST_DISTANCE_M)
@@ -221,7 +223,7 @@ def _draw_beams(
 
 
 def _lidar_scores(beams: Float[np.ndarray, "n 3"]) -> LidarScores:
-    """Of measured distances, cast distances and cosines."""
+    """Score beams, given as columns of measured distance, cast distance and cosine."""
     measured, cast, cosine = beams.T
     is_hit = np.isfinite(cast)
     if not is_hit.any():
@@ -248,14 +250,14 @@ def evaluate_surface(
     seen: SeenSurface | None = None,
     rng: np.random.Generator,
 ) -> tuple[SurfaceScores, ...]:
-    """Precision and recall of a mesh against the true one, both in frame `world`.
+    """Compute precision and recall of a mesh against the true one, both in frame `world`.
 
     Args:
-        seen: what sensors saw; both surfaces count only there, so that neither backs of houses are
-            asked for, nor plausible guesses punished.
+        seen: observed part of the scene. Both surfaces count only there: backs of houses are not
+            required, and plausible guesses are not penalised.
 
     Raises:
-        InputError: a mesh is empty or nothing of it was seen.
+        InputError: a mesh is empty or no part of it was observed.
     """
     made = sample_distances(predicted, truth, config, seen, False, rng).distance_m
     true = sample_distances(truth, predicted, config, seen, True, rng).distance_m
@@ -266,12 +268,12 @@ def evaluate_surface(
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSamples:
-    """Points on a surface.
+    """Random points on a surface.
 
     Args:
-        points_world: evenly by area.
-        faces: of the surface, that they lie on.
-        distance_m: to the nearest point of another surface.
+        points_world: positions, uniform by area, in metres.
+        faces: index of the face of each point.
+        distance_m: distance to the nearest point of another surface.
     """
 
     points_world: Float[np.ndarray, "n 3"]
@@ -287,13 +289,13 @@ def sample_distances(
     is_truth: bool,
     rng: np.random.Generator,
 ) -> SurfaceSamples:
-    """Points on the seen part of `mesh`, and how far the surface of `other` is.
+    """Draw points on the observed part of `mesh`, with their distances to the surface of `other`.
 
     Args:
-        is_truth: `mesh` is the true one, of which only what is in sight of a sensor counts.
+        is_truth: `mesh` is the true one, of which only points visible from a sensor count.
 
     Raises:
-        InputError: nothing of the mesh was seen.
+        InputError: no part of the mesh was observed.
     """
     from trimesh.triangles import closest_point
 
@@ -309,7 +311,7 @@ def sample_distances(
             expected=f"surface within {radius:g} m of a LiDAR return and in sight of the sensors",
             remedy="Give the truth of the log that the twin was built from.",
         )
-    # The nearest triangle of the other surface may lie a little further out.
+    # The nearest triangle of the other surface may lie slightly outside of the observed part.
     support, faces = _sample_near(other, config.support_samples, seen, 3 * radius, rng)
     corners = other.vertices[other.faces].astype(np.float64)
     nearest = KDTree(support).query(points, k=8, workers=1)[1]
@@ -327,10 +329,10 @@ def _sample_near(
     radius_m: float,
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
-    """About `count` points on the seen part of a mesh, evenly by area, and their faces.
+    """Draw about `count` points on the observed part of a mesh, uniform by area, with their faces.
 
-    The density must not depend on how much of the mesh lies elsewhere (a far background proxy, the
-    outer ground): samples are drawn until enough lie near what was seen.
+    The density must not depend on the area elsewhere (a far background, the outer ground): samples
+    are drawn until enough of them lie in the observed part.
     """
     if seen is None:
         return sample_surface(mesh, count, rng)
@@ -352,7 +354,7 @@ def _sample_near(
 def sample_surface(
     mesh: TriMesh, count: int, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
-    """Points spread evenly by area over a mesh, metres, and the faces they lie on.
+    """Draw points on a mesh, uniform by area, in metres, with their faces.
 
     Raises:
         InputError: the mesh has no area.

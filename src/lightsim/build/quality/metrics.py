@@ -1,7 +1,7 @@
-"""Image scores on sRGB values in [0, 1], whole or over the valid pixels only.
+"""Image scores on sRGB values in [0, 1], over all or only the valid pixels.
 
-What is not valid is filled with the truth in both images before SSIM and LPIPS look at
-neighbourhoods, and left out of every mean.
+Invalid pixels are replaced by the truth in both images, because SSIM and LPIPS evaluate
+neighbourhoods, and are left out of every mean.
 """
 
 from __future__ import annotations
@@ -16,16 +16,18 @@ from lightsim.core.colour import linear_from_srgb, srgb_from_linear
 from lightsim.errors import InputError
 
 SSIM_BORDER_PX = 5
-"""Half a window along the border has no SSIM."""
-_SSIM_WINDOW_PX = 2 * SSIM_BORDER_PX + 1
+"""Half a window of SSIM: pixels closer to the border have no value."""
+_SSIM_WINDOW_PX = 2 * SSIM_BORDER_PX + 1  # 11, as in Wang et al. 2004.
+# Range of the fitted exposure, in stops either way.
 _EXPOSURE_RANGE_EV = 6.0
+# Values that fit it, at most: more change the factor by less than 0.1 %.
 _MAX_SAMPLES = 200_000
 
 
 @dataclass(frozen=True)
 class ImageScores:
-    """Of one image, or the mean over several. LPIPS (on VGG-16, and on AlexNet) is NaN where it was
-    not asked for."""
+    """Scores of one image, or means over several. LPIPS (with VGG-16, and with AlexNet) is NaN if
+    it was not computed."""
 
     psnr_db: float
     ssim: float
@@ -38,7 +40,7 @@ def psnr(
     truth_srgb: Float32[np.ndarray, "h w 3"],
     is_valid: Bool[np.ndarray, "h w"] | None = None,
 ) -> float:
-    """Peak signal-to-noise ratio in dB over the valid pixels; inf for equal images.
+    """Return the peak signal-to-noise ratio over the valid pixels, in dB; inf for equal images.
 
     Raises:
         InputError: no pixel is valid.
@@ -53,10 +55,10 @@ def ssim(
     truth_srgb: Float32[np.ndarray, "h w 3"],
     is_valid: Bool[np.ndarray, "h w"] | None = None,
 ) -> float:
-    """Structural similarity with the Gaussian window (sigma 1.5) of Wang et al. 2004
+    """Return the structural similarity with the Gaussian window (sigma 1.5) of Wang et al. 2004
     (doi:10.1109/TIP.2003.819861), mean over channels and valid pixels.
 
-    As in scikit-image, half a window along the image border does not count.
+    As in scikit-image, half a window along the image border is left out.
 
     Raises:
         InputError: no pixel is valid, or the image is smaller than the window.
@@ -68,7 +70,7 @@ def ssim(
 def mean_ssim(
     similarity: Float32[np.ndarray, "h w"], is_valid: Bool[np.ndarray, "h w"] | None = None
 ) -> float:
-    """Mean of `ssim_map` over the valid pixels.
+    """Return the mean of `ssim_map` over the valid pixels.
 
     Raises:
         InputError: no pixel is valid, or only some along the border.
@@ -81,7 +83,7 @@ def mean_ssim(
 def ssim_map(
     predicted_srgb: Float32[np.ndarray, "h w 3"], truth_srgb: Float32[np.ndarray, "h w 3"]
 ) -> Float32[np.ndarray, "h w"]:
-    """Structural similarity about each pixel, mean over the channels; see `ssim`.
+    """Return the structural similarity at each pixel, mean over the channels; see `ssim`.
 
     Raises:
         InputError: the image is smaller than the window.
@@ -112,7 +114,7 @@ def fill_invalid(
     truth: Float32[np.ndarray, "h w 3"],
     is_valid: Bool[np.ndarray, "h w"] | None,
 ) -> Float32[np.ndarray, "h w 3"]:
-    """The image with the truth where it does not count."""
+    """Return the image with the truth in invalid pixels."""
     return image if is_valid is None else np.where(is_valid[..., None], image, truth)
 
 
@@ -120,7 +122,7 @@ def fit_exposure(
     predicted_srgb: Sequence[Float32[np.ndarray, "_ 3"]],
     truth_srgb: Sequence[Float32[np.ndarray, "_ 3"]],
 ) -> float:
-    """The factor on linear light that brings a sequence closest to its truth.
+    """Fit the factor on linear light that minimises the distance of a sequence to its truth.
 
     One number for all images (lists of valid pixels); it minimises the squared error of the
     sRGB values, hence maximises the PSNR of the pooled pixels, within 6 stops either way.
@@ -135,7 +137,7 @@ def fit_exposure(
     def error(exposure_ev: float) -> float:
         return float(np.square(srgb_from_linear(predicted * 2.0**exposure_ev) - truth).mean())
 
-    # Clipping makes the error flat far away: start from the best of a coarse grid.
+    # Clipping makes the error flat far from the optimum: start from the best of a coarse grid.
     grid = np.linspace(-_EXPOSURE_RANGE_EV, _EXPOSURE_RANGE_EV, 25)
     best = float(grid[int(np.argmin([error(float(ev)) for ev in grid]))])
     found = fminbound(error, best - 0.5, best + 0.5)
@@ -143,7 +145,7 @@ def fit_exposure(
 
 
 def expose(srgb: Float32[np.ndarray, "h w 3"], factor: float) -> Float32[np.ndarray, "h w 3"]:
-    """An sRGB image with its linear light multiplied by a factor."""
+    """Return an sRGB image with its linear light multiplied by a factor."""
     return srgb_from_linear(linear_from_srgb(srgb) * factor).astype(np.float32)
 
 

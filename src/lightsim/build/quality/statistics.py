@@ -1,9 +1,7 @@
-"""Error bars: how certain a mean over frames of several sequences is, and whether two methods
-differ.
+"""Standard errors of means over frames of several sequences, and tests of two methods.
 
-Frames of one sequence resemble each other, so they do not count as independent: means have the
-cluster-robust standard error over sequences, and tests draw sequences, not frames, where there are
-enough of them.
+Frames of one sequence are similar and not independent. Means therefore have the cluster-robust
+standard error over sequences, and tests resample sequences instead of frames if there are enough.
 """
 
 from __future__ import annotations
@@ -19,10 +17,12 @@ from scipy.stats import rankdata
 from lightsim.errors import InputError
 
 Unit = Literal["sequences", "frames"]
-"""What was taken for independent."""
+"""Unit that counts as independent."""
+# Conventional level of significance.
 SIGNIFICANT_BELOW = 0.05
 _FEWEST_SEQUENCES = 6
-"""The signed-rank test cannot reach p < 0.05 with fewer."""
+"""Least number of sequences with which the signed-rank test can reach p < 0.05."""
+# Resamples of the bootstrap: interval limits then vary by less than a hundredth of the interval.
 _DRAWS = 10_000
 Samples = Mapping[tuple[Any, str], float]
 """Values by (sequence, frame)."""
@@ -30,11 +30,11 @@ Samples = Mapping[tuple[Any, str], float]
 
 @dataclass(frozen=True)
 class Spread:
-    """A mean and its standard error; NaN where there is one value alone.
+    """Mean with its standard error, which is NaN for a single value.
 
     Args:
-        count: of the units.
-        unit: sequences, or the frames of the only one.
+        count: number of units.
+        unit: sequences, or the frames of a single sequence.
     """
 
     mean: float
@@ -43,7 +43,7 @@ class Spread:
     unit: Unit
 
     def format(self, digits: int) -> str:
-        """mean, or mean ± standard error; a dash where nothing was measured."""
+        """Return "mean" or "mean ± standard error"; a dash without values."""
         if np.isnan(self.mean):
             return "-"
         text = f"{self.mean:.{digits}f}"
@@ -54,12 +54,13 @@ class Spread:
 
 @dataclass(frozen=True)
 class PairedDifference:
-    """Second minus first on what both measured.
+    """Difference of two methods, second minus first, on their common frames.
 
     Args:
         low, high: 95 % interval of the mean difference, by bootstrap over the units.
-        p_value: of Wilcoxon's signed-rank test over the units, two-sided; 1 where nothing differs,
-            NaN where there are too few units.
+        p_value: two-sided p-value of Wilcoxon's signed-rank test over the units; 1 for equal
+        values,
+            NaN for too few units.
     """
 
     first: float
@@ -73,8 +74,8 @@ class PairedDifference:
 
 
 def clustered_mean(samples: Samples) -> Spread:
-    """Mean over all frames; standard error over sequences (Liang & Zeger 1986,
-    doi:10.1093/biomet/73.1.13, of a mean), or over frames where there is one sequence.
+    """Return the mean over all frames, with the standard error over sequences (Liang & Zeger 1986,
+    doi:10.1093/biomet/73.1.13, of a mean), or over frames for a single sequence.
 
     Raises:
         InputError: there is no value.
@@ -98,11 +99,13 @@ def clustered_mean(samples: Samples) -> Spread:
 
 
 def compare_paired(first: Samples, second: Samples) -> PairedDifference:
-    """How two methods differ on the frames that both have: over sequences where there are six or
-    more, else over frames, whose p-value is too good if they resemble each other.
+    """Compare two methods on their common frames.
+
+    The unit is the sequence for six or more sequences, else the frame. The p-value over similar
+    frames is too small.
 
     Raises:
-        InputError: they share no frame.
+        InputError: there is no common frame.
     """
     shared = {key: (first[key], second[key]) for key in first if key in second}
     shared = {key: pair for key, pair in shared.items() if np.isfinite(pair).all()}
@@ -132,7 +135,7 @@ def compare_paired(first: Samples, second: Samples) -> PairedDifference:
 def _bootstrap(
     sums: Float64[np.ndarray, " g"], counts: Float64[np.ndarray, " g"]
 ) -> tuple[float, float]:
-    """95 % percentile interval of the mean; whole groups are drawn. The same at every call."""
+    """Return the 95 % percentile interval of the mean over resampled groups, with a fixed seed."""
     rng = np.random.default_rng(0)
     drawn = rng.integers(0, len(sums), (_DRAWS, len(sums)))
     means = sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1)
@@ -158,5 +161,5 @@ def _need(samples: Mapping[tuple[Any, str], object]) -> None:
 
 
 def rank_correlation(first: Shaped[np.ndarray, " n"], second: Shaped[np.ndarray, " n"]) -> float:
-    """Spearman's correlation of paired values; ties have their mean rank."""
+    """Return Spearman's correlation of paired values; ties have their mean rank."""
     return float(np.corrcoef(rankdata(first), rankdata(second))[0, 1])

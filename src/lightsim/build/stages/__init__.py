@@ -1,1 +1,1 @@
-"""What each stage of the build does, on a work folder; the order stands in pipeline.py."""
+"""Stages of the build, one module each; pipeline.py defines their order."""

@@ -17,7 +17,7 @@ from lightsim.store.alignment import write_alignment
 def make_alignment(
     work: Workspace, config: AlignConfig, folder: Path, context: Context
 ) -> Iterable[str]:
-    """Corrections of path, boxes and cameras, found without held-out frames and sweeps."""
+    """Estimate corrections of path, boxes and cameras, without held-out frames and sweeps."""
     alignment = align_log(
         work.recorded_training_log,
         config,

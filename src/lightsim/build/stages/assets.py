@@ -19,9 +19,9 @@ from lightsim.store.assets import write_assets, write_mesh
 def make_assets(
     work: Workspace, config: AssetConfig, folder: Path, context: Context
 ) -> Iterable[str]:
-    """Meshes coloured with observed radiance, and the camera gains found with them.
+    """Colour the meshes with observed radiance, and estimate the camera gains with them.
 
-    Inferred casters, which no image shows, take the colour of the nearest background.
+    Inferred casters, which no image shows, receive the colour of the nearest background.
     """
     assets = build_assets(
         work.training_log,
@@ -39,7 +39,8 @@ def make_assets(
 
 
 def _vertex_coloured(work: Workspace, assets: SceneAssets, config: AssetConfig) -> SceneAssets:
-    """Colours at the vertices alone: means of the texture, or the neural field's k_d."""
+    """Return assets with colours at vertices alone: means of the texture, or k_d of the neural
+    field."""
 
     def plain(mesh: TriMesh, actor: int) -> TriMesh:
         mesh = replace(mesh, texture=None)

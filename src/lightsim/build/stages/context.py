@@ -1,4 +1,4 @@
-"""What every stage of the build gets besides its inputs."""
+"""Context of a build that every stage receives."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lightsim.progress import Progress
 
 @dataclass(frozen=True)
 class Context:
-    """What every stage gets besides its inputs."""
+    """Progress, seed, preset and device of a build."""
 
     progress: Progress
     seed: int

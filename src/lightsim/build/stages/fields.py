@@ -15,7 +15,7 @@ from lightsim.store.fields import write_fields
 def make_fields(
     work: Workspace, config: FuseConfig, folder: Path, context: Context
 ) -> Iterable[str]:
-    """Signed-distance grids of background and actors, fused from the aligned sweeps."""
+    """Fuse the aligned sweeps into signed-distance grids of background and actors."""
     fields = fuse_log(work.training_log, config, progress=context.progress)
     write_fields(folder, fields)
     return fields.notes

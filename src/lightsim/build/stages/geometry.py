@@ -1,4 +1,4 @@
-"""Meshes of everything that has a shape, before it has a colour."""
+"""Geometry stage: meshes of background, buildings and actors, without colours."""
 
 from __future__ import annotations
 
@@ -41,16 +41,17 @@ from lightsim.render.casters.embree import make_embree_caster
 from lightsim.store.assets import write_assets
 from lightsim.store.rooflines import write_rooflines
 
+# Largest number of LiDAR returns for fitting walls: bounds memory to 100 MB.
 _WALL_RETURNS = 3_000_000
-"""LiDAR returns that walls are drawn onto, at most."""
 
+# Margin around the box of a vehicle at rest within which returns belong to it, in metres. Chosen;
+# sensitivity not measured.
 _BOX_MARGIN_M = 0.3
-"""Returns this near the box of a vehicle at rest are its own."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """What sensors and networks drew, before what they did not see is completed."""
+    """Geometry from sensors and the neural field, before completion."""
 
     meshes: SceneAssets
     scene: MeasuredScene
@@ -60,7 +61,7 @@ class _Measured:
 
 
 def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
-    """Everything that has a shape, before it has a colour; casters of shadows apart."""
+    """Mesh background and actors, complete unobserved parts, and write inferred casters apart."""
     measured = _measured(work, context)
     background, rooflines, notes = _completed(work, measured, context)
     write_assets(folder, replace(measured.meshes, background=background))
@@ -69,8 +70,8 @@ def make_geometry(work: Workspace, _: None, folder: Path, context: Context) -> I
 
 
 def facades_of(work: Workspace, context: Context) -> list[FacadeCells]:
-    """What views and beams tell of a finished work's walls before panes are set into them, for
-    those who teach the network that finds them."""
+    """Return the features of the walls of a finished build before panes are inserted, for training
+    the network that detects panes."""
     measured = _measured(work, context)
     return _closed(work, measured, context)[2]
 
@@ -120,8 +121,8 @@ def _measured(work: Workspace, context: Context) -> _Measured:
 def _closed(
     work: Workspace, measured: _Measured, context: Context
 ) -> tuple[TriMesh, list[Roofline], list[FacadeCells], int]:
-    """The measured background with buildings, their roofs, what is told of their walls, and how
-    many faces are new."""
+    """Return the background completed by buildings, their rooflines, the features of their walls,
+    and the number of new faces."""
     log, fields, scene = work.training_log, work.fields, measured.scene
     facades, rooflines = complete_buildings(
         scene,
@@ -144,7 +145,8 @@ def _closed(
 def _completed(
     work: Workspace, measured: _Measured, context: Context
 ) -> tuple[TriMesh, list[Roofline], tuple[str, ...]]:
-    """The measured background with buildings, panes and the far field; roofs, and notes."""
+    """Return the background completed by buildings, panes and far field, the rooflines, and
+    notes."""
     fields = work.fields
     background, rooflines, cells, closing = _closed(work, measured, context)
     panes = find_glass(cells, shipped_glass_odds())
@@ -162,13 +164,13 @@ def _completed(
 
 
 def _views(work: Workspace) -> Iterable[View]:
-    """Frames with their camera and sky matte."""
+    """Yield frames with their camera and sky matte."""
     log = work.training_log
     return ((f, log.cameras[f.camera_name], work.sky_matte(f)) for f in log.frames)
 
 
 def _beams(log: DrivingLog, returns: LidarReturns) -> Beams:
-    """Beams without those that ended on vehicles at rest."""
+    """Return the beams except those that end on vehicles at rest."""
     is_used = np.ones(len(returns.points), dtype=bool)
     for track in log.actors:
         if not track.is_moving:

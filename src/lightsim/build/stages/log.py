@@ -13,7 +13,8 @@ from lightsim.store.log import write_log
 
 
 def make_log(work: Workspace, config: LogReading, folder: Path, context: Context) -> Iterable[str]:
-    """The reading, a summary and the hashes of the recording's files; no pixel is copied."""
+    """Write reading options, a summary and the hashes of the recording's files; no pixel is
+    copied."""
     log = work.recorded_log
     check_sweeps(log, context.progress)
     write_log(folder, log, config, work.source_hashes)

@@ -1,4 +1,4 @@
-"""Sky mattes of the frames that are built from, and of held-out frames."""
+"""Sky mattes of training frames, and of held-out frames."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ from lightsim.store.images import write_png
 
 
 def make_masks(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
-    """One matte for every frame that building may look at."""
+    """Write a sky matte for every frame that is not held out."""
     log = work.recorded_training_log
     _write_mattes(log, log.frames, folder, context)
     return ()
 
 
 def make_held_out_masks(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
-    """The mattes of held-out frames: measuring and relighting need them, building must not.
+    """Write sky mattes of held-out frames, which measuring and relighting read but the build does
+    not.
 
-    What they know of surfaces, colours and sky is what building looks at.
+    Their models of surfaces, colours and sky come from the other frames alone.
     """
     frames = tuple(f for f in work.recorded_log.frames if f.stem in work.held_out)
     _write_mattes(work.recorded_training_log, frames, folder, context)
@@ -35,7 +36,7 @@ def make_held_out_masks(work: Workspace, _: None, folder: Path, context: Context
 def _write_mattes(
     log: DrivingLog, frames: Sequence[CameraFrame], folder: Path, context: Context
 ) -> None:
-    """Mattes of frames by what the log shows; those that an interrupted run left are kept."""
+    """Write mattes of frames; those of an interrupted run are reused."""
 
     def path_of(frame: CameraFrame) -> Path:
         return folder / frame.camera_name / f"{frame.stem}.png"

@@ -1,4 +1,4 @@
-"""Numbers that a build measures without ground truth."""
+"""Measures stage: scores that need no ground truth."""
 
 from __future__ import annotations
 
@@ -13,6 +13,6 @@ from lightsim.build.workspace import Workspace
 def make_measures(
     work: Workspace, config: MeasureConfig, folder: Path, context: Context
 ) -> Iterable[str]:
-    """measures.json: all that can be measured without ground truth."""
+    """Write measures.json."""
     write_measures(folder, measure(work, config, context.progress))
     return ()

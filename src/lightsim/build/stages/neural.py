@@ -1,4 +1,4 @@
-"""The neural field, trained on images and LiDAR."""
+"""Neural stage: the field, trained on images and LiDAR."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lightsim.store.weights import WeightsRecord, write_weights
 def make_neural(
     work: Workspace, config: NeuralConfig, folder: Path, context: Context
 ) -> Iterable[str]:
-    """The neural field, trained on images and LiDAR from where the fused LiDAR stands."""
+    """Train the neural field on images and LiDAR, starting from the fused LiDAR."""
     fused, checkpointer = work.fused, FolderCheckpointer(folder)
     if config.steps == 0:
         write_fields(folder, fused)

@@ -1,4 +1,4 @@
-"""The stitched panorama of what the cameras saw."""
+"""Panorama stage: the radiance around the ego, stitched from all cameras."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from lightsim.store.sky import (
 def make_panorama(
     work: Workspace, config: StitchConfig, folder: Path, context: Context
 ) -> Iterable[str]:
-    """What the cameras saw around the ego's place in the middle of the log.
+    """Stitch the panorama around the ego's position in the middle of the log.
 
-    Depth comes from the static and parked surfaces: moving actors are not in it.
+    Depth comes from static and parked surfaces; moving actors are left out.
     """
     log, assets = work.training_log, work.assets
     scene = without_actors(

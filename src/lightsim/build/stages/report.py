@@ -1,4 +1,4 @@
-"""The page of figures and numbers of a build."""
+"""Report stage."""
 
 from __future__ import annotations
 
@@ -13,6 +13,6 @@ from lightsim.build.workspace import Workspace
 def make_report(
     work: Workspace, config: ReportConfig, folder: Path, context: Context
 ) -> Iterable[str]:
-    """index.html: the page of figures and numbers."""
+    """Write the report page, index.html."""
     write_build_report(folder / "index.html", work, config)
     return ()

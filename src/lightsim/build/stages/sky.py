@@ -1,4 +1,4 @@
-"""The source sky: the light under which the log was recorded."""
+"""Sky stage: the light under which the log was recorded."""
 
 from __future__ import annotations
 
@@ -41,22 +41,22 @@ from lightsim.store.sky import (
 
 @dataclass(frozen=True)
 class SkyStageConfig:
-    """Direction of the sun, the sky that was seen, and what surfaces say of the light."""
+    """Settings of the source sky: the sun's direction, and the light from evidence on surfaces."""
 
     sun: SourceSunConfig = field(default_factory=SourceSunConfig)
     sky: SkyConfig = field(default_factory=SkyConfig)
     irradiance: IrradianceConfig = field(default_factory=lambda: IRRADIANCE)
-    """Light on the patches that say how sun and unseen sky compare."""
+    """Settings of the light on the patches from which sun and unobserved sky are estimated."""
     labels: IntrinsicConfig = field(default_factory=IntrinsicConfig)
-    """How their shadows are found."""
+    """Settings of the shadow labels of these patches."""
     model: SkyModel = "analytic"
-    """Who makes the dome."""
+    """Model of the dome."""
 
 
 def make_sky(
     work: Workspace, config: SkyStageConfig, folder: Path, context: Context
 ) -> Iterable[str]:
-    """The source sky: the sun is found first, then strengths and dome; notes say from what."""
+    """Estimate the sun's direction, then the strengths of sun and sky; notes list the evidence."""
     predicted = predict_sky(work.panorama)
     sun, _ = find_source_sun(
         work, config.sun, seed=context.seed, progress=context.progress, prediction=predicted
@@ -85,9 +85,11 @@ def source_sky(
     seed: int,
     progress: Progress,
 ) -> tuple[SkyEstimate, list[Roofline]]:
-    """The dome of a log whose sun was found: first what the sky tells, then with what shadows and
-    materials on its surfaces say of the sun and of the sky that no camera saw; and the roofs that
-    cast these shadows."""
+    """Return the source sky for a known sun direction, and the rooflines.
+
+    A first estimate comes from the observed sky. Shadows and materials on surfaces then correct the
+    sun, the unobserved sky and the roofs that cast these shadows.
+    """
     estimate, freedom = estimate_sky(
         work.panorama, sun, config.sky, progress=progress, prediction=prediction
     )
@@ -132,7 +134,7 @@ def _carved(
     freedom: LightFreedom,
     config: SkyStageConfig,
 ) -> list[Roofline]:
-    """The rooflines with what their shadows say, if the sun casts any."""
+    """Return the rooflines, updated by the shadows they cast if the sun is clear."""
     sun = estimate.dome.sun
     if sun is None or freedom.is_veiled:
         return rooflines
@@ -140,7 +142,7 @@ def _carved(
 
 
 def _balance_note(balance: LightBalance) -> str:
-    """Factors and spreads, for people."""
+    """Return a note with the factors of sun and sky and their standard deviations."""
     on_sun, on_unseen_sky = (
         f"({', '.join(f'{value:.2f}' for value in factor)}), log std {log_std:.2f}"
         for factor, log_std in (
@@ -155,7 +157,7 @@ def _balance_note(balance: LightBalance) -> str:
 
 
 def _moved_roofs(before: Sequence[Roofline], after: Sequence[Roofline]) -> str:
-    """What shadows changed, for people."""
+    """Return a note on the change of roof heights by shadows."""
     unseen = [~a.is_seen & (a.depth_m > 0) for a in after]
     width = sum(float(u.sum() * a.cell_m) for u, a in zip(unseen, after, strict=True))
     if width == 0:

@@ -1,4 +1,4 @@
-"""Base colours: the observed radiance without the light of the recording."""
+"""Twin stage: base colours, the observed radiance without the light of the recording."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from lightsim.store.twin import write_twin
 
 @dataclass(frozen=True)
 class TwinConfig:
-    """From observed radiance to base colour."""
+    """Settings of the decomposition into base colour and light."""
 
     irradiance: IrradianceConfig = field(default_factory=lambda: IRRADIANCE)
-    """Light at the vertices."""
+    """Settings of the light at vertices."""
     intrinsic: IntrinsicConfig = field(default_factory=IntrinsicConfig)
-    """How shadows are found."""
+    """Settings of the decomposition."""
 
 
 def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Context) -> Iterable[str]:
@@ -64,7 +64,7 @@ def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Contex
         if tracks[actor.actor_id].is_moving:
             mesh = replace(mesh, sun_visibility=None)
         actors[actor.actor_id] = replace(actor, mesh=mesh)
-    # No picture shows a shadow on what nobody saw.
+    # Pictures contain no evidence of shadows on unobserved surfaces.
     inferred = colour_of_nearest(inferred, street.mesh)
     assets = replace(assets, background=street.mesh, actors=actors)
     write_twin(folder, build_twin(work.log, assets, work.sky), inferred)

@@ -17,7 +17,7 @@ from lightsim.store.twin import empty_mesh
 def make_assets(
     work: Workspace, config: AssetConfig, folder: Path, context: Context
 ) -> Iterable[str]:
-    """The same meshes with the field's k_d at their vertices."""
+    """Write the meshes with k_d of the field at their vertices."""
     from lightsim.reconstruct.field.refine import vertex_radiance
 
     assert config.colour == "field"

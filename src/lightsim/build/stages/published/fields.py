@@ -1,4 +1,4 @@
-"""Cells in which the field of the paper is read out; nothing is fused."""
+"""Cells in which the field of the paper is evaluated."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lightsim.store.fields import write_fields
 def make_fields(
     work: Workspace, config: OccupiedConfig, folder: Path, context: Context
 ) -> Iterable[str]:
-    """Where the field will be read out; nothing is fused."""
+    """Write the occupied cells, in which the field will be evaluated; nothing is fused."""
     fields = occupied_fields(work.training_log, config, progress=context.progress)
     write_fields(folder, fields)
     return fields.notes

@@ -15,7 +15,7 @@ from lightsim.store.rooflines import write_rooflines
 def make_geometry(
     work: Workspace, config: BaseMaterials, folder: Path, context: Context
 ) -> Iterable[str]:
-    """Marching cubes and decimation; no wall, roof, pole, pane or far field is inferred."""
+    """Mesh the field by marching cubes and decimation; nothing is inferred beyond it."""
     meshes = mesh_plainly(work.training_log, work.fields, config, progress=context.progress)
     write_assets(folder, meshes)
     write_rooflines(folder / "rooflines.npz", [])

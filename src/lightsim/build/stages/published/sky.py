@@ -1,4 +1,4 @@
-"""The source sky that the network's decoder draws."""
+"""Source sky from the decoder of the sky network."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ _WHITE_SUN = "the sun is white: the decoder's weights know how strong it is, not
 
 @dataclass(frozen=True)
 class DecodedSkyConfig:
-    """The sky that the decoder draws (paper, Sec. 3.2)."""
+    """Settings of the decoded sky (paper, Sec. 3.2)."""
 
     height_px: int = 256
-    """Rows of the dome; it is twice as wide."""
+    """Rows of the dome, which has twice as many columns."""
     gps: GpsUse = "all"
-    """Whether place, time and heading say where the sun is; else the network does."""
+    """Use the sun of place, time and heading if available, else that of the network."""
 
 
 def make_sky(
     work: Workspace, config: DecodedSkyConfig, folder: Path, context: Context
 ) -> Iterable[str]:
-    """The decoder's dome under the sun of GPS and time, else under the encoder's own."""
+    """Write the decoder's dome for the sun of GPS and time, else for that of the encoder."""
     log, panorama = work.training_log, work.panorama
     predicted = predict_sky(panorama)
     geo, middle_ns = log.geo, log.frames[len(log.frames) // 2].time_ns
@@ -58,8 +58,11 @@ def make_sky(
 
 
 def _with_white_sun(dome: SkyDome) -> SkyDome:
-    """f_int is one number, and the shipped decoder never learned the sun's colour: on every log it
-    is the same saturated green."""
+    """Return the dome with a white sun.
+
+    f_int is a single number, and the shipped decoder did not learn the sun's colour: on every log
+    it is the same saturated green.
+    """
     rest, sun = split_sun(dome)
     if sun is None:
         return dome
@@ -68,7 +71,7 @@ def _with_white_sun(dome: SkyDome) -> SkyDome:
 
 
 def _encoded_sun(predicted: SkyPrediction) -> SunDirection:
-    """f_dir as the encoder gives it."""
+    """Return the sun direction f_dir of the encoder."""
     direction = predicted.sun_direction.astype(np.float64)
     return SunDirection(
         direction,
