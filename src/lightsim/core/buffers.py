@@ -58,13 +58,13 @@ class GBuffers:
         return _each(self, lambda values, empty: _kept(values, mask, empty))
 
 
+# Values of pixels without a surface, for the buffers where that is not 0.
 _EMPTY = {
     "depth_z_m": np.inf,
     "ambient_occlusion": 1.0,
     "actor_index": float(NO_SURFACE),
     "found_visibility": np.nan,
 }
-"""Values of pixels without a surface, for the buffers where that is not 0."""
 
 
 def _each(buffers: GBuffers, change: Callable[[np.ndarray, float], np.ndarray]) -> GBuffers:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
+# Number of values that are coded at once: intermediate results take six times their memory.
 _CHUNK = 1 << 20
-"""Number of values that are coded at once: intermediate results take six times their memory."""
 # Luminance of linear sRGB (ITU-R BT.709-6, item 3.2).
 LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
 # 8-bit code from which a channel counts as saturated: JPEG changes 255 by a few codes. Chosen;

@@ -29,8 +29,8 @@ Suns reach 1e10."""
 # Radius of the region around the sun whose excess radiance belongs to the sun, degrees: it holds
 # the glare of the cameras that took the skies. Chosen; sensitivity not measured.
 _SUN_REGION_DEG = 4.0
+# Rotations this close to a whole number of columns are not interpolated.
 _WHOLE_COLUMN = 1e-6
-"""Rotations this close to a whole number of columns are not interpolated."""
 
 
 @dataclass(frozen=True, eq=False)

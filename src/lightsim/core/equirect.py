@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+# Domes with fewer rows are subdivided before cosines are clipped at the horizon.
 _FINE_ROWS = 128
-"""Domes with fewer rows are subdivided before cosines are clipped at the horizon."""
 
 
 def directions_from_uv(uv: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:

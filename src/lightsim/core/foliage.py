@@ -13,8 +13,8 @@ from lightsim.core.colour import linear_from_srgb8
 from lightsim.core.mesh import TriMesh
 from lightsim.core.outline import nearest_of
 
+# Name of the material class.
 _FOLIAGE = "vegetation"
-"""Name of the material class."""
 GREENER = 0.15
 """Least excess green of leaves, in octaves. Chosen on PandaSet log 002, where it separates trees
 from all other surfaces."""

@@ -14,10 +14,10 @@ from jaxtyping import Float, Float32
 from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.dome import Sun
 
+# Estimates below the first value become 0, above the second 1. Texture that is mistaken for light
+# leaves a few hundredths of the sun in the shade, and a twentieth of the sun is a fifth of the
+# light there. Chosen; sensitivity not measured.
 _UNDECIDED = 0.1, 0.9
-"""Estimates below the first value become 0, above the second 1. Texture that is mistaken for light
-leaves a few hundredths of the sun in the shade, and a twentieth of the sun is a fifth of the light
-there. Chosen; sensitivity not measured."""
 
 
 def decided(visibility: Float[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n"]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
+# Characters of a printed note: four lines of a terminal; lists of actors are longer.
 _PRINTED = 300
-"""Characters of a printed note: four lines of a terminal; lists of actors are longer."""
 
 
 def grouped_notes(ids_by_what: Mapping[str, Sequence[str]], noun: str) -> tuple[str, ...]:

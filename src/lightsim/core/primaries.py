@@ -24,6 +24,8 @@ ACES_AP0: Primaries = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.0770, 0.32168, 0.337
 _ACES_AP1 = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
 # White of sRGB.
 _D65 = SRGB[6:]
+# Names for notes; the numbers alone decide. ACES: SMPTE ST 2065-1, Academy S-2014-004; ITU-R
+# BT.2020; SMPTE EG 432-1 and RP 431-2; Adobe RGB (1998); Radiance's color.h.
 _NAMED: dict[str, Primaries] = {
     "ACES2065-1": ACES_AP0,
     "ACEScg": _ACES_AP1,
@@ -34,8 +36,6 @@ _NAMED: dict[str, Primaries] = {
     "Adobe RGB": (0.64, 0.33, 0.21, 0.71, 0.15, 0.06, *_D65),
     "Radiance RGB": (0.640, 0.330, 0.290, 0.600, 0.150, 0.060, 1 / 3, 1 / 3),
 }
-"""Names for notes; the numbers alone decide. ACES: SMPTE ST 2065-1, Academy S-2014-004; ITU-R
-BT.2020; SMPTE EG 432-1 and RP 431-2; Adobe RGB (1998); Radiance's color.h."""
 BY_INTEROP_ID: dict[str, Primaries] = {
     "lin_rec709_scene": SRGB,
     "lin_ap0_scene": ACES_AP0,
@@ -47,18 +47,18 @@ BY_INTEROP_ID: dict[str, Primaries] = {
 }
 """Linear, scene-referred spaces of the Color Interop Forum ("Color Space Encodings for Texture
 Assets and CG Rendering", 2024), the values of OpenEXR's attribute colorInteropID."""
+# Chromaticities this close are equal: standards round to 4 digits, some write D65 with 5.
 _SAME = 2e-4
-"""Chromaticities this close are equal: standards round to 4 digits, some write D65 with 5."""
+# For names in notes: Radiance files hold 3 digits.
 _NAME_TOLERANCE = 2e-3
-"""For names in notes: Radiance files hold 3 digits."""
+# Beyond any primary in use; ACES AP0 has a y of -0.077, camera spaces have x up to 1.
 _LARGEST = 2.0
-"""Beyond any primary in use; ACES AP0 has a y of -0.077, camera spaces have x up to 1."""
+# Largest coefficient that is accepted; ACES AP0, the widest space in use, has 2.5.
 _MAX_GAIN = 100.0
-"""Largest coefficient that is accepted; ACES AP0, the widest space in use, has 2.5."""
+# XYZ to cone responses (ICC.1:2022, annex E).
 _BRADFORD = np.array(
     [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
 )
-"""XYZ to cone responses (ICC.1:2022, annex E)."""
 
 
 def are_srgb(primaries: Sequence[float]) -> bool:

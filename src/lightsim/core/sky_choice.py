@@ -14,10 +14,10 @@ import numpy as np
 from lightsim.core.checks import check_number
 from lightsim.errors import InputError
 
+# Skies are stored in anything from cd/m2 to arbitrary units: nine orders hold them all.
 _MIN_SCALE = 1e-9
-"""Skies are stored in anything from cd/m2 to arbitrary units: nine orders hold them all."""
+# From a veiled sun to a clear one is a factor of a hundred.
 _MAX_SUN_FACTOR = 1e3
-"""From a veiled sun to a clear one is a factor of a hundred."""
 POSITION = "AZIMUTH,ELEVATION in degrees"
 FORMS = (
     "a .hdr or .exr file (FILE.exr#LAYER takes a layer of it), sun:AZIMUTH,ELEVATION[,TURBIDITY],"

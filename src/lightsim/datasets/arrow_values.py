@@ -1,7 +1,7 @@
-"""Stand-ins for columns of Apache Arrow in a pickled data frame, read without pyarrow.
+"""Stand-ins for Apache Arrow columns of a pickled data frame, read without pyarrow.
 
-Since version 3, pandas stores text so wherever pyarrow is installed. An array is a type, a length
-and buffers: bits of validity, then numbers, or offsets and UTF-8 (Arrow Columnar Format 1.5,
+Since version 3, pandas stores text in this form if pyarrow is installed. An array is a type, a
+length and buffers: bits of validity, then numbers, or offsets and UTF-8 (Arrow Columnar Format 1.5,
 "Physical memory layout").
 """
 
@@ -16,6 +16,7 @@ import numpy as np
 from lightsim.datasets.pickle_machine import RefusedError
 from lightsim.datasets.pickle_values import (
     MAX_ROWS,
+    SECONDS_BY_UNIT,
     Budget,
     Values,
     checked_text,
@@ -30,9 +31,9 @@ _CODE_BY_TYPE = {
     "halffloat": "<f2", "float": "<f4", "double": "<f8",
 }  # fmt: skip
 _OFFSETS_BY_TYPE = {"string": "<i4", "large_string": "<i8"}
-_SECONDS_BY_UNIT = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+# Largest number of chunks: pandas joins them on writing, Arrow's readers make one for 64k rows or
+# more.
 _MAX_CHUNKS = 10_000
-"""pandas joins chunks before it writes them; Arrow's readers make one for 64k rows or more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +41,9 @@ class ArrowType:
     """Type of an Arrow array.
 
     Args:
-        name: Arrow's own, such as "double" or "string".
-        unit_s: of times and durations, in seconds.
-        index: of dictionaries: the type of the codes.
+        name: name in Arrow, such as "double" or "string".
+        unit_s: unit of times and durations, in seconds.
+        index: type of the codes, for dictionaries.
     """
 
     name: str
@@ -59,9 +60,9 @@ def type_for_alias(_: Budget, name: Any) -> ArrowType:
 
 def time_type(_: Budget, unit: Any, *zone: Any) -> ArrowType:
     """Answer pyarrow's `timestamp(unit, zone)` and `duration(unit)`; times are UTC in any zone."""
-    if type(unit) is not str or unit not in _SECONDS_BY_UNIT:
+    if type(unit) is not str or unit not in SECONDS_BY_UNIT:
         raise RefusedError("a damaged Arrow type")
-    return ArrowType("int64", _SECONDS_BY_UNIT[unit])
+    return ArrowType("int64", SECONDS_BY_UNIT[unit])
 
 
 def dictionary_type(_: Budget, index: Any, *arguments: Any) -> ArrowType:
@@ -141,7 +142,7 @@ def _values(budget: Budget, parts: Any) -> np.ndarray:
 
 
 def _without_dictionary(parts: Any) -> Any:
-    """Return the dictionary's own array, which may not have a dictionary again."""
+    """Return the array of a dictionary, which must not have a dictionary itself."""
     if isinstance(parts, tuple) and len(parts) == 7 and parts[6] is None:
         return parts
     raise RefusedError("a damaged Arrow dictionary")
@@ -165,7 +166,7 @@ def _part(data: bytes, code: str, span: slice) -> np.ndarray:
 
 
 def _bits(budget: Budget, data: bytes, span: slice) -> np.ndarray:
-    """Return bits, the lowest of a byte first, as truths."""
+    """Return bits as booleans, the lowest of each byte first."""
     budget.take("numbers", span.stop)
     if 8 * len(data) < span.stop:
         raise RefusedError("an Arrow buffer that is too short")

@@ -1,7 +1,7 @@
-"""Columns of a table as what they stand for: measured numbers, whole numbers of ids, truths.
+"""Typed columns of a table: measurements, integer ids, booleans.
 
-Exporters change types on the way: a merge makes floats of whole numbers, a missing cell makes
-objects of truths. What still has one meaning is read; the rest is an error that names the row.
+Exporters change types: a merge turns integers into floats, a missing cell turns booleans into
+objects. Unambiguous cells are read; any other cell is an error that names the row.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ _TRUTHS = {"true": True, "false": False}
 
 
 def number_column(table: Table, name: str, path: Path) -> Shaped[np.ndarray, " n"]:
-    """Return a column of measured numbers, of the stored type or float64; missing ones are NaN.
+    """Return a column of measurements, of the stored type or float64; missing ones are NaN.
 
     Raises:
-        InputError: a cell is text, or no single number.
+        InputError: a cell is text, or not a single number.
     """
     column = table[name]
     if column.dtype.kind in "fiu":
@@ -54,17 +54,17 @@ def number_column(table: Table, name: str, path: Path) -> Shaped[np.ndarray, " n
 def whole_column(
     table: Table, name: str, path: Path, least: int, most: int, meaning: str = ""
 ) -> Int64[np.ndarray, " n"]:
-    """Return a column of ids: whole numbers, also stored as floats or truths.
+    """Return a column of integer ids, which may be stored as floats or booleans.
 
     Args:
-        least, most: smallest and largest id that there is.
-        meaning: of the ids, for the message.
+        least, most: smallest and largest valid id.
+        meaning: meaning of the ids, for the message.
 
     Raises:
-        InputError: a cell is no whole number, or out of range.
+        InputError: a cell is no integer, or out of range.
     """
     column = number_column(table, name, path)
-    # Written so that NaN is bad.
+    # NaN fails both comparisons and is not good.
     is_good = (column >= least) & (column <= most)
     is_good[is_good] = np.mod(column[is_good], 1) == 0
     if not is_good.all():
@@ -81,10 +81,10 @@ def whole_column(
 
 
 def truth_column(table: Table, name: str, path: Path, *, missing: bool) -> Bool[np.ndarray, " n"]:
-    """Return a column of truths, also stored as numbers 0 and 1 or as text.
+    """Return a column of booleans, which may be stored as numbers 0 and 1 or as text.
 
     Args:
-        missing: value of cells without one.
+        missing: value of missing cells.
 
     Raises:
         InputError: a cell is none of these.

@@ -1,4 +1,4 @@
-"""Reading of untrusted JSON and compressed files: one clear error each, with the file's name."""
+"""Readers of untrusted JSON and compressed files; errors name the file."""
 
 from __future__ import annotations
 
@@ -15,27 +15,30 @@ from lightsim.errors import InputError
 from lightsim.store.foreign import foreign_content
 from lightsim.store.reading import MAX_JSON_BYTES, open_regular, read_bytes
 
-_IN_BYTES, _OUT_BYTES = 1 << 16, 1 << 20
-"""Read and written at once; little is read, since what follows a member is read again."""
+# Compressed bytes per step: few, since bytes after the end of a member are read again.
+_IN_BYTES = 1 << 16
+# Decompressed bytes per step: bounds the memory.
+_OUT_BYTES = 1 << 20
+# Largest table file whose first bytes are examined.
 _MAX_PACKED = 1 << 30
-"""Bytes of a table file whose first bytes are looked at."""
+# Largest number of gzip members: parallel compressors write one for every 64 KB or so.
 _MAX_MEMBERS = 10_000
-"""Parallel compressors write one gzip member for every 64 KB or so."""
+# zlib's code for a gzip header with the largest window.
 _GZIP_WINDOW = 31
-"""What zlib calls a gzip header with the largest window."""
 _GZIP_MAGIC = b"\x1f\x8b"
+# First bytes of tables in other formats, with advice.
 _OTHER_TABLES = (
     (b"PAR1", "Parquet", "Write the table with pandas.DataFrame.to_pickle."),
     (b"ARROW1", "Feather", "Write the table with pandas.DataFrame.to_pickle."),
 )
-"""First bytes of tables that are no pickles, and what to do."""
 MAX_NUMBER = 1e15
-"""No quantity of a log in SI units comes near it, and its square still is a float."""
+"""Largest number in a file: quantities of logs in SI units are far smaller, and its square is a
+float."""
 _BROKEN = "Copy the file again from the original data set."
 
 
 def read_json(path: Path) -> Any:
-    """The parsed JSON document.
+    """Read a JSON document.
 
     Raises:
         InputError: the file is missing, no regular file, too large or no JSON.
@@ -50,13 +53,13 @@ def read_json(path: Path) -> Any:
 
 
 def read_packed(path: Path, max_bytes: int) -> bytes:
-    """Return the bytes of a file, decompressed where it is gzip by its first bytes.
+    """Return the bytes of a file, decompressed if its first bytes are those of gzip.
 
     Raises:
-        InputError: the file is missing, no regular file, truncated, compressed by something else
+        InputError: the file is missing, no regular file, truncated, compressed in another format
             than gzip, or decompresses to more than `max_bytes`.
     """
-    # Gzip never needs as much as twice its content, not even for noise in small members.
+    # Gzip never takes twice the size of its content, not even for noise in small members.
     data = read_bytes(path, "table file", 2 * max_bytes)
     if data.startswith(_GZIP_MAGIC):
         return _gunzipped(data, path, max_bytes)
@@ -105,7 +108,7 @@ def _too_large(path: Path, max_bytes: int) -> InputError:
 
 
 def _inflated(data: bytes, max_bytes: int) -> bytes:
-    """All gzip members of `data`, joined.
+    """Decompress and join all gzip members of `data`.
 
     Raises:
         OverflowError: too many members or bytes.
@@ -113,7 +116,7 @@ def _inflated(data: bytes, max_bytes: int) -> bytes:
     """
     out = io.BytesIO()
     position = 0
-    # Tape drives and some copiers pad with zeros.
+    # Tape drives and some copy programs pad with zeros.
     end = len(data.rstrip(b"\0"))
     for _ in range(_MAX_MEMBERS):
         stream = zlib.decompressobj(_GZIP_WINDOW)
@@ -134,7 +137,7 @@ def _inflated(data: bytes, max_bytes: int) -> bytes:
 
 
 def require_object(value: Any, where: object) -> dict[str, Any]:
-    """`value` if it is a JSON object.
+    """Return `value` if it is a JSON object.
 
     Raises:
         InputError: it is something else.
@@ -145,7 +148,7 @@ def require_object(value: Any, where: object) -> dict[str, Any]:
 
 
 def require_list(value: Any, where: object) -> list[Any]:
-    """`value` if it is a non-empty JSON array.
+    """Return `value` if it is a non-empty JSON array.
 
     Raises:
         InputError: it is something else, or empty.
@@ -158,7 +161,7 @@ def require_list(value: Any, where: object) -> list[Any]:
 
 
 def require_numbers(value: Any, keys: tuple[str, ...], where: object) -> Float64[np.ndarray, " n"]:
-    """The finite numbers that `value` holds under `keys`, in their order.
+    """Return the finite numbers of `value` under `keys`, in their order.
 
     Raises:
         InputError: a key is missing or its value is not a finite number.
@@ -178,7 +181,7 @@ def require_numbers(value: Any, keys: tuple[str, ...], where: object) -> Float64
 
 
 def require_number(value: Any, where: object) -> float:
-    """`value` as a finite float.
+    """Return `value` as a finite float.
 
     Raises:
         InputError: it is no number, not finite, or beyond MAX_NUMBER.
@@ -191,9 +194,9 @@ def require_number(value: Any, where: object) -> float:
 
 
 def read_times_ns(path: Path) -> Int64[np.ndarray, " n"]:
-    """UTC nanoseconds of a JSON array of POSIX seconds, strictly increasing.
+    """Read a JSON array of strictly increasing POSIX seconds; return UTC nanoseconds.
 
-    The files hold doubles with microsecond digits, so the rest is rounded off.
+    The files contain doubles with microsecond digits, to which times are rounded.
 
     Raises:
         InputError: no array of increasing times between 1980 and 2100.

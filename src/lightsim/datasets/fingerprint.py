@@ -1,4 +1,4 @@
-"""What a recording consists of, so that a change after the build does not go unseen."""
+"""Hashes of a recording's files, which reveal changes after the build."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from lightsim.errors import InputError
 from lightsim.store.artefact import hash_file, hash_files
 from lightsim.store.reading import is_folder
 
+# Number of files that a message lists.
 _SHOWN = 3
-"""Files that a message names."""
 
 
 def hash_recording(source: Path) -> dict[str, str]:
-    """Hash of every file that reading the log may look at, by its path from the log's folder.
+    """Return the hash of every file of the log, by its path from the log's folder.
 
-    The folder's own name is not in it: a recording may be moved and renamed.
+    The name of the folder is not included: a recording may be moved and renamed.
 
     Raises:
-        InputError: the folder is not there, or a file in it cannot be read.
+        InputError: the folder does not exist, or a file cannot be read.
     """
     if not is_folder(source):
         raise InputError(
@@ -44,7 +44,7 @@ def hash_recording(source: Path) -> dict[str, str]:
 
 
 def describe_change(before: Mapping[str, str], now: Mapping[str, str]) -> str | None:
-    """What differs between two hashes of a recording, in words; None where nothing does."""
+    """Describe the difference between two states of a recording; None if there is none."""
     changed = [
         f"{name} was changed" for name in before if now.get(name, before[name]) != before[name]
     ]

@@ -1,4 +1,4 @@
-"""Where north is: the ego path is turned onto the GPS track."""
+"""Direction of north: rotation of the ego path onto the GPS track."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.log import GeoReference
 
 MIN_PATH_M = 3.0
-"""A shorter ego path says too little about its own direction."""
+"""Least length of an ego path that determines its direction, in metres: GPS errs by a metre or
+more."""
+# Residual above which path and track are different drives, as a fraction of the path's RMS extent.
 _MAX_RESIDUAL_FRACTION = 0.2
-"""Above this fraction of the path's spread, path and track do not show the same drive."""
+# WGS 84 (NIMA TR8350.2): semi-major axis in metres.
 _SEMI_MAJOR_M = 6378137.0
+# WGS 84: square of the first eccentricity.
 _ECCENTRICITY_SQUARED = 6.69437999014e-3
 
 
@@ -29,14 +32,14 @@ class GpsTrack:
 
 @dataclass(frozen=True)
 class HeadingFit:
-    """The rotation about z that turns the ego path onto the GPS track.
+    """Rotation about z from the ego path to the GPS track.
 
     Args:
-        yaw_rad: of `enu_from_world`, counter-clockwise seen from above.
-        residual_m: RMS distance between the turned path and the track.
-        std_deg: one standard deviation of the yaw. GPS errors of one drive hardly average out,
-            so all fixes together count as one: residual over the RMS spread of the path.
-        path_m: largest distance between two ends of the path that was used.
+        yaw_rad: yaw of `enu_from_world`, counter-clockwise from above.
+        residual_m: RMS distance between the rotated path and the track.
+        std_deg: one standard deviation of the yaw: residual over the RMS extent of the path. GPS
+            errors of one drive are correlated, so all fixes count as one.
+        path_m: largest distance between two points of the path.
     """
 
     yaw_rad: float
@@ -48,7 +51,7 @@ class HeadingFit:
 def east_north_m(
     latitude_deg: Float64[np.ndarray, " n"], longitude_deg: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 2"]:
-    """Metres east and north of the first fix, on the plane that touches WGS 84 there.
+    """Return metres east and north of the first fix, on the tangent plane of WGS 84 there.
 
     The radii of curvature of that latitude are used (Snyder 1987, Map Projections, USGS
     Professional Paper 1395, p. 24-25); over 1 km the error is below 0.1 m.
@@ -66,7 +69,7 @@ def east_north_m(
 def fit_heading(
     path_world: Float64[np.ndarray, "n 2"], track_enu: Float64[np.ndarray, "n 2"]
 ) -> HeadingFit:
-    """Least-squares rotation and shift of the path onto the track (Procrustes in the plane)."""
+    """Fit rotation and shift of the path to the track by least squares (planar Procrustes)."""
     path = path_world - path_world.mean(axis=0)
     track = track_enu - track_enu.mean(axis=0)
     dot = float((path * track).sum())
@@ -83,13 +86,13 @@ def fit_heading(
 def locate(
     track: GpsTrack | None, ego: Trajectory, start_ns: int, heading_deg: float | None
 ) -> tuple[GeoReference | None, tuple[str, ...]]:
-    """Place, time and heading of a log, and notes on what is unknown.
+    """Return place, time and heading of a log, and notes on unknown ones.
 
     Args:
-        track: GPS fixes, or None where the log has none.
+        track: GPS fixes; None if the log has none.
         ego: `world_from_ego`.
         start_ns: time of the first frame.
-        heading_deg: azimuth (clockwise from true north) of world +x, if the user knows it.
+        heading_deg: azimuth of world +x, clockwise from true north, if the user gives it.
     """
     if track is None:
         return None, ("no GPS: place, solar position and north are unknown",)

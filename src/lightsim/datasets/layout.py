@@ -1,4 +1,4 @@
-"""What stands where in a log's folder: "not there" is told from "something else stands there"."""
+"""Tests for folders and files of a log, which distinguish absence from an entry of another type."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from lightsim.errors import InputError
 
 
 def has_folder(path: Path) -> bool:
-    """Whether the folder is there.
+    """Return whether a folder exists.
 
     Raises:
-        InputError: something else is, a link leads nowhere, or one may not look.
+        InputError: it is no folder, a broken link, or not accessible.
     """
     return _is_there(path, stat.S_ISDIR, "a folder")
 
 
 def has_file(path: Path) -> bool:
-    """Whether the file is there.
+    """Return whether a file exists.
 
     Raises:
-        InputError: something else is, a link leads nowhere, or one may not look.
+        InputError: it is no file, a broken link, or not accessible.
     """
     return _is_there(path, stat.S_ISREG, "a file")
 
@@ -42,7 +42,7 @@ def visible_entries(folder: Path) -> list[Path]:
     """Return the entries of a folder, by name, without hidden ones.
 
     Raises:
-        InputError: one may not look into the folder.
+        InputError: the folder is not accessible.
     """
     try:
         return sorted(path for path in folder.iterdir() if not path.name.startswith("."))

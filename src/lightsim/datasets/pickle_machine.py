@@ -1,9 +1,9 @@
-"""An interpreter of the few pickle instructions that a table needs, on stand-ins only.
+"""Interpreter of the few pickle instructions that a table needs, on stand-ins only.
 
-Python's own unpickler builds whatever it is told to, and some of that never ends: hashing a tuple
-doubled 64 times, or printing it. Here nothing is hashed but text, nothing is compared or printed,
-and every instruction costs time and memory in proportion to its own bytes; so a file costs no
-more than its length says. Calls go to stand-ins, which bound what they make (`safe_pickle`).
+Python's unpickler builds any object of a file, and some operations on it never end, such as hashing
+a tuple that was doubled 64 times. Here only text is hashed, nothing is compared or printed, and the
+time and memory of every instruction are proportional to its length; so the cost of a file is
+bounded by its size. Calls go to stand-ins, which bound the size of their results (`safe_pickle`).
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from collections.abc import Callable
 from typing import Any
 
 MAX_STEPS = 500_000
-"""A label file of 5,000 boxes takes some 200,000 instructions, a sweep 500."""
+"""Largest number of instructions. A label file of 5,000 boxes takes some 200,000 instructions, a
+sweep 500."""
+# Largest number of arguments of a call: those of the dtype of times.
 _MAX_ARGUMENTS = 9
-"""Arguments that pandas and numpy hand to their constructors; the longest is a time's dtype."""
 
 _LITERALS = frozenset(
     (
@@ -29,15 +30,16 @@ _CONSTANTS = {"NONE": None, "NEWTRUE": True, "NEWFALSE": False, "EMPTY_TUPLE": (
 
 
 class RefusedError(Exception):
-    """Something a pickled table never contains."""
+    """The pickle contains something that no table needs."""
 
 
 class PickleMachine:
     """Runs one pickle of protocol 2 or later.
 
     Args:
-        find: what a module and a name stand for; refuses all others. Its `make(*arguments)` answers
-            a call, and what it made takes a state by `set_state`; both may refuse.
+        find: returns the stand-in of a module and a name, or refuses. Its `make(*arguments)`
+        replaces
+            a call, and the result accepts a state by `set_state`; both may refuse.
     """
 
     def __init__(self, find: Callable[[str, str], Any]) -> None:
@@ -73,10 +75,10 @@ class PickleMachine:
         }
 
     def run(self, data: bytes) -> Any:
-        """The object that the pickle describes.
+        """Return the object that the pickle describes.
 
         Raises:
-            RefusedError: it asks for what no table needs.
+            RefusedError: it needs something that no table needs.
             ValueError, LookupError, TypeError, AttributeError: it is damaged.
         """
         with warnings.catch_warnings():

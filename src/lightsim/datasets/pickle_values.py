@@ -1,7 +1,7 @@
 """Stand-ins for the values in a pickled data frame: numpy arrays and the column types of pandas.
 
-No stand-in prints, compares or copies what it is given beyond the bounds below. Missing values
-become None among texts and NaN among numbers; times and durations become seconds (times: POSIX).
+No stand-in prints or compares its input, or copies it beyond the limits below. Missing values
+become None in text and NaN in numbers; times and durations become seconds (times: POSIX).
 """
 
 from __future__ import annotations
@@ -15,33 +15,36 @@ import numpy as np
 from lightsim.datasets.pickle_machine import RefusedError
 
 MAX_ROWS = 2_000_000
-"""PandaSet's sweeps have 170,000 points; three LiDARs of 128 lines together 1.4 million."""
+"""Largest number of rows. PandaSet's sweeps have 170,000 points; three LiDARs of 128 lines together
+1.4 million."""
 MAX_TEXT = 1000
-"""Characters of a cell or column name; a uuid has 36."""
+"""Longest cell or column name, in characters; a uuid has 36."""
+# Largest number of object cells of a file: one text column of the longest table, or 400 of a label
+# file.
 _MAX_CELLS = 2_000_000
-"""Cells of objects in one file: a text column of the longest table, or 400 of a label file's."""
+# Largest number of converted numbers of a file: twice all columns of the longest sweep.
 _MAX_NUMBERS = 32_000_000
-"""Numbers that are converted in one file: all columns of a sweep of the longest length, twice."""
 
 _NUMBER_CODES = frozenset(("b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8"))
 _TIME_CODES = frozenset(("M8", "m8"))
 _OBJECT_CODES = frozenset(("O", "O4", "O8"))
 _BYTE_ORDERS = frozenset("<>|=")
-_SECONDS_BY_UNIT = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+# Units of NumPy and Arrow times.
+SECONDS_BY_UNIT = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+# NumPy's "not a time".
 _NO_TIME = np.iinfo(np.int64).min
-"""NumPy's "not a time"."""
 _CELLS = (str, int, float, bool)
 
 
 class Budget:
-    """Limits what one file may make that does not lie in its bytes already.
+    """Limit of the objects that one file may create beyond its own bytes.
 
     Args:
         n_bytes: size of the file, decompressed.
     """
 
     def __init__(self, n_bytes: int) -> None:
-        # A table encodes each of its texts once, and decodes each text column once.
+        # A table encodes each text once, and decodes each text column once.
         self._left = {
             "encoded bytes": n_bytes,
             "decoded bytes": n_bytes,
@@ -50,7 +53,7 @@ class Budget:
         }
 
     def take(self, what: str, count: int) -> None:
-        """Count what is made; RefusedError past the budget.
+        """Count created objects; raise RefusedError beyond the budget.
 
         Args:
             what: "encoded bytes", "decoded bytes", "objects" or "numbers".
@@ -62,18 +65,18 @@ class Budget:
 
 @dataclass(frozen=True, eq=False)
 class Name:
-    """A name of theirs in a pickle, and the function of ours that answers it."""
+    """Imported name of a pickle, with the function that replaces it."""
 
     function: Callable[..., Any]
     budget: Budget
 
     def make(self, *arguments: Any) -> Any:
-        """Return what the pickle's call of this name gives."""
+        """Return the result of the pickle's call of this name."""
         return self.function(self.budget, *arguments)
 
 
 class Inert:
-    """Stand-in for a type that carries no cell of the table."""
+    """Stand-in for a type without cells of the table."""
 
     def __init__(self, *arguments: Any) -> None: ...
 
@@ -82,7 +85,7 @@ class Inert:
 
 
 class Values:
-    """Base of the stand-ins that hold cells; `values` is set when their state arrives."""
+    """Base class of stand-ins with cells; `values` is assigned by `set_state`."""
 
     def __init__(self, budget: Budget, *_: Any) -> None:
         self.budget = budget
@@ -90,7 +93,7 @@ class Values:
 
 
 def values_of(holder: Any) -> np.ndarray:
-    """Return the cells of a stand-in; RefusedError where it holds none."""
+    """Return the cells of a stand-in; raise RefusedError if it has none."""
     if not isinstance(holder, Values) or holder.values is None:
         raise RefusedError(f"a {kind_of(holder)} instead of values")
     return holder.values
@@ -101,14 +104,14 @@ class Dtype:
 
     def __init__(self, _: Budget, code: Any, *flags: Any) -> None:
         known = _NUMBER_CODES | _OBJECT_CODES | _TIME_CODES
-        # "U0" stands in a cache of pandas, no array has it.
+        # "U0" occurs in a cache of pandas, but not in arrays.
         if type(code) is not str or code not in known | {"U0"}:
             got = repr(code[:20]) if type(code) is str else kind_of(code)
             raise RefusedError(f"a column of type {got}")
         self._code = code
         self._order = "<"
         self.seconds: float | None = None
-        """Length of a time's unit."""
+        """Unit of a time, in seconds."""
 
     def set_state(self, state: Any) -> None:
         """Take byte order and unit of numpy's (version, order, ...); RefusedError for others."""
@@ -120,7 +123,7 @@ class Dtype:
             self.seconds = _unit_s(state[8] if len(state) == 9 else None)
 
     def numpy(self) -> np.dtype:
-        """Return the true dtype; times are whole numbers of their unit."""
+        """Return the NumPy dtype; times are integers in their unit."""
         if self._code in _OBJECT_CODES:
             return np.dtype(object)
         if self._code == "U0" or (self._code in _TIME_CODES and self.seconds is None):
@@ -129,12 +132,12 @@ class Dtype:
 
 
 def _unit_s(metadata: Any) -> float:
-    """Seconds of numpy's (metadata, (unit, number, denominator, events))."""
+    """Return the seconds of NumPy's (metadata, (unit, number, denominator, events))."""
     unit = metadata[1] if isinstance(metadata, tuple) and len(metadata) == 2 else None
     name = unit[0] if isinstance(unit, tuple) and len(unit) == 4 else None
     if type(name) is bytes:
         name = name[:2].decode("ascii", "replace")
-    length_s = _SECONDS_BY_UNIT.get(name) if type(name) is str else None
+    length_s = SECONDS_BY_UNIT.get(name) if type(name) is str else None
     if length_s is None or not isinstance(unit, tuple) or unit[1:3] != (1, 1):
         raise RefusedError("a time of another unit than s, ms, us or ns")
     return length_s
@@ -151,7 +154,7 @@ class Array(Values):
         self.fill(data, dtype, shape, is_fortran is True)
 
     def fill(self, data: Any, dtype: Any, shape: Any, is_fortran: bool) -> None:
-        """View numbers where they lie in the file, copy cells of objects, convert times."""
+        """View numbers in place, copy object cells, convert times."""
         if not isinstance(dtype, Dtype):
             raise RefusedError("an array without a type")
         is_shape = isinstance(shape, tuple) and len(shape) in (1, 2)
@@ -172,7 +175,7 @@ class Array(Values):
 def seconds_of(counts: np.ndarray, unit_s: float, budget: Budget) -> np.ndarray:
     """Convert counts of a unit to seconds; "not a time" becomes NaN."""
     budget.take("numbers", counts.size)
-    # Whole seconds apart: a product of nanoseconds since 1970 would round to 0.2 us.
+    # Whole seconds are converted separately: nanoseconds since 1970 as a float round to 0.2 us.
     per_second = round(1.0 / unit_s)
     whole, rest = np.divmod(counts, per_second)
     return np.where(counts == _NO_TIME, np.nan, whole + rest / per_second)
@@ -186,14 +189,14 @@ def _cells(data: list[Any], budget: Budget) -> np.ndarray:
 
 
 def _cell(value: Any) -> str | int | float | bool | None:
-    """Return a cell; what is no number and no text, such as a missing value, becomes None."""
+    """Return a number or text; any other cell, such as a missing value, becomes None."""
     if type(value) is str:
         return checked_text(value)
     return value if type(value) in _CELLS else None
 
 
 def checked_text(text: str) -> str:
-    """Return a text; RefusedError where it is too long for a cell."""
+    """Return a text; raise RefusedError if it is too long for a cell."""
     if len(text) > MAX_TEXT:
         raise RefusedError(f"a text of {len(text)} characters")
     return text
@@ -263,7 +266,7 @@ class Masked(Values):
 
 
 def without_missing(values: np.ndarray, is_missing: np.ndarray, budget: Budget) -> np.ndarray:
-    """Return numbers as they are where none is missing, else as floats with NaN."""
+    """Return numbers unchanged if none is missing, else as floats with NaN."""
     is_fit = is_missing.dtype == np.bool_ and is_missing.shape == values.shape
     if not is_fit or values.dtype.kind not in "biuf":
         raise RefusedError("a damaged column")
@@ -329,5 +332,5 @@ def stands_for(name: Any, function: Callable[..., Any]) -> bool:
 
 
 def kind_of(value: Any) -> str:
-    """Return the type's name: an untrusted object itself is never put into words."""
+    """Return the name of a value's type; untrusted objects are never printed themselves."""
     return type(value).__name__.strip("_").lower()

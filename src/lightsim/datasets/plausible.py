@@ -1,8 +1,8 @@
-"""What no recording of a drive can hold is refused, what it hardly holds is said in a note.
+"""Plausibility of recordings: impossible values are errors, unusual ones are notes.
 
-One unit or index gone wrong on the way to us (milliseconds for seconds, a wrong column) gives
-numbers that every later stage takes without a word. Each limit lies well outside what recorded
-drives show, so that a plain error passes none of them and an odd log all.
+A wrong unit or column (milliseconds for seconds) gives numbers that every later stage would accept.
+The limits lie well outside the range of recorded drives: errors of unit exceed them, unusual logs
+do not.
 """
 
 from __future__ import annotations
@@ -21,14 +21,15 @@ from lightsim.core.frames import Trajectory, vector_from_rotation
 from lightsim.core.notes import grouped_notes
 from lightsim.errors import InputError
 
+# Limits by quantity; each has its reason.
 LIMITS = {
-    # Points are single precision: beyond 100 km from the origin they lie 8 mm apart or more.
+    # Points are float32, whose spacing is 8 mm beyond 100 km from the origin.
     "coordinate": Limit(
         "the pose lies too far from the world's origin", 1e5, "m",
         remedy="Move the log's world frame near to the drive.",
     ),
-    # 540 km/h is no road vehicle; one pose 15 m off at 10 Hz gives it. 288 km/h is a race track, or
-    # poses with errors.
+    # No road vehicle reaches 540 km/h; one pose with an error of 15 m at 10 Hz does. 288 km/h is a
+    # race track, or an error of the poses.
     "speed": Limit(
         "the pose is too far from the one before", 150.0, "m/s", odd=(0.0, 80.0),
         remedy="Check the positions (metres) and the times (seconds).",
@@ -38,8 +39,8 @@ LIMITS = {
         "the pose is turned too far from the one before", 360.0, "degrees a second",
         remedy="Check the quaternions (w, x, y, z) and the times (seconds).",
     ),
-    # Narrower is a telescope (front tele cameras have 10 to 50 degrees); wider no pinhole shows.
-    # Below 10 and above 140 a rectified driving camera is odd, though it may exist.
+    # Front tele cameras have 10 to 50 degrees; wider images are not pinhole images.
+    # Rectified driving cameras below 10 or above 140 degrees are unusual.
     "view": Limit(
         "the focal length does not fit the picture", 170.0, "degrees", 2.0, odd=(10.0, 140.0),
         remedy="Focal lengths are in pixels of the stored pictures.",
@@ -49,7 +50,7 @@ LIMITS = {
         "no camera reads its rows for so long", 0.1, "s", 0.0,
         remedy="Give seconds from the first row to the last one; 0 is a global shutter.",
     ),
-    # Sensors sit on one vehicle, and no road vehicle in one piece is longer.
+    # Sensors are on one vehicle, and no rigid road vehicle is longer.
     "mounting": Limit(
         "the sensor is not on the vehicle", 30.0, "m", remedy="Translations are in metres.",
     ),
@@ -58,7 +59,7 @@ LIMITS = {
         remedy="Poses of all cameras must be of one drive and one world frame.",
     ),
     # Entries of one number belong to one sweep, a tenth of a second long in PandaSet. Twice a sweep
-    # is a sensor that lost a picture and kept counting.
+    # is a sensor that lost a picture but not its count.
     "clock": Limit(
         "the times are not those of the other sensors", 0.5, "s", odd=(0.0, 0.2),
         remedy="All files must be of one sequence and one clock.",
@@ -67,42 +68,46 @@ LIMITS = {
     "drift": Limit(
         "the camera moves relative to the vehicle", math.inf, "m", odd=(0.0, 0.5)
     ),
-    # At city speeds the place is then a kilometre away; and its clock is another.
+    # At city speed the place is then a kilometre away, and the clock is another one.
     "gps gap": Limit(
         "no GPS fix is near the log's first picture in time", 60.0, "s",
         remedy="All files must be of one sequence and one clock.",
     ),
-    # Trams and road trains stay below; a box of this size swallows the street's own returns. Only
-    # they and trains are longer than 30 m.
+    # Trams and road trains are shorter; a larger box would contain returns of the street. Only they
+    # and trains are longer than 30 m.
     "box": Limit("a box is too large", 60.0, "m", odd=(0.0, 30.0)),
     # Boxes are drawn around LiDAR returns, and no LiDAR reaches further.
     "box distance": Limit("a box is beyond the LiDAR's reach", 1000.0, "m"),
-    # Automotive LiDARs reach 300 m; half of a sweep's returns beyond this lie in another frame.
+    # Automotive LiDARs reach 300 m; a sweep with half of its returns beyond this is in another
+    # frame.
     "range": Limit(
         "the sweep's points are not where the vehicle was", 500.0, "m",
         remedy="Points must be in metres, in the world frame of the camera poses.",
     ),
 }  # fmt: skip
 MAX_PIXEL_ASPECT = 2.0
-"""Pixels are square within a percent; anamorphic lenses squeeze by two at most."""
+"""Largest ratio of fx to fy: pixels are square within a percent; anamorphic lenses squeeze by
+two."""
 
 
+# Size of PandaSet's pictures, in pixels.
 _PUBLISHED_PX = (1920, 1080)
-"""Size of PandaSet's pictures."""
+# Ratio of 2 cx x 2 cy to the size of the pictures above which the intrinsics are of another scale.
+# PandaSet's six cameras have .93 to 1.02 (geometric mean of both axes).
 _OTHER_SIZE = 1.15
-"""Ratio of the size by the optical axis, 2 cx by 2 cy, to the pictures' size beyond which they are
-of another scale: of PandaSet's six cameras it is .93 to 1.02 (geometric mean of both axes)."""
+# Largest ratio between the scales of the two axes after scaling; a crop exceeds it. PandaSet has up
+# to 1.17.
 _SAME_SHAPE = 1.33
-"""Scaling changes both axes alike, a crop does not; PandaSet's own axes differ by 1.17 at most."""
+# Ratio of 2 cx to the width (2 cy to the height) that deserves a note: the optical axis is off by a
+# third of half a side.
 _OFF_CENTRE = 1.33
-"""The same ratio of one axis that is worth a note: the axis lies a third of the half side off."""
 
 
 def check_poses(path: Path, trajectory: Trajectory) -> tuple[str, ...]:
-    """Notes on the poses of one sensor.
+    """Check the poses of one sensor and return notes on unusual ones.
 
     Raises:
-        InputError: a coordinate, speed or rate of turn that no vehicle has.
+        InputError: an impossible coordinate, speed or rate of turn.
     """
     positions = trajectory.positions_m
     far = int(np.argmax(np.abs(positions).max(axis=1)))
@@ -142,7 +147,7 @@ def check_intrinsics(
     focal_px: tuple[float, float],
     centre_px: tuple[float, float],
 ) -> tuple[str, ...]:
-    """Notes on a pinhole camera's numbers.
+    """Check the intrinsics of a pinhole camera and return notes on unusual ones.
 
     Args:
         path: of the file, for messages.
@@ -151,7 +156,7 @@ def check_intrinsics(
         centre_px: cx, cy.
 
     Raises:
-        InputError: no camera has such a field of view, pixel or optical axis.
+        InputError: an impossible field of view, pixel aspect or optical axis.
     """
     (width, height), (fx, fy), (cx, cy) = size_px, focal_px, centre_px
     got = f"fx {fx:g}, fy {fy:g}, cx {cx:g}, cy {cy:g} for {width}x{height} px"
@@ -232,7 +237,7 @@ def check_clocks(times_ns_by_file: Mapping[Path, Int64[np.ndarray, " n"]]) -> tu
 
     Args:
         times_ns_by_file: of all sensors, entry i of each at the same moment but for a fraction
-            of a sweep. The median of all tells which one is wrong.
+            of a sweep. The median of all identifies the wrong one.
 
     Raises:
         InputError: a sensor's clock is shifted or runs at another speed.

@@ -1,4 +1,4 @@
-"""The one way in for recordings: `read_log`, over the one table of data sets."""
+"""Entry point for recordings: `read_log`, with the table of data sets."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from lightsim.errors import InputError
 from lightsim.store.names import is_harmless
 from lightsim.store.reading import is_file
 
+# Number of entries of a folder that a message lists.
 _SHOWN = 6
-"""Entries of a folder that a message names."""
 ReadDataset = Callable[[LogReading, FindEgoVehicle], DrivingLog]
 """(options, find_ego_vehicle) -> recording."""
 
 
 @dataclass(frozen=True)
 class LogReader:
-    """How a data set is recognised and read.
+    """Functions that recognise and read a data set.
 
     Args:
-        detect: returns whether a folder has its layout.
-        other_place: returns where the recording is that a wrong SOURCE may mean, in words and as a
-            folder.
+        detect: returns whether a folder has the layout of the data set.
+        other_place: for a wrong SOURCE, returns the place of the recording nearby, in words and as
+            a folder.
     """
 
     detect: Callable[[Path], bool]
@@ -56,14 +56,14 @@ def reader_of(name: str) -> LogReader:
 def read_log(
     reading: LogReading, find_ego_vehicle: FindEgoVehicle = without_ego_vehicle
 ) -> DrivingLog:
-    """The recording in a folder, at its full image size and with all frames.
+    """Read the recording in a folder, at full image size and with all frames.
 
     Args:
-        reading: its image scale and held-out frames are the caller's business.
-        find_ego_vehicle: finds the ego vehicle in the pictures; by default nobody looks.
+        reading: options; image scale and held-out frames are applied by the caller.
+        find_ego_vehicle: finds the ego vehicle in the pictures; by default it is not searched for.
 
     Raises:
-        InputError: the folder is of no known data set, or a file in it is missing or broken.
+        InputError: the folder belongs to no known data set, or a file is missing or broken.
     """
     log = reader_of(check_layout(reading)).read(reading, find_ego_vehicle)
     _check_camera_names(log, reading.source)
@@ -71,11 +71,12 @@ def read_log(
 
 
 def check_layout(reading: LogReading) -> str:
-    """The data set whose layout a folder has. Only a few names are looked up, so this may be asked
-    of any folder, before it is walked or hashed.
+    """Return the data set of a folder's layout.
+
+    Only a few names are looked up, so that any folder can be checked before it is walked or hashed.
 
     Raises:
-        InputError: no such folder, or not of this data set, or of none.
+        InputError: the folder does not exist, is of another data set, or of none.
     """
     source, dataset = Path(reading.source), reading.dataset
     if is_file(source):
@@ -113,7 +114,7 @@ def _content(folder: Path) -> str:
 
 
 def _check_camera_names(log: DrivingLog, source: str) -> None:
-    """Every stage writes files under the cameras' names, of whatever data set."""
+    """Refuse camera names that are no valid file names: stages write files under these names."""
     names: dict[str, str] = {}
     for name in log.cameras:
         other = names.setdefault(name.casefold(), name)

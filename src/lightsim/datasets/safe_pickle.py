@@ -1,9 +1,9 @@
-"""Tables from pickled pandas data frames, without pandas and without running anything in them.
+"""Tables from pickled pandas data frames, without pandas and without executing their content.
 
-A pickle is a program. Here a small machine of ours runs it (`pickle_machine`), with the few
-instructions that data frames need, and every name it asks for is answered by an inert stand-in of
-ours, or refused. So the same code reads what pandas 0.25 to 3 wrote, whichever pandas is
-installed, with columns of Arrow (`arrow_values`), categories, masks and times (`pickle_values`).
+A pickle is a program. A small interpreter runs it (`pickle_machine`), with the few instructions
+that data frames need; every imported name becomes an inert stand-in or is refused. The same code
+reads files of pandas 0.25 to 3, independent of the installed version, with columns of Arrow
+(`arrow_values`), categories, masks and times (`pickle_values`).
 """
 
 from __future__ import annotations
@@ -25,16 +25,17 @@ Table = Mapping[str, Shaped[np.ndarray, " n"]]
 """Columns by name, all of one length."""
 
 MAX_BYTES = 128 << 20
-"""Two million points in eight columns of doubles; a sweep of PandaSet takes 8 MB."""
+"""Largest decompressed file. Two million points in eight columns of doubles; a sweep of PandaSet
+takes 8 MB."""
 MAX_COLUMNS = 256
-"""PandaSet's label files have 17."""
+"""Largest number of columns. PandaSet's label files have 17."""
 
+# Exceptions of the interpreter on damaged bytes.
 _DAMAGE = (ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError)
-"""How damaged bytes fail inside the machine."""
 
 
 class _Slice:
-    """Stand-in for slice, of column numbers."""
+    """Stand-in for slice, with column indices."""
 
     def __init__(self, _: Budget, start: Any, stop: Any, step: Any = None) -> None:
         if any(n is not None and type(n) is not int for n in (start, stop, step)):
@@ -51,7 +52,7 @@ class _Manager:
 
     def set_state(self, state: Any) -> None:
         """Take blocks and axes of pandas before 1.3; RefusedError for another form."""
-        # pandas < 1.3 keeps its blocks under this key for the sake of older readers.
+        # pandas < 1.3 stores its blocks under this key for older readers.
         extra = state[3] if isinstance(state, tuple) and len(state) == 4 else None
         versioned = extra.get("0.14.1") if isinstance(extra, dict) else None
         if not isinstance(versioned, dict) or not {"axes", "blocks"} <= set(versioned):
@@ -84,6 +85,7 @@ def _new_index(budget: Budget, _: Any, state: Any) -> Index:
     return Index(budget, state.get("data") if isinstance(state, dict) else None)
 
 
+# Modules and names of column types in pandas.
 _DTYPES = {
     ("pandas", "pandas.core.dtypes.dtypes"): ("ArrowDtype", "DatetimeTZDtype"),
     ("pandas", "pandas.core.arrays.string_"): ("StringDtype",),
@@ -98,6 +100,7 @@ _ROW_INDEXES = {
     "range": "RangeIndex", "multi": "MultiIndex", "category": "CategoricalIndex",
     "datetimes": "DatetimeIndex", "timedeltas": "TimedeltaIndex",
 }  # fmt: skip
+# Names of types and cells that carry no number and no text of the table.
 _INERT = (
     *((module, name) for modules, names in _DTYPES.items() for module in modules for name in names),
     *((f"pandas.core.indexes.{module}", name) for module, name in _ROW_INDEXES.items()),
@@ -105,7 +108,7 @@ _INERT = (
     *(("pandas.core.indexes.numeric", f"{kind}Index") for kind in ("Int64", "UInt64", "Float64")),
     ("pandas.core.indexes.datetimes", "_new_DatetimeIndex"),
     ("pandas.core.indexes.frozen", "FrozenList"),
-    # Missing values and single times among objects: cells without a number or a text.
+    # Missing values and single times in object columns: cells without a number or a text.
     ("pandas", "NA"),
     ("pandas._libs.missing", "NA"),
     ("pandas._libs.tslibs.nattype", "_nat_unpickle"),
@@ -116,7 +119,6 @@ _INERT = (
     ("pytz", "_p"),
     ("zoneinfo", "ZoneInfo._unpickle"),
 )
-"""Names of types and cells that carry no number and no text of the table."""
 _BACKED = {
     "categorical": "Categorical", "datetimes": "DatetimeArray", "timedeltas": "TimedeltaArray",
     "string_": "StringArray",
@@ -129,7 +131,7 @@ _ARROW_COLUMNS = {
 
 
 def _array_names() -> dict[tuple[str, str], Callable[..., Any]]:
-    """Stand-ins of pandas' column types, under the names of all its versions."""
+    """Return the stand-ins of pandas' column types, under the names of all versions."""
     found: dict[tuple[str, str], Callable[..., Any]] = {}
     columns = [(m, (n,), pickle_values.Backed) for m, n in _BACKED.items()]
     columns += [(m, (n,), pickle_values.Masked) for m, n in _MASKED.items()]
@@ -184,8 +186,8 @@ _STAND_INS: dict[tuple[str, str], Callable[..., Any]] = {
     ("pyarrow.lib", "timestamp"): arrow_values.time_type,
     ("pyarrow.lib", "duration"): arrow_values.time_type,
 }
+# Module with the steps of a row index of times, one class each.
 _OFFSETS = "pandas._libs.tslibs.offsets"
-"""Module of the steps of a row index of times, one class for each."""
 
 
 def read_table(path: Path, columns: Sequence[str]) -> Table:
@@ -193,11 +195,11 @@ def read_table(path: Path, columns: Sequence[str]) -> Table:
 
     Args:
         path: the file; gzip is recognised by its first bytes, whatever the name.
-        columns: names that must be there; other columns are returned too.
+        columns: required names; other columns are returned, too.
 
     Raises:
-        InputError: the file is missing, damaged, too large, asks for anything but a table of
-            numbers and text, or lacks a column.
+        InputError: the file is missing, damaged, too large, more than a table of numbers and text,
+            or lacks a column.
     """
     table = parse_table(read_packed(path, MAX_BYTES), path, columns)
     missing = [name for name in columns if name not in table]
@@ -216,10 +218,10 @@ def parse_table(data: bytes, where: object, columns: Sequence[str] = ()) -> Tabl
 
     Args:
         where: the file, for messages.
-        columns: those that are needed, for messages.
+        columns: required names, for messages.
 
     Raises:
-        InputError: the bytes are no pickled table; nothing in them was run.
+        InputError: the bytes are no pickled table; none of their content was executed.
     """
     budget = Budget(len(data))
 
@@ -250,7 +252,7 @@ def parse_table(data: bytes, where: object, columns: Sequence[str] = ()) -> Tabl
 
 
 def names_in(data: bytes, where: object) -> frozenset[tuple[str, str]]:
-    """Return module and name of every global that a pickled table asks for.
+    """Return module and name of every global of a pickled table.
 
     Raises:
         InputError: as `parse_table`.
@@ -309,7 +311,7 @@ def _positions(placement: Any, n: int) -> list[int]:
 
 
 def _bounded(items: Any) -> Sequence[Any]:
-    """Return a list or tuple of no more parts than a table has columns."""
+    """Return a list or tuple with at most as many items as a table has columns."""
     if not isinstance(items, (list, tuple)) or len(items) > MAX_COLUMNS:
         raise RefusedError(f"no list of at most {MAX_COLUMNS} parts")
     return items

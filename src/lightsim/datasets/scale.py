@@ -1,4 +1,4 @@
-"""A log at another image scale: every later stage then works at that scale unknowingly."""
+"""Logs at another image scale, for all later stages."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Loader = Callable[[], UInt8[np.ndarray, "h w 3"]]
 
 
 def at_scale(log: DrivingLog, image_scale: float) -> DrivingLog:
-    """Cameras, images and own-car masks resized by `image_scale`; images in linear light.
+    """Resize cameras, images and masks of the ego vehicle by `image_scale`; images in linear light.
 
     Raises:
         InputError: the scale is not in [0.01, 1].

@@ -1,4 +1,4 @@
-"""Which frames of a log are wanted."""
+"""Selection of frames of a log."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lightsim.errors import InputError
 
 @dataclass(frozen=True)
 class FrameSelection:
-    """START:STOP[:STEP] over frame numbers; as in Python, STOP itself is not included."""
+    """START:STOP[:STEP] over frame indices; as in Python, STOP is not included."""
 
     start: int = 0
     stop: int | None = None
@@ -17,7 +17,7 @@ class FrameSelection:
 
     @staticmethod
     def parse(text: str) -> FrameSelection:
-        """From the command line; "" selects all.
+        """Parse the words of the command line; "" selects all frames.
 
         Raises:
             InputError: not of the form START:STOP[:STEP] with 0 <= START < STOP and STEP >= 1.
@@ -43,6 +43,6 @@ class FrameSelection:
         )
 
     def holds(self, number: int) -> bool:
-        """Whether the frame of this number is wanted."""
+        """Return whether the frame with this index is selected."""
         is_inside = number >= self.start and (self.stop is None or number < self.stop)
         return is_inside and (number - self.start) % self.step == 0

@@ -1,4 +1,4 @@
-"""Edits applied to the replayed log: another scenario of the same twin."""
+"""Application of edits to the replayed log."""
 
 from __future__ import annotations
 
@@ -27,34 +27,34 @@ from lightsim.scenario.ground import StandingGround
 from lightsim.scenario.motion import moved_along, set_on_ground, shifted
 
 AssetSource = Callable[[str], ActorAsset]
-"""The asset that a user's words name; its mesh lies in the middle of its own box.
-
-Raises InputError where there is none."""
+"""Returns the asset of a name, with the origin of its mesh at the centre of its box; raises
+InputError for an unknown name."""
+# Number of actor ids that an error message lists.
 _SHOWN = 12
 EGO_BODY = (ActorKind.CAR, np.array([4.5, 1.8, 1.5]))
-"""Kind and (length, width, height) in metres of the ego vehicle: a middle-sized car, since logs do
-not give it. It decides the ground under the wheels, and what is too close to drive there."""
-# Cameras fire between the poses of the path's ends.
+"""Kind and (length, width, height) in metres of the ego vehicle: a medium-sized car, since logs do
+not store it. It determines the ground under the wheels and conflicts with other boxes."""
+# Time for which the ends of a path are held, in seconds: cameras fire before and after its poses.
 _HOLD_S = 0.1
-# The part of a motion below which a recorded track counts as standing.
+# Largest displacement of a standing actor, in metres: labels of standing actors jitter.
 _STANDS_M = 0.3
-# Least side of the box of an inserted card without thickness: boxes have a volume.
+# Least side of a box, in metres: an inserted card without thickness needs a volume, too.
 _THINNEST_M = 0.01
 
 
 @dataclass
 class _Cast:
-    """Who is there, while edits are made."""
+    """Actors of a scenario while edits are applied."""
 
     tracks: list[ActorTrack]
     placements: list[ActorPlacement]
     removed: set[str] = field(default_factory=set[str])
 
     def track(self, actor_id: str, where: str) -> ActorTrack:
-        """An actor that is there.
+        """Return the track of a present actor.
 
         Raises:
-            InputError: nobody has this id, or it was removed before.
+            InputError: the id is unknown, or the actor was removed before.
         """
         by_id = {t.actor_id: t for t in self.tracks if t.actor_id not in self.removed}
         if actor_id in by_id:
@@ -71,7 +71,7 @@ class _Cast:
         )
 
     def put(self, track: ActorTrack, asset: ActorAsset | None) -> None:
-        """A new actor, or another track for one that is there."""
+        """Add an actor, or replace the track of a present one."""
         numbers = {t.actor_id: n for n, t in enumerate(self.tracks)}
         if track.actor_id in numbers:
             self.tracks[numbers[track.actor_id]] = track
@@ -82,7 +82,7 @@ class _Cast:
             self.placements.append(ActorPlacement(asset, track))
 
     def remove(self, actor_ids: Sequence[str]) -> None:
-        """They keep their numbers."""
+        """Remove actors; the numbers of all actors are unchanged."""
         self.removed |= set(actor_ids)
         self.placements = [p for p in self.placements if p.track.actor_id not in self.removed]
 
@@ -94,13 +94,14 @@ def apply_edits(
     ground: StandingGround,
     log: DrivingLog,
 ) -> Scenario:
-    """The replayed log with edits, made one after the other.
+    """Apply edits to the replayed log, one after the other.
 
-    Placements that no edit touches are the same objects as before: that is how it is known later
-    which parts of which frames stay as the cameras recorded them.
+    Placements that no edit changes remain the same objects. Their identity later decides which
+    parts of frames stay as recorded.
 
     Raises:
-        InputError: an actor or asset is unknown, or a trajectory leaves the log's time; the message
+        InputError: an actor or asset is unknown, or a trajectory leaves the time of the log; the
+        message
             names the edit.
     """
     cast = _Cast(list(recorded.tracks), list(recorded.placements))
@@ -129,13 +130,13 @@ def apply_edits(
 
 
 def driven_beside(scenario: Scenario, offset_m: tuple[float, float, float]) -> Scenario:
-    """The scenario from (ahead, left, up) of the ego vehicle's path."""
+    """Return the scenario with the ego path shifted by (ahead, left, up), in metres."""
     assert scenario.ego is not None
     return _driven_along(scenario, shifted(scenario.ego, offset_m))
 
 
 def _driven_along(scenario: Scenario, ego: Trajectory) -> Scenario:
-    """The scenario from another path of the ego vehicle."""
+    """Return the scenario with another ego path."""
     was = scenario.ego
     if was is None:
         return replace(scenario, ego=ego)
@@ -168,7 +169,7 @@ def _move(cast: _Cast, edit: Move, ground: StandingGround, span_ns: tuple[int, i
             path = set_on_ground(path, body, ground)
     else:
         path = moved_along(edit.waypoints, span_ns, body, ground, edit.where)
-    # What the pictures showed of the sun on it held for its own place.
+    # The sun visibility from the pictures is valid for the recorded place only.
     free = replace(asset, mesh=replace(asset.mesh, sun_visibility=None))
     cast.put(replace(track, trajectory=path, is_moving=_is_moving(path)), free)
 
@@ -220,7 +221,7 @@ def _driven(
     ground: StandingGround,
     span_ns: tuple[int, int],
 ) -> Trajectory:
-    """Another path of the ego vehicle, as high over the ground as the recorded one."""
+    """Return the ego path of an edit, at the recorded height above the ground."""
     path = log.ego if ego is None else ego
     if edit.offset_m is not None:
         return shifted(path, edit.offset_m)
@@ -235,8 +236,8 @@ def _driven(
 
 
 def _seen_from(frame: ScenarioFrame, recorded: Trajectory, ego: Trajectory) -> ScenarioFrame:
-    """The frame of the same camera on the ego vehicle's new path; all rows at once, since the
-    motion during readout is that of the recorded drive."""
+    """Return the frame of the camera on the new ego path, without a rolling shutter, whose motion
+    would be that of the recorded drive."""
     where = f"frame {frame.camera_name}/{frame.stem}"
     if not ego.covers(frame.time_ns, _HOLD_S):
         raise InputError(

@@ -1,4 +1,4 @@
-"""Where inserted actors come from: files, the library folder, other work folders, built-in shapes.
+"""Sources of inserted actors: files, the library folder, other work folders, shipped models.
 
 An asset is named by a file (`models/van.glb`), by a name in the library (`hatchback`, `cone`), or
 by an actor of another twin (`OTHER_WORK#actor_id`).
@@ -41,22 +41,22 @@ _REMEDY = "lightsim assets list shows what there is; lightsim assets add takes f
 
 
 def default_folder() -> Path:
-    """The user's own library: $XDG_DATA_HOME/lightsim/assets, by default below ~/.local/share."""
+    """Return the folder of the user's library, $XDG_DATA_HOME/lightsim/assets."""
     data = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
     return Path(data) / "lightsim" / "assets"
 
 
 @dataclass(frozen=True)
 class AssetInfo:
-    """A line of `lightsim assets list`.
+    """One line of `lightsim assets list`.
 
     Args:
-        name: by which scenarios name it.
-        kind: of actor.
-        size_lwh_m: of its box.
-        faces: triangles.
-        origin: where it came from, in words.
-        score: how much of it was seen, 0 to 1; None where it is no harvest.
+        name: name for scenarios.
+        kind: kind of actor.
+        size_lwh_m: length, width and height of the box.
+        faces: number of triangles.
+        origin: source of the asset, in words.
+        score: observed fraction of a harvested actor, 0 to 1; None for other assets.
     """
 
     name: str
@@ -69,12 +69,12 @@ class AssetInfo:
 
 @dataclass(frozen=True, eq=False)
 class AssetLibrary:
-    """A folder of assets, NAME.glb and NAME.json each, and the shapes that ship with LightSim.
+    """Folder of assets (NAME.glb and NAME.json), with the models that ship with LightSim.
 
     Args:
-        folder: need not exist.
-        built_in: shapes by name.
-        beside: relative file names are looked for here first: the folder of SCENARIO.json.
+        folder: folder of the library; need not exist.
+        built_in: shipped models by name.
+        beside: folder that is searched first for relative file names: that of SCENARIO.json.
     """
 
     folder: Path
@@ -83,10 +83,10 @@ class AssetLibrary:
     _loaded: dict[str, ActorAsset] = field(default_factory=dict, init=False, repr=False)
 
     def load(self, words: str) -> ActorAsset:
-        """The asset that a user's words name; its file is read once, however many stand there.
+        """Return the asset of a name; its file is read once for all of its instances.
 
         Raises:
-            InputError: there is none, or its file is damaged.
+            InputError: the name is unknown, or the file is damaged.
         """
         if words not in self._loaded:
             self._loaded[words] = self._read(words)
@@ -117,10 +117,10 @@ class AssetLibrary:
         )  # fmt: skip
 
     def key(self, words: str) -> str:
-        """Return a hash of what decides the asset's shape; moving or renaming its file does not."""
+        """Return a hash of the asset's content, which does not depend on the name of its file."""
         path = self._file(words)
         if path is not None:
-            # Not of the file: its textures and materials are in others.
+            # The mesh is hashed, not the file: textures and materials may be in other files.
             return _mesh_key(self.load(words).mesh)
         if "#" in words:
             work, actor_id = words.rsplit("#", 1)
@@ -130,7 +130,7 @@ class AssetLibrary:
         return hash_file(path) if is_file(path) else words
 
     def infos(self) -> Iterator[AssetInfo]:
-        """All assets with a name: stored ones, then built-in ones."""
+        """Yield all assets with a name: stored ones, then shipped ones."""
         for path in sorted(self.folder.glob(f"*{_INFO}")):
             yield _read_info(path)
         for name, asset in self.built_in.items():
@@ -148,7 +148,7 @@ class AssetLibrary:
         """Store an asset.
 
         Raises:
-            InputError: the name is no file name, or is taken.
+            InputError: the name is no valid file name, or is in use.
         """
         if not is_harmless(name):
             raise InputError(
@@ -172,11 +172,11 @@ class AssetLibrary:
         info = Entries.of_file(self.folder / f"{name}{_INFO}")
         mesh = read_glb(self.folder / f"{name}.glb", "actor")
         asset = ActorAsset(name, info.member("kind", ActorKind), mesh, info.text("label"))
-        # Harvests have a score, and no parts.
+        # Only harvested actors have a score; their meshes have no separate wheels.
         return with_wheels(asset) if info.is_null("score") else asset
 
     def _file(self, words: str) -> Path | None:
-        # Scenarios that were written on Windows.
+        # Scenarios from Windows have backslashes in paths.
         paths = dict.fromkeys((words, words.replace("\\", "/"))) if Path(words).suffix else ()
         places = [folder / path for path in paths for folder in (self.beside, Path())]
         return next((place for place in places if is_file(place)), None)
@@ -214,9 +214,9 @@ def add_model(
     """Read a CAD file into the library.
 
     Args:
-        name: by which scenarios name it; empty: the file's, without its suffix.
+        name: name for scenarios; empty: the file name without its suffix.
         settings: axes and size of the file.
-        kind: of actor; None: guessed by the file's name and size.
+        kind: kind of actor; None: inferred from file name and size.
 
     Returns:
         The new line of the library, and the model with the axes that were chosen.

@@ -1,4 +1,4 @@
-"""Conflicts of a scenario: actors in each other, in the ego vehicle or a wall, off the ground.
+"""Conflicts of a scenario: overlaps with actors, ego vehicle or walls, and places without ground.
 
 Only edited actors are tested: labelled boxes of a recording may touch each other.
 """
@@ -20,13 +20,13 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.scenario.apply import EGO_BODY
 from lightsim.scenario.ground import StandingGround
 
-# Boxes that interpenetrate by less touch as labelled boxes do.
+# Overlap below which boxes merely touch, as labelled boxes do, in metres.
 _TOUCH_M = 0.1
-# Kerbs, and the roughness of a measured road, reach this high into a box that stands there.
+# Height up to which static surface in a box is ignored, in metres: kerbs, and noise of the road.
 _KERB_M = 0.35
-# Rays over the box, so many along each axis: a pole of 0.3 m between them is not missed by much.
+# Rays along each axis of a box: about 0.3 m apart in a car.
 _GRID = 6
-# Shorter products of two edges are those of parallel edges, which give no axis of their own.
+# Cross products of edges below this length belong to parallel edges, which define no axis.
 _PARALLEL = 1e-6
 
 Cause = Literal["ground", "static", "ego", "actor"]
@@ -40,13 +40,13 @@ _WORDS: dict[Cause, str] = {
 
 @dataclass(frozen=True)
 class Conflict:
-    """An edited actor where nothing can be at some frames.
+    """Impossible place of an edited actor.
 
     Args:
         actor_id: the edited actor.
         cause: no measured ground below, static surface in the box, the ego vehicle, another actor.
         other_id: the other actor; empty for other causes.
-        stems: first and last frame.
+        stems: first and last frame of the conflict.
     """
 
     actor_id: str
@@ -61,9 +61,9 @@ class Conflict:
 
 
 class ConflictSearch:
-    """Finds conflicts at the times of frames.
+    """Search for conflicts at the times of frames.
 
-    The places of actors that no edit touches are sampled once, so that many edits can be tried.
+    Unedited actors are sampled once, so that many edits can be tried quickly.
     """
 
     def __init__(self, frames: Sequence[CameraFrame], ground: StandingGround) -> None:
@@ -91,7 +91,7 @@ class ConflictSearch:
         for number, track in enumerate(there):
             if track.actor_id not in names:
                 continue
-            # A pair of two edited actors is tested once.
+            # Each pair of edited actors is tested once.
             others = [s for s in sampled[:number] if s.track.actor_id not in names]
             others += sampled[number + 1 :]
             for cause, other_id, is_now in self._of(sampled[number], others, scenario.ego):
@@ -116,7 +116,7 @@ class ConflictSearch:
         if not len(now):
             return
         size = one.track.size_lwh_m
-        # What stands is tested once; interpolation leaves noise below a micrometre.
+        # A standing actor is tested once; interpolation leaves noise below a micrometre.
         poses, which = np.unique(one.poses[now].round(6), axis=0, return_inverse=True)
         which = which.reshape(-1)
         is_known = self._ground.is_known(poses[:, :2, 3])
@@ -152,7 +152,7 @@ class ConflictSearch:
             yield "actor", other.track.actor_id, self._at(now, is_overlap)
 
     def _at(self, now: np.ndarray, holds: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " t"]:
-        """Values of some of the times as values of all."""
+        """Expand values at some of the times to all times."""
         everywhere = np.zeros(len(self._times_ns), dtype=bool)
         everywhere[now] = holds
         return everywhere
@@ -160,7 +160,8 @@ class ConflictSearch:
 
 @dataclass(frozen=True, eq=False)
 class _Sampled:
-    """An actor at the times of a search; where it is absent, it has the pose of the nearest end."""
+    """Poses of an actor at the times of a search; while absent, it has the pose of the nearest
+    end."""
 
     track: ActorTrack
     is_present: Bool[np.ndarray, " t"]
@@ -173,7 +174,7 @@ class _Sampled:
         is_present = np.array([track.is_present(int(t)) for t in times_ns], dtype=bool)
         path = track.trajectory
         if (path.matrices == path.matrices[0]).all():
-            # What stands needs no interpolation.
+            # A standing actor needs no interpolation.
             poses = np.repeat(path.matrices[:1].astype(np.float64), len(times_ns), axis=0)
         else:
             poses = path.held_at(times_ns)
@@ -193,7 +194,10 @@ def _meets_ego(
     ego: Trajectory,
     times_ns: np.ndarray,
 ) -> Bool[np.ndarray, " n"]:
-    """Test the ego vehicle's box, as high as the other one: logs place its origin at any height."""
+    """Test for overlap with the ego vehicle's box.
+
+    It has the height of the other box, because the height of the ego frame differs between logs.
+    """
     ego_poses = ego.held_at(times_ns).copy()
     ego_poses[:, 2, 3] = poses[:, 2, 3]
     return boxes_overlap(poses, size, ego_poses, EGO_BODY[1])
@@ -205,17 +209,17 @@ def boxes_overlap(
     b_poses: Float[np.ndarray, "n 4 4"],
     b_size: Float[np.ndarray, "3"],
 ) -> Bool[np.ndarray, " n"]:
-    """Test whether two boxes share more than touching labels do, for n pairs of poses.
+    """Test whether two boxes overlap by more than touching labels do, for n pairs of poses.
 
-    By separating axes (Gottschalk, Lin & Manocha 1996, doi:10.1145/237170.237244): two boxes are
-    apart where their shadows on a face normal or on a product of two edges are.
+    Method of separating axes (Gottschalk, Lin & Manocha 1996, doi:10.1145/237170.237244): two boxes
+    are apart if their projections onto a face normal or a cross product of two edges are.
 
     Args:
         a_poses, b_poses: world_from_actor of the boxes.
         a_size, b_size: (length, width, height) in metres.
     """
     between = b_poses[:, :3, 3] - a_poses[:, :3, 3]
-    # Rows are edges.
+    # Rows are directions of edges.
     a_edges, b_edges = (np.swapaxes(p[:, :3, :3], 1, 2) for p in (a_poses, b_poses))
     products = np.cross(a_edges[:, :, None], b_edges[:, None]).reshape(-1, 9, 3)
     length = np.linalg.norm(products, axis=2, keepdims=True)
@@ -264,7 +268,7 @@ def _face_points(
     height: Float[np.ndarray, " n"],
     sideways: Float[np.ndarray, " n"],
 ) -> Float64[np.ndarray, "_ 3"]:
-    """A grid on the rear face (along = 0) or the right one (1), frame `actor`."""
+    """Return a grid of points on the rear face (along = 0) or the right face (1), frame `actor`."""
     points = np.empty((len(height) * len(sideways), 3))
     points[:, along] = -size[along] / 2
     points[:, 1 - along] = np.repeat(sideways, len(height))

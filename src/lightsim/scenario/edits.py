@@ -1,4 +1,4 @@
-"""SCENARIO.json: what shall differ from the log, read and checked before anything is loaded."""
+"""SCENARIO.json: edits of a log, read and checked before anything is loaded."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from lightsim.errors import ArtefactError, InputError
 from lightsim.store.artefact import read_json
 from lightsim.store.entries import Entries
 
-VERSION = 1
+VERSION = 1  # Version of the format, docs/reference/scenario-json.md.
 EVERY_ACTOR = ("all-moving", "all")
-_REMEDY = "Mend the scenario; docs/reference/scenario-json.md has the format."
+_REMEDY = "Correct the scenario; docs/reference/scenario-json.md has the format."
 _FORMAT = ("version", "name", "sky", "edits")
+# Further entries of written scenario.json files, which are accepted as input again.
 _WRITTEN = (
     "sky_yaw_deg", "sky_scale", "move_sun", "sun_factor", "seed", "target_sky", "options", "notes",
     "cameras", "ego", "actors", "frames",
 )  # fmt: skip
-"""What our own scenario.json has besides: one that was written can be given again."""
 _POSE = ("x_m", "y_m", "z_m", "yaw_deg")
 FARTHEST_M = 1e5
-"""No log spans more; world coordinates are local."""
+"""Largest coordinate of a waypoint, in metres: world coordinates are local to the log."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Waypoint:
-    """Where something is at a time.
+    """Place at a time.
 
     Args:
-        time_s: seconds from the log's first picture.
-        x_m, y_m: of the box's centre (of the ego frame's origin), frame `world`.
-        z_m: of the underside of the box (of the ego frame's origin); None: it stands on the ground.
-        yaw_deg: from world +x, counter-clockwise seen from above; None: along the path.
+        time_s: seconds from the first picture of the log.
+        x_m, y_m: centre of the box (ego: origin of its frame), frame `world`.
+        z_m: underside of the box (ego: origin of its frame); None: on the ground.
+        yaw_deg: heading from world +x, counter-clockwise from above; None: along the path.
     """
 
     time_s: float = 0.0
@@ -47,12 +47,13 @@ class Waypoint:
 
 
 Path3 = tuple[Waypoint, ...]
-"""One waypoint stands for the whole log, several are a drive from the first time to the last."""
+"""One waypoint: a standing actor for the whole log; several: a drive from the first time to the
+last."""
 
 
 @dataclass(frozen=True)
 class Remove:
-    """Take an actor of the log out; or "all-moving", "all"."""
+    """Remove an actor of the log; or "all-moving", "all"."""
 
     where: str
     actor: str
@@ -60,8 +61,8 @@ class Remove:
 
 @dataclass(frozen=True)
 class Move:
-    """Let an actor of the log drive elsewhere: along waypoints, or its own track shifted by
-    (ahead, left, up) in its own axes."""
+    """Move an actor of the log: along waypoints, or its own track shifted by (ahead, left, up) in
+    its own axes."""
 
     where: str
     actor: str
@@ -71,7 +72,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Insert:
-    """Put an asset into the street, as an actor with an id of its own."""
+    """Insert an asset as a new actor."""
 
     where: str
     asset: str
@@ -81,7 +82,7 @@ class Insert:
 
 @dataclass(frozen=True)
 class Ego:
-    """Let the recording vehicle drive elsewhere; see `Move`."""
+    """Move the ego vehicle; see `Move`."""
 
     where: str
     waypoints: Path3 = ()
@@ -93,14 +94,14 @@ Edit = Remove | Move | Insert | Ego
 
 @dataclass(frozen=True)
 class ScenarioRequest:
-    """SCENARIO.json.
+    """Content of SCENARIO.json.
 
     Args:
-        name: of the result.
-        sky: as the user names it; that of a written scenario with all its settings.
-        edits: in the order in which they are made.
-        spelt: the same as they stand in the file.
-        source: the file; for errors, and where assets are looked for.
+        name: name of the result.
+        sky: the chosen sky; for a written scenario with all of its settings.
+        edits: edits in the order of application.
+        spelt: the edits as JSON values of the file.
+        source: the file; for error messages, and to find assets beside it.
     """
 
     name: str
@@ -111,7 +112,7 @@ class ScenarioRequest:
 
 
 def read_scenario_request(path: Path) -> ScenarioRequest:
-    """The request in a file.
+    """Read a scenario from a file.
 
     Raises:
         InputError: the file is missing or broken, of another version, or an entry is unknown,
@@ -125,7 +126,7 @@ def read_scenario_request(path: Path) -> ScenarioRequest:
 
 
 def parse_scenario(value: Any, source: Path) -> ScenarioRequest:
-    """The request in parsed JSON; raises as `read_scenario_request`."""
+    """Read a scenario from parsed JSON; raises as `read_scenario_request`."""
     file = Entries(value, source, InputError, _REMEDY)
     file.allow((*_FORMAT, *_WRITTEN))
     version = file.number("version")
@@ -144,7 +145,7 @@ def parse_scenario(value: Any, source: Path) -> ScenarioRequest:
 
 
 def _sky(file: Entries) -> SkyChoice:
-    """The source's sky where none is named."""
+    """Return the chosen sky; by default the source sky."""
     if "sky" not in file or file.is_null("sky"):
         return SkyChoice("source")
     return SkyChoice(

@@ -13,24 +13,26 @@ from lightsim.core.casting import RayCaster
 from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import CameraFrame
 
+# Largest angle between the optical axis of a forward camera and the driving direction, in degrees:
+# PandaSet's front, front left and front right cameras.
 _AHEAD_DEG = 75.0
-"""Cameras look ahead whose optical axes lie within this angle: PandaSet's front, front left and
-front right ones, which share the view of what is ahead and beside."""
+# Number of tested frames of a camera, evenly over the log: every 7 m at 50 km/h in 8 s.
 _MOST_FRAMES = 16
-"""Frames of a camera that are tested, evenly over the log: at 50 km/h every 7 m of an 8 s log."""
+# Target points of sight lines in a box, as fractions of its size from the centre.
 _POINTS = np.stack(np.meshgrid(*[(-0.4, 0.0, 0.4)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-"""Points of a box that sight lines lead to, as fractions of its size from the middle."""
+# Least visible fraction of these points: less is a bumper behind another car, or at the border of
+# the picture. Chosen; sensitivity not measured.
 _SEEN = 0.25
-"""Fraction of the points that a picture must show: less is a bumper behind another car, or at the
-picture's border. Chosen, not measured."""
+# Replaces a zero component of a direction in the slab test, which divides by it.
 _LEAST_M = 1e-9
-"""Stands for a component of zero, by which no slab can be divided."""
+# Distance in front of a point within which static surface does not hide it, in metres: the ground
+# or wall that the box touches.
 _SURFACE_M = 0.05
-"""Static surface this close before a point is what the box stands on or beside."""
 
 
 class FrontView:
-    """Tests which actors the cameras that look ahead see, past static surfaces and other actors.
+    """Test of the visibility of actors for forward cameras, with occlusion by the scene and by
+    actors.
 
     Args:
         background: caster over the twin's static meshes.
@@ -50,10 +52,10 @@ class FrontView:
         self._others = [_Boxes.of(tracks, frame.time_ns) for frame in self._frames]
 
     def sees(self, track: ActorTrack, absent: Collection[str] = ()) -> bool:
-        """Return whether a picture shows a quarter of an actor or more.
+        """Return whether a picture shows at least a quarter of an actor.
 
         Args:
-            absent: actors of the log that hide nothing because they are removed.
+            absent: removed actors of the log, which hide nothing.
         """
         return any(
             is_seen.mean() >= _SEEN for is_seen in self._seen(track, {*absent, track.actor_id})
@@ -78,7 +80,7 @@ class FrontView:
     def _in_picture(
         self, frame: CameraFrame, points: Float[np.ndarray, "p 3"]
     ) -> Bool[np.ndarray, " p"]:
-        """Points that project into the picture, beside the ego vehicle's own pixels."""
+        """Return the points that project into the picture and not onto the ego vehicle."""
         camera = self._log.cameras[frame.camera_name]
         uv, is_inside = camera.project(frame.world_from_camera.inverse().apply(points))
         vehicle = self._log.ego_vehicle_masks.get(frame.camera_name)

@@ -1,8 +1,8 @@
 """Common scenes as edits, laid out along the ego vehicle's own path: cut-ins, road works and more.
 
-Each function returns edits as SCENARIO.json spells them, so that they can be looked at, changed by
-hand and mixed. Places are found by the distance along the recorded path and the offset from it,
-left positive; beyond its end the path goes on straight.
+Each function returns edits in the form of SCENARIO.json, which users can read, change and combine.
+Places are given by the distance along the recorded path and the offset from it, positive to the
+left; beyond its ends the path is extended by straight lines.
 """
 
 from __future__ import annotations
@@ -20,13 +20,15 @@ from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog
 from lightsim.errors import InputError
 
+# Time between waypoints, in seconds: a lane change has fifteen of them.
 _STEP_S = 0.2
+# Deceleration of an emergency stop on dry road, m/s^2.
 _BRAKING_M_S2 = 7.0
-"""A full stop on dry road."""
+# Duration of a brisk lane change, in seconds; shorter logs show the middle of it.
 _CHANGE_S = 3.0
-"""A brisk lane change; a shorter log shows the middle of it."""
+# Least speed of inserted traffic, in m/s, for logs with a standing ego.
 _SLOWEST_M_S = 2.0
-"""Other traffic drives at least so fast where the ego stands."""
+# Poses of the path closer than this are dropped, in metres: their direction is noise.
 _MIN_STEP_M = 0.05
 
 Edits = list[dict[str, Any]]
@@ -38,8 +40,8 @@ class EgoLane:
 
     Args:
         path: world_from_ego.
-        start_ns, end_ns: first and last picture of the log.
-        width_m: of a lane.
+        start_ns, end_ns: times of the first and last picture of the log.
+        width_m: width of a lane.
     """
 
     path: Trajectory
@@ -49,30 +51,30 @@ class EgoLane:
 
     @classmethod
     def of(cls, log: DrivingLog, width_m: float = 3.5) -> EgoLane:
-        """The lane of a log's drive."""
+        """Return the lane of a log's drive."""
         times_ns = [frame.time_ns for frame in log.frames]
         return cls(log.ego, min(times_ns), max(times_ns), width_m)
 
     @property
     def duration_s(self) -> float:
-        """Of the log's pictures."""
+        """Time from the first to the last picture, in seconds."""
         return (self.end_ns - self.start_ns) / 1e9
 
     def times_s(self) -> Float64[np.ndarray, " n"]:
-        """From the first picture to the last, 0.2 s apart or a little less."""
+        """Times from the first to the last picture, at most 0.2 s apart."""
         return np.linspace(
             0.0, self.duration_s, max(2, int(np.ceil(self.duration_s / _STEP_S)) + 1)
         )
 
     def ego_m(self, times_s: Float[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-        """How far along the path the ego vehicle is."""
+        """Return the distance of the ego vehicle along the path, in metres."""
         keys_s = (self.path.times_ns - self.start_ns) / 1e9
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(self._steps, axis=1))])
         return np.interp(times_s, keys_s, along)
 
     @property
     def speed_m_s(self) -> float:
-        """Of the ego vehicle, mean over the log."""
+        """Mean speed of the ego vehicle over the log."""
         ends = self.ego_m(np.array([0.0, self.duration_s]))
         return float(np.diff(ends)[0] / max(self.duration_s, 1e-3))
 
@@ -82,7 +84,7 @@ class EgoLane:
 
     @cached_property
     def _line(self) -> tuple[Float64[np.ndarray, " k"], Float64[np.ndarray, "k 2"]]:
-        """Distances and points of the path where it moves, with long straight ends."""
+        """Distances and points of the moving part of the path, extended by long straight ends."""
         points = self.path.positions_m[:, :2]
         kept = [points[0]]
         for point in points[1:]:
@@ -96,10 +98,10 @@ class EgoLane:
     def place(
         self, along_m: Float[np.ndarray, " n"], left_m: Float[np.ndarray, " n"]
     ) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, " n"]]:
-        """(x, y) and heading in degrees, frame `world`."""
+        """Return (x, y) and heading in degrees, frame `world`."""
         distance, line = self._line
         xy = np.column_stack([np.interp(along_m, distance, line[:, k]) for k in (0, 1)])
-        # Over a car's length: the recorded positions of a slow drive jitter by centimetres.
+        # Over the length of a car: positions of a slow drive jitter by centimetres.
         ends = [
             np.column_stack([np.interp(along_m + s, distance, line[:, k]) for k in (0, 1)])
             for s in (-2.5, 2.5)
@@ -110,7 +112,7 @@ class EgoLane:
         return xy + left_m[:, None] * left, np.degrees(np.arctan2(ahead[:, 1], ahead[:, 0]))
 
     def standing(self, along_m: float, left_m: float, turned_deg: float = 0.0) -> dict[str, float]:
-        """'at' of an insertion."""
+        """Return the entry 'at' of an insertion."""
         xy, yaw_deg = self.place(np.array([along_m]), np.array([left_m]))
         x_m, y_m = (round(float(v), 3) for v in xy[0])
         return {"x_m": x_m, "y_m": y_m, "yaw_deg": round(float(yaw_deg[0]) + turned_deg, 2)}
@@ -120,7 +122,7 @@ class EgoLane:
         along_m: Callable[[Float64[np.ndarray, " n"]], Float64[np.ndarray, " n"]],
         left_m: Callable[[Float64[np.ndarray, " n"]], Float64[np.ndarray, " n"]],
     ) -> list[dict[str, float]]:
-        """'trajectory' of an insertion, from its places over time."""
+        """Return the entry 'trajectory' of an insertion, from its places over time."""
         times_s = self.times_s()
         along, left = along_m(times_s), left_m(times_s)
         xy, lane_deg = self.place(along, left)
@@ -134,8 +136,13 @@ class EgoLane:
 def cut_in(
     lane: EgoLane, asset: str, gap_m: float = 10.0, from_left: bool = True, actor_id: str = ""
 ) -> Edits:
-    """A car of the neighbouring lane changes into the ego's, `gap_m` ahead of it (centre to
-    centre), around the middle of the log: an asset, or the actor of the log that is named."""
+    """Return a cut-in: a car changes from the neighbouring lane into the ego's lane, `gap_m` ahead
+    of the ego (centre to centre), around the middle of the log.
+
+    Args:
+        asset: name of the inserted car, if no actor is given.
+        actor_id: actor of the log that changes lane.
+    """
     side = lane.width_m * (1.0 if from_left else -1.0)
     path = _changing(lane, gap_m, side, 0.0)
     if actor_id:
@@ -144,7 +151,7 @@ def cut_in(
 
 
 def lane_change(lane: EgoLane, asset: str, gap_m: float = 15.0, to_left: bool = True) -> Edits:
-    """The car ahead leaves the ego's lane."""
+    """Return a lane change: the car ahead leaves the ego's lane."""
     side = lane.width_m * (1.0 if to_left else -1.0)
     path = _changing(lane, gap_m, 0.0, side)
     return [{"do": "insert", "asset": asset, "trajectory": path}]
@@ -162,7 +169,7 @@ def _changing(lane: EgoLane, gap_m: float, start_m: float, end_m: float) -> list
 
 
 def hard_brake(lane: EgoLane, asset: str, gap_m: float = 15.0, after_s: float = 0.5) -> Edits:
-    """The car ahead drives as fast as the ego on average and then stops as hard as it can."""
+    """Return an emergency stop of the car ahead, which before drives at the ego's mean speed."""
     speed = max(lane.speed_m_s, _SLOWEST_M_S)
     first_m = float(lane.ego_m(np.zeros(1))[0]) + gap_m
 
@@ -175,7 +182,7 @@ def hard_brake(lane: EgoLane, asset: str, gap_m: float = 15.0, after_s: float = 
 
 
 def stalled(lane: EgoLane, asset: str, ahead_m: float = 20.0, left_m: float = 0.0) -> Edits:
-    """A vehicle stands in the ego's lane, a little turned, with three cones behind it."""
+    """Return a stalled vehicle in the ego's lane, slightly rotated, with three cones behind it."""
     here = float(lane.ego_m(np.array([lane.duration_s]))[0]) + ahead_m
     cones = [
         {"do": "insert", "asset": "cone", "at": lane.standing(here - back, left_m + side)}
@@ -191,10 +198,10 @@ def construction(
     from_left: bool = False,
     is_next_lane: bool = False,
 ) -> Edits:
-    """Road works that close half of the lane, or all of the next one: cones along a taper, barriers
-    behind it, a sign.
+    """Return road works that close half of the lane, or all of the next one: cones along a taper,
+    barriers behind it, and a sign.
 
-    The taper's cones stand 2 m apart and move in over the first half of the zone.
+    Cones of the taper are 2 m apart and cover the first half of the zone.
     """
     side = 1.0 if from_left else -1.0
     first = float(lane.ego_m(np.array([lane.duration_s]))[0]) + ahead_m
@@ -220,15 +227,16 @@ def replaced(
     actor_ids: tuple[str, ...] = (),
     count: int = 3,
 ) -> Edits:
-    """Others drive where vehicles of the log drove, in turn of the assets.
+    """Replace vehicles of the log by assets, in turn.
 
     Args:
         tracks: actors of the log.
-        actor_ids: whom they replace; none named: the `count` moving vehicles that come nearest to
+        actor_ids: actors to replace; empty: the `count` moving vehicles with the least distance
+        from
             the ego.
 
     Raises:
-        InputError: there is no asset, no such actor, or nobody who could be replaced.
+        InputError: there is no asset, an actor is unknown, or no actor can be replaced.
     """
     if not assets:
         raise InputError("nobody takes their places", got=assets, expected="one asset or more")
@@ -258,7 +266,7 @@ def nearest_movers(lane: EgoLane, tracks: Sequence[ActorTrack]) -> list[ActorTra
 
 
 def _during(lane: EgoLane, track: ActorTrack) -> Bool[np.ndarray, " n"]:
-    """Poses of a track between the first and the last picture: no edit leaves that time."""
+    """Return the poses of a track between the first and the last picture, the limits of edits."""
     times_ns = track.trajectory.times_ns
     return (times_ns >= lane.start_ns) & (times_ns <= lane.end_ns)
 
@@ -270,7 +278,7 @@ def _nearest_m(lane: EgoLane, track: ActorTrack) -> float:
 
 
 def _as_driven(lane: EgoLane, track: ActorTrack) -> dict[str, Any]:
-    """'trajectory' of an insertion that follows a track, 'at' where it stands."""
+    """Return the entry 'trajectory' of an insertion that follows a track; 'at' if it stands."""
     poses = track.trajectory.matrices[_during(lane, track)]
     times_s = (track.trajectory.times_ns[_during(lane, track)] - lane.start_ns) / 1e9
     yaw_deg = np.degrees(np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0])))
@@ -290,7 +298,7 @@ def parked_row(
     spacing_m: float = 6.5,
     ahead_m: float = 6.0,
 ) -> Edits:
-    """Vehicles parked along the road, in turn of the assets.
+    """Return a row of vehicles parked along the road, in turn of the assets.
 
     Raises:
         InputError: there is no asset, or nothing to park.

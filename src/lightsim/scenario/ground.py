@@ -1,4 +1,4 @@
-"""What things stand on: height and knownness of the ground at places of the map."""
+"""Ground below inserted and moved actors: its height, and whether it was measured."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ from jaxtyping import Bool, Float
 from lightsim.core.casting import RayCaster
 from lightsim.core.fields import GroundMap
 
-# The mesh of the road lies this close to the map of its heights (walls and hedges do not).
+# Largest distance between the mesh of the road and the height map, in metres; walls and hedges are
+# farther away.
 _SAME_GROUND_M = 0.3
+# Distance from observed ground within which ground counts as known, in metres: the width of parked
+# cars and of the ego, which hide it.
 _NEAR_M = 2.5
-"""Ground this close to observed ground counts as known: what parked cars and the ego hid."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,8 +24,8 @@ class StandingGround:
     """The reconstructed ground.
 
     Args:
-        heights: its map.
-        background: caster over the twin's static meshes, whose road what is rendered must touch;
+        heights: height map.
+        background: caster over the twin's static meshes, whose road rendered actors must touch;
             None: the map alone.
     """
 
@@ -31,9 +33,9 @@ class StandingGround:
     background: RayCaster | None = None
 
     def height_m(self, xy_world: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-        """Height of the twin's road, seen from just above the map; the map's where there is none.
+        """Return the height of the twin's road; that of the map where there is no mesh.
 
-        From just above: bridges, trees and roofs are not what things stand on.
+        Rays start just above the map, below bridges, trees and roofs.
         """
         height = self.heights.look_up(xy_world)
         if self.background is None or not len(xy_world):
@@ -45,7 +47,7 @@ class StandingGround:
         return np.where(is_road, above[:, 2] - np.where(is_road, distance, 0.0), height)
 
     def is_known(self, xy_world: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-        """Whether ground was measured at a place or close by."""
+        """Return whether ground was measured at each place or nearby."""
         cell = np.rint((xy_world - self.heights.origin_m) / self.heights.cell_m)
         shape = np.array(self.heights.height_m.shape)
         is_inside = ((cell >= 0) & (cell < shape)).all(axis=1)

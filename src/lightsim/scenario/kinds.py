@@ -1,4 +1,4 @@
-"""Kinds of models by the words of their names and by their sizes."""
+"""Kinds of CAD models from the words of their names and from their sizes."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from jaxtyping import Float
 
 from lightsim.core.actors import ActorKind
 
+# Smallest and largest length, width and height of a car, for models without a kind in their name.
 _CAR_M = ((2.8, 1.3, 1.0), (6.0, 2.5, 2.4))
-"""Length, width, height of models without a telling name that are cars: city cars to vans."""
+# Smallest and largest length, width and height of each kind, the longer horizontal side first. Wide
+# limits: they only exclude names with another meaning (a car key, a bus stop, a toy truck).
 _SIZE_M: dict[ActorKind, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
     ActorKind.CAR: ((2.2, 1.1, 0.9), (7.0, 2.8, 3.2)),
     ActorKind.PICKUP: ((3.0, 1.3, 1.2), (8.0, 3.0, 3.0)),
@@ -32,21 +34,20 @@ _SIZE_M: dict[ActorKind, tuple[tuple[float, float, float], tuple[float, float, f
     ActorKind.BARRIER: ((0.3, 0.0, 0.2), (25.0, 5.0, 5.0)),
     ActorKind.ROLLING_CONTAINER: ((0.3, 0.3, 0.4), (3.0, 2.5, 2.5)),
 }
-"""Smallest and largest length, width and height of each kind, the longer horizontal side first.
-Wide limits, since they only refuse what a name cannot mean: a car key, a bus stop, a toy truck."""
 _WORDS = {
     **{str(kind): kind for kind in ActorKind if kind is not ActorKind.OTHER},
     **dict.fromkeys(("person", "human", "man", "woman", "child"), ActorKind.PEDESTRIAN),
 }
+# A word of a file name: `redCar2`, `red-car` and `CAR_red` contain the word car, `scarecrow` does
+# not.
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[^\W\d_A-Za-z]+")
-"""A word of a file name: `redCar2`, `red-car`, `CAR_red` have the word car, `scarecrow` has not."""
 
 
 def guessed_kind(name: str, size_lwh_m: Float[np.ndarray, "3"]) -> ActorKind:
     """Return the kind of a model.
 
-    The last word of the name that is a kind of plausible size decides (an English name ends in the
-    thing itself: `carport_sign`), then a car's size.
+    The last word of the name that is a kind of plausible size decides, because English compounds
+    end in the object itself (`carport_sign`); otherwise the size of a car.
     """
     for kind in named_kinds(name):
         if is_plausible(kind, size_lwh_m):
@@ -57,7 +58,7 @@ def guessed_kind(name: str, size_lwh_m: Float[np.ndarray, "3"]) -> ActorKind:
 
 
 def named_kinds(name: str) -> list[ActorKind]:
-    """Return the kinds that whole words of a name are, the last word first."""
+    """Return the kinds among the whole words of a name, the last word first."""
     words = [word.lower() for word in _WORD.findall(name)]
     pairs = [" ".join(pair) for pair in pairwise(words)]
     texts = [text for n, word in enumerate(words) for text in (word, *pairs[n : n + 1])]
@@ -65,7 +66,7 @@ def named_kinds(name: str) -> list[ActorKind]:
 
 
 def is_plausible(kind: ActorKind, size_lwh_m: Float[np.ndarray, "3"]) -> bool:
-    """Return if something of a kind can have this length, width and height."""
+    """Return whether an object of a kind can have this length, width and height."""
     horizontal = np.sort(size_lwh_m[:2])[::-1]
     size = np.array([*horizontal, size_lwh_m[2]])
     low, high = np.array(_SIZE_M[kind])

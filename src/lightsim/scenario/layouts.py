@@ -7,10 +7,10 @@ from itertools import product
 from typing import Any, NamedTuple
 
 Make = Callable[..., list[dict[str, Any]]]
-"""Edits of a scene from its parameters."""
+"""Returns the edits of a scene for values of its parameters."""
 OTHER_SIDE_M = 6.0
-"""Changing the side counts as much as moving the scene by this distance along the path: a driver
-who reads "from the left" notices it more than a few metres. Chosen, not measured."""
+"""Cost of changing the side, as a displacement along the path, in metres: a change from left to
+right is more noticeable than a few metres. Chosen, not measured."""
 
 
 class Choice(NamedTuple):

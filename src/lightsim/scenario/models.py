@@ -51,23 +51,26 @@ _REMEDY_BY_SUFFIX = {
     ".zip": "Unpack it, and give the model in it.",
 }  # fmt: skip
 _FBX = "FBX", _REMEDY_BY_SUFFIX[".fbx"]
+# Largest file for any reader, in bytes; each reader has a lower limit of its own.
 _MAX_BYTES = 2 << 30
-"""The largest file that a reader takes; each has its own limit."""
+# Bytes in which the first vertex of an OBJ file is searched for: more than exporters' comments.
 _HEAD_BYTES = 1 << 16
-"""Comments of an exporter before the first vertex of an OBJ file are shorter."""
 _OBJ_VERTEX = re.compile(rb"^[ \t]*[vV][ \t]+[-+.\d]", re.MULTILINE)
-_LONGEST_M, _SHORTEST_M = 60.0, 0.05
-"""Longest side of the largest and of the smallest thing in a street: a tram, a bottle."""
+# Longest side of the largest object in a street, in metres: a tram.
+_LONGEST_M = 60.0
+# Longest side of the smallest object in a street, in metres: a bottle.
+_SHORTEST_M = 0.05
+# Metres per unit of common programs; the last ones occur if an exporter scales twice.
 _UNITS = {
     0.001: "millimetres", 0.01: "centimetres", 0.0254: "inches", 0.1: "decimetres", 0.3048: "feet",
     10.0: "decametres", 100.0: "metres, divided by 100 on export",
     1000.0: "metres, divided by 1000 on export",
 }  # fmt: skip
-"""Metres per unit of what programs write; the last ones are scaled twice by an exporter."""
+# Longest side of most objects in a street, in metres; used to propose a unit.
 _TYPICAL_M = (0.2, 20.0)
-"""Longest side of most things in a street, by which a unit is proposed."""
+# Largest thickness of a card, as a fraction of its longest side. Panels of signs have at least
+# 0.003.
 _CARD = 1e-3
-"""Thickness of a card, as part of its longest side. Panels of signs have 0.003 and more."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,9 +95,9 @@ class Model:
     """A model file as an actor.
 
     Args:
-        mesh: in frame `actor`.
+        mesh: mesh in frame `actor`.
         up, front: axes of the file that point up and ahead.
-        notes: what of the file was not read or decided, one sentence each.
+        notes: parts of the file that were not read, and decisions, one sentence each.
     """
 
     mesh: TriMesh
@@ -127,13 +130,13 @@ def load_model(path: Path, settings: ModelSettings | None = None) -> Model:
 
 
 def centred(mesh: TriMesh) -> TriMesh:
-    """Return the mesh with the origin in the middle of its own box."""
+    """Return the mesh with the origin at the centre of its box."""
     middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
     return replace(mesh, vertices=mesh.vertices - middle)
 
 
 def _reader(path: Path) -> Callable[[Path], ModelFile]:
-    """Return the reader of a file: its content decides between the formats that are read.
+    """Return the reader of a file, chosen by its content.
 
     Raises:
         InputError: the suffix or the content is another format's.
@@ -205,7 +208,7 @@ def _placed(file: ModelFile, settings: ModelSettings, *, is_stated: bool) -> Mod
     )
     mesh, reader_notes = mesh_of(replace(file, primitives=placed), "actor")
     if settings.length_m is not None:
-        # Parts that are transparent everywhere are gone.
+        # Fully transparent parts have been removed.
         rest = np.float32(settings.length_m / np.ptp(mesh.vertices[:, 0]))
         mesh = replace(mesh, vertices=mesh.vertices * rest)
     return Model(centred(mesh), up, front, (*reader_notes, *notes))

@@ -1,4 +1,4 @@
-"""From waypoints to poses: smooth paths, headings along them, wheels on the ground."""
+"""Poses from waypoints: smooth paths, headings along them, wheels on the ground."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from lightsim.errors import InputError
 from lightsim.scenario.edits import Path3, Waypoint
 from lightsim.scenario.ground import StandingGround
 
-# Poses lie this close in time: a car at 30 m/s turns by less than a degree in between.
+# Time between poses, in seconds: a car at 30 m/s turns by less than a degree.
 _STEP_S = 0.05
-# Where wheels touch the ground, as fractions of length and width from the middle of the box.
-_WHEELBASE, _TRACK = 0.3, 0.4
-# People and files give times to the millisecond.
+# Distance of the axles from the centre of the box, as a fraction of its length.
+_WHEELBASE = 0.3
+# Distance of the wheels from the centre of the box, as a fraction of its width.
+_TRACK = 0.4
+# Times in files are rounded to the millisecond.
 _ROUNDED_S = 1e-3
-# Slower than this the path of a wobbling waypoint says nothing about the heading.
+# Speed below which the path does not determine the heading, in m/s: waypoints jitter.
 _STANDS_M_S = 0.05
 
 
@@ -28,10 +30,10 @@ def moved_along(
     ground: StandingGround,
     where: str,
 ) -> Trajectory:
-    """Poses world_from_actor along waypoints; a single one holds for the whole log.
+    """Return poses world_from_actor along waypoints; a single one holds for the whole log.
 
     Between waypoints positions are monotone cubic (Fritsch & Butland 1984,
-    doi:10.1137/0905021): smooth, through every waypoint, and never beyond where the next one is.
+    doi:10.1137/0905021): smooth, through every waypoint, without overshoot.
 
     Args:
         span_ns: first and last picture of the log; time_s counts from the first.
@@ -52,7 +54,7 @@ def moved_along(
 
 
 def shifted(trajectory: Trajectory, offset_m: tuple[float, float, float]) -> Trajectory:
-    """Every pose shifted in its own axes: ahead, left, up."""
+    """Return the trajectory with every pose shifted in its own axes: ahead, left, up."""
     step = RigidTransform.from_rotation(
         trajectory.src, trajectory.src, np.eye(3), np.array(offset_m)
     )
@@ -64,7 +66,7 @@ def shifted(trajectory: Trajectory, offset_m: tuple[float, float, float]) -> Tra
 def set_on_ground(
     trajectory: Trajectory, body: tuple[ActorKind, Float[np.ndarray, "3"]], ground: StandingGround
 ) -> Trajectory:
-    """The same path and headings on the ground below."""
+    """Return the trajectory with the same path and headings on the ground."""
     forward = trajectory.matrices[:, :3, 0]
     yaw_rad = np.arctan2(forward[:, 1], forward[:, 0])
     poses = standing_poses(trajectory.positions_m[:, :2], yaw_rad, body, ground)
@@ -77,8 +79,8 @@ def standing_poses(
     body: tuple[ActorKind, Float[np.ndarray, "3"]],
     ground: StandingGround,
 ) -> Float64[np.ndarray, "n 4 4"]:
-    """world_from_actor of boxes whose four wheels touch the ground as well as a plane can (least
-    squares), pitched and rolled with it. Persons stand upright."""
+    """Return world_from_actor of boxes on the ground: pitch and roll are those of the least-squares
+    plane through the ground at the four wheels. Persons are upright."""
     kind, size = body
     half = np.array([_WHEELBASE * size[0], _TRACK * size[1]])
     corners = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) * half
@@ -101,7 +103,7 @@ def _oriented(
     yaw_rad: Float[np.ndarray, " n"],
     up: Float[np.ndarray, "n 3"],
 ) -> Float64[np.ndarray, "n 4 4"]:
-    """Poses with this z axis whose x axis lies above the heading."""
+    """Return poses with the given z axis, whose x axis projects onto the heading."""
     heading = np.column_stack([np.cos(yaw_rad), np.sin(yaw_rad)])
     rise = -np.einsum("nc,nc->n", heading, up[:, :2]) / up[:, 2]
     ahead = np.column_stack([heading, rise])
@@ -120,7 +122,7 @@ def _sampled(
     Float64[np.ndarray, " n"],
     Float64[np.ndarray, " n"] | None,
 ]:
-    """Times, places, headings and undersides at a dense sequence of times."""
+    """Return places, headings and undersides at a dense sequence of times."""
     from scipy.interpolate import PchipInterpolator
 
     start_ns, end_ns = span_ns
@@ -160,7 +162,7 @@ def _standing(
 
 
 def _along(velocity_m_s: Float[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
-    """Headings of motion; while it stands, the last one (before it starts, the first)."""
+    """Return headings of motion; while standing the last one, before the start the first one."""
     speed = np.linalg.norm(velocity_m_s, axis=1)
     moving = np.flatnonzero(speed > min(_STANDS_M_S, 0.5 * float(speed.max())))
     last = np.clip(np.searchsorted(moving, np.arange(len(speed)), side="right") - 1, 0, None)

@@ -18,31 +18,40 @@ Front = Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"]
 """Axis of the file that points ahead. glTF has +z, but many models lie along x: `auto` takes the
 longer horizontal side as the length and its lower end, the bonnet, as the front."""
 DEFAULT_UP: Up = "y"
+# Axes whose ground is searched for wheels; the first one with wheels counts.
 _BY_WHEELS: tuple[Up, ...] = ("y", "z", "x", "-y", "-z", "-x")
-"""Axes whose ground is looked at for wheels, the first one that has them counts."""
 _AXES = "xyz"
-_END, _EVEN = 0.1, 0.02
-"""Parts of the length and of the height: extent of an end, and what differs in height."""
+# The thresholds below were chosen on the CAD models of the tests; sensitivity not measured.
+
+# Extent of the front or rear end, as a fraction of the length.
+_END = 0.1
+# Difference of the ends' heights that is significant, as a fraction of the height.
+_EVEN = 0.02
+# Length to which a model of unknown unit is scaled to find its connected parts, in metres.
 _TYPICAL_M = 5.0
-"""Length to which a model of unknown unit is scaled before its connected parts are found."""
+# Largest difference between the widths of a round outline, as a fraction of the width.
 _ROUND = 0.04
-"""Largest difference of widths of a round outline, as part of the width."""
+# Height within which downward faces touch the ground, as a fraction of the model's height.
 _LOWEST = 0.01
-"""Part of the height within which faces that look down rest on the ground."""
+# Vertical component of the normal of downward faces, at most.
 _DOWN = -0.95
-"""Vertical component of the normal of such faces."""
-_RESTS, _FLOATS = 0.5, 0.1
-"""Part of the footprint that touches the ground: of a model that rests on it (a base plate), and
-of one that does not (the edge of that plate)."""
+# Least fraction of the footprint that touches the ground for a model that rests on it (a base
+# plate).
+_RESTS = 0.5
+# Largest such fraction for a model that does not (the edge of that plate).
+_FLOATS = 0.1
+# A side is no ground if the opposite one is flat by this fraction too, as are the sides of trucks.
 _BOTH_SIDES = 0.5
-"""A side is no ground if the opposite one is flat too: sides of trucks are."""
-_MIRRORED, _UNLIKE = 0.05, 0.15
-"""Part of the surface whose mirror image is not there, of two equal halves and of unequal ones."""
+# Fraction of the surface without a mirror image, at most, for two equal halves.
+_MIRRORED = 0.05
+# The same fraction, at least, for two different halves.
+_UNLIKE = 0.15
+# Cells along each side of the grids that compare outlines and halves.
 _BINS = 64
+# Least ratio of width to height of a car, if only the sides indicate the up axis.
 _LIKE_CAR = 1.1
-"""A car is wider than high by this factor or more when its sides alone indicate the up axis."""
+# Vehicles that are wider than high; trucks and buses are often higher than wide.
 _LOW_KINDS = frozenset((ActorKind.CAR, ActorKind.PICKUP))
-"""Vehicles that are wider than high; trucks and buses are often higher than wide."""
 
 
 def find_up(
@@ -83,7 +92,7 @@ def find_up(
 
 
 def _is_car_on_its_side(extent: Float64[np.ndarray, "3"], name: str, scale: float | None) -> bool:
-    """Return if a model of a car's name is higher than wide with y up, and not with z up."""
+    """Return whether a model with a car's name is higher than wide for y up, but not for z up."""
     kinds = named_kinds(name)
     if not kinds or kinds[0] not in _LOW_KINDS:
         return False
@@ -94,10 +103,10 @@ def _is_car_on_its_side(extent: Float64[np.ndarray, "3"], name: str, scale: floa
 
 
 def find_front(vertices: Float64[np.ndarray, "n 3"], up: Up) -> Front:
-    """Return the axis of the file along which a model looks.
+    """Return the axis of the file that points ahead.
 
     The bonnet of cars, pickups and trucks is lower than their other end. Models whose ends are
-    equally high look along the positive axis.
+    equally high point along the positive axis.
     """
     low, extent = vertices.min(axis=0), np.ptp(vertices, axis=0)
     first, second = _horizontal(up)
@@ -118,19 +127,19 @@ def turned(
     Coordinates are permuted and negated, so that equal points stay equal.
 
     Args:
-        front: horizontal, which is not checked here.
+        front: a horizontal axis; not checked here.
     """
     ahead, above = _AXES.index(front[1]), _AXES.index(up[-1])
     sign, up_sign = _sign(front), _sign(up)
     left = 3 - ahead - above
-    # Left is up x ahead: positive for cyclic (up, ahead, left).
+    # left = up x ahead: the sign is positive for cyclic (up, ahead, left).
     left_sign = sign * up_sign * (1.0 if (ahead - above) % 3 == 1 else -1.0)
     x, y = vertices[:, ahead] * sign, vertices[:, left] * left_sign
     return np.stack([x, y, vertices[:, above] * up_sign], axis=1)
 
 
 def is_horizontal(front: Front, up: Up) -> bool:
-    """Return if a front lies on the ground."""
+    """Return whether a front is horizontal."""
     return front[1] != up[-1]
 
 
@@ -146,7 +155,8 @@ def _horizontal(up: str) -> tuple[int, int]:
 def _has_wheels(
     vertices: Float64[np.ndarray, "n 3"], part: Int64[np.ndarray, " n"], up: Up
 ) -> bool:
-    """Return if there are wheels on the ground with this axis up, along either horizontal axis."""
+    """Return whether there are wheels on the ground with this axis up, along any horizontal
+    axis."""
     for axis in _horizontal(up):
         front: Front = f"+{_AXES[axis]}"  # type: ignore[assignment]
         points = turned(vertices, up, front)
@@ -181,7 +191,7 @@ def _shape_evidence(vertices: Float64[np.ndarray, "n 3"], faces: Int32[np.ndarra
 
 
 def _is_round(points: Float64[np.ndarray, "n 3"], axis: int) -> bool:
-    """Return if the outline seen along an axis has the same width from four directions."""
+    """Return whether the outline along an axis has the same width in four directions."""
     u, v = (points[:, n] for n in range(3) if n != axis)
     half = np.sqrt(0.5)
     widths = [np.ptp(values) for values in (u, v, (u + v) * half, (u - v) * half)]
@@ -195,7 +205,7 @@ def _contacts(
     axis: int,
 ) -> tuple[float, float]:
     """Return the area of the faces that rest on the ground, and of those that would upside down,
-    as parts of the footprint."""
+    as fractions of the footprint."""
     height = corners[:, :, axis]
     footprint = np.prod([np.ptp(corners[:, :, n]) for n in range(3) if n != axis])
     slope = normal[:, axis] / np.where(area > 0, area, 1.0)
@@ -207,7 +217,7 @@ def _contacts(
 def _mirror_error(
     corners: Float64[np.ndarray, "m 3 3"], area: Float64[np.ndarray, " m"], axis: int
 ) -> float:
-    """Return the part of the surface without a counterpart beyond the middle of an axis."""
+    """Return the fraction of the surface without a mirror image across the middle of an axis."""
     middle = corners[:, :, axis].mean(axis=1) / corners[:, :, axis].max()
     share = np.histogram(middle, _BINS, (0.0, 1.0), weights=area)[0] / max(area.sum(), 1e-30)
     return float(np.abs(share - share[::-1]).sum() / 2)

@@ -1,4 +1,4 @@
-"""Scenarios from a twin: which frames, and which actors follow which tracks."""
+"""Scenarios of the log as it was recorded."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ def replay(
     source: FrameSource = "rendered",
     seed: int = 0,
 ) -> Scenario:
-    """The log as it was: every reconstructed actor on its own track; no target sky is set yet."""
+    """Return the recorded log as a scenario: every reconstructed actor on its own track, without a
+    target sky."""
     log, assets = twin.log, twin.assets.actors
     return Scenario(
         name,

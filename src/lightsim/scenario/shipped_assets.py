@@ -15,6 +15,7 @@ from lightsim.scenario.wheels import with_wheels
 from lightsim.store.entries import Entries
 from lightsim.store.meshes import read_glb
 
+# Package data: models and assets.json.
 ASSETS_FOLDER = Path(__file__).parents[1] / "data" / "assets"
 
 

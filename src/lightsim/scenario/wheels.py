@@ -1,4 +1,4 @@
-"""Finds the wheels of CAD vehicles by their shape: files name them differently, or not at all."""
+"""Detection of the wheels of CAD vehicles by shape, since names of parts differ between files."""
 
 from __future__ import annotations
 
@@ -10,18 +10,20 @@ from jaxtyping import Bool, Float64, Int32, Int64
 from lightsim.core.mesh import TriMesh
 from lightsim.core.twin import ActorAsset, Wheel
 
-# Corners that lie closer than this are one: files split vertices along creases.
+# Vertices closer than this are merged, in metres: files split vertices along creases.
 _SAME_M = 1e-4
-# A wheel's silhouette from the side is a circle to this part of its diameter (tyres of CAD files
-# have 16 corners and more: cos(pi / 16) = 0.98), and it reaches the ground to this part.
-_ROUND, _ON_GROUND = 0.04, 0.1
-# By an eighth about the y axis.
+# Largest deviation of a wheel's silhouette from a circle, as a fraction of its diameter: tyres of
+# CAD files have at least 16 corners, and cos(pi / 16) = 0.98.
+_ROUND = 0.04
+# Largest distance of a wheel from the ground, as a fraction of its diameter.
+_ON_GROUND = 0.1
+# Rotation by 45 degrees about the y axis.
 _TURN = np.array([[1, 0, 1], [0, np.sqrt(2), 0], [-1, 0, 1]]) / np.sqrt(2)
-# Diameters, as parts of the vehicle's height: of trucks, and of low cars.
+# Smallest and largest diameter, as fractions of the vehicle's height: trucks, and low cars.
 _SIZES = (0.12, 0.6)
-# Wheels of a pair differ in place and size by less than this part of the diameter.
+# Largest difference in place and size within a pair, as a fraction of the diameter.
 _PAIRED = 0.15
-# Largest number of round parts that are compared in pairs; trucks with all nuts have some hundred.
+# Largest number of round parts that are compared in pairs; trucks with all nuts have some hundreds.
 _MAX_ROUND = 1000
 
 
@@ -64,7 +66,7 @@ def wheels_among(
     chosen = chosen[_has_partner(centre[chosen], diameter[chosen])]
     wheels: list[Wheel] = []
     is_taken = np.zeros(len(vertices), bool)
-    # The largest first: what lies in its wheel is no wheel of its own, and would turn twice.
+    # The largest first: parts inside a wheel turn with it and are no wheels of their own.
     for n in chosen[np.argsort(-diameter[chosen], kind="stable")]:
         wheel = _wheel(vertices, part, centre[n], size[n])
         if not is_taken[wheel.vertices].any():
@@ -76,7 +78,7 @@ def wheels_among(
 def _bounds(
     vertices: Float64[np.ndarray, "n 3"], part: Int64[np.ndarray, " n"]
 ) -> tuple[Float64[np.ndarray, "p 3"], Float64[np.ndarray, "p 3"]]:
-    """Lowest and highest coordinates of each part."""
+    """Return the lowest and highest coordinates of each part."""
     low, high = (np.full((int(part.max()) + 1, 3), end) for end in (np.inf, -np.inf))
     np.minimum.at(low, part, vertices)
     np.maximum.at(high, part, vertices)
@@ -102,7 +104,7 @@ def part_of_vertex(
 def _has_partner(
     centre: Float64[np.ndarray, "k 3"], diameter: Float64[np.ndarray, " k"]
 ) -> Bool[np.ndarray, " k"]:
-    """Which wheels have one of the same size across the vehicle."""
+    """Return the wheels with a counterpart of the same size on the other side of the vehicle."""
     across = centre * [1, -1, 1]
     apart = np.abs(centre[:, None] - across).max(axis=2)
     differs = np.abs(diameter[:, None] - diameter)
@@ -117,7 +119,7 @@ def _wheel(
     centre: Float64[np.ndarray, "3"],
     size: Float64[np.ndarray, "3"],
 ) -> Wheel:
-    """All parts within its cylinder; hubs may stand out by half of its width."""
+    """Return a wheel with all parts in its cylinder; hubs may protrude by half of its width."""
     radius_m = float(max(size[0], size[2]) / 2)
     x, y, z = (vertices - centre).T
     is_outside = (np.hypot(x, z) > radius_m * (1 + _ROUND)) | (np.abs(y) > size[1])

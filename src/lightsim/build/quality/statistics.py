@@ -20,8 +20,8 @@ Unit = Literal["sequences", "frames"]
 """Unit that counts as independent."""
 # Conventional level of significance.
 SIGNIFICANT_BELOW = 0.05
+# Least number of sequences with which the signed-rank test can reach p < 0.05.
 _FEWEST_SEQUENCES = 6
-"""Least number of sequences with which the signed-rank test can reach p < 0.05."""
 # Resamples of the bootstrap: interval limits then vary by less than a hundredth of the interval.
 _DRAWS = 10_000
 Samples = Mapping[tuple[Any, str], float]

@@ -31,20 +31,19 @@ from lightsim.datasets.plausible import check_intrinsics, check_poses
 from lightsim.errors import InputError
 from lightsim.store.images import read_size, read_srgb8
 
+# Largest picture, in pixels: more than any vehicle camera; bounds the memory of twelve pictures.
 _MAX_PIXELS = 80_000_000
-"""More than any camera on a car has; twelve pictures are compared at once."""
+# Accepted formats. Other decoders of Pillow run programs (EPS) or are poorly maintained.
 _FORMATS = ("JPEG", "PNG")
-"""What logs hold. Other decoders of Pillow run programs (EPS) or are rarely looked after."""
+# Accepted pixel formats: grey or RGB of 8 bits.
 _MODES = ("L", "RGB")
-"""Grey or colour of 8 bits: what cameras of a log record."""
+# Largest ratio of the longer to the shorter side; the widest vehicle cameras crop to 3 to 1.
 _MAX_ASPECT = 8
-"""Of the longer to the shorter side; the widest cameras on cars crop to 3 to 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraFolder:
-    """One camera of the log: model, poses of all listed times, the pictures that are there, and
-    what is odd about them."""
+    """One camera of the log: model, poses at all listed times, existing pictures, and notes."""
 
     camera: PinholeCamera
     world_from_camera: Trajectory
@@ -53,16 +52,16 @@ class CameraFolder:
 
 
 def read_camera(folder: Path, readout_s: float, digits: int) -> CameraFolder:
-    """Everything in one camera folder; pictures are opened for their size only.
+    """Read a camera folder; pictures are opened for their size only.
 
-    PandaSet's times mark the end of a picture's readout (measured on sequence 002 by depth edges:
-    the middle row was read 18 ms before, between 8 and 30 ms in the six cameras), a frame's time
-    and pose the middle of it.
+    PandaSet's times mark the end of the readout (measured on sequence 002 by depth edges: the
+    middle row was read 18 ms before, between 8 and 30 ms in the six cameras). Time and pose of a
+    frame are those of its middle row.
 
     Args:
-        folder: of the camera.
-        readout_s: from the top row to the bottom row; 0 for a global shutter.
-        digits: of the frames' stems.
+        folder: folder of the camera.
+        readout_s: time from the top row to the bottom row; 0 for a global shutter.
+        digits: number of digits of stems.
 
     Raises:
         InputError: a file is missing, broken or implausible (plausible.py), pictures differ in
@@ -132,7 +131,7 @@ def _frame(
 def _velocities(
     trajectory: Trajectory,
 ) -> list[tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]]:
-    """Linear and angular velocity at each pose, frame `world`, from its neighbours."""
+    """Return linear and angular velocity at each pose, frame `world`, from neighbouring poses."""
     last = len(trajectory) - 1
     if last == 0:
         return [(np.zeros(3), np.zeros(3))]
@@ -147,10 +146,10 @@ def _velocities(
 
 
 def load_image(path: Path, width_px: int, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture as 8-bit sRGB.
+    """Load a picture as 8-bit sRGB.
 
     Raises:
-        InputError: it is damaged, or no longer of the expected size.
+        InputError: it is damaged, or its size has changed.
     """
     if read_size(path, _FORMATS, _MODES) != (width_px, height_px):
         raise InputError(
@@ -162,7 +161,7 @@ def load_image(path: Path, width_px: int, height_px: int) -> UInt8[np.ndarray, "
 
 
 def read_poses(path: Path) -> Float64[np.ndarray, "n 4 4"]:
-    """`world_from_sensor` of every entry.
+    """Read `world_from_sensor` of every entry.
 
     Raises:
         InputError: a pose is missing, not finite, or its quaternion has no length.
@@ -205,7 +204,7 @@ def _read_intrinsics(folder: Path, images: Sequence[Path]) -> tuple[PinholeCamer
                 expected=f"{sizes[0][0]}x{sizes[0][1]} px",
             )
     notes = check_intrinsics(path, sizes[0], (fx, fy), (cx, cy))
-    # PandaSet counts from the centre of the first pixel, LightSim from its corner.
+    # The origin is the centre of the first pixel in PandaSet, its corner in LightSim.
     return PinholeCamera(folder.name, *sizes[0], fx, fy, cx + 0.5, cy + 0.5), notes
 
 

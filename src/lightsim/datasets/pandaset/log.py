@@ -41,14 +41,15 @@ from lightsim.datasets.selection import FrameSelection
 from lightsim.errors import InputError
 
 SIMULATED_NAME = "simulated.json"
-"""Beside the folders: marks a log that LightSim wrote."""
+"""File that marks a log written by LightSim."""
 _EGO_CAMERA = "front_camera"
+# Time for which the ego path is extended, in seconds: sweeps end slightly after the last camera
+# pose.
 _EGO_HOLD_S = 0.2
-"""Sweeps end a little after the last camera pose."""
 
 
+# Number of gaps that a note on missing files lists.
 _SPANS_SHOWN = 8
-"""Gaps that a note on missing files names."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +60,11 @@ class _Sweeps:
 
 
 def read_pandaset(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> DrivingLog:
-    """The log of one PandaSet sequence; pictures and sweeps are read when asked for.
+    """Read a PandaSet sequence; pictures and sweeps are loaded on demand.
 
     Args:
-        reading: its source is the sequence's folder, such as pandaset/002.
-        find_ego_vehicle: looks for the ego vehicle in all pictures of the cameras.
+        reading: options; the source is the folder of the sequence, such as pandaset/002.
+        find_ego_vehicle: finds the ego vehicle in the pictures of all cameras.
 
     Raises:
         InputError: something is missing or broken; the message names the file.
@@ -113,7 +114,7 @@ def read_pandaset(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> Driv
 
 
 def _tables(source: Path, part: str) -> NumberedFiles:
-    """Files of sweeps, boxes or classes; where there are none, they stand nowhere else."""
+    """Return the files of sweeps, boxes or classes; raise if they are in another folder."""
     files = numbered_files(source / part, TABLES)
     if not files.paths:
         check_not_elsewhere(source, part)
@@ -121,8 +122,11 @@ def _tables(source: Path, part: str) -> NumberedFiles:
 
 
 def _stem_digits(source: Path, cameras: tuple[str, ...], sweeps: NumberedFiles) -> int:
-    """Digits of all stems of the log: pictures and sweeps of one frame may be 000.jpg and 00.pkl,
-    but later stages find them by one stem, which sorts as numbers do."""
+    """Return the number of digits of all stems.
+
+    Files of one frame may be 000.jpg and 00.pkl, but later stages use one stem, which must sort as
+    numbers do.
+    """
     pictures = [numbered_files(source / "camera" / name, PICTURES) for name in cameras]
     return max(1, sweeps.digits, *(files.digits for files in pictures))
 
@@ -130,7 +134,7 @@ def _stem_digits(source: Path, cameras: tuple[str, ...], sweeps: NumberedFiles) 
 def _camera_names(
     source: Path, wanted: tuple[str, ...], rig: Rig
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The wanted cameras, and others that only serve the ego's path."""
+    """Return the selected cameras, and others that are needed for the ego path only."""
     parent = source / "camera"
     available = [path.name for path in subfolders(parent)]
     if not available:
@@ -264,10 +268,10 @@ def _read_actors(
 
 
 def _read_gps(source: Path, start_ns: int) -> GpsTrack | None:
-    """The GPS fixes of a log that starts at a time; None where it has none.
+    """Read the GPS fixes of a log that starts at a time; None if it has none.
 
     Raises:
-        InputError: a fix lies on no globe, or all were taken at another time.
+        InputError: latitude or longitude is out of range, or all fixes are of another time.
     """
     path = source / "meta" / "gps.json"
     if not has_folder(path.parent) or not has_file(path):
@@ -284,7 +288,7 @@ def _read_gps(source: Path, start_ns: int) -> GpsTrack | None:
     fixes = np.stack(
         [require_numbers(e, ("lat", "long"), f"{path}[{i}]") for i, e in enumerate(entries)]
     )
-    # East of Greenwich up to 180, west below 0: 0 to 360 is another convention, and no log's.
+    # Longitudes are -180 to 180; the convention 0 to 360 is not used by logs.
     is_off = (np.abs(fixes[:, 0]) > 90) | (np.abs(fixes[:, 1]) > 180)
     if is_off.any():
         i = int(np.flatnonzero(is_off)[0])
@@ -312,7 +316,7 @@ def _missing_notes(
     selection: FrameSelection,
     class_names: Mapping[int, str],
 ) -> tuple[str, ...]:
-    """Notes on files that the selected frames lack."""
+    """Return notes on missing files of the selected frames."""
     by_camera = {
         f.camera.name: [n for n in map(int, (x.stem for x in f.frames)) if selection.holds(n)]
         for f in folders
@@ -341,7 +345,7 @@ def _missing_notes(
 
 
 def _lack_note(what: str, wanted: list[int], there: Collection[int]) -> str:
-    """Words on the wanted numbers that are not there; empty where all are."""
+    """Return a note on the missing numbers; empty if there are none."""
     missing = [number for number in wanted if number not in there]
     if not missing:
         return ""

@@ -1,8 +1,8 @@
-"""Files with a frame number for their name, such as 00.jpg and 00.pkl.gz.
+"""Files named by a frame index, such as 00.jpg and 00.pkl.gz.
 
-PandaSet's own download had `.pkl.gz`; its mirrors of today have `.pkl`, and people convert pictures
-and rename files. Each kind of file is read under any of its suffixes, without regard to case; a
-file that would be left out although it looks like one of the kind is an error that names it.
+PandaSet's original download had `.pkl.gz`; current mirrors have `.pkl`, and users convert pictures
+and rename files. Each kind of file is read under any of its suffixes, in upper or lower case. A
+file that looks like one of the kind but cannot be read is an error.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from lightsim.datasets.layout import has_folder, visible_entries
 from lightsim.errors import InputError
 from lightsim.store.reading import is_folder
 
+# Most digits of a frame index: a year at 10 Hz has nine.
 _MAX_DIGITS = 8
-"""Digits of a frame number: a year at 10 Hz has nine."""
+# Number of files that a message lists.
 _SHOWN = 3
-"""Files that a message names."""
+# Suffixes of accompanying files that contain no data.
 _NOT_DATA = (".txt", ".md", ".rst", ".pdf", ".log", ".ini", ".db", ".html", ".yaml", ".yml")
-"""Suffixes of files that stand beside data without being any."""
 
 
 @dataclass(frozen=True)
@@ -28,15 +28,17 @@ class FileKind:
     """Files of one purpose.
 
     Args:
-        name: in messages, such as "pictures".
-        suffixes: that are read, in lower case; of two files of one number the earlier suffix wins.
+        name: name for messages, such as "pictures".
+        suffixes: accepted suffixes in lower case; of two files with one index, the earlier one is
+            used.
     """
 
     name: str
     suffixes: tuple[str, ...]
 
     def split(self, name: str) -> tuple[str, int] | None:
-        """Return the name without its suffix, and the suffix's place in `suffixes`; else None."""
+        """Return the name without its suffix, and the index of the suffix in `suffixes`; else
+        None."""
         for rank, suffix in enumerate(self.suffixes):
             if name.lower().endswith(suffix):
                 return name[: -len(suffix)], rank
@@ -44,7 +46,7 @@ class FileKind:
 
     @property
     def example(self) -> str:
-        """Names as they should be, for messages."""
+        """Return example names for messages."""
         return f"names like 00{self.suffixes[0]} or 00{self.suffixes[1]}"
 
 
@@ -57,9 +59,9 @@ class NumberedFiles:
     """The files of one folder.
 
     Args:
-        paths: by frame number, in its order.
+        paths: paths by frame index, in order.
         digits: most digits of a name; 0 without files.
-        notes: what was left out.
+        notes: files that were left out.
     """
 
     paths: Mapping[int, Path]
@@ -70,13 +72,11 @@ class NumberedFiles:
 def numbered_files(folder: Path, kind: FileKind) -> NumberedFiles:
     """Return the files of one kind in a folder, without hidden ones; none without the folder.
 
-    Where a number has two files of different suffixes, the earlier of the kind's suffixes is taken,
-    which is noted.
+    Of two files with one index, that with the earlier suffix of the kind is used, with a note.
 
     Raises:
-        InputError: a file has no number for its name, two have the same name but for case or zeros,
-            the folder holds files that look like the kind under another name, or no folder stands
-            where one belongs.
+        InputError: a name is no index, two names differ in case or leading zeros only, the folder
+            contains files that look like the kind under another name, or the path is no folder.
     """
     if not has_folder(folder):
         return NumberedFiles({})
@@ -93,7 +93,7 @@ def numbered_files(folder: Path, kind: FileKind) -> NumberedFiles:
         else:
             found.setdefault(number, []).append((parts[1], path))
             digits = max(digits, len(parts[0]))
-    # A mask.png beside 00.jpg is no picture; a first.jpg would be one.
+    # mask.png beside 00.jpg is no frame; first.jpg might be one.
     used = {rank for some in found.values() for rank, _ in some}
     wrong = [path for rank, path in misnamed if rank in used or not used]
     if wrong:
@@ -110,13 +110,13 @@ def numbered_files(folder: Path, kind: FileKind) -> NumberedFiles:
 
 
 def named(paths: Sequence[Path]) -> str:
-    """Return the names of some files, the first of many."""
+    """Return the names of the first files, for messages."""
     names = ", ".join(path.name for path in paths[:_SHOWN])
     return names + (f" and {len(paths) - _SHOWN} more" if len(paths) > _SHOWN else "")
 
 
 def looks_like_data(path: Path) -> bool:
-    """Return whether a name could be that of a frame's data: no description, no list of times."""
+    """Return whether a name may be that of a frame, not of a description or a list of times."""
     stem, _, suffix = path.name.partition(".")
     if _number(stem) is not None and suffix:
         return True
@@ -141,7 +141,7 @@ def _wrong_names(paths: list[Path], kind: FileKind) -> InputError:
 def _check_others(
     folder: Path, paths: Mapping[int, Path], others: list[Path], kind: FileKind
 ) -> None:
-    """Refuse files that would be left out although nothing else stands for them."""
+    """Refuse files that would be left out without another file in their place."""
     lost = [path for path in others if looks_like_data(path)]
     if paths:
         numbers = [(_number(path.name.partition(".")[0]), path) for path in lost]

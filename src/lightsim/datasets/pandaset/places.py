@@ -1,4 +1,4 @@
-"""Where the parts of a PandaSet sequence stand, and where people have them instead."""
+"""Folders of a PandaSet sequence, and other places where users store them."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from lightsim.store.reading import is_folder
 
 SWEEPS, BOXES, CLASSES = "lidar", "annotations/cuboids", "annotations/semseg"
 _KNOWN = ("camera", "lidar", "annotations", "meta", "cuboids", "semseg")
+# Substrings of folder names that may contain each part.
 _WORDS = {
     SWEEPS: ("lidar", "sweep", "velodyne", "pandar", "point"),
     BOXES: ("cuboid", "box", "label", "object"),
     CLASSES: ("semseg", "segment", "semantic", "class"),
 }
-"""Parts of the names of folders that may hold them."""
+# Largest number of folders to search: PandaSet has 103 sequences.
 _MOST = 1000
-"""Folders that are looked into before SOURCE is called unknown: PandaSet has 103 sequences."""
 
 
 def is_sequence(folder: Path) -> bool:
@@ -30,12 +30,12 @@ def is_sequence(folder: Path) -> bool:
 
 
 def other_place(source: Path) -> tuple[str, Path] | None:
-    """Return where the sequence is that a wrong SOURCE may mean, in words and as a folder."""
+    """Return the place of a sequence near a wrong SOURCE, in words and as a folder; else None."""
     for parent in islice(source.absolute().parents, 3):
         if is_sequence(parent):
             return f"a part of the sequence {parent}", parent
     below = list(islice(_folders(source), _MOST))
-    # Archives of a whole data set often hold one more folder around all sequences.
+    # Archives of the whole data set often have one more folder around all sequences.
     for folders in (below, islice((inner for f in below for inner in _folders(f)), _MOST)):
         found = [folder for folder in folders if is_sequence(folder)]
         if found:
@@ -44,13 +44,13 @@ def other_place(source: Path) -> tuple[str, Path] | None:
 
 
 def check_not_elsewhere(source: Path, part: str) -> None:
-    """Refuse a sequence without a part whose files stand in another folder.
+    """Refuse a sequence that has one of its parts in a wrong folder.
 
     Args:
         part: SWEEPS, BOXES or CLASSES.
 
     Raises:
-        InputError: a folder with another name holds what looks like them.
+        InputError: a folder with another name contains files that look like this part.
     """
     for folder in filter(is_folder, _candidates(source, part)):
         files = [p for p in visible_entries(folder) if TABLES.split(p.name) is not None]
@@ -65,7 +65,7 @@ def check_not_elsewhere(source: Path, part: str) -> None:
 
 
 def _candidates(source: Path, part: str) -> Iterable[Path]:
-    """Folders of the sequence, one and two levels down, whose names may mean the part."""
+    """Yield folders of the sequence, up to two levels down, whose names match the part."""
     own = source / part
     if own.parent != source:
         yield own.parent

@@ -22,30 +22,31 @@ from lightsim.errors import InputError
 from lightsim.store.reading import read_bytes
 
 CALIBRATION_FILE = "static_extrinsic_calibration.yaml"
+# Nominal height of the roof LiDAR above the road, in metres.
 EGO_BELOW_LIDAR_M = 2.2
 READOUT_S = 0.03
-"""PandaSet's cameras read their rows one after another. The published calibration does not say
-how fast; where it has a line `readout_s:` for a camera, that holds."""
+"""Readout time of PandaSet's rolling shutters, in seconds, which the published calibration does not
+contain. A line `readout_s:` of a camera in the calibration overrides it."""
 _FRONT = "front_camera"
 _LIDAR = "main_pandar64"
 _FRONT_LIDAR = "front_gt"
 
+# Largest calibration file; the published one has 2.7 kB.
 _MAX_BYTES = 1 << 20
-"""The published file has 2.7 kB."""
+# Longest number in characters; a double in full has 24.
 _MAX_DIGITS = 40
-"""Characters of a number; a double printed in full has 24."""
 _LETTERS_BY_KEY = {"rotation": "wxyz", "translation": "xyz", "readout_s": "s"}
 
 
 @dataclass(frozen=True)
 class Rig:
-    """Static calibration.
+    """Static calibration of the sensors.
 
     Args:
-        camera_from_pandar64: by camera name.
+        camera_from_pandar64: transforms by camera name.
         front_lidar_pandar64: origin of the forward PandarGT, metres in frame `pandar64`.
-        readout_s_by_camera: cameras whose readout the calibration gives; READOUT_S for others.
-        notes: what was assumed.
+        readout_s_by_camera: readout times of the calibration; READOUT_S for other cameras.
+        notes: assumptions.
     """
 
     camera_from_pandar64: Mapping[str, RigidTransform]
@@ -55,7 +56,7 @@ class Rig:
 
 
 def ego_from_pandar64() -> RigidTransform:
-    """Axes x forward, y left, z up, origin on the road below the roof LiDAR."""
+    """Return the transform to frame `ego`: x forward, y left, z up, origin on the road."""
     rotation = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     return RigidTransform.from_rotation(
         "ego", "pandar64", rotation, np.array([0.0, 0.0, EGO_BELOW_LIDAR_M])
@@ -63,8 +64,8 @@ def ego_from_pandar64() -> RigidTransform:
 
 
 def nominal_rig() -> Rig:
-    """The rig where a log brings no calibration file: the front camera sits just below and before
-    the LiDAR and looks straight ahead (right to within 2 degrees and 2 cm)."""
+    """Return the rig of logs without a calibration file: the front camera is just below and in
+    front of the LiDAR and points straight ahead (accurate to 2 degrees and 2 cm)."""
     rotation = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
     centre_pandar64 = np.array([0.0, -0.04, -0.04])
     transform = RigidTransform.from_rotation(
@@ -82,17 +83,17 @@ def nominal_rig() -> Rig:
 
 
 def read_rig(folder: Path) -> Rig:
-    """The rig of a log: its own calibration file, else one beside the logs, else nominal.
+    """Read the rig of a log: its own calibration file, else one beside the logs, else nominal.
 
     Raises:
-        InputError: a calibration file is there but broken.
+        InputError: the calibration file is broken.
     """
     path = calibration_path(folder)
     return nominal_rig() if path is None else _parse_rig(path)
 
 
 def calibration_path(folder: Path) -> Path | None:
-    """The calibration file that holds for a log: its own, else the one beside the logs."""
+    """Return the calibration file of a log: its own, else the one beside the logs."""
     paths = (folder / CALIBRATION_FILE, folder.parent / CALIBRATION_FILE)
     return next((path for path in paths if has_file(path)), None)
 
@@ -100,16 +101,16 @@ def calibration_path(folder: Path) -> Path | None:
 def ego_trajectory(
     rig: Rig, world_from_camera: Mapping[str, Trajectory], where: object
 ) -> Trajectory:
-    """`world_from_ego` at the front camera's times, prolonged by the other cameras' poses.
+    """Return `world_from_ego` at the times of the front camera, extended by poses of other cameras.
 
-    Camera poses are used because PandaSet's stored LiDAR poses belong to another, unnamed frame.
-    The cameras disagree by a constant 1 to 2 cm; before they prolong the path, that offset to the
-    front camera is taken out.
+    Camera poses are used because PandaSet's stored LiDAR poses refer to another, unnamed frame. The
+    cameras disagree by a constant 1 to 2 cm; this offset to the front camera is removed before they
+    extend the path.
 
     Args:
         rig: static calibration.
-        world_from_camera: poses by camera name; frames `world` and the camera's name.
-        where: named in errors.
+        world_from_camera: poses by camera name; frames `world` and the name of the camera.
+        where: log, for error messages.
 
     Raises:
         InputError: no camera of the log is in the calibration.
@@ -142,10 +143,10 @@ def ego_trajectory(
 def positions_along(
     ego: Trajectory, point_ego: Float64[np.ndarray, "3"], times_ns: np.ndarray
 ) -> Float64[np.ndarray, "n 3"]:
-    """World positions of a point fixed to the ego, at constant velocity between its poses.
+    """Return world positions of a point fixed to the ego, at constant velocity between poses.
 
-    The last sweep ends some 20 ms after the last camera pose, so the end velocities are continued
-    beyond the poses; the reader lets no sweep be more than 0.2 s away from them.
+    The last sweep ends some 20 ms after the last camera pose, so the motion is extrapolated at
+    constant velocity; the reader accepts sweeps up to 0.2 s beyond the poses.
     """
     knots = ego.matrices[:, :3, :3] @ point_ego + ego.positions_m
     if len(ego) == 1:
@@ -167,7 +168,7 @@ def _ego_path(rig: Rig, name: str, world_from_camera: Trajectory) -> Trajectory:
 
 
 def _aligned(path: Trajectory, reference: Trajectory) -> Trajectory:
-    """`path` with its mean offset to `reference` (in frame ego) taken out."""
+    """Return `path` without its mean offset to `reference`, in frame `ego`."""
     if path is reference:
         return path
     is_shared = (path.times_ns >= reference.start_ns) & (path.times_ns <= reference.end_ns)
@@ -189,7 +190,7 @@ def _aligned(path: Trajectory, reference: Trajectory) -> Trajectory:
 
 
 def _parse_rig(path: Path) -> Rig:
-    """The published file is plain enough that a YAML package would be one dependency too many."""
+    """Parse a calibration file, whose simple subset of YAML needs no package."""
     try:
         text = read_bytes(path, "calibration", _MAX_BYTES).decode()
     except UnicodeDecodeError as error:
@@ -215,20 +216,21 @@ def _parse_rig(path: Path) -> Rig:
         )
     others = {k: t for k, t in transforms.items() if k not in (_LIDAR, _FRONT_LIDAR)}
     if _FRONT_LIDAR in transforms:
-        # Unlike the cameras' entries this one reads pandar64_from_sensor: its scan lines lie in
-        # planes through that point (0.17 against 0.61 degrees the other way round).
+        # Unlike the entries of cameras, this one is pandar64_from_sensor: scan lines lie in planes
+        # through that point (residual 0.17 degrees, 0.61 for the inverse).
         return Rig(others, transforms[_FRONT_LIDAR].translation_m.copy(), readouts)
     return Rig(others, nominal_rig().front_lidar_pandar64, readouts)
 
 
+# Numbers of a sensor by key and letter.
 _Numbers = dict[str, dict[str, float]]
-"""What a sensor has under each key of interest, by letter."""
 
 
 def _sensors(text: str) -> dict[str, _Numbers]:
-    """The numbers of every sensor: names start in the first column, all else is indented.
+    """Return the numbers of every sensor: names start in the first column, other lines are
+    indented.
 
-    Split into words, never searched with patterns: those can take time in the square of the text.
+    The text is split into words without regular expressions, which may need quadratic time.
     """
     found: dict[str, _Numbers] = {}
     numbers: _Numbers = {}
@@ -257,7 +259,7 @@ _SPACED = str.maketrans({"{": " ", "}": " ", ",": " ", ":": ": "})
 
 
 def _number(word: str) -> float:
-    """The number that a word spells, or NaN, which is no part of a calibration."""
+    """Return the number of a word, or NaN, which a calibration must not contain."""
     try:
         return float(word) if len(word) <= _MAX_DIGITS else np.nan
     except ValueError:

@@ -1,4 +1,4 @@
-"""PandaSet's LiDAR sweeps: points in frame `world`, and where the sensor stood for each."""
+"""PandaSet's LiDAR sweeps: points and sensor positions in frame `world`."""
 
 from __future__ import annotations
 
@@ -23,16 +23,20 @@ from lightsim.errors import InputError
 _LOGGER = logging.getLogger(__name__)
 _COLUMNS = ("x", "y", "z", "i", "t", "d")
 _CLASS = re.compile(r"[0-9]{1,6}")
+# Largest class id, of int16; PandaSet has 42 classes.
 _MAX_CLASS = 2**15 - 1
-"""Largest class id; PandaSet has 42 classes."""
+# Largest difference between the times of a return and its sweep, in seconds: five sweeps.
 _MAX_TIME_OFFSET_S = 0.5
-_ROOF, _FRONT = 0, 1
+# Values of column `d`.
+_ROOF = 0  # Pandar64
+_FRONT = 1  # PandarGT
+# Azimuth bins of the scan pattern: 5 degrees each.
 _N_BINS = 72
 
 
 @dataclass(frozen=True, eq=False)
 class SweepSource:
-    """Where a sweep lies, and what turns it into points with origins."""
+    """File of a sweep, with the calibration and ego path for points and origins."""
 
     path: Path
     class_path: Path | None
@@ -43,7 +47,7 @@ class SweepSource:
 
 
 def load_sweep(source: SweepSource) -> LidarSweep:
-    """The sweep of both LiDARs. Rows that are not finite are dropped and said so in the log.
+    """Load the sweep of both LiDARs. Rows with non-finite values are dropped and logged.
 
     Returns:
         Points and origins in frame `world`; `ring` is -1 (PandaSet does not store it).
@@ -75,28 +79,32 @@ def load_sweep(source: SweepSource) -> LidarSweep:
 
 @dataclass(frozen=True, eq=False)
 class ScanTiming:
-    """When within a sweep the roof LiDAR measures each direction: boxes are drawn around those
-    points, so this is the time at which a box is right.
+    """Scan pattern: time within a sweep at which the roof LiDAR measures each azimuth.
+
+    Boxes are labelled on these points, so this is also the time at which a box is valid.
 
     Args:
-        offset_s: seconds from the sweep's time, by azimuth in frame ego (72 bins from -180).
+        offset_s: seconds from the time of the sweep, by azimuth in frame `ego` (72 bins from -180
+            degrees).
     """
 
     offset_s: Float64[np.ndarray, " bins"]
 
     @staticmethod
     def instantaneous() -> ScanTiming:
-        """All directions measured at the sweep's own time."""
+        """Return a pattern that measures all directions at the time of the sweep."""
         return ScanTiming(np.zeros(_N_BINS))
 
     def offsets_s(self, points_ego: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
-        """Seconds from the sweep's time at which points in these places are measured."""
+        """Return the time of points relative to the sweep, in seconds, by their azimuth."""
         return self.offset_s[_bins(points_ego)]
 
 
 def measure_timing(source: SweepSource) -> ScanTiming:
-    """The scan pattern, from the points' own times in one sweep. It is the same in every sweep;
-    the PandarGT's is not (it runs free, 3 ms a sweep in sequence 002) and is left out.
+    """Measure the scan pattern from the times of points in one sweep.
+
+    The Pandar64 has the same pattern in every sweep. The PandarGT is not synchronised (it drifts by
+    3 ms per sweep in sequence 002) and is left out.
 
     Raises:
         InputError: as `load_sweep`.
@@ -125,7 +133,7 @@ def _bins(points_ego: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
 
 
 def read_rows(path: Path) -> tuple[Table, Bool[np.ndarray, " n"]]:
-    """The rows of a sweep's file as they are stored, and which of them `load_sweep` takes.
+    """Read the stored rows of a sweep's file, and a mask of the rows that `load_sweep` uses.
 
     Raises:
         InputError: the file is damaged, or no row is valid.
@@ -156,7 +164,7 @@ def read_rows(path: Path) -> tuple[Table, Bool[np.ndarray, " n"]]:
 def _times_and_device(
     table: Table, is_good: Bool[np.ndarray, " n"], source: SweepSource
 ) -> tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]]:
-    """Nanoseconds and LiDAR (0 roof, 1 front) of every valid point."""
+    """Return time in nanoseconds and LiDAR (0 roof, 1 front) of every valid point."""
     seconds = table["t"][is_good].astype(np.float64)
     offset_s = seconds - source.time_ns * 1e-9
     worst = float(np.abs(offset_s).max())
@@ -203,7 +211,7 @@ def _read_classes(source: SweepSource, n: int) -> np.ndarray:
 
 
 def read_class_names(path: Path) -> dict[int, str]:
-    """Names of the point classes by id; none where the sequence has no such labels.
+    """Read the names of point classes by id; empty if the sequence has no such labels.
 
     Raises:
         InputError: the file is broken.

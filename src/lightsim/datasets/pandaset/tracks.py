@@ -23,7 +23,10 @@ from lightsim.errors import InputError
 _POSITION = ("position.x", "position.y", "position.z")
 _DIMENSIONS = ("dimensions.x", "dimensions.y", "dimensions.z")
 _COLUMNS = ("uuid", "label", "yaw", *_POSITION, *_DIMENSIONS)
-_BOTH, _ROOF, _FRONT = -1, 0, 1
+# Ids of the sensor of a box.
+_BOTH = -1  # One box for both LiDARs.
+_ROOF = 0  # Pandar64
+_FRONT = 1  # PandarGT
 _SENSORS = "-1 (one box for both LiDARs), 0 (Pandar64) or 1 (PandarGT)"
 KIND_BY_LABEL = {
     "Car": ActorKind.CAR,
@@ -57,19 +60,20 @@ KIND_BY_LABEL = {
 }
 """All cuboid labels of PandaSet; the classes of its LiDAR returns have the same names."""
 MAX_ID_CHARACTERS = 512
-"""Ids are uuids of 36 characters; a longer text than this is another column's."""
+"""Longest accepted id. Ids are uuids of 36 characters; longer text belongs to another column."""
+# Number of labels that a message lists.
 _LABELS_SHOWN = 6
+# Two labels of an actor closer in time than this are duplicates, in seconds.
 _MIN_GAP_S = 0.02
-"""Two labels of one actor nearer in time than this say the same thing twice."""
+# Displacement from which an actor counts as moving, whatever its label, in metres.
 _MOVED_M = 0.5
-"""An actor that got this far has moved, whatever its label says."""
+# The same for actors labelled as moving, in metres; smaller displacements are jitter of the labels.
 _LABELLED_MOVED_M = 0.2
-"""The same for one that is labelled as moving; below, labels only jitter."""
 
 
 @dataclass(frozen=True)
 class CuboidFile:
-    """The labels of one sweep: file, the sweep's time and the ego's pose then."""
+    """Label file of one sweep, with the time of the sweep and the ego pose at that time."""
 
     path: Path
     time_ns: int
@@ -92,17 +96,17 @@ class _Box:
 def read_tracks(
     files: Sequence[CuboidFile], timing: ScanTiming
 ) -> tuple[tuple[ActorTrack, ...], tuple[str, ...]]:
-    """One track for each actor, longest first, and notes on odd ones and on unknown labels, whose
-    actors are of the kind OTHER.
+    """Return one track for each actor, longest first, and notes on unusual ones and on unknown
+    labels, whose actors get the kind OTHER.
 
-    PandaSet labels an actor in the overlap of its two LiDARs twice, as siblings. Here they are
-    one: in each sweep the Pandar64's box is taken, else the PandarGT's. A box is right when its
-    actor is scanned, up to 0.1 s before the sweep's time, and is timed so (a box of the PandarGT
-    alone, which sequence 002 has none of, as if the Pandar64 had seen it).
+    PandaSet labels an actor in the overlap of its two LiDARs twice, as siblings. They are merged:
+    in each sweep the box of the Pandar64 is used if there is one, else that of the PandarGT. The
+    time of a box is that at which the Pandar64 scans the actor, up to 0.1 s before the time of the
+    sweep. A box of the PandarGT alone is timed in the same way; sequence 002 has none.
 
     Raises:
         InputError: a file is damaged, lacks a column, or holds a box without an id, place or
-            size, or one that no actor can have (plausible.py).
+            size, or with implausible values (plausible.py).
     """
     boxes: list[list[_Box]] = [_read_boxes(file, timing) for file in files]
     owner = _owners(boxes)
@@ -122,8 +126,8 @@ def read_tracks(
 
 
 def label_of(track: ActorTrack) -> str:
-    """PandaSet's word for an actor: its own where it is one, else one of its kind, at best the
-    kind's own name."""
+    """Return the PandaSet label of an actor: its own if valid, else one of its kind, preferably
+    with the name of the kind."""
     if track.label in KIND_BY_LABEL:
         return track.label
     words = [word for word, kind in KIND_BY_LABEL.items() if kind == track.kind]
@@ -172,12 +176,12 @@ def _read_boxes(file: CuboidFile, timing: ScanTiming) -> list[_Box]:
 
 
 def id_text(value: object) -> str:
-    """Return an id as text; whole numbers, of which a merge makes floats, have no point."""
+    """Return an id as text; integers that a merge turned into floats have no decimal point."""
     return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
 
 
 def _ids(table: Table, path: Path) -> list[str]:
-    """The actors' ids: text, or whole numbers as text."""
+    """Return the ids of actors: text, or integers as text."""
     ids: list[str] = []
     for i, value in enumerate(table["uuid"].tolist()):
         text = id_text(value)
@@ -201,7 +205,7 @@ def _check_places(
     yaw: Float64[np.ndarray, " n"],
     sizes_wlh: Float64[np.ndarray, "n 3"],
 ) -> None:
-    """Refuse boxes that no actor fits into or no LiDAR could see, the vehicle's own among them."""
+    """Refuse boxes of implausible size or distance; the ego vehicle's own box is checked, too."""
     lidar_world = file.world_from_ego.apply(np.array([[0.0, 0.0, EGO_BELOW_LIDAR_M]]))[0]
     away = lidar_world - centres
     c, s = np.cos(yaw), np.sin(yaw)
@@ -235,7 +239,7 @@ def _checked_numbers(
     sizes = np.stack([table[name] for name in _DIMENSIONS], axis=1).astype(np.float64)
     yaw = table["yaw"].astype(np.float64)
     numbers = np.column_stack([centres, yaw, sizes])
-    # Written so that NaN is bad.
+    # NaN fails the comparisons and is bad.
     is_bad = ~(np.abs(numbers) <= MAX_NUMBER).all(axis=1) | ~(sizes > 0).all(axis=1)
     if is_bad.any():
         i = int(np.flatnonzero(is_bad)[0])
@@ -270,17 +274,17 @@ def _owners(sweeps: Sequence[Sequence[_Box]]) -> Mapping[str, str]:
 
 
 def owner_by_uuid(pairs: Iterable[tuple[str, str]]) -> Mapping[str, str]:
-    """The uuid that speaks for each uuid: siblings share one (the first in the alphabet).
+    """Return the representative uuid of each uuid: the alphabetically first one of all siblings.
 
     Args:
-        pairs: uuid and sibling of every box; a sibling that has no box of its own counts for none.
+        pairs: uuid and sibling of every box; siblings without a box of their own are ignored.
     """
     pairs = list(pairs)
     parent = {uuid: uuid for uuid, _ in pairs}
 
     def root(uuid: str) -> str:
         while parent[uuid] != uuid:
-            # Halves the path, so that a long chain of siblings is not walked again for each.
+            # Path halving: a long chain of siblings is not walked again for each of them.
             parent[uuid] = parent[parent[uuid]]
             uuid = parent[uuid]
         return uuid
@@ -293,7 +297,7 @@ def owner_by_uuid(pairs: Iterable[tuple[str, str]]) -> Mapping[str, str]:
 
 
 def _track(sweeps: Sequence[Sequence[_Box]]) -> ActorTrack:
-    """The track of one actor from its candidate boxes of every sweep."""
+    """Return the track of an actor from its candidate boxes of every sweep."""
     order = {_ROOF: 0, _BOTH: 1, _FRONT: 2}
     chosen = [min(boxes, key=lambda box: (order[box.sensor], box.uuid)) for boxes in sweeps]
     chosen.sort(key=lambda box: box.time_ns)
@@ -323,7 +327,8 @@ def _track(sweeps: Sequence[Sequence[_Box]]) -> ActorTrack:
 
 
 def _world_from_actor(box: _Box) -> RigidTransform:
-    """PandaSet's yaw points along the box's width (its x); the actor looks along its length."""
+    """Return the pose of a box; PandaSet's yaw is that of its width (x), an actor's that of its
+    length."""
     return RigidTransform.from_yaw("world", "actor", box.yaw_rad + np.pi / 2, box.centre_world)
 
 
