@@ -24,12 +24,12 @@ def build_assets(
     progress: Progress,
     sky_matte: SkyMatte | None = None,
 ) -> SceneAssets:
-    """The same meshes with colour at image resolution, and the gain of each camera.
+    """Return the meshes with colour at image resolution, and the RGB gain of each camera.
 
     Textures and `base_colour` hold the mean observed RADIANCE at this stage (linear, gains
-    divided out); `decompose` turns it into albedo once the source light is known.
-    Frames that must not influence colours are simply left out of `log`; pixels that
-    `sky_matte` calls sky give no colour.
+    divided out); `decompose` converts it to base colour once the source light is estimated.
+    Held-out frames must be absent from `log`. Pixels that `sky_matte` classifies as sky are not
+    sampled.
     """
     actors = {track.actor_id: meshes.actors[track.actor_id].mesh for track in log.actors}
     painted, gains = bake(

@@ -29,27 +29,27 @@ from lightsim.appearance.intrinsic.shadow_pairs import (
 from lightsim.core.colour import LUMINANCE_WEIGHTS
 from lightsim.core.twin import LightFreedom
 
+# Candidates of the log of the factor on the unseen sky.
 _LOG_UNSEEN = np.linspace(-1.2, 1.2, 25)
-"""Candidates of the log of the factor on the unseen sky."""
+# Of these at which pairs are asked; what they say changes smoothly between.
 _PAIR_FITS = 5
-"""Of these at which pairs are asked; what they say changes smoothly between."""
+# Of the sun that pairs give, however many there are: gloss, mostly. Not measured alone.
 _PAIR_LOG_STD = 0.15
-"""Of the sun that pairs give, however many there are: gloss, mostly. Not measured alone."""
+# What cloud before the sun leaves of it.
 _CLOUD_LOG_FACTOR, _CLOUD_LOG_STD = float(np.log(0.15)), 1.5
-"""What cloud before the sun leaves of it."""
+# Of the estimated light as a whole. Not measured.
 _LIGHT_HUE_STD = 0.1
-"""Of the estimated light as a whole. Not measured."""
+# Between labels and light.
 _TURNS = 3
-"""Between labels and light."""
+# Probability that there are shadows all the same, so that pairs are what they are taken for.
 _SHADOWS_UNDER_CLOUD = 0.5
-"""Probability that there are shadows all the same, so that pairs are what they are taken for."""
+# Of the log of blue over red of the sun that pairs ask for, over that of a clear one: 0.3 to 0.4
+# on streets, 1.4 on log 002, whose sun is veiled.
 _PAIR_HUE_STD = 0.4
-"""Of the log of blue over red of the sun that pairs ask for, over that of a clear one: 0.3 to 0.4
-on streets, 1.4 on log 002, whose sun is veiled."""
+# Of this and of the strength, where labels made the pairs and no sun.
 _CHANCE_LOG_STD = 1.5
-"""Of this and of the strength, where labels made the pairs and no sun."""
+# Fewer lit/shadowed pairs say nothing.
 _MIN_PAIRS = 60
-"""Fewer lit/shadowed pairs say nothing."""
 _BLOCK_M = 4.0
 _WEIGHTS = LUMINANCE_WEIGHTS.astype(np.float64)
 

@@ -9,8 +9,8 @@ from lightsim.appearance.intrinsic.panes import PANE_PERCENTILE
 from lightsim.core.mesh import MIRROR_ROUGHNESS, TriMesh
 
 _NEIGHBOURS = 6
+# Further from all that was seen, a part has one colour: the median of what was seen of it.
 _REACH_M = 0.5
-"""Further from all that was seen, a part has one colour: the median of what was seen of it."""
 
 
 def body_colours(

@@ -11,8 +11,8 @@ from lightsim.core.colour import LUMINANCE_WEIGHTS
 from lightsim.core.mesh import TriMesh
 from lightsim.errors import InputError
 
+# Vertices inpainted together: some 20 MB of intermediate results, whatever the log.
 _CHUNK = 1 << 15
-"""Vertices inpainted together: some 20 MB of intermediate results, whatever the log."""
 
 
 # Settings of the baseline; none was measured alone.

@@ -20,10 +20,10 @@ from lightsim.core.found_visibility import decided
 _NEAREST, _AROUND = 6, 32
 _REACH_M = 1.2
 _SURE = 0.03
+# Prior of being lit below which a rendered shadow is near.
 _NEAR_SHADOW = 0.75
-"""Prior of being lit below which a rendered shadow is near."""
+# Points looked at together: some 30 MB of intermediate results, whatever the log.
 _CHUNK = 1 << 15
-"""Points looked at together: some 30 MB of intermediate results, whatever the log."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,8 @@ from lightsim.appearance.intrinsic.surfels import Graph, Surfels
 from lightsim.core.colour import LUMINANCE_WEIGHTS
 
 _SWEEPS, _DAMPING = 16, 0.2
+# Pairs whose energies are found together: some 10 MB of intermediate results, whatever the log.
 _CHUNK_PAIRS = 1 << 16
-"""Pairs whose energies are found together: some 10 MB of intermediate results, whatever the log."""
 
 
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured

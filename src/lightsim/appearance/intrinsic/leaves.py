@@ -12,8 +12,8 @@ from lightsim.core.adjacency import adjacency
 from lightsim.core.foliage import foliage_faces
 from lightsim.core.mesh import TriMesh
 
+# Corners of leaves around one, no further away, whose median is its colour. Not measured alone.
 _AROUND, _AROUND_M = 64, 2.0
-"""Corners of leaves around one, no further away, whose median is its colour. Not measured alone."""
 
 
 def leaf_vertices(mesh: TriMesh) -> Bool[np.ndarray, " n"]:

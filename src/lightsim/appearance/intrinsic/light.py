@@ -11,14 +11,14 @@ from jaxtyping import Bool, Float, Float32, Float64, Int64
 from lightsim.core.mesh import TriMesh
 from lightsim.errors import InputError
 
+# Fraction of open sky that the deepest corner gets (further bounces).
 _LEAST_SKY = 0.04
-"""Fraction of open sky that the deepest corner gets (further bounces)."""
+# Of the sun's light to all other light, from which on a label changes the sum noticeably.
 _LEAST_LIT = 0.05
-"""Of the sun's light to all other light, from which on a label changes the sum noticeably."""
 
 
+# Of what cameras saw of a point, the least that is taken for diffuse, whatever it may reflect.
 _LEAST_DIFFUSE = 0.3
-"""Of what cameras saw of a point, the least that is taken for diffuse, whatever it may reflect."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,8 @@ from scipy.sparse.csgraph import connected_components
 from lightsim.core.adjacency import adjacency
 from lightsim.core.mesh import MIRROR_ROUGHNESS, TriMesh
 
+# Of what was seen in panes: little of it is light that others reflect.
 PANE_PERCENTILE = 20
-"""Of what was seen in panes: little of it is light that others reflect."""
 
 
 def pane_vertices(mesh: TriMesh) -> Bool[np.ndarray, " n"]:

@@ -17,19 +17,19 @@ from jaxtyping import Bool, Float, Float64, Int64
 
 from lightsim.appearance.intrinsic.surfels import Surfels
 
+# Half the width of what a car drives over.
 _NEAR_PATH_M = 1.5
-"""Half the width of what a car drives over."""
+# Pavement lies this far below the cameras.
 _BELOW_PATH_M = (0.2, 3.5)
-"""Pavement lies this far below the cameras."""
+# Walls are looked at from here on: below lie cars, kerbs and planters.
 _ABOVE_PAVEMENT_M = 1.0
-"""Walls are looked at from here on: below lie cars, kerbs and planters."""
 _LEVEL, _UPRIGHT = 0.95, 0.15
+# What no material has; keeps a single patch from being sure.
 _LEAST_DENSITY = 0.02
-"""What no material has; keeps a single patch from being sure."""
+# Mean radiance from which on some of the pictures were saturated.
 _CLIPPED = 0.9
-"""Mean radiance from which on some of the pictures were saturated."""
+# Fewer surfels say nothing; more are thinned.
 _LEAST, _MOST = 50, 2000
-"""Fewer surfels say nothing; more are thinned."""
 
 
 @dataclass(frozen=True)
@@ -63,14 +63,14 @@ class ReflectanceClass:
         return np.log(density)
 
 
+# Asphalt, new to worn, and concrete, nearly grey, reflecting a little more towards red; marks.
 PAVEMENT = ReflectanceClass(
     "pavement", 0.13, 0.4, 0.1, (0.04, 0.0, -0.04), ((0.9, 0.13, 0.5), (0.1, 0.5, 0.4))
 )
-"""Asphalt, new to worn, and concrete, nearly grey, reflecting a little more towards red; marks."""
+# Brick, stone, concrete and paint of all colours; white paint; panes between.
 WALLS = ReflectanceClass(
     "walls", 0.28, 0.45, mixture=((0.75, 0.27, 0.5), (0.1, 0.7, 0.25), (0.15, 0.06, 0.6))
 )
-"""Brick, stone, concrete and paint of all colours; white paint; panes between."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,17 +11,17 @@ from lightsim.appearance.intrinsic.labels import Observed, is_at_label_edge
 from lightsim.appearance.intrinsic.light import SurfaceLight
 from lightsim.core.statistics import weighted_median
 
+# Candidates of the log of the factor on the sun.
 LOG_SUN = np.linspace(np.log(0.01), np.log(10.0), 47)
-"""Candidates of the log of the factor on the sun."""
 _STEPS, _ROUNDS = 25, 4
+# Spread of log base colour between the patches of a pair, and of its colour part.
 _REFLECTANCE_STD, _HUE_STD = 0.3, 0.12
-"""Spread of log base colour between the patches of a pair, and of its colour part."""
+# Fraction of the pairs at which a rendered shadow may be wrong altogether.
 _MOST_WRONG = 0.6
-"""Fraction of the pairs at which a rendered shadow may be wrong altogether."""
+# Likelihood of a pair across materials, relative to the peak of the model.
 _REMAINDER = 0.02
-"""Likelihood of a pair across materials, relative to the peak of the model."""
+# Difference of the probabilities of being lit that makes a pair.
 _FIRM = 0.8
-"""Difference of the probabilities of being lit that makes a pair."""
 _MAX_PAIRS = 6_000
 
 

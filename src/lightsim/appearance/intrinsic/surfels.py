@@ -13,12 +13,12 @@ from lightsim.appearance.intrinsic.light import SeenPoints
 from lightsim.core.lidar_returns import LidarReturns
 from lightsim.core.mesh import TriMesh
 
+# Nearest patches that each is compared with, and random ones, to see past thin things.
 _NEAR, _FAR = 8, 5
-"""Nearest patches that each is compared with, and random ones, to see past thin things."""
 _MIN_RETURNS = 3
 _COLUMNS = 14
+# Samples and surfels looked at together: some 50 MB of intermediate results, whatever the log.
 _CHUNK, _CHUNK_SURFELS = 1 << 17, 1 << 14
-"""Samples and surfels looked at together: some 50 MB of intermediate results, whatever the log."""
 _RANGE_EDGES_M = (0.0, 4.0, 6.0, 8.0, 11.0, 15.0, 20.0, 27.0, 36.0, 50.0, 70.0, 1e9)
 _COSINE_BINS = 8
 

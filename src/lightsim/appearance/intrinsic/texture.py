@@ -13,8 +13,8 @@ from lightsim.appearance.intrinsic.edges import LabelField, ShadedPoints, refine
 from lightsim.appearance.intrinsic.light import SurfaceLight, diffuse_part
 from lightsim.core.mesh import Texture, TriMesh
 
+# Texels looked at together: some 50 MB of intermediate results, whatever the log.
 _CHUNK = 1 << 17
-"""Texels looked at together: some 50 MB of intermediate results, whatever the log."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,8 @@ from lightsim.reconstruct.field.sampling import RayBatch, place_samples
 from lightsim.reconstruct.field.sdf_field import SceneField
 from lightsim.reconstruct.field.volume_rendering import composite, crossings_m, opacities
 
+# UniSim's epsilon: samples nearer to a return than this may carry weight.
 _RETURN_BAND_M = 0.5
-"""UniSim's epsilon: samples nearer to a return than this may carry weight."""
 _GRADIENT_STEP_M = 0.05
 _GRADIENT_ROWS = 1024
 _TETRAHEDRON = ((1.0, -1.0, -1.0), (-1.0, -1.0, 1.0), (-1.0, 1.0, -1.0), (1.0, 1.0, 1.0))

@@ -19,15 +19,15 @@ from lightsim.progress import Progress
 from lightsim.reconstruct.field.prior_kernels import march
 from lightsim.reconstruct.fusion.sweep_views import label_points
 
+# UniSim's. Its neighbours count as occupied, too, so that a return at a voxel's edge has room on
+# both sides.
 VOXEL_M = 0.5
-"""UniSim's. Its neighbours count as occupied, too, so that a return at a voxel's edge has room on
-both sides."""
+# Of a ray; further ones lie behind so many surfaces that hardly any light comes from there.
 STRETCHES = 6
-"""Of a ray; further ones lie behind so many surfaces that hardly any light comes from there."""
+# Half a voxel: none is jumped over but at its corners.
 _STEP_M = 0.25
-"""Half a voxel: none is jumped over but at its corners."""
+# Above the path: nothing higher is fused either.
 _HEIGHT_M = 40.0
-"""Above the path: nothing higher is fused either."""
 
 
 @dataclass(frozen=True, eq=False)

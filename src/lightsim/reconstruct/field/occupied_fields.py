@@ -19,8 +19,8 @@ from lightsim.reconstruct.fusion.config import OccupiedConfig
 from lightsim.reconstruct.fusion.sweep_views import centre_line
 from lightsim.reconstruct.fusion.tsdf import find_ground
 
+# As of fused grids: what is read out is clipped to it, and meshing sees the same numbers.
 _TRUNCATION_VOXELS = 3.0
-"""As of fused grids: what is read out is clipped to it, and meshing sees the same numbers."""
 _BATCH_BLOCKS = 4096
 
 

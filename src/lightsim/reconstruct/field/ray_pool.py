@@ -24,10 +24,10 @@ from lightsim.reconstruct.field.occupancy import Occupancy
 from lightsim.reconstruct.field.prior_kernels import enter_boxes
 from lightsim.reconstruct.fusion.sweep_views import label_points
 
+# Actor boxes that a ray can pass; further ones are rare and left out.
 SLOTS = 2
-"""Actor boxes that a ray can pass; further ones are rare and left out."""
+# What lies this near a labelled box belongs to its actor.
 BOX_MARGIN_M = 0.1
-"""What lies this near a labelled box belongs to its actor."""
 _FAR_M = 250.0
 SkyMatte = Callable[[CameraFrame], Float32[np.ndarray, "h w"]]
 

@@ -13,15 +13,15 @@ from lightsim.reconstruct.field.hash_grid.grid import HashGridSpec, hash_encode,
 from lightsim.reconstruct.field.prior_torch import TorchPrior
 from lightsim.reconstruct.field.tsdf_prior import TsdfPrior
 
+# Signed distance where neither prior nor training says anything: free.
 _OUTSIDE_M = 0.5
-"""Signed distance where neither prior nor training says anything: free."""
 _RESIDUAL_SCALE = 0.1
+# Fraction of the truncation by which the field may differ from the prior.
 _RESIDUAL_REACH = 0.5
-"""Fraction of the truncation by which the field may differ from the prior."""
 _FREE_REACH_M = 1e3
 _POSITION_SCALE = {"background": 50.0, "actors": 3.0}
+# The sRGB curve is close to this power: a gain on radiance is its root on pixel values.
 _ENCODING_POWER = 2.2
-"""The sRGB curve is close to this power: a gain on radiance is its root on pixel values."""
 _FIRST_BETA = 40.0
 
 

@@ -17,10 +17,10 @@ from lightsim.core.sensors import SWEEP_HOLD_S, LidarSweep
 _SENSOR_TOLERANCE_M = 0.4
 _SLICE_OVERLAP = 0.02
 _MIN_VIEW_POINTS = 50
+# Labelled boxes are grown by this before returns are assigned to actors.
 _BOX_MARGIN_M = 0.12
-"""Labelled boxes are grown by this before returns are assigned to actors."""
+# Returns lower than this above a box's underside belong to the ground.
 _BOX_FLOOR_M = 0.12
-"""Returns lower than this above a box's underside belong to the ground."""
 
 
 # Chosen while looking at log 002 and the street of seed 0; only what all do together is measured

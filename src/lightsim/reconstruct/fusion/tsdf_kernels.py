@@ -11,10 +11,10 @@ from typing import no_type_check
 import numpy as np
 from numba import njit, prange
 
+# label of a pixel without any evidence.
 NOTHING = -2
-"""label of a pixel without any evidence."""
+# label of a pixel that proves free space up to its distance and no surface.
 FREE_ONLY = -1
-"""label of a pixel that proves free space up to its distance and no surface."""
 _EPSILON = 1e-9
 
 

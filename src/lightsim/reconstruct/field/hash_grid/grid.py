@@ -27,8 +27,8 @@ from lightsim.reconstruct.field.hash_grid.sparse_gradient import (
 from lightsim.reconstruct.field.hash_grid.spec import HashGridSpec
 
 Implementation = Literal["auto", "torch", "numba", "triton"]
+# Factors of the x, y and z cell in the hash (Mueller et al., equation 4).
 PRIMES = (1, 2654435761, 805459861)
-"""Factors of the x, y and z cell in the hash (Mueller et al., equation 4)."""
 SALT_PRIME = 3674653429
 
 

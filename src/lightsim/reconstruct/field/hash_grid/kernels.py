@@ -19,8 +19,8 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
+# Entries that share one mark: with two features just one cache line of gradients.
 BLOCK_ENTRIES = 8
-"""Entries that share one mark: with two features just one cache line of gradients."""
 PRIME_Y = np.uint32(2654435761)
 PRIME_Z = np.uint32(805459861)
 PRIME_SALT = np.uint32(3674653429)
