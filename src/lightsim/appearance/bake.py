@@ -89,7 +89,7 @@ def bake(
     progress: Progress,
     sky_matte: SkyMatte | None = None,
 ) -> tuple[list[TriMesh], Float32[np.ndarray, "c 3"]]:
-    """Return the meshes (background first, then the actors) with textures of radiance, and the gains.
+    """Return the meshes (background first, then actors) with textures of radiance, and the gains.
 
     The colour of a vertex is the mean of the observed texels around it, or is interpolated along
     the surface if there are none. Unobserved texels are interpolated between the vertices.

@@ -1,4 +1,4 @@
-"""Colours of a vehicle where no camera saw it: its other half's, part by part; and its panes'."""
+"""Base colours of unobserved parts of a vehicle, from its mirror image; and of its panes."""
 
 from __future__ import annotations
 
@@ -8,20 +8,24 @@ from jaxtyping import Bool, Float64, UInt8
 from lightsim.appearance.intrinsic.panes import PANE_PERCENTILE
 from lightsim.core.mesh import MIRROR_ROUGHNESS, TriMesh
 
+# Number of observed vertices that are interpolated at an unobserved one. Not measured.
 _NEIGHBOURS = 6
-# Further from all that was seen, a part has one colour: the median of what was seen of it.
+# Distance in metres at which the weight of the nearest observed vertex falls to 1/e; beyond, the
+# median colour of the part prevails. Chosen by inspection.
 _REACH_M = 0.5
 
 
 def body_colours(
     mesh: TriMesh, colour: Float64[np.ndarray, "n 3"], is_seen: Bool[np.ndarray, " n"]
 ) -> tuple[Float64[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
-    """Base colours of a body that is its own mirror image about y = 0, frame `actor`, and which
-    vertices have another than the given one.
+    """Return the base colours of a body that is symmetric about y = 0, frame `actor`.
 
-    Vertices that were not seen take the colour of what was seen nearest on the same part (paint,
-    panes, tyres), or on its mirror image; a part of which nothing was seen keeps its colour. Panes
-    have one dark colour: what else is seen in them is a reflection, or stands behind.
+    Unobserved vertices have the colour of the nearest observed vertices of the same part (paint,
+    panes, tyres) or of its mirror image. A wholly unobserved part retains its colour. All panes
+    have one dark colour, because they show reflections and the interior.
+
+    Returns:
+        Linear RGB of each vertex, and the mask of vertices with a replaced colour.
     """
     from scipy.spatial import KDTree
 
@@ -53,8 +57,10 @@ def body_colours(
 
 
 def _part_of_vertices(mesh: TriMesh) -> UInt8[np.ndarray, " n"]:
-    """Of each vertex, the lowest material index among its faces: a pane's dark colour must not
-    bleed over the large faces of the paint around it."""
+    """Lowest material index among the faces of each vertex.
+
+    The dark colour of a pane must not bleed over the large faces of the paint around it.
+    """
     if mesh.face_material is None:
         return np.zeros(len(mesh.vertices), dtype=np.uint8)
     part = np.full(len(mesh.vertices), mesh.face_material.max(initial=0), dtype=np.uint8)
