@@ -148,7 +148,7 @@ def _look_at_all(
     The sharpness of each view on its faces is not stored: it is a third of the views' memory.
     """
     views, best = [], np.zeros(len(scene.faces), dtype=np.float32)
-    for frame in progress.track(frames, "look at the meshes", len(frames)):
+    for frame in progress.track(frames, "observe the meshes", len(frames)):
         view, pixels_per_m = look(scene, frame, log.cameras[frame.camera_name])
         best[view.faces] = np.maximum(best[view.faces], pixels_per_m)
         views.append(view)

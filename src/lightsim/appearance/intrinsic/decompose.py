@@ -78,7 +78,7 @@ _LEAST_SURFELS = 50
 # Greatest trust in the base colour of a building's pane: the fraction that is its own curtain or
 # room. Chosen on street 9967; 0.3 fitted panes that were detected by darkness alone.
 _PANE_TRUST = 0.7
-# Greatest trust in the base colour of a leaf: the rest is background seen through the crown.
+# Greatest trust in the base colour of a leaf: the rest is background behind the crown.
 _LEAF_TRUST = 0.3
 # Size of a surfel, in metres.
 _SURFEL_M = 0.25

@@ -29,8 +29,9 @@ _NEIGHBOURS = 12
 _NORMAL_POWER = 4.0
 # Greatest distance of a trusted vertex, in metres.
 _MAX_DISTANCE_M = 3.0
-# Range of base colours in every method: charcoal to fresh snow.
+# Least base colour in every method: charcoal.
 LOWEST_BASE_COLOUR = 0.02
+# Greatest base colour in every method: fresh snow.
 HIGHEST_BASE_COLOUR = 0.95
 
 

@@ -36,7 +36,7 @@ _CHUNK_PAIRS = 1 << 16
 _TRUST_INFERRED = 0.75
 # Probability that a patch is lit although every rendering shadows it.
 _LEAST_LIT = 0.02
-# Weight of a patch's own log odds during propagation: neighbours share their errors.
+# Weight of a patch's own log odds during propagation: errors of neighbours are correlated.
 _PRIOR_WEIGHT = 0.25
 # Standard deviation of the mean log base colour within a material.
 _REFLECTANCE_STD = 0.2

@@ -32,13 +32,13 @@ _OFF_WALL_M = 0.3
 _LEAST_COSINE = 0.05
 # Least number of patches whose rays cross one wall.
 _LEAST_PATCHES = 200
-# Least prior probability of a free and of an occluded ray: the patches behind one roof share its
-# error, so none of them is certain.
+# Least prior probability of a free and of an occluded ray: an error of the roof affects all patches
+# behind it, so none of them is certain.
 _LEAST_OPEN = 0.2
 # Least probability of a label that counts.
 _CERTAIN = 0.7
-# Log-likelihood of one label, in nats: far below that of an independent observation, as neighbours
-# share their errors.
+# Log-likelihood of one label, in nats: far below that of an independent observation, as errors of
+# neighbours are correlated.
 _LABEL_NATS = 0.1
 # Greatest sum of these for one cell of a wall.
 _CELL_NATS = 1.0
