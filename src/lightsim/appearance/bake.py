@@ -50,8 +50,7 @@ from lightsim.progress import Progress
 
 # Pixels per metre of a view of weight 1: centres the range of the 8-bit weight codes.
 _WEIGHT_UNIT_PX = 30.0
-# Radiance of every vertex if no image shows any vertex: a mid grey.
-_UNSEEN = 0.2
+
 # Size of the texels of unobserved street, in metres: `hidden_surfaces` completes them later.
 _HIDDEN_TEXEL_M = 0.05
 # Height above the cameras, in metres, up to which vehicles may hide house fronts.
@@ -355,7 +354,8 @@ def _finish(
     vertex_sums(table.patch, scene.faces, area, radiance, is_seen, sums, total)
     is_known = total > 0
     colour = (sums / np.where(is_known, total, 1.0)[:, None]).astype(np.float32)
-    usual = np.median(colour[is_known], axis=0) if is_known.any() else np.full(3, _UNSEEN)
+    # A mid grey if no image shows any vertex.
+    usual = np.median(colour[is_known], axis=0) if is_known.any() else np.full(3, 0.2)
     for k, mesh in enumerate(scene.meshes):
         part = slice(scene.first_vertex[k], scene.first_vertex[k + 1])
         colour[part] = fill_unseen(mesh, colour[part], is_known[part], usual)

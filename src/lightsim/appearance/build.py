@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 from lightsim.appearance.bake import bake
-from lightsim.appearance.config import AssetConfig, draft, paper, standard
+from lightsim.appearance.config import AssetConfig
 from lightsim.appearance.observe import SkyMatte
 from lightsim.core.casting import MakeCaster
 from lightsim.core.log import DrivingLog
 from lightsim.core.twin import SceneAssets
 from lightsim.progress import Progress
 
-__all__ = ["AssetConfig", "build_assets", "draft", "paper", "standard"]
+__all__ = ["AssetConfig", "build_assets"]
 
 
 def build_assets(

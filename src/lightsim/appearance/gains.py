@@ -13,8 +13,6 @@ _USABLE = (0.01, 0.85)
 _HUBER = 0.15
 # Least number of common texels of a pair of cameras.
 _MIN_SHARED = 20
-# Weight of the prior that every gain is 1, relative to a pair of cameras at full weight.
-_PRIOR = 0.01
 
 
 def solve_gains(
@@ -48,10 +46,10 @@ def solve_gains(
             rows.append(row)
             targets.append(_robust_mean(means[i, is_shared] - means[j, is_shared]))
             trust.append(shared / (shared + strength))
-    # The last row is the constraint that the log gains sum to 0.
+    # A weak prior of gain 1 for each camera; the last row constrains the log gains to sum 0.
     matrix = np.concatenate(
         [np.array(rows).reshape(-1, camera_count) * np.array(trust)[:, None]]
-        + [_PRIOR * np.eye(camera_count), np.ones((1, camera_count))]
+        + [0.01 * np.eye(camera_count), np.ones((1, camera_count))]
     )
     right = np.zeros((len(matrix), 3))
     if rows:

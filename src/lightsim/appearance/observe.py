@@ -35,12 +35,9 @@ _EDGE_STEP = 0.05
 _EDGE_RADIUS_PX = 4
 # Weight of such a pixel.
 _EDGE_WEIGHT = 0.1
-# Weight of a pixel with leaves in front of the surface: it counts only if no other view does.
-_LEAF_WEIGHT = 0.02
-# Weight of a pixel with a clipped channel: its colour is a lower bound.
-_CLIPPED_WEIGHT = 0.02
-# Sky alpha above which a pixel is not sampled.
-_SKY_ALPHA = 0.5
+# Weight of a pixel with leaves in front of the surface, and of one with a clipped channel: such a
+# pixel has an effect only if no other view observes the surface.
+_POOR_WEIGHT = 0.02
 # Least cosine between the surface normal and the direction to the camera.
 _MIN_COSINE = 0.05
 # Width in pixels of the square that one ray of the depth image covers.
@@ -312,18 +309,18 @@ def pixel_weights(
     Weights are small at clipped pixels, near outlines and behind leaves; they are 0 on the ego
     vehicle, on the sky and beside moving actors, whose background other frames show.
     """
-    weight = np.where(image.max(axis=2) >= CLIPPED_CODE, _CLIPPED_WEIGHT, 1.0)
+    weight = np.where(image.max(axis=2) >= CLIPPED_CODE, _POOR_WEIGHT, 1.0)
     step = DEPTH_STEP_PX
     is_outline = outlines(inverse_depth, _EDGE_STEP, _EDGE_RADIUS_PX / step)
     rays = np.where(is_outline, _EDGE_WEIGHT, 1.0)
-    rays[behind_leaves] = _LEAF_WEIGHT
+    rays[behind_leaves] = _POOR_WEIGHT
     rays[beside_moving] = 0.0
     rays = rays.repeat(step, axis=0).repeat(step, axis=1)
     weight *= rays[: len(weight), : weight.shape[1]]
     if ego_vehicle is not None:
         weight[ego_vehicle] = 0.0
     if sky_alpha is not None:
-        weight[sky_alpha > _SKY_ALPHA] = 0.0
+        weight[sky_alpha > 0.5] = 0.0
     return weight.astype(np.float32)
 
 

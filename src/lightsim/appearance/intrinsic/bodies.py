@@ -8,8 +8,6 @@ from jaxtyping import Bool, Float64, UInt8
 from lightsim.appearance.intrinsic.panes import PANE_PERCENTILE
 from lightsim.core.mesh import MIRROR_ROUGHNESS, TriMesh
 
-# Number of observed vertices that are interpolated at an unobserved one. Not measured.
-_NEIGHBOURS = 6
 # Distance in metres at which the weight of the nearest observed vertex falls to 1/e; beyond, the
 # median colour of the part prevails. Chosen by inspection.
 _REACH_M = 0.5
@@ -45,7 +43,7 @@ def body_colours(
         points = mesh.vertices[seen].astype(np.float64)
         both = np.concatenate([points, points * np.array([1.0, -1.0, 1.0])])
         found = np.concatenate([colour[seen], colour[seen]])
-        k = min(_NEIGHBOURS, len(both))
+        k = min(6, len(both))
         distance, index = KDTree(both).query(mesh.vertices[unseen], k=k)
         distance, index = distance.reshape(len(unseen), k), index.reshape(len(unseen), k)
         fraction = 1.0 / np.maximum(distance, 0.02) ** 2

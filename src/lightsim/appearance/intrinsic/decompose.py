@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int64
 
 from lightsim.appearance.colour import fill_unseen
 from lightsim.appearance.intrinsic.bodies import body_colours
@@ -151,7 +151,7 @@ def decompose(
     labels = label_shadows(observed, config)
     field = label_field(faces, observed, labels, config.edge_error_m)
     del patches, observed  # The largest arrays; the texture needs the memory next.
-    found = VertexLight(light, _visibility(mesh, vertices.normal, light, field))
+    found = VertexLight(light, _visibility(mesh, light, field))
     note = f"LiDAR intensity predicts base colour with exponent {reflectance_gain:.2f}"
     notes = () if returns is None else (note,)
     done = _finished(mesh, found, field, config, road, is_symmetric=is_symmetric)
@@ -235,28 +235,13 @@ def _labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:
     return np.flatnonzero(is_usable & (mesh.face_roughness() >= MIRROR_ROUGHNESS))
 
 
-def _visibility(
-    mesh: TriMesh,
-    normals: Float[np.ndarray, "n 3"],
-    light: SurfaceLight,
-    field: LabelField,
-) -> Float32[np.ndarray, " n"]:
+def _visibility(mesh: TriMesh, light: SurfaceLight, field: LabelField) -> Float32[np.ndarray, " n"]:
     """Sun visibility of each vertex: from labels, or rendered where there are none."""
-    reflected = light.reflections
-    seen = ShadedPoints(
-        mesh.vertices,
-        normals.astype(np.float32),
-        mesh.base_colour,
-        light.diffuse.astype(np.float32),
-        light.sun,
-        reflected.rest,
-        reflected.sun,
-    )
     visibility = rendered_visibility(light).astype(np.float32)
     is_labelled = np.zeros(len(visibility), dtype=bool)
     is_labelled[mesh.faces[field.faces]] = True
     rows = np.flatnonzero(is_labelled)
-    visibility[rows] = refine_visibility(field, seen.at(rows))
+    visibility[rows] = refine_visibility(field, ShadedPoints.vertices_of(mesh, light).at(rows))
     return visibility
 
 

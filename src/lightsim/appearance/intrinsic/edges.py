@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64
 from scipy.spatial import KDTree
 
 from lightsim.appearance.intrinsic.labels import (
@@ -15,7 +15,9 @@ from lightsim.appearance.intrinsic.labels import (
     rendered_visibility,
     smoothed,
 )
+from lightsim.appearance.intrinsic.light import SurfaceLight
 from lightsim.core.found_visibility import decided
+from lightsim.core.mesh import TriMesh
 
 # The values below were chosen on log 002 and synthetic street 0; their sensitivity was not
 # measured.
@@ -170,17 +172,41 @@ class ShadedPoints:
     def __len__(self) -> int:
         return len(self.points)
 
+    @staticmethod
+    def vertices_of(mesh: TriMesh, light: SurfaceLight) -> ShadedPoints:
+        """Return the vertices of a mesh, whose `base_colour` holds radiance, under a light."""
+        reflected = light.reflections
+        return ShadedPoints(
+            mesh.vertices,
+            mesh.vertex_normals().astype(np.float32),
+            mesh.base_colour,
+            light.diffuse.astype(np.float32),
+            light.sun,
+            reflected.rest,
+            reflected.sun,
+        )
+
     def at(self, rows: slice | Int64[np.ndarray, " m"]) -> ShadedPoints:
         """Return the chosen points."""
-        return ShadedPoints(
-            self.points[rows],
-            self.normals[rows],
-            self.radiance[rows],
-            self.diffuse[rows],
-            self.direct[rows],
-            self.reflected[rows],
-            self.reflected_sun[rows],
-        )
+        return ShadedPoints(*(values[rows] for values in vars(self).values()))
+
+    def between(
+        self,
+        corners: Int32[np.ndarray, "t 3"],
+        barycentric: Float32[np.ndarray, "t 3"],
+        radiance: Float32[np.ndarray, "t 3"],
+    ) -> ShadedPoints:
+        """Interpolate at points inside triangles; their radiance is given."""
+        weights = barycentric[:, :, None]
+        found = {
+            name: (weights * values[corners]).sum(axis=1)
+            for name, values in vars(self).items()
+            if name != "radiance"
+        }
+        # Texels beyond a face's long edge are extrapolated, and could become negative.
+        found["diffuse"] = np.maximum(found["diffuse"], 1e-6)
+        found["direct"] = np.maximum(found["direct"], 0.0)
+        return ShadedPoints(radiance=radiance, **found)
 
 
 def refine_visibility(field: LabelField, seen: ShadedPoints) -> Float32[np.ndarray, " n"]:

@@ -43,8 +43,6 @@ _UPRIGHT = 0.3
 _ACROSS_M = 0.25
 # Greatest distance of a front's surface from its plane, in metres.
 _FRONT_M = 0.6
-# Texels processed together, to limit memory.
-_TEXELS = 1 << 18
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +123,7 @@ def with_hidden_surfaces(mesh: TriMesh, trust: Float64[np.ndarray, " n"], road: 
         if not has_changed:
             image, base_colour, has_changed = image.copy(), base_colour.copy(), True
         completed = ShiftMap.of(texels.samples)
-        if surface.is_ground:
+        if surface.front_m is None:
             completed.complete_along()
         else:
             completed.complete_down()
@@ -155,11 +153,6 @@ class _Surface:
     road: Road
     is_face: Bool[np.ndarray, " m"]
     front_m: Float64[np.ndarray, " k"] | None = None
-
-    @property
-    def is_ground(self) -> bool:
-        """True for ground, False for a front."""
-        return self.front_m is None
 
     def place(
         self, points: Float[np.ndarray, "n 3"]
@@ -229,7 +222,7 @@ class _Texels:
         cls, mesh: TriMesh, texture: Texture, surface: _Surface, trust: Float64[np.ndarray, " n"]
     ) -> _Texels:
         image, found = texture.image.reshape(-1, 3), []
-        for texels in texel_parts(texture, _TEXELS):
+        for texels in texel_parts(texture, 1 << 18):
             rows = np.flatnonzero(surface.is_face[texels.face])
             corners, weight = mesh.faces[texels.face[rows]], texels.barycentric[rows]
             places, is_on = surface.place((weight[:, :, None] * mesh.vertices[corners]).sum(axis=1))

@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import connected_components
 
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
 from lightsim.appearance.intrinsic.light import LightBalance, SurfaceLight
-from lightsim.appearance.intrinsic.reflectance import Members
+from lightsim.appearance.intrinsic.reflectance import MaterialVariation, Members
 from lightsim.appearance.intrinsic.surfels import Graph, Surfels
 from lightsim.core.colour import LUMINANCE_WEIGHTS
 
@@ -38,14 +38,11 @@ _TRUST_INFERRED = 0.75
 _LEAST_LIT = 0.02
 # Weight of a patch's own log odds during propagation: errors of neighbours are correlated.
 _PRIOR_WEIGHT = 0.25
-# Standard deviation of the mean log base colour within a material.
-_REFLECTANCE_STD = 0.2
-# Standard deviation of its deviation from grey.
-_HUE_STD = 0.08
+# Variation of the base colour within a material, between near patches.
+_VARIATION = MaterialVariation(log_std=0.2, hue_std=0.08)
 # Factor on the energies of pairs, relative to the rendered prior.
 _STRENGTH = 1.5
-# Number of calls of belief propagation, each from the messages of the last.
-_ROUNDS = 3
+
 # Energy of a change of material, in nats: the greatest of a pair.
 _MAX_PAIR_ENERGY = 3.0
 # Distance between patches of opposite labels, in patch sizes, within which both may contain the
@@ -55,8 +52,7 @@ _EDGE_SURFELS = 2.5
 _COLOUR_REACH_M = 1.0
 # Range of these base colours.
 _COLOURS = (0.05, 0.9)
-# Least radiance: keeps the logarithm finite.
-_LEAST_RADIANCE = 1e-3
+
 # Energy of a shadow edge between two patches, in nats: prefers smooth labels.
 _EDGE_ENERGY = 0.3
 
@@ -95,7 +91,7 @@ class Observed:
         surfel_m: float,
     ) -> Observed:
         """Combine surfels with the unbalanced light, without a LiDAR prediction."""
-        log_radiance = np.log(np.maximum(surfels.radiance, _LEAST_RADIANCE))
+        log_radiance = np.log(np.maximum(surfels.radiance, 1e-3))
         step = np.zeros(len(graph.pairs), np.float32)
         observed = Observed(
             surfels, graph, log_radiance, step, materials, own_light, own_light, surfel_m
@@ -138,7 +134,8 @@ def label_shadows(
     prior = visibility_prior(observed, config) if prior is None else prior
     messages = np.zeros((len(observed.graph.pairs), 2), np.float32)
     lit = prior
-    for _ in range(_ROUNDS):
+    # Three calls of belief propagation, each from the messages of the last.
+    for _ in range(3):
         lit = infer_labels(observed, LightBalance.unchanged(), prior, config, messages)
     return Labels(lit, prior)
 
@@ -277,17 +274,10 @@ def pair_energies(
         for a in (0, 1):
             for b in (0, 1):
                 step = log_colour[second, b] - log_colour[first, a]
-                cost = _misfit(step - observed.reflectance_step[part, None]) / reach
+                cost = _VARIATION.misfit(step - observed.reflectance_step[part, None]) / reach
                 cost = _STRENGTH * -np.log(np.exp(-cost) + exp(-_MAX_PAIR_ENERGY))
                 energy[part, a, b] = graph.weight[part] * (cost + _EDGE_ENERGY * (a != b))
     return energy
-
-
-def _misfit(step: Float32[np.ndarray, "e 3"]) -> Float32[np.ndarray, " e"]:
-    """Half the squared steps of mean and hue, over their variances."""
-    mean = step.mean(axis=1)
-    chroma = step - mean[:, None]
-    return 0.5 * (mean / _REFLECTANCE_STD) ** 2 + 0.5 * (chroma**2).sum(axis=1) / _HUE_STD**2
 
 
 def predict_reflectance_steps(

@@ -41,6 +41,25 @@ _MOST = 2000
 
 
 @dataclass(frozen=True)
+class MaterialVariation:
+    """Normal variation of log base colour between two patches of one material.
+
+    Args:
+        log_std: standard deviation of the mean over the channels.
+        hue_std: standard deviation of each channel's difference from that mean.
+    """
+
+    log_std: float
+    hue_std: float
+
+    def misfit(self, step: Float[np.ndarray, "e 3"]) -> Float[np.ndarray, " e"]:
+        """Return the negative log likelihood of steps of log base colour, up to a constant."""
+        mean = step.mean(axis=1)
+        hue = ((step - mean[:, None]) ** 2).sum(axis=1)
+        return 0.5 * (mean / self.log_std) ** 2 + 0.5 * hue / self.hue_std**2
+
+
+@dataclass(frozen=True)
 class ReflectanceClass:
     """Log-normal prior of the base colours of a class of surface.
 

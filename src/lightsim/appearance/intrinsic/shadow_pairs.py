@@ -9,16 +9,15 @@ from jaxtyping import Float64, Int64
 
 from lightsim.appearance.intrinsic.labels import Observed, is_at_label_edge
 from lightsim.appearance.intrinsic.light import SurfaceLight
+from lightsim.appearance.intrinsic.reflectance import MaterialVariation
 from lightsim.core.statistics import weighted_median
 
 # The values below were chosen on synthetic streets; their sensitivity was not measured.
 
 # Candidates of the log of the factor on the sun: 0.01 to 10 in steps of 15 %.
 LOG_SUN = np.linspace(np.log(0.01), np.log(10.0), 47)
-# Standard deviation of the mean log base colour between the patches of a pair.
-_REFLECTANCE_STD = 0.3
-# Standard deviation of its deviation from grey.
-_HUE_STD = 0.12
+# Variation of the base colour between the patches of a pair.
+_VARIATION = MaterialVariation(log_std=0.3, hue_std=0.12)
 # Greatest fraction of pairs without a true shadow.
 _MOST_WRONG = 0.6
 # Likelihood of a pair across materials, relative to the peak of the model.
@@ -135,16 +134,9 @@ def _slope(pairs: ShadowPairs, sun: Float64[np.ndarray, "3"], unseen_sky: float)
     return max(float(high - low) / 0.1, 0.05)
 
 
-def _likelihood(residual: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, " p"]:
-    """Likelihood of residual steps, given the variation of base colour within a material."""
-    mean = residual.mean(axis=1)
-    hue = ((residual - mean[:, None]) ** 2).sum(axis=1)
-    return np.exp(-0.5 * (mean / _REFLECTANCE_STD) ** 2 - 0.5 * hue / _HUE_STD**2)
-
-
 def _score(residual: Float64[np.ndarray, "p 3"], pairs: ShadowPairs) -> float:
     """Log likelihood at the best fraction of false pairs."""
-    model, wrong = _likelihood(residual), _likelihood(pairs.step)
+    model, wrong = (np.exp(-_VARIATION.misfit(step)) for step in (residual, pairs.step))
     fractions = np.linspace(0.05, _MOST_WRONG, 5)
     return max(
         float((pairs.weight * np.log((1 - f) * model + f * wrong + _REMAINDER)).sum())
@@ -156,7 +148,7 @@ def _explained(
     residual: Float64[np.ndarray, "p 3"], step: Float64[np.ndarray, "p 3"]
 ) -> Float64[np.ndarray, " p"]:
     """Posterior probability that the model explains each step."""
-    model, wrong = _likelihood(residual), _likelihood(step)
+    model, wrong = (np.exp(-_VARIATION.misfit(values)) for values in (residual, step))
     return model / (model + wrong + _REMAINDER)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Float, Float64
 
 from lightsim.appearance.intrinsic.light import SurfaceLight
 from lightsim.core.colour import luminance
@@ -33,8 +33,6 @@ _BEFORE_SUN_DEG = 20.0
 _ELSEWHERE_DEG = (35.0, 60.0)
 # Least number of points in either group.
 _LEAST_PLACES = 100
-# Least diffuse fraction of the radiance: keeps the logarithm finite.
-_LEAST_PART = 0.05
 
 
 def fitted_roughness(
@@ -63,8 +61,9 @@ def fitted_roughness(
     def excess(roughness: float) -> float:
         """Log ratio of the base colour within the reflection to that outside it."""
         left = luminance(radiance - rest - sheen(roughness))
-        part = np.maximum(left, _LEAST_PART * luminance(radiance)) / diffuse
-        return float(np.log(_median(part, before) / _median(part, elsewhere)))
+        # At least 5 % of the radiance is diffuse: keeps the logarithm finite.
+        part = np.maximum(left, 0.05 * luminance(radiance)) / diffuse
+        return float(np.log(np.median(part[before]) / np.median(part[elsewhere])))
 
     # Rougher roads reflect less of a low sun to the camera, so the excess grows with roughness.
     low, high = _ROUGHNESS_RANGE
@@ -74,7 +73,3 @@ def fitted_roughness(
         middle = (low + high) / 2
         low, high = (low, middle) if excess(middle) > 0 else (middle, high)
     return (low + high) / 2
-
-
-def _median(values: Float64[np.ndarray, " n"], members: Bool[np.ndarray, " n"]) -> float:
-    return float(np.median(values[members]))

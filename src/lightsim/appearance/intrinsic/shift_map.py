@@ -45,8 +45,7 @@ _SHIFT_M = (1.0, 40.0)
 _RING_M = 0.6
 # Least known fraction of the ring, both around the piece and at the shifted position.
 _LEAST_RING = 0.25
-# Number of cells of the ring from which they are thinned, to save time.
-_RING_CELLS = 1000
+
 # Greatest difference in log colour that one cell of the ring contributes.
 _RING_LIMIT = 0.4
 # Cost of a shift in log colour for an unknown ring at the shifted position.
@@ -65,8 +64,6 @@ _LEVEL_REACH_M = 0.5
 _LEVEL_FADE = 0.03
 # Height in metres over which the colours above the foot of a front are averaged.
 _STRIP_M = 0.3
-# Least linear colour: keeps the logarithm finite.
-_DARKEST = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +111,9 @@ class ShiftMap:
             for chosen in (samples.is_known, samples.is_hidden)
         )
         colour = np.zeros((*shape, 3), np.float32)
-        codes = np.log(np.maximum(samples.colours[samples.is_known], _DARKEST))
+        logs = np.log(np.maximum(samples.colours[samples.is_known], 1e-3))
         for channel in range(3):
-            total = np.bincount(cell[samples.is_known], codes[:, channel], minlength=size)
+            total = np.bincount(cell[samples.is_known], logs[:, channel], minlength=size)
             colour[..., channel] = total.reshape(shape) / np.maximum(known, 1)
         away_px, (i, j) = nearest_of(known + hidden > 0)
         is_near = np.asarray(away_px < _REACH_M / _CELL_M, dtype=bool)
@@ -216,7 +213,8 @@ class ShiftMap:
 
     def _best_shifts(self, ring: Int64[np.ndarray, "n 2"]) -> list[int]:
         """Shifts along the street at which a piece's ring agrees, in cells, best first."""
-        ring = ring[:: max(1, len(ring) // _RING_CELLS)]
+        # At most some 1000 cells of the ring, to save time.
+        ring = ring[:: max(1, len(ring) // 1000)]
         low, high = (_cells(metres) for metres in _SHIFT_M)
         # Every second shift: a search at half of the resolution.
         shifts = np.arange(low, high + 1, 2)

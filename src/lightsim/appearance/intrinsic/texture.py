@@ -78,16 +78,7 @@ def texture_without_light(
     Returns:
         The texture of base colour, and the sun visibility of each texel in 255ths.
     """
-    reflected = found.light.reflections
-    attributes = _VertexAttributes(
-        mesh.vertices,
-        mesh.vertex_normals(),
-        found.light.diffuse.astype(np.float32),
-        found.light.sun,
-        reflected.rest,
-        reflected.sun,
-        found.visibility,
-    )
+    vertices = ShadedPoints.vertices_of(mesh, found.light)
     is_edge = np.zeros(len(mesh.faces), dtype=bool)
     if field is not None:
         is_edge[field.faces] = edge_faces(mesh, field)
@@ -95,7 +86,9 @@ def texture_without_light(
     found_visibility = np.zeros(len(image), dtype=np.uint8)
     for texels in texel_parts(texture, _CHUNK):
         face, pixel, barycentric = texels.face, texels.pixel, texels.barycentric
-        seen, visibility = attributes.between(mesh.faces[face], barycentric, image[pixel])
+        corners = mesh.faces[face]
+        seen = vertices.between(corners, barycentric, image[pixel])
+        visibility = (barycentric * found.visibility[corners]).sum(axis=1)
         rows = np.flatnonzero(is_edge[face])
         if field is not None and len(rows):
             visibility[rows] = refine_visibility(field, seen.at(rows))
@@ -105,7 +98,7 @@ def texture_without_light(
         diffuse = diffuse_part(seen.radiance, seen.reflected + open_part * seen.reflected_sun)
         colour = np.clip(diffuse / np.maximum(light, 1e-6), *limits)
         if shade is not None:
-            colour = shade.between(mesh.faces[face], barycentric).blended(colour)
+            colour = shade.between(corners, barycentric).blended(colour)
         image[pixel] = colour
     shape = texture.image.shape
     return Texture(image.reshape(shape), texture.corner_uv), found_visibility.reshape(shape[:2])
@@ -114,42 +107,6 @@ def texture_without_light(
 def in_255ths(visibility: Float[np.ndarray, " n"]) -> UInt8[np.ndarray, " n"]:
     """Return a fraction in [0, 1] in 255ths, rounded."""
     return np.rint(255 * np.clip(visibility, 0.0, 1.0)).astype(np.uint8)
-
-
-@dataclass(frozen=True, eq=False)
-class _VertexAttributes:
-    """Attributes of vertices that are interpolated at texels."""
-
-    points: Float32[np.ndarray, "n 3"]
-    normals: Float32[np.ndarray, "n 3"]
-    diffuse: Float32[np.ndarray, "n 3"]
-    direct: Float32[np.ndarray, "n 3"]
-    reflected: Float32[np.ndarray, "n 3"]
-    reflected_sun: Float32[np.ndarray, "n 3"]
-    visibility: Float32[np.ndarray, " n"]
-
-    def between(
-        self,
-        corners: Int32[np.ndarray, "t 3"],
-        barycentric: Float32[np.ndarray, "t 3"],
-        radiance: Float32[np.ndarray, "t 3"],
-    ) -> tuple[ShadedPoints, Float32[np.ndarray, " t"]]:
-        """Interpolate at points inside triangles; return the samples and their sun visibility."""
-        weights = barycentric[:, :, None]
-        points, normals, diffuse, direct, *reflected = (
-            (weights * values[corners]).sum(axis=1)
-            for values in (
-                self.points,
-                self.normals,
-                self.diffuse,
-                self.direct,
-                self.reflected,
-                self.reflected_sun,
-            )
-        )
-        visibility = (barycentric * self.visibility[corners]).sum(axis=1)
-        light = np.maximum(diffuse, 1e-6), np.maximum(direct, 0.0)
-        return ShadedPoints(points, normals, radiance, *light, *reflected), visibility
 
 
 def edge_faces(mesh: TriMesh, field: LabelField) -> Bool[np.ndarray, " k"]:

@@ -54,20 +54,8 @@ def scene_loss(
         terms |= _slope_terms(field, points, actor, _near_surface(rays, t, sdf), generator)
     if config.weights.surface > 0.0:
         terms["surface"] = _surface(field, rays)
-    weights = config.weights
     total = terms["rgb"]
-    for name in (
-        "lidar",
-        "opacity",
-        "eikonal",
-        "occupancy",
-        "free_space",
-        "surface",
-        "sky",
-        "residual",
-        "smooth",
-    ):
-        weight = getattr(weights, name)
+    for name, weight in vars(config.weights).items():
         if weight > 0.0 and name in terms:
             total = total + weight * terms[name]
     return total, terms

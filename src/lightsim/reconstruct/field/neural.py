@@ -12,15 +12,12 @@ from lightsim.core.log import DrivingLog
 from lightsim.networks.devices import choose_device
 from lightsim.networks.loop import Checkpointer, Session
 from lightsim.progress import Progress
-from lightsim.reconstruct.field.config import NeuralConfig, draft, paper, standard
+from lightsim.reconstruct.field.config import NeuralConfig
 from lightsim.reconstruct.field.ray_pool import Guide, SkyMatte, camera_rays, lidar_rays
 from lightsim.reconstruct.field.refine import refined_fields
 from lightsim.reconstruct.field.sdf_field import SceneField
 from lightsim.reconstruct.field.train import TrainingRays, train_field
 from lightsim.reconstruct.field.tsdf_prior import TsdfPrior
-
-__all__ = ["NeuralConfig", "Training", "draft", "paper", "refine_by_field", "standard"]
-
 
 # Number of camera rays, and number of LiDAR rays, that are drawn once; batches are drawn from them.
 # Sensitivity not measured.

@@ -25,8 +25,6 @@ from lightsim.reconstruct.fusion.tsdf import MAX_HEIGHT_M
 VOXEL_M = 0.5
 # Number of occupied intervals of a ray; later ones are behind several surfaces.
 STRETCHES = 6
-# Step along a ray in metres, half a voxel: only corners of voxels can be missed.
-_STEP_M = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +90,9 @@ class Occupancy:
             boxes_m: distances at which each ray enters and leaves actor boxes, which are excluded.
         """
         found = np.zeros((len(origin_world), STRETCHES, 2), dtype=np.float32)
+        # Steps of half a voxel: only corners of voxels can be missed.
         march(
-            (self.is_occupied, self.origin_m, VOXEL_M, _STEP_M),
+            (self.is_occupied, self.origin_m, VOXEL_M, VOXEL_M / 2),
             np.ascontiguousarray(origin_world, dtype=np.float64),
             np.ascontiguousarray(direction_world, dtype=np.float64),
             boxes_m,

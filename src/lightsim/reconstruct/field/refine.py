@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -55,14 +56,8 @@ def signed_distances(
     field: SceneField, points: Float32[np.ndarray, "n 3"], actor: int
 ) -> Float32[np.ndarray, " n"]:
     """Return the signed distance of points in the frame of the background (-1) or of an actor."""
-    device = device_of(field)
-    parts = [np.zeros(0, np.float32)]
-    with torch.no_grad():
-        for start in range(0, len(points), _BATCH):
-            part = torch.from_numpy(points[start : start + _BATCH]).to(device)
-            owner = torch.full((len(part),), actor, dtype=torch.int64, device=device)
-            parts.append(field(part, owner)[0].cpu().numpy())
-    return np.concatenate(parts)
+    parts = [sdf for sdf, _ in _evaluated(field, points, actor)]
+    return np.concatenate([np.zeros(0, np.float32), *parts])
 
 
 def vertex_radiance(field: SceneField, mesh: TriMesh, actor: int) -> Float32[np.ndarray, "n 3"]:
@@ -70,11 +65,19 @@ def vertex_radiance(field: SceneField, mesh: TriMesh, actor: int) -> Float32[np.
 
     It is the paper's base colour (appendix, "Neural Scene Reconstruction").
     """
+    parts = [colour for _, colour in _evaluated(field, mesh.vertices, actor)]
+    colours = np.concatenate([np.zeros((0, 3), np.float32), *parts])
+    return linear_from_srgb(colours).astype(np.float32)
+
+
+def _evaluated(
+    field: SceneField, points: Float32[np.ndarray, "n 3"], actor: int
+) -> Iterator[tuple[Float32[np.ndarray, " b"], Float32[np.ndarray, "b 3"]]]:
+    """Yield signed distances and sRGB colours of batches of points."""
     device = device_of(field)
-    parts = [np.zeros((0, 3), np.float32)]
-    with torch.no_grad():
-        for start in range(0, len(mesh.vertices), _BATCH):
-            part = torch.from_numpy(mesh.vertices[start : start + _BATCH]).to(device)
-            owner = torch.full((len(part),), actor, dtype=torch.int64, device=device)
-            parts.append(field(part, owner)[1].cpu().numpy())
-    return linear_from_srgb(np.concatenate(parts)).astype(np.float32)
+    for start in range(0, len(points), _BATCH):
+        part = torch.from_numpy(points[start : start + _BATCH]).to(device)
+        owner = torch.full((len(part),), actor, dtype=torch.int64, device=device)
+        with torch.no_grad():
+            sdf, colour, _, _ = field(part, owner)
+        yield sdf.cpu().numpy(), colour.cpu().numpy()

@@ -89,7 +89,6 @@ def place_samples(rays: RayBatch, generator: torch.Generator) -> Float[Tensor, "
     """
     if rays.occupied_m.shape[1]:
         return _in_occupied_space(rays, generator)
-    near, free = _NEAR_SAMPLES, _FREE_SAMPLES
     count = len(rays.origin)
     centre = torch.where(rays.is_lidar, rays.return_m, rays.surface_m)
     half = _NEAR_HALF_M * (1 + centre / 40)
@@ -103,13 +102,13 @@ def place_samples(rays: RayBatch, generator: torch.Generator) -> Float[Tensor, "
     start = (centre - half).clamp(min=_NEAREST_M)
     in_band = (
         start[:, None]
-        + _stratified(count, near, generator, centre)
+        + _stratified(count, _NEAR_SAMPLES, generator, centre)
         * ((centre + half - start).clamp(min=0.05)[:, None])
     )
-    in_free = _stratified(count, free, generator, centre) * (start - _NEAREST_M)[:, None]
+    in_free = _stratified(count, _FREE_SAMPLES, generator, centre) * (start - _NEAREST_M)[:, None]
     in_free = _NEAREST_M + in_free
     guided = torch.cat([in_free, in_band], dim=1)
-    steps = _stratified(count, near + free, generator, centre)
+    steps = _stratified(count, _NEAR_SAMPLES + _FREE_SAMPLES, generator, centre)
     return torch.where(has_centre[:, None], guided, _unguided(steps))
 
 

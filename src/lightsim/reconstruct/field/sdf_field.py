@@ -24,15 +24,13 @@ _OUTSIDE_M = 0.5
 _RESIDUAL_SCALE = 0.1
 # Greatest difference from the prior, as a fraction of the truncation.
 _RESIDUAL_REACH = 0.5
-# Greatest residual without a prior, in metres: effectively unlimited.
-_FREE_REACH_M = 1e3
+
 # Metres per unit of the position input of the heads: typical extents of a street and a vehicle.
 _POSITION_SCALE = {"background": 50.0, "actors": 3.0}
 # Exponent that approximates the sRGB curve: a gain on pixel values to this power is a gain on
 # radiance.
 _ENCODING_POWER = 2.2
-# Initial sharpness of surfaces, 1/m.
-_FIRST_BETA = 40.0
+
 # Width of the MLP heads.
 _HIDDEN = 64
 # Weight of the fused LiDAR at which the prior's confidence is 0.5.
@@ -71,7 +69,8 @@ class SceneField(nn.Module):
         self.actor_head = make_head(config.actor_grid, generator)
         self.sky_head = mlp(15, 32, 3, generator)
         self.log_gains = nn.Parameter(torch.zeros(max(len(camera_names), 1), 3))
-        self.log_beta = nn.Parameter(torch.log(torch.tensor(_FIRST_BETA)))
+        # Initial sharpness 40/m: surfaces of a few centimetres.
+        self.log_beta = nn.Parameter(torch.log(torch.tensor(40.0)))
         grids = [prior.actor(actor_id) if prior else (0, 0) for actor_id in actor_ids]
         own = prior.background if prior else (0, 0)
         # The last row is the background's, reached by actor number -1.
@@ -136,7 +135,8 @@ class SceneField(nn.Module):
         """Prior distance [m], its confidence in [0, 1], and the greatest residual [m]."""
         outside = torch.full_like(points[:, 0], _OUTSIDE_M)
         if self.prior is None:
-            return outside, torch.zeros_like(outside), torch.full_like(outside, _FREE_REACH_M)
+            # A reach of 1 km does not limit the field.
+            return outside, torch.zeros_like(outside), torch.full_like(outside, 1e3)
         # The prior is constant in training; on the CPU its look-up is compiled.
         if points.device.type == "cpu":
             ranges = self._grid_ranges[actor.numpy()]

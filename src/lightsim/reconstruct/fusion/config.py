@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class FuseConfig:
-    """Settings of the fusion of LiDAR sweeps into signed-distance grids."""
+class _GridConfig:
+    """Sizes of signed-distance grids."""
 
     voxel_m: tuple[float, ...] = (0.1, 0.2, 0.4)
     """Sample distance of each background level, finest first."""
@@ -15,6 +15,12 @@ class FuseConfig:
     """Horizontal distance from the path up to which each level extends."""
     actor_voxel_m: float = 0.06
     """Sample distance of the actors' grids."""
+
+
+@dataclass(frozen=True)
+class FuseConfig(_GridConfig):
+    """Settings of the fusion of LiDAR sweeps into signed-distance grids."""
+
     azimuth_step_deg: float = 0.15
     """Column width of the interpolated range images."""
     elevation_step_deg: float = 0.1
@@ -34,15 +40,8 @@ def standard() -> FuseConfig:
 
 
 @dataclass(frozen=True)
-class OccupiedConfig:
-    """Grids at whose samples a neural field without LiDAR fusion is evaluated, as in `standard`."""
-
-    voxel_m: tuple[float, ...] = (0.1, 0.2, 0.4)
-    """Sample distance of each background level, finest first."""
-    radius_m: tuple[float, ...] = (18.0, 50.0, 100.0)
-    """Horizontal distance from the path up to which each level extends."""
-    actor_voxel_m: float = 0.06
-    """Sample distance in the boxes of actors."""
+class OccupiedConfig(_GridConfig):
+    """Grids at whose samples a neural field without LiDAR fusion is evaluated."""
 
 
 def paper() -> OccupiedConfig:

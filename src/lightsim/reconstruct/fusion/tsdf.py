@@ -16,13 +16,13 @@ from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import SWEEP_HOLD_S
 from lightsim.errors import InputError
 from lightsim.progress import Progress
-from lightsim.reconstruct.fusion.config import FuseConfig, draft, standard
+from lightsim.reconstruct.fusion.config import FuseConfig
 from lightsim.reconstruct.fusion.ground import GroundBuilder
 from lightsim.reconstruct.fusion.range_image import RangeImage, make_range_image
 from lightsim.reconstruct.fusion.sweep_views import centre_line, label_points, views_of_sweep
 from lightsim.reconstruct.fusion.tsdf_kernels import integrate_view, mark_blocks
 
-__all__ = ["FuseConfig", "draft", "fuse_log", "standard"]
+__all__ = ["FuseConfig", "fuse_log"]
 
 # The values below were chosen on log 002 and synthetic street 0. Only their joint effect is
 # measured (docs/benchmarks/reconstruction.md, test street 1).

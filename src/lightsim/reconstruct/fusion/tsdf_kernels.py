@@ -15,8 +15,6 @@ from numba import njit, prange
 NOTHING = -2
 # Label of a pixel with free space up to its distance and no surface.
 FREE_ONLY = -1
-# Guards divisions by the area of a triangle and by the slope of a ray against its plane.
-_EPSILON = 1e-9
 
 
 @njit(cache=True, nogil=True)
@@ -47,7 +45,7 @@ def _draw(  # noqa: PLR0913 - compiled code takes plain arrays
     height, width = label_image.shape
     a, b, c = corners[0], corners[1], corners[2]
     area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
-    if abs(area) < _EPSILON:
+    if abs(area) < 1e-9:
         return
     first_row = max(0, math.ceil(corners[:, 0].min()))
     last_row = min(height - 1, math.floor(corners[:, 0].max()))
@@ -68,7 +66,7 @@ def _draw(  # noqa: PLR0913 - compiled code takes plain arrays
             # Distance to the triangle's plane, unless the ray is nearly parallel to it.
             slope = plane[0] * x + plane[1] * y + plane[2] * z
             distance = distances[0] * w0 + distances[1] * w1 + distances[2] * w2
-            if abs(slope) > _EPSILON and 0.5 * distance < plane[3] / slope < 2.0 * distance:
+            if abs(slope) > 1e-9 and 0.5 * distance < plane[3] / slope < 2.0 * distance:
                 distance = plane[3] / slope
             if old >= 0 and pixel_out[0] <= distance:
                 continue

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 triton: Any = need("triton", extra="cuda")
 tl: Any = need("triton.language", extra="cuda")
 
+# Factors of the hash, see `spec`.
 _PRIME_Y = tl.constexpr(PRIMES[1])
 _PRIME_Z = tl.constexpr(PRIMES[2])
 _PRIME_SALT = tl.constexpr(SALT_PRIME)
