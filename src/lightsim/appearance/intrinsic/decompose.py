@@ -94,14 +94,11 @@ class Decomposition:
         mesh: with base colour and confidence.
         visibility: estimated sun visibility of each vertex.
         notes: one line on the LiDAR evidence or on the baseline.
-        lidar_exponent: exponent of LiDAR intensity that predicts base colour best, 0 if it does not
-            predict; None without LiDAR.
     """
 
     mesh: TriMesh
     visibility: Float32[np.ndarray, " n"]
     notes: tuple[str, ...]
-    lidar_exponent: float | None = None
 
 
 def decompose(
@@ -155,9 +152,7 @@ def decompose(
     note = f"LiDAR intensity predicts base colour with exponent {reflectance_gain:.2f}"
     notes = () if returns is None else (note,)
     done = _finished(mesh, found, field, config, road, is_symmetric=is_symmetric)
-    return replace(
-        done, notes=notes, lidar_exponent=None if returns is None else float(reflectance_gain)
-    )
+    return replace(done, notes=notes)
 
 
 @dataclass(frozen=True, eq=False)

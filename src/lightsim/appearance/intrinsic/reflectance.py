@@ -64,7 +64,6 @@ class ReflectanceClass:
     """Log-normal prior of the base colours of a class of surface.
 
     Args:
-        name: of the class.
         median: median luminance over a street.
         log_std: standard deviation of the log of that median between streets.
         hue_std: standard deviation between streets of each log channel, relative to the mean of the
@@ -74,7 +73,6 @@ class ReflectanceClass:
             single patches consist of.
     """
 
-    name: str
     median: float
     log_std: float
     hue_std: float = np.inf
@@ -92,12 +90,10 @@ class ReflectanceClass:
 
 
 # New to worn asphalt and concrete, nearly grey and slightly red (90 %), and lane marks (10 %).
-PAVEMENT = ReflectanceClass(
-    "pavement", 0.13, 0.4, 0.1, (0.04, 0.0, -0.04), ((0.9, 0.13, 0.5), (0.1, 0.5, 0.4))
-)
+PAVEMENT = ReflectanceClass(0.13, 0.4, 0.1, (0.04, 0.0, -0.04), ((0.9, 0.13, 0.5), (0.1, 0.5, 0.4)))
 # Brick, stone, concrete and paint of any colour (75 %), white paint (10 %), panes (15 %).
 WALLS = ReflectanceClass(
-    "walls", 0.28, 0.45, mixture=((0.75, 0.27, 0.5), (0.1, 0.7, 0.25), (0.15, 0.06, 0.6))
+    0.28, 0.45, mixture=((0.75, 0.27, 0.5), (0.1, 0.7, 0.25), (0.15, 0.06, 0.6))
 )
 
 
