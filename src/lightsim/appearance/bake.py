@@ -99,13 +99,7 @@ def bake(
     ]
     views, footprint_m = _look_at_all(scene, frames, log, progress)
     edges = edge_lengths_m(scene.vertices, scene.faces)
-    resolution = choose_resolution(
-        edges,
-        footprint_m,
-        _TEXEL_M,
-        _MAX_RESOLUTION,
-        config.max_texels,
-    )
+    resolution = choose_resolution(edges, footprint_m, _TEXEL_M, _MAX_RESOLUTION, config.max_texels)
     corner = edges.argmax(axis=1).astype(np.int32)
     table = _Table(scene, resolution, corner, first_texels(resolution))
     samples, towards_camera = _collect(table, views, log, config, sky_matte, progress)
@@ -267,11 +261,7 @@ class _Corners:
 
 
 def _project(
-    corners: _Corners,
-    scene: PlacedScene,
-    view: View,
-    camera: PinholeCamera,
-    config: AssetConfig,
+    corners: _Corners, scene: PlacedScene, view: View, camera: PinholeCamera, config: AssetConfig
 ) -> Int64[np.ndarray, " k"]:
     """Project the vertices of a view's faces, compute their weights, and return their indices."""
     frame = view.frame
@@ -291,10 +281,7 @@ def _project(
 
 
 def _gains(
-    samples: TexelSamples,
-    camera_of_frame: np.ndarray,
-    camera_count: int,
-    config: AssetConfig,
+    samples: TexelSamples, camera_of_frame: np.ndarray, camera_count: int, config: AssetConfig
 ) -> Float32[np.ndarray, "c 3"]:
     """Camera gains from a regular subset of the texels that several images observe."""
     if not config.has_camera_gains:

@@ -66,12 +66,7 @@ def fill_unseen(
     inverse = diags(1.0 / degree)
     for channel in range(3):
         smooth, _ = cg(
-            system,
-            wanted[:, channel],
-            x0=near[:, channel],
-            rtol=1e-4,
-            maxiter=_ROUNDS,
-            M=inverse,
+            system, wanted[:, channel], x0=near[:, channel], rtol=1e-4, maxiter=_ROUNDS, M=inverse
         )
         # A harmonic function is bounded by its known values; unconverged iterates may exceed them.
         ends = result[known, channel].min(), result[known, channel].max()

@@ -189,9 +189,7 @@ def _normal(
     return np.exp(-0.5 * (value / std) ** 2) / (std * np.sqrt(2 * np.pi)) + 1e-300
 
 
-def _log_pairs(
-    pairs: ShadowPairs,
-) -> tuple[Float64[np.ndarray, "u s"], Float64[np.ndarray, "u 1"]]:
+def _log_pairs(pairs: ShadowPairs) -> tuple[Float64[np.ndarray, "u s"], Float64[np.ndarray, "u 1"]]:
     """Log density of the pairs' fit, if shadows of the sun or if label errors cause the pairs."""
     # The fit changes smoothly with the unseen sky: five fits are interpolated.
     unseen = np.linspace(_LOG_UNSEEN[0], _LOG_UNSEEN[-1], 5)

@@ -100,9 +100,7 @@ def _edges(mesh: TriMesh) -> Int64[np.ndarray, "e 2"]:
 
 
 def inpaint_colour(
-    mesh: TriMesh,
-    colour: Float64[np.ndarray, "n 3"],
-    is_trusted: Bool[np.ndarray, " n"],
+    mesh: TriMesh, colour: Float64[np.ndarray, "n 3"], is_trusted: Bool[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 3"]:
     """Replace untrusted colours by the mean of trusted vertices near by with similar normals."""
     from scipy.spatial import KDTree

@@ -153,11 +153,7 @@ def pixel_rays(
 
 
 def lidar_rays(
-    log: DrivingLog,
-    count: int,
-    guide: Guide,
-    rng: np.random.Generator,
-    progress: Progress,
+    log: DrivingLog, count: int, guide: Guide, rng: np.random.Generator, progress: Progress
 ) -> RayPool:
     """Draw about `count` random returns over all sweeps, each at its own time.
 

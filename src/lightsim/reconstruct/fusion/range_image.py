@@ -179,9 +179,7 @@ def _face_normals(
 
 
 def _classify(
-    rays: _Rays,
-    faces: Int32[np.ndarray, "m 3"],
-    cosine: Float64[np.ndarray, " m"],
+    rays: _Rays, faces: Int32[np.ndarray, "m 3"], cosine: Float64[np.ndarray, " m"]
 ) -> Int32[np.ndarray, " m"]:
     """Label of each triangle: that of its corners if it is surface, else FREE_ONLY or NOTHING."""
     edge, gap = np.zeros(len(faces)), np.zeros(len(faces))

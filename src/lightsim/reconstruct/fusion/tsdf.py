@@ -160,11 +160,7 @@ class _Level:
     """One resolution of the background: blocks near surfaces within a ring around the path."""
 
     def __init__(
-        self,
-        index: int,
-        path: Float64[np.ndarray, "n 3"],
-        ground: GroundMap,
-        config: FuseConfig,
+        self, index: int, path: Float64[np.ndarray, "n 3"], ground: GroundMap, config: FuseConfig
     ) -> None:
         voxel, outer = config.voxel_m[index], config.radius_m[index]
         inner = config.radius_m[index - 1] - _LEVEL_OVERLAP_M if index else 0.0

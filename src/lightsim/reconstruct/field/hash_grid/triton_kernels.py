@@ -24,6 +24,7 @@ tl: Any = need("triton.language", extra="cuda")
 
 # Factors of the hash, see `spec`.
 _PRIME_Y = tl.constexpr(PRIMES[1])
+# Factor of the z cell.
 _PRIME_Z = tl.constexpr(PRIMES[2])
 _PRIME_SALT = tl.constexpr(SALT_PRIME)
 # Points of a program. Sensitivity of the running time not measured, as of `_VALUES`.
