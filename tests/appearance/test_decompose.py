@@ -257,8 +257,8 @@ def test_lidar_intensity_keeps_dark_patches_from_becoming_shadows():
         np.random.default_rng(0),
         returns=returns,
     )
-    assert done.lidar_exponent is not None
-    assert 0.6 < done.lidar_exponent <= 1.0
+    (note,) = done.notes
+    assert 0.6 < float(note.rsplit(" ", 1)[1]) <= 1.0
     assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.05)
 
 

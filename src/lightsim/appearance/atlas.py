@@ -1,9 +1,9 @@
-"""Texture atlases: every face has its own right-angled patch of texels, two faces share a block.
+"""Texture atlases: a right-angled patch of texels for each face, two patches in one block.
 
 A patch of resolution n has texels (i, j), i to the right and j down; (0, 0), (n, 0) and (0, n) lie
 on the face's corners, the right angle at the corner opposite the longest edge. Texels with
-i + j <= n + 1 belong to it: all that bilinear look-up inside the face reads. Resolution 0 is one
-texel for the whole face.
+i + j <= n + 1 belong to the patch: those that bilinear interpolation inside the face reads.
+Resolution 0 is one texel for the whole face.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from jaxtyping import Bool, Float, Float32, Int32, Int64
 from lightsim.appearance.bake_kernels import fill_texels
 from lightsim.core.mesh import Texture
 
-_SEARCH_ROUNDS = 40
-_WIDTHS_TRIED = 12
+# Longer leg of a face, in metres, above which it has one texel a corner at least, even if no camera
+# observes it: colours interpolated at the vertices then appear in the texture. Not measured.
 _COARSEST_UNSEEN_M = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """Where the texels of each face lie in an image of `height_px` x `width_px`.
+    """Layout of the faces' patches in an image of `height_px` x `width_px`.
 
     Args:
         resolution: texels an edge; 0 is a single texel.
-        right_corner: which corner (0, 1, 2) has the patch's right angle.
+        right_corner: index (0, 1, 2) of the corner with the patch's right angle.
         origin_px: (column, row) of texel (0, 0).
         is_turned: columns and rows count backwards from the origin.
     """
@@ -42,11 +42,11 @@ class Patches:
 
     @property
     def first_texel(self) -> Int64[np.ndarray, " m_plus_1"]:
-        """Rows of each face in a table of all texels, face after face; the last is the total."""
+        """Row of each face's first texel in a table of all texels; the last is the total."""
         return first_texels(self.resolution)
 
     def corner_uv(self) -> Float32[np.ndarray, "m 3 2"]:
-        """(u, v) in pixels of each face's corners (core.mesh.Texture)."""
+        """Return (u, v) of each face's corners, in pixels (core.mesh.Texture)."""
         uv = np.repeat(self.origin_px[:, None].astype(np.float32) + np.float32(0.5), 3, axis=1)
         step = np.where(self.is_turned, -self.resolution, self.resolution).astype(np.float32)
         face = np.arange(len(step))
@@ -61,8 +61,8 @@ class Texels:
 
     Args:
         pixel: index into the image's pixels, row after row.
-        face: the face it belongs to.
-        barycentric: its place on the face; a texel beyond the long edge has a negative weight.
+        face: index of the face of each texel.
+        barycentric: position on the face; a texel beyond the long edge has a negative weight.
     """
 
     pixel: Int64[np.ndarray, " t"]
@@ -71,20 +71,20 @@ class Texels:
 
 
 def texel_count(resolution: Int32[np.ndarray, " m"]) -> Int64[np.ndarray, " m"]:
-    """Texels of a patch."""
+    """Return the number of texels of each patch."""
     n = resolution.astype(np.int64)
     return np.where(n == 0, 1, n + (n + 1) * (n + 2) // 2)
 
 
 def first_texels(resolution: Int32[np.ndarray, " m"]) -> Int64[np.ndarray, " m_plus_1"]:
-    """Where each face's texels start in a table of all texels; the last is the total."""
+    """Return the row of each face's first texel in a table of all texels; the last is the total."""
     return np.concatenate([[0], np.cumsum(texel_count(resolution))]).astype(np.int64)
 
 
 def edge_lengths_m(
     vertices: Float32[np.ndarray, "n 3"], faces: Int32[np.ndarray, "m 3"]
 ) -> Float32[np.ndarray, "m 3"]:
-    """Length of the edge opposite each corner."""
+    """Return the length of the edge opposite each corner."""
     corner = [vertices[faces[:, i]] for i in range(3)]
     edges = [np.linalg.norm(corner[(i + 1) % 3] - corner[(i + 2) % 3], axis=1) for i in range(3)]
     return np.stack(edges, axis=1).astype(np.float32)
@@ -97,16 +97,16 @@ def choose_resolution(
     max_resolution: int,
     max_texels: int,
 ) -> Int32[np.ndarray, " m"]:
-    """Texels an edge, so that a texel is as large as the finest pixel that saw the face.
+    """Return texels an edge, so that a texel is as large as the finest pixel on the face.
 
-    Where that needs more than `max_texels`, all texels grow by the same factor.
+    If more than `max_texels` result, all texels grow by one factor.
 
     Args:
-        edges_m: see `edge_lengths_m`; the middle one is sampled (the longer leg).
-        footprint_m: size on the surface of the finest pixel; inf where no camera saw the face.
-        texel_m: no texel is smaller than this.
-        max_resolution: no patch has more texels an edge.
-        max_texels: of all faces together.
+        edges_m: see `edge_lengths_m`; the middle one (the longer leg) sets the resolution.
+        footprint_m: size of the finest pixel on the surface; inf if no camera observes the face.
+        texel_m: least size of a texel.
+        max_resolution: most texels an edge.
+        max_texels: most texels of all faces together.
     """
     leg = np.sort(edges_m, axis=1)[:, 1]
     size = np.maximum(footprint_m, np.float32(texel_m))
@@ -120,17 +120,17 @@ def choose_resolution(
     chosen = at(low)
     if texel_count(chosen).sum() <= max_texels:
         return chosen
-    for _ in range(_SEARCH_ROUNDS):
+    # Bisection of the log; `high` always satisfies the limit.
+    while high / low >= 1.005:
         middle = float(np.sqrt(low * high))
-        chosen = at(middle)
-        low, high = (middle, high) if texel_count(chosen).sum() > max_texels else (low, middle)
-        if high / low < 1.005:
-            break
+        is_too_many = texel_count(at(middle)).sum() > max_texels
+        low, high = (middle, high) if is_too_many else (low, middle)
     return at(high)
 
 
 def pack(resolution: Int32[np.ndarray, " m"], edges_m: Float32[np.ndarray, "m 3"]) -> Patches:
     """Place all patches in one nearly square image: blocks in shelves, highest blocks first."""
+    # Equal resolutions become adjacent, so that two patches fill one rectangular block.
     order = np.argsort(-resolution, kind="stable")
     block, is_second = _pair(resolution[order])
     count = int(block[-1]) + 1 if len(block) else 0
@@ -138,7 +138,8 @@ def pack(resolution: Int32[np.ndarray, " m"], edges_m: Float32[np.ndarray, "m 3"
     n[block] = resolution[order]
     width, height = np.where(n == 0, 1, n + 4), n + 1
     least = max(int(np.ceil(np.sqrt((width * height).sum()))), int(width.max(initial=1)))
-    widths = np.unique(np.linspace(least, 1.2 * least, _WIDTHS_TRIED).astype(np.int64)).tolist()
+    # Twelve candidate widths; the smallest area leaves the fewest empty texels.
+    widths = np.unique(np.linspace(least, 1.2 * least, 12).astype(np.int64)).tolist()
     image_width = min(widths, key=lambda w: w * _shelves(width, height, w)[2])
     column, row, image_height = _shelves(width, height, image_width)
     origin = np.zeros((len(resolution), 2), dtype=np.int32)
@@ -153,7 +154,7 @@ def pack(resolution: Int32[np.ndarray, " m"], edges_m: Float32[np.ndarray, "m 3"
 def _pair(
     sorted_resolution: Int32[np.ndarray, " m"],
 ) -> tuple[Int64[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
-    """Block of each face, and whether it is the second there; single texels stay alone."""
+    """Block of each face, and whether it is the second in its block; single texels are unpaired."""
     count = len(sorted_resolution)
     if count == 0:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
@@ -167,7 +168,7 @@ def _pair(
 def _shelves(
     width: Int64[np.ndarray, " b"], height: Int64[np.ndarray, " b"], image_width: int
 ) -> tuple[Int64[np.ndarray, " b"], Int64[np.ndarray, " b"], int]:
-    """(column, row) of blocks of falling height, and the image's height."""
+    """Column and row of blocks in order of decreasing height, and the image's height."""
     end = np.cumsum(width)
     column, row = np.zeros(len(width), np.int64), np.zeros(len(width), np.int64)
     first, used, y = 0, 0, 0
@@ -181,8 +182,10 @@ def _shelves(
 
 
 def texel_parts(texture: Texture, count: int) -> Iterator[Texels]:
-    """Every texel of a texture that this module packed, with its place on the mesh, in parts of
-    whole faces: about `count` texels, or one face, each."""
+    """Yield the texels of a texture of this module in parts of whole faces, to limit memory.
+
+    A part has at most `count` texels, or is one face.
+    """
     patches = patches_of(texture)
     first = patches.first_texel
     start = 0
@@ -204,7 +207,7 @@ def texel_parts(texture: Texture, count: int) -> Iterator[Texels]:
 
 
 def texels_of(patches: Patches) -> Texels:
-    """Every texel of the patches."""
+    """Return all texels of the patches."""
     first = patches.first_texel
     count = int(first[-1])
     pixel, face = np.zeros(count, np.int64), np.zeros(count, np.int32)
@@ -222,9 +225,10 @@ def texels_of(patches: Patches) -> Texels:
 
 
 def patches_of(texture: Texture) -> Patches:
-    """The patches of a texture that this module packed, found from its corners alone."""
+    """Recover the patches of a texture of this module from its corner coordinates alone."""
     uv = texture.corner_uv
     along, down = np.roll(uv, -1, axis=1) - uv, np.roll(uv, -2, axis=1) - uv
+    # At the right corner the two edges are parallel to the image's axes.
     bent = np.abs(along[:, :, 1]) + np.abs(down[:, :, 0])
     right_corner = bent.argmin(axis=1).astype(np.int32)
     face = np.arange(len(uv))

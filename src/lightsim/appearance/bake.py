@@ -1,4 +1,4 @@
-"""Colour of every texel from all images that see it (paper Sec. 3.1: "textured meshes")."""
+"""Colour of every texel from all images that observe it (paper Sec. 3.1: "textured meshes")."""
 
 from __future__ import annotations
 
@@ -45,35 +45,32 @@ from lightsim.core.mesh import Texture, TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.progress import Progress
 
+# The values below were chosen on log 002 and synthetic street 0. Only their joint effect is
+# measured (docs/benchmarks/reconstruction.md, test street 1).
+
+# Pixels per metre of a view of weight 1: centres the range of the 8-bit weight codes.
 _WEIGHT_UNIT_PX = 30.0
-_UNSEEN = 0.2
+
+# Size of the texels of unobserved street, in metres: `hidden_surfaces` completes them later.
 _HIDDEN_TEXEL_M = 0.05
-"""Of street that no image shows: what later completes it needs texels there."""
+# Height above the cameras, in metres, up to which vehicles may hide house fronts.
 _FOOT_ABOVE_EYES_M = 2.0
-"""Up to here vehicles hide fronts."""
-
-
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
-# (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
-
-# No texel is smaller than this; it is as large as the finest pixel that saw it.
+# Least size of a texel; otherwise it is that of the finest pixel on the face.
 _TEXEL_M = 0.01
 # Most texels along the edge of a face.
 _MAX_RESOLUTION = 32
-# A view counts by the pixels it has on a unit of surface, to this power.
-_SHARPNESS_POWER = 1.0
-# Texels from which the gains are found.
+# Number of texels from which the camera gains are estimated.
 _GAIN_SAMPLES = 200_000
 
 
 @dataclass(frozen=True, eq=False)
 class TexelSamples:
-    """The best samples of every texel, face after face.
+    """Samples of largest weight of every texel, face after face.
 
     Args:
         colours: 8-bit sRGB codes, gains not divided out.
         codes: weights (bake_kernels.weight_code); 0 where a slot is empty.
-        frames: index into the frames that were used.
+        frames: index into the sampled frames.
     """
 
     colours: UInt8[np.ndarray, "t k 3"]
@@ -91,10 +88,10 @@ def bake(
     progress: Progress,
     sky_matte: SkyMatte | None = None,
 ) -> tuple[list[TriMesh], Float32[np.ndarray, "c 3"]]:
-    """The meshes (background first, then the actors) with textures of radiance, and the gains.
+    """Return the meshes (background first, then actors) with textures of radiance, and the gains.
 
-    Texels that no image saw take the colour between the vertices, whose colour is the local mean
-    of the texels seen, spread along the surface where there is none.
+    The colour of a vertex is the mean of the observed texels around it, or is interpolated along
+    the surface if there are none. Unobserved texels are interpolated between the vertices.
     """
     scene = PlacedScene(log, background, actors, make_caster)
     frames = [
@@ -102,13 +99,7 @@ def bake(
     ]
     views, footprint_m = _look_at_all(scene, frames, log, progress)
     edges = edge_lengths_m(scene.vertices, scene.faces)
-    resolution = choose_resolution(
-        edges,
-        footprint_m,
-        _TEXEL_M,
-        _MAX_RESOLUTION,
-        config.max_texels,
-    )
+    resolution = choose_resolution(edges, footprint_m, _TEXEL_M, _MAX_RESOLUTION, config.max_texels)
     corner = edges.argmax(axis=1).astype(np.int32)
     table = _Table(scene, resolution, corner, first_texels(resolution))
     samples, towards_camera = _collect(table, views, log, config, sky_matte, progress)
@@ -129,7 +120,7 @@ def bake(
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """Texels of all faces of a scene, in one numbering."""
+    """Table of the texels of all faces of a scene, face after face."""
 
     scene: PlacedScene
     resolution: np.ndarray
@@ -138,19 +129,19 @@ class _Table:
 
     @property
     def patch(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Resolution, corner and first texel of each face: what `patch_uv` and the kernels take."""
+        """Resolution, right corner and first texel of each face, as the kernels require."""
         return self.resolution, self.corner, self.first
 
 
 def _look_at_all(
     scene: PlacedScene, frames: Sequence[CameraFrame], log: DrivingLog, progress: Progress
 ) -> tuple[list[View], Float32[np.ndarray, " m"]]:
-    """Views of all frames, and the size of the finest pixel on each face; inf where none shows it.
+    """Views of all frames, and the size of the finest pixel on each face; inf where unobserved.
 
-    How sharp a view is on its faces is not kept: of a long log that is a third of all views' bytes.
+    The sharpness of each view on its faces is not stored: it is a third of the views' memory.
     """
     views, best = [], np.zeros(len(scene.faces), dtype=np.float32)
-    for frame in progress.track(frames, "look at the meshes", len(frames)):
+    for frame in progress.track(frames, "observe the meshes", len(frames)):
         view, pixels_per_m = look(scene, frame, log.cameras[frame.camera_name])
         best[view.faces] = np.maximum(best[view.faces], pixels_per_m)
         views.append(view)
@@ -162,7 +153,7 @@ def _look_at_all(
 def _hidden_street(
     scene: PlacedScene, frames: Sequence[CameraFrame], is_hidden: Bool[np.ndarray, " m"]
 ) -> Int64[np.ndarray, " k"]:
-    """Hidden faces of the background beside the path that may be ground, or the foot of a front."""
+    """Unobserved background faces beside the path that may be ground or the foot of a front."""
     from scipy.spatial import KDTree
 
     background = scene.meshes[0]
@@ -186,8 +177,10 @@ def _collect(
     sky_matte: SkyMatte | None,
     progress: Progress,
 ) -> tuple[TexelSamples, Float32[np.ndarray, "n 3"]]:
-    """Samples of the texels, and the mean direction from each vertex, in its mesh's frame, to the
-    cameras that saw it, weighted as its colours are."""
+    """Samples of the texels, and the weighted mean direction from each vertex to its cameras.
+
+    Directions are unit vectors in the frames of the vertices' meshes; 0 without a camera.
+    """
     scene = table.scene
     shape = (int(table.first[-1]), config.samples_per_texel)
     samples = TexelSamples(
@@ -230,7 +223,7 @@ def _add_directions(
     view: View,
     config: AssetConfig,
 ) -> None:
-    """Add the directions to a view's camera of the vertices that it sees, by their weights."""
+    """Add the weighted directions from the vertices visible in a view to its camera, in place."""
     height, width = view.inverse_depth.shape
     column, row = np.floor(corners.uv[used] / DEPTH_STEP_PX).astype(np.int64).T
     is_inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
@@ -248,7 +241,10 @@ def _add_directions(
 
 @dataclass(frozen=True, eq=False)
 class _Corners:
-    """Where the vertices of a scene appear in one image; only those of its faces are set."""
+    """Image positions, depths and weights of vertices in one view; valid for its faces alone.
+
+    The arrays cover the whole scene and are reused by every view.
+    """
 
     uv: Float32[np.ndarray, "n 2"]
     depth_m: Float32[np.ndarray, " n"]
@@ -256,7 +252,7 @@ class _Corners:
 
     @staticmethod
     def empty(count: int) -> _Corners:
-        """No vertex set; zero weight means unset."""
+        """Return arrays without a projected vertex; their weight is 0."""
         return _Corners(
             np.zeros((count, 2), np.float32),
             np.zeros(count, np.float32),
@@ -265,13 +261,9 @@ class _Corners:
 
 
 def _project(
-    corners: _Corners,
-    scene: PlacedScene,
-    view: View,
-    camera: PinholeCamera,
-    config: AssetConfig,
+    corners: _Corners, scene: PlacedScene, view: View, camera: PinholeCamera, config: AssetConfig
 ) -> Int64[np.ndarray, " k"]:
-    """Project a view's vertices and weigh how well they are seen; their numbers."""
+    """Project the vertices of a view's faces, compute their weights, and return their indices."""
     frame = view.frame
     is_used = np.zeros(len(scene.vertices), dtype=bool)
     is_used[scene.faces[view.faces].ravel()] = True
@@ -281,7 +273,7 @@ def _project(
     corners.uv[used] = frame.project(camera, points)[0]
     corners.depth_m[used] = (points - pose.translation_m) @ pose.rotation[:, 2]
     sharp = pixels_per_metre(scene.vertices[used], scene.normals[used], pose, camera)
-    weight = (sharp / _WEIGHT_UNIT_PX) ** (2 * _SHARPNESS_POWER)
+    weight = np.square(sharp / _WEIGHT_UNIT_PX)
     moving = [(track, frame.time_ns) for track in scene.moving]
     is_shaded = beside_actors(scene, moving, used, config.shade_margin_m)
     corners.weight[used] = np.where(is_shaded, 0.0, weight)
@@ -289,12 +281,9 @@ def _project(
 
 
 def _gains(
-    samples: TexelSamples,
-    camera_of_frame: np.ndarray,
-    camera_count: int,
-    config: AssetConfig,
+    samples: TexelSamples, camera_of_frame: np.ndarray, camera_count: int, config: AssetConfig
 ) -> Float32[np.ndarray, "c 3"]:
-    """From texels that several images saw, evenly taken."""
+    """Camera gains from a regular subset of the texels that several images observe."""
     if not config.has_camera_gains:
         return np.ones((camera_count, 3), dtype=np.float32)
     shared = np.flatnonzero((samples.codes > 0).sum(axis=1) > 1)
@@ -312,10 +301,11 @@ def _gains(
 def mean_radiance(
     samples: TexelSamples, gains: Float32[np.ndarray, "f 3"], outlier_ratio: float
 ) -> tuple[Float32[np.ndarray, "t 3"], Bool[np.ndarray, " t"]]:
-    """Mean observed radiance of every texel, and whether any image saw it.
+    """Return the robust mean radiance of every texel, and the mask of observed texels.
 
     Args:
-        gains: of each frame.
+        gains: RGB gain of each frame.
+        outlier_ratio: see `AssetConfig`.
     """
     count = len(samples.codes)
     radiance, is_seen = np.zeros((count, 3), np.float32), np.zeros(count, dtype=bool)
@@ -337,19 +327,22 @@ def _finish(
     is_seen: Bool[np.ndarray, " t"],
     is_under: Bool[np.ndarray, " n"],
 ) -> list[TriMesh]:
-    """Colour of the vertices, of what nobody saw, and each mesh's own texture.
+    """Colour all vertices and unobserved texels, and pack a texture for each mesh.
 
     Args:
-        is_under: vertices right under actors at rest, whose radiance tells no base colour.
+        is_under: vertices at the contact of resting actors, where radiance is no evidence of base
+            colour; their confidence becomes 0.
     """
     scene = table.scene
+    # Heron's formula.
     half = edges_m.astype(np.float64).sum(axis=1) / 2
     area = np.sqrt(np.maximum(half * np.prod(half[:, None] - edges_m, axis=1), 0.0))
     sums, total = np.zeros((len(scene.vertices), 3)), np.zeros(len(scene.vertices))
     vertex_sums(table.patch, scene.faces, area, radiance, is_seen, sums, total)
     is_known = total > 0
     colour = (sums / np.where(is_known, total, 1.0)[:, None]).astype(np.float32)
-    usual = np.median(colour[is_known], axis=0) if is_known.any() else np.full(3, _UNSEEN)
+    # A mid grey if no image shows any vertex.
+    usual = np.median(colour[is_known], axis=0) if is_known.any() else np.full(3, 0.2)
     for k, mesh in enumerate(scene.meshes):
         part = slice(scene.first_vertex[k], scene.first_vertex[k + 1])
         colour[part] = fill_unseen(mesh, colour[part], is_known[part], usual)
@@ -367,10 +360,10 @@ def _textured(
     painted: tuple[Float32[np.ndarray, "n 3"], Bool[np.ndarray, " n"]],
     radiance: Float32[np.ndarray, "t 3"],
 ) -> TriMesh:
-    """One mesh with its colours and its own texture; confidence 0 where no image tells its colour.
+    """One mesh with vertex colours and texture; the confidence of unobserved vertices is 0.
 
     Args:
-        painted: colour of the vertices, and whether an image tells it.
+        painted: colour of the vertices, and the mask of those with an observed colour.
     """
     scene = table.scene
     mesh = scene.meshes[number]

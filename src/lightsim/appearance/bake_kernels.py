@@ -1,6 +1,6 @@
 """Compiled loops of baking: texels of faces, their samples in an image, and their robust mean.
 
-`no_type_check` keeps the tests' run-time type checker out of compiled code.
+`no_type_check` excludes compiled code from the run-time type checks of the tests.
 """
 
 from __future__ import annotations
@@ -11,22 +11,25 @@ from typing import no_type_check
 import numpy as np
 from numba import njit, prange
 
+# Steps of the 8-bit weight code per factor of 2: at most 9 % apart.
 _CODES_PER_OCTAVE = 8.0
+# Code of weight 1, mid range: codes cover weights from 2^-16 to 2^16.
 _ZERO_CODE = 128.0
+# Least depth of a sampled point, in metres: projection is unstable at the camera.
 _NEAR_M = 0.1
 
 
 @njit(cache=True, nogil=True, inline="always")
 @no_type_check
 def row_length(n, j):
-    """Texels of row j of a patch of resolution n."""
+    """Return the number of texels of row j of a patch of resolution n."""
     return n + 1 if j == 0 else n + 2 - j
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
 def corner_weights(n, corner, i, j, weights):
-    """Barycentric coordinates of texel (i, j)."""
+    """Write the barycentric coordinates of texel (i, j) to `weights`."""
     if n == 0:
         weights[:] = 1.0 / 3.0
         return
@@ -38,7 +41,10 @@ def corner_weights(n, corner, i, j, weights):
 @njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def fill_texels(patch, origin, turned, width, pixel, face, barycentric):
-    """Pixel, face and place of every texel. `patch`: resolution, right corner, first texel."""
+    """Write pixel, face and barycentric coordinates of every texel.
+
+    `patch` holds the resolution, right corner and first texel of each face.
+    """
     resolution, corner, first = patch
     for f in prange(resolution.shape[0]):
         n, t = resolution[f], first[f]
@@ -55,7 +61,7 @@ def fill_texels(patch, origin, turned, width, pixel, face, barycentric):
 @njit(cache=True, nogil=True)
 @no_type_check
 def touching_faces(faces, hit_faces, vertex_count):
-    """Whether each face shares a vertex with a hit face (hits of -1 are none)."""
+    """Return the mask of faces with a vertex of any hit face (index -1: no hit)."""
     is_hit = np.zeros(vertex_count, dtype=np.bool_)
     for k in range(hit_faces.shape[0]):
         if hit_faces[k] >= 0:
@@ -70,7 +76,7 @@ def touching_faces(faces, hit_faces, vertex_count):
 @njit(cache=True, nogil=True)
 @no_type_check
 def weight_code(weight):
-    """A weight as one byte, eight steps an octave; 0 is no weight."""
+    """Return the logarithmic one-byte code of a weight; 0 is no weight."""
     if weight <= 0.0:
         return 0
     code = _ZERO_CODE + _CODES_PER_OCTAVE * math.log2(weight)
@@ -80,7 +86,7 @@ def weight_code(weight):
 @njit(cache=True, nogil=True)
 @no_type_check
 def code_weight(code):
-    """Inverse of `weight_code`."""
+    """Return the weight of a code (inverse of `weight_code`)."""
     if code == 0:
         return 0.0
     return 2.0 ** ((code - _ZERO_CODE) / _CODES_PER_OCTAVE)
@@ -89,10 +95,10 @@ def code_weight(code):
 @njit(cache=True, nogil=True)
 @no_type_check
 def is_visible(inverse_depth, step, u, v, z, tolerance_m):
-    """Whether a point is at or in front of the surface that the image shows there.
+    """Return True for a point at or in front of the depth image's surface at (u, v).
 
-    The inverse depth of a plane is linear in the image, so that its interpolation is exact on
-    surfaces seen at a glancing angle.
+    The inverse depth of a plane is linear in the image: bilinear interpolation is exact on it, even
+    at a grazing angle.
     """
     h, w = inverse_depth.shape
     x = min(max(u / step - 0.5, 0.0), w - 1.001)
@@ -107,7 +113,7 @@ def is_visible(inverse_depth, step, u, v, z, tolerance_m):
 @njit(cache=True, nogil=True)
 @no_type_check
 def read_pixel(image, pixel_weight, u, v, colour):
-    """Bilinear 8-bit codes at (u, v); the least weight of the four pixels is returned."""
+    """Interpolate 8-bit codes at (u, v) bilinearly; return the least weight of the four pixels."""
     h, w = pixel_weight.shape
     x, y = min(max(u - 0.5, 0.0), w - 1.001), min(max(v - 0.5, 0.0), h - 1.001)
     j, i = int(x), int(y)
@@ -123,7 +129,7 @@ def read_pixel(image, pixel_weight, u, v, colour):
 @njit(cache=True, nogil=True)
 @no_type_check
 def keep_sample(colour, code, frame, colours, codes, frames):
-    """Put a sample in the place of the least of those kept, if it weighs more."""
+    """Replace the stored sample of least weight if the new one has a larger weight."""
     worst = 0
     for k in range(1, codes.shape[0]):
         if codes[k] < codes[worst]:
@@ -141,7 +147,7 @@ def keep_sample(colour, code, frame, colours, codes, frames):
 def sample_texels(chosen, patch, faces, uv, depth, weight, view, samples):
     """Sample every texel of the chosen faces in one image.
 
-    Projected corners are joined with the depth as weight, which is exact for a pinhole.
+    Projected corners are interpolated with the depth as weight, which is exact for a pinhole.
     """
     resolution, corner, first = patch
     colours, codes, frames = samples
@@ -162,6 +168,7 @@ def sample_texels(chosen, patch, faces, uv, depth, weight, view, samples):
                 fraction[1] *= depth[b]
                 fraction[2] *= depth[c]
                 z = fraction[0] + fraction[1] + fraction[2]
+                # Before any `continue`: the texel below is t - 1.
                 t += 1
                 if z < _NEAR_M or sharp <= 0.0:
                     continue
@@ -181,14 +188,14 @@ def sample_texels(chosen, patch, faces, uv, depth, weight, view, samples):
 def robust_texels(samples, linear, inverse_gains, limit, radiance, is_seen):
     """Weighted mean of the samples near the weighted median brightness, gains divided out.
 
-    Transparent or mirroring things and slips of the visibility test differ from the median.
+    Samples of transparent or reflecting surfaces, and errors of the visibility test, are outliers.
     """
     colours, codes, frames = samples
-    kept = codes.shape[1]
+    slots = codes.shape[1]
     for t in prange(codes.shape[0]):
-        values, bright, weight = np.empty((kept, 3)), np.empty(kept), np.empty(kept)
+        values, bright, weight = np.empty((slots, 3)), np.empty(slots), np.empty(slots)
         total = 0.0
-        for k in range(kept):
+        for k in range(slots):
             weight[k] = code_weight(codes[t, k])
             total += weight[k]
             bright[k] = 1e-3
@@ -205,7 +212,7 @@ def robust_texels(samples, linear, inverse_gains, limit, radiance, is_seen):
                 median = bright[k]
                 break
         total = 0.0
-        for k in range(kept):
+        for k in range(slots):
             if weight[k] > 0.0 and abs(math.log(bright[k] / median)) <= limit:
                 total += weight[k]
                 for c in range(3):
@@ -217,11 +224,12 @@ def robust_texels(samples, linear, inverse_gains, limit, radiance, is_seen):
 @njit(cache=True, nogil=True)
 @no_type_check
 def vertex_sums(patch, faces, area, radiance, is_seen, sums, total):
-    """Add up the seen texels around each vertex, by area and nearness."""
+    """Sum the observed texels around each vertex, weighted by area and barycentric coordinate."""
     resolution, corner, first = patch
     fraction = np.empty(3)
     for f in range(faces.shape[0]):
         n, t = resolution[f], first[f]
+        # Area of one texel.
         unit = area[f] / (first[f + 1] - first[f])
         for j in range(n + 1):
             for i in range(row_length(n, j)):
@@ -238,7 +246,7 @@ def vertex_sums(patch, faces, area, radiance, is_seen, sums, total):
 @njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def fill_unseen_texels(patch, faces, colour, radiance, is_seen):
-    """Texels that nobody saw take the colour between the face's corners."""
+    """Interpolate unobserved texels between the colours of the face's corners."""
     resolution, corner, first = patch
     for f in prange(faces.shape[0]):
         n, t = resolution[f], first[f]

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 from lightsim.appearance.bake import bake
-from lightsim.appearance.config import AssetConfig, draft, paper, standard
+from lightsim.appearance.config import AssetConfig
 from lightsim.appearance.observe import SkyMatte
 from lightsim.core.casting import MakeCaster
 from lightsim.core.log import DrivingLog
 from lightsim.core.twin import SceneAssets
 from lightsim.progress import Progress
 
-__all__ = ["AssetConfig", "build_assets", "draft", "paper", "standard"]
+__all__ = ["AssetConfig", "build_assets"]
 
 
 def build_assets(
@@ -24,12 +24,12 @@ def build_assets(
     progress: Progress,
     sky_matte: SkyMatte | None = None,
 ) -> SceneAssets:
-    """The same meshes with colour at image resolution, and the gain of each camera.
+    """Return the meshes with colour at image resolution, and the RGB gain of each camera.
 
     Textures and `base_colour` hold the mean observed RADIANCE at this stage (linear, gains
-    divided out); `decompose` turns it into albedo once the source light is known.
-    Frames that must not influence colours are simply left out of `log`; pixels that
-    `sky_matte` calls sky give no colour.
+    divided out); `decompose` converts it to base colour once the source light is estimated.
+    Held-out frames must be absent from `log`. Pixels that `sky_matte` classifies as sky are not
+    sampled.
     """
     actors = {track.actor_id: meshes.actors[track.actor_id].mesh for track in log.actors}
     painted, gains = bake(

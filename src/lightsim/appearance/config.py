@@ -7,54 +7,57 @@ from typing import Literal
 
 Colour = Literal["texture", "vertex", "field"]
 
+# The next three values were chosen on synthetic streets; their sensitivity was not measured.
+
+# Horizontal distance from the driven path up to which unobserved ground and house fronts have
+# texels and are completed along the street, in metres.
 HIDDEN_REACH_M = 14.0
-"""As far beside the path, ground and fronts that nobody saw have texels, and are completed along
-it."""
+# Least z component of the unit normal of ground.
 LEVEL_NORMAL = 0.8
-"""Ground faces up at least this much."""
+# Least cosine between the horizontal normal of a house front and the direction to the path.
 FRONT_FACING = 0.7
-"""Fronts face the path at least this much (cosine)."""
 
 
 @dataclass(frozen=True)
 class AssetConfig:
-    """How meshes get their colour."""
+    """Settings of the texture bake."""
 
     colour: Colour = "texture"
-    """"texture": baked from the images. "vertex": its mean around each vertex. "field": the
-    neural field's k_d at each vertex, as the paper does."""
+    """"texture": baked from the images. "vertex": mean of the texels around each vertex.
+    "field": colour of the neural field at each vertex, as in the paper."""
     max_texels: int = 12_000_000
-    """Of all meshes together; where more are wanted, all texels grow."""
+    """Most texels of all meshes together; if more are required, all texels grow by one factor."""
     samples_per_texel: int = 8
-    """The best views kept for each texel."""
+    """Number of samples with the largest weights that each texel stores."""
     every_nth_frame: int = 1
-    """Use only every n-th image of each camera for colours."""
+    """Sample only every n-th image of each camera."""
     occlusion_tolerance_m: float = 0.12
-    """A surface this far in front of a texel does not hide it (plus 1 % of the depth)."""
+    """A surface closer than this in front of a texel does not occlude it (plus 1 % of the
+    depth)."""
     shade_margin_m: float = 2.0
-    """The static scene this near a moving actor may lie in its shade: what was never seen without
-    it takes the colour of what lies around."""
+    """Background within this distance of a moving actor may lie in its shadow and is not sampled in
+    that frame; without any other frame its colour is interpolated."""
     contact_margin_m: float = 0.25
-    """This near an actor at rest hardly any light arrives, and its reconstruction ends too soon:
-    the base colour of what lies there is that of what lies around."""
+    """Background within this distance of a resting actor receives little light, and the actor's
+    mesh is incomplete there: its confidence is 0, and its base colour is interpolated."""
     outlier_ratio: float = 1.4
-    """Views that differ from a texel's median brightness by more than this are ignored."""
+    """Samples that differ from a texel's median brightness by more than this factor are ignored."""
     has_camera_gains: bool = True
-    """Find the exposure and white balance of each camera."""
+    """Estimate the exposure and white balance of each camera."""
     gain_strength: float = 200.0
-    """Shared places at which a camera pair weighs as much as the prior of equal gains."""
+    """Number of common texels at which a pair of cameras has half of its full weight."""
 
 
 def draft() -> AssetConfig:
-    """A quick look: every fourth image, 6 views a texel, half of the texels."""
+    """Preview settings: every fourth image, 6 samples a texel, half of the texels."""
     return AssetConfig(every_nth_frame=4, samples_per_texel=6, max_texels=6_000_000)
 
 
 def standard() -> AssetConfig:
-    """Textures of up to 12 million texels from all images."""
+    """Default settings: textures of up to 12 million texels from all images."""
     return AssetConfig()
 
 
 def paper() -> AssetConfig:
-    """The paper's vertex colours (its appendix: "querying the appearance head")."""
+    """Vertex colours of the paper (its appendix: "querying the appearance head")."""
     return AssetConfig(colour="field")

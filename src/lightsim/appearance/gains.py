@@ -1,13 +1,17 @@
-"""Exposure and white balance of each camera, from surfaces that several cameras saw."""
+"""Exposure and white balance of each camera, from surfaces that several cameras observe."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int16
 
-_DARK, _BRIGHT = 0.01, 0.85
+# The values below were chosen by inspection; their sensitivity was not measured.
+
+# Linear pixel values outside this range are ignored: noise below, clipping above.
+_USABLE = (0.01, 0.85)
+# Huber's threshold on the deviation of one log ratio; larger deviations count linearly.
 _HUBER = 0.15
-_ROUNDS = 10
+# Least number of common texels of a pair of cameras.
 _MIN_SHARED = 20
 
 
@@ -18,16 +22,16 @@ def solve_gains(
     camera_count: int,
     strength: float,
 ) -> Float32[np.ndarray, "camera_count 3"]:
-    """RGB gains g with pixel value = g x radiance; geometric mean over the cameras 1.
+    """Return RGB gains g with pixel value = g x radiance; geometric mean over the cameras 1.
 
-    For every pair of cameras the robust mean of the log ratios of shared vertices is one
-    observation, weighted n / (n + strength); a weak prior holds unconnected cameras at 1.
+    For every pair of cameras the robust mean of the log ratios over n common texels is one
+    observation of weight n / (n + strength). A weak prior fixes unconnected cameras at 1.
 
     Args:
-        colours: linear pixel values of each vertex's samples.
-        weights: 0 where a slot is empty.
+        colours: linear pixel values of each texel's samples.
+        weights: weight of each sample; 0 where a slot is empty.
         cameras: index of the camera of each sample.
-        strength: shared vertices at which an observation counts half.
+        strength: number of common texels at which an observation has half of its weight.
     """
     means, is_seen = _camera_means(colours, weights, cameras, camera_count)
     rows, targets, trust = [], [], []
@@ -42,10 +46,10 @@ def solve_gains(
             rows.append(row)
             targets.append(_robust_mean(means[i, is_shared] - means[j, is_shared]))
             trust.append(shared / (shared + strength))
-    prior = 0.01
+    # A weak prior of gain 1 for each camera; the last row constrains the log gains to sum 0.
     matrix = np.concatenate(
         [np.array(rows).reshape(-1, camera_count) * np.array(trust)[:, None]]
-        + [prior * np.eye(camera_count), np.ones((1, camera_count))]
+        + [0.01 * np.eye(camera_count), np.ones((1, camera_count))]
     )
     right = np.zeros((len(matrix), 3))
     if rows:
@@ -60,8 +64,9 @@ def _camera_means(
     cameras: Int16[np.ndarray, "n k"],
     camera_count: int,
 ) -> tuple[Float64[np.ndarray, "camera_count n 3"], Bool[np.ndarray, "camera_count n"]]:
-    """Log of each camera's mean pixel value at each vertex, where neither dark nor clipped."""
-    is_fair = (colours.min(axis=2) > _DARK) & (colours.max(axis=2) < _BRIGHT) & (weights > 0)
+    """Log of each camera's mean usable pixel value at each texel, and where there is one."""
+    low, high = _USABLE
+    is_fair = (colours.min(axis=2) > low) & (colours.max(axis=2) < high) & (weights > 0)
     means = np.zeros((camera_count, len(colours), 3))
     is_seen = np.zeros((camera_count, len(colours)), dtype=bool)
     for camera in range(camera_count):
@@ -74,10 +79,10 @@ def _camera_means(
 
 
 def _robust_mean(values: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "3"]:
-    """Huber's location (1964, doi:10.1214/aoms/1177703732) per channel, by reweighting from the
-    median."""
+    """Location of each channel by Huber's estimator (1964, doi:10.1214/aoms/1177703732)."""
     centre = np.median(values, axis=0)
-    for _ in range(_ROUNDS):
+    # Iteratively reweighted mean; ten iterations from the median converge.
+    for _ in range(10):
         distance = np.abs(values - centre)
         weight = np.minimum(1.0, _HUBER / np.maximum(distance, 1e-9))
         centre = (weight * values).sum(axis=0) / weight.sum(axis=0)

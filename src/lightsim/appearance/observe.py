@@ -1,4 +1,4 @@
-"""What each image shows of the meshes: the faces in it and their depth."""
+"""Views: the faces that each image observes, their depth, and the weights of its pixels."""
 
 from __future__ import annotations
 
@@ -26,39 +26,36 @@ from lightsim.errors import InputError
 SkyMatte = Callable[[CameraFrame], Float32[np.ndarray, "h w"]]
 """Sky alpha of a frame at its image's size, 1 = sky."""
 
-_HOLD_S = 0.1
-_CLIPPED_WEIGHT = 0.02
-_SKY_ALPHA = 0.5
-_MIN_COSINE = 0.05
+# The values below were chosen on log 002 and synthetic street 0. Only their joint effect is
+# measured (docs/benchmarks/reconstruction.md, test street 1).
 
-
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
-# (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
-
-# Inverse depth that bends by more than this fraction from pixel to pixel is an outline.
+# Second difference of the inverse depth, relative to it, above which a ray is at an outline.
 _EDGE_STEP = 0.05
-# Pixels this near an outline may show another surface.
+# Distance from an outline, in pixels, within which a pixel may show the other surface.
 _EDGE_RADIUS_PX = 4
-# They count this much.
+# Weight of such a pixel.
 _EDGE_WEIGHT = 0.1
-# Leaves that stand before a surface, where no other view shows it.
-_LEAF_WEIGHT = 0.02
-# Visibility is tested against a depth image with one ray for this many pixels.
+# Weight of a pixel with leaves in front of the surface, and of one with a clipped channel: such a
+# pixel has an effect only if no other view observes the surface.
+_POOR_WEIGHT = 0.02
+# Least cosine between the surface normal and the direction to the camera.
+_MIN_COSINE = 0.05
+# Width in pixels of the square that one ray of the depth image covers.
 DEPTH_STEP_PX = 2
-# Surfaces further from a camera take no colour from it; the background proxy is nearer.
+# Greatest distance of a sampled surface from the camera; the background proxy is nearer.
 MAX_VIEW_M = 400.0
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One image's look at the scene.
+    """Geometry of the scene as one image observes it.
 
     Args:
-        inverse_depth: 1 / depth along the optical axis, one ray for `depth_step_px` pixels;
-            0 where nothing was hit.
-        moving_bits: whether that is a moving actor, packed.
-        leaf_bits: whether that is a crown, packed.
-        faces: of the scene, seen or beside a seen one.
+        inverse_depth: 1 / depth along the optical axis, in 1/m, one ray for `DEPTH_STEP_PX` x
+            `DEPTH_STEP_PX` pixels; 0 where the ray has no hit.
+        moving_bits: mask of rays that hit a moving actor, packed.
+        leaf_bits: mask of rays that hit foliage, packed.
+        faces: indices of the scene's faces that are visible or adjacent to a visible face.
     """
 
     frame: CameraFrame
@@ -68,7 +65,7 @@ class View:
     faces: Int32[np.ndarray, " c"]
 
     def beside_moving(self, focal_px: float) -> Bool[np.ndarray, "h w"]:
-        """Rays that a moving actor may hide beyond its reconstruction."""
+        """Return the mask of rays beside a moving actor, which its incomplete mesh may miss."""
         is_moving = self._unpacked(self.moving_bits)
         grown = grown_outline(is_moving, self._depth_z_m, focal_px / DEPTH_STEP_PX)
         return (grown > 0) & ~is_moving
@@ -76,7 +73,7 @@ class View:
     def behind_leaves(
         self, image: UInt8[np.ndarray, "hi wi 3"], focal_px: float
     ) -> Bool[np.ndarray, "h w"]:
-        """Rays in whose pixels the image shows leaves that the reconstruction lacks."""
+        """Return the mask of rays whose pixels show leaves that the reconstruction lacks."""
         is_leaf, focal_px = self._unpacked(self.leaf_bits), focal_px / DEPTH_STEP_PX
         crown_m = crown_beside(is_leaf, self._depth_z_m, focal_px)
         small = image[::DEPTH_STEP_PX, ::DEPTH_STEP_PX]
@@ -92,11 +89,11 @@ class View:
 
 
 class PlacedScene:
-    """All meshes in one table of vertices and faces, placed where they are at a time.
+    """All meshes in one table of vertices and faces, posed at one time.
 
-    The background comes first, then the actors in their order. `vertices` and `normals` lie in
-    frame `world` and are those of the last call of `place`, as are `moving`, the tracks of the
-    moving actors near the camera. `resting` are those of all others.
+    The background comes first, then the actors in their order. `vertices` and `normals` are in
+    frame `world`. They and `moving`, the tracks of the moving actors near the camera, have the
+    state of the last call of `place`. `resting` holds the tracks of actors that never move.
     """
 
     def __init__(
@@ -134,7 +131,7 @@ class PlacedScene:
     def own_directions(
         self, rows: Int64[np.ndarray, " n"], directions_world: Float[np.ndarray, "n 3"]
     ) -> Float[np.ndarray, "n 3"]:
-        """Directions at vertices (ascending) in the frames of their own meshes."""
+        """Rotate directions at vertices `rows` (ascending) to the frames of their meshes."""
         own = directions_world.copy()
         for number, rotation in self._rotations.items():
             part = self._vertices_of(number)
@@ -143,13 +140,13 @@ class PlacedScene:
         return own
 
     def place(self, frame: CameraFrame, max_view_m: float) -> list[tuple[TriMesh, int]]:
-        """Move the actors to a frame's time; the moved meshes and their numbers."""
+        """Pose the moving actors at a frame's time; return their meshes and mesh numbers."""
         placed: list[tuple[TriMesh, int]] = []
         self.moving = []
         for track, number in self._movable:
-            if not track.is_present(frame.time_ns, _HOLD_S):
+            if not track.is_present(frame.time_ns):
                 continue
-            centre = track.world_from_actor(frame.time_ns, _HOLD_S).translation_m
+            centre = track.world_from_actor(frame.time_ns).translation_m
             reach = float(np.linalg.norm(track.size_lwh_m))
             if _is_ahead(frame, centre, reach, max_view_m):
                 placed.append((self._put(track, number, frame.time_ns), number))
@@ -157,7 +154,7 @@ class PlacedScene:
         return placed
 
     def casters(self, frame: CameraFrame, max_view_m: float) -> list[tuple[RayCaster, list[int]]]:
-        """As `place`; casters, each with the numbers of its meshes."""
+        """Call `place`; return a caster of resting and one of moving meshes, with mesh numbers."""
         placed = self.place(frame, max_view_m)
         moving = self._make_caster([mesh for mesh, _ in placed])
         return [(self._fixed, self._fixed_numbers), (moving, [number for _, number in placed])]
@@ -166,7 +163,7 @@ class PlacedScene:
         return slice(self.first_vertex[number], self.first_vertex[number + 1])
 
     def _put(self, track: ActorTrack, number: int, time_ns: int) -> TriMesh:
-        pose = track.world_from_actor(time_ns, _HOLD_S)
+        pose = track.world_from_actor(time_ns)
         mesh = self.meshes[number].transformed(pose)
         part = self._vertices_of(number)
         self._rotations[number] = pose.rotation
@@ -178,7 +175,7 @@ class PlacedScene:
 def look(
     scene: PlacedScene, frame: CameraFrame, camera: PinholeCamera
 ) -> tuple[View, Float32[np.ndarray, " c"]]:
-    """Cast one ray for `depth_step_px` x `depth_step_px` pixels.
+    """Cast the rays of one view.
 
     Returns:
         The view, and `pixels_per_metre` of each of its faces.
@@ -232,7 +229,7 @@ def pixels_per_metre(
     world_from_camera: RigidTransform,
     camera: PinholeCamera,
 ) -> Float32[np.ndarray, " n"]:
-    """Root of the pixels that a square metre of surface covers; 0 where it faces away."""
+    """Return the square root of the pixels per square metre of surface; 0 where it faces away."""
     ray = points_world - world_from_camera.translation_m.astype(np.float32)
     distance = np.maximum(np.linalg.norm(ray, axis=1), 0.1)
     cosine = -(ray * normals_world).sum(axis=1) / distance
@@ -247,15 +244,17 @@ def beside_actors(
     vertices: Int64[np.ndarray, " n"],
     margin_m: float,
 ) -> Bool[np.ndarray, " n"]:
-    """Which vertices of the background lie within a margin of actors' boxes.
+    """Return the mask of background vertices within a margin of actors' boxes.
 
     Args:
-        placed: actors, each with the time at which it is asked for.
+        placed: actors, each with the time of its box, in nanoseconds.
+        vertices: indices of the vertices to test.
     """
     is_near = np.zeros(len(vertices), dtype=bool)
     points = scene.vertices[vertices].astype(np.float64)
     for track, time_ns in placed:
-        centre = track.world_from_actor(time_ns, _HOLD_S).translation_m
+        # A square around the box rejects most vertices before the exact test.
+        centre = track.world_from_actor(time_ns).translation_m
         reach = float(np.linalg.norm(track.size_lwh_m)) / 2 + 2 * margin_m
         is_close = np.abs(points[:, 0] - centre[0]) < reach
         is_close &= np.abs(points[:, 1] - centre[1]) < reach
@@ -267,7 +266,7 @@ def beside_actors(
 def load_images(
     views: Sequence[View], log: DrivingLog
 ) -> Iterator[tuple[View, UInt8[np.ndarray, "h w 3"]]]:
-    """Each view with its image; the next one is read meanwhile."""
+    """Yield each view with its image; a thread reads the next image meanwhile."""
 
     def load(view: View) -> UInt8[np.ndarray, "h w 3"]:
         return load_image(view.frame, log.cameras[view.frame.camera_name])
@@ -281,15 +280,15 @@ def load_images(
 
 
 def load_image(frame: CameraFrame, camera: PinholeCamera) -> UInt8[np.ndarray, "h w 3"]:
-    """The frame's image.
+    """Read the frame's image, 8-bit sRGB.
 
     Raises:
-        InputError: it is not as large as its camera says.
+        InputError: the image's size differs from its camera's.
     """
     image = frame.load_srgb8()
     if image.shape[:2] != (camera.height_px, camera.width_px):
         raise InputError(
-            "the image is not as large as its camera says",
+            "the size of the image differs from its camera's",
             where=f"{frame.camera_name}/{frame.stem}",
             got=f"{image.shape[1]}x{image.shape[0]} px",
             expected=f"{camera.width_px}x{camera.height_px} px",
@@ -305,27 +304,33 @@ def pixel_weights(
     beside_moving: Bool[np.ndarray, "h2 w2"],
     behind_leaves: Bool[np.ndarray, "h2 w2"],
 ) -> Float32[np.ndarray, "h w"]:
-    """Little where a channel is clipped, an outline is near or leaves stand in front, nothing on
-    ego vehicle and sky, and right beside moving actors: what is there is seen at other times."""
-    weight = np.where(image.max(axis=2) >= CLIPPED_CODE, _CLIPPED_WEIGHT, 1.0)
+    """Return the weight of each pixel as a colour sample.
+
+    Weights are small at clipped pixels, near outlines and behind leaves; they are 0 on the ego
+    vehicle, on the sky and beside moving actors, whose background other frames show.
+    """
+    weight = np.where(image.max(axis=2) >= CLIPPED_CODE, _POOR_WEIGHT, 1.0)
     step = DEPTH_STEP_PX
     is_outline = outlines(inverse_depth, _EDGE_STEP, _EDGE_RADIUS_PX / step)
     rays = np.where(is_outline, _EDGE_WEIGHT, 1.0)
-    rays[behind_leaves] = _LEAF_WEIGHT
+    rays[behind_leaves] = _POOR_WEIGHT
     rays[beside_moving] = 0.0
     rays = rays.repeat(step, axis=0).repeat(step, axis=1)
     weight *= rays[: len(weight), : weight.shape[1]]
     if ego_vehicle is not None:
         weight[ego_vehicle] = 0.0
     if sky_alpha is not None:
-        weight[sky_alpha > _SKY_ALPHA] = 0.0
+        weight[sky_alpha > 0.5] = 0.0
     return weight.astype(np.float32)
 
 
 def outlines(
     inverse_depth: Float32[np.ndarray, "h w"], step: float, radius: float
 ) -> Bool[np.ndarray, "h w"]:
-    """Where one surface ends in front of another: planes have no second difference there."""
+    """Return the mask of rays near a depth discontinuity, grown by `radius` rays.
+
+    The inverse depth of a plane is linear in the image, so its second difference is 0 at any slant.
+    """
     bend = np.zeros_like(inverse_depth)
     for axis in (0, 1):
         middle = np.abs(np.diff(inverse_depth, n=2, axis=axis))

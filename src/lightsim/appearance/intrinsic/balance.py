@@ -1,10 +1,10 @@
-"""Sun and unseen sky in one posterior: what shadows, known materials and clear skies say.
+"""Light balance: joint posterior of the factors on the sun and on the unseen sky.
 
-What cameras saw, sky and the light of surrounding surfaces, is data and stays. Unknown are the
-sun and the sky that no camera saw, a log factor each. Clear skies give a prior of both, cloud
-before the sun another; lit and shadowed neighbours tell the sun against all other light, but only
-where it casts shadows; base colours of pavement and walls, which come from dividing by that light,
-tell the level of both.
+The observed sky and the radiance of surrounding surfaces are data and stay fixed. The unknowns are
+one log factor on the sun and one on the sky that no camera observes. Three sources of evidence are
+combined: the prior of clear skies and of cloud before the sun; pairs of lit and shadowed
+neighbours, which determine the ratio of the sun to all other light; and the base colours of
+pavement and walls, which determine the level of both.
 """
 
 from __future__ import annotations
@@ -29,27 +29,31 @@ from lightsim.appearance.intrinsic.shadow_pairs import (
 from lightsim.core.colour import LUMINANCE_WEIGHTS
 from lightsim.core.twin import LightFreedom
 
+# Candidates of the log of the factor on the unseen sky: 0.3 to 3.3.
 _LOG_UNSEEN = np.linspace(-1.2, 1.2, 25)
-"""Candidates of the log of the factor on the unseen sky."""
-_PAIR_FITS = 5
-"""Of these at which pairs are asked; what they say changes smoothly between."""
+# The standard deviations below are of natural logs. They were chosen on log 002 and synthetic
+# streets; their sensitivity was not measured.
+
+# Of the sun's factor from pairs, however many there are: mainly an effect of gloss.
 _PAIR_LOG_STD = 0.15
-"""Of the sun that pairs give, however many there are: gloss, mostly. Not measured alone."""
-_CLOUD_LOG_FACTOR, _CLOUD_LOG_STD = float(np.log(0.15)), 1.5
-"""What cloud before the sun leaves of it."""
+# Log of the expected transmission of cloud before the sun.
+_CLOUD_LOG_FACTOR = float(np.log(0.15))
+# Of that transmission: cloud may transmit nearly any fraction.
+_CLOUD_LOG_STD = 1.5
+# Of the hue of the estimated light as a whole.
 _LIGHT_HUE_STD = 0.1
-"""Of the estimated light as a whole. Not measured."""
-_TURNS = 3
-"""Between labels and light."""
-_SHADOWS_UNDER_CLOUD = 0.5
-"""Probability that there are shadows all the same, so that pairs are what they are taken for."""
+# Of the ratio of blue to red in the sun's factor from pairs. Its log was 0.3 to 0.4 on synthetic
+# streets, and 1.4 on log 002 with a veiled sun, where pairs are false.
 _PAIR_HUE_STD = 0.4
-"""Of the log of blue over red of the sun that pairs ask for, over that of a clear one: 0.3 to 0.4
-on streets, 1.4 on log 002, whose sun is veiled."""
+# Of the factor and of its hue, if pairs are label errors.
 _CHANCE_LOG_STD = 1.5
-"""Of this and of the strength, where labels made the pairs and no sun."""
+# Probability of shadows, hence of true pairs, under cloud before the sun.
+_SHADOWS_UNDER_CLOUD = 0.5
+# Number of updates of the labels.
+_TURNS = 3
+# Least number of pairs.
 _MIN_PAIRS = 60
-"""Fewer lit/shadowed pairs say nothing."""
+# Size in metres of the blocks of space within which pairs have correlated errors.
 _BLOCK_M = 4.0
 _WEIGHTS = LUMINANCE_WEIGHTS.astype(np.float64)
 
@@ -60,10 +64,13 @@ def balance_light(
     path_world: Float[np.ndarray, "p 3"],
     config: IntrinsicConfig,
 ) -> LightBalance:
-    """Alternate between the labels of patches and the light that they ask for.
+    """Estimate the light balance, alternating with the shadow labels of patches.
 
     Args:
-        path_world: positions of the cameras, for what lies under and beside their way.
+        observed: patches under the unbalanced light.
+        freedom: prior of the two factors.
+        path_world: positions of the cameras along the drive.
+        config: settings of the labels.
     """
     prior = visibility_prior(observed, config)
     own = observed
@@ -83,13 +90,13 @@ def balance_light(
 
 @dataclass(frozen=True, eq=False)
 class ClassRadiance:
-    """Surfels of one class of surface: what they show, and the parts of their light.
+    """Radiance and light components of the surfels of one class of surface.
 
     Args:
-        kind: the class.
-        radiance: linear RGB.
-        known: light from the sky that was seen and from other surfaces.
-        unseen_sky: light from the rest of the sky.
+        kind: prior of the class.
+        radiance: observed linear RGB.
+        known: light of the observed sky and of other surfaces.
+        unseen_sky: light of the rest of the sky.
         sun: light of the sun, times the probability of being lit.
     """
 
@@ -106,7 +113,7 @@ class ClassRadiance:
         observed: Observed,
         lit: Float64[np.ndarray, " n"],
     ) -> ClassRadiance:
-        """Of some surfels."""
+        """Collect the surfels `rows`."""
         light = observed.light.at(rows)
         return ClassRadiance(
             kind,
@@ -119,7 +126,8 @@ class ClassRadiance:
     def log_base_colour(
         self, sun: Float64[np.ndarray, "3"], unseen_sky: Float64[np.ndarray, "3"]
     ) -> Float64[np.ndarray, "3"]:
-        """Median over the class, per channel, at factors on the two."""
+        """Return the median log base colour of each channel, given factors on sun and unseen
+        sky."""
         light = self.known + unseen_sky * self.unseen_sky + sun * self.sun
         return np.median(np.log(self.radiance / np.maximum(light, 1e-6)), axis=0)
 
@@ -127,39 +135,42 @@ class ClassRadiance:
 def solve_balance(
     pairs: ShadowPairs, classes: Sequence[ClassRadiance], freedom: LightFreedom
 ) -> LightBalance:
-    """The mean of the posterior over (log unseen sky, log sun), on a grid, and its spread.
+    """Return the mean and standard deviation of the posterior of (log unseen sky, log sun).
 
-    The colour of the sun is that of the pairs; what then is left of a colour cast on classes that
-    are nearly grey is shared between them and the light by their variances. A veiled sun's pairs
-    may say nothing: labels follow the pictures, so that bright patches pass for lit and confirm
-    whatever sun is asked for, of any colour.
+    The posterior is evaluated on a grid, for the hypotheses of true and of false pairs: under a
+    veiled sun, labels follow the images, so bright patches are labelled lit and confirm a sun of
+    any strength and hue. The sun's hue follows the pairs. The remaining colour cast on nearly grey
+    classes is divided between their base colours and the light by their variances.
     """
     has_pairs = len(pairs) >= _MIN_PAIRS
-    told, untold = _log_prior(freedom)
+    with_shadows, without = _log_prior(freedom)
     if has_pairs:
         by_sun, by_chance = _log_pairs(pairs)
-        told, untold = told + by_sun, untold + by_chance
-    logs = np.stack([told, untold]) + sum(_log_class(members) for members in classes)
+        with_shadows, without = with_shadows + by_sun, without + by_chance
+    logs = np.stack([with_shadows, without]) + sum(_log_class(members) for members in classes)
     weight = np.exp(logs - logs.max())
     weight /= weight.sum()
-    is_told = float(weight[0].sum()) if has_pairs else 0.0
+    trust = float(weight[0].sum()) if has_pairs else 0.0
     unseen, unseen_std = _moments(_LOG_UNSEEN, weight.sum(axis=(0, 2)))
     sun, sun_std = _moments(LOG_SUN, weight.sum(axis=(0, 1)))
     hue = np.ones(3)
     if has_pairs:
         hue, _ = fit_sun_to_pairs(pairs, float(np.exp(unseen)))
-        hue = (hue / np.exp(np.log(hue) @ _WEIGHTS)) ** is_told
+        hue = (hue / np.exp(np.log(hue) @ _WEIGHTS)) ** trust
     sun_rgb, unseen_rgb = np.exp(sun) * hue, np.full(3, np.exp(unseen))
     cast = _colour_cast(classes, sun_rgb, unseen_rgb)
-    count = len(pairs) if is_told > 0.5 else 0
+    count = len(pairs) if trust > 0.5 else 0
     return LightBalance(sun_rgb * cast, unseen_rgb * cast, sun_std, unseen_std, count)
 
 
 def _log_prior(
     freedom: LightFreedom,
 ) -> tuple[Float64[np.ndarray, "u s"], Float64[np.ndarray, "u s"]]:
-    """With shadows and without: a clear sun follows the sky, and casts some; cloud before it takes
-    nearly any part of its light."""
+    """Log prior of (log unseen sky, log sun), with and without shadows in the scene.
+
+    A clear sun casts shadows, and its factor is tied to the sky's. Cloud before the sun attenuates
+    it by nearly any factor.
+    """
     unseen = _LOG_UNSEEN[:, None]
     clear = _normal(LOG_SUN - freedom.log_clear_sun - unseen, freedom.sun_log_std)
     cloud = _normal(LOG_SUN - freedom.log_clear_sun - _CLOUD_LOG_FACTOR, _CLOUD_LOG_STD)
@@ -173,17 +184,15 @@ def _log_prior(
 def _normal(
     value: Float64[np.ndarray, "*n"], std: float | Float64[np.ndarray, "*#n"]
 ) -> Float64[np.ndarray, "*n"]:
-    """Density, no narrower than the grid can show, and nowhere 0."""
+    """Normal density, at least as wide as the grid resolves, and nowhere 0."""
     std = np.maximum(std, 0.05)
     return np.exp(-0.5 * (value / std) ** 2) / (std * np.sqrt(2 * np.pi)) + 1e-300
 
 
-def _log_pairs(
-    pairs: ShadowPairs,
-) -> tuple[Float64[np.ndarray, "u s"], Float64[np.ndarray, "u 1"]]:
-    """Log density of what the pairs ask for: if a sun of some strength made them, and if labels
-    did."""
-    unseen = np.linspace(_LOG_UNSEEN[0], _LOG_UNSEEN[-1], _PAIR_FITS)
+def _log_pairs(pairs: ShadowPairs) -> tuple[Float64[np.ndarray, "u s"], Float64[np.ndarray, "u 1"]]:
+    """Log density of the pairs' fit, if shadows of the sun or if label errors cause the pairs."""
+    # The fit changes smoothly with the unseen sky: five fits are interpolated.
+    unseen = np.linspace(_LOG_UNSEEN[0], _LOG_UNSEEN[-1], 5)
     fits = [fit_sun_to_pairs(pairs, float(np.exp(value))) for value in unseen]
     log_factor = np.log([factor for factor, _ in fits])
 
@@ -224,7 +233,7 @@ def _colour_cast(
     sun: Float64[np.ndarray, "3"],
     unseen_sky: Float64[np.ndarray, "3"],
 ) -> Float64[np.ndarray, "3"]:
-    """Factor on the light, of luminance 1, that takes its part of the cast on grey classes."""
+    """Factor on the light, of luminance 1, that explains its part of the cast on grey classes."""
     log_cast, precision = np.zeros(3), 1.0 / _LIGHT_HUE_STD**2
     for members in classes:
         kind = members.kind

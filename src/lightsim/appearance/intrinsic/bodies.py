@@ -1,4 +1,4 @@
-"""Colours of a vehicle where no camera saw it: its other half's, part by part; and its panes'."""
+"""Base colours of unobserved parts of a vehicle, from its mirror image; and of its panes."""
 
 from __future__ import annotations
 
@@ -8,20 +8,22 @@ from jaxtyping import Bool, Float64, UInt8
 from lightsim.appearance.intrinsic.panes import PANE_PERCENTILE
 from lightsim.core.mesh import MIRROR_ROUGHNESS, TriMesh
 
-_NEIGHBOURS = 6
+# Distance in metres at which the weight of the nearest observed vertex falls to 1/e; beyond, the
+# median colour of the part prevails. Chosen by inspection.
 _REACH_M = 0.5
-"""Further from all that was seen, a part has one colour: the median of what was seen of it."""
 
 
 def body_colours(
     mesh: TriMesh, colour: Float64[np.ndarray, "n 3"], is_seen: Bool[np.ndarray, " n"]
 ) -> tuple[Float64[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
-    """Base colours of a body that is its own mirror image about y = 0, frame `actor`, and which
-    vertices have another than the given one.
+    """Return the base colours of a body that is symmetric about y = 0, frame `actor`.
 
-    Vertices that were not seen take the colour of what was seen nearest on the same part (paint,
-    panes, tyres), or on its mirror image; a part of which nothing was seen keeps its colour. Panes
-    have one dark colour: what else is seen in them is a reflection, or stands behind.
+    Unobserved vertices have the colour of the nearest observed vertices of the same part (paint,
+    panes, tyres) or of its mirror image. A wholly unobserved part retains its colour. All panes
+    have one dark colour, because they show reflections and the interior.
+
+    Returns:
+        Linear RGB of each vertex, and the mask of vertices with a replaced colour.
     """
     from scipy.spatial import KDTree
 
@@ -41,7 +43,7 @@ def body_colours(
         points = mesh.vertices[seen].astype(np.float64)
         both = np.concatenate([points, points * np.array([1.0, -1.0, 1.0])])
         found = np.concatenate([colour[seen], colour[seen]])
-        k = min(_NEIGHBOURS, len(both))
+        k = min(6, len(both))
         distance, index = KDTree(both).query(mesh.vertices[unseen], k=k)
         distance, index = distance.reshape(len(unseen), k), index.reshape(len(unseen), k)
         fraction = 1.0 / np.maximum(distance, 0.02) ** 2
@@ -53,8 +55,10 @@ def body_colours(
 
 
 def _part_of_vertices(mesh: TriMesh) -> UInt8[np.ndarray, " n"]:
-    """Of each vertex, the lowest material index among its faces: a pane's dark colour must not
-    bleed over the large faces of the paint around it."""
+    """Lowest material index among the faces of each vertex.
+
+    The dark colour of a pane must not bleed over the large faces of the paint around it.
+    """
     if mesh.face_material is None:
         return np.zeros(len(mesh.vertices), dtype=np.uint8)
     part = np.full(len(mesh.vertices), mesh.face_material.max(initial=0), dtype=np.uint8)

@@ -8,20 +8,21 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class IntrinsicConfig:
-    """How radiance becomes base colour."""
+    """Settings of the intrinsic decomposition."""
 
     method: Literal["labels", "divide"] = "labels"
-    """"labels" finds shadows in the pictures; "divide" trusts the rendered light (baseline)."""
+    """"labels" detects shadows in the images; "divide" divides by the rendered light (baseline)."""
     reach_m: float = 3.0
-    """Distance of the farthest patches of the same surface that each is compared with; such a
-    pair counts half as much as a near one."""
+    """Greatest distance of two compared patches of one surface; a pair at this distance has half
+    the weight of a close one."""
     edge_error_m: float = 0.4
-    """How far rendered shadow edges may lie from the true ones."""
+    """Standard deviation of the position of rendered shadow edges."""
     unseen_shadow: float = 0.1
-    """Probability that something unseen shadows a patch that every rendering lights."""
+    """Probability that an unobserved occluder shadows a patch that every rendering lights."""
     island_m2: float = 5.0
-    """Smaller shadows that no rendering knows, amid light (or the reverse), are dark or bright
-    things such as windows and lane marks."""
+    """Isolated labels of less area that contradict every rendering are dark or bright objects, such
+    as windows and lane marks, and are reset to the rendering."""
     deep_shade: tuple[float, float] = (0.1, 0.3)
-    """Fraction of an open sky's light up to which a quotient is worth nothing, and from which on it
-    counts fully; in between and below, colours come from surfaces near by that face alike."""
+    """Light as a fraction of an open sky's, below which the quotient of radiance and light is
+    ignored, and above which it has full weight. The rest is interpolated from the surface
+    around."""

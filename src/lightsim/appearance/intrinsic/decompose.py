@@ -1,8 +1,8 @@
-"""Base colour without the source light: shadows found in the pictures, the light divided out.
+"""Intrinsic decomposition: radiance of a mesh into base colour and source light.
 
-The paper bakes shadows into the base colour and names that its main failure (Sec. 5). Here the
-source light is rendered on the reconstructed surface; what it says about shadows is a prior, and
-the pictures decide (`labels`).
+The paper's base colours contain shadows, which it names as its main failure (Sec. 5). Here the
+source light is rendered on the reconstructed surface. The rendered shadows are a prior, and the
+images determine the final shadows (`labels`), before radiance is divided by light.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int64
 
 from lightsim.appearance.colour import fill_unseen
 from lightsim.appearance.intrinsic.bodies import body_colours
@@ -65,41 +65,40 @@ __all__ = [
     "patches_of",
 ]
 
-_REFLECTANCE_REACH_M = 0.3
 _WEIGHTS = LUMINANCE_WEIGHTS.astype(np.float64)
+
+# The values below were chosen on log 002 and synthetic street 0. Only their joint effect is
+# measured (docs/benchmarks/reconstruction.md, test street 1). benchmarks/bench_decompose.py varies
+# those that are settings.
+
+# Greatest distance of a LiDAR return from its surfel's centre, in metres.
+_REFLECTANCE_REACH_M = 0.3
+# Least number of surfels of a mesh with shadow labels.
 _LEAST_SURFELS = 50
-
-
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
-# (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test). The bench
-# benchmarks/bench_decompose.py varies those that are still settings.
-
-# Of what a pane of a building shows diffusely, the part that is believed to be its own curtain or
-# room. Panes that are told by their darkness alone showed less of it (.3); by street 9967.
+# Greatest trust in the base colour of a building's pane: the fraction that is its own curtain or
+# room. Chosen on street 9967; 0.3 fitted panes that were detected by darkness alone.
 _PANE_TRUST = 0.7
-# The same of what a leaf shows, of which a part is what stands behind.
+# Greatest trust in the base colour of a leaf: the rest is background behind the crown.
 _LEAF_TRUST = 0.3
-
-# Size of the patches that carry labels, and how far above their centres light is asked for.
-_SURFEL_M, _LIFT_M = 0.25, 0.08
+# Size of a surfel, in metres.
+_SURFEL_M = 0.25
+# Height above a surfel's centre at which light is evaluated, in metres.
+_LIFT_M = 0.08
 
 
 @dataclass(frozen=True, eq=False)
 class Decomposition:
-    """A mesh without its light.
+    """Result of `decompose`.
 
     Args:
         mesh: with base colour and confidence.
-        visibility: of the sun, at each vertex, as found.
-        notes: the evidence.
-        lidar_exponent: of the LiDAR intensity that predicts base colour best, 0 where it says
-            nothing; None where nobody looked.
+        visibility: estimated sun visibility of each vertex.
+        notes: one line on the LiDAR evidence or on the baseline.
     """
 
     mesh: TriMesh
     visibility: Float32[np.ndarray, " n"]
     notes: tuple[str, ...]
-    lidar_exponent: float | None = None
 
 
 def decompose(
@@ -112,15 +111,18 @@ def decompose(
     road: Road | None = None,
     is_symmetric: bool = False,
 ) -> Decomposition:
-    """The mesh with base colour in place of the radiance that it must hold.
+    """Replace the radiance of a mesh by base colour.
 
     Args:
-        mesh: `base_colour` is the mean observed radiance (assets.build.build_assets);
-            `confidence`, where there is one, says which vertices were seen.
-        light_at: the source light at points of the mesh's frame.
-        returns: LiDAR, whose intensity knows no shadows, and whose path tells pavement.
-        road: along which the ground of a street goes on where nobody saw it.
-        is_symmetric: one half mirrors the other, which tells the colours that nobody saw.
+        mesh: `base_colour` is the mean observed radiance (appearance.build.build_assets); a
+            `confidence` of 0 marks unobserved vertices.
+        light_at: source light at points in the mesh's frame.
+        config: settings.
+        rng: random numbers for surfels and pairs.
+        returns: LiDAR returns: their intensity is independent of shadows, and their origins
+            indicate the pavement.
+        road: driven path, along which unobserved ground and fronts are completed.
+        is_symmetric: the mesh is symmetric about y = 0, so that one half completes the other.
 
     Raises:
         InputError: the light is negative or not finite, or not one per point.
@@ -145,23 +147,22 @@ def decompose(
     observed, reflectance_gain = patches.under(light_at)
     labels = label_shadows(observed, config)
     field = label_field(faces, observed, labels, config.edge_error_m)
-    del patches, observed  # Larger than all that is left to do.
-    found = VertexLight(light, _visibility(mesh, vertices.normal, light, field))
+    del patches, observed  # The largest arrays; the texture needs the memory next.
+    found = VertexLight(light, _visibility(mesh, light, field))
     note = f"LiDAR intensity predicts base colour with exponent {reflectance_gain:.2f}"
     notes = () if returns is None else (note,)
     done = _finished(mesh, found, field, config, road, is_symmetric=is_symmetric)
-    return replace(
-        done, notes=notes, lidar_exponent=None if returns is None else float(reflectance_gain)
-    )
+    return replace(done, notes=notes)
 
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """Patches of a mesh and what LiDAR says of them; light comes with `under`.
+    """Surfels of a mesh with their LiDAR evidence, before any light.
 
     Args:
-        log_reflectance: of each patch as LiDAR intensity tells it; None where nobody looked.
-        materials: patches whose class of material is known.
+        surfels, graph: patches, and the pairs that are compared.
+        log_reflectance: of each surfel, from LiDAR intensity; None without LiDAR.
+        materials: surfels of known material classes.
     """
 
     surfels: Surfels
@@ -177,7 +178,7 @@ class Patches:
         rng: np.random.Generator,
         returns: LidarReturns | None = None,
     ) -> Patches | None:
-        """Of some faces; None where there are too few."""
+        """Make the patches of some faces; None if there are too few."""
         surfels = make_surfels(mesh, faces, _SURFEL_M, rng)
         if len(surfels) < _LEAST_SURFELS:
             return None
@@ -189,8 +190,7 @@ class Patches:
         return Patches(surfels, graph, log_reflectance, materials)
 
     def under(self, light_at: LightAt) -> tuple[Observed, float]:
-        """What is known of the patches under a light, and the gain from LiDAR intensity to base
-        colour."""
+        """Add a light; return the evidence for labels, and the gain of LiDAR intensity."""
         light = light_at(self.surfels.points(_LIFT_M)).floored()
         observed = Observed.of(self.surfels, self.graph, self.materials, light, _SURFEL_M)
         if self.log_reflectance is None:
@@ -208,48 +208,35 @@ def patches_of(
     *,
     returns: LidarReturns | None = None,
 ) -> Patches | None:
-    """Patches of all faces on which pictures say where shadows lie; None where there are too few.
+    """Make the patches of all faces on which images indicate shadows; None if there are too few.
 
     Args:
-        mesh, returns: as for `decompose`.
+        mesh, config, rng, returns: as for `decompose`.
     """
     return Patches.of(mesh, _labelled_faces(mesh), config, rng, returns)
 
 
 def _labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:
-    """Faces on which the pictures say where shadows lie: not those that no picture shows, nor those
-    of the background proxy, on which shadows fall where they happen to, and which is larger than
-    all that was measured; nor panes, which are dark in any light; nor leaves, which shade each
-    other below the size of a patch."""
-    is_told = ~mesh.comes_from(Provenance.BACKGROUND_PROXY)
-    is_told &= ~leaf_vertices(mesh)[mesh.faces[:, 0]]
+    """Faces on which images indicate shadows.
+
+    Excluded are unobserved faces; the background proxy, whose position is arbitrary and whose area
+    exceeds all measured surface; panes, which are dark in any light; and leaves, which shade each
+    other at less than the size of a patch.
+    """
+    is_usable = ~mesh.comes_from(Provenance.BACKGROUND_PROXY)
+    is_usable &= ~leaf_vertices(mesh)[mesh.faces[:, 0]]
     if mesh.confidence is not None:
-        is_told &= (mesh.confidence[mesh.faces] > 0).any(axis=1)
-    return np.flatnonzero(is_told & (mesh.face_roughness() >= MIRROR_ROUGHNESS))
+        is_usable &= (mesh.confidence[mesh.faces] > 0).any(axis=1)
+    return np.flatnonzero(is_usable & (mesh.face_roughness() >= MIRROR_ROUGHNESS))
 
 
-def _visibility(
-    mesh: TriMesh,
-    normals: Float[np.ndarray, "n 3"],
-    light: SurfaceLight,
-    field: LabelField,
-) -> Float32[np.ndarray, " n"]:
-    """Of the sun at each vertex: as labels have it, or as rendered where there are none."""
-    reflected = light.reflections
-    seen = ShadedPoints(
-        mesh.vertices,
-        normals.astype(np.float32),
-        mesh.base_colour,
-        light.diffuse.astype(np.float32),
-        light.sun,
-        reflected.rest,
-        reflected.sun,
-    )
+def _visibility(mesh: TriMesh, light: SurfaceLight, field: LabelField) -> Float32[np.ndarray, " n"]:
+    """Sun visibility of each vertex: from labels, or rendered where there are none."""
     visibility = rendered_visibility(light).astype(np.float32)
     is_labelled = np.zeros(len(visibility), dtype=bool)
     is_labelled[mesh.faces[field.faces]] = True
     rows = np.flatnonzero(is_labelled)
-    visibility[rows] = refine_visibility(field, seen.at(rows))
+    visibility[rows] = refine_visibility(field, ShadedPoints.vertices_of(mesh, light).at(rows))
     return visibility
 
 
@@ -262,7 +249,7 @@ def _finished(
     *,
     is_symmetric: bool,
 ) -> Decomposition:
-    """Radiance over light; confidence falls where the sun's fraction hangs on an unsure label."""
+    """Divide radiance by light; confidence is low where an uncertain label changes the result."""
     visibility = found.visibility.astype(np.float64)
     total = np.maximum(found.light.total(visibility), 1e-6)
     colour = found.light.base_colour(mesh.base_colour, visibility)
@@ -275,7 +262,7 @@ def _finished(
     trust = shade.trust
     if is_symmetric:
         is_known = (shade.trust >= 1.0) & (seen > 0)
-        # The quotient of a colour that was filled in and of its own light says nothing.
+        # The quotient of an interpolated radiance and the local light is meaningless: trust 0.
         fill, is_filled = body_colours(mesh, shade.blended(colour), is_known)
         shade = DeepShade(np.where(is_filled, 0.0, shade.trust), fill)
     else:
@@ -308,16 +295,21 @@ def _deep_shade(
     is_seen: Bool[np.ndarray, " n"],
     config: IntrinsicConfig,
 ) -> DeepShade:
-    """Under vehicles and in deep corners nearly all light is stray light that no model knows: the
-    quotient there says little, surfaces beside them more. That of a colour which nobody saw and of
-    its own light says nothing. `sky_view_factor`: light over an open sky's."""
+    """Trust and fill of vertices in deep shade, such as under vehicles and in corners.
+
+    Most light there is stray light that the model lacks, so the base colour of the surface around
+    is a better estimate than the quotient. Unobserved vertices have trust 0.
+
+    Args:
+        sky_view_factor: light as a fraction of an open sky's.
+    """
     trust = np.where(is_seen, np.interp(sky_view_factor, config.deep_shade, (0.0, 1.0)), 0.0)
     fill = fill_unseen(mesh, colour, trust >= 1.0, np.median(colour, axis=0))
     return DeepShade(trust, fill)
 
 
 def _divided(mesh: TriMesh, light: SurfaceLight) -> Decomposition:
-    """The baseline, with the light as the sky stage estimated it."""
+    """Baseline decomposition: division by the light that the sky stage estimated."""
     found = VertexLight(light, light.visibility[:, 1])
     total = light.total(found.visibility)
     done = base_colour_from_radiance(mesh, total.astype(np.float32))

@@ -1,4 +1,4 @@
-"""The baseline: the rendered source light divided out, its shadow edges inpainted."""
+"""Baseline decomposition: radiance divided by the rendered light, shadow edges inpainted."""
 
 from __future__ import annotations
 
@@ -11,41 +11,41 @@ from lightsim.core.colour import LUMINANCE_WEIGHTS
 from lightsim.core.mesh import TriMesh
 from lightsim.errors import InputError
 
+# Vertices inpainted together: some 20 MB of intermediate results for any log.
 _CHUNK = 1 << 15
-"""Vertices inpainted together: some 20 MB of intermediate results, whatever the log."""
 
+# Settings of the baseline; the sensitivity of each was not measured.
 
-# Settings of the baseline; none was measured alone.
-
-# Light below this fraction of the mesh's bright light (95th percentile) is not trusted.
+# Fraction of the mesh's bright light (95th percentile) below which light is not trusted.
 _DARK_FRACTION = 0.02
-# Vertices this many edges from such a step are not trusted either.
-_EDGE_RINGS = 2
-# Trusted vertices from which an untrusted one takes its colour.
-_NEIGHBOURS = 12
-# How quickly a neighbour loses influence as its normal turns away.
-_NORMAL_POWER = 4.0
-# Beyond this, trusted vertices say nothing about an untrusted one.
-_MAX_DISTANCE_M = 3.0
-# Where the log of the light changes more than this to a neighbour, a shadow edge is near, and its
-# exact place is not trusted.
+# Greatest difference of the log light between neighbours; more indicates a shadow edge, whose
+# rendered position is uncertain.
 _MAX_LOG_STEP = 0.25
-# Base colours are kept within these: charcoal and fresh snow. Also for the labels' quotient.
+# Number of edges from a shadow edge within which vertices are not trusted.
+_EDGE_RINGS = 2
+# Number of trusted vertices that are averaged at an untrusted one.
+_NEIGHBOURS = 12
+# Exponent on the cosine between normals in the weight of a trusted vertex.
+_NORMAL_POWER = 4.0
+# Greatest distance of a trusted vertex, in metres.
+_MAX_DISTANCE_M = 3.0
+# Least base colour in every method: charcoal.
 LOWEST_BASE_COLOUR = 0.02
+# Greatest base colour in every method: fresh snow.
 HIGHEST_BASE_COLOUR = 0.95
 
 
 def base_colour_from_radiance(
     mesh: TriMesh, irradiance_over_pi: Float32[np.ndarray, "n 3"]
 ) -> TriMesh:
-    """The mesh with its base colour, which must hold radiance, divided by the source light.
+    """Divide the radiance in a mesh's `base_colour` by the source light.
 
-    Where the light is tiny, or changes abruptly (a shadow edge whose true place may differ by a
-    little), the quotient is replaced by that of similar-facing trusted neighbours, and blended
-    by how far the light can be trusted. Where no trusted neighbour is near, the quotient stays.
+    Where the light is weak, or changes abruptly (a shadow edge of uncertain position), the quotient
+    is replaced by the mean of trusted neighbours of similar normal. Without such a neighbour the
+    quotient stays.
 
     Args:
-        mesh: `base_colour` is the mean observed radiance (assets.build.build_assets).
+        mesh: `base_colour` is the mean observed radiance (appearance.build.build_assets).
         irradiance_over_pi: source light at each vertex, divided by pi.
 
     Raises:
@@ -79,7 +79,7 @@ def base_colour_from_radiance(
 def _near_light_steps(
     mesh: TriMesh, brightness: Float64[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Vertices close to an abrupt change of the light that their orientation does not explain."""
+    """Mask of vertices near an abrupt change of the light that the normals do not explain."""
     edges = _edges(mesh)
     normals = mesh.vertex_normals()
     turn = (normals[edges[:, 0]] * normals[edges[:, 1]]).sum(axis=1)
@@ -100,11 +100,9 @@ def _edges(mesh: TriMesh) -> Int64[np.ndarray, "e 2"]:
 
 
 def inpaint_colour(
-    mesh: TriMesh,
-    colour: Float64[np.ndarray, "n 3"],
-    is_trusted: Bool[np.ndarray, " n"],
+    mesh: TriMesh, colour: Float64[np.ndarray, "n 3"], is_trusted: Bool[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 3"]:
-    """Untrusted vertices take the colour of trusted ones near by that face the same way."""
+    """Replace untrusted colours by the mean of trusted vertices near by with similar normals."""
     from scipy.spatial import KDTree
 
     trusted, other = np.flatnonzero(is_trusted), np.flatnonzero(~is_trusted)

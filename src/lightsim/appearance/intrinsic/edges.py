@@ -1,11 +1,11 @@
-"""Sun visibility at any point of a surface from labelled surfels; soft along shadow edges."""
+"""Sun visibility at any point of a surface from labelled surfels, with soft shadow edges."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64
 from scipy.spatial import KDTree
 
 from lightsim.appearance.intrinsic.labels import (
@@ -15,27 +15,40 @@ from lightsim.appearance.intrinsic.labels import (
     rendered_visibility,
     smoothed,
 )
+from lightsim.appearance.intrinsic.light import SurfaceLight
 from lightsim.core.found_visibility import decided
+from lightsim.core.mesh import TriMesh
 
-_NEAREST, _AROUND = 6, 32
+# The values below were chosen on log 002 and synthetic street 0; their sensitivity was not
+# measured.
+
+# Number of surfels that are interpolated at a point.
+_NEAREST = 6
+# Number of firmly labelled surfels whose mean is the base colour beside an edge.
+_AROUND = 32
+# Greatest distance of the nearest of these surfels, in metres.
 _REACH_M = 1.2
-_SURE = 0.03
+# A label is certain if its probability is within this distance of 0 or 1.
+_CERTAIN = 0.03
+# Prior of being lit below which a rendered shadow is near.
 _NEAR_SHADOW = 0.75
-"""Prior of being lit below which a rendered shadow is near."""
+# Points processed together: some 30 MB of intermediate results for any log.
 _CHUNK = 1 << 15
-"""Points looked at together: some 30 MB of intermediate results, whatever the log."""
 
 
 @dataclass(frozen=True, eq=False)
 class LabelField:
-    """Labels and base colour on surfels, ready to be asked anywhere. Make it with `label_field`.
+    """Labels and base colours of surfels, for interpolation. Made by `label_field`.
 
     Args:
-        faces: of the mesh, those that the surfels lie on.
+        faces: indices of the mesh's faces that the surfels sample.
+        tree: positions of the surfels.
+        normal: unit normals.
         lit: probability that the sun reaches each surfel.
         log_colour: log base colour of the firmly labelled surface around each surfel.
-        is_known: whether there is such a surface.
-        is_mixed: whether lit and shadowed surface meet at the surfel, or may.
+        is_known: mask of surfels with such a surface in reach.
+        is_mixed: mask of surfels at a certain or possible shadow edge.
+        surfel_m: size of a surfel.
     """
 
     faces: Int64[np.ndarray, " k"]
@@ -51,12 +64,14 @@ class LabelField:
 def label_field(
     faces: Int64[np.ndarray, " k"], observed: Observed, labels: Labels, edge_error_m: float
 ) -> LabelField:
-    """What `refine_visibility` needs of labelled surfels; `edge_error_m` of `IntrinsicConfig`."""
+    """Prepare labelled surfels for `refine_visibility`; `edge_error_m` as in `IntrinsicConfig`."""
     surfels = observed.surfels
     light = np.maximum(observed.light.total(labels.lit), 1e-6)
     log_colour = observed.log_radiance - np.log(light)
-    # What is merely dark amid light (panes, tyres) is unsure, too: a shadow must be near.
-    is_unsure = (labels.lit > _SURE) & (labels.lit < 1 - _SURE) & (labels.prior < _NEAR_SHADOW)
+    # Labels of dark objects in full light (panes, tyres) are uncertain, too; an edge requires a
+    # rendered shadow near by.
+    is_unsure = (labels.lit > _CERTAIN) & (labels.lit < 1 - _CERTAIN)
+    is_unsure &= labels.prior < _NEAR_SHADOW
     is_mixed = is_unsure | is_at_label_edge(observed, labels.lit)
     is_mixed |= _is_at_thin_shadow(observed, edge_error_m)
     is_firm = ~is_mixed & (surfels.confidence > 0.5)
@@ -74,9 +89,11 @@ def label_field(
 
 
 def _is_at_thin_shadow(observed: Observed, edge_error_m: float) -> Bool[np.ndarray, " n"]:
-    """Patches near a rendered shadow, or a gap of light, that is narrower than its place is sure:
-    a post's, or what falls between two of them. Labels of patches average it away, and say nothing
-    of it; the texels can."""
+    """Mask of patches near a rendered shadow or light gap narrower than its position error.
+
+    Examples are the shadow of a post and the light between two posts. Labels of whole patches
+    average them; texels resolve them.
+    """
     graph, rendered = observed.graph, rendered_visibility(observed.light)
     is_thin = (rendered > 0.5) != (smoothed(rendered, graph, edge_error_m) > 0.5)
     near = graph.pairs[graph.distance_m < edge_error_m]
@@ -91,13 +108,13 @@ def _colour_around(
     is_firm: Bool[np.ndarray, " n"],
     is_mixed: Bool[np.ndarray, " n"],
 ) -> tuple[Float64[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
-    """Mean log base colour of the firm surfels around those near an edge, and whether any are."""
+    """Mean log base colour of the firm surfels around each edge surfel, and where there are any."""
     position, normal = observed.surfels.position, observed.surfels.normal
-    asked = is_mixed.copy()
+    is_chosen = is_mixed.copy()
     touched = observed.graph.pairs[is_mixed[observed.graph.pairs].any(axis=1)]
-    asked[touched.ravel()] = True
+    is_chosen[touched.ravel()] = True
     is_known, result = is_firm.copy(), log_colour.copy()
-    all_rows, firm = np.flatnonzero(asked), np.flatnonzero(is_firm)
+    all_rows, firm = np.flatnonzero(is_chosen), np.flatnonzero(is_firm)
     if len(all_rows) == 0 or len(firm) == 0:
         return result, is_known
     surfels = KDTree(position[firm]), normal[firm]
@@ -120,8 +137,8 @@ def _around(
     count: int,
     width_m: float,
 ) -> tuple[Int64[np.ndarray, "m k"], Float64[np.ndarray, "m k"], Float64[np.ndarray, " m"]]:
-    """Nearest surfels, their weights (which favour near ones of the same facing), and the distance
-    of the nearest."""
+    """Nearest surfels, their weights (large for near ones of similar normal), and the least
+    distance."""
     tree, normal = surfels
     distance, index = (np.asarray(part) for part in tree.query(points, k=min(count, tree.n)))
     distance, index = distance.reshape(len(points), -1), index.reshape(len(points), -1)
@@ -133,8 +150,16 @@ def _around(
 
 @dataclass(frozen=True, eq=False)
 class ShadedPoints:
-    """Points of the surface with what was seen, the light without and of the sun there, and what
-    they reflect of both."""
+    """Surface samples with radiance and light, all linear RGB.
+
+    Args:
+        points, normals: in the frame of the mesh.
+        radiance: observed.
+        diffuse: light without the sun, irradiance / pi.
+        direct: light of the unoccluded sun, irradiance / pi.
+        reflected: specular radiance without the sun.
+        reflected_sun: specular radiance of the unoccluded sun.
+    """
 
     points: Float32[np.ndarray, "n 3"]
     normals: Float32[np.ndarray, "n 3"]
@@ -147,25 +172,49 @@ class ShadedPoints:
     def __len__(self) -> int:
         return len(self.points)
 
-    def at(self, rows: slice | Int64[np.ndarray, " m"]) -> ShadedPoints:
-        """Some of the points."""
+    @staticmethod
+    def vertices_of(mesh: TriMesh, light: SurfaceLight) -> ShadedPoints:
+        """Return the vertices of a mesh, whose `base_colour` holds radiance, under a light."""
+        reflected = light.reflections
         return ShadedPoints(
-            self.points[rows],
-            self.normals[rows],
-            self.radiance[rows],
-            self.diffuse[rows],
-            self.direct[rows],
-            self.reflected[rows],
-            self.reflected_sun[rows],
+            mesh.vertices,
+            mesh.vertex_normals().astype(np.float32),
+            mesh.base_colour,
+            light.diffuse.astype(np.float32),
+            light.sun,
+            reflected.rest,
+            reflected.sun,
         )
+
+    def at(self, rows: slice | Int64[np.ndarray, " m"]) -> ShadedPoints:
+        """Return the chosen points."""
+        return ShadedPoints(*(values[rows] for values in vars(self).values()))
+
+    def between(
+        self,
+        corners: Int32[np.ndarray, "t 3"],
+        barycentric: Float32[np.ndarray, "t 3"],
+        radiance: Float32[np.ndarray, "t 3"],
+    ) -> ShadedPoints:
+        """Interpolate at points inside triangles; their radiance is given."""
+        weights = barycentric[:, :, None]
+        found = {
+            name: (weights * values[corners]).sum(axis=1)
+            for name, values in vars(self).items()
+            if name != "radiance"
+        }
+        # Texels beyond a face's long edge are extrapolated, and could become negative.
+        found["diffuse"] = np.maximum(found["diffuse"], 1e-6)
+        found["direct"] = np.maximum(found["direct"], 0.0)
+        return ShadedPoints(radiance=radiance, **found)
 
 
 def refine_visibility(field: LabelField, seen: ShadedPoints) -> Float32[np.ndarray, " n"]:
-    """Fraction of the sun that reaches each point.
+    """Return the sun visibility of each point, in [0, 1].
 
-    Away from edges it is the label of the surfels around. Near an edge it is what makes the
-    point's base colour that of the firm surfels around it, which places the edge, and its
-    penumbra, at the resolution of the radiance.
+    Away from edges the labels of the surfels around are interpolated. Near an edge the visibility
+    is the one at which the point's base colour equals that of the firm surfels around it. The edge
+    and its penumbra then have the resolution of the radiance.
     """
     result = np.empty(len(seen), dtype=np.float32)
     for start in range(0, len(seen), _CHUNK):
@@ -184,6 +233,7 @@ def _refine(field: LabelField, seen: ShadedPoints) -> Float32[np.ndarray, " n"]:
     colour = np.exp(colour / np.maximum(known, 1e-9)[:, None])
     diffuse = seen.diffuse + seen.reflected / colour
     direct = seen.direct + seen.reflected_sun / colour
+    # Least squares over the channels of radiance / colour = diffuse + visibility * direct.
     wanted = ((seen.radiance / colour - diffuse) * direct).sum(axis=1)
     found = wanted / np.maximum((direct**2).sum(axis=1), 1e-12)
     is_edge = field.is_mixed[index].any(axis=1) & (known > 0.3)

@@ -1,5 +1,6 @@
-"""Base colour of ground and house fronts that nobody saw, such as under parked cars and behind
-them: ground goes on as it does further along the street, a front downward (shift_map).
+"""Base colour of unobserved ground and house fronts, such as under and behind parked cars.
+
+Ground is copied from further along the street, and the foot of a front from above it (`shift_map`).
 """
 
 from __future__ import annotations
@@ -20,28 +21,36 @@ from lightsim.appearance.intrinsic.shift_map import Samples, ShiftMap
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import Texture, TriMesh
 
-# Chosen while looking at streets 0 and 1; what they do: docs/benchmarks/leaderboard.md (edits).
+# The values below were chosen on synthetic streets 0 and 1. Only their joint effect is measured
+# (docs/benchmarks/leaderboard.md, edits).
 
-# The path is smoothed over this length, and goes straight on at its ends.
-_SMOOTH_M, _ONWARD_M, _STEP_M = 4.0, 60.0, 0.1
-# Ground lies this near its level.
+# Length over which the path is smoothed, in metres.
+_SMOOTH_M = 4.0
+# Length of the straight extension at both ends of the path, in metres.
+_ONWARD_M = 60.0
+# Spacing of the points of the path, in metres.
+_STEP_M = 0.1
+# Greatest distance of ground from the ground map, in metres.
 _LEVEL_M = 0.3
-# Places are known from the first trust on, and hidden below the second.
-_KNOWN, _HIDDEN = 0.99, 0.5
-# A front stands upright (cosine).
+# Least trust of a sample.
+_KNOWN = 0.99
+# Trust below which a texel is completed.
+_HIDDEN = 0.5
+# Greatest absolute z component of the unit normal of a front.
 _UPRIGHT = 0.3
-# Of all that faces the path on one side, the front is where most of its surface stands within the
-# first width across the path (and the second along it); it takes in what lies this near.
-_ACROSS_M, _ALONG_M, _FRONT_M = 0.25, 1.0, 0.6
-_TEXELS = 1 << 18
+# Width across the path, in metres, of the bins of the front's distance; the bin with the largest
+# area wins.
+_ACROSS_M = 0.25
+# Greatest distance of a front's surface from its plane, in metres.
+_FRONT_M = 0.6
 
 
 @dataclass(frozen=True, eq=False)
 class Road:
-    """Where a recording drove.
+    """Driven path and ground, with coordinates along and across the path.
 
     Args:
-        path_m: its positions, in order, frame world.
+        path_m: positions in order of time, metres, frame world.
         ground: height of the ground.
     """
 
@@ -50,17 +59,18 @@ class Road:
 
     @cached_property
     def _line(self) -> tuple[KDTree, Float64[np.ndarray, "n 2"]]:
-        """Points of the smoothed path, evenly spaced, and its direction there."""
-        kept = [self.path_m[0, :2].astype(np.float64)]
+        """Evenly spaced points of the smoothed path, and its unit directions there."""
+        # Sparse points: a standing vehicle must not bend the path.
+        sparse = [self.path_m[0, :2].astype(np.float64)]
         for point in self.path_m[1:, :2]:
-            if np.linalg.norm(point - kept[-1]) > _SMOOTH_M / 2:
-                kept.append(point.astype(np.float64))
-        if len(kept) == 1:
-            kept.append(kept[0] + [_SMOOTH_M, 0.0])
+            if np.linalg.norm(point - sparse[-1]) > _SMOOTH_M / 2:
+                sparse.append(point.astype(np.float64))
+        if len(sparse) == 1:
+            sparse.append(sparse[0] + [_SMOOTH_M, 0.0])
         ends = [
-            a + _ONWARD_M * (a - b) / np.linalg.norm(a - b) for a, b in (kept[:2], kept[:-3:-1])
+            a + _ONWARD_M * (a - b) / np.linalg.norm(a - b) for a, b in (sparse[:2], sparse[:-3:-1])
         ]
-        corners = np.array([ends[0], *kept, ends[1]])
+        corners = np.array([ends[0], *sparse, ends[1]])
         length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))]
         at = np.arange(0.0, length[-1], _STEP_M)
         points = np.stack([np.interp(at, length, corners[:, k]) for k in (0, 1)], axis=1)
@@ -73,7 +83,7 @@ class Road:
         return KDTree(points), way / np.linalg.norm(way, axis=1, keepdims=True)
 
     def place(self, xy: Float[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
-        """Metres along the road and to the left of it."""
+        """Return coordinates along the path and to the left of it, in metres."""
         tree, way = self._line
         nearest = np.asarray(tree.query(xy)[1])
         offset, way = xy - tree.data[nearest], way[nearest]
@@ -81,24 +91,25 @@ class Road:
         return np.stack([along, offset[:, 1] * way[:, 0] - offset[:, 0] * way[:, 1]], axis=1)
 
     def left(self, xy: Float[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 2"]:
-        """Unit direction to the left of the road where it is nearest."""
+        """Return the unit direction to the left of the path at its nearest point."""
         tree, way = self._line
         way = way[np.asarray(tree.query(xy)[1])]
         return np.stack([-way[:, 1], way[:, 0]], axis=1)
 
     def height_m(self, points: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
-        """Above the ground."""
+        """Return heights above the ground."""
         return points[:, 2] - self.ground.look_up(points[:, :2])
 
 
 def with_hidden_surfaces(mesh: TriMesh, trust: Float64[np.ndarray, " n"], road: Road) -> TriMesh:
-    """The mesh with the base colour of its ground and of the fronts beside the path completed, at
-    vertices and texels; as it is where the street tells nothing, or without a texture.
+    """Complete the base colour of ground and fronts beside the path, at vertices and texels.
+
+    Colours stay where the street has no similar surface, and in a mesh without a texture.
 
     Args:
-        mesh: frame world; its texture was packed by `appearance.atlas`.
-        trust: in the vertices' colours, 0 where nobody saw them.
-        road: along which the street goes on.
+        mesh: frame world; its texture is of the module `appearance.atlas`.
+        trust: in the vertices' colours, 0 where unobserved.
+        road: path and ground of the log.
     """
     texture = mesh.texture
     if texture is None:
@@ -112,7 +123,7 @@ def with_hidden_surfaces(mesh: TriMesh, trust: Float64[np.ndarray, " n"], road: 
         if not has_changed:
             image, base_colour, has_changed = image.copy(), base_colour.copy(), True
         completed = ShiftMap.of(texels.samples)
-        if surface.is_ground:
+        if surface.front_m is None:
             completed.complete_along()
         else:
             completed.complete_down()
@@ -120,9 +131,9 @@ def with_hidden_surfaces(mesh: TriMesh, trust: Float64[np.ndarray, " n"], road: 
             (image, texels.pixel, texels.samples.places),
             (base_colour, *surface.vertices(mesh)),
         ):
-            colour, is_told = completed.at(places)
-            colours[index[is_told]] = np.clip(
-                colour[is_told], LOWEST_BASE_COLOUR, HIGHEST_BASE_COLOUR
+            colour, is_filled = completed.at(places)
+            colours[index[is_filled]] = np.clip(
+                colour[is_filled], LOWEST_BASE_COLOUR, HIGHEST_BASE_COLOUR
             )
     if not has_changed:
         return mesh
@@ -132,27 +143,24 @@ def with_hidden_surfaces(mesh: TriMesh, trust: Float64[np.ndarray, " n"], road: 
 
 @dataclass(frozen=True, eq=False)
 class _Surface:
-    """What goes on along the path.
+    """Ground, or the front on one side of the path.
 
     Args:
-        is_face: of the mesh's faces, those that may belong to it.
-        front_m: how far from the path it stands for each metre along; None: it is the ground.
+        is_face: mask of the mesh's faces that may belong to the surface.
+        front_m: signed distance of a front from the path for each metre along it; None: ground.
     """
 
     road: Road
     is_face: Bool[np.ndarray, " m"]
     front_m: Float64[np.ndarray, " k"] | None = None
 
-    @property
-    def is_ground(self) -> bool:
-        """A front otherwise."""
-        return self.front_m is None
-
     def place(
         self, points: Float[np.ndarray, "n 3"]
     ) -> tuple[Float64[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
-        """Metres along the path and across it (of a front: above the ground), and which points lie
-        on the surface."""
+        """Return surface coordinates in metres, and the mask of points on the surface.
+
+        Coordinates are along the path and across it, or for a front above the ground.
+        """
         places = self.road.place(points[:, :2])
         height = self.road.height_m(points)
         is_near = np.abs(places[:, 1]) < HIDDEN_REACH_M
@@ -163,7 +171,7 @@ class _Surface:
         return np.stack([places[:, 0], height], axis=1), is_on
 
     def vertices(self, mesh: TriMesh) -> tuple[Int64[np.ndarray, " v"], Float64[np.ndarray, "v 2"]]:
-        """Those of its faces, and their places."""
+        """Return the indices and surface coordinates of the vertices on the surface."""
         vertex = np.unique(mesh.faces[self.is_face]).astype(np.int64)
         places, is_on = self.place(mesh.vertices[vertex])
         return vertex[is_on], places[is_on]
@@ -175,7 +183,7 @@ def _ground(mesh: TriMesh, road: Road) -> _Surface:
 
 
 def _fronts(mesh: TriMesh, road: Road) -> Iterator[_Surface]:
-    """Those on the left of the path, and those on the right."""
+    """Yield the front on the left of the path and the one on the right."""
     normals = mesh.face_normals()
     upright = np.flatnonzero(np.abs(normals[:, 2]) < _UPRIGHT)
     normals, area_m2 = normals[upright], mesh.face_areas_m2()[upright]
@@ -190,7 +198,8 @@ def _fronts(mesh: TriMesh, road: Road) -> Iterator[_Surface]:
         is_front &= (away_m < HIDDEN_REACH_M) & (rows >= 0)
         area = np.zeros(shape)
         np.add.at(area, (rows[is_front], columns[is_front]), area_m2[is_front])
-        dense = np.asarray(gaussian_filter(area, (_ALONG_M, 1.0)))
+        # One bin is a metre along the path; both widths of the filter are one bin.
+        dense = np.asarray(gaussian_filter(area, (1.0, 1.0)))
         is_face = np.zeros(len(mesh.faces), dtype=bool)
         is_face[upright[is_front]] = True
         yield _Surface(road, is_face, side * (dense.argmax(axis=1) + 0.5) * _ACROSS_M)
@@ -198,7 +207,12 @@ def _fronts(mesh: TriMesh, road: Road) -> Iterator[_Surface]:
 
 @dataclass(frozen=True, eq=False)
 class _Texels:
-    """Of a surface; `pixel`: of the texture."""
+    """Samples of one surface at the texels of a texture.
+
+    Args:
+        pixel: index of each texel in the image's pixels.
+        samples: their colours, in the same order.
+    """
 
     pixel: Int64[np.ndarray, " t"]
     samples: Samples
@@ -208,7 +222,7 @@ class _Texels:
         cls, mesh: TriMesh, texture: Texture, surface: _Surface, trust: Float64[np.ndarray, " n"]
     ) -> _Texels:
         image, found = texture.image.reshape(-1, 3), []
-        for texels in texel_parts(texture, _TEXELS):
+        for texels in texel_parts(texture, 1 << 18):
             rows = np.flatnonzero(surface.is_face[texels.face])
             corners, weight = mesh.faces[texels.face[rows]], texels.barycentric[rows]
             places, is_on = surface.place((weight[:, :, None] * mesh.vertices[corners]).sum(axis=1))

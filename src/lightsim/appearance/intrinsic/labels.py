@@ -1,11 +1,11 @@
-"""Which patches of a surface the sun reached: labels on surfels.
+"""Shadow labels: the probability that the sun reaches each patch of a surface.
 
-A shadow's edge is where the log of the radiance steps, in all channels, by what the light model
-predicts, and where LiDAR intensity does not step; a change of material is where it does. Both
-are pairwise statements between patches of one surface, so the labels form a Markov random field.
-Rendered visibility is its prior: firm inside, open near the rendered shadow's edges, and firmer
-about shadows than about light, because what no sensor saw can only add shadows. Base colours that
-pavement and walls cannot have speak against a label, too.
+At a shadow edge the log radiance steps in all channels as the light model predicts, and LiDAR
+intensity does not step; at a change of material it does. Both are relations between two patches
+of one surface, so the labels form a Markov random field. Its prior is the rendered visibility:
+strong inside shadows, weak near rendered shadow edges, and weaker for light than for shadows,
+because an unobserved occluder can only add shadows. Implausible base colours of pavement and walls
+are evidence against a label.
 """
 
 from __future__ import annotations
@@ -21,57 +21,56 @@ from scipy.sparse.csgraph import connected_components
 
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
 from lightsim.appearance.intrinsic.light import LightBalance, SurfaceLight
-from lightsim.appearance.intrinsic.reflectance import Members
+from lightsim.appearance.intrinsic.reflectance import MaterialVariation, Members
 from lightsim.appearance.intrinsic.surfels import Graph, Surfels
 from lightsim.core.colour import LUMINANCE_WEIGHTS
 
-_SWEEPS, _DAMPING = 16, 0.2
+# Pairs whose energies are computed together: some 10 MB of intermediate results for any log.
 _CHUNK_PAIRS = 1 << 16
-"""Pairs whose energies are found together: some 10 MB of intermediate results, whatever the log."""
 
+# The values below were chosen on log 002 and synthetic street 0. Only their joint effect is
+# measured (docs/benchmarks/reconstruction.md, test street 1). benchmarks/bench_decompose.py varies
+# those that are settings.
 
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
-# (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test). The bench
-# benchmarks/bench_decompose.py varies those that are still settings.
-
-# Probability that an inferred (unmeasured) surface is there, as far as shadows go.
+# Probability that an inferred (unmeasured) surface casts its shadow.
 _TRUST_INFERRED = 0.75
 # Probability that a patch is lit although every rendering shadows it.
 _LEAST_LIT = 0.02
-# What these say of one patch counts this much: neighbours share their errors.
+# Weight of a patch's own log odds during propagation: errors of neighbours are correlated.
 _PRIOR_WEIGHT = 0.25
-# Spread of log base colour within a material.
-_REFLECTANCE_STD = 0.2
-# Spread of its colour part.
-_HUE_STD = 0.08
-# Weight of what pictures say against the rendered prior.
+# Variation of the base colour within a material, between near patches.
+_VARIATION = MaterialVariation(log_std=0.2, hue_std=0.08)
+# Factor on the energies of pairs, relative to the rendered prior.
 _STRENGTH = 1.5
-# Rounds of belief propagation, each from the messages of the last.
-_ROUNDS = 3
-# Greatest energy of a pair, nats: what a change of material costs.
+
+# Energy of a change of material, in nats: the greatest of a pair.
 _MAX_PAIR_ENERGY = 3.0
-# Patches so near to one of the other label, in their own size, straddle the edge.
+# Distance between patches of opposite labels, in patch sizes, within which both may contain the
+# edge.
 _EDGE_SURFELS = 2.5
-# Reach of the base colours that reflections are compared with, and their limits.
+# Standard deviation of the filter of base colours for reflections, in metres.
 _COLOUR_REACH_M = 1.0
+# Range of these base colours.
 _COLOURS = (0.05, 0.9)
-_LEAST_RADIANCE = 1e-3
-# Energy of a shadow's edge itself, nats.
+
+# Energy of a shadow edge between two patches, in nats: prefers smooth labels.
 _EDGE_ENERGY = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """Surfels with all that is known of them.
+    """Surfels with the evidence for their labels.
 
     Args:
-        log_radiance: natural logarithm.
-        reflectance_step: for each pair of the graph, log of base colour of the second over the
-            first, as LiDAR intensity predicts it; 0 where that says nothing.
-        materials: surfels whose class of material is known.
-        own_light: of the source sky at each surfel.
-        light: the same with reflections as light (`SurfaceLight.on_lambert`), so that log radiance
-            is log base colour and log light.
+        surfels, graph: patches, and the pairs that are compared.
+        log_radiance: natural logarithm of the linear RGB radiance.
+        reflectance_step: for each pair, the log ratio of base colours (second over first) that
+            LiDAR intensity predicts; 0 without a prediction.
+        materials: surfels of known material classes.
+        own_light: source light at each surfel.
+        light: `own_light` with reflections as light (`SurfaceLight.on_lambert`), so that log
+            radiance = log base colour + log light.
+        surfel_m: size of a surfel.
     """
 
     surfels: Surfels
@@ -91,8 +90,8 @@ class Observed:
         own_light: SurfaceLight,
         surfel_m: float,
     ) -> Observed:
-        """Surfels under a light that is taken as it is; LiDAR says nothing yet."""
-        log_radiance = np.log(np.maximum(surfels.radiance, _LEAST_RADIANCE))
+        """Combine surfels with the unbalanced light, without a LiDAR prediction."""
+        log_radiance = np.log(np.maximum(surfels.radiance, 1e-3))
         step = np.zeros(len(graph.pairs), np.float32)
         observed = Observed(
             surfels, graph, log_radiance, step, materials, own_light, own_light, surfel_m
@@ -100,8 +99,11 @@ class Observed:
         return observed.reflecting(LightBalance.unchanged(), rendered_visibility(own_light))
 
     def reflecting(self, balance: LightBalance, visibility: Float64[np.ndarray, " n"]) -> Observed:
-        """With reflections on the base colours that a balance and a visibility of the sun ask for,
-        smoothed, since they hold a wrong visibility's shadows. The light stays unbalanced."""
+        """Convert reflections to light, with the base colours of a balance and a sun visibility.
+
+        The base colours are smoothed, because errors of the visibility leave shadows in them. The
+        light stays unbalanced.
+        """
         if self.own_light.reflected is None:
             return self
         balanced = self.own_light.balanced(balance)
@@ -114,11 +116,11 @@ class Observed:
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """The outcome on surfels.
+    """Shadow labels of surfels.
 
     Args:
-        lit: probability that the sun reaches each.
-        prior: the same before the pictures were asked.
+        lit: posterior probability that the sun reaches each surfel.
+        prior: prior probability.
     """
 
     lit: Float64[np.ndarray, " n"]
@@ -128,31 +130,34 @@ class Labels:
 def label_shadows(
     observed: Observed, config: IntrinsicConfig, prior: Float64[np.ndarray, " n"] | None = None
 ) -> Labels:
-    """Labels under the light as it is; `prior` instead of `visibility_prior`."""
+    """Infer labels under the unbalanced light. `prior` overrides `visibility_prior`."""
     prior = visibility_prior(observed, config) if prior is None else prior
     messages = np.zeros((len(observed.graph.pairs), 2), np.float32)
     lit = prior
-    for _ in range(_ROUNDS):
+    # Three calls of belief propagation, each from the messages of the last.
+    for _ in range(3):
         lit = infer_labels(observed, LightBalance.unchanged(), prior, config, messages)
     return Labels(lit, prior)
 
 
 def visibility_prior(observed: Observed, config: IntrinsicConfig) -> Float64[np.ndarray, " n"]:
-    """Probability that a patch is lit, from the renderings alone."""
+    """Return the prior probability that each patch is lit, from the rendered visibility."""
     return softened_prior(rendered_visibility(observed.light), observed.graph, config)
 
 
 def softened_prior(
-    believed: Float64[np.ndarray, " n"], graph: Graph, config: IntrinsicConfig
+    visibility: Float64[np.ndarray, " n"], graph: Graph, config: IntrinsicConfig
 ) -> Float64[np.ndarray, " n"]:
-    """The same from any belief about the visibility of the sun: edges are where they are to within
-    the geometry's error, and there may be casters that nobody saw."""
-    smooth = smoothed(believed, graph, config.edge_error_m)
+    """Return the prior probability of being lit, given an estimate of the sun visibility.
+
+    It accounts for the position error of shadow edges and for unobserved occluders.
+    """
+    smooth = smoothed(visibility, graph, config.edge_error_m)
     return _LEAST_LIT + (1 - config.unseen_shadow - _LEAST_LIT) * smooth
 
 
 def rendered_visibility(light: SurfaceLight) -> Float64[np.ndarray, " n"]:
-    """Of the sun, with inferred surfaces as far as they are believed."""
+    """Return the expected sun visibility, given the probability of inferred surfaces."""
     measured, inferred = light.visibility.astype(np.float64).T
     return _TRUST_INFERRED * inferred + (1 - _TRUST_INFERRED) * measured
 
@@ -160,7 +165,7 @@ def rendered_visibility(light: SurfaceLight) -> Float64[np.ndarray, " n"]:
 def smoothed(
     values: Float64[np.ndarray, " n"], graph: Graph, radius_m: float
 ) -> Float64[np.ndarray, " n"]:
-    """Mean over the neighbourhood, by a Gaussian of the distance."""
+    """Return the mean over each surfel and its neighbours, weighted by a Gaussian of distance."""
     weight = np.exp(-0.5 * (graph.distance_m / radius_m) ** 2)
     first, second = graph.pairs.T
     total, mass = values.copy(), np.ones(len(values))
@@ -177,19 +182,23 @@ def infer_labels(
     config: IntrinsicConfig,
     messages: Float32[np.ndarray, "e 2"],
 ) -> Float64[np.ndarray, " n"]:
-    """Probability of being lit by loopy belief propagation.
+    """Return the probability of being lit, by loopy belief propagation.
 
     Args:
-        messages: 0, or those of the last call; updated in place.
+        observed: evidence.
+        balance: factors on the light.
+        prior: probability of being lit.
+        config: settings.
+        messages: 0, or the result of the last call; updated in place.
     """
     from lightsim.appearance.intrinsic.kernels import propagate
 
     energy = pair_energies(observed, balance, config)
     own = np.log(prior / (1 - prior)) + _material_log_odds(observed, balance, config)
     belief = np.empty(len(own))
-    propagate(
-        _PRIOR_WEIGHT * own, observed.graph.pairs, energy, messages, belief, _SWEEPS, _DAMPING
-    )
+    # 16 sweeps, damping 0.2; later calls continue from the messages.
+    propagate(_PRIOR_WEIGHT * own, observed.graph.pairs, energy, messages, belief, 16, 0.2)
+    # Messages carried a fraction of the own odds; each patch's result contains them in full.
     belief += (1 - _PRIOR_WEIGHT) * own
     lit = 1 / (1 + np.exp(-np.clip(belief, -30, 30)))
     return without_islands(observed, lit, prior, config.island_m2)
@@ -198,8 +207,10 @@ def infer_labels(
 def _material_log_odds(
     observed: Observed, balance: LightBalance, config: IntrinsicConfig
 ) -> Float64[np.ndarray, " n"]:
-    """Of lit against shadowed, from the base colours that each makes of known materials; 0 in deep
-    shade, where the quotient says nothing."""
+    """Log odds of lit against shadowed, from the base colours of known materials.
+
+    They are 0 in deep shade, where the quotient of radiance and light is inaccurate.
+    """
     weights = LUMINANCE_WEIGHTS.astype(np.float64)
     light = observed.light.balanced(balance)
     shade = np.maximum(light.diffuse @ weights, 1e-6)
@@ -214,7 +225,7 @@ def _material_log_odds(
 
 
 def is_at_label_edge(observed: Observed, lit: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Patches with a neighbour of the other label: pictures and meshes are blurred there."""
+    """Return the mask of patches near one of the opposite label, where images are blurred."""
     graph = observed.graph
     near = graph.pairs[graph.distance_m < _EDGE_SURFELS * observed.surfel_m]
     differs = np.abs(lit[near[:, 0]] - lit[near[:, 1]]) > 0.5
@@ -229,7 +240,7 @@ def without_islands(
     prior: Float64[np.ndarray, " n"],
     least_m2: float,
 ) -> Float64[np.ndarray, " n"]:
-    """Small patches whose label every rendering contradicts take the prior."""
+    """Reset small connected regions to the prior if their label contradicts the rendering."""
     surfels, graph = observed.surfels, observed.graph
     first, second = graph.pairs.T
     is_lit = lit > 0.5
@@ -246,10 +257,10 @@ def without_islands(
 def pair_energies(
     observed: Observed, balance: LightBalance, config: IntrinsicConfig
 ) -> Float32[np.ndarray, "e 2 2"]:
-    """Energy of each pair by the labels of its two patches, in nats.
+    """Return the energy of each pair by the labels of its two patches, in nats.
 
-    The step of the log base colour that labels imply, minus the step that LiDAR predicts, is
-    small within a material; beyond a cap, the pair is taken to cross materials.
+    Within a material, the step of log base colour that two labels imply is close to the step that
+    LiDAR predicts. The energy saturates, because a pair may cross materials.
     """
     light, graph = observed.light.balanced(balance), observed.graph
     diffuse = np.maximum(light.diffuse, 1e-6)
@@ -263,17 +274,10 @@ def pair_energies(
         for a in (0, 1):
             for b in (0, 1):
                 step = log_colour[second, b] - log_colour[first, a]
-                cost = _misfit(step - observed.reflectance_step[part, None]) / reach
+                cost = _VARIATION.misfit(step - observed.reflectance_step[part, None]) / reach
                 cost = _STRENGTH * -np.log(np.exp(-cost) + exp(-_MAX_PAIR_ENERGY))
                 energy[part, a, b] = graph.weight[part] * (cost + _EDGE_ENERGY * (a != b))
     return energy
-
-
-def _misfit(step: Float32[np.ndarray, "e 3"]) -> Float32[np.ndarray, " e"]:
-    """Squared step of brightness and of colour, in units of their spread."""
-    mean = step.mean(axis=1)
-    chroma = step - mean[:, None]
-    return 0.5 * (mean / _REFLECTANCE_STD) ** 2 + 0.5 * (chroma**2).sum(axis=1) / _HUE_STD**2
 
 
 def predict_reflectance_steps(
@@ -282,10 +286,13 @@ def predict_reflectance_steps(
     log_reflectance: Float64[np.ndarray, " n"],
     visibility: Float32[np.ndarray, "n 2"],
 ) -> tuple[Float32[np.ndarray, " e"], float]:
-    """Step of log base colour across each pair that LiDAR intensity predicts, and the gain.
+    """Predict the step of log base colour across each pair from LiDAR intensity.
 
-    The gain is the regression of radiance steps on intensity steps over pairs that every
-    rendering puts on the same side of the sun; noise of the intensity shrinks it, as it should.
+    The gain is the regression coefficient of radiance steps on intensity steps over pairs of equal
+    rendered visibility. Noise of the intensity decreases it, as is right for a prediction.
+
+    Returns:
+        The steps (second over first; 0 if unknown), and the gain, in [0, 1].
     """
     first, second = graph.pairs.T
     step = (log_reflectance[second] - log_reflectance[first]).astype(np.float32)

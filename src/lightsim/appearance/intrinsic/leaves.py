@@ -1,5 +1,4 @@
-"""Base colours of leaves: those of a crown are alike, and a picture of one shows what is behind it,
-too."""
+"""Base colours of foliage, smoothed within each crown because pixels mix leaves and background."""
 
 from __future__ import annotations
 
@@ -12,13 +11,19 @@ from lightsim.core.adjacency import adjacency
 from lightsim.core.foliage import foliage_faces
 from lightsim.core.mesh import TriMesh
 
-_AROUND, _AROUND_M = 64, 2.0
-"""Corners of leaves around one, no further away, whose median is its colour. Not measured alone."""
+# Number of observed vertices of leaves around a vertex whose median is its colour.
+# Sensitivity not measured, as of their greatest distance in metres below.
+_AROUND = 64
+# Greatest distance of these vertices.
+_AROUND_M = 2.0
 
 
 def leaf_vertices(mesh: TriMesh) -> Bool[np.ndarray, " n"]:
-    """Vertices of cards: pieces of vegetation of no more than four corners. Its other surface hangs
-    together, and the far field has such pieces of its own."""
+    """Return the mask of vertices of leaf cards: pieces of foliage with at most four vertices.
+
+    Other foliage surface is connected, and the background proxy has small pieces of other
+    materials.
+    """
     count, piece = connected_components(adjacency(mesh.faces, len(mesh.vertices)), directed=False)
     size = np.bincount(piece, minlength=int(count))[piece]
     is_leaf = np.zeros(len(mesh.vertices), dtype=bool)
@@ -32,11 +37,14 @@ def leaf_colours(
     is_leaf: Bool[np.ndarray, " n"],
     is_seen: Bool[np.ndarray, " n"],
 ) -> Float64[np.ndarray, "n 3"]:
-    """For each leaf the median of those seen around it, or of all where none is; the given colours
-    elsewhere.
+    """Return colours in which each leaf has the median of the observed leaves around it.
+
+    A leaf without an observed one near by has the median of all; other vertices retain their
+    colour.
 
     Args:
-        is_leaf: vertices (`leaf_vertices`).
+        is_leaf: mask of vertices (`leaf_vertices`).
+        is_seen: mask of observed vertices.
     """
     fill = colour.copy()
     seen = is_leaf & is_seen

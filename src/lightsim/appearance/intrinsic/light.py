@@ -1,4 +1,4 @@
-"""The source light on a surface by its parts."""
+"""Components of the source light on a surface: sun, sky, other surfaces and reflections."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from jaxtyping import Bool, Float, Float32, Float64, Int64
 from lightsim.core.mesh import TriMesh
 from lightsim.errors import InputError
 
+# The values below were chosen by inspection; their sensitivity was not measured.
+
+# Least sky light as a fraction of an open sky's: stands in for bounces that are not traced.
 _LEAST_SKY = 0.04
-"""Fraction of open sky that the deepest corner gets (further bounces)."""
+# Least ratio of the sun's light to all other light at which a shadow label is observable.
 _LEAST_LIT = 0.05
-"""Of the sun's light to all other light, from which on a label changes the sum noticeably."""
-
-
+# Least fraction of an observed radiance that is diffuse, for any estimated reflection.
 _LEAST_DIFFUSE = 0.3
-"""Of what cameras saw of a point, the least that is taken for diffuse, whatever it may reflect."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeenPoints:
-    """Points of a surface, in the frame of its mesh, and how they were looked at.
+    """Points of a surface in the frame of its mesh, with their mean view direction.
 
     Args:
         position: metres.
-        normal: unit.
-        towards_camera: mean direction to the cameras, unit; 0 where no camera saw the point.
+        normal: unit normals.
+        towards_camera: mean direction to the cameras, unit; 0 where unobserved.
         roughness: of the material.
     """
 
@@ -39,7 +39,7 @@ class SeenPoints:
 
     @staticmethod
     def vertices_of(mesh: TriMesh) -> SeenPoints:
-        """All vertices of a mesh."""
+        """Return all vertices of a mesh as points."""
         towards = mesh.towards_camera
         return SeenPoints(
             mesh.vertices,
@@ -49,7 +49,7 @@ class SeenPoints:
         )
 
     def at(self, rows: Int64[np.ndarray, " m"]) -> SeenPoints:
-        """Some of the points."""
+        """Return the chosen points."""
         return SeenPoints(
             self.position[rows], self.normal[rows], self.towards_camera[rows], self.roughness[rows]
         )
@@ -57,12 +57,12 @@ class SeenPoints:
 
 @dataclass(frozen=True, eq=False)
 class Reflections:
-    """Radiance that n points reflect specularly towards the cameras that saw them.
+    """Radiance that n points reflect specularly towards their cameras.
 
     Args:
-        rest: of the open sky and of other surfaces.
-        unseen_sky: what of `rest` comes from directions in which no camera saw the sky.
-        sun: of the sun, without visibility.
+        rest: reflection of the open sky and of other surfaces.
+        unseen_sky: part of `rest` from sky directions that no camera observes.
+        sun: reflection of the unoccluded sun.
     """
 
     rest: Float32[np.ndarray, "n 3"]
@@ -70,39 +70,42 @@ class Reflections:
     sun: Float32[np.ndarray, "n 3"]
 
     def total(self, visibility: Float[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
-        """At a visibility of the sun."""
+        """Return the reflected radiance, given the sun visibility."""
         return self.rest.astype(np.float64) + visibility[:, None] * self.sun
 
     def balanced(self, balance: LightBalance) -> Reflections:
-        """With another sun and another unseen sky."""
+        """Scale the reflections of the sun and of the unseen sky."""
         unseen = (self.unseen_sky * balance.unseen_sky).astype(np.float32)
         rest = np.maximum(self.rest - self.unseen_sky, 0.0) + unseen
         return Reflections(rest, unseen, (self.sun * balance.sun).astype(np.float32))
 
     def at(self, rows: Int64[np.ndarray, " m"]) -> Reflections:
-        """Of some of the points."""
+        """Return the chosen points."""
         return Reflections(self.rest[rows], self.unseen_sky[rows], self.sun[rows])
 
 
 def diffuse_part(
     radiance: Float[np.ndarray, "n 3"], reflected: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """What is left of a radiance without what is reflected; never less than a part of it."""
+    """Subtract specular reflections from a radiance; the result is limited from below."""
     return np.maximum(radiance - reflected, _LEAST_DIFFUSE * radiance)
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceLight:
-    """Light on n points, irradiance / pi: what a white Lambert surface shows.
+    """Light on n points as irradiance / pi, which is the radiance of a white Lambert surface.
 
     Args:
-        sun: of the sun by the cosine law, without visibility.
-        visibility: fraction of the sun's disc seen, one column for each belief about what
-            stands there: the measured surfaces alone, and the inferred ones, too.
-        sky: of the open sky.
-        unseen_sky: what of `sky` comes from directions in which no camera saw the sky.
-        bounce: from other surfaces, as the cameras saw them shine.
-        reflected: what the points send besides their diffuse light; None: nothing.
+        sun: light of the unoccluded sun, by the cosine law.
+        visibility: visible fraction of the sun's disc, with measured surfaces alone (column 0) and
+            with measured and inferred surfaces (column 1).
+        sky: light of the open sky.
+        unseen_sky: part of `sky` from directions that no camera observes.
+        bounce: light of other surfaces, from their observed radiance.
+        reflected: specular reflections of the points; None: no reflections.
+
+    Raises:
+        InputError: a part is negative or not finite.
     """
 
     sun: Float32[np.ndarray, "n 3"]
@@ -123,7 +126,7 @@ class SurfaceLight:
 
     @property
     def reflections(self) -> Reflections:
-        """`reflected`, or zeros."""
+        """Return `reflected`, or zeros."""
         if self.reflected is not None:
             return self.reflected
         none = np.zeros_like(self.sun)
@@ -131,20 +134,21 @@ class SurfaceLight:
 
     @property
     def diffuse(self) -> Float64[np.ndarray, "n 3"]:
-        """All light but the direct sun."""
+        """Return all light but the direct sun."""
         return (self.sky + self.bounce).astype(np.float64)
 
     def total(self, visibility: Float[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
-        """At a visibility of the sun."""
+        """Return the light, given the sun visibility."""
         return self.diffuse + visibility[:, None] * self.sun
 
     @property
     def is_lit_enough(self) -> Bool[np.ndarray, " n"]:
-        """Where the sun's visibility changes the light by more than a few percent."""
+        """Return the mask of points whose light depends noticeably on the sun visibility."""
+        # Green channel.
         return self.sun[:, 1] > _LEAST_LIT * self.diffuse[:, 1]
 
     def balanced(self, balance: LightBalance) -> SurfaceLight:
-        """With another sun and another unseen sky."""
+        """Scale the light of the sun and of the unseen sky."""
         unseen = (self.unseen_sky * balance.unseen_sky).astype(np.float32)
         return replace(
             self,
@@ -157,15 +161,14 @@ class SurfaceLight:
     def base_colour(
         self, radiance: Float[np.ndarray, "n 3"], visibility: Float[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3"]:
-        """Of the diffuse part of an observed radiance; not limited to what surfaces can have."""
+        """Divide the diffuse part of an observed radiance by the light; not limited to [0, 1]."""
         diffuse = radiance.astype(np.float64)
         if self.reflected is not None:
             diffuse = diffuse_part(diffuse, self.reflected.total(visibility))
         return diffuse / np.maximum(self.total(visibility), 1e-6)
 
     def on_lambert(self, base_colour: Float[np.ndarray, "n 3"]) -> SurfaceLight:
-        """The light under which a Lambert surface would shine as these points do, reflections
-        included: they count as light that comes in addition."""
+        """Convert reflections to additional light, for Lambert surfaces of equal radiance."""
         if self.reflected is None:
             return self
         return replace(
@@ -179,12 +182,12 @@ class SurfaceLight:
         )
 
     def floored(self) -> SurfaceLight:
-        """With a little sky everywhere: corners that no traced ray left are not black."""
+        """Limit the sky light from below: corners that no traced ray leaves are not black."""
         least = _LEAST_SKY * np.percentile(self.sky, 95, axis=0).astype(np.float32)
         return replace(self, sky=np.maximum(self.sky, least))
 
     def at(self, rows: Int64[np.ndarray, " m"]) -> SurfaceLight:
-        """Of some of the points."""
+        """Return the chosen points."""
         return SurfaceLight(
             self.sun[rows],
             self.visibility[rows],
@@ -196,18 +199,18 @@ class SurfaceLight:
 
 
 LightAt = Callable[[SeenPoints], SurfaceLight]
-"""Light at points of a mesh, in its frame."""
+"""Light at points in the frame of their mesh."""
 
 
 @dataclass(frozen=True, eq=False)
 class LightBalance:
-    """Factors on an estimated light that shadows and known materials ask for.
+    """Factors on an estimated light, fitted to shadows and to known materials.
 
     Args:
-        sun: RGB, on the sun's irradiance.
-        unseen_sky: RGB, on the radiance of the sky where no camera saw it.
-        sun_log_std, unseen_sky_log_std: one standard deviation of their logs.
-        pair_count: lit/shadowed pairs behind it.
+        sun: RGB factor on the sun's irradiance.
+        unseen_sky: RGB factor on the radiance of the sky that no camera observes.
+        sun_log_std, unseen_sky_log_std: standard deviations of their logs.
+        pair_count: number of lit/shadowed pairs in the fit.
     """
 
     sun: Float64[np.ndarray, "3"]
@@ -218,5 +221,5 @@ class LightBalance:
 
     @staticmethod
     def unchanged() -> LightBalance:
-        """The estimated light as it is."""
+        """Return factors 1 of unknown accuracy."""
         return LightBalance(np.ones(3), np.ones(3), np.inf, np.inf, 0)

@@ -1,4 +1,4 @@
-"""Base colours of panes: mostly dark, since most of what is seen in them is reflected."""
+"""Base colours of panes: dark, because most of their radiance is reflected."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from scipy.sparse.csgraph import connected_components
 from lightsim.core.adjacency import adjacency
 from lightsim.core.mesh import MIRROR_ROUGHNESS, TriMesh
 
+# Percentile of the colours observed on a pane that is its base colour: the darkest observations
+# contain the least reflection. Chosen by inspection; sensitivity not measured.
 PANE_PERCENTILE = 20
-"""Of what was seen in panes: little of it is light that others reflect."""
 
 
 def pane_vertices(mesh: TriMesh) -> Bool[np.ndarray, " n"]:
-    """Vertices whose faces are all panes."""
+    """Return the mask of vertices whose faces are all panes."""
     is_pane = np.zeros(len(mesh.vertices), dtype=bool)
     is_glass = mesh.face_roughness() < MIRROR_ROUGHNESS
     is_pane[mesh.faces[is_glass]] = True
@@ -28,11 +29,14 @@ def pane_colours(
     is_pane: Bool[np.ndarray, " n"],
     is_seen: Bool[np.ndarray, " n"],
 ) -> Float64[np.ndarray, "n 3"]:
-    """One dark colour for each pane: the percentile of what was seen in it, or in all panes where
-    nothing was seen of it; the given colours elsewhere.
+    """Return colours in which each pane has one dark colour.
+
+    It is the percentile over the observed vertices of the pane, or of all panes if none of its
+    vertices is observed. Other vertices retain their colour.
 
     Args:
-        is_pane: vertices (`pane_vertices`).
+        is_pane: mask of vertices (`pane_vertices`).
+        is_seen: mask of observed vertices.
     """
     fill = colour.copy()
     seen = np.flatnonzero(is_pane & is_seen)

@@ -1,10 +1,10 @@
-"""What is known of the base colours of a street before any picture of it.
+"""Prior of the base colours of streets, by class of surface.
 
-Lit and shadowed neighbours tell the sun against all other light, and nothing tells how bright that
-other light is where no camera saw the sky, except that streets are made of known materials. Ranges
-of albedo are those of Oke, Boundary Layer Climates, 2nd ed. 1987, Table 8.2: asphalt 0.05 to 0.20,
-concrete 0.10 to 0.35, brick 0.20 to 0.40, stone 0.20 to 0.35, red, brown and green paint 0.20 to
-0.35, white paint 0.50 to 0.90, clear glass 0.08.
+Lit and shadowed neighbours determine the ratio of the sun to all other light. The level of that
+other light, where no camera observes the sky, follows from the known base colours of street
+materials alone. Albedo ranges are from Oke, Boundary Layer Climates, 2nd ed. 1987, Table 8.2:
+asphalt 0.05 to 0.20, concrete 0.10 to 0.35, brick 0.20 to 0.40, stone 0.20 to 0.35, red, brown and
+green paint 0.20 to 0.35, white paint 0.50 to 0.90, clear glass 0.08.
 """
 
 from __future__ import annotations
@@ -17,36 +17,62 @@ from jaxtyping import Bool, Float, Float64, Int64
 
 from lightsim.appearance.intrinsic.surfels import Surfels
 
+# The values below were chosen by inspection; their sensitivity was not measured.
+
+# Distance from the path, in metres, of the pavement that the ego vehicle drives over.
 _NEAR_PATH_M = 1.5
-"""Half the width of what a car drives over."""
+# Range of the height of the cameras above pavement, in metres.
 _BELOW_PATH_M = (0.2, 3.5)
-"""Pavement lies this far below the cameras."""
+# Height above pavement, in metres, from which upright surfaces are walls: cars, kerbs and planters
+# are lower.
 _ABOVE_PAVEMENT_M = 1.0
-"""Walls are looked at from here on: below lie cars, kerbs and planters."""
-_LEVEL, _UPRIGHT = 0.95, 0.15
+# Least z component of the unit normal of pavement.
+_LEVEL = 0.95
+# Greatest absolute z component of the unit normal of a wall.
+_UPRIGHT = 0.15
+# Density of base colours outside the mixture: limits the evidence of a single patch.
 _LEAST_DENSITY = 0.02
-"""What no material has; keeps a single patch from being sure."""
+# Mean radiance above which some of the averaged images were saturated.
 _CLIPPED = 0.9
-"""Mean radiance from which on some of the pictures were saturated."""
-_LEAST, _MOST = 50, 2000
-"""Fewer surfels say nothing; more are thinned."""
+# Least number of surfels of a class.
+_LEAST = 50
+# Number of surfels from which a class is thinned, to save time.
+_MOST = 2000
+
+
+@dataclass(frozen=True)
+class MaterialVariation:
+    """Normal variation of log base colour between two patches of one material.
+
+    Args:
+        log_std: standard deviation of the mean over the channels.
+        hue_std: standard deviation of each channel's difference from that mean.
+    """
+
+    log_std: float
+    hue_std: float
+
+    def misfit(self, step: Float[np.ndarray, "e 3"]) -> Float[np.ndarray, " e"]:
+        """Return the negative log likelihood of steps of log base colour, up to a constant."""
+        mean = step.mean(axis=1)
+        hue = ((step - mean[:, None]) ** 2).sum(axis=1)
+        return 0.5 * (mean / self.log_std) ** 2 + 0.5 * hue / self.hue_std**2
 
 
 @dataclass(frozen=True)
 class ReflectanceClass:
-    """Base colours of a class of surface, log-normal.
+    """Log-normal prior of the base colours of a class of surface.
 
     Args:
-        name: for reports.
-        median: of the luminance.
-        log_std: of what the median over a street may be.
-        hue_std: the same of log red and of log blue over the mean of all channels, whose own mean
-            is `log_hue`; infinite where a class has no colour of its own.
-        log_hue: RGB.
-        mixture: share, median and log spread of the materials that single patches consist of.
+        median: median luminance over a street.
+        log_std: standard deviation of the log of that median between streets.
+        hue_std: standard deviation between streets of each log channel, relative to the mean of the
+            channels; infinite for a class without a typical hue.
+        log_hue: mean log channels, RGB, relative to their mean.
+        mixture: (weight, median, log standard deviation) of the luminance of each material that
+            single patches consist of.
     """
 
-    name: str
     median: float
     log_std: float
     hue_std: float = np.inf
@@ -54,35 +80,33 @@ class ReflectanceClass:
     mixture: tuple[tuple[float, float, float], ...] = ()
 
     def log_density(self, luminance: Float[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-        """Natural log of how probable base colours are for single patches, up to a constant."""
+        """Return the log density of the luminance of single patches, up to a constant."""
         log_luminance = np.log(np.maximum(luminance.astype(np.float64), 1e-9))
         density = np.full(log_luminance.shape, _LEAST_DENSITY)
-        for share, median, log_std in self.mixture:
+        for weight, median, log_std in self.mixture:
             z_score = (log_luminance - np.log(median)) / log_std
-            density += share * np.exp(-0.5 * z_score**2) / log_std
+            density += weight * np.exp(-0.5 * z_score**2) / log_std
         return np.log(density)
 
 
-PAVEMENT = ReflectanceClass(
-    "pavement", 0.13, 0.4, 0.1, (0.04, 0.0, -0.04), ((0.9, 0.13, 0.5), (0.1, 0.5, 0.4))
-)
-"""Asphalt, new to worn, and concrete, nearly grey, reflecting a little more towards red; marks."""
+# New to worn asphalt and concrete, nearly grey and slightly red (90 %), and lane marks (10 %).
+PAVEMENT = ReflectanceClass(0.13, 0.4, 0.1, (0.04, 0.0, -0.04), ((0.9, 0.13, 0.5), (0.1, 0.5, 0.4)))
+# Brick, stone, concrete and paint of any colour (75 %), white paint (10 %), panes (15 %).
 WALLS = ReflectanceClass(
-    "walls", 0.28, 0.45, mixture=((0.75, 0.27, 0.5), (0.1, 0.7, 0.25), (0.15, 0.06, 0.6))
+    0.28, 0.45, mixture=((0.75, 0.27, 0.5), (0.1, 0.7, 0.25), (0.15, 0.06, 0.6))
 )
-"""Brick, stone, concrete and paint of all colours; white paint; panes between."""
 
 
 @dataclass(frozen=True, eq=False)
 class Members:
-    """Surfels of one class."""
+    """Surfels `rows` of one class `kind`."""
 
     kind: ReflectanceClass
     rows: Int64[np.ndarray, " k"]
 
 
 def class_members(surfels: Surfels, path_world: Float[np.ndarray, "p 3"]) -> Iterator[Members]:
-    """Surfels of each class that has enough of them: what the ego drove over, and upright surfaces.
+    """Yield the pavement under the driven path, and the walls, if they have enough surfels.
 
     Args:
         path_world: positions of the cameras along the drive.
@@ -104,11 +128,10 @@ def class_members(surfels: Surfels, path_world: Float[np.ndarray, "p 3"]) -> Ite
 
 
 def materials_of(surfels: Surfels, path_world: Float[np.ndarray, "p 3"]) -> tuple[Members, ...]:
-    """Surfels of each class, wherever cameras saw them: level ones as low as what the sensors moved
-    over, and upright ones.
+    """Return all observed surfels of each class: level ones at the road's height, and upright ones.
 
     Args:
-        path_world: positions of any sensors of the ego along the drive.
+        path_world: positions of any sensors of the ego vehicle along the drive.
     """
     if not len(path_world) or not len(surfels):
         return ()
@@ -124,7 +147,7 @@ def materials_of(surfels: Surfels, path_world: Float[np.ndarray, "p 3"]) -> tupl
 def _from_path(
     surfels: Surfels, path_world: Float[np.ndarray, "p 3"]
 ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Distance in plan from the nearest place of the path, and how far below it."""
+    """Horizontal distance of each surfel from the path, and its depth below the path, in metres."""
     from scipy.spatial import KDTree
 
     path = _distinct_places(path_world)
@@ -133,7 +156,7 @@ def _from_path(
 
 
 def _distinct_places(path_world: Float[np.ndarray, "p 3"]) -> Float64[np.ndarray, "q 3"]:
-    """Each decimetre of space once: there is one place for every return of the log."""
+    """Path thinned to one position per decimetre: it may have one for every LiDAR return."""
     cells = np.round(path_world.astype(np.float64) * 10).astype(np.int64)
     low = cells.min(axis=0)
     size = cells.max(axis=0) - low + 1

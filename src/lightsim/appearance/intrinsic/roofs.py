@@ -1,9 +1,8 @@
-"""Roofs that no view reaches, found from the shadows that they cast in the pictures.
+"""Heights of unobserved roof edges, estimated from the shadows that they cast in the images.
 
-The sun is one more camera: what it lights, it sees. A lit patch proves that nothing stands on its
-way to the sun, a shadowed one that something does (shadow carving, Savarese et al. 2007,
-doi:10.1007/s11263-006-8323-9). Where that way crosses a wall's plane above all that was seen of
-it, patches vote for the height of its roof.
+The ray from a lit patch to the sun is free, and the ray from a shadowed patch is occluded (shadow
+carving, Savarese et al. 2007, doi:10.1007/s11263-006-8323-9). Where such rays cross the plane of a
+wall above its observed part, they constrain the height of its roof edge.
 """
 
 from __future__ import annotations
@@ -25,26 +24,34 @@ from lightsim.appearance.intrinsic.labels import (
 from lightsim.core.buildings import Roofline
 from lightsim.core.profiles import energy_of_filling
 
-# Patches this near to a wall's plane belong to it.
+# The values below were chosen on synthetic streets; their sensitivity was not measured.
+
+# Distance in metres within which patches belong to the wall itself.
 _OFF_WALL_M = 0.3
-# Walls that the sun meets at a smaller cosine, and those with fewer patches, stay as they are.
-_LEAST_COSINE, _LEAST_PATCHES = 0.05, 200
-# All patches behind one roof are wrong together where it is: none of them may be sure.
+# Least cosine between the sun's direction and a wall's normal.
+_LEAST_COSINE = 0.05
+# Least number of patches whose rays cross one wall.
+_LEAST_PATCHES = 200
+# Least prior probability of a free and of an occluded ray: an error of the roof affects all patches
+# behind it, so none of them is certain.
 _LEAST_OPEN = 0.2
-# A label this sure is a vote.
-_SURE = 0.7
-# Of one vote, and of all for a cell at most, nats. Not measured alone.
-_VOTE, _VOTES = 0.1, 1.0
+# Least probability of a label that counts.
+_CERTAIN = 0.7
+# Log-likelihood of one label, in nats: far below that of an independent observation, as errors of
+# neighbours are correlated.
+_LABEL_NATS = 0.1
+# Greatest sum of these for one cell of a wall.
+_CELL_NATS = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class _Crossings:
-    """Patches whose way to the sun crosses the unseen part of one wall.
+    """Patches whose ray to the sun crosses the unobserved part of one wall's plane.
 
     Args:
-        rows: the patches.
-        column: of the wall.
-        z_m: height of the crossing.
+        rows: indices of the patches.
+        column: column of the wall that each ray crosses.
+        z_m: height of the crossing, frame world.
     """
 
     rows: Int64[np.ndarray, " k"]
@@ -58,27 +65,30 @@ def carve_roofs(
     sun_world: Float[np.ndarray, "3"],
     config: IntrinsicConfig,
 ) -> list[Roofline]:
-    """The rooflines with the heights that shadows ask for; those that views show stay.
+    """Estimate the unobserved heights of rooflines from shadows; observed heights stay.
 
     Args:
-        rooflines: as views and priors have them.
-        observed: patches of the street; `visibility` without and with the prisms of `rooflines`.
+        rooflines: estimates from views and priors.
+        observed: patches of the street; the two columns of `visibility` are without and with the
+            prisms of `rooflines`.
         sun_world: direction towards the sun.
-        config: how shadows are found.
+        config: settings of the shadow labels.
     """
     crossings = {k: _crossings(r, observed, sun_world) for k, r in enumerate(rooflines)}
     crossings = {k: c for k, c in crossings.items() if len(c.rows) >= _LEAST_PATCHES}
     if not crossings:
         return list(rooflines)
-    believed = rendered_visibility(observed.light)
+    # Behind unobserved roofs the prior of the labels is the roof's own uncertainty instead of the
+    # rendering of one estimate.
+    visibility = rendered_visibility(observed.light)
     rows = np.concatenate([c.rows for c in crossings.values()])
-    believed[rows] = 1.0
+    visibility[rows] = 1.0
     for k, crossing in crossings.items():
-        believed[crossing.rows] *= _open_probability(rooflines[k], crossing)
-    prior = softened_prior(believed, observed.graph, config)
+        visibility[crossing.rows] *= _open_probability(rooflines[k], crossing)
+    prior = softened_prior(visibility, observed.graph, config)
     lit = label_shadows(observed, config, prior).lit
     return [
-        roofline.solved(_votes(roofline, crossings[k], lit)) if k in crossings else roofline
+        roofline.solved(_top_energies(roofline, crossings[k], lit)) if k in crossings else roofline
         for k, roofline in enumerate(rooflines)
     ]
 
@@ -106,24 +116,24 @@ def _crossings(
 
 
 def _open_probability(roofline: Roofline, crossing: _Crossings) -> Float64[np.ndarray, " k"]:
-    """That the roof lies below each crossing, before shadows are asked."""
+    """Prior probability that the roof edge is below each crossing."""
     height = np.maximum(crossing.z_m - roofline.ground_m[crossing.column], roofline.cell_m)
     expected = np.maximum(roofline.height_m[crossing.column], roofline.cell_m)
     below = np.asarray(ndtr(np.log(height / expected) / roofline.log_std))
     return _LEAST_OPEN + (1 - 2 * _LEAST_OPEN) * below
 
 
-def _votes(
+def _top_energies(
     roofline: Roofline, crossing: _Crossings, lit: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "s t"]:
-    """Nats against each top."""
+    """Energy of each possible roof height in each column, in nats."""
     shape = (roofline.energy.shape[0], roofline.energy.shape[1] - 1)
     cell = np.floor((crossing.z_m - roofline.wall.height_m[0]) / roofline.cell_m).astype(np.int64)
     is_inside = cell < shape[1]
     counts = []
-    for is_sure in (lit[crossing.rows] > _SURE, lit[crossing.rows] < 1 - _SURE):
+    for is_certain in (lit[crossing.rows] > _CERTAIN, lit[crossing.rows] < 1 - _CERTAIN):
         count = np.zeros(shape)
-        chosen = is_inside & is_sure
+        chosen = is_inside & is_certain
         np.add.at(count, (crossing.column[chosen], cell[chosen]), 1.0)
-        counts.append(np.minimum(_VOTE * count, _VOTES))
+        counts.append(np.minimum(_LABEL_NATS * count, _CELL_NATS))
     return energy_of_filling(*counts)

@@ -1,4 +1,4 @@
-"""Lit and shadowed neighbours: what they say about the sun against all other light."""
+"""Ratio of the sun to all other light, estimated from pairs of lit and shadowed patches."""
 
 from __future__ import annotations
 
@@ -9,33 +9,36 @@ from jaxtyping import Float64, Int64
 
 from lightsim.appearance.intrinsic.labels import Observed, is_at_label_edge
 from lightsim.appearance.intrinsic.light import SurfaceLight
+from lightsim.appearance.intrinsic.reflectance import MaterialVariation
 from lightsim.core.statistics import weighted_median
 
+# The values below were chosen on synthetic streets; their sensitivity was not measured.
+
+# Candidates of the log of the factor on the sun: 0.01 to 10 in steps of 15 %.
 LOG_SUN = np.linspace(np.log(0.01), np.log(10.0), 47)
-"""Candidates of the log of the factor on the sun."""
-_STEPS, _ROUNDS = 25, 4
-_REFLECTANCE_STD, _HUE_STD = 0.3, 0.12
-"""Spread of log base colour between the patches of a pair, and of its colour part."""
+# Variation of the base colour between the patches of a pair.
+_VARIATION = MaterialVariation(log_std=0.3, hue_std=0.12)
+# Greatest fraction of pairs without a true shadow.
 _MOST_WRONG = 0.6
-"""Fraction of the pairs at which a rendered shadow may be wrong altogether."""
+# Likelihood of a pair across materials, relative to the peak of the model.
 _REMAINDER = 0.02
-"""Likelihood of a pair across materials, relative to the peak of the model."""
+# Least difference of the lit probabilities of a pair.
 _FIRM = 0.8
-"""Difference of the probabilities of being lit that makes a pair."""
+# Number of pairs from which they are thinned, to save time.
 _MAX_PAIRS = 6_000
 
 
 @dataclass(frozen=True, eq=False)
 class ShadowPairs:
-    """A lit and a shadowed patch of one surface each.
+    """Pairs of one lit and one shadowed patch of a surface.
 
     Args:
-        step: log of the radiance of the lit over that of the shadowed one, less the log of the
-            ratio of base colours that LiDAR predicts.
-        weight: of the pair.
-        lit, shadowed: the light on them.
-        block: number of the block of space that the lit one lies in. Pairs of a block share their
-            errors and count as one observation.
+        step: log ratio of the radiances (lit over shadowed), less the log ratio of base colours
+            that LiDAR predicts.
+        weight: of each pair.
+        lit, shadowed: light on the two patches.
+        block: index of the lit patch's block of space. Pairs of one block have correlated errors
+            and count as one observation.
     """
 
     step: Float64[np.ndarray, "p 3"]
@@ -50,8 +53,8 @@ class ShadowPairs:
     def predicted(
         self, sun: Float64[np.ndarray, "3"], unseen_sky: float
     ) -> Float64[np.ndarray, "p 3"]:
-        """Log of the light of the lit patch over that of the shadowed one, at factors on the sun
-        and on the unseen sky."""
+        """Return the log ratio of the light (lit over shadowed), given factors on sun and unseen
+        sky."""
         lit, shadowed = (
             light.diffuse + (unseen_sky - 1.0) * light.unseen_sky
             for light in (self.lit, self.shadowed)
@@ -62,14 +65,14 @@ class ShadowPairs:
 def shadow_pairs(
     observed: Observed, lit: Float64[np.ndarray, " n"], block: Int64[np.ndarray, " n"]
 ) -> ShadowPairs:
-    """Pairs of the graph of which one is firmly lit and the other firmly in shadow.
+    """Return the pairs of the graph with one firmly lit and one firmly shadowed patch.
 
-    Patches at the edge between the two hold a bit of both, as pictures and meshes are blurred, and
-    would make the sun too weak; they are left out.
+    Patches at a shadow edge are excluded: images and meshes are blurred there, which would bias the
+    sun low.
 
     Args:
         lit: probability that the sun reaches each surfel.
-        block: of space, for each surfel.
+        block: index of the block of space of each surfel (`space_blocks`).
     """
     first, second = observed.graph.pairs.T
     can_differ = observed.light.is_lit_enough
@@ -94,14 +97,15 @@ def shadow_pairs(
 def fit_sun_to_pairs(
     pairs: ShadowPairs, unseen_sky: float
 ) -> tuple[Float64[np.ndarray, "3"], float]:
-    """RGB factor on the sun at which lit and shadowed patches have one base colour, and the
-    standard deviation of its log.
+    """Fit the RGB factor on the sun at which lit and shadowed patches have one base colour.
 
-    A pair says log(L_lit / L_shadowed) - step = log((s S + D_lit) / D_shadowed). Rendered shadows
-    may lie where there is none, so pairs follow a mixture: of this model, of no step at all (at
-    most `_MOST_WRONG` of them), and of a wide remainder (changes of material). The best common
-    factor is searched on a grid; the channels follow as medians over the pairs that the model
-    explains.
+    A pair with factor s satisfies log(L_lit / L_shadowed) - step = log((s S + D_lit) / D_shadowed).
+    Rendered shadows may be false, so pairs follow a mixture of this model, of no step (at most
+    `_MOST_WRONG` of them), and of a wide remainder (changes of material). A grid search yields the
+    best grey factor. Each channel is then a median over the pairs that the model explains.
+
+    Returns:
+        The factor, and the standard deviation of its log.
     """
     scores = [
         _score(pairs.step - pairs.predicted(np.full(3, np.exp(log_sun)), unseen_sky), pairs)
@@ -109,34 +113,30 @@ def fit_sun_to_pairs(
     ]
     factor = np.full(3, np.exp(LOG_SUN[int(np.argmax(scores))]))
     residual, weight = pairs.step, pairs.weight
-    for _ in range(_ROUNDS):
+    # Four rounds of reweighting by the probability that the model explains each pair.
+    for _ in range(4):
         residual = pairs.step - pairs.predicted(factor, unseen_sky)
         weight = pairs.weight * _explained(residual, pairs.step) + 1e-9
         factor = _balanced(pairs, weight, unseen_sky)
-    spread = float(np.sqrt((weight * residual[:, 1] ** 2).sum() / weight.sum()))
+    residual_std = float(np.sqrt((weight * residual[:, 1] ** 2).sum() / weight.sum()))
+    # Effective number of independent observations, one a block (Kish's formula).
     places = np.bincount(np.unique(pairs.block, return_inverse=True)[1], weight)
     count = places.sum() ** 2 / np.maximum((places**2).sum(), 1e-12)
-    return factor, spread / _slope(pairs, factor, unseen_sky) / float(np.sqrt(max(count, 1.0)))
+    log_std = residual_std / _slope(pairs, factor, unseen_sky) / float(np.sqrt(max(count, 1.0)))
+    return factor, log_std
 
 
 def _slope(pairs: ShadowPairs, sun: Float64[np.ndarray, "3"], unseen_sky: float) -> float:
-    """Change of the median log step with the log of the sun, green channel."""
+    """Derivative of the median predicted step by the log of the sun, green channel."""
     low, high = (
         np.median(pairs.predicted(sun * factor, unseen_sky)[:, 1]) for factor in (0.95, 1.05)
     )
     return max(float(high - low) / 0.1, 0.05)
 
 
-def _likelihood(residual: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, " p"]:
-    """Of a step that the model should explain, with the spread of base colour in a material."""
-    mean = residual.mean(axis=1)
-    hue = ((residual - mean[:, None]) ** 2).sum(axis=1)
-    return np.exp(-0.5 * (mean / _REFLECTANCE_STD) ** 2 - 0.5 * hue / _HUE_STD**2)
-
-
 def _score(residual: Float64[np.ndarray, "p 3"], pairs: ShadowPairs) -> float:
-    """Log likelihood at the best fraction of wrong pairs."""
-    model, wrong = _likelihood(residual), _likelihood(pairs.step)
+    """Log likelihood at the best fraction of false pairs."""
+    model, wrong = (np.exp(-_VARIATION.misfit(step)) for step in (residual, pairs.step))
     fractions = np.linspace(0.05, _MOST_WRONG, 5)
     return max(
         float((pairs.weight * np.log((1 - f) * model + f * wrong + _REMAINDER)).sum())
@@ -147,17 +147,17 @@ def _score(residual: Float64[np.ndarray, "p 3"], pairs: ShadowPairs) -> float:
 def _explained(
     residual: Float64[np.ndarray, "p 3"], step: Float64[np.ndarray, "p 3"]
 ) -> Float64[np.ndarray, " p"]:
-    """Probability that the model, not another cause, made each step."""
-    model, wrong = _likelihood(residual), _likelihood(step)
+    """Posterior probability that the model explains each step."""
+    model, wrong = (np.exp(-_VARIATION.misfit(values)) for values in (residual, step))
     return model / (model + wrong + _REMAINDER)
 
 
 def _balanced(
     pairs: ShadowPairs, weight: Float64[np.ndarray, " p"], unseen_sky: float
 ) -> Float64[np.ndarray, "3"]:
-    """The factor of each channel at which the weighted median of the residual is 0."""
+    """Factor of each channel at which the weighted median of the residual is 0, by bisection."""
     low, high = np.full(3, LOG_SUN[0]), np.full(3, LOG_SUN[-1])
-    for _ in range(_STEPS):
+    for _ in range(25):
         middle = (low + high) / 2
         residual = pairs.step - pairs.predicted(np.exp(middle), unseen_sky)
         is_too_dark = weighted_median(residual, weight) > 0
@@ -166,7 +166,7 @@ def _balanced(
 
 
 def space_blocks(position: Float64[np.ndarray, "n 3"], block_m: float) -> Int64[np.ndarray, " n"]:
-    """A number for the block of space that each point lies in."""
+    """Return the index of the cubic block of space of each point."""
     cell = np.floor(position / block_m).astype(np.int64)
     cell -= cell.min(axis=0, initial=0)
     size = cell.max(axis=0, initial=0) + 1

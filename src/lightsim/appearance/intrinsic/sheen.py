@@ -1,8 +1,8 @@
-"""How rough a road is, told by its sheen before the recorded sun.
+"""Roughness of the road, estimated from its specular reflection of the recorded sun.
 
-A road's diffuse light is the same from everywhere; what it mirrors of the sun is seen towards the
-sun alone, several times as bright there as elsewhere under a low sun. The roughness at which base
-colours there are those of the road elsewhere is the road's.
+The diffuse radiance of a road does not depend on the view direction. The specular reflection of a
+low sun appears only towards the sun, where it exceeds the diffuse radiance several times. The
+estimate is the roughness at which both parts of the road have one median base colour.
 """
 
 from __future__ import annotations
@@ -10,26 +10,29 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Float, Float64
 
 from lightsim.appearance.intrinsic.light import SurfaceLight
 from lightsim.core.colour import luminance
 from lightsim.core.mesh import MATTE_ROUGHNESS
 
 Sheen = Callable[[float], Float[np.ndarray, "n 3"]]
-"""Radiance of the sun's reflection at places, of a roughness."""
+"""Radiance of the sun's specular reflection at n points, given a roughness."""
 
-# Roughness that is looked for: lobes are wide, and roads no mirrors.
-_SMOOTHEST, _ROUGHEST = MATTE_ROUGHNESS, 0.95
-# Places that nothing shades by either belief.
+# The values below were chosen on synthetic streets; their sensitivity was not measured.
+
+# Range of the estimated roughness.
+_ROUGHNESS_RANGE = (MATTE_ROUGHNESS, 0.95)
+# Least sun visibility of a lit point, with and without inferred surfaces.
 _LIT = 0.95
-# Angles between a place's normal and what would mirror the sun: at most before the sun, and from to
-# elsewhere. Beyond, the road is looked at with the sun behind, and rough roads are brighter.
-_BEFORE_SUN_DEG, _ELSEWHERE_DEG = 20.0, (35.0, 60.0)
-# Fewer places tell nothing.
+# Greatest angle between the normal and the half vector of camera and sun, for points within the
+# specular reflection.
+_BEFORE_SUN_DEG = 20.0
+# Range of this angle for points outside the reflection. At larger angles the sun is behind the
+# camera, where rough roads are brighter (retroreflection).
+_ELSEWHERE_DEG = (35.0, 60.0)
+# Least number of points in either group.
 _LEAST_PLACES = 100
-_LEAST_PART = 0.05
-_HALVINGS = 12
 
 
 def fitted_roughness(
@@ -38,14 +41,13 @@ def fitted_roughness(
     sheen: Sheen,
     half_cosine: Float64[np.ndarray, " n"],
 ) -> float | None:
-    """Of the road of n places in pictures; None where too few of them tell.
+    """Estimate the roughness of a road from n points in images; None if too few are usable.
 
     Args:
-        radiance: of the pictures.
-        light: on the places.
-        sheen: of their sun, nothing in its way.
-        half_cosine: of the angle between the places' normals and the bisectors of the ways to
-            camera and sun.
+        radiance: observed at the points, linear RGB.
+        light: light at the points.
+        sheen: radiance of the specular reflection of the unoccluded sun.
+        half_cosine: cosine between the normals and the half vectors of camera and sun.
     """
     half_deg = np.degrees(np.arccos(np.clip(half_cosine, -1.0, 1.0)))
     is_lit = (light.visibility.min(axis=1) > _LIT) & (luminance(radiance) > 0)
@@ -57,19 +59,17 @@ def fitted_roughness(
     diffuse = luminance(light.sun + light.sky + light.bounce)
 
     def excess(roughness: float) -> float:
-        """By how much the road's base colour before the sun is above that elsewhere, log."""
+        """Log ratio of the base colour within the reflection to that outside it."""
         left = luminance(radiance - rest - sheen(roughness))
-        part = np.maximum(left, _LEAST_PART * luminance(radiance)) / diffuse
-        return float(np.log(_median(part, before) / _median(part, elsewhere)))
+        # At least 5 % of the radiance is diffuse: keeps the logarithm finite.
+        part = np.maximum(left, 0.05 * luminance(radiance)) / diffuse
+        return float(np.log(np.median(part[before]) / np.median(part[elsewhere])))
 
-    low, high = _SMOOTHEST, _ROUGHEST
+    # Rougher roads reflect less of a low sun to the camera, so the excess grows with roughness.
+    low, high = _ROUGHNESS_RANGE
     if excess(low) > 0:
         return low
-    for _ in range(_HALVINGS):
+    for _ in range(12):
         middle = (low + high) / 2
         low, high = (low, middle) if excess(middle) > 0 else (middle, high)
     return (low + high) / 2
-
-
-def _median(values: Float64[np.ndarray, " n"], members: Bool[np.ndarray, " n"]) -> float:
-    return float(np.median(values[members]))

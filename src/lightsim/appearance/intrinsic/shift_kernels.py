@@ -1,4 +1,4 @@
-"""Comparing places of a shift map, compiled by numba."""
+"""Comparison of cells of a shift map, compiled by numba."""
 
 # numba infers the types of its functions' parameters.
 # pyright: reportMissingParameterType=false
@@ -14,13 +14,18 @@ from numba import njit
 @njit(cache=True)
 @no_type_check
 def ring_gaps(colour, is_known, ring, shifts, limit):
-    """How well cells agree with those some columns away, but for a constant: for each shift the
-    mean absolute difference of colours (that of no cell counts for more than `limit`), and the
-    fraction of cells that have a known one there.
+    """Compare cells with those a number of columns away, up to a constant colour difference.
 
     Args:
-        colour: (rows, columns, 3).
+        colour: (rows, columns, 3), log.
+        is_known: (rows, columns).
         ring: (cells, 2), rows and columns of known cells.
+        shifts: numbers of columns.
+        limit: greatest difference that one cell contributes.
+
+    Returns:
+        For each shift the mean absolute colour difference, inf without a known cell, and the
+        fraction of cells whose shifted cell is known.
     """
     gaps, fractions = np.full(len(shifts), np.inf), np.zeros(len(shifts))
     difference = np.empty((len(ring), 3))

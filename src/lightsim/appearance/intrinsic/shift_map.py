@@ -1,10 +1,10 @@
-"""What a surface that goes on along a street looks like where nobody saw it.
+"""Completion of unobserved surface along a street by shift maps.
 
-Lanes, kerbs and pavements run along it. A hole takes over what lies further along, by the shifts
-for which its surroundings agree best (shift maps, Pritch et al. 2009,
-doi:10.1109/ICCV.2009.5459159; few shifts explain a picture, He and Sun 2012,
-doi:10.1007/978-3-642-33709-3_2), at the level of those surroundings. Panes and pillars stand
-upright: a front's foot takes over what is seen above it.
+Lanes, kerbs and pavements extend along the street. A hole is filled with colours from further along
+it, by the shifts at which the hole's surroundings agree best (shift maps, Pritch et al. 2009,
+doi:10.1109/ICCV.2009.5459159; few shifts explain an image, He and Sun 2012,
+doi:10.1007/978-3-642-33709-3_2), adjusted to the brightness of the surroundings. Panes and pillars
+of fronts are vertical, so the foot of a front is filled with the colours above it.
 """
 
 from __future__ import annotations
@@ -26,42 +26,55 @@ from scipy.ndimage import (
 from lightsim.appearance.intrinsic.shift_kernels import ring_gaps
 from lightsim.core.outline import nearest_of
 
-# Chosen while looking at streets 0 and 1; what they do: docs/benchmarks/leaderboard.md (edits).
+# The values below were chosen on synthetic streets 0 and 1. Only their joint effect is measured
+# (docs/benchmarks/leaderboard.md, edits).
 
-# Of the map; and how far a sample speaks for places without any.
-_CELL_M, _SPREAD_M = 0.05, 0.3
-# Narrower holes, such as jambs of windows, stay as they are.
+# Size of a cell of the map, in metres.
+_CELL_M = 0.05
+# Distance from the nearest sample, in metres, up to which a cell has the sample's state.
+_REACH_M = 0.3
+# Width in metres below which holes, such as window jambs, are not filled.
 _NARROW_M = 0.5
-# Longer holes are filled piece by piece of this length along the street, from where they are best
-# surrounded, so many times over at most: what is filled tells what lies beyond it.
-_PIECE_M, _ROUNDS = 12.0, 6
-# Least and greatest shift, and its step in cells.
-_SHIFT_M, _SHIFT_STEP = (1.0, 40.0), 2
-# Width of a piece's surroundings; what must be known of them both here and there, cells of them
-# that are looked at, and the most that one may differ in log colour.
-_RING_M, _LEAST_RING, _RING_CELLS, _RING_LIMIT = 0.6, 0.25, 1000, 0.4
-# In log colour: for surroundings that are not known there, and for each metre.
-_UNKNOWN_COST, _COST_PER_M = 0.1, 0.001
-# Shifts that are tried, and the least that one must add, as a fraction of the piece.
-_TRIED, _LEAST_GAIN = 40, 0.03
-# Smaller holes stay as they are (.1 m2).
+# Area in cells below which holes are not filled (0.1 m2).
 _LEAST_CELLS = 40
-# Levels differ by no more (log), and follow the surroundings this far.
-_LEVEL_LIMIT, _LEVEL_REACH_M, _LEVEL_FADE = 0.5, 0.5, 0.03
-# A front goes on downward as it is within this height.
+# Length along the street, in metres, of the pieces of long holes.
+_PIECE_M = 12.0
+# Least and greatest shift along the street, in metres.
+_SHIFT_M = (1.0, 40.0)
+# Width of the ring around a piece whose agreement is compared, in metres.
+_RING_M = 0.6
+# Least known fraction of the ring, both around the piece and at the shifted position.
+_LEAST_RING = 0.25
+
+# Greatest difference in log colour that one cell of the ring contributes.
+_RING_LIMIT = 0.4
+# Cost of a shift in log colour for an unknown ring at the shifted position.
+_UNKNOWN_COST = 0.1
+# Cost of a shift in log colour per metre: near sources are preferred.
+_COST_PER_M = 0.001
+# Number of shifts that may fill one piece.
+_MAX_SHIFTS = 40
+# Least fraction of a piece that a shift must fill.
+_LEAST_GAIN = 0.03
+# Greatest adjustment of brightness and colour, in log colour.
+_LEVEL_LIMIT = 0.5
+# Standard deviation of the filter that extends the ring's adjustment into the hole, in metres.
+_LEVEL_REACH_M = 0.5
+# Weight of the ring's median adjustment in that filter: it prevails far from the ring.
+_LEVEL_FADE = 0.03
+# Height in metres over which the colours above the foot of a front are averaged.
 _STRIP_M = 0.3
-_DARKEST = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Colours of places on a surface.
+    """Colours at points of a surface.
 
     Args:
-        places: along the street and across it (of a wall: up), metres.
+        places: coordinates along and across the street (on a front: up), metres.
         colours: linear RGB.
-        is_hidden: nobody saw them, and their colours say nothing; a place that is neither known
-            nor hidden is left alone.
+        is_known: mask of points with an observed colour.
+        is_hidden: mask of unobserved points. Points in neither mask are neither read nor filled.
     """
 
     places: Float64[np.ndarray, "t 2"]
@@ -72,13 +85,13 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class ShiftMap:
-    """A surface unrolled, its rows along the street, with holes that are filled in place.
+    """Unrolled surface with rows along the street, whose holes are filled in place.
 
     Args:
-        low_m: its corner, along and across.
+        low_m: coordinates of the first cell's corner, along and across.
         colour: log of linear RGB.
-        is_known: of cells whose colour is told.
-        is_hole: of cells whose colour is to be found.
+        is_known: mask of cells with a colour.
+        is_hole: mask of cells to be filled.
     """
 
     low_m: Float64[np.ndarray, "2"]
@@ -88,7 +101,7 @@ class ShiftMap:
 
     @classmethod
     def of(cls, samples: Samples) -> ShiftMap:
-        """With the mean colours of all samples that are known."""
+        """Average the known samples in each cell, and detect the holes."""
         low = samples.places.min(axis=0)
         column, row = np.floor((samples.places - low) / _CELL_M).astype(np.int64).T
         shape = (int(row.max()) + 1, int(column.max()) + 1)
@@ -98,12 +111,12 @@ class ShiftMap:
             for chosen in (samples.is_known, samples.is_hidden)
         )
         colour = np.zeros((*shape, 3), np.float32)
-        codes = np.log(np.maximum(samples.colours[samples.is_known], _DARKEST))
+        logs = np.log(np.maximum(samples.colours[samples.is_known], 1e-3))
         for channel in range(3):
-            total = np.bincount(cell[samples.is_known], codes[:, channel], minlength=size)
+            total = np.bincount(cell[samples.is_known], logs[:, channel], minlength=size)
             colour[..., channel] = total.reshape(shape) / np.maximum(known, 1)
         away_px, (i, j) = nearest_of(known + hidden > 0)
-        is_near = np.asarray(away_px < _SPREAD_M / _CELL_M, dtype=bool)
+        is_near = np.asarray(away_px < _REACH_M / _CELL_M, dtype=bool)
         is_hole = is_near & (known[i, j] == 0)
         is_hole = np.asarray(binary_opening(is_hole, iterations=_cells(_NARROW_M) // 2))
         is_known = is_near & (hidden[i, j] == 0)
@@ -112,16 +125,16 @@ class ShiftMap:
     def at(
         self, places: Float64[np.ndarray, "n 2"]
     ) -> tuple[Float32[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
-        """Linear RGB of places, and which lay in holes that were filled."""
+        """Return linear RGB at points, and the mask of points in filled holes."""
         column, row = np.floor((places - self.low_m) / _CELL_M).astype(np.int64).T
         height, width = self.is_known.shape
         is_inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
         row, column = np.where(is_inside, row, 0), np.where(is_inside, column, 0)
-        is_told = is_inside & (self.is_known & self.is_hole)[row, column]
-        return np.exp(self.colour[row, column]), is_told
+        is_filled = is_inside & (self.is_known & self.is_hole)[row, column]
+        return np.exp(self.colour[row, column]), is_filled
 
     def complete_down(self) -> None:
-        """Fill what lies below known cells with what they show."""
+        """Fill cells below known ones with the mean colour of a strip above."""
         known = self.is_known[..., None].astype(np.float32)
         strip = _cells(_STRIP_M)
         above = uniform_filter1d(self.colour * known, strip, axis=0, origin=-(strip // 2))
@@ -135,16 +148,18 @@ class ShiftMap:
         self.is_known[row, column] = True
 
     def complete_along(self) -> None:
-        """Fill the holes as far as the street tells them."""
+        """Fill the holes with shifted colours, where the street has similar surroundings."""
         left = self._pieces()
-        for _ in range(_ROUNDS):
+        # Filled pieces become surroundings of the next: the best surrounded come first, and the
+        # others are tried again, six times at most.
+        for _ in range(6):
             left.sort(key=lambda piece: -self._surrounded(piece))
             before, left = left, [piece for piece in left if not self._fill(piece)]
             if len(left) in (0, len(before)):
                 break
 
     def _pieces(self) -> list[_Piece]:
-        """Holes, long ones cut."""
+        """Holes, divided along the street into pieces."""
         number = np.zeros(self.is_hole.shape, np.int32)
         label(self.is_hole, np.ones((3, 3)), output=number)
         pieces = []
@@ -160,7 +175,7 @@ class ShiftMap:
         return float(self.is_known[tuple(piece.ring.T)].mean()) if len(piece.ring) else 0.0
 
     def _fill(self, piece: _Piece) -> bool:
-        """Shift by shift, those of the best surroundings first; whether nothing of it is left."""
+        """Fill a piece by the best shifts in turn; return True if it is complete."""
         ring = piece.ring[self.is_known[tuple(piece.ring.T)]]
         if len(ring) < _LEAST_RING * len(piece.ring):
             return False
@@ -182,7 +197,7 @@ class ShiftMap:
     def _shifted(
         self, cells: Int64[np.ndarray, "n 2"], shift: int
     ) -> tuple[Bool[np.ndarray, " n"], Int64[np.ndarray, "n 2"]]:
-        """Whether cells are known this far along the street, and those cells."""
+        """Mask of cells whose shifted cells are known, and the shifted cells."""
         column = cells[:, 1] + shift
         is_inside = (column >= 0) & (column < self.is_known.shape[1])
         there = np.stack([cells[:, 0], np.where(is_inside, column, 0)], axis=1)
@@ -191,29 +206,32 @@ class ShiftMap:
     def _gap(
         self, cells: Int64[np.ndarray, "n 2"], shift: int
     ) -> tuple[Int64[np.ndarray, "m 2"], Float32[np.ndarray, "m 3"]]:
-        """Those of the cells that are known this far along the street, and how much their colours
-        differ from those there."""
+        """Cells whose shifted cells are known, and the differences of their log colours."""
         is_there, there = self._shifted(cells, shift)
         here = cells[is_there]
         return here, self.colour[tuple(here.T)] - self.colour[tuple(there[is_there].T)]
 
     def _best_shifts(self, ring: Int64[np.ndarray, "n 2"]) -> list[int]:
-        """Shifts along the street under which a piece's surroundings agree, best first."""
-        ring = ring[:: max(1, len(ring) // _RING_CELLS)]
+        """Shifts along the street at which a piece's ring agrees, in cells, best first."""
+        # At most some 1000 cells of the ring, to save time.
+        ring = ring[:: max(1, len(ring) // 1000)]
         low, high = (_cells(metres) for metres in _SHIFT_M)
-        shifts = np.arange(low, high + 1, _SHIFT_STEP)
+        # Every second shift: a search at half of the resolution.
+        shifts = np.arange(low, high + 1, 2)
         shifts = np.concatenate([shifts, -shifts])
         gap, fraction = ring_gaps(self.colour, self.is_known, ring, shifts, _RING_LIMIT)
         cost = gap + _UNKNOWN_COST * (1 - fraction) + _COST_PER_M * _CELL_M * np.abs(shifts)
-        is_told = fraction >= _LEAST_RING
-        best = np.argsort(cost[is_told], kind="stable")[:_TRIED]
-        return shifts[is_told][best].tolist()
+        is_usable = fraction >= _LEAST_RING
+        best = np.argsort(cost[is_usable], kind="stable")[:_MAX_SHIFTS]
+        return shifts[is_usable][best].tolist()
 
     def _level(
         self, ring: Int64[np.ndarray, "n 2"], shift: int, piece: _Piece
     ) -> Float32[np.ndarray, "h w 3"]:
-        """By how much (log) the surroundings here differ from those there: near them as they do,
-        further in by their median."""
+        """Log colour difference between ring and shifted ring, extended into the hole.
+
+        It is smooth near the ring, and tends to the ring's median further inside.
+        """
         here, gap = self._gap(ring, shift)
         gap = np.clip(gap, -_LEVEL_LIMIT, _LEVEL_LIMIT)
         middle = np.median(gap, axis=0)
@@ -226,12 +244,13 @@ class ShiftMap:
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """Of a hole.
+    """Piece of a hole.
 
     Args:
-        low: first row and column of a window that holds cells and ring.
+        low: first row and column of the window that contains the cells and the ring.
         shape: of the window.
-        ring: cells around it, within the map.
+        cells: rows and columns of the piece's cells.
+        ring: rows and columns of the cells around the piece, within the map.
     """
 
     low: Int64[np.ndarray, "2"]

@@ -1,4 +1,4 @@
-"""Surfels: a mesh's surface in even patches, with what cameras and the LiDAR saw of each."""
+"""Surfels: a mesh's surface in patches of one size, with their radiance and LiDAR intensity."""
 
 from __future__ import annotations
 
@@ -13,13 +13,21 @@ from lightsim.appearance.intrinsic.light import SeenPoints
 from lightsim.core.lidar_returns import LidarReturns
 from lightsim.core.mesh import TriMesh
 
-_NEAR, _FAR = 8, 5
-"""Nearest patches that each is compared with, and random ones, to see past thin things."""
+# Number of nearest surfels that each is compared with. Chosen by inspection, as `_FAR`.
+_NEAR = 8
+# Number of random surfels that each is compared with, to bridge thin shadows.
+_FAR = 5
+# Least number of LiDAR returns of a surfel.
 _MIN_RETURNS = 3
+# Columns of a sample: position, normal, colour (3 each), confidence, direction (3), roughness.
 _COLUMNS = 14
-_CHUNK, _CHUNK_SURFELS = 1 << 17, 1 << 14
-"""Samples and surfels looked at together: some 50 MB of intermediate results, whatever the log."""
+# Samples processed together: some 50 MB of intermediate results for any log.
+_CHUNK = 1 << 17
+# Surfels processed together, likewise.
+_CHUNK_SURFELS = 1 << 14
+# Edges of the range bins of LiDAR intensity, in metres: nearly logarithmic.
 _RANGE_EDGES_M = (0.0, 4.0, 6.0, 8.0, 11.0, 15.0, 20.0, 27.0, 36.0, 50.0, 70.0, 1e9)
+# Number of bins of the cosine of incidence.
 _COSINE_BINS = 8
 
 
@@ -29,11 +37,11 @@ class Surfels:
 
     Args:
         position: centre, metres.
-        normal: unit.
+        normal: unit normals.
         radiance: mean observed linear RGB.
-        area_m2: surface that each stands for.
-        confidence: 0 (colour filled in) to 1 (seen).
-        towards_camera: mean direction to the cameras, unit; 0 where no camera saw the patch.
+        area_m2: area of each patch.
+        confidence: 0 (interpolated colour) to 1 (observed).
+        towards_camera: mean direction to the cameras, unit; 0 where unobserved.
         roughness: of the material.
     """
 
@@ -49,15 +57,17 @@ class Surfels:
         return len(self.position)
 
     def points(self, lift_m: float) -> SeenPoints:
-        """Places to ask for light, above the patches' centres: the mean of a bent patch lies below
-        its surface, where it is dark."""
+        """Return points `lift_m` above the centres, at which light is evaluated.
+
+        The centre of a bent patch lies below its surface, in the dark.
+        """
         lifted = self.position + lift_m * self.normal
         return SeenPoints(lifted, self.normal, self.towards_camera, self.roughness)
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Points on a mesh: face and barycentric weights."""
+    """Points on a mesh: face indices and barycentric coordinates."""
 
     face: Int64[np.ndarray, " n"]
     barycentric: Float64[np.ndarray, "n 3"]
@@ -66,8 +76,10 @@ class Samples:
 def sample_surface(
     mesh: TriMesh, faces: Int64[np.ndarray, " k"], spacing_m: float, rng: np.random.Generator
 ) -> Iterator[Samples]:
-    """Random points of some faces, one for each `spacing_m` squared of area on average, in parts
-    of at most `_CHUNK`."""
+    """Yield uniform random points of some faces in parts of at most `_CHUNK`, to limit memory.
+
+    The mean density is one point per square of side `spacing_m`.
+    """
     a, b, c = (mesh.vertices[mesh.faces[faces, i]].astype(np.float64) for i in range(3))
     wanted = np.linalg.norm(np.cross(b - a, c - a), axis=1) / (2 * spacing_m**2)
     end = np.cumsum(np.floor(wanted + rng.random(len(wanted))).astype(np.int64))
@@ -75,18 +87,19 @@ def sample_surface(
     for start in range(0, total, _CHUNK):
         number = np.arange(start, min(start + _CHUNK, total))
         face = faces[np.searchsorted(end, number, side="right")]
+        # The square root makes points uniform in the triangle (Turk 1990).
         root, v = np.sqrt(rng.random(len(face))), rng.random(len(face))
         yield Samples(face, np.stack([1 - root, root * (1 - v), root * v], axis=1))
 
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Sums over the samples in cells of space, apart by side.
+    """Sums over the samples in each cell of space and each facing side.
 
     Args:
-        key: of the cell and the side, ascending, each once.
-        count: of samples.
-        sums: of position, normal, colour, confidence, direction to the cameras and roughness.
+        key: unique index of cell and side, ascending.
+        count: number of samples.
+        sums: sums of the columns of `_values_at`.
     """
 
     key: Int64[np.ndarray, " c"]
@@ -95,7 +108,7 @@ class _Cells:
 
     @staticmethod
     def joined(parts: Sequence[_Cells]) -> _Cells:
-        """Of parts that may have cells in common."""
+        """Merge parts that may have common cells."""
         key, index = np.unique(np.concatenate([part.key for part in parts]), return_inverse=True)
         count = np.zeros(len(key), np.int64)
         sums = np.zeros((len(key), _COLUMNS))
@@ -111,9 +124,9 @@ class _Cells:
 def make_surfels(
     mesh: TriMesh, faces: Int64[np.ndarray, " k"], size_m: float, rng: np.random.Generator
 ) -> Surfels:
-    """Cells of a grid of `size_m` over some faces, apart by the six sides a surface can face.
+    """Divide some faces into the cells of a grid of `size_m`, and each cell into six facing sides.
 
-    Colour is the mean over the patch of the texture where there is one, else of the vertices.
+    The radiance of a surfel is the mean over its texture, or over vertex colours without a texture.
     """
     spacing = size_m / 2.5
     vertices = SeenPoints.vertices_of(mesh)
@@ -131,6 +144,7 @@ def make_surfels(
     cells = _Cells.joined(parts)
     mean = cells.sums / cells.count[:, None]
     length = np.linalg.norm(mean[:, 3:6], axis=1, keepdims=True)
+    # Opposed normals in one cell cancel; such a surfel has no orientation.
     is_good = length[:, 0] > 0.3
     normal = mean[is_good, 3:6] / length[is_good]
     area = cells.count[is_good] * spacing**2
@@ -158,7 +172,7 @@ def _values_at(
 
 
 def _side(normal: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
-    """Which of the six sides each normal faces."""
+    """Index of the axis direction (+x, -x, +y, -y, +z, -z) nearest to each normal."""
     axis = np.abs(normal).argmax(axis=1)
     return 2 * axis + (np.take_along_axis(normal, axis[:, None], 1)[:, 0] < 0)
 
@@ -172,11 +186,11 @@ def _summed(keys: Int64[np.ndarray, " n"], values: Float64[np.ndarray, "n 14"]) 
 def lidar_log_reflectance(
     surfels: Surfels, returns: LidarReturns, reach_m: float
 ) -> Float64[np.ndarray, " n"]:
-    """Log of the LiDAR intensity of each surfel, relative to that of all returns of its range and
-    incidence; NaN where too few returns lie within `reach_m`.
+    """Return the log reflectance of each surfel from LiDAR intensity, relative to the median.
 
-    Intensity falls with range and incidence in ways that differ between sensors, so the
-    compensation is the median of the log itself.
+    Intensity decreases with range and incidence differently for each sensor. The median log
+    intensity of all returns of similar range and incidence is therefore subtracted. The result is
+    NaN for surfels with too few returns within `reach_m`.
     """
     tree = KDTree(surfels.position)
     found = tree.query(returns.points, distance_upper_bound=reach_m)
@@ -188,6 +202,7 @@ def lidar_log_reflectance(
     beam = (returns.points[near] - returns.origins[near]).astype(np.float64)
     length = np.maximum(np.linalg.norm(beam, axis=1), 1e-6)
     cosine = np.abs((beam * surfels.normal[row]).sum(axis=1)) / length
+    # Half a step of an 8-bit intensity keeps the logarithm of 0 finite.
     log = np.log(returns.intensity[near].astype(np.float64) + 0.5 / 255)
     log = log - _expected_log(log, length, cosine)
     count = np.bincount(row, minlength=len(surfels))
@@ -200,7 +215,7 @@ def _expected_log(
     distance_m: Float64[np.ndarray, " n"],
     cosine: Float64[np.ndarray, " n"],
 ) -> Float64[np.ndarray, " n"]:
-    """Median of the log intensity over the returns of similar range and incidence."""
+    """Median log intensity of the returns in the bin of each return's range and incidence."""
     bins = np.digitize(distance_m, _RANGE_EDGES_M) * _COSINE_BINS
     bins += np.minimum((cosine * _COSINE_BINS).astype(np.int64), _COSINE_BINS - 1)
     order = np.argsort(bins, kind="stable")
@@ -213,12 +228,12 @@ def _expected_log(
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """Pairs of surfels of one surface: each pair once.
+    """Unique pairs of surfels of one surface.
 
     Args:
-        pairs: surfel indices.
+        pairs: indices of the two surfels, the smaller first.
         distance_m: between the two.
-        weight: of the pair; those of one surfel sum to about `2`.
+        weight: of the pair; the weights of one surfel's pairs sum to about 2.
     """
 
     pairs: Int32[np.ndarray, "e 2"]
@@ -227,8 +242,11 @@ class Graph:
 
 
 def connect(surfels: Surfels, reach_m: float, rng: np.random.Generator) -> Graph:
-    """Each surfel with its nearest, and random ones within `reach_m`, of the same surface:
-    similar normal, little offset from the other's plane."""
+    """Connect each surfel with its nearest and with random surfels within `reach_m`.
+
+    Two surfels of one surface have similar normals and little offset from each other's plane; other
+    pairs are dropped.
+    """
     tree, count = KDTree(surfels.position), len(surfels)
     keys = [np.zeros(0, np.int64)]
     for start in range(0, count, _CHUNK_SURFELS):
@@ -243,7 +261,7 @@ def connect(surfels: Surfels, reach_m: float, rng: np.random.Generator) -> Graph
 
 
 def _graph(surfels: Surfels, keys: Int64[np.ndarray, " e"]) -> Graph:
-    """The pairs that keys stand for (`_keys_of_one_surface`)."""
+    """Decode the pairs of keys (`_keys_of_one_surface`), and compute distances and weights."""
     graph = Graph(
         np.empty((len(keys), 2), np.int32),
         np.empty(len(keys), np.float32),
@@ -276,7 +294,7 @@ def _random(
     reach_m: float,
     rng: np.random.Generator,
 ) -> Int64[np.ndarray, "n k"]:
-    """Those nearest to random points of each surfel's plane."""
+    """Surfels nearest to random points of each surfel's plane."""
     normal = surfels.normal[rows][:, None]
     offset = rng.normal(size=(len(rows), _FAR, 3))
     offset -= (offset * normal).sum(axis=2, keepdims=True) * normal
@@ -289,8 +307,10 @@ def _random(
 def _keys_of_one_surface(
     surfels: Surfels, pairs: Int64[np.ndarray, "m 2"], reach_m: float
 ) -> Int64[np.ndarray, " k"]:
-    """Those pairs whose surfels lie on one surface, as smaller index x count + larger index; each
-    once: unique integers take a tenth of the memory of unique rows."""
+    """Unique keys (smaller index x count + larger index) of the pairs on one surface.
+
+    Unique integers require a tenth of the memory of unique rows.
+    """
     low, high = pairs.min(axis=1), pairs.max(axis=1)
     key = _distinct((low * len(surfels) + high)[low != high])
     low, high = np.divmod(key, len(surfels))
@@ -298,11 +318,12 @@ def _keys_of_one_surface(
     distance = np.linalg.norm(delta, axis=1)
     turn = (surfels.normal[low] * surfels.normal[high]).sum(axis=1)
     lift = np.maximum(*(np.abs((delta * surfels.normal[i]).sum(axis=1)) for i in (low, high)))
+    # Normals within 32 degrees; the offset from the planes may grow with the distance.
     keep = (turn > 0.85) & (lift < 0.08 + 0.12 * distance) & (distance < 1.5 * reach_m)
     return key[keep]
 
 
 def _distinct(keys: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " k"]:
-    """Ascending, each once. NumPy 2.4 hashes integers in `unique`, which takes 80 times as long."""
+    """Sorted unique keys. `np.unique` of NumPy 2.4 hashes integers and takes 80 times as long."""
     ordered = np.sort(keys)
     return ordered[np.diff(ordered, prepend=-1) > 0]

@@ -1,4 +1,4 @@
-"""Light taken out of a texture, texel by texel."""
+"""Division of a texture's radiance by the light at each texel."""
 
 from __future__ import annotations
 
@@ -13,17 +13,13 @@ from lightsim.appearance.intrinsic.edges import LabelField, ShadedPoints, refine
 from lightsim.appearance.intrinsic.light import SurfaceLight, diffuse_part
 from lightsim.core.mesh import Texture, TriMesh
 
+# Texels processed together: some 50 MB of intermediate results for any log.
 _CHUNK = 1 << 17
-"""Texels looked at together: some 50 MB of intermediate results, whatever the log."""
 
 
 @dataclass(frozen=True, eq=False)
 class VertexLight:
-    """Light at a mesh's vertices as intrinsic decomposition found it.
-
-    Args:
-        visibility: of the sun.
-    """
+    """Light at a mesh's vertices, and the estimated sun visibility there."""
 
     light: SurfaceLight
     visibility: Float32[np.ndarray, " n"]
@@ -31,32 +27,32 @@ class VertexLight:
 
 @dataclass(frozen=True, eq=False)
 class DeepShade:
-    """Where light is too weak to be divided by, and what takes the quotient's place.
+    """Weights of the quotient of radiance and light, and its replacement where light is weak.
 
     Args:
-        trust: 1 where the quotient holds, 0 where the fill does.
-        fill: base colour of what lies around.
+        trust: weight of the quotient, in [0, 1].
+        fill: replacement base colour, linear RGB.
     """
 
     trust: Float64[np.ndarray, " n"]
     fill: Float64[np.ndarray, "n 3"]
 
     def blended(self, colour: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-        """Base colour from the quotient as far as it is trusted, else the fill; linear RGB."""
+        """Return the weighted mean of the quotient `colour` and the fill, linear RGB."""
         trust = self.trust[:, None]
         return trust * colour + (1.0 - trust) * self.fill
 
     def where(
         self, chosen: Bool[np.ndarray, " n"], most: float, fill: Float64[np.ndarray, "n 3"]
     ) -> DeepShade:
-        """With another fill and no more trust than `most` at chosen points."""
+        """Replace the fill, and limit the trust to `most`, at chosen points."""
         trust = np.where(chosen, np.minimum(self.trust, most), self.trust)
         return DeepShade(trust, np.where(chosen[:, None], fill, self.fill))
 
     def between(
         self, corners: Int32[np.ndarray, "t 3"], barycentric: Float32[np.ndarray, "t 3"]
     ) -> DeepShade:
-        """At points inside triangles."""
+        """Interpolate at points inside triangles."""
         fill = (barycentric[:, :, None] * self.fill[corners]).sum(axis=1)
         return DeepShade((barycentric * self.trust[corners]).sum(axis=1), fill)
 
@@ -69,26 +65,20 @@ def texture_without_light(
     limits: tuple[float, float],
     shade: DeepShade | None = None,
 ) -> tuple[Texture, UInt8[np.ndarray, "h w"]]:
-    """The texture of radiance divided by the light at each texel, and the sun's visibility there.
+    """Divide a texture of radiance by the light at each texel; also return the sun visibility.
 
-    Light is interpolated between the vertices. On faces near a shadow's edge visibility is found
-    for each texel; without `field` it is interpolated as well.
+    Light is interpolated between the vertices. Visibility is estimated at each texel of faces near
+    a shadow edge, and interpolated elsewhere or without `field`.
 
     Args:
-        mesh: carries `texture`.
+        mesh: mesh of `texture`.
         limits: least and greatest base colour.
-        shade: at the vertices; None trusts every quotient.
+        shade: weights and fill at the vertices; None: weight 1 everywhere.
+
+    Returns:
+        The texture of base colour, and the sun visibility of each texel in 255ths.
     """
-    reflected = found.light.reflections
-    attributes = _VertexAttributes(
-        mesh.vertices,
-        mesh.vertex_normals(),
-        found.light.diffuse.astype(np.float32),
-        found.light.sun,
-        reflected.rest,
-        reflected.sun,
-        found.visibility,
-    )
+    vertices = ShadedPoints.vertices_of(mesh, found.light)
     is_edge = np.zeros(len(mesh.faces), dtype=bool)
     if field is not None:
         is_edge[field.faces] = edge_faces(mesh, field)
@@ -96,7 +86,9 @@ def texture_without_light(
     found_visibility = np.zeros(len(image), dtype=np.uint8)
     for texels in texel_parts(texture, _CHUNK):
         face, pixel, barycentric = texels.face, texels.pixel, texels.barycentric
-        seen, visibility = attributes.between(mesh.faces[face], barycentric, image[pixel])
+        corners = mesh.faces[face]
+        seen = vertices.between(corners, barycentric, image[pixel])
+        visibility = (barycentric * found.visibility[corners]).sum(axis=1)
         rows = np.flatnonzero(is_edge[face])
         if field is not None and len(rows):
             visibility[rows] = refine_visibility(field, seen.at(rows))
@@ -106,55 +98,19 @@ def texture_without_light(
         diffuse = diffuse_part(seen.radiance, seen.reflected + open_part * seen.reflected_sun)
         colour = np.clip(diffuse / np.maximum(light, 1e-6), *limits)
         if shade is not None:
-            colour = shade.between(mesh.faces[face], barycentric).blended(colour)
+            colour = shade.between(corners, barycentric).blended(colour)
         image[pixel] = colour
     shape = texture.image.shape
     return Texture(image.reshape(shape), texture.corner_uv), found_visibility.reshape(shape[:2])
 
 
 def in_255ths(visibility: Float[np.ndarray, " n"]) -> UInt8[np.ndarray, " n"]:
-    """Of a fraction in [0, 1]."""
+    """Return a fraction in [0, 1] in 255ths, rounded."""
     return np.rint(255 * np.clip(visibility, 0.0, 1.0)).astype(np.uint8)
 
 
-@dataclass(frozen=True, eq=False)
-class _VertexAttributes:
-    """What is interpolated between the vertices."""
-
-    points: Float32[np.ndarray, "n 3"]
-    normals: Float32[np.ndarray, "n 3"]
-    diffuse: Float32[np.ndarray, "n 3"]
-    direct: Float32[np.ndarray, "n 3"]
-    reflected: Float32[np.ndarray, "n 3"]
-    reflected_sun: Float32[np.ndarray, "n 3"]
-    visibility: Float32[np.ndarray, " n"]
-
-    def between(
-        self,
-        corners: Int32[np.ndarray, "t 3"],
-        barycentric: Float32[np.ndarray, "t 3"],
-        radiance: Float32[np.ndarray, "t 3"],
-    ) -> tuple[ShadedPoints, Float32[np.ndarray, " t"]]:
-        """Points inside triangles, and the visibility between the corners'."""
-        weights = barycentric[:, :, None]
-        points, normals, diffuse, direct, *reflected = (
-            (weights * values[corners]).sum(axis=1)
-            for values in (
-                self.points,
-                self.normals,
-                self.diffuse,
-                self.direct,
-                self.reflected,
-                self.reflected_sun,
-            )
-        )
-        visibility = (barycentric * self.visibility[corners]).sum(axis=1)
-        light = np.maximum(diffuse, 1e-6), np.maximum(direct, 0.0)
-        return ShadedPoints(points, normals, radiance, *light, *reflected), visibility
-
-
 def edge_faces(mesh: TriMesh, field: LabelField) -> Bool[np.ndarray, " k"]:
-    """Which of the labelled faces come near a surfel at which light and shadow meet."""
+    """Return the mask of labelled faces near a surfel at a shadow edge."""
     mixed = field.tree.data[field.is_mixed]
     is_edge = np.zeros(len(field.faces), dtype=bool)
     if len(mixed) == 0:

@@ -17,29 +17,29 @@ class LossWeights:
     lidar: float = 0.2
     """Depth of LiDAR rays, after `depth_norm`."""
     opacity: float = 0.02
-    """LiDAR rays must end somewhere."""
+    """Total opacity of LiDAR rays, which is 1."""
     eikonal: float = 0.02
-    """Gradient length 1 near surfaces (paper: L_reg; doi:10.48550/arXiv.2002.10099)."""
+    """Gradient length near surfaces, which is 1 (paper: L_reg; doi:10.48550/arXiv.2002.10099)."""
     occupancy: float = 0.0
-    """Weights away from returns must vanish (paper: L_reg, "free space"; UniSim's L_reg)."""
+    """Rendering weights away from returns (paper: L_reg, "free space"; UniSim's L_reg)."""
     free_space: float = 0.5
-    """Hinge: in front of a return the signed distance is at least `free_distance_m`."""
+    """Hinge loss on a signed distance of less than 0.3 m in front of a return."""
     surface: float = 2.0
-    """The signed distance at a return is 0."""
+    """Signed distance at a return, which is 0."""
     sky: float = 0.05
-    """Rays into the sky meet nothing."""
+    """Total opacity of camera rays into the sky, which is 0."""
     residual: float = 0.5
-    """Where the prior is sure, the field stays near it."""
+    """Difference from the prior, weighted by the prior's confidence."""
     smooth: float = 0.1
-    """The residual on the prior varies slowly along and across surfaces."""
+    """Gradient of the difference from the prior."""
 
 
 @dataclass(frozen=True)
 class NeuralConfig:
-    """The field F: x -> (s, k_d) and how it is trained."""
+    """Settings of the field F: x -> (s, k_d) and of its training."""
 
     steps: int = 2000
-    """Optimiser steps; 0 leaves the fused LiDAR as it is."""
+    """Optimiser steps; 0 uses the fused LiDAR unchanged."""
     background_grid: HashGridSpec = field(default_factory=HashGridSpec)
     """Features of the static scene, frame `world`."""
     actor_grid: HashGridSpec = field(
@@ -60,7 +60,7 @@ class NeuralConfig:
     colour_norm: Literal["l2", "squared"] = "squared"
     """Colour error of a ray: the paper's Euclidean norm, or its square."""
     weights: LossWeights = field(default_factory=LossWeights)
-    """Of the loss terms."""
+    """Weights of the loss terms."""
     camera_batch: int = 3072
     """Camera rays a step."""
     lidar_batch: int = 1024
@@ -68,7 +68,7 @@ class NeuralConfig:
 
 
 def config_from_json(value: Mapping[str, Any]) -> NeuralConfig:
-    """Inverse of `dataclasses.asdict`.
+    """Make settings from a mapping (the inverse of `dataclasses.asdict`).
 
     Raises:
         ArtefactError: fields are missing or unknown.
@@ -82,22 +82,24 @@ def config_from_json(value: Mapping[str, Any]) -> NeuralConfig:
         return NeuralConfig(**{**value, **nested})
     except (KeyError, TypeError) as error:
         raise ArtefactError(
-            "the settings of the neural field are broken", got=error, remedy="Build again."
+            "the settings of the neural field have missing or unknown fields",
+            got=error,
+            remedy="Build again.",
         ) from error
 
 
 def draft() -> NeuralConfig:
-    """Two minutes on two cores."""
+    """Preview settings: two minutes on two cores."""
     return NeuralConfig(steps=600)
 
 
 def standard() -> NeuralConfig:
-    """The defaults: a residual on the fused LiDAR."""
+    """Default settings: a residual on the fused LiDAR."""
     return NeuralConfig()
 
 
 def paper() -> NeuralConfig:
-    """The paper's field and losses (Sec. 3.3): no prior; L_rgb, L_lidar, L_reg; UniSim opacity."""
+    """Field and losses of the paper (Sec. 3.3): no prior; L_rgb, L_lidar, L_reg; UniSim opacity."""
     return NeuralConfig(
         steps=20_000,
         has_prior=False,

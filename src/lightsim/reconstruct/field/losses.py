@@ -1,5 +1,7 @@
-"""The scene loss L = L_rgb + lambda_lidar L_lidar + lambda_reg L_reg (paper Sec. 3.3), and the
-terms that make it work from LiDAR this sparse."""
+"""Scene loss L = L_rgb + lambda_lidar L_lidar + lambda_reg L_reg (paper Sec. 3.3).
+
+Further terms constrain the field between sparse LiDAR returns.
+"""
 
 from __future__ import annotations
 
@@ -13,26 +15,26 @@ from lightsim.reconstruct.field.sampling import RayBatch, place_samples
 from lightsim.reconstruct.field.sdf_field import SceneField
 from lightsim.reconstruct.field.volume_rendering import composite, crossings_m, opacities
 
+# Distance from a return, in metres, within which samples may have weight (UniSim's epsilon).
 _RETURN_BAND_M = 0.5
-"""UniSim's epsilon: samples nearer to a return than this may carry weight."""
+# Step of the finite differences, in metres. This and the next values were not measured alone;
+# training as a whole is (docs/benchmarks/reconstruction.md).
 _GRADIENT_STEP_M = 0.05
+# Number of samples of a batch at which gradients are evaluated.
 _GRADIENT_ROWS = 1024
+# Least signed distance of free space, in metres.
+_FREE_DISTANCE_M = 0.3
+# Directions of the finite differences: four evaluations yield a gradient.
 _TETRAHEDRON = ((1.0, -1.0, -1.0), (-1.0, -1.0, 1.0), (-1.0, 1.0, -1.0), (1.0, 1.0, 1.0))
 Terms = dict[str, Float[Tensor, ""]]
-
-
-# Not measured alone; training as a whole is (docs/benchmarks/reconstruction.md).
-
-# Signed distance asked of free space.
-_FREE_DISTANCE_M = 0.3
 
 
 def scene_loss(
     field: SceneField, rays: RayBatch, generator: torch.Generator
 ) -> tuple[Float[Tensor, ""], Terms]:
-    """The weighted loss of a batch, and its terms unweighted.
+    """Return the weighted loss of a batch, and its unweighted terms.
 
-    `mse_srgb` (of camera pixels) and `depth_error_m` are for the record only.
+    The terms `mse_srgb` (of camera pixels) and `depth_error_m` are metrics without a weight.
     """
     config = field.config
     t = place_samples(rays, generator)
@@ -52,20 +54,8 @@ def scene_loss(
         terms |= _slope_terms(field, points, actor, _near_surface(rays, t, sdf), generator)
     if config.weights.surface > 0.0:
         terms["surface"] = _surface(field, rays)
-    weights = config.weights
     total = terms["rgb"]
-    for name in (
-        "lidar",
-        "opacity",
-        "eikonal",
-        "occupancy",
-        "free_space",
-        "surface",
-        "sky",
-        "residual",
-        "smooth",
-    ):
-        weight = getattr(weights, name)
+    for name, weight in vars(config.weights).items():
         if weight > 0.0 and name in terms:
             total = total + weight * terms[name]
     return total, terms
@@ -77,7 +67,7 @@ def _camera_terms(
     colour: Float[Tensor, "r 3"],
     transmittance: Float[Tensor, " r"],
 ) -> Terms:
-    """L_rgb of the rays from cameras, and what the sky asks of them."""
+    """L_rgb of the camera rays, and the opacity of those into the sky."""
     is_camera = ~rays.is_lidar
     if not bool(is_camera.any()):
         return {"rgb": colour.sum() * 0.0}
@@ -99,7 +89,7 @@ def _lidar_terms(
     weights: Float[Tensor, "r s"],
     config: NeuralConfig,
 ) -> Terms:
-    """L_lidar and what returns say about the space in front of them."""
+    """L_lidar, and the terms of the free space in front of returns."""
     rows = torch.nonzero(rays.is_lidar).squeeze(1)
     if len(rows) == 0:
         return {}
@@ -109,14 +99,14 @@ def _lidar_terms(
     if config.depth_norm == "l2":
         lidar = (depth - measured).abs().mean()
     else:
-        # An expected depth is that of what was hit; how much was hit is the next term's matter.
+        # Depth error and total opacity are independent terms.
         normalised = depth / opacity.clamp(min=1e-3)
         lidar = (
             smooth_l1_loss(normalised, measured, reduction="none", beta=0.3) / (1 + measured / 10)
         ).mean()
     gap = measured[:, None] - t
     away = weights * (gap.abs() > _RETURN_BAND_M)
-    # Close to a surface seen at grazing angles free space is thin: there the prior knows better.
+    # At grazing angles, free space close to the surface is thin: a confident prior prevails.
     short = torch.relu(_FREE_DISTANCE_M - sdf[rows]) * (1 - confidence[rows])
     return {
         "lidar": lidar,
@@ -130,7 +120,7 @@ def _lidar_terms(
 def _near_surface(
     rays: RayBatch, t: Float[Tensor, "r s"], sdf: Float[Tensor, "r s"]
 ) -> Bool[Tensor, " n"]:
-    """Samples at which the gradient is asked to have length 1 (flat)."""
+    """Mask of samples whose gradient is constrained to length 1 (flat)."""
     is_near_return = rays.is_lidar[:, None] & ((rays.return_m[:, None] - t).abs() < _RETURN_BAND_M)
     return (is_near_return | (sdf.detach().abs() < 0.3)).reshape(-1)
 
@@ -142,7 +132,7 @@ def _slope_terms(
     is_near: Bool[Tensor, " n"],
     generator: torch.Generator,
 ) -> Terms:
-    """(|grad s| - 1)^2 and |grad residual|^2 at some samples, by differences over a tetrahedron."""
+    """Mean (|grad s| - 1)^2 and |grad residual|^2 at random samples, by finite differences."""
     near = torch.nonzero(is_near).squeeze(1)
     if len(near) == 0:
         return {"eikonal": points.sum() * 0.0, "smooth": points.sum() * 0.0}
@@ -155,7 +145,7 @@ def _slope_terms(
     def gradient(values: Float[Tensor, " m"]) -> Float[Tensor, "k 3"]:
         return (values.reshape(-1, 4, 1) * corners).sum(dim=1) / (4 * _GRADIENT_STEP_M)
 
-    # Where the prior ends it jumps; that is no slope of the field.
+    # The step at the prior's boundary is not a gradient of the field.
     known = confidence.reshape(-1, 4).amin(dim=1) > 0
     is_even = known if field.prior is not None else torch.ones_like(known)
     error = (gradient(sdf).norm(dim=1).clamp(max=3.0) - 1) ** 2
@@ -166,11 +156,11 @@ def _slope_terms(
 
 
 def _surface(field: SceneField, rays: RayBatch) -> Float[Tensor, ""]:
-    """|s| at the returns: near ones are the more exact."""
+    """Mean |s| at the returns; near ones are more accurate and have a larger weight."""
     rows = torch.nonzero(rays.is_lidar).squeeze(1)
     if len(rows) == 0:
         return rays.origin.sum() * 0.0
-    # A hair in front, so that a return on a box's face belongs to the box it was measured in.
+    # Camera rays have no return; any finite distance avoids NaN in rows that are dropped below.
     measured = rays.return_m.masked_fill(~rays.is_lidar, 1.0)
     points, actor = rays.points(measured[:, None])
     sdf, _, _, _ = field(points[rows], actor[rows])

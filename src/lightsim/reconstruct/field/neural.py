@@ -12,32 +12,26 @@ from lightsim.core.log import DrivingLog
 from lightsim.networks.devices import choose_device
 from lightsim.networks.loop import Checkpointer, Session
 from lightsim.progress import Progress
-from lightsim.reconstruct.field.config import NeuralConfig, draft, paper, standard
+from lightsim.reconstruct.field.config import NeuralConfig
 from lightsim.reconstruct.field.ray_pool import Guide, SkyMatte, camera_rays, lidar_rays
 from lightsim.reconstruct.field.refine import refined_fields
 from lightsim.reconstruct.field.sdf_field import SceneField
 from lightsim.reconstruct.field.train import TrainingRays, train_field
 from lightsim.reconstruct.field.tsdf_prior import TsdfPrior
 
-__all__ = ["NeuralConfig", "Training", "draft", "paper", "refine_by_field", "standard"]
-
-
-# Not measured alone; training as a whole is (docs/benchmarks/reconstruction.md).
-
-# Pixels drawn from all frames; batches are drawn from these.
-_CAMERA_POOL = 1_500_000
-# Returns drawn from all sweeps.
-_LIDAR_POOL = 1_500_000
+# Number of camera rays, and number of LiDAR rays, that are drawn once; batches are drawn from them.
+# Sensitivity not measured.
+_POOL = 1_500_000
 
 
 @dataclass(frozen=True, eq=False)
 class Training:
-    """What training needs beside the log and its fused LiDAR.
+    """Inputs of training besides the log and its fused LiDAR.
 
     Args:
-        guide: of the samples: ray casters over the meshes of the fused LiDAR, or occupied space.
+        guide: geometry that guides samples: meshes of the fused LiDAR, or occupied space.
         sky_matte: sky alpha of a frame.
-        checkpointer: keeps checkpoints and metrics.
+        checkpointer: stores checkpoints and metrics.
         seed: of rays, initial values and batches.
         device: "auto", "cpu" or "cuda".
     """
@@ -57,15 +51,15 @@ def refine_by_field(
     *,
     progress: Progress,
 ) -> tuple[SceneFields, SceneField]:
-    """Train the neural field on all rays of the log; the fields with its distances, and itself.
+    """Train the neural field on a log; return the fields with its distances, and the field.
 
     Raises:
-        InputError: the log has no image or no sweep, or the device is not there.
+        InputError: the log has no image or no sweep, or the device is not available.
     """
     rng = np.random.default_rng(training.seed)
     rays = TrainingRays(
-        camera_rays(log, _CAMERA_POOL, training.guide, training.sky_matte, rng, progress),
-        lidar_rays(log, _LIDAR_POOL, training.guide, rng, progress),
+        camera_rays(log, _POOL, training.guide, training.sky_matte, rng, progress),
+        lidar_rays(log, _POOL, training.guide, rng, progress),
     )
     field = make_field(log, fields, config, training.seed).to(choose_device(training.device))
     train_field(field, rays, training.seed, Session(training.checkpointer, progress))
@@ -73,7 +67,7 @@ def refine_by_field(
 
 
 def make_field(log: DrivingLog, fields: SceneFields, config: NeuralConfig, seed: int) -> SceneField:
-    """An untrained field of a log."""
+    """Make an untrained field of a log."""
     return SceneField(
         config,
         tuple(actor.actor_id for actor in log.actors),

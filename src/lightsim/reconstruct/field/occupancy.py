@@ -1,8 +1,8 @@
-"""Where anything may be, as LiDAR returns alone tell: coarse voxels around them.
+"""Occupied space: coarse voxels around LiDAR returns.
 
-This is how the paper's field is sampled ("incorporates the LiDAR information to perform efficient
-ray-marching", appendix; UniSim, doi:10.1109/CVPR52729.2023.00140): no surface is known beforehand,
-only which space has returns in it.
+The paper's field is sampled in occupied space ("incorporates the LiDAR information to perform
+efficient ray-marching", appendix; UniSim, doi:10.1109/CVPR52729.2023.00140), without a prior
+surface.
 """
 
 from __future__ import annotations
@@ -18,16 +18,13 @@ from lightsim.errors import InputError
 from lightsim.progress import Progress
 from lightsim.reconstruct.field.prior_kernels import march
 from lightsim.reconstruct.fusion.sweep_views import label_points
+from lightsim.reconstruct.fusion.tsdf import MAX_HEIGHT_M
 
+# Size of a voxel in metres, as in UniSim. Neighbours of a voxel with returns are occupied, too, so
+# that the space on both sides of a return is sampled.
 VOXEL_M = 0.5
-"""UniSim's. Its neighbours count as occupied, too, so that a return at a voxel's edge has room on
-both sides."""
+# Number of occupied intervals of a ray; later ones are behind several surfaces.
 STRETCHES = 6
-"""Of a ray; further ones lie behind so many surfaces that hardly any light comes from there."""
-_STEP_M = 0.25
-"""Half a voxel: none is jumped over but at its corners."""
-_HEIGHT_M = 40.0
-"""Above the path: nothing higher is fused either."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +33,7 @@ class Occupancy:
 
     Args:
         origin_m: lowest corner of voxel (0, 0, 0), a multiple of the voxel.
-        is_occupied: a return of what does not move lies in the voxel or right beside it.
+        is_occupied: mask of voxels with a return of the static scene, or with such a neighbour.
     """
 
     origin_m: Float64[np.ndarray, "3"]
@@ -46,12 +43,12 @@ class Occupancy:
     def of_returns(
         log: DrivingLog, path_m: Float[np.ndarray, "k 3"], reach_m: float, progress: Progress
     ) -> Occupancy:
-        """Around the returns up to `reach_m` beside the path, those of labelled actors left out.
+        """Mark the static returns within `reach_m` of the path; labelled actors are excluded.
 
         Raises:
             InputError: there is no return.
         """
-        margin = np.array([reach_m, reach_m, _HEIGHT_M])
+        margin = np.array([reach_m, reach_m, MAX_HEIGHT_M])
         low = VOXEL_M * np.floor((path_m.min(axis=0) - margin) / VOXEL_M)
         shape = np.ceil((path_m.max(axis=0) + margin - low) / VOXEL_M).astype(np.int64)
         holds = np.zeros(tuple(shape.tolist()), dtype=bool)
@@ -70,7 +67,7 @@ class Occupancy:
         return Occupancy(low, ndimage.binary_dilation(holds, np.ones((3, 3, 3), dtype=bool)))
 
     def holds(self, points_world: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
-        """Whether points lie in occupied voxels."""
+        """Return the mask of points in occupied voxels."""
         voxel = np.floor((points_world - self.origin_m) / VOXEL_M).astype(np.int64)
         shape = np.array(self.is_occupied.shape)
         inside = ((voxel >= 0) & (voxel < shape)).all(axis=-1)
@@ -83,15 +80,19 @@ class Occupancy:
         direction_world: Float[np.ndarray, "n 3"],
         boxes_m: Float32[np.ndarray, "n s 2"],
     ) -> Float32[np.ndarray, "n k 2"]:
-        """Distances at which rays enter and leave occupied space, nearest first; what is missing
-        is empty, from 0 to 0.
+        """Return the distances at which rays enter and leave occupied space, nearest first.
+
+        Unused intervals are (0, 0).
 
         Args:
-            boxes_m: distances at which each ray is in boxes of actors, which are not searched.
+            origin_world: metres.
+            direction_world: unit vectors.
+            boxes_m: distances at which each ray enters and leaves actor boxes, which are excluded.
         """
         found = np.zeros((len(origin_world), STRETCHES, 2), dtype=np.float32)
+        # Steps of half a voxel: only corners of voxels can be missed.
         march(
-            (self.is_occupied, self.origin_m, VOXEL_M, _STEP_M),
+            (self.is_occupied, self.origin_m, VOXEL_M, VOXEL_M / 2),
             np.ascontiguousarray(origin_world, dtype=np.float64),
             np.ascontiguousarray(direction_world, dtype=np.float64),
             boxes_m,

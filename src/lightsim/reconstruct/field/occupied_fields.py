@@ -1,4 +1,4 @@
-"""The samples at which the paper's field is read out: nothing fused, only where it may be asked."""
+"""Grids at whose samples the paper's field is evaluated, without LiDAR fusion."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from lightsim.reconstruct.field.occupancy import VOXEL_M, Occupancy
 from lightsim.reconstruct.field.ray_pool import BOX_MARGIN_M
 from lightsim.reconstruct.fusion.config import OccupiedConfig
 from lightsim.reconstruct.fusion.sweep_views import centre_line
-from lightsim.reconstruct.fusion.tsdf import find_ground
+from lightsim.reconstruct.fusion.tsdf import TRUNCATION_VOXELS, find_ground
 
-_TRUNCATION_VOXELS = 3.0
-"""As of fused grids: what is read out is clipped to it, and meshing sees the same numbers."""
+# Blocks tested together, to limit memory.
 _BATCH_BLOCKS = 4096
 
 
 def occupied_fields(log: DrivingLog, config: OccupiedConfig, *, progress: Progress) -> SceneFields:
-    """Grids of the levels of `config` whose samples in occupied space count (weight 1, all free as
-    long as nothing is read out), a whole grid for every labelled actor, and the ground's height,
-    on which edits stand actors.
+    """Make grids of all levels with samples in occupied space, one grid per actor, and the ground.
+
+    Samples have weight 1 and a free distance until the field is evaluated. Edits place actors on
+    the ground map.
 
     Raises:
         InputError: the log has no return near the path.
@@ -39,17 +39,17 @@ def occupied_fields(log: DrivingLog, config: OccupiedConfig, *, progress: Progre
     distance_m, _ = KDTree(path[:, :2]).query(corners[:, :2] + VOXEL_M / 2)
     levels, inner = [], 0.0
     for voxel_m, outer in zip(config.voxel_m, config.radius_m, strict=True):
-        # A voxel more on either side: the meshes of neighbouring levels meet.
+        # One more voxel on either side, so that the meshes of neighbouring levels meet.
         is_own = (distance_m > inner - 2 * VOXEL_M) & (distance_m < outer + VOXEL_M)
         levels.append(_level(occupancy, corners[is_own], voxel_m))
         inner = outer
     actors = {track.actor_id: _box(track, config.actor_voxel_m) for track in log.actors}
-    note = "nothing is fused: the field is read out where returns are, and in the boxes of actors"
+    note = "no LiDAR fusion: the field is evaluated near returns and in the boxes of actors"
     return SceneFields(tuple(levels), config.radius_m, actors, ground, path, (note,))
 
 
 def _level(occupancy: Occupancy, corners: Float64[np.ndarray, "v 3"], voxel_m: float) -> TsdfGrid:
-    """A grid over the occupied voxels with these lowest corners."""
+    """Grid over the occupied voxels of the given lowest corners."""
     block_m = voxel_m * BLOCK
     first, last = (
         np.floor((corners + offset - occupancy.origin_m) / block_m).astype(np.int32)
@@ -69,11 +69,11 @@ def _level(occupancy: Occupancy, corners: Float64[np.ndarray, "v 3"], voxel_m: f
             )
 
     weight = np.concatenate([np.zeros((0, BLOCK, BLOCK, BLOCK), dtype=bool), *holds()])
-    return _unread("world", occupancy.origin_m, voxel_m, coords, weight)
+    return _unevaluated("world", occupancy.origin_m, voxel_m, coords, weight)
 
 
 def _box(track: ActorTrack, voxel_m: float) -> TsdfGrid:
-    """A grid over an actor's box, in its frame."""
+    """Grid over an actor's box, in its frame."""
     half = track.size_lwh_m / 2 + BOX_MARGIN_M
     shape = np.ceil(2 * half / (voxel_m * BLOCK)).astype(np.int64)
     coords = np.argwhere(np.ones(tuple(shape.tolist()), dtype=bool)).astype(np.int32)
@@ -81,17 +81,17 @@ def _box(track: ActorTrack, voxel_m: float) -> TsdfGrid:
     steps = np.stack(np.meshgrid(*[np.arange(BLOCK)] * 3, indexing="ij"), axis=-1)
     points = origin + voxel_m * (BLOCK * coords[:, None, None, None].astype(np.float64) + steps)
     is_inside = np.asarray((np.abs(points) <= half).all(axis=-1))
-    return _unread("actor", origin, voxel_m, coords, is_inside)
+    return _unevaluated("actor", origin, voxel_m, coords, is_inside)
 
 
-def _unread(
+def _unevaluated(
     frame: str,
     origin_m: Float64[np.ndarray, "3"],
     voxel_m: float,
     coords: Int32[np.ndarray, "b 3"],
     is_open: Bool[np.ndarray, "b 8 8 8"],
 ) -> TsdfGrid:
-    truncation_m = _TRUNCATION_VOXELS * voxel_m
+    truncation_m = TRUNCATION_VOXELS * voxel_m
     free = np.full(is_open.shape, truncation_m, dtype=np.float32)
     return TsdfGrid(
         frame, origin_m, voxel_m, truncation_m, coords, free, is_open.astype(np.float32)

@@ -1,7 +1,7 @@
-"""Compiled look-up in stacked signed-distance grids, and boxes along rays.
+"""Compiled look-up in stacked signed-distance grids, and boxes and occupied space along rays.
 
-A stack is a tuple of plain arrays, see `tsdf_prior.TsdfPrior.stack`. `no_type_check` keeps the
-tests' run-time type checker out of compiled code.
+A stack is a tuple of plain arrays, see `tsdf_prior.TsdfPrior.stack`. `no_type_check` excludes
+compiled code from the run-time type checks of the tests.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numba import njit, prange
 @njit(cache=True, nogil=True, inline="always")
 @no_type_check
 def _block_at(stack, g, i, j, k):
-    """Row of the block that holds sample (i, j, k) of grid g, or -1."""
+    """Return the row of the block that contains sample (i, j, k) of grid g, or -1."""
     table, start, low, shape = stack[0], stack[1], stack[2], stack[3]
     bi, bj, bk = (i >> 3) - low[g, 0], (j >> 3) - low[g, 1], (k >> 3) - low[g, 2]
     if bi < 0 or bj < 0 or bk < 0 or bi >= shape[g, 0] or bj >= shape[g, 1] or bk >= shape[g, 2]:
@@ -27,8 +27,10 @@ def _block_at(stack, g, i, j, k):
 @njit(cache=True, nogil=True)
 @no_type_check
 def _interpolated(stack, g, x, y, z):
-    """(distance, weight) by trilinear interpolation over the corners that are known, as long as
-    they hold half of the weights; weight 0 otherwise."""
+    """Interpolate (distance, weight) trilinearly over the known corners.
+
+    The weight is 0 if the known corners have less than half of the total interpolation weight.
+    """
     geometry, sdf, weight = stack[4], stack[5], stack[6]
     voxel = geometry[g, 3]
     fx = (x - geometry[g, 0]) / voxel
@@ -57,8 +59,10 @@ def _interpolated(stack, g, x, y, z):
 @njit(cache=True, nogil=True)
 @no_type_check
 def _finest(stack, first, last, x, y, z):
-    """(distance, weight, truncation) of the finest grid of [first, last) that knows a point;
-    weight 0 where none does."""
+    """Return (distance, weight, truncation) of the finest known grid of [first, last) at a point.
+
+    The weight is 0 if no grid is known there.
+    """
     for g in range(first, last):
         value, weight = _interpolated(stack, g, x, y, z)
         if weight > 0.0:
@@ -69,7 +73,7 @@ def _finest(stack, first, last, x, y, z):
 @njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def look_up(stack, points, first, last, found):
-    """Distance, weight and truncation of points; `first`, `last` are each one's range of grids."""
+    """Write distance, weight and truncation of points; [first, last) are the grids of each."""
     for p in prange(points.shape[0]):
         value, weight, truncation = _finest(
             stack, first[p], last[p], points[p, 0], points[p, 1], points[p, 2]
@@ -80,10 +84,10 @@ def look_up(stack, points, first, last, found):
 @njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def enter_boxes(origins, directions, world_to_box, half, index, entry, leave):
-    """The first boxes along each ray: which (or -1), and where the ray enters and leaves.
+    """Find the first boxes along each ray: index (or -1), and distances of entry and exit.
 
-    `world_to_box` [b, 3, 4]; boxes [-half, half]. As many boxes as `index` has columns are kept,
-    in the order of entry.
+    `world_to_box` [b, 3, 4]; boxes [-half, half]. The number of columns of `index` limits the
+    number of boxes, which are in the order of entry.
     """
     slots = index.shape[1]
     for r in prange(origins.shape[0]):
@@ -92,6 +96,7 @@ def enter_boxes(origins, directions, world_to_box, half, index, entry, leave):
             entry[r, s] = np.inf
             leave[r, s] = np.inf
         for b in range(half.shape[0]):
+            # Slab test: the ray is inside between the last entry and the first exit of three axes.
             near, far = 0.0, np.inf
             for a in range(3):
                 m = world_to_box[b, a]
@@ -105,6 +110,7 @@ def enter_boxes(origins, directions, world_to_box, half, index, entry, leave):
                 near, far = max(near, min(t0, t1)), min(far, max(t0, t1))
             if far <= near:
                 continue
+            # Insertion into the sorted slots.
             at = slots
             while at > 0 and near < entry[r, at - 1]:
                 at -= 1
@@ -122,10 +128,10 @@ def enter_boxes(origins, directions, world_to_box, half, index, entry, leave):
 @njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def march(grid, origins, directions, boxes, found):
-    """Stretches of rays in occupied voxels, outside boxes, by fixed steps until the grid ends.
+    """Find the intervals of rays in occupied voxels, outside boxes, by steps to the grid's end.
 
     `grid` is (occupied [x, y, z], lowest corner, voxel, step); `boxes` [n, s, 2] and `found`
-    [n, k, 2] are distances.
+    [n, k, 2] hold distances of entry and exit.
     """
     occupied, low, voxel, step = grid
     nx, ny, nz = occupied.shape

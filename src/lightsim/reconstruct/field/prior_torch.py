@@ -1,6 +1,8 @@
-"""The prior's look-up in plain torch: the readable version, and the one that runs on CUDA."""
+"""Look-up of the prior in plain torch: the readable version, which also runs on CUDA."""
 
 from __future__ import annotations
+
+from itertools import product
 
 import numpy as np
 import torch
@@ -9,24 +11,21 @@ from torch import Tensor
 
 from lightsim.core.fields import BLOCK
 
-_CORNERS = tuple((i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1))
-
 
 class TorchPrior:
-    """A `TsdfPrior.stack` on a device; `look_up` is that of `TsdfPrior`, tensors instead of
-    arrays."""
+    """`TsdfPrior.stack` on a device, with `TsdfPrior.look_up` for tensors."""
 
     def __init__(self, stack: tuple[np.ndarray, ...], device: torch.device) -> None:
         moved = [torch.from_numpy(array).to(device) for array in stack]
         self._table, self._start, self._low, self._shape = (a.to(torch.int64) for a in moved[:4])
         self._geometry = moved[4].to(torch.float32)
-        self._corners = torch.tensor(_CORNERS, device=device)
+        self._corners = torch.tensor(list(product((0, 1), repeat=3)), device=device)
         self._sdf, self._weight = moved[5].reshape(-1), moved[6].reshape(-1)
 
     def look_up(
         self, points: Float[Tensor, "n 3"], ranges: Int[Tensor, "n 2"]
     ) -> Float[Tensor, "n 3"]:
-        """Signed distance [m], weight and truncation [m]; see `TsdfPrior.look_up`."""
+        """Return signed distance [m], weight and truncation [m]; see `TsdfPrior.look_up`."""
         found = points.new_zeros((len(points), 3))
         rounds = int((ranges[:, 1] - ranges[:, 0]).max()) if len(points) else 0
         for level in range(rounds):
@@ -42,13 +41,13 @@ class TorchPrior:
     def _interpolated(
         self, points: Float[Tensor, "m 3"], grid: Int[Tensor, " m"]
     ) -> tuple[Float[Tensor, " m"], Float[Tensor, " m"]]:
-        """Trilinear over the known corners, as long as they hold half of the weights."""
+        """Trilinear mean over the known corners, if they have half of the total weight."""
         geometry = self._geometry[grid]
         scaled = (points - geometry[:, :3]) / geometry[:, 3:4]
         cell = torch.floor(scaled)
         inner = scaled - cell
         cell = cell.to(torch.int64)
-        # All eight corners at once: on a device the number of kernels is what costs.
+        # All eight corners at once: on a GPU the number of kernels determines the time.
         at_corner = self._corners[:, None]
         fraction = torch.where(at_corner.bool(), inner, 1 - inner).prod(dim=2)
         at = self._sample(cell + at_corner, grid)
@@ -61,7 +60,7 @@ class TorchPrior:
         return value, torch.where(is_known, evidence, 0.0)
 
     def _sample(self, index: Int[Tensor, "k m 3"], grid: Int[Tensor, " m"]) -> Int[Tensor, "k m"]:
-        """Flat position of a sample in the block arrays, -1 where its block is absent."""
+        """Flat index of a sample in the block arrays, -1 if its block is absent."""
         block = torch.div(index, BLOCK, rounding_mode="floor") - self._low[grid]
         shape = self._shape[grid]
         inside = ((block >= 0) & (block < shape)).all(dim=2)

@@ -1,8 +1,8 @@
 """Training rays of a whole log: camera pixels and LiDAR returns, drawn once before training.
 
-A ray knows where the prior's surface is, or without one which space along it is occupied, and which
-actor boxes it passes, so that a training step only has to place samples (paper Sec. 3.1; UniSim
-Sec. 3.3: LiDAR makes ray marching efficient).
+A ray stores the distance of the prior's surface, or without a prior the occupied intervals along
+it, and the actor boxes that it passes. A training step then only places samples (paper Sec. 3.1;
+UniSim Sec. 3.3: LiDAR makes ray marching efficient).
 """
 
 from __future__ import annotations
@@ -24,32 +24,34 @@ from lightsim.reconstruct.field.occupancy import Occupancy
 from lightsim.reconstruct.field.prior_kernels import enter_boxes
 from lightsim.reconstruct.fusion.sweep_views import label_points
 
+# Number of actor boxes along a ray; more are rare and are ignored.
 SLOTS = 2
-"""Actor boxes that a ray can pass; further ones are rare and left out."""
+# Margin in metres around a labelled box within which samples belong to its actor.
 BOX_MARGIN_M = 0.1
-"""What lies this near a labelled box belongs to its actor."""
+# Greatest distance of a prior's surface, in metres: beyond LiDAR range.
 _FAR_M = 250.0
 SkyMatte = Callable[[CameraFrame], Float32[np.ndarray, "h w"]]
 
 
 @dataclass(frozen=True, eq=False)
 class RayPool:
-    """Rays in frame `world`, and inside up to two actor boxes.
+    """Rays in frame `world`, and in the frames of up to two actor boxes.
 
     Args:
         origin: metres.
-        direction: unit.
-        slot_actor: number of the actor whose box the ray passes, in the order of entry; -1 none.
+        direction: unit vectors.
+        slot_actor: numbers of the actors whose boxes the ray passes, in the order of entry; -1:
+            none.
         slot_span_m: distances at which the ray enters and leaves each box.
         slot_origin, slot_direction: the ray in the frame of each actor.
-        surface_m: distance of the prior's first surface; inf where there is none.
-        occupied_m: where the ray is in occupied space outside boxes (`Occupancy.stretches_m`);
-            no stretch (k = 0) where a prior's surface places the samples.
+        surface_m: distance of the prior's first surface; inf without one.
+        occupied_m: intervals of the ray in occupied space outside boxes
+            (`Occupancy.stretches_m`); none (k = 0) with a prior.
         colour: sRGB pixel value in [0, 1] (camera rays; else 0).
         camera: index of the camera, -1 for LiDAR.
         sky: sky alpha of the pixel.
         return_m: measured distance (LiDAR rays; else inf).
-        label: 0 static, i + 1 where the return lies in the box of actor i, -1 where unknown.
+        label: 0 static, i + 1 for a return in the box of actor i, -1 unknown.
     """
 
     origin: Float32[np.ndarray, "n 3"]
@@ -70,12 +72,12 @@ class RayPool:
         return len(self.origin)
 
     def rows(self, index: Int64[np.ndarray, " k"] | Bool[np.ndarray, " n"]) -> RayPool:
-        """Some of the rays."""
+        """Return the chosen rays."""
         return RayPool(*[getattr(self, f.name)[index] for f in fields(self)])
 
     @staticmethod
     def joined(pools: Sequence[RayPool]) -> RayPool:
-        """All rays of several pools, in their order."""
+        """Concatenate several pools."""
         return RayPool(
             *[np.concatenate([getattr(p, f.name) for p in pools]) for f in fields(RayPool)]
         )
@@ -83,14 +85,14 @@ class RayPool:
 
 @dataclass(frozen=True, eq=False)
 class PriorSurfaces:
-    """Ray casters over the prior's meshes: the static scene, and each actor in its own frame."""
+    """Ray casters over the prior's meshes: the static scene, and each actor in its frame."""
 
     background: RayCaster
     actors: Mapping[str, RayCaster]
 
 
 Guide = PriorSurfaces | Occupancy
-"""What tells where samples of rays must lie."""
+"""Geometry that guides the placement of samples along rays."""
 
 
 def camera_rays(
@@ -101,7 +103,7 @@ def camera_rays(
     rng: np.random.Generator,
     progress: Progress,
 ) -> RayPool:
-    """About `count` random pixels over all frames; the ego vehicle is left out.
+    """Draw about `count` random pixels over all frames, except those of the ego vehicle.
 
     Raises:
         InputError: the log has no frame.
@@ -110,7 +112,7 @@ def camera_rays(
         raise InputError(
             "the log has no camera frame",
             where=log.name,
-            remedy="The neural field needs pictures: choose other frames, or --neural-steps 0.",
+            remedy="The neural field requires images: choose other frames, or --neural-steps 0.",
         )
     each = max(1, count // len(log.frames))
     pools = []
@@ -134,7 +136,7 @@ def camera_rays(
 def pixel_rays(
     log: DrivingLog, frame: CameraFrame, pixel: Int64[np.ndarray, " n"], guide: Guide
 ) -> RayPool:
-    """Rays of some pixels of a frame, numbered row by row, without their colours."""
+    """Make the rays of some pixels of a frame, numbered row by row, without their colours."""
     camera = log.cameras[frame.camera_name]
     uv = np.stack([pixel % camera.width_px, pixel // camera.width_px], axis=1) + 0.5
     origin, direction = frame.pixel_rays(camera, uv)
@@ -151,13 +153,9 @@ def pixel_rays(
 
 
 def lidar_rays(
-    log: DrivingLog,
-    count: int,
-    guide: Guide,
-    rng: np.random.Generator,
-    progress: Progress,
+    log: DrivingLog, count: int, guide: Guide, rng: np.random.Generator, progress: Progress
 ) -> RayPool:
-    """About `count` random returns over all sweeps, each at its own time.
+    """Draw about `count` random returns over all sweeps, each at its own time.
 
     Raises:
         InputError: the log has no sweep.
@@ -166,7 +164,7 @@ def lidar_rays(
         raise InputError(
             "the log has no LiDAR sweep",
             where=log.name,
-            remedy="The neural field needs LiDAR: add the sweeps, or choose other frames.",
+            remedy="The neural field requires LiDAR: add the sweeps, or choose other frames.",
         )
     each = max(1, count // len(log.sweeps))
     pools = []
@@ -194,7 +192,7 @@ def lidar_rays(
 def _poses_at_returns(
     log: DrivingLog, sweep: LidarSweep, labels: Int64[np.ndarray, " n"]
 ) -> dict[int, RigidTransform]:
-    """Where each actor stood when its own returns were measured."""
+    """Pose of each actor at the median time of its returns, by actor number."""
     poses = {}
     for i, actor in enumerate(log.actors):
         if not actor.is_present(sweep.time_ns, SWEEP_HOLD_S):
@@ -214,7 +212,7 @@ def _assemble(
     poses: Mapping[int, RigidTransform],
     guide: Guide,
 ) -> RayPool:
-    """Rays of one moment with their boxes and what guides samples, nothing measured yet."""
+    """Rays at one time with their actor boxes and sample guide, without measurements."""
     count = len(origin)
     numbers = np.array(sorted(poses), dtype=np.int64)
     boxes = [(poses[i].inverse(), actors[i].size_lwh_m / 2 + BOX_MARGIN_M) for i in numbers]

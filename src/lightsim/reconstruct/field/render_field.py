@@ -1,4 +1,4 @@
-"""Whole frames by volume rendering of the neural field (paper Sec. 3.1)."""
+"""Volume rendering of whole frames from the neural field (paper Sec. 3.1)."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ from lightsim.reconstruct.field.sdf_field import SceneField
 from lightsim.reconstruct.field.train import batch_of
 from lightsim.reconstruct.field.volume_rendering import composite, opacities
 
+# Pixels rendered together, to limit memory.
 _CHUNK = 16_384
 
 
 def render_frame(
     field: SceneField, log: DrivingLog, frame: CameraFrame, guide: Guide
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture that the field predicts for a camera of the log, sRGB.
+    """Render the image of a frame's camera, 8-bit sRGB.
 
-    Samples lie as in training; their random places are the same at every call.
+    Samples are placed as in training, with random numbers that are equal in every call.
     """
     camera = log.cameras[frame.camera_name]
     device = device_of(field)

@@ -1,5 +1,7 @@
-"""The neural field F: x -> (s, k_d): hash grids and small MLPs, one pair for the static background
-and one for all actors, each actor in its own box frame (paper Sec. 3.1)."""
+"""Neural field F: x -> (s, k_d) of hash grids and small MLPs (paper Sec. 3.1).
+
+One grid and MLP represents the static background, another all actors, each in its box frame.
+"""
 
 from __future__ import annotations
 
@@ -13,35 +15,38 @@ from lightsim.reconstruct.field.hash_grid.grid import HashGridSpec, hash_encode,
 from lightsim.reconstruct.field.prior_torch import TorchPrior
 from lightsim.reconstruct.field.tsdf_prior import TsdfPrior
 
+# The values below were not measured alone; training as a whole is
+# (docs/benchmarks/reconstruction.md).
+
+# Signed distance in metres outside the prior's observed space: free.
 _OUTSIDE_M = 0.5
-"""Signed distance where neither prior nor training says anything: free."""
+# Metres per unit of the head's first output: initial residuals are small.
 _RESIDUAL_SCALE = 0.1
+# Greatest difference from the prior, as a fraction of the truncation.
 _RESIDUAL_REACH = 0.5
-"""Fraction of the truncation by which the field may differ from the prior."""
-_FREE_REACH_M = 1e3
+
+# Metres per unit of the position input of the heads: typical extents of a street and a vehicle.
 _POSITION_SCALE = {"background": 50.0, "actors": 3.0}
+# Exponent that approximates the sRGB curve: a gain on pixel values to this power is a gain on
+# radiance.
 _ENCODING_POWER = 2.2
-"""The sRGB curve is close to this power: a gain on radiance is its root on pixel values."""
-_FIRST_BETA = 40.0
-
-
-# Not measured alone; training as a whole is (docs/benchmarks/reconstruction.md).
 
 # Width of the MLP heads.
 _HIDDEN = 64
-# Evidence at which the fused LiDAR counts half.
+# Weight of the fused LiDAR at which the prior's confidence is 0.5.
 _PRIOR_HALF_WEIGHT = 0.5
 
 
 class SceneField(nn.Module):
-    """The compositional scene, with what is learned only for training: camera gains and a sky.
+    """Field of the background and all actors, with the camera gains and the sky of training.
 
     Args:
         config: sizes and switches.
-        actor_ids: in the order of the log's actors; their numbers salt the actors' grid.
+        actor_ids: in the order of the log's actors; their numbers are the salts of the actors'
+            grid.
         camera_names: in the order of the log's cameras.
-        prior: fused LiDAR, None without.
-        generator: of the initial values.
+        prior: fused LiDAR; None: no prior.
+        generator: random numbers for the initial values.
     """
 
     def __init__(
@@ -64,7 +69,8 @@ class SceneField(nn.Module):
         self.actor_head = make_head(config.actor_grid, generator)
         self.sky_head = mlp(15, 32, 3, generator)
         self.log_gains = nn.Parameter(torch.zeros(max(len(camera_names), 1), 3))
-        self.log_beta = nn.Parameter(torch.log(torch.tensor(_FIRST_BETA)))
+        # Initial sharpness 40/m: surfaces of a few centimetres.
+        self.log_beta = nn.Parameter(torch.log(torch.tensor(40.0)))
         grids = [prior.actor(actor_id) if prior else (0, 0) for actor_id in actor_ids]
         own = prior.background if prior else (0, 0)
         # The last row is the background's, reached by actor number -1.
@@ -73,28 +79,28 @@ class SceneField(nn.Module):
 
     @property
     def tables(self) -> tuple[nn.Parameter, nn.Parameter]:
-        """What the sparse optimiser trains."""
+        """Return the hash tables, which the sparse optimiser trains."""
         return self.background_table, self.actor_table
 
     @property
     def dense_parameters(self) -> list[nn.Parameter]:
-        """Everything else that is trained."""
+        """Return all other trained parameters."""
         tables = {id(table) for table in self.tables}
         return [p for p in self.parameters() if id(p) not in tables]
 
     @property
     def beta(self) -> Float[Tensor, ""]:
-        """Sharpness of surfaces, 1/m."""
+        """Return the sharpness of surfaces, 1/m."""
         return torch.exp(self.log_beta)
 
     def forward(
         self, points: Float[Tensor, "n 3"], actor: Int[Tensor, " n"]
     ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n 3"], Float[Tensor, " n"], Float[Tensor, " n"]]:
-        """Signed distance [m], colour, residual on the prior [m], and the prior's confidence.
+        """Return signed distance [m], colour, residual on the prior [m], and prior confidence.
 
         Args:
-            points: metres, frame `world` for the background, else of each one's actor.
-            actor: number of the actor, -1 for the background.
+            points: metres, frame `world` for the background, else the frame of their actor.
+            actor: number of the actor of each point, -1 for the background.
         """
         output = points.new_zeros((len(points), 4))
         is_actor = actor >= 0
@@ -119,19 +125,19 @@ class SceneField(nn.Module):
             found = head(features)
             output = found if len(index) == len(points) else output.index_copy(0, index, found)
         base, confidence, reach = self._base(points, actor)
-        # Bounded, so that space far from the prior's surface can never change sides by noise.
+        # Bounded, so that noise cannot change the sign far from the prior's surface.
         residual = reach * torch.tanh(_RESIDUAL_SCALE * output[:, 0] / reach)
         return base + residual, torch.sigmoid(output[:, 1:]), residual, confidence
 
     def _base(
         self, points: Float[Tensor, "n 3"], actor: Int[Tensor, " n"]
     ) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"], Float[Tensor, " n"]]:
-        """The prior's distance where it knows one, how sure it is of it (0 to 1), and how far the
-        field may differ from it."""
+        """Prior distance [m], its confidence in [0, 1], and the greatest residual [m]."""
         outside = torch.full_like(points[:, 0], _OUTSIDE_M)
         if self.prior is None:
-            return outside, torch.zeros_like(outside), torch.full_like(outside, _FREE_REACH_M)
-        # Constant as far as training is concerned; the look-up is compiled for the CPU.
+            # A reach of 1 km does not limit the field.
+            return outside, torch.zeros_like(outside), torch.full_like(outside, 1e3)
+        # The prior is constant in training; on the CPU its look-up is compiled.
         if points.device.type == "cpu":
             ranges = self._grid_ranges[actor.numpy()]
             found = torch.from_numpy(self.prior.look_up(points.detach().numpy(), ranges))
@@ -153,14 +159,14 @@ class SceneField(nn.Module):
     def pixel_colour(
         self, colour: Float[Tensor, "r 3"], camera: Int[Tensor, " r"]
     ) -> Float[Tensor, "r 3"]:
-        """What a camera makes of a colour: its gain, in the sRGB-encoded domain; mean gain 1."""
+        """Apply each camera's gain to sRGB colours; the mean log gain is 0."""
         if not self.config.has_camera_gains:
             return colour
         gains = self.log_gains - self.log_gains.mean(dim=0, keepdim=True)
         return colour * torch.exp(gains)[camera]
 
     def radiance_gains(self) -> dict[str, Float32[np.ndarray, "3"]]:
-        """The learned gains as factors on linear radiance, by camera name."""
+        """Return the estimated gains as factors on linear radiance, by camera name."""
         logs = (self.log_gains - self.log_gains.mean(dim=0, keepdim=True)).detach().cpu().numpy()
         if not self.config.has_camera_gains:
             logs = np.zeros_like(logs)
@@ -168,17 +174,19 @@ class SceneField(nn.Module):
         return {name: gains[i] for i, name in enumerate(self.camera_names)}
 
     def sky(self, direction: Float[Tensor, "r 3"]) -> Float[Tensor, "r 3"]:
-        """Colour of the sky, for training only."""
+        """Return the sRGB colour of the sky by direction, for training only."""
         return torch.sigmoid(self.sky_head(_direction_features(direction)))
 
 
 class SeparateHeads(nn.Module):
-    """f_s and f_kd of the paper (Sec. 3.3): two MLPs that see the grid's features alone (appendix:
-    "only grid features as input"), so that no surface depends on what it takes to colour it.
+    """Heads f_s and f_kd of the paper (Sec. 3.3): two MLPs of grid features.
+
+    The appendix names "only grid features as input". Separate MLPs make the surface independent of
+    the colour.
 
     Args:
-        spec: of the grid.
-        generator: of the initial values.
+        spec: size of the grid.
+        generator: random numbers for the initial values.
     """
 
     def __init__(self, spec: HashGridSpec, generator: torch.Generator) -> None:
@@ -187,12 +195,12 @@ class SeparateHeads(nn.Module):
         self.colour = mlp(spec.output_dim, _HIDDEN, 3, generator)
 
     def forward(self, features: Float[Tensor, "n f"]) -> Float[Tensor, "n 4"]:
-        """Signed distance and colour, neither scaled yet."""
+        """Return unscaled signed distance and colour."""
         return torch.cat([self.distance(features), self.colour(features)], dim=1)
 
 
 def _joint_head(spec: HashGridSpec, generator: torch.Generator) -> nn.Sequential:
-    """Features and position to (residual, colour); starts at residual 0."""
+    """MLP from features and position to (residual, colour), with initial residual 0."""
     head = mlp(spec.output_dim + 3, _HIDDEN, 4, generator)
     last = head[-1]
     assert isinstance(last, nn.Linear)
@@ -203,7 +211,7 @@ def _joint_head(spec: HashGridSpec, generator: torch.Generator) -> nn.Sequential
 
 
 def mlp(inputs: int, hidden: int, outputs: int, generator: torch.Generator) -> nn.Sequential:
-    """One hidden layer; He initialisation from the generator."""
+    """Make an MLP of one hidden layer with He initialisation."""
     first, last = nn.Linear(inputs, hidden), nn.Linear(hidden, outputs)
     with torch.no_grad():
         for layer in (first, last):
@@ -213,6 +221,6 @@ def mlp(inputs: int, hidden: int, outputs: int, generator: torch.Generator) -> n
 
 
 def _direction_features(direction: Float[Tensor, "r 3"]) -> Float[Tensor, "r 15"]:
-    """Direction with sines and cosines of two frequencies."""
+    """Directions with their sines and cosines at two frequencies."""
     waves = [f(k * direction) for k in (2.0, 6.0) for f in (torch.sin, torch.cos)]
     return torch.cat([direction, *waves], dim=1)

@@ -18,35 +18,32 @@ from lightsim.reconstruct.field.ray_pool import RayPool
 from lightsim.reconstruct.field.sampling import RayBatch
 from lightsim.reconstruct.field.sdf_field import SceneField
 
-_FINAL_FRACTION = 0.1
+# Seed of a step = seed * this prime + step: runs of different seeds have different batches.
 _STEP_SEED = 1_000_003
-
-
-# Not measured alone; training as a whole is (docs/benchmarks/reconstruction.md).
-
-# Learning rate of the grids.
+# Learning rate of the hash tables. The rates were not measured alone; training as a whole is
+# (docs/benchmarks/reconstruction.md).
 _TABLE_RATE = 1e-2
-# Learning rate of everything else.
+# Learning rate of all other parameters.
 _HEAD_RATE = 2e-3
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingRays:
-    """The two kinds of rays a batch is drawn from."""
+    """Camera rays and LiDAR rays from which batches are drawn."""
 
     camera: RayPool
     lidar: RayPool
 
 
 def train_field(field: SceneField, rays: TrainingRays, seed: int, session: Session) -> None:
-    """Train `field` in place, on its device, going on from the checkpointer's last state.
+    """Train `field` in place, on its device, from the checkpointer's last state.
 
-    Every step draws its batch from (seed, step) alone: an interrupted run that goes on gives the
-    very same field on the CPU.
+    The batch of a step depends on (seed, step) alone, so a resumed run yields the same field on the
+    CPU.
     """
     config = field.config
     device = device_of(field)
-    # Sparse Adam for the tables, of which a batch reaches little; Adam for the rest.
+    # Sparse Adam for the tables, because a batch reaches few entries; Adam for the rest.
     tables = [SparseAdam(table, learning_rate=_TABLE_RATE) for table in field.tables]
     dense = torch.optim.Adam(field.dense_parameters, lr=_HEAD_RATE, eps=1e-15)
 
@@ -59,7 +56,8 @@ def train_field(field: SceneField, rays: TrainingRays, seed: int, session: Sessi
             terms["psnr_db"] = -10 * torch.log10(terms["mse_srgb"].detach().clamp_min(1e-12))
         yield "field", loss, terms
 
-    loop = LoopConfig(config.steps, final_fraction=_FINAL_FRACTION, largest_gradient=None)
+    # The learning rates decrease to a tenth.
+    loop = LoopConfig(config.steps, final_fraction=0.1, largest_gradient=None)
     learners = {"field": Learner(field, (*tables, dense))}
     run_training(learners, losses, loop, session, "train the field")
 
@@ -67,7 +65,7 @@ def train_field(field: SceneField, rays: TrainingRays, seed: int, session: Sessi
 def _draw(
     rays: TrainingRays, config: NeuralConfig, generator: torch.Generator, device: torch.device
 ) -> RayBatch:
-    """Random camera and LiDAR rays of one step."""
+    """Draw the random camera and LiDAR rays of one step."""
     parts = []
     for pool, count in ((rays.camera, config.camera_batch), (rays.lidar, config.lidar_batch)):
         index = torch.randint(0, len(pool), (count,), generator=generator).numpy()
@@ -76,7 +74,7 @@ def _draw(
 
 
 def batch_of(pool: RayPool, device: torch.device) -> RayBatch:
-    """Rays as tensors."""
+    """Convert rays to tensors on a device."""
 
     def tensor(array: np.ndarray) -> Tensor:
         return torch.from_numpy(array).to(device)

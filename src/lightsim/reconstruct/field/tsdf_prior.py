@@ -1,4 +1,4 @@
-"""The fused LiDAR as a prior of the neural field: stacked grids that answer points and rays."""
+"""Prior of the neural field: a stack of the grids of the fused LiDAR, with look-up of points."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class TsdfPrior:
 
     Args:
         grids: in that order.
-        background_levels: how many of them are the background's.
-        actor_ids: of the other grids.
+        background_levels: number of the background's grids.
+        actor_ids: actors of the other grids.
     """
 
     grids: tuple[TsdfGrid, ...]
@@ -31,17 +31,17 @@ class TsdfPrior:
 
     @staticmethod
     def of(fields: SceneFields) -> TsdfPrior:
-        """The prior of fused fields, actors in the order of their mapping."""
+        """Stack the grids of fused fields, actors in the order of their mapping."""
         grids = (*fields.background, *fields.actors.values())
         return TsdfPrior(grids, len(fields.background), tuple(fields.actors))
 
     @property
     def background(self) -> GridRange:
-        """The range of the background's grids."""
+        """Return the range of the background's grids."""
         return 0, self.background_levels
 
     def actor(self, actor_id: str) -> GridRange:
-        """The range of one actor's grid; empty where the actor has none."""
+        """Return the range of one actor's grid; empty if the actor has none."""
         if actor_id not in self.actor_ids:
             return 0, 0
         first = self.background_levels + self.actor_ids.index(actor_id)
@@ -49,8 +49,11 @@ class TsdfPrior:
 
     @cached_property
     def stack(self) -> tuple[np.ndarray, ...]:
-        """Block tables, their starts, lowest blocks and shapes; origins with sample distances and
-        truncation; distances and weights of all blocks."""
+        """Return the stack as arrays for the kernels.
+
+        They are: block tables, their starts, lowest blocks and shapes; origin, sample distance and
+        truncation of each grid; signed distances and weights of all blocks.
+        """
         tables, starts, lows, shapes, first, count = [], [], [], [], 0, 0
         for grid in self.grids:
             low = grid.block_coords.min(axis=0) if len(grid.block_coords) else np.zeros(3, np.int32)
@@ -78,8 +81,10 @@ class TsdfPrior:
     def look_up(
         self, points: Float[np.ndarray, "n 3"], ranges: Int32[np.ndarray, "n 2"]
     ) -> Float32[np.ndarray, "n 3"]:
-        """Signed distance [m], weight (0 = unknown) and truncation [m] of points, each in the
-        frame of its grids: those from ranges[:, 0] up to, not including, ranges[:, 1]."""
+        """Return signed distance [m], weight (0 = unknown) and truncation [m] of points.
+
+        A point is in the frame of its grids, ranges[:, 0] up to but excluding ranges[:, 1].
+        """
         found = np.zeros((len(points), 3), dtype=np.float32)
         kernels.look_up(self.stack, points, ranges[:, 0], ranges[:, 1], found)
         return found

@@ -1,4 +1,4 @@
-"""Signed distances along rays to opacities, colours and depths."""
+"""Volume rendering: signed distances along rays to opacities, colours and depths."""
 
 from __future__ import annotations
 
@@ -10,23 +10,24 @@ from jaxtyping import Float
 from torch import Tensor
 
 Conversion = Literal["neus", "unisim"]
+# Guards divisions by, and products of, vanishing transmittance.
 _EPSILON = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class RenderedRays:
-    """What volume rendering gives.
+    """Rendering weights of samples along rays.
 
     Args:
-        weights: of each sample.
-        transmittance: what is left behind the last sample.
+        weights: of each sample, in the order of the ray.
+        transmittance: fraction of light that passes all samples.
     """
 
     weights: Float[Tensor, "r s"]
     transmittance: Float[Tensor, " r"]
 
     def mean(self, values: Float[Tensor, "r s *c"]) -> Float[Tensor, "r *c"]:
-        """Weighted sum of the samples' values."""
+        """Return the weighted sum of the samples' values."""
         weights = self.weights.reshape(*self.weights.shape, *([1] * (values.ndim - 2)))
         return (weights * values).sum(dim=1)
 
@@ -34,11 +35,11 @@ class RenderedRays:
 def opacities(
     sdf: Float[Tensor, "r s"], beta: Float[Tensor, ""], conversion: Conversion
 ) -> Float[Tensor, "r s"]:
-    """Opacity of each sample, samples in the order of the ray.
+    """Return the opacity of each sample, samples in the order of the ray.
 
     "unisim": 1 / (1 + exp(beta s)) (UniSim, doi:10.1109/CVPR52729.2023.00140, equation 3). "neus":
-    the fall of the sigmoid since the sample before (NeuS, doi:10.48550/arXiv.2106.10689, equation
-    13); in front of the first sample stands a free one.
+    the relative decrease of the sigmoid since the previous sample (NeuS,
+    doi:10.48550/arXiv.2106.10689, equation 13); the space before the first sample is free.
     """
     if conversion == "unisim":
         return torch.sigmoid(-beta * sdf)
@@ -50,11 +51,11 @@ def opacities(
 def crossings_m(
     t: Float[Tensor, "r s"], sdf: Float[Tensor, "r s"], conversion: Conversion
 ) -> Float[Tensor, "r s"]:
-    """The distance that each sample's opacity stands for.
+    """Return the distance at which each sample's opacity is located, in metres.
 
-    A "neus" opacity belongs to the stretch since the sample before: to the zero of the signed
-    distance there, interpolated linearly. Taking the sample itself would put every surface half a
-    stretch too far away, which the field would learn to make up for.
+    A "neus" opacity is located at the linearly interpolated zero of the signed distance between the
+    previous sample and its own. The distance of the sample itself would be half an interval too
+    far, and the field would compensate for it.
     """
     if conversion == "unisim":
         return t
@@ -66,7 +67,7 @@ def crossings_m(
 
 
 def composite(opacity: Float[Tensor, "r s"]) -> RenderedRays:
-    """Front-to-back compositing: w_i = a_i prod_{j<i} (1 - a_j).
+    """Composite front to back: w_i = a_i prod_{j<i} (1 - a_j).
 
     Max 1995 (doi:10.1109/2945.468400).
     """

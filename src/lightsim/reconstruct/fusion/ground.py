@@ -12,24 +12,40 @@ from lightsim.core.fields import GroundMap
 from lightsim.core.laplace import fill_smoothly, nearest_known
 from lightsim.errors import InputError
 
+# The values below were chosen by inspection; their sensitivity was not measured.
+
+# Greatest slope of the ground between neighbouring cells.
 _MAX_SLOPE = 0.25
+# Width of the largest object that the morphological filter removes, in metres.
 _OPENING_M = 6.0
+# Greatest step of the ground, such as a kerb, in metres.
 _STEP_M = 0.2
-# Returns of one cell that are further apart, in height, are not the ground's alone: a wall's foot
-# is no higher than this over the ground beside it.
-_UPRIGHT_M, _FOOT_M = 0.5, 0.1
-# Over a gap the ground rises and falls no more than this; gaps as they are bridged, in turn. Where
-# something stands upright its foot may be hidden: ground right beside it has to tell.
-_GAP_SLOPE, _GAPS_M = 0.1, (2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+# Height range of the returns of one cell, in metres, above which the cell has an upright object.
+_UPRIGHT_M = 0.5
+# Greatest height of the foot of an upright object above the ground beside it, in metres.
+_FOOT_M = 0.1
+# Greatest distance over which such a foot is connected to ground, in metres: it may be occluded.
 _BESIDE_M = 2.0
-# The recording's own ground: the first distance from its path within which there is some.
-_OWN_M, _LEAST_CELLS = (3.0, 6.0, 12.0, 24.0), 10
+# Greatest slope of the ground across a gap.
+_GAP_SLOPE = 0.1
+# Widths of bridged gaps in metres, in the order of bridging: short gaps are more reliable.
+_GAPS_M = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+# Candidate distances from the path, in metres, of the ground that the ego vehicle drives on; the
+# first with `_LEAST_CELLS` is used.
+_OWN_M = (3.0, 6.0, 12.0, 24.0)
+# Least number of cells of this ground.
+_LEAST_CELLS = 10
 
 
 class GroundBuilder:
-    """Collects the lowest return of every cell, sweep by sweep.
+    """Ground map from the lowest return of every cell in each sweep.
 
-    The median of the sweeps' minima ignores single reflections below the road.
+    The median of the sweeps' minima ignores single specular reflections below the road.
+
+    Args:
+        path_m: positions of the ego vehicle, metres, frame world.
+        radius_m: margin of the map around the path.
+        cell_m: size of a cell.
     """
 
     def __init__(self, path_m: Float[np.ndarray, "n 3"], radius_m: float, cell_m: float) -> None:
@@ -43,7 +59,7 @@ class GroundBuilder:
         self._highest = np.full(self.shape, -np.inf, dtype=np.float32)
 
     def add(self, points_world: Float[np.ndarray, "n 3"]) -> None:
-        """Static returns of one sweep."""
+        """Add the static returns of one sweep."""
         cell = np.rint((points_world[:, :2] - self.origin_m) / self.cell_m).astype(np.int64)
         is_in = ((cell >= 0) & (cell < self.shape)).all(axis=1)
         lowest = np.full(self.shape, np.inf, dtype=np.float32)
@@ -53,10 +69,10 @@ class GroundBuilder:
         self._minima.append(lowest)
 
     def build(self) -> GroundMap:
-        """The ground map; cells without ground are interpolated smoothly.
+        """Return the ground map; cells without ground are interpolated smoothly.
 
         Raises:
-            InputError: no return fell into the area.
+            InputError: no return lies in the area.
         """
         stack = np.stack(self._minima) if self._minima else np.full((1, *self.shape), np.inf)
         count = np.isfinite(stack).sum(axis=0)
@@ -69,14 +85,14 @@ class GroundBuilder:
         is_ground = _is_ground(middle, count > 0, self.cell_m)
         is_upright = self._highest > middle + _UPRIGHT_M
         own = self._own_ground(is_ground)
-        is_ground = _goes_on(middle, is_ground, is_upright, own, self.cell_m)
+        is_ground = _connected_ground(middle, is_ground, is_upright, own, self.cell_m)
         filled = fill_smoothly(np.where(is_ground, middle, 0.0).astype(np.float64), is_ground)
         return GroundMap(
             self.origin_m.astype(np.float64), self.cell_m, filled.astype(np.float32), is_ground
         )
 
     def _own_ground(self, is_ground: Bool[np.ndarray, "nx ny"]) -> Bool[np.ndarray, "nx ny"]:
-        """Cells of ground beside the path."""
+        """Mask of ground cells beside the path."""
         cell = np.rint((self._path_m[:, :2] - self.origin_m) / self.cell_m).astype(np.int64)
         is_path = np.zeros(self.shape, dtype=bool)
         is_path[tuple(np.clip(cell, 0, np.array(self.shape) - 1).T)] = True
@@ -88,17 +104,17 @@ class GroundBuilder:
         return is_ground
 
 
-def _goes_on(
+def _connected_ground(
     height: Float[np.ndarray, "nx ny"],
     is_ground: Bool[np.ndarray, "nx ny"],
     is_upright: Bool[np.ndarray, "nx ny"],
     is_own: Bool[np.ndarray, "nx ny"],
     cell_m: float,
 ) -> Bool[np.ndarray, "nx ny"]:
-    """Cells that the ground of the path reaches without a step, over gaps without a steep slope.
+    """Mask of ground cells connected to the path without a step, or over gaps of little slope.
 
-    Behind parked cars the lowest returns are a facade's, metres above the ground (so are a trunk's
-    far down the road); in windows and puddles they are mirrored, metres below.
+    Other cells are errors: behind parked cars the lowest returns are of a facade, metres above the
+    ground, and reflections in windows and puddles are metres below it.
     """
     allowed = np.where(is_upright, _FOOT_M, _STEP_M + _MAX_SLOPE * cell_m)
     part = _connected(np.where(is_ground, height, np.inf), allowed)
@@ -123,7 +139,7 @@ def _goes_on(
 def _connected(
     height: Float[np.ndarray, "nx ny"], allowed: Float[np.ndarray, "nx ny"]
 ) -> Int32[np.ndarray, "nx ny"]:
-    """Numbers of the parts whose neighbouring cells differ by no more than both allow."""
+    """Component of each cell, where neighbours differ by no more than both cells allow."""
     index = np.arange(height.size).reshape(height.shape)
     pairs = []
     for a, b in (
@@ -147,6 +163,7 @@ def _is_ground(
     """Progressive morphological filter (Zhang et al. 2003, doi:10.1109/TGRS.2003.810682)."""
     surface = nearest_known(height, is_seen)
     is_ground = is_seen.copy()
+    # The window doubles: small objects first, so that slopes remain below the threshold.
     size = 3
     while size * cell_m <= _OPENING_M:
         opened = ndimage.grey_opening(surface, size=(size, size))

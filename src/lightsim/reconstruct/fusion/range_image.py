@@ -19,35 +19,38 @@ from lightsim.reconstruct.fusion.tsdf_kernels import (
     smooth_vertex_normals,
 )
 
+# The values below were chosen on log 002 and synthetic street 0. Only their joint effect is
+# measured (docs/benchmarks/reconstruction.md, test street 1).
+
+# Azimuth range that is repeated beyond the seam at +-180 degrees: wider than the largest gap.
 _WRAP_RAD = np.radians(4.0)
-_MAX_FREE_GAP_DEG = 1.5
-_SHORT_EDGE_M = 0.25
-_NORMAL_ROUNDS = 2
-_MIN_DISTANCE_M = 0.5
-
-
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
-# (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
-
-# Steeper triangles between neighbouring beams are taken for depth jumps.
+# Greatest angle of incidence of a surface triangle; steeper ones are depth discontinuities.
 _MAX_INCIDENCE_DEG = 82.0
-# Beams further apart than this are not joined, except on the ground.
+# Length of a triangle's longest edge, in metres, below which any incidence is accepted.
+_SHORT_EDGE_M = 0.25
+# Greatest angle between the beams of a surface triangle, except on the ground.
 _MAX_GAP_DEG = 2.5
-# Returns further apart than this are not joined, except on the ground.
+# Greatest distance between the returns of a surface triangle, except on the ground.
 _MAX_EDGE_M = 2.5
-# The same limit between returns of the ground.
+# Greatest distance between the returns of a triangle on the ground.
 _MAX_GROUND_EDGE_M = 8.0
-# Returns within this height of the ground map count as ground.
+# Greatest angle between the beams of a triangle that indicates free space.
+_MAX_FREE_GAP_DEG = 1.5
+# Greatest distance of a ground return from the ground map, in metres.
 _GROUND_BAND_M = 0.3
+# Least distance of a return from the sensor, in metres.
+_MIN_DISTANCE_M = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class RangeImage:
-    """What a view saw in every direction around `origin_world` (axes of frame `world`).
+    """Surface or free space in every direction around one view's origin.
 
     Args:
+        origin_world: position of the sensor, metres; directions have the axes of frame `world`.
+        time_ns: time of the view.
         pixel: first elevation, first azimuth, elevation step, azimuth step; radians.
-        image: distance, unit normal towards the sensor, and 1 where the surface is ground.
+        image: distance, unit normal towards the sensor, and 1 on the ground, else 0.
         labels: 0 static, i + 1 actor i, FREE_ONLY or NOTHING.
     """
 
@@ -58,7 +61,7 @@ class RangeImage:
     labels: Int32[np.ndarray, "h w"]
 
     def surface_points(self) -> tuple[Float64[np.ndarray, "n 3"], Int32[np.ndarray, " n"]]:
-        """Points in frame `world` and labels of the pixels that see a surface."""
+        """Return points in frame `world` and labels of the pixels with a surface."""
         row, column = np.nonzero(self.labels >= 0)
         elevation = self.pixel[0] + row * self.pixel[2]
         azimuth = self.pixel[1] + column * self.pixel[3]
@@ -76,7 +79,7 @@ class RangeImage:
 
 @dataclass(frozen=True, eq=False)
 class _Rays:
-    """Returns as rays from a view's origin, repeated beyond the azimuth seam."""
+    """Returns as rays from a view's origin, with repetitions beyond the azimuth seam."""
 
     relative: Float64[np.ndarray, "n 3"]
     distances: Float64[np.ndarray, " n"]
@@ -87,10 +90,11 @@ class _Rays:
 
 
 def make_range_image(view: View, ground: GroundMap, config: FuseConfig) -> RangeImage:
-    """Triangulate the returns in direction space and draw the continuous triangles.
+    """Triangulate the returns in direction space and rasterise the triangles.
 
-    Triangulation needs no ring numbers: any scan pattern works. A triangle counts as surface
-    when its corners carry one label and it is no depth jump; others prove free space only.
+    Triangulation does not require ring numbers, so any scan pattern works. A triangle is surface if
+    its corners have one label and it is not a depth discontinuity. Other triangles indicate only
+    free space.
     """
     rays = _rays(view, ground)
     shape, pixel = _layout(rays, config)
@@ -175,11 +179,9 @@ def _face_normals(
 
 
 def _classify(
-    rays: _Rays,
-    faces: Int32[np.ndarray, "m 3"],
-    cosine: Float64[np.ndarray, " m"],
+    rays: _Rays, faces: Int32[np.ndarray, "m 3"], cosine: Float64[np.ndarray, " m"]
 ) -> Int32[np.ndarray, " m"]:
-    """The common label of a surface triangle, FREE_ONLY, or NOTHING for wide gaps."""
+    """Label of each triangle: that of its corners if it is surface, else FREE_ONLY or NOTHING."""
     edge, gap = np.zeros(len(faces)), np.zeros(len(faces))
     for i, j in ((0, 1), (1, 2), (2, 0)):
         a, b = faces[:, i], faces[:, j]
@@ -204,10 +206,10 @@ def _vertex_normals(
     is_surface: Bool[np.ndarray, " m"],
     count: int,
 ) -> Float64[np.ndarray, "count 3"]:
-    """Mean of the adjacent surface faces, smoothed: single faces are at the range noise."""
+    """Mean normal of the adjacent surface faces, smoothed against the range noise."""
     normals = np.zeros((count, 3))
     accumulate_vertex_normals(faces, face_normals, is_surface, normals)
-    for _ in range(_NORMAL_ROUNDS):
+    for _ in range(2):
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         normals /= np.where(length > 0, length, 1)
         smoothed = np.zeros_like(normals)

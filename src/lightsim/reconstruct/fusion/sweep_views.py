@@ -1,4 +1,4 @@
-"""Sweeps cut into views: returns seen from nearly one point, labelled by the actor they hit."""
+"""Division of sweeps into views: returns from nearly one point, labelled by actor."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import SWEEP_HOLD_S, LidarSweep
 
+# The values below were chosen on log 002 and synthetic street 0. Only their joint effect is
+# measured (docs/benchmarks/reconstruction.md, test street 1).
+
+# Radius of the returns' origins, relative to the ego vehicle, that belong to one sensor.
 _SENSOR_TOLERANCE_M = 0.4
-_SLICE_OVERLAP = 0.02
-_MIN_VIEW_POINTS = 50
-_BOX_MARGIN_M = 0.12
-"""Labelled boxes are grown by this before returns are assigned to actors."""
-_BOX_FLOOR_M = 0.12
-"""Returns lower than this above a box's underside belong to the ground."""
-
-
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
-# (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
-
-# A sweep is cut in time where the sensor moved further than this.
+# Greatest motion of the sensor during one view, in metres.
 _SLICE_MOTION_M = 0.3
+# Overlap of views in time, as a fraction of the sweep: triangles close the gap between them.
+_SLICE_OVERLAP = 0.02
+# Least number of returns of a view.
+_MIN_VIEW_POINTS = 50
+# Margin in metres around labelled boxes within which returns belong to the actor.
+_BOX_MARGIN_M = 0.12
+# Height in metres above a box's underside below which returns belong to the ground.
+_BOX_FLOOR_M = 0.12
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +37,8 @@ class View:
 
     Args:
         time_ns: mean time.
-        origin_world: mean position of the sensor.
-        points_world: returns.
+        origin_world: mean position of the sensor, metres.
+        points_world: returns, metres.
         labels: 0 static scene, i + 1 for the log's actor i.
     """
 
@@ -48,12 +49,12 @@ class View:
 
 
 def views_of_sweep(log: DrivingLog, sweep: LidarSweep) -> Iterator[View]:
-    """Cut a sweep by sensor and by time, so that each view has nearly one centre."""
+    """Divide a sweep by sensor and by time, so that each view has nearly one centre."""
     labels = label_points(log.actors, sweep)
     sensor = sensor_index(log.ego, sweep)
     for index in range(int(sensor.max(initial=-1)) + 1):
         members = np.flatnonzero(sensor == index)
-        for part in _time_slices(sweep, members, _SLICE_MOTION_M):
+        for part in _time_slices(sweep, members):
             if len(part) >= _MIN_VIEW_POINTS:
                 offset_ns = int(float(sweep.time_offset_s[part].mean()) * 1e9)
                 yield View(
@@ -65,9 +66,10 @@ def views_of_sweep(log: DrivingLog, sweep: LidarSweep) -> Iterator[View]:
 
 
 def sensor_index(ego: Trajectory, sweep: LidarSweep) -> Int64[np.ndarray, " n"]:
-    """Which sensor measured each return, told apart by where it sits on the car.
+    """Return the index of the sensor that measured each return.
 
-    A log may join sensors in one sweep (PandaSet does); their range images must not mix.
+    Sensors are distinguished by their position on the ego vehicle: a sweep may combine several (as
+    in PandaSet), and each requires its own range image.
     """
     seconds = (ego.times_ns - sweep.time_ns) * 1e-9
     position = np.stack(
@@ -83,10 +85,11 @@ def sensor_index(ego: Trajectory, sweep: LidarSweep) -> Int64[np.ndarray, " n"]:
 
 
 def _time_slices(
-    sweep: LidarSweep, members: Int64[np.ndarray, " n"], motion_m: float
+    sweep: LidarSweep, members: Int64[np.ndarray, " n"]
 ) -> Iterator[Int64[np.ndarray, " _m"]]:
     origins = sweep.origins_world[members]
-    count = max(1, int(np.ceil(float(np.linalg.norm(np.ptp(origins, axis=0))) / motion_m)))
+    motion_m = float(np.linalg.norm(np.ptp(origins, axis=0)))
+    count = max(1, int(np.ceil(motion_m / _SLICE_MOTION_M)))
     times = sweep.time_offset_s[members]
     start, end = float(times.min()), float(times.max())
     overlap = _SLICE_OVERLAP * (end - start)
@@ -96,7 +99,7 @@ def _time_slices(
 
 
 def label_points(actors: tuple[ActorTrack, ...], sweep: LidarSweep) -> Int64[np.ndarray, " n"]:
-    """0 for the static scene, i + 1 for returns inside the box of actor i at their own time."""
+    """Label returns: i + 1 inside the box of actor i at the time of the return, else 0."""
     labels = np.zeros(len(sweep.points_world), dtype=np.int64)
     for index, actor in enumerate(actors):
         if actor.is_present(sweep.time_ns, SWEEP_HOLD_S):
@@ -106,7 +109,7 @@ def label_points(actors: tuple[ActorTrack, ...], sweep: LidarSweep) -> Int64[np.
 
 
 def is_inside_box(points_actor: Float64[np.ndarray, "n 3"], actor: ActorTrack) -> np.ndarray:
-    """Inside the grown box and above its floor."""
+    """Return the mask of points inside the enlarged box and above its floor."""
     half = actor.size_lwh_m / 2
     floor = min(_BOX_FLOOR_M, 0.2 * float(actor.size_lwh_m[2]))
     is_within = (np.abs(points_actor) <= half + _BOX_MARGIN_M).all(axis=1)
@@ -114,9 +117,9 @@ def is_inside_box(points_actor: Float64[np.ndarray, "n 3"], actor: ActorTrack) -
 
 
 def centre_line(path_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "m 3"]:
-    """The path thinned to about one point a metre."""
-    kept = [path_m[0]]
+    """Thin the path to about one point a metre."""
+    sparse = [path_m[0]]
     for point in path_m[1:]:
-        if np.linalg.norm(point - kept[-1]) >= 1.0:
-            kept.append(point)
-    return np.array(kept, dtype=np.float64)
+        if np.linalg.norm(point - sparse[-1]) >= 1.0:
+            sparse.append(point)
+    return np.array(sparse, dtype=np.float64)

@@ -1,8 +1,8 @@
 """LiDAR fusion: sweeps into signed-distance grids of the static scene and of every actor.
 
 Range-image fusion after Curless & Levoy 1996 (doi:10.1145/237170.237269), with point-to-plane
-distances and neighbouring beams joined where the surface is continuous. The paper learns a neural
-field here (Sec. 3.1); this is its initialisation and a usable geometry of its own.
+distances and interpolation between neighbouring beams of one surface. The paper trains a neural
+field instead (Sec. 3.1); these grids are its initialisation, and usable geometry without it.
 """
 
 from __future__ import annotations
@@ -16,39 +16,40 @@ from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import SWEEP_HOLD_S
 from lightsim.errors import InputError
 from lightsim.progress import Progress
-from lightsim.reconstruct.fusion.config import FuseConfig, draft, standard
+from lightsim.reconstruct.fusion.config import FuseConfig
 from lightsim.reconstruct.fusion.ground import GroundBuilder
 from lightsim.reconstruct.fusion.range_image import RangeImage, make_range_image
 from lightsim.reconstruct.fusion.sweep_views import centre_line, label_points, views_of_sweep
 from lightsim.reconstruct.fusion.tsdf_kernels import integrate_view, mark_blocks
 
-__all__ = ["FuseConfig", "draft", "fuse_log", "standard"]
+__all__ = ["FuseConfig", "fuse_log"]
 
+# The values below were chosen on log 002 and synthetic street 0. Only their joint effect is
+# measured (docs/benchmarks/reconstruction.md, test street 1).
+
+# Truncation of signed distances, in sample distances.
+TRUNCATION_VOXELS = 3.0
+# Greatest height above the path, in metres.
+MAX_HEIGHT_M = 40.0
+# Overlap of two background levels, in metres, so that their meshes meet.
 _LEVEL_OVERLAP_M = 1.0
+# Margin of an actor's grid around its box, in metres.
 _ACTOR_PADDING_M = 0.2
+# Least number of pixels of an actor in a range image.
 _MIN_VIEW_PIXELS = 12
-
-
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
-# (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
-
-# Distances are clipped to this many samples on either side of a surface.
-_TRUNCATION_VOXELS = 3.0
-# Actors with fewer returns over the whole log get no grid.
+# Least number of returns of an actor over the whole log; others have no grid.
 _ACTOR_MIN_POINTS = 60
-# Actors with fewer returns than this get samples of twice the distance.
+# Number of returns of an actor below which the sample distance is doubled.
 _ACTOR_FINE_POINTS = 4000
-# Cell of the ground map.
+# Size of a cell of the ground map, in metres.
 _GROUND_CELL_M = 0.5
-# Nothing higher than this above the path is fused.
-_MAX_HEIGHT_M = 40.0
 
 
 def fuse_log(log: DrivingLog, config: FuseConfig, *, progress: Progress) -> SceneFields:
-    """Signed-distance grids of the background (frame `world`) and of each actor (frame `actor`).
+    """Fuse a log's sweeps into grids of the background (frame `world`) and actors (frame `actor`).
 
-    Every labelled actor, parked or moving, is cut out of the background. Free space seen by any
-    ray carves away what others left there.
+    All labelled actors, parked or moving, are excluded from the background. Free space along any
+    ray counts against surfaces of other views.
 
     Raises:
         InputError: the log has no sweep, or no return near the path.
@@ -57,7 +58,7 @@ def fuse_log(log: DrivingLog, config: FuseConfig, *, progress: Progress) -> Scen
         raise InputError(
             "the log has no LiDAR sweep",
             where=log.name,
-            remedy="Geometry needs LiDAR: add the sweeps, or choose other frames.",
+            remedy="Geometry requires LiDAR: add the sweeps, or choose other frames.",
         )
     path = centre_line(log.ego.positions_m)
     sweeps = log.sweeps[:: config.every_nth_sweep]
@@ -87,7 +88,7 @@ def fuse_log(log: DrivingLog, config: FuseConfig, *, progress: Progress) -> Scen
 def find_ground(
     log: DrivingLog, path: Float64[np.ndarray, "n 3"], reach_m: float, progress: Progress
 ) -> tuple[GroundMap, Float64[np.ndarray, " a"]]:
-    """The ground map up to `reach_m` from the path, and how many returns each label received."""
+    """Return the ground map up to `reach_m` from the path, and the number of returns by label."""
     builder = GroundBuilder(path, reach_m, _GROUND_CELL_M)
     counts = np.zeros(len(log.actors) + 1)
     for lazy in progress.track(log.sweeps, "find the ground", len(log.sweeps)):
@@ -99,7 +100,7 @@ def find_ground(
 
 
 class _Blocks:
-    """A growing set of blocks over a fixed box of space."""
+    """Growing set of blocks of a grid, with the running means of their samples."""
 
     def __init__(
         self, frame: str, origin_m: Float64[np.ndarray, "3"], voxel_m: float, truncation_m: float
@@ -113,7 +114,7 @@ class _Blocks:
         self.weight = np.zeros((0, BLOCK, BLOCK, BLOCK), dtype=np.float32)
 
     def grow(self, coords: Int32[np.ndarray, "b 3"]) -> None:
-        """Appends unobserved blocks."""
+        """Append unobserved blocks."""
         fresh = np.zeros((len(coords), BLOCK, BLOCK, BLOCK), dtype=np.float32)
         self.coords = np.concatenate([self.coords, coords])
         self.sdf = np.concatenate([self.sdf, fresh])
@@ -126,7 +127,7 @@ class _Blocks:
         world_from_grid: Float64[np.ndarray, "4 4"],
         furthest_m: float,
     ) -> None:
-        """Averages a view's truncated signed distances to `target` into all blocks."""
+        """Average a view's truncated signed distances to label `target` into all blocks."""
         grid = (*self.origin_m.tolist(), self.voxel_m, self.truncation_m, furthest_m)
         integrate_view(
             self.coords,
@@ -142,7 +143,7 @@ class _Blocks:
         )
 
     def grid(self) -> TsdfGrid:
-        """The blocks so far, in the order of their coordinates."""
+        """Return the blocks so far, in the order of their coordinates."""
         order = np.lexsort(self.coords.T[::-1])
         return TsdfGrid(
             self.frame,
@@ -156,32 +157,29 @@ class _Blocks:
 
 
 class _Level:
-    """One resolution of the background: a ring around the path, blocks where surfaces are."""
+    """One resolution of the background: blocks near surfaces within a ring around the path."""
 
     def __init__(
-        self,
-        index: int,
-        path: Float64[np.ndarray, "n 3"],
-        ground: GroundMap,
-        config: FuseConfig,
+        self, index: int, path: Float64[np.ndarray, "n 3"], ground: GroundMap, config: FuseConfig
     ) -> None:
         voxel, outer = config.voxel_m[index], config.radius_m[index]
         inner = config.radius_m[index - 1] - _LEVEL_OVERLAP_M if index else 0.0
         self._band = (max(inner, 0.0), outer)
         self._path = path
+        # Surfaces inside the ring may be observed from 30 m further along the path.
         self._reach = outer + 30.0
         low = path.min(axis=0) - outer
         low[2] = float(ground.height_m.min()) - 2.0
         high = path.max(axis=0) + outer
-        high[2] = float(path[:, 2].max()) + _MAX_HEIGHT_M
+        high[2] = float(path[:, 2].max()) + MAX_HEIGHT_M
         self._block_m = voxel * BLOCK
         low = np.floor(low / self._block_m) * self._block_m
         shape = np.ceil((high - low) / self._block_m).astype(np.int64)
         self._table: Bool[np.ndarray, "x y z"] = np.zeros(tuple(shape.tolist()), dtype=bool)
-        self._blocks = _Blocks("world", low, voxel, voxel * _TRUNCATION_VOXELS)
+        self._blocks = _Blocks("world", low, voxel, voxel * TRUNCATION_VOXELS)
 
     def add(self, image: RangeImage, points_world: Float64[np.ndarray, "n 3"]) -> None:
-        """Opens blocks around the points, then integrates the view into all of them."""
+        """Add blocks around the points, then integrate the view into all blocks."""
         blocks = self._blocks
         before = self._table.copy()
         mark_blocks(
@@ -197,31 +195,31 @@ class _Level:
         blocks.integrate(image, 0, np.eye(4), self._reach)
 
     def grid(self) -> TsdfGrid:
-        """The level so far."""
+        """Return the level so far."""
         return self._blocks.grid()
 
 
 class _ActorFusion:
-    """The dense little grid of one actor, in its box frame."""
+    """Dense grid of one actor, in its box frame."""
 
     def __init__(self, actor: ActorTrack, config: FuseConfig, returns: int) -> None:
         self._actor = actor
         low = -actor.size_lwh_m / 2 - _ACTOR_PADDING_M
         extent = actor.size_lwh_m + 2 * _ACTOR_PADDING_M
-        # Few returns mean a distant actor: finer samples would hold nothing but noise.
+        # Few returns indicate a distant actor, where finer samples would contain only noise.
         voxel = config.actor_voxel_m * (1.0 if returns >= _ACTOR_FINE_POINTS else 2.0)
         shape = np.ceil(extent / (voxel * BLOCK)).astype(np.int64)
         # Symmetric about y = 0, so that completion can mirror samples exactly.
         low[1] = -voxel * (BLOCK * shape[1] - 1) / 2
-        self._blocks = _Blocks("actor", low.astype(np.float64), voxel, voxel * _TRUNCATION_VOXELS)
+        self._blocks = _Blocks("actor", low.astype(np.float64), voxel, voxel * TRUNCATION_VOXELS)
         self._blocks.grow(np.argwhere(np.ones(tuple(shape.tolist()), dtype=bool)).astype(np.int32))
 
     def add(self, image: RangeImage, label: int) -> None:
-        """Integrates the view's returns of `label` where the actor is present at its time."""
+        """Integrate the view's returns of `label` if the actor is present at its time."""
         if self._actor.is_present(image.time_ns, SWEEP_HOLD_S):
             pose = self._actor.world_from_actor(image.time_ns, SWEEP_HOLD_S).matrix
             self._blocks.integrate(image, label, pose, 120.0)
 
     def grid(self) -> TsdfGrid:
-        """The actor so far, in its box frame."""
+        """Return the actor's grid so far, in its box frame."""
         return self._blocks.grid()

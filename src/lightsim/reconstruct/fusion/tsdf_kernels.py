@@ -1,6 +1,6 @@
 """Compiled loops of the fusion: triangles into range images, range images into blocks.
 
-`no_type_check` keeps the tests' run-time type checker out of compiled code.
+`no_type_check` excludes compiled code from the run-time type checks of the tests.
 """
 
 from __future__ import annotations
@@ -11,17 +11,16 @@ from typing import no_type_check
 import numpy as np
 from numba import njit, prange
 
+# Label of a pixel without evidence.
 NOTHING = -2
-"""label of a pixel without any evidence."""
+# Label of a pixel with free space up to its distance and no surface.
 FREE_ONLY = -1
-"""label of a pixel that proves free space up to its distance and no surface."""
-_EPSILON = 1e-9
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
 def _direction(pixel, row, column):
-    """Unit direction of a pixel's centre."""
+    """Return the unit direction of a pixel's centre."""
     elevation = pixel[0] + row * pixel[2]
     azimuth = pixel[1] + column * pixel[3]
     flat = math.cos(elevation)
@@ -31,7 +30,7 @@ def _direction(pixel, row, column):
 @njit(cache=True, nogil=True)
 @no_type_check
 def _fractions(row, column, a, b, c, area):
-    """Barycentric fractions of three (row, column) corners at a pixel."""
+    """Return the barycentric coordinates of a pixel in three (row, column) corners."""
     w1 = ((row - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (column - a[1])) / area
     w2 = ((b[0] - a[0]) * (column - a[1]) - (row - a[0]) * (b[1] - a[1])) / area
     return 1.0 - w1 - w2, w1, w2
@@ -42,11 +41,11 @@ def _fractions(row, column, a, b, c, area):
 def _draw(  # noqa: PLR0913 - compiled code takes plain arrays
     corners, distances, normals, plane, pixel, label, info, image, label_image
 ):
-    """Draw one triangle; the arguments are those of its three corners."""
+    """Draw one triangle into the range image, given the values at its three corners."""
     height, width = label_image.shape
     a, b, c = corners[0], corners[1], corners[2]
     area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
-    if abs(area) < _EPSILON:
+    if abs(area) < 1e-9:
         return
     first_row = max(0, math.ceil(corners[:, 0].min()))
     last_row = min(height - 1, math.floor(corners[:, 0].max()))
@@ -64,9 +63,10 @@ def _draw(  # noqa: PLR0913 - compiled code takes plain arrays
                     label_image[row, column] = FREE_ONLY
                 continue
             x, y, z = _direction(pixel, row, unwrapped)
+            # Distance to the triangle's plane, unless the ray is nearly parallel to it.
             slope = plane[0] * x + plane[1] * y + plane[2] * z
             distance = distances[0] * w0 + distances[1] * w1 + distances[2] * w2
-            if abs(slope) > _EPSILON and 0.5 * distance < plane[3] / slope < 2.0 * distance:
+            if abs(slope) > 1e-9 and 0.5 * distance < plane[3] / slope < 2.0 * distance:
                 distance = plane[3] / slope
             if old >= 0 and pixel_out[0] <= distance:
                 continue
@@ -81,12 +81,12 @@ def _draw(  # noqa: PLR0913 - compiled code takes plain arrays
 def rasterise_triangles(  # noqa: PLR0913 - compiled code takes plain arrays
     corners_px, directions, distances, normals, faces, labels, face_info, pixel, image, label_image
 ):
-    """Draw triangles of a sweep into a range image, the nearest surface winning.
+    """Draw triangles of a view into a range image; the nearest surface wins.
 
     `corners_px` holds (row, column) of each return. `pixel` = (first elevation, first azimuth,
-    elevation step, azimuth step) in radians. `face_info` holds each face's nearest distance and
-    whether it is ground. `image` [h, w, 5] receives distance, normal and the ground flag. A face
-    with label FREE_ONLY draws its nearest distance alone, and only where nothing was.
+    elevation step, azimuth step) in radians. `face_info` holds each face's nearest distance and its
+    ground flag. `image` [h, w, 5] receives distance, normal and the ground flag. A face with label
+    FREE_ONLY only draws its nearest distance, and only into pixels without a surface.
     """
     plane = np.zeros(4)
     for f in range(faces.shape[0]):
@@ -114,10 +114,11 @@ def rasterise_triangles(  # noqa: PLR0913 - compiled code takes plain arrays
 @njit(cache=True, nogil=True)
 @no_type_check
 def _evidence(x, y, z, distance, seen, ray, truncation):
-    """Signed distance and confidence that a pixel gives a sample at (x, y, z) from the view.
+    """Return the signed distance and confidence of a sample at (x, y, z), given its pixel.
 
-    Behind a surface the evidence fades: across the surface for the ground (seen at grazing
-    angles), along the ray for anything else, lest silhouettes grow tails.
+    Behind a surface the confidence decreases: with the distance across the surface on the ground,
+    which is observed at grazing angles, and also along the ray elsewhere, which prevents false
+    surface behind silhouettes.
     """
     measured = seen[0]
     nx, ny, nz = seen[1], seen[2], seen[3]
@@ -132,6 +133,7 @@ def _evidence(x, y, z, distance, seen, ray, truncation):
         depth = max(0.5 * (distance - measured), -signed) / truncation
     if depth > 1.0:
         return 0.0, 0.0
+    # Beams diverge: returns at 30 m have half of the confidence.
     confidence = cosine / (1.0 + (measured / 30.0) ** 2)
     confidence *= min(1.0, max(0.1, 1.0 - depth))
     return min(signed, truncation), confidence
@@ -142,11 +144,11 @@ def _evidence(x, y, z, distance, seen, ray, truncation):
 def integrate_view(  # noqa: PLR0913 - compiled code takes plain arrays
     block_coords, sdf, weight, grid, rotation, shift, pixel, image, label_image, target
 ):
-    """Fuse one range image into the blocks of a grid: weighted running mean of the distances.
+    """Fuse one range image into the blocks of a grid by weighted running means.
 
     `grid` = (origin x, y, z, voxel, truncation, largest distance). `rotation`, `shift` map grid
-    coordinates to world axes relative to the view's origin. Pixels whose label is not `target`
-    only prove free space in front of them.
+    coordinates to world axes relative to the view's origin. Pixels of another label than `target`
+    only indicate free space in front of their surface.
     """
     height, width = label_image.shape
     voxel, truncation, furthest = grid[3], grid[4], grid[5]
@@ -183,8 +185,10 @@ def integrate_view(  # noqa: PLR0913 - compiled code takes plain arrays
 @njit(cache=True, nogil=True)
 @no_type_check
 def mark_blocks(points, origin, block_m, reach_m, radius_band, path, table):
-    """Set `table` true for each block within `reach_m` of a point (per axis) whose horizontal
-    distance from `path` lies in `radius_band`."""
+    """Mark blocks in `table` within `reach_m` (per axis) of the points near the path.
+
+    The horizontal distance of these points from `path` lies in `radius_band`.
+    """
     nx, ny, nz = table.shape
     low, high = radius_band[0] ** 2, radius_band[1] ** 2
     for p in range(points.shape[0]):
@@ -220,7 +224,7 @@ def accumulate_vertex_normals(faces, face_normals, is_surface, normals):
 @njit(cache=True, nogil=True)
 @no_type_check
 def smooth_vertex_normals(faces, is_surface, normals, smoothed):
-    """One round: each corner receives the sum of its faces' corner normals."""
+    """Sum into each corner the corner normals of its faces (one round of smoothing)."""
     for f in range(faces.shape[0]):
         if not is_surface[f]:
             continue

@@ -1,4 +1,4 @@
-"""The hash grid on the CPU: compiled loops over the memory of torch tensors, on several threads."""
+"""Hash grid on the CPU: compiled loops over the memory of torch tensors, on several threads."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from lightsim.reconstruct.field.hash_grid.threads import for_each, for_ranges
 if TYPE_CHECKING:
     from lightsim.reconstruct.field.hash_grid.spec import HashGridSpec
 
+# Least number of points of a thread's task: smaller tasks cost more than they save.
 _SMALLEST_PART = 1024
 
 
@@ -25,7 +26,7 @@ def look_up(
     salt: Int64[Tensor, "n"] | None,
     spec: HashGridSpec,
 ) -> Float32[Tensor, "n d"]:
-    """Features of points; see `hash_grid.hash_encode`."""
+    """Return the features of points; see `grid.hash_encode`."""
     out = torch.empty((len(points), spec.output_dim))
     arrays = _flat(points), _salt_bits(salt, len(points)), _flat(table)
     scales, features, target = spec.cells_per_m(), (0,) * spec.features, _flat(out)
@@ -44,7 +45,7 @@ def point_gradient(
     spec: HashGridSpec,
     upstream: Float32[Tensor, "n d"],
 ) -> Float32[Tensor, "n 3"]:
-    """d loss / d points, from `upstream` = d loss / d features."""
+    """Return d loss / d points, given `upstream` = d loss / d features."""
     out = torch.empty((len(points), 3))
     arrays = _flat(points), _salt_bits(salt, len(points)), _flat(table)
     scales, features = spec.cells_per_m(), (0,) * spec.features
@@ -64,7 +65,7 @@ def scatter(
     upstream: Float32[Tensor, "n d"],
     sparse: SparseGradient,
 ) -> None:
-    """Add d loss / d table to `sparse`. Each level belongs to one thread: always the same sum."""
+    """Add d loss / d table to `sparse`. One thread per level makes the sum deterministic."""
     arrays = _flat(points), _salt_bits(salt, len(points)), spec.cells_per_m()
     features, source = (0,) * spec.features, _flat(upstream)
     values, is_touched = _flat(sparse.values), sparse.is_touched.numpy()
@@ -72,12 +73,12 @@ def scatter(
     def part(level: int) -> None:
         kernels.scatter(*arrays, features, level, source, values, is_touched)
 
-    # The finest level takes longest; started last, the other threads would wait for it.
+    # The finest level takes longest and starts first, so that no thread waits for it at the end.
     for_each(part, [(level,) for level in reversed(range(spec.levels))])
 
 
 def _flat(tensor: Float32[Tensor, "n k"]) -> Float32[np.ndarray, "nk"]:
-    """The tensor's own memory."""
+    """Flat NumPy view of the tensor's memory."""
     return tensor.detach().numpy().reshape(-1)
 
 

@@ -1,7 +1,7 @@
-"""Multi-resolution hash grid: learned features of points, interpolated from a table of entries.
+"""Multi-resolution hash grid: trained features of points, interpolated from a table of entries.
 
-Three implementations give the same features and gradients: plain torch (the readable one, and the
-reference in the tests), compiled loops on the CPU (numba: no compiler needed) and Triton on CUDA.
+Three implementations yield equal features and gradients: plain torch (the readable one, and the
+reference in the tests), compiled loops on the CPU (numba: no compiler required), Triton on CUDA.
 
 References: Mueller et al., Instant neural graphics primitives (doi:10.1145/3528223.3530127),
 section 3; used by UniSim (doi:10.1109/CVPR52729.2023.00140) and LightSim for the scene field.
@@ -24,20 +24,17 @@ from lightsim.reconstruct.field.hash_grid.sparse_gradient import (
     sparse_gradient_of,
     zeros_on,
 )
-from lightsim.reconstruct.field.hash_grid.spec import HashGridSpec
+from lightsim.reconstruct.field.hash_grid.spec import PRIMES, SALT_PRIME, HashGridSpec
 
 Implementation = Literal["auto", "torch", "numba", "triton"]
-PRIMES = (1, 2654435761, 805459861)
-"""Factors of the x, y and z cell in the hash (Mueller et al., equation 4)."""
-SALT_PRIME = 3674653429
 
 
 def make_table(
     spec: HashGridSpec, generator: torch.Generator, device: torch.device | str = "cpu"
 ) -> torch.nn.Parameter:
-    """A new table [levels * entries, features], uniform in +-1e-4 (Mueller et al., section 4).
+    """Make a table [levels * entries, features], uniform in +-1e-4 (Mueller et al., section 4).
 
-    The generator is a CPU one, so that a seed gives the same table on every device.
+    The generator is on the CPU, so that a seed yields one table on every device.
     """
     table = zeros_on("cpu", spec.table_shape())
     table.uniform_(-1e-4, 1e-4, generator=generator)
@@ -52,18 +49,18 @@ def hash_encode(
     salt: Int64[Tensor, "n"] | None = None,
     implementation: Implementation = "auto",
 ) -> Float[Tensor, "n d"]:
-    """Features of points: per level, the trilinear mean of the entries at the cell's corners.
+    """Return the features of points: trilinear means of the entries at the corners of their cells.
 
-    Differentiable once, in the table and in the points. Where `SparseAdam` manages the table, the
+    Differentiable once, in the table and in the points. If `SparseAdam` manages the table, the
     compiled implementations add its gradient to `SparseAdam.gradient` and leave `table.grad` None;
-    otherwise it arrives in `table.grad` as usual.
+    otherwise they write `table.grad` as usual.
 
     Args:
         points: float32, metres, any sign, up to 2^31 cells from the origin.
-        table: float32, of `spec.table_shape()`, level after level.
+        table: float32, shape `spec.table_shape()`, level after level.
         spec: size of the grid.
-        salt: number of the grid that each point belongs to: actors share the table and have their
-            own entries in it. None is 0 for all.
+        salt: number of each point's grid: several grids, such as those of actors, can use one
+            table. None is 0 for all.
         implementation: "auto" is numba on the CPU and Triton on CUDA.
 
     Returns:
@@ -71,7 +68,7 @@ def hash_encode(
 
     Raises:
         InputError: wrong type, shape or device, or an implementation for another device.
-        MissingDependencyError: CUDA tensors and no Triton.
+        MissingDependencyError: CUDA tensors without Triton.
     """
     _check(points, table, spec, salt)
     if implementation == "auto":
@@ -97,7 +94,7 @@ def encode_plainly(
     *,
     salt: Int64[Tensor, "n"] | None = None,
 ) -> Float[Tensor, "n d"]:
-    """The same as `hash_encode`, in plain torch and any float type: the definition of the grid."""
+    """Encode as `hash_encode`, in plain torch and any float type: the definition of the grid."""
     size = 2**spec.log2_entries
     corners = torch.tensor([[c & 1, c >> 1 & 1, c >> 2] for c in range(8)], device=points.device)
     grids = table.reshape(spec.levels, size, spec.features).unbind()
@@ -121,7 +118,7 @@ def _hash(corner: Int64[Tensor, "n 3"], salt: Int64[Tensor, "n"] | None) -> Int6
 
 
 class _Encode(torch.autograd.Function):
-    """Hands contiguous tensors to the compiled implementation of their device."""
+    """Autograd function of the compiled implementation on the device of contiguous tensors."""
 
     @staticmethod
     def forward(
@@ -132,7 +129,7 @@ class _Encode(torch.autograd.Function):
         spec: HashGridSpec,
         sparse: SparseGradient | None,
     ) -> Tensor:
-        """Features [n, levels * features] of points [n, 3] in metres."""
+        """Return features [n, levels * features] of points [n, 3] in metres."""
         ctx.save_for_backward(points, table, salt)
         ctx.spec, ctx.sparse = spec, sparse
         return _backend(points).look_up(points, table, salt, spec)
@@ -142,7 +139,7 @@ class _Encode(torch.autograd.Function):
     def backward(  # pyright: ignore[reportIncompatibleMethodOverride] - decorated
         ctx: Any, *upstreams: Tensor
     ) -> tuple[Tensor | None, ...]:
-        """Gradients of points and table; the table's is None where `sparse` collects it."""
+        """Return the gradients of points and table; None for a table with a sparse gradient."""
         points, table, salt = ctx.saved_tensors
         upstream = upstreams[0].contiguous()
         backend = _backend(points)
@@ -159,7 +156,7 @@ class _Encode(torch.autograd.Function):
 
 
 def _backend(points: Tensor) -> ModuleType:
-    """The module of compiled loops for a device: look_up, scatter, point_gradient."""
+    """Module of compiled loops for a device: look_up, scatter, point_gradient."""
     if not points.is_cuda:
         return hash_grid_cpu
     from lightsim.reconstruct.field.hash_grid import triton_kernels
@@ -171,7 +168,7 @@ def _check(points: Tensor, table: Tensor, spec: HashGridSpec, salt: Tensor | Non
     for name, tensor in (("points", points), ("table", table)):
         if tensor.dtype != torch.float32:
             raise InputError(
-                f"the hash grid takes single precision {name}",
+                f"the hash grid requires single precision {name}",
                 got=tensor.dtype,
                 expected="torch.float32",
                 remedy=f"Convert with {name}.float().",
@@ -186,7 +183,7 @@ def _check(points: Tensor, table: Tensor, spec: HashGridSpec, salt: Tensor | Non
     others = [table] if salt is None else [table, salt]
     if any(tensor.device != points.device for tensor in others):
         raise InputError(
-            "points, table and salt of the hash grid lie on several devices",
+            "points, table and salt of the hash grid are on several devices",
             got=[str(tensor.device) for tensor in (points, *others)],
             expected="one device",
             remedy="Move them with .to(device).",

@@ -1,13 +1,13 @@
 """Compiled loops of the hash grid: look up, scatter gradients, update touched entries.
 
-Every loop works on flat arrays, releases the interpreter lock and writes only to the part that its
-caller assigns to it, so that threads need no atomics and results do not depend on their number.
-Points are taken in tiles: cells and weights of a tile are computed first (the compiler turns that
-into vector instructions), then the entries are visited. Almost every visit misses the caches, so
-entries are asked for some points ahead; that saves up to half of the time.
+Every loop uses flat arrays, releases the interpreter lock and writes only to the range of its
+caller, so that threads require no atomics and results do not depend on their number. Points are
+processed in tiles: first the cells and weights of a tile, which the compiler vectorises, then the
+entries. Almost every access to an entry misses the caches, so entries are prefetched some points
+ahead, which saves up to half of the time.
 
-`features` is a tuple of zeros: its length is known when a loop is compiled.
-`no_type_check` keeps the tests' run-time type checker out of compiled code.
+`features` is a tuple of zeros, whose length is a constant of the compiled loop.
+`no_type_check` excludes compiled code from the run-time type checks of the tests.
 """
 
 from __future__ import annotations
@@ -19,23 +19,32 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
+from lightsim.reconstruct.field.hash_grid.spec import PRIMES, SALT_PRIME
+
+# Entries of one mark: with two features, the gradients of one cache line.
 BLOCK_ENTRIES = 8
-"""Entries that share one mark: with two features just one cache line of gradients."""
-PRIME_Y = np.uint32(2654435761)
-PRIME_Z = np.uint32(805459861)
-PRIME_SALT = np.uint32(3674653429)
+# Factor of the y cell in the hash; overflow of 32 bits is part of it.
+PRIME_Y = np.uint32(PRIMES[1])
+# Factor of the z cell.
+PRIME_Z = np.uint32(PRIMES[2])
+PRIME_SALT = np.uint32(SALT_PRIME)
+# Points of a tile: its intermediate results fit the first-level cache.
 _TILE = 256
+# Distance of prefetched entries in points, and of prefetched blocks below: chosen by running time.
 _POINTS_AHEAD = 16
+# Distance of prefetched blocks of entries.
 _BLOCKS_AHEAD = 6
+# One and zero in single precision: plain literals would promote sums to double precision.
 _ONE = np.float32(1.0)
+# See `_ONE`.
 _ZERO = np.float32(0.0)
+# Fused operations may differ in the last bit from plain torch; divisions by zero are not checked.
 _compile: Any = njit(cache=True, nogil=True, fastmath={"contract", "nsz"}, error_model="numpy")
-"""Rounding may differ in the last bit from plain torch; a division by zero is not looked for."""
 
 
 @intrinsic
 def _fetch(_context: Any, array: Any, index: Any) -> Any:
-    """Ask for the cache line of array[index] without waiting for it."""
+    """Prefetch the cache line of array[index]."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         values = context.make_array(signature.args[0])(context, builder, arguments[0])
@@ -43,6 +52,7 @@ def _fetch(_context: Any, array: Any, index: Any) -> Any:
         place = builder.bitcast(builder.gep(values.data, [arguments[1]]), byte)
         kind = ir.FunctionType(ir.VoidType(), [byte, word, word, word])
         prefetch = builder.module.declare_intrinsic("llvm.prefetch", [byte], kind)
+        # Read access, highest locality, data cache.
         builder.call(prefetch, [place, word(0), word(3), word(1)])
         return context.get_dummy_value()
 
@@ -52,7 +62,7 @@ def _fetch(_context: Any, array: Any, index: Any) -> Any:
 @_compile
 @no_type_check
 def _take(points, salt, start, count, place, bits):
-    """Copy a tile of points, coordinate after coordinate, and of salts."""
+    """Copy a tile of points, coordinate after coordinate, and their salts."""
     for p in range(count):
         place[p] = points[3 * (start + p)]
         place[_TILE + p] = points[3 * (start + p) + 1]
@@ -63,7 +73,7 @@ def _take(points, salt, start, count, place, bits):
 @_compile
 @no_type_check
 def _locate(place, bits, count, scale, mask, entry, weight):
-    """Fill `entry` and `weight`, a tile for each corner of the points' cells: x, then y, then z."""
+    """Write entry and weight of the corners of the points' cells, a tile per corner, x fastest."""
     for p in range(count):
         x, y, z = place[p] * scale, place[_TILE + p] * scale, place[2 * _TILE + p] * scale
         floor_x, floor_y, floor_z = np.floor(x), np.floor(y), np.floor(z)
@@ -88,7 +98,7 @@ def _locate(place, bits, count, scale, mask, entry, weight):
 @_compile
 @no_type_check
 def _fetch_ahead(values, first_value, features, entry, count, p):
-    """Ask for the entries of a point that comes later in the tile."""
+    """Prefetch the entries of a later point of the tile."""
     later = min(p + _POINTS_AHEAD, count - 1)
     for corner in range(8):
         i = np.uint64(entry[corner * _TILE + later]) * np.uint64(len(features))
@@ -98,7 +108,7 @@ def _fetch_ahead(values, first_value, features, entry, count, p):
 @_compile
 @no_type_check
 def look_up(points, salt, table, scales, features, first, last, out):
-    """Interpolated features of points first to last, into `out` [n * levels * features]."""
+    """Write the features of points first to last into `out` [n * levels * features]."""
     levels, width = len(scales), np.uint64(len(features))
     size = len(table) // (levels * len(features))
     place, bits = np.empty(3 * _TILE, np.float32), np.empty(_TILE, np.uint32)
@@ -112,7 +122,7 @@ def look_up(points, salt, table, scales, features, first, last, out):
             for p in range(count):
                 _fetch_ahead(table, first_value, features, entry, count, p)
                 row = out[((start + p) * levels + level) * len(features) :]
-                # Two features at a time: the compiler keeps both sums in one register.
+                # Two features at a time: the compiler holds both sums in one register.
                 for k in range(0, len(features) - 1, 2):
                     even, odd = _ZERO, _ZERO
                     for corner in range(8):
@@ -131,7 +141,7 @@ def look_up(points, salt, table, scales, features, first, last, out):
 @_compile
 @no_type_check
 def scatter(points, salt, scales, features, level, upstream, gradient, is_touched):
-    """Add d loss / d entries of one level to `gradient` and mark the blocks written."""
+    """Add d loss / d entries of one level to `gradient`, and mark the written blocks."""
     levels, width = len(scales), np.uint64(len(features))
     size = len(gradient) // (levels * len(features))
     place, bits = np.empty(3 * _TILE, np.float32), np.empty(_TILE, np.uint32)
@@ -154,7 +164,7 @@ def scatter(points, salt, scales, features, level, upstream, gradient, is_touche
 @_compile
 @no_type_check
 def _add_slopes(x, y, z, pull, slopes):
-    """Add the derivatives of the trilinear mean of `pull`, corner values of a unit cell."""
+    """Add the gradient of the trilinear mean of `pull`, the corner values of a unit cell."""
     u1, v1, w1 = x - np.floor(x), y - np.floor(y), z - np.floor(z)
     u0, v0, w0 = _ONE - u1, _ONE - v1, _ONE - w1
     a, b, c, d = pull[0], pull[1], pull[2], pull[3]
@@ -169,7 +179,7 @@ def _add_slopes(x, y, z, pull, slopes):
 def point_gradient(  # noqa: PLR0913 - compiled code takes plain arrays
     points, salt, table, scales, features, first, last, upstream, out
 ):
-    """d loss / d points first to last into `out` [n * 3]: the slope of the interpolation."""
+    """Write d loss / d points first to last into `out` [n * 3]."""
     levels, width = len(scales), np.uint64(len(features))
     size = len(table) // (levels * len(features))
     place, bits = np.empty(3 * _TILE, np.float32), np.empty(_TILE, np.uint32)
@@ -201,14 +211,15 @@ def point_gradient(  # noqa: PLR0913 - compiled code takes plain arrays
 def update_touched(  # noqa: PLR0913 - compiled code takes plain arrays
     values, gradient, first_moment, second_moment, is_touched, features, first, last, rates
 ):
-    """Adam on every marked block from first to last; clears its gradient and its mark.
+    """Apply Adam to every marked block from first to last; clear its gradient and mark.
 
     `rates` holds beta1, beta2, step size, 1 / sqrt of the second bias correction and epsilon.
-    Values whose gradient is exactly zero keep their moments.
+    Moments of values with a gradient of exactly zero are unchanged.
     """
     beta1, beta2, step_size, correction, epsilon = rates
     starts = np.empty(last - first + 1, np.uint64)
     count = 0
+    # Without a branch: an unmarked block's start is overwritten by the next.
     for block in range(first, last):
         starts[count] = np.uint64(block) * np.uint64(BLOCK_ENTRIES * len(features))
         count += is_touched[block]

@@ -1,4 +1,4 @@
-"""Adam for hash tables: only entries that a batch reached are read, updated and cleared."""
+"""Adam for hash tables: only entries that a batch reaches are read, updated and cleared."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from lightsim.reconstruct.field.hash_grid.threads import for_ranges
 
 
 class SparseAdam:
-    """Adam that leaves values without gradient, and their moments, untouched.
+    """Adam that does not change values without a gradient, nor their moments.
 
-    Where every value has a gradient it equals `torch.optim.Adam` (Kingma & Ba 2015,
-    arXiv:1412.6980, algorithm 1). From now on compiled
-    `hash_encode` calls on `table` add to a sparse gradient beside it, not to `table.grad`, which
-    only the plain torch implementation fills. `step` uses the sum of both and clears both.
+    If every value has a gradient, it equals `torch.optim.Adam` (Kingma & Ba 2015, arXiv:1412.6980,
+    algorithm 1). Afterwards compiled `hash_encode` calls on `table` add to a sparse gradient
+    instead of `table.grad`, which only the plain torch implementation writes. `step` uses the sum
+    of both and clears both.
 
     Args:
         table: [entries, features] float32; entries a multiple of `BLOCK_ENTRIES`.
-        learning_rate: step size; `param_groups[0]["lr"]` afterwards, as torch's optimisers have it.
+        learning_rate: step size; later in `param_groups[0]["lr"]`, as in torch's optimisers.
         betas: decay of the first and second moment.
         eps: added to the root of the second moment.
 
@@ -58,7 +58,7 @@ class SparseAdam:
 
     @torch.no_grad()
     def step(self) -> None:
-        """Move the table along its gradient, then forget the gradient."""
+        """Update the table by its gradient, then clear the gradient."""
         rate = self.param_groups[0]["lr"]
         self.steps += 1
         beta1, beta2 = self.betas
@@ -78,13 +78,13 @@ class SparseAdam:
             self._step_blocks(rates)
 
     def zero_grad(self) -> None:
-        """Forget the gradient gathered so far."""
+        """Clear the gradient."""
         self.table.grad = None
         self.gradient.values.zero_()
         self.gradient.is_touched.zero_()
 
     def state_dict(self) -> dict[str, Any]:
-        """What a resumed training needs besides the table; gradients are not kept."""
+        """Return the optimiser's state for a resumed training, without the table and gradients."""
         return {
             "steps": self.steps,
             "learning_rate": self.param_groups[0]["lr"],

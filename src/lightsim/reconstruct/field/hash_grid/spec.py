@@ -1,4 +1,4 @@
-"""Size of a hash grid; apart from hash_grid.py so that a configuration loads no torch."""
+"""Size and hash function of a hash grid; a module of its own, so that settings load no torch."""
 
 from __future__ import annotations
 
@@ -10,20 +10,25 @@ from jaxtyping import Float32
 
 from lightsim.errors import InputError
 
+# Factors of the x, y and z cell in the hash (Mueller et al., equation 4).
+PRIMES = (1, 2654435761, 805459861)
+# Factor of the salt in the hash: the next prime of instant-ngp's list.
+SALT_PRIME = 3674653429
+
 
 @dataclass(frozen=True)
 class HashGridSpec:
-    """Size of a hash grid; cell sizes shrink geometrically between the two ends.
+    """Size of a hash grid; cell sizes decrease geometrically from coarsest to finest.
 
     Mueller et al. 2022 (doi:10.1145/3528223.3530127), equations 2 and 3, without the rounding.
     """
 
     levels: int = 12
-    """Grids of different cell size."""
+    """Number of grids of different cell size."""
     features: int = 2
-    """Numbers per entry."""
+    """Values per entry."""
     log2_entries: int = 20
-    """Entries per level, as a power of two; all levels are hashed."""
+    """Base-2 logarithm of the entries per level; all levels are hashed."""
     coarsest_m: float = 4.0
     """Cell size of the first level."""
     finest_m: float = 0.1
@@ -40,14 +45,14 @@ class HashGridSpec:
 
     @property
     def output_dim(self) -> int:
-        """Features of one point over all levels."""
+        """Return the number of features of one point over all levels."""
         return self.levels * self.features
 
     def table_shape(self) -> tuple[int, int]:
-        """(entries over all levels, features)."""
+        """Return (entries over all levels, features)."""
         return self.levels * 2**self.log2_entries, self.features
 
     def cells_per_m(self) -> Float32[np.ndarray, "levels"]:
-        """Inverse cell size of each level, coarsest first."""
+        """Return the inverse cell size of each level, coarsest first."""
         sizes = np.geomspace(self.coarsest_m, self.finest_m, self.levels)
         return (1.0 / sizes).astype(np.float32)

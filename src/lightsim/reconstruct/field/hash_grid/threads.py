@@ -1,7 +1,8 @@
 """Threads for compiled loops that release the interpreter lock.
 
-numba's own parallel loops are not used: its portable scheduler aborts the process when two threads
-launch loops at the same time, its OpenMP one refuses forks and spins against torch's.
+numba's parallel loops are not used: its portable scheduler aborts the process when two threads
+launch loops at the same time; its OpenMP scheduler refuses forks, and its waiting threads compete
+with torch's.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
 def for_each(work: Callable[..., None], tasks: Sequence[tuple]) -> None:
-    """Call `work(*task)` for every task, on as many threads as torch uses; wait for all."""
+    """Call `work(*task)` for every task, on as many threads as torch, and wait for all."""
     workers = torch.get_num_threads()
     if workers == 1 or len(tasks) <= 1:
         for task in tasks:

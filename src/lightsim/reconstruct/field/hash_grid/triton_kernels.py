@@ -1,7 +1,7 @@
-"""The hash grid on CUDA, in Triton. Import this file only where there is a CUDA device.
+"""Hash grid on CUDA, in Triton. Import this file only on a machine with a CUDA device.
 
-Gradients of the table are sums by atomics: their order, and with it the last bits, varies.
-`no_type_check` keeps the tests' run-time type checker out of compiled code.
+Gradients of the table are atomic sums, whose order, and hence last bits, varies.
+`no_type_check` excludes compiled code from the run-time type checks of the tests.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from lightsim.errors import need
 from lightsim.reconstruct.field.hash_grid.sparse_gradient import SparseGradient
+from lightsim.reconstruct.field.hash_grid.spec import PRIMES, SALT_PRIME
 
 if TYPE_CHECKING:
     from lightsim.reconstruct.field.hash_grid.spec import HashGridSpec
@@ -21,10 +22,14 @@ if TYPE_CHECKING:
 triton: Any = need("triton", extra="cuda")
 tl: Any = need("triton.language", extra="cuda")
 
-_PRIME_Y = tl.constexpr(2654435761)
-_PRIME_Z = tl.constexpr(805459861)
-_PRIME_SALT = tl.constexpr(3674653429)
+# Factors of the hash, see `spec`.
+_PRIME_Y = tl.constexpr(PRIMES[1])
+# Factor of the z cell.
+_PRIME_Z = tl.constexpr(PRIMES[2])
+_PRIME_SALT = tl.constexpr(SALT_PRIME)
+# Points of a program. Sensitivity of the running time not measured, as of `_VALUES`.
 _POINTS = 256
+# Values of a program of the optimiser.
 _VALUES = 1024
 
 
@@ -34,7 +39,7 @@ def look_up(
     salt: Int64[Tensor, "n"] | None,
     spec: HashGridSpec,
 ) -> Float32[Tensor, "n d"]:
-    """Features of points; see `hash_grid.hash_encode`."""
+    """Return the features of points; see `grid.hash_encode`."""
     out = points.new_empty((len(points), spec.output_dim))
     if len(points):
         with torch.cuda.device_of(points):
@@ -50,7 +55,7 @@ def scatter(
     upstream: Float32[Tensor, "n d"],
     sparse: SparseGradient,
 ) -> None:
-    """Add d loss / d table to `sparse.values`; no marks, a GPU clears a table in no time."""
+    """Add d loss / d table to `sparse.values`, without marks: a GPU clears whole tables fast."""
     if len(points):
         with torch.cuda.device_of(points):
             blocks = (triton.cdiv(len(points), _POINTS), spec.levels)
@@ -65,7 +70,7 @@ def point_gradient(
     spec: HashGridSpec,
     upstream: Float32[Tensor, "n d"],
 ) -> Float32[Tensor, "n 3"]:
-    """d loss / d points, from `upstream` = d loss / d features."""
+    """Return d loss / d points, given `upstream` = d loss / d features."""
     out = torch.empty_like(points)
     if len(points):
         with torch.cuda.device_of(points):
@@ -81,7 +86,7 @@ def update(
     moments: tuple[Float32[Tensor, "e f"], Float32[Tensor, "e f"]],
     rates: tuple[float, float, float, float, float],
 ) -> None:
-    """Adam where the gradient is not zero; clears it. `rates` as in `update_touched`."""
+    """Apply Adam to values with a gradient, and clear it. `rates` as in `update_touched`."""
     with torch.cuda.device_of(values):
         blocks = (triton.cdiv(values.numel(), _VALUES),)
         _update[blocks](values, gradient, *moments, *rates, values.numel(), BLOCK=_VALUES)
@@ -106,7 +111,7 @@ def _sizes(spec: HashGridSpec) -> dict[str, int]:
 @triton.jit
 @no_type_check
 def _cell(points, salt, p, is_in, scale):
-    """Hash factors of the lower corner and the place inside the cell."""
+    """Return the hash factors of the lower corner, and the position inside the cell."""
     x = tl.load(points + 3 * p, mask=is_in, other=0.0) * scale
     y = tl.load(points + 3 * p + 1, mask=is_in, other=0.0) * scale
     z = tl.load(points + 3 * p + 2, mask=is_in, other=0.0) * scale
@@ -121,7 +126,7 @@ def _cell(points, salt, p, is_in, scale):
 @triton.jit
 @no_type_check
 def _entry(hash_x, hash_y, hash_z, bits, CORNER: tl.constexpr, SIZE: tl.constexpr):
-    """Index of a corner's entry within its level; bit 0 of CORNER is x, bit 1 y, bit 2 z."""
+    """Return the entry of a corner in its level; bits 0, 1, 2 of CORNER are x, y, z."""
     if CORNER & 1:
         hash_x += 1
     if CORNER & 2:
@@ -134,7 +139,7 @@ def _entry(hash_x, hash_y, hash_z, bits, CORNER: tl.constexpr, SIZE: tl.constexp
 @triton.jit
 @no_type_check
 def _side(inside, IS_UPPER: tl.constexpr):
-    """Weight of the lower or upper corner along one axis."""
+    """Return the weight of the lower or upper corner along one axis."""
     return inside if IS_UPPER else 1.0 - inside
 
 
