@@ -1,10 +1,10 @@
-"""Physical skies without clouds and with nothing but clouds, and how bright they are.
+"""Physical models of cloudless and overcast skies, and their absolute brightness.
 
-The clear sky is the Hosek-Wilkie family as Mitsuba's `sunsky` emitter evaluates it (Hosek &
-Wilkie 2012, doi:10.1145/2185520.2185591; solar disc: Hosek & Wilkie 2013,
-doi:10.1109/MCG.2013.18). Sky and sun come from one model, so their ratio is absolute. One factor
-brings both into scene units: a white level Lambert surface under a sun at 45 degrees, turbidity 3
-and ground albedo 0.2 shows a luminance of 1.
+The clear sky is the Hosek-Wilkie model as Mitsuba's `sunsky` emitter evaluates it (Hosek & Wilkie
+2012, doi:10.1145/2185520.2185591; solar disc: Hosek & Wilkie 2013, doi:10.1109/MCG.2013.18). Sky
+and sun come from one model, so their ratio is absolute. One factor converts both into scene units:
+a white level Lambert surface under a sun at 45 degrees, turbidity 3 and ground albedo 0.2 has a
+luminance of 1.
 """
 
 from __future__ import annotations
@@ -19,14 +19,11 @@ from lightsim.core.equirect import pixel_directions
 from lightsim.core.mitsuba_variants import mitsuba_with
 from lightsim.errors import InputError
 
+# Scene units per unit of the model: pi / (level luminance irradiance of the model at 45 degrees,
+# turbidity 3, albedo 0.2).
 SCENE_UNITS_PER_MODEL_UNIT = 2.840
-"""pi / (level luminance irradiance of the model at 45 degrees, turbidity 3, albedo 0.2)."""
-LUMINANCE_CD_M2 = 683.0 * 106.857 / SCENE_UNITS_PER_MODEL_UNIT
-"""Luminance of one scene unit of a clear sky: the model's RGB is spectral radiance in
-W / (m2 sr nm), weighted by CIE y and divided by the sum of y over nanometres, 106.857."""
+# Turbidities for which the model is tabulated.
 TURBIDITY_RANGE = (1.0, 10.0)
-_LOWEST_SUN_DEG = 0.0
-_DISC_APERTURE_DEG = 2 * SOLAR_RADIUS_DEG
 
 
 def clear_sky(
@@ -35,9 +32,9 @@ def clear_sky(
     ground_albedo: float = 0.2,
     height_px: int = 256,
 ) -> SkyDome:
-    """A cloudless sky with its sun, frame `world`, scene units (see the module's first lines).
+    """Return a cloudless sky with its sun, frame `world`, scene units (see the module docstring).
 
-    The lower half shows a Lambert ground of `ground_albedo` under this very sky.
+    The lower half shows a Lambert ground of `ground_albedo` lit by this sky.
 
     Raises:
         InputError: the sun is below the horizon (twilight is not modelled), or the turbidity lies
@@ -55,10 +52,10 @@ def clear_sky_parts(
     ground_albedo: float,
     height_px: int,
 ) -> tuple[Float32[np.ndarray, "h w 3"], Sun]:
-    """Radiance of the sky without its sun (lower half black), and the sun.
+    """Return the radiance of a cloudless sky without its sun (lower half black), and the sun.
 
     Raises:
-        InputError: as `clear_sky`.
+        InputError: see `clear_sky`.
     """
     direction = _checked_direction(sun_direction_world)
     low, high = TURBIDITY_RANGE
@@ -71,7 +68,7 @@ def clear_sky_parts(
         "turbidity": float(turbidity),
         "albedo": float(ground_albedo),
         "sun_direction": [float(x) for x in direction],
-        "sun_aperture": _DISC_APERTURE_DEG,
+        "sun_aperture": 2 * SOLAR_RADIUS_DEG,
     }
     upper = pixel_directions(height_px)[: height_px // 2]
     with mitsuba_with("scalar_rgb") as mitsuba:
@@ -79,13 +76,13 @@ def clear_sky_parts(
         disc = _evaluate(mitsuba, common | {"sky_scale": 0.0}, direction[None])
     radiance = np.zeros((height_px, 2 * height_px, 3), np.float32)
     radiance[: height_px // 2] = sky.reshape(*upper.shape)
-    solid_angle_sr = 2 * np.pi * (1 - np.cos(np.radians(_DISC_APERTURE_DEG / 2)))
+    solid_angle_sr = 2 * np.pi * (1 - np.cos(np.radians(SOLAR_RADIUS_DEG)))
     sun = Sun(direction, (disc[0] * solid_angle_sr).astype(np.float32))
     return radiance, sun
 
 
 def overcast_shape(height_px: int) -> Float32[np.ndarray, "h w 3"]:
-    """CIE overcast radiance over its zenith's, lower half black.
+    """Radiance of the CIE overcast sky relative to its zenith, lower half black.
 
     (1 + 2 sin elevation) / 3 (Moon & Spencer 1942; ISO 15469:2004, sky type 16).
     """
@@ -97,7 +94,7 @@ def overcast_shape(height_px: int) -> Float32[np.ndarray, "h w 3"]:
 def with_ground(
     radiance: Float32[np.ndarray, "h w 3"], ground_radiance: Float[np.ndarray, "3"]
 ) -> Float32[np.ndarray, "h w 3"]:
-    """The dome with one RGB radiance in its lower half."""
+    """Return the dome with one RGB radiance in its lower half."""
     filled = radiance.copy()
     filled[radiance.shape[0] // 2 :] = ground_radiance.astype(np.float32)
     return filled
@@ -106,7 +103,7 @@ def with_ground(
 def _checked_direction(direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     unit = direction / np.linalg.norm(direction)
     elevation_deg = float(np.degrees(np.arcsin(unit[2])))
-    if elevation_deg <= _LOWEST_SUN_DEG:
+    if elevation_deg <= 0:
         raise InputError(
             "the sun is below the horizon: twilight and night skies are not modelled",
             got=f"elevation {elevation_deg:.2f} degrees",
@@ -119,11 +116,12 @@ def _checked_direction(direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "
 def _evaluate(
     mitsuba: Any, emitter: dict[str, Any], directions: Float[np.ndarray, "n 3"]
 ) -> Float32[np.ndarray, "n 3"]:
-    """Radiance of an emitter along directions; low suns leave the sRGB gamut, clipped at 0."""
+    """Radiance of an emitter along directions, scene units."""
     loaded = mitsuba.load_dict(emitter)
     interaction = mitsuba.SurfaceInteraction3f()
     values = np.empty((len(directions), 3))
     for i, (x, y, z) in enumerate((-directions).tolist()):
         interaction.wi = [x, y, z]
         values[i] = loaded.eval(interaction)
+    # Skies of low suns leave the sRGB gamut: negative channels are clipped.
     return (np.maximum(values, 0.0) * SCENE_UNITS_PER_MODEL_UNIT).astype(np.float32)

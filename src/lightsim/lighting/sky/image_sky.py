@@ -1,4 +1,4 @@
-"""The sky of a single equirectangular picture, without a log."""
+"""Estimation of the sky from a single equirectangular picture, without a log."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from lightsim.lighting.sun.posterior import (
 )
 from lightsim.lighting.target_sky import with_edited_sun
 
+# Rows of a picture, at least: below this, a pixel is larger than the glow of the sun.
 _LEAST_ROWS = 16
-"""Below this, a pixel is larger than the glow of a sun."""
 
 
 def estimate_from_panorama(
@@ -37,12 +37,12 @@ def estimate_from_panorama(
     config: SkyConfig,
     prediction: SkyPrediction | None = None,
 ) -> SkyEstimate:
-    """The HDR dome of a picture in frame `world` (centre column = world +x).
+    """Estimate the HDR dome of a picture in frame `world` (centre column = world +x).
 
-    Scene unit: radiance 1 is the picture's white. What is observed above the horizon,
-    bright and not clearly red or green counts as sky. Without `sun`, the picture gives a
-    posterior of its direction (`picture_sun`). No shadows are read here: the sun's strength is
-    that of clear and overcast skies, and of `prediction`, what a network reads off the completed
+    Scene unit: radiance 1 is the picture's white. Pixels above the horizon that were observed, are
+    bright and are not clearly red or green count as sky. Without `sun`, its direction is estimated
+    from the picture (`picture_sun`). Shadows are not used: the sun's irradiance is that of clear
+    and overcast skies, combined with `prediction`, a network's prediction for the completed
     picture.
 
     Raises:
@@ -57,18 +57,19 @@ def estimate_from_picture(
     config: SkyConfig,
     prediction: SkyPrediction | None = None,
 ) -> SkyEstimate:
-    """As `estimate_from_panorama`, of what `panorama_from_image` made of the picture."""
+    """Estimate the HDR dome of a picture that `panorama_from_image` converted; see
+    `estimate_from_panorama`."""
     if sun is None:
         sun = sun_direction(picture_sun(panorama, prediction), None)
     return estimate_sky(panorama, sun, config, prediction=prediction)[0]
 
 
 def edited_sky(estimate: SkyEstimate, choice: SkyChoice, heading_deg: float | None) -> SkyEstimate:
-    """The estimate of a picture with its sun edited as in `with_edited_sun`.
+    """Return the estimate of a picture with its sun edited as in `with_edited_sun`.
 
     Args:
-        choice: its `sun_position` and `sun_factor` count.
-        heading_deg: azimuth of world +x; None takes azimuths from there.
+        choice: its `sun_position` and `sun_factor` are used.
+        heading_deg: azimuth of world +x; if None, azimuths are measured from world +x.
 
     Raises:
         InputError: the estimated sky has no sun.
@@ -76,7 +77,7 @@ def edited_sky(estimate: SkyEstimate, choice: SkyChoice, heading_deg: float | No
     direction = None
     if choice.sun_position is not None:
         azimuth_deg, elevation_deg = choice.sun_position
-        # Azimuths run clockwise from north, `direction_enu`'s from +y.
+        # Azimuths are clockwise from north; `direction_enu` takes +y as north.
         direction = direction_enu(90.0 + azimuth_deg - (heading_deg or 0.0), elevation_deg)
         known_deg = None if heading_deg is None else azimuth_deg
         estimate = replace(estimate, sun_azimuth_deg=known_deg, sun_elevation_deg=elevation_deg)
@@ -87,11 +88,12 @@ def edited_sky(estimate: SkyEstimate, choice: SkyChoice, heading_deg: float | No
 
 
 def picture_sun(panorama: Panorama, prediction: SkyPrediction | None) -> SunPosterior:
-    """Where the sun of a picture is.
+    """Posterior of the sun's direction in a picture.
 
-    A network has read glow, clipped spots and gradient off the same pixels; counting them again
-    as independent cues made its errors three times as large, because most clipped spots of
-    pictures are clouds and walls. So what it says stands, but for sky that was seen without a sun.
+    A network has already used glow, clipped spots and gradient of the same pixels. Adding them as
+    independent cues made its errors three times as large, because most clipped spots of pictures
+    are clouds and walls. Its prediction is therefore combined only with the observed sky that has
+    no sun.
     """
     if prediction is None:
         return sun_posterior(panorama_cues(panorama), panorama)
@@ -104,10 +106,10 @@ def panorama_from_image(
     is_observed: Bool[np.ndarray, "h w"] | None,
     height_px: int = 512,
 ) -> Panorama:
-    """A picture as a `Panorama` of `height_px` rows.
+    """Convert a picture to a `Panorama` of `height_px` rows.
 
     Raises:
-        InputError: as `estimate_from_panorama`.
+        InputError: see `estimate_from_panorama`.
     """
     height, width = srgb8.shape[:2]
     if width != 2 * height:
@@ -135,13 +137,15 @@ def panorama_from_image(
     )
     if not is_seen[: height_px // 2].any():
         raise InputError(
-            "nothing was observed above the horizon",
+            "the picture has no observed pixel above the horizon",
+            expected="pixels of alpha above 0 in the upper half",
             remedy="Alpha 0 means not observed: check the picture's alpha, and that row 0 is up.",
         )
     is_sky = _sky_like(radiance, is_seen)
     if not is_sky.any():
         raise InputError(
-            "nothing that looks like sky was observed above the horizon",
+            "no pixel above the horizon looks like sky",
+            expected="bright pixels that are not clearly red or green",
             remedy="Check that row 0 is up, that it is not black, and that its alpha keeps sky.",
         )
     radiance[~is_seen] = 0.0
@@ -151,8 +155,8 @@ def panorama_from_image(
 def _sky_like(
     radiance: Float[np.ndarray, "h w 3"], is_seen: Bool[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Seen above the horizon, brighter in blue than a third of the 90th percentile there, and not
-    clearly red or green."""
+    """Observed pixels above the horizon with a blue value above a third of the 90th percentile
+    there, and not clearly red or green."""
     is_up = is_seen & (pixel_directions(len(radiance))[..., 2] > 0)
     blue = radiance[..., 2]
     bright = float(np.percentile(blue[is_up], 90))
