@@ -172,6 +172,7 @@ def _continued(
     weight = is_seen[..., None].astype(np.float32)
     fraction = resize_area(weight, rows, 2 * rows)
     mean = resize_area(radiance * weight, rows, 2 * rows) / np.maximum(fraction, 1e-6)
+    # Logarithms, so that the continuation stays positive and gradients are relative.
     floor = 1e-6 * float(radiance[is_seen].mean()) + 1e-12
     small = fill_by_laplace(np.log(mean + floor).astype(np.float32), fraction[..., 0] > 0)
     large = small if rows == height else sample_bilinear(small, pixel_directions(height))

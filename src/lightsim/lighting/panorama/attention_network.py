@@ -16,9 +16,6 @@ MATCH_STRIDE = 2
 # Side of the copied patches in pixels: twice the stride, so that four patches overlap on every
 # pixel (as published).
 _COPY_SIZE = 4
-# Score that excludes a patch from the softmax; finite, so that the weights stay defined where every
-# patch is excluded.
-_MASKED = -1e4
 
 
 def pad_sphere(x: Float[Tensor, "n c h w"], size: int) -> Float[Tensor, "n c _ _"]:
@@ -72,7 +69,9 @@ def contextual_attention(
     if propagates:
         scores = _propagated(scores, rows, columns)
     touched = functional.unfold(pad_sphere(hole, 1), _COPY_SIZE, stride=MATCH_STRIDE).amax(1)
-    weights = torch.softmax(scores + _MASKED * touched[:, :, None], dim=1)
+    # Patches that touch the hole are excluded by a finite score, so that the weights stay defined
+    # where all patches are excluded.
+    weights = torch.softmax(scores + -1e4 * touched[:, :, None], dim=1)
     copies = functional.unfold(pad_sphere(features, 1), _COPY_SIZE, stride=MATCH_STRIDE)
     size = (features.shape[-2] + 2, features.shape[-1] + 2)
     laid = functional.fold(copies @ weights, size, _COPY_SIZE, stride=MATCH_STRIDE)

@@ -23,12 +23,6 @@ from lightsim.lighting.sky.panorama_layers import filled
 TOTAL_STRIDE = 8
 # Input channels: RGB, hole mask, elevation.
 _INPUTS = 5
-# Gain of the first weights of features: an ELU times a gate of about one half keeps the signal's
-# size. With the usual gain of 1 every layer would halve the signal and deep layers would not learn.
-_FEATURE_GAIN = 2.4
-# Gain of the first weights of the output, small so that training starts near the smooth fill.
-# Sensitivity not measured.
-_OUTPUT_GAIN = 0.1
 
 
 class GatedConvolution(nn.Module):
@@ -42,7 +36,9 @@ class GatedConvolution(nn.Module):
         self.convolution = nn.Conv2d(inputs, 2 * outputs, size, stride=stride, dilation=dilation)
 
         deviation = self.convolution.weight[0].numel() ** -0.5
-        nn.init.normal_(self.convolution.weight[:outputs], 0.0, _FEATURE_GAIN * deviation)
+        # A gain of 2.4 compensates an ELU times a gate of about one half. With the usual gain of 1
+        # every layer would halve the signal, and deep layers would not learn.
+        nn.init.normal_(self.convolution.weight[:outputs], 0.0, 2.4 * deviation)
         nn.init.normal_(self.convolution.weight[outputs:], 0.0, deviation)
         nn.init.constant_(self.convolution.bias, 0.0)  # type: ignore[arg-type]
 
@@ -58,7 +54,8 @@ class _Output(nn.Module):
     def __init__(self, inputs: int) -> None:
         super().__init__()
         self.convolution = nn.Conv2d(inputs, 3, 3)
-        deviation = _OUTPUT_GAIN * (9 * inputs) ** -0.5
+        # A small gain (0.1), so that training starts near the smooth fill.
+        deviation = 0.1 * (9 * inputs) ** -0.5
         nn.init.normal_(self.convolution.weight, 0.0, deviation)
 
     def forward(self, x: Float[Tensor, "n _ h w"]) -> Float[Tensor, "n 3 h w"]:

@@ -39,6 +39,7 @@ def sky_factors(
             continue
         fraction = float(is_bright.sum() / both.size)
         ratio = np.median(np.log(first[is_bright] / second[is_bright]), axis=0)
+        # Normal equations of log factor a - log factor b = -ratio, weighted by area.
         system[[a, b], [a, b]] += fraction
         system[[a, b], [b, a]] -= fraction
         right[a] -= fraction * ratio

@@ -30,9 +30,7 @@ SkyMatte = Callable[[CameraFrame, PinholeCamera], Float32[np.ndarray, "h w"]]
 
 # Distance to the camera plane below which points of actors' boxes are not projected, in metres.
 _NEAR_M = 0.2
-# Distance at which sky is placed, in metres: large, so that the camera's motion during its readout
-# does not shift it.
-_INFINITY_M = 1e6
+
 # Camera pixels along one side of a panorama pixel; larger images are reduced to this.
 _SAMPLES_PER_PX = 2.0
 # Alpha from which a camera pixel counts as sky.
@@ -158,6 +156,7 @@ def stitch_panorama(
         view = _load_view(
             log, frame, camera_gains[frame.camera_name], cast_depth, sky_matte, config
         )
+        # Sky is at infinity and does not change with the ego position, so every moment adds to it.
         _add_sky(skies[frame.camera_name], view, config.height_px)
         if frame.stem == middle:
             splats.append(_splat(view, centre, config.height_px))
@@ -264,10 +263,12 @@ def _add_sky(sums: _Sums, view: _View, height_px: int) -> None:
     directions = pixel_directions(height_px).reshape(-1, 3)
     pose = view.frame.world_from_camera
     index = np.nonzero(directions @ pose.rotation[:, 2] > 0)[0]
-    far = pose.translation_m + _INFINITY_M * directions[index]
+    # Sky is 1000 km away, so that the camera's motion during its readout does not shift it.
+    far = pose.translation_m + 1e6 * directions[index]
     uv, is_inside = view.frame.project(view.camera, far)
     index = index[is_inside]
     column, row = uv[is_inside].astype(np.int64).T
+    # The rim of the sky is left out, because its pixels are mixed with buildings and leaves.
     good = view.is_valid & ndimage.binary_erosion(view.is_sky, border_value=1)
     keep = good[row, column]
     index, column, row = index[keep], column[keep], row[keep]

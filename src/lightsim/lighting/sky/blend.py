@@ -38,6 +38,7 @@ def blend_observed(
         return analytic
     # The correction is limited to a factor of 5, so that single bad pixels do not dominate it.
     near = np.clip(observed / np.maximum(model, 1e-6), 0.2, 5.0)
+    # Saturated pixels are excluded: their radiance is only a lower limit.
     log_ratio = np.log(near) * (is_seen & ~is_bright)[..., None]
     sigma_px = _CORRECTION_DEG / 180.0 * height
     support = _blur((is_seen & ~is_bright).astype(np.float64), sigma_px)
@@ -62,6 +63,7 @@ def _feathered(is_seen: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     """Weight that is 1 inside the observed sky and falls to 0 at its border; the horizon is no
     border."""
     height = len(is_seen)
+    # Three copies side by side, so that distances wrap around in azimuth.
     padded = np.concatenate([is_seen] * 3, axis=1)
     padded[height // 2 :] = True
     inside = np.asarray(ndimage.distance_transform_edt(padded))[:, 2 * height : 4 * height]

@@ -22,28 +22,28 @@ from lightsim.errors import InputError
 # Scene units per unit of the model: pi / (level luminance irradiance of the model at 45 degrees,
 # turbidity 3, albedo 0.2).
 SCENE_UNITS_PER_MODEL_UNIT = 2.840
+# Albedo of the ground under analytic skies, and of ground that was not observed; a common value of
+# grey asphalt and vegetation.
+GROUND_ALBEDO = 0.2
 # Turbidities for which the model is tabulated.
 TURBIDITY_RANGE = (1.0, 10.0)
 
 
 def clear_sky(
-    sun_direction_world: Float[np.ndarray, "3"],
-    turbidity: float = 3.0,
-    ground_albedo: float = 0.2,
-    height_px: int = 256,
+    sun_direction_world: Float[np.ndarray, "3"], turbidity: float = 3.0, height_px: int = 256
 ) -> SkyDome:
     """Return a cloudless sky with its sun, frame `world`, scene units (see the module docstring).
 
-    The lower half shows a Lambert ground of `ground_albedo` lit by this sky.
+    The lower half shows a Lambert ground of `GROUND_ALBEDO` lit by this sky.
 
     Raises:
         InputError: the sun is below the horizon (twilight is not modelled), or the turbidity lies
             outside 1 to 10.
     """
-    radiance, sun = clear_sky_parts(sun_direction_world, turbidity, ground_albedo, height_px)
+    radiance, sun = clear_sky_parts(sun_direction_world, turbidity, GROUND_ALBEDO, height_px)
     level = irradiance(radiance, np.array([0.0, 0.0, 1.0]))
     level += sun.irradiance * sun.direction_world[2]
-    return add_sun(with_ground(radiance, ground_albedo * level / np.pi), sun)
+    return add_sun(with_ground(radiance, GROUND_ALBEDO * level / np.pi), sun)
 
 
 def clear_sky_parts(
@@ -71,6 +71,7 @@ def clear_sky_parts(
         "sun_aperture": 2 * SOLAR_RADIUS_DEG,
     }
     upper = pixel_directions(height_px)[: height_px // 2]
+    # Sky and disc are evaluated separately: on the dome's grid the disc would be undersampled.
     with mitsuba_with("scalar_rgb") as mitsuba:
         sky = _evaluate(mitsuba, common | {"sun_scale": 0.0}, upper.reshape(-1, 3))
         disc = _evaluate(mitsuba, common | {"sky_scale": 0.0}, direction[None])

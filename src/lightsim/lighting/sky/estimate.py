@@ -15,7 +15,12 @@ from lightsim.core.solar import angle_between_deg
 from lightsim.core.twin import LightFreedom, Panorama, SkyEstimate
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.blend import blend_observed, shrink_masked, unseen_weight
-from lightsim.lighting.sky.clear_sky import clear_sky_parts, overcast_shape, with_ground
+from lightsim.lighting.sky.clear_sky import (
+    GROUND_ALBEDO,
+    clear_sky_parts,
+    overcast_shape,
+    with_ground,
+)
 from lightsim.lighting.sun.direction import SunDirection, find_sun_blob
 from lightsim.progress import Progress, SilentProgress
 
@@ -38,8 +43,6 @@ _FIT_HEIGHT_PX = 64
 _TURBIDITIES = (2.0, 2.5, 3.0, 4.0, 5.0, 6.5, 8.0, 10.0)
 # Angle around the sun in which the sky is not fitted, in degrees: cloud and lens glow there.
 _SUN_GAP_DEG = 6.0
-# Ground albedo of the analytic sky, and of the ground where it was not observed.
-_GROUND_ALBEDO = 0.2
 
 
 @dataclass(frozen=True)
@@ -150,7 +153,7 @@ def _usual_sun(
     """
     up = np.array([0.0, 0.0, 1.0])
     radiance, clear = clear_sky_parts(
-        sun.direction_world, _USUAL_TURBIDITY, _GROUND_ALBEDO, _FIT_HEIGHT_PX
+        sun.direction_world, _USUAL_TURBIDITY, GROUND_ALBEDO, _FIT_HEIGHT_PX
     )
     usual_ratio = _grey(clear.irradiance) / _grey(irradiance(radiance, up))
     usual = np.log(usual_ratio * _grey(irradiance(sky, up)))
@@ -161,6 +164,7 @@ def _usual_sun(
     sunny = sun.sunny_probability
     if sunny is None:
         sunny = 1.0 - analytic.overcast_fraction
+    # Precision-weighted mean of the logs of the usual and of the fitted sun.
     log_clear = usual + weight * (fitted - usual)
     log_cloud = (1.0 - sunny) * _CLOUD_LOG_FACTOR
     # Standard deviation of a two-valued variable: the sun is either clear or behind cloud.
@@ -185,6 +189,7 @@ def _with_prediction(strength: _SunStrength, prediction: SkyPrediction) -> _SunS
     """Combine the estimate with the brightest pixel that a network predicts, weighted by
     precision."""
     direction = prediction.sun_direction.astype(np.float64)
+    # The predicted peak is a radiance; times the solid angle of its pixel it is an irradiance.
     row = int(np.arccos(np.clip(direction[2], 0.0, 1.0)) / np.pi * _PEAK_ROWS)
     peak = prediction.log_peak + np.log(solid_angles_sr(_PEAK_ROWS)[min(row, _PEAK_ROWS - 1), 0])
     peak_std = float(np.hypot(prediction.log_peak_std, _MODEL_LOG_STD))
@@ -219,8 +224,9 @@ def fit_analytic_sky(
     low, full = _FIT_HEIGHT_PX, config.height_px
     overcast = overcast_shape(low)[is_used].astype(np.float64)
     best: tuple[float, float, Float[np.ndarray, "3 2"]] | None = None
+    # Only the turbidity is searched: the model is linear in the weights.
     for turbidity in _TURBIDITIES:
-        clear, _ = clear_sky_parts(sun_direction_world, turbidity, _GROUND_ALBEDO, low)
+        clear, _ = clear_sky_parts(sun_direction_world, turbidity, GROUND_ALBEDO, low)
         weights = _fit_channels(observed, clear[is_used].astype(np.float64), overcast)
         model = clear[is_used] * weights[:, 0] + overcast * weights[:, 1]
         error = np.abs(model - observed) / np.maximum(observed, 1e-6)
@@ -231,10 +237,10 @@ def fit_analytic_sky(
     residual, turbidity, weights = best
     if not len(observed):
         turbidity, weights = (
-            3.0,
+            _USUAL_TURBIDITY,
             np.tile([_unseen_scale(panorama, sun_direction_world), 0.0], (3, 1)),
         )
-    clear, clear_sun = clear_sky_parts(sun_direction_world, turbidity, _GROUND_ALBEDO, full)
+    clear, clear_sun = clear_sky_parts(sun_direction_world, turbidity, GROUND_ALBEDO, full)
     cloud = overcast_shape(full) * weights[:, 1]
     radiance = (clear * weights[:, 0] + cloud).astype(np.float32)
     up = np.array([0.0, 0.0, 1.0])
@@ -282,7 +288,8 @@ def _shrunk_sky(
 def _unseen_scale(panorama: Panorama, sun_direction_world: Float[np.ndarray, "3"]) -> float:
     """Scale of the clear sky when no sky was observed: surfaces of albedo 0.2, half of them in
     shadow, then have the observed mean radiance."""
-    sky, sun = clear_sky_parts(sun_direction_world, 3.0, 0.2, 64)
+    sky, sun = clear_sky_parts(sun_direction_world, _USUAL_TURBIDITY, GROUND_ALBEDO, _FIT_HEIGHT_PX)
+    # Half of the surfaces are taken to be in shadow; the cosine is bounded for low suns.
     level = irradiance(sky, np.array([0.0, 0.0, 1.0])) + 0.5 * sun.irradiance * max(
         float(sun_direction_world[2]), 0.2
     )
@@ -290,7 +297,7 @@ def _unseen_scale(panorama: Panorama, sun_direction_world: Float[np.ndarray, "3"
     if not len(surfaces):
         return 1.0
     seen = float(luminance(surfaces).mean())
-    return seen * np.pi / 0.2 / float(luminance(level.astype(np.float32)))
+    return seen * np.pi / GROUND_ALBEDO / float(luminance(level.astype(np.float32)))
 
 
 def _level_log_std(panorama: Panorama) -> float:
@@ -311,7 +318,7 @@ def _ground_radiance(
     below[: below.shape[0] // 2] = False
     if below.mean() > 0.02:
         return panorama.radiance[below].astype(np.float64).mean(axis=0)
-    return _GROUND_ALBEDO * irradiance(sky, np.array([0.0, 0.0, 1.0])) / np.pi
+    return GROUND_ALBEDO * irradiance(sky, np.array([0.0, 0.0, 1.0])) / np.pi
 
 
 def _sky_notes(panorama: Panorama, analytic: AnalyticFit, sun: SunDirection) -> tuple[str, ...]:

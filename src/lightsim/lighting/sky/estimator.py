@@ -49,25 +49,21 @@ class SkyEstimator:
         self,
         ldr: Float32[np.ndarray, "h w 3"],
         seen: Bool[np.ndarray, "h w"] | None = None,
-        *,
-        averages: bool = False,
     ) -> SkyPrediction:
         """Predict sun, intensity and latent of a panorama of any size.
+
+        The prediction is a mean over small rotations and their mirror images.
 
         Args:
             ldr: panorama; only its observed pixels are used.
             seen: mask of the observed pixels; None means all.
-            averages: mean over small rotations and their mirror images: six times slower.
 
         Raises:
             InputError: the panorama is not twice as wide as high.
         """
         batch = self._tensors(ldr, seen)
         with torch.no_grad():
-            first = self.network.encode(batch)
-            if not averages:
-                return _prediction(first)
-            return _mean_prediction(first, _views(self.network, batch))
+            return _mean_prediction(self.network.encode(batch), _views(self.network, batch))
 
     def decode(
         self,
@@ -77,7 +73,6 @@ class SkyEstimator:
         seen: Bool[np.ndarray, "h w"] | None = None,
         sun_direction: Float[np.ndarray, "3"] | None = None,
         log_peak: float | None = None,
-        latent: Float32[np.ndarray, "64"] | None = None,
     ) -> Float32[np.ndarray, "h/2 w 3"]:
         """Decode the radiance of the upper half, in units of the clipping value, under this or
         another sun.
@@ -91,7 +86,6 @@ class SkyEstimator:
             seen: as given to `predict`.
             sun_direction: another unit vector towards the sun, above the horizon.
             log_peak: another peak.
-            latent: latent of another sky.
 
         Raises:
             InputError: the requested sun is below the horizon.
@@ -104,7 +98,7 @@ class SkyEstimator:
                 expected="an elevation above 0 deg",
             )
         batch = self._tensors(ldr, seen)
-        encoding = _encoding(prediction, prediction.latent if latent is None else latent)
+        encoding = _encoding(prediction)
         peak = torch.tensor([prediction.log_peak if log_peak is None else log_peak])
         with torch.no_grad():
             dome = self.network.dome(batch, encoding, _row(direction), peak.to(torch.float32))
@@ -207,14 +201,14 @@ def _prediction(encoding: SkyEncoding) -> SkyPrediction:
     )
 
 
-def _encoding(prediction: SkyPrediction, latent: Float32[np.ndarray, "64"]) -> SkyEncoding:
+def _encoding(prediction: SkyPrediction) -> SkyEncoding:
     return SkyEncoding(
         _row(prediction.sun_direction),
         None,
         torch.tensor([prediction.log_peak]),
         None,
         None,
-        _row(latent),
+        _row(prediction.latent),
     )
 
 

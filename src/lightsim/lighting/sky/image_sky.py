@@ -30,35 +30,19 @@ from lightsim.lighting.target_sky import with_edited_sun
 _LEAST_ROWS = 16
 
 
-def estimate_from_panorama(
-    srgb8: UInt8[np.ndarray, "h w 3"],
-    is_observed: Bool[np.ndarray, "h w"] | None,
-    sun: SunDirection | None,
-    config: SkyConfig,
-    prediction: SkyPrediction | None = None,
-) -> SkyEstimate:
-    """Estimate the HDR dome of a picture in frame `world` (centre column = world +x).
-
-    Scene unit: radiance 1 is the picture's white. Pixels above the horizon that were observed, are
-    bright and are not clearly red or green count as sky. Without `sun`, its direction is estimated
-    from the picture (`picture_sun`). Shadows are not used: the sun's irradiance is that of clear
-    and overcast skies, combined with `prediction`, a network's prediction for the completed
-    picture.
-
-    Raises:
-        InputError: the picture is not 2:1, too small, or shows no sky.
-    """
-    return estimate_from_picture(panorama_from_image(srgb8, is_observed), sun, config, prediction)
-
-
 def estimate_from_picture(
     panorama: Panorama,
     sun: SunDirection | None,
     config: SkyConfig,
     prediction: SkyPrediction | None = None,
 ) -> SkyEstimate:
-    """Estimate the HDR dome of a picture that `panorama_from_image` converted; see
-    `estimate_from_panorama`."""
+    """Estimate the HDR dome of a picture from `panorama_from_image`, frame `world` (centre column =
+    world +x).
+
+    Scene unit: radiance 1 is the picture's white. Without `sun`, its direction is estimated from
+    the picture (`picture_sun`). Shadows are not used: the sun's irradiance is that of clear and
+    overcast skies, combined with `prediction`, a network's prediction for the completed picture.
+    """
     if sun is None:
         sun = sun_direction(picture_sun(panorama, prediction), None)
     return estimate_sky(panorama, sun, config, prediction=prediction)[0]
@@ -108,8 +92,10 @@ def panorama_from_image(
 ) -> Panorama:
     """Convert a picture to a `Panorama` of `height_px` rows.
 
+    Observed pixels above the horizon that are bright and not clearly red or green count as sky.
+
     Raises:
-        InputError: see `estimate_from_panorama`.
+        InputError: the picture is not 2:1, too small, or shows no sky.
     """
     height, width = srgb8.shape[:2]
     if width != 2 * height:
@@ -132,6 +118,7 @@ def panorama_from_image(
     fraction = np.maximum(coverage, 1e-6)
     radiance = resize_area(linear, height_px, 2 * height_px) / fraction
     is_seen = coverage[..., 0] > 0.5
+    # A reduced pixel is clipped if most of its observed area is.
     is_clipped = is_seen & (
         (resize_area(clipped, height_px, 2 * height_px) / fraction)[..., 0] > 0.5
     )

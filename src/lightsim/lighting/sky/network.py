@@ -37,8 +37,7 @@ from lightsim.lighting.sky.sky_terms import (
 from lightsim.networks.stored import load_stored, stored_config, stored_tensors
 
 KIND = "lightsim"
-# Exponent that approximates the sRGB curve; with a gradient everywhere.
-_SRGB_GAMMA = 2.2
+
 # Channels of `_position`.
 _POSITION = 2
 # Angle around the old and the new position of a moved sun within which the decoder ignores the LDR
@@ -178,7 +177,9 @@ class SkyNetwork(nn.Module):
             dim=1,
         )
         value, mean = self.decoder(image, latent)
-        base = log_radiance(ldr**_SRGB_GAMMA) * kept + (1 - kept) * -1.0
+        # The exponent 2.2 approximates the sRGB curve. Without the LDR sky, the decoder starts
+        # from a log radiance of -1.
+        base = log_radiance(ldr**2.2) * kept + (1 - kept) * -1.0
         sky = radiance_of_log(base + value)
         colour = torch.exp(torch.tanh(self.colour_head(mean)))
         colour = colour / luminance_of(colour[:, :, None, None])[:, :, 0, 0]

@@ -12,7 +12,6 @@ from jaxtyping import Float, Float32
 from lightsim.core.colour import linear_from_srgb
 from lightsim.core.dome import SkyDome, Sun, irradiance, resized, split_sun
 from lightsim.core.twin import Panorama, SkyEstimate
-from lightsim.errors import InputError
 from lightsim.lighting.panorama.complete import completed_ldr, exposed_ldr
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sun.direction import SunDirection
@@ -33,18 +32,14 @@ def predict_sky(panorama: Panorama) -> SkyPrediction:
         InputError: no pixel was observed, or the weights are damaged.
     """
     ldr, exposure = exposed_ldr(panorama)
-    predicted = _estimator().predict(ldr, panorama.is_seen, averages=True)
+    predicted = _estimator().predict(ldr, panorama.is_seen)
     return replace(predicted, log_peak=predicted.log_peak - float(np.log(exposure)))
 
 
 def decoded_dome(
-    panorama: Panorama,
-    *,
-    sun_direction: Float[np.ndarray, "3"] | None = None,
-    sun_factor: float = 1.0,
+    panorama: Panorama, *, sun_direction: Float[np.ndarray, "3"] | None = None
 ) -> SkyDome:
-    """Decode the dome of a panorama, if requested with a moved or stronger sun (paper, appendix:
-    the same sky latent with other f_dir and f_int).
+    """Decode the dome of a panorama, with a moved sun if requested.
 
     The decoder returns the upper half; the lower half is that of the completed panorama.
     `lighting.target_sky.with_edited_sun` moves the sun of any HDR dome.
@@ -52,28 +47,13 @@ def decoded_dome(
     Args:
         panorama: stitched or from a picture; the dome has its size, unit and frame.
         sun_direction: unit vector towards another sun.
-        sun_factor: multiplies the sun's peak.
 
     Raises:
-        InputError: the factor is not positive, the sun is below the horizon, or no pixel was
-            observed.
+        InputError: the sun is below the horizon, or no pixel was observed.
     """
-    if not sun_factor > 0 or not np.isfinite(sun_factor):
-        raise InputError(
-            "the sun's factor must be positive",
-            where="--sun-factor",
-            got=sun_factor,
-            expected="a finite number above 0",
-        )
     ldr, exposure = completed_panorama(panorama)
-    predicted = _estimator().predict(ldr, panorama.is_seen, averages=True)
-    upper = _estimator().decode(
-        predicted,
-        ldr,
-        seen=panorama.is_seen,
-        sun_direction=sun_direction,
-        log_peak=predicted.log_peak + float(np.log(sun_factor)),
-    )
+    predicted = _estimator().predict(ldr, panorama.is_seen)
+    upper = _estimator().decode(predicted, ldr, seen=panorama.is_seen, sun_direction=sun_direction)
     ground = linear_from_srgb(ldr[len(ldr) // 2 :])
     radiance = (np.concatenate([upper, ground]) / np.float32(exposure)).astype(np.float32)
     direction = predicted.sun_direction if sun_direction is None else sun_direction

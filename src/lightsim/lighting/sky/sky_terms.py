@@ -19,9 +19,6 @@ LATENT = 64
 # Radiance added before logarithms, as a fraction of the clipping value: darker differences are
 # invisible. Sensitivity not measured.
 _LOG_FLOOR = 0.02
-# Luminance of the brightest sky outside the sun, at most, as a fraction of the sun's peak: the
-# sun's pixel must remain the brightest.
-_DIMMER = 0.98
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,6 +199,7 @@ def compose_sun(
     `sun_colour` has luminance 1. Skies brighter than the peak are dimmed to it.
     """
     peak = torch.exp(log_peak)[:, None, None, None]
-    sky = sky * (_DIMMER * peak / luminance_of(sky).clamp_min(1e-6)).clamp_max(1.0)
+    # 2 % below the peak, so that the sun's pixel is the brightest.
+    sky = sky * (0.98 * peak / luminance_of(sky).clamp_min(1e-6)).clamp_max(1.0)
     lobe = sun_lobe(direction, sky.shape[2])
     return sky * (1 - lobe) + lobe * peak * sun_colour[:, :, None, None]

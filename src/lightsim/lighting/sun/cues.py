@@ -32,9 +32,6 @@ from lightsim.lighting.sun.direction import (
 )
 from lightsim.lighting.sun.shadow_likelihood import ShadowLikelihood
 
-# Log density of a uniform hemisphere, per sr.
-_UNIFORM = -float(np.log(2 * np.pi))
-
 # Assumptions; their sensitivity was not measured.
 
 # Probability that the recorded heading is wrong, so that other cues can overrule it.
@@ -83,9 +80,9 @@ def _robust(
     log_density: Float[np.ndarray, " n"], outlier_fraction: float
 ) -> Float[np.ndarray, " n"]:
     """Mix a density with a uniform hemisphere; the result is relative to the uniform density."""
-    return np.logaddexp(
-        np.log1p(-outlier_fraction) + log_density - _UNIFORM, np.log(max(outlier_fraction, 1e-12))
-    )
+    # A uniform hemisphere has the log density -log(2 pi) per steradian.
+    relative = np.log1p(-outlier_fraction) + log_density + np.log(2 * np.pi)
+    return np.logaddexp(relative, np.log(max(outlier_fraction, 1e-12)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +115,7 @@ class EphemerisCue:
         elevation = np.degrees(np.arcsin(np.clip(directions_world[:, 2], -1, 1)))
         height = -0.5 * ((elevation - self.position.elevation_deg) / level_deg) ** 2
         height -= np.log(level_deg)
-        # Azimuth errors shrink with the cosine of the elevation; bounded near the zenith.
+        # An angle on the sphere is a larger angle of azimuth near the zenith; bounded there.
         cosine = np.maximum(np.cos(np.radians(self.position.elevation_deg)), 0.05)
         if self.geo.enu_from_world is None or self.heading_std_deg is None:
             turn = np.full(len(height), -np.log(360.0 * cosine))

@@ -18,7 +18,7 @@ from lightsim.core.solar import (
 )
 from lightsim.core.twin import Panorama
 from lightsim.errors import InputError
-from lightsim.lighting.sky.clear_sky import clear_sky_parts, overcast_shape
+from lightsim.lighting.sky.clear_sky import GROUND_ALBEDO, clear_sky_parts, overcast_shape
 
 # Error of refraction and of the world frame's levelling, in degrees; the ephemeris itself is exact
 # to 0.001 degrees.
@@ -117,11 +117,11 @@ def sun_from_geo(geo: GeoReference, time_ns: int) -> SunDirection:
 
 
 def find_sun_blob(
-    panorama: Panorama, near_world: Float[np.ndarray, "3"] | None = None, within_deg: float = 8.0
+    panorama: Panorama, near_world: Float[np.ndarray, "3"] | None = None
 ) -> SunBlob | None:
     """Return the most plausible clipped spot of the sky, or None.
 
-    With `near_world`, return the nearest spot that touches or lies within `within_deg` of it.
+    With `near_world`, return the nearest spot that touches or lies within 8 degrees of it.
     """
     blobs = find_sun_blobs(panorama)
     if near_world is None:
@@ -130,7 +130,7 @@ def find_sun_blob(
     near = [
         (off, blob)
         for off, blob in zip(off_deg, blobs, strict=True)
-        if off <= within_deg + blob.radius_deg
+        if off <= 8.0 + blob.radius_deg
     ]
     return min(near, key=lambda pair: pair[0])[1] if near else None
 
@@ -250,7 +250,10 @@ def _gradient_residuals(
     found: list[tuple[Float[np.ndarray, "3"], float]] = []
     for elevation in np.radians(np.arange(5.0, 80.0, 10.0)):
         forward = np.array([np.cos(elevation), 0.0, np.sin(elevation)])
-        skies = [luminance(clear_sky_parts(forward, t, 0.2, height)[0]) for t in (2.0, 4.0, 8.0)]
+        skies = [
+            luminance(clear_sky_parts(forward, turbidity, GROUND_ALBEDO, height)[0])
+            for turbidity in (2.0, 4.0, 8.0)
+        ]
         # A clear sky at another azimuth is the same sky, shifted by columns.
         for shift, azimuth in enumerate(azimuths):
             direction = np.array(

@@ -19,13 +19,9 @@ from lightsim.lighting.directions import count_for_spacing, fibonacci_hemisphere
 from lightsim.lighting.sun.cues import Cue, EphemerisCue, ShadowCue, looked_up
 from lightsim.lighting.sun.direction import SunDirection
 
-# Radius of the 90 % disc of a round normal density, in standard deviations: sqrt(-2 log 0.1).
-_STD_PER_RADIUS_90 = 2.146
-
 # Sensitivity to the following constants was not measured.
 
-# Sine of the lowest elevation (0.5 degrees) on refined grids: lower suns light nothing.
-_LOWEST_SINE = np.sin(np.radians(0.5))
+
 # Spacing of the first grid, over the hemisphere, in degrees.
 _SPACING_DEG = 2.0
 # The grid is refined until the disc with 99 % of the mass has a radius above this many spacings.
@@ -70,7 +66,8 @@ class SunPosterior:
     def uncertainty_deg(self) -> float:
         """One standard deviation of each component of the direction's error: that of the round
         normal density with the same 90 % disc."""
-        return self.region_90_deg / _STD_PER_RADIUS_90
+        # sqrt(-2 log 0.1) standard deviations: the radius of the 90 % disc.
+        return self.region_90_deg / 2.146
 
     def probability_within(self, direction_world: Float[np.ndarray, "3"]) -> float:
         """Mass of the directions nearer to the estimate than a given one: uniform in [0, 1] for
@@ -97,13 +94,15 @@ def sun_posterior(
     mass = _mass(cues, grid, spacing_deg)
     for _ in range(_MAX_ROUNDS):
         centre = _median_direction(grid, mass)
+        # 99 % of the mass, with a margin of 30 %, so that the refined disc does not cut it off.
         reach_deg = _radius_deg(grid, mass, centre, 0.99)
         if reach_deg > _RESOLVED * spacing_deg:
             break
         radius_deg = max(1.3 * reach_deg, 2.5 * spacing_deg)
         spacing_deg = radius_deg / _FINER_STEPS
         disc = disc_directions(centre, radius_deg, round(np.pi * _FINER_STEPS**2))
-        grid = disc[disc[:, 2] > _LOWEST_SINE]
+        # Suns below 0.5 degrees light nothing.
+        grid = disc[disc[:, 2] > np.sin(np.radians(0.5))]
         mass = _mass(cues, grid, spacing_deg)
     mode = grid[int(mass.sum(axis=1).argmax())]
     centre = mode if takes_mode else _median_direction(grid, mass)
@@ -164,6 +163,7 @@ def _mass(
     log_mass = np.tile(prior, (len(grid), 1))
     for cue in cues:
         log_mass = log_mass + cue.log_likelihood(grid, 0.5 * spacing_deg)
+    # The maximum is subtracted first, so that the exponentials do not overflow.
     mass = np.exp(log_mass - log_mass.max())
     return mass / mass.sum()
 

@@ -28,40 +28,50 @@ from lightsim.lighting.directions import count_for_spacing, fibonacci_hemisphere
 from lightsim.lighting.sun.surface_samples import LIFT_M, SampleConfig, SurfaceSamples
 from lightsim.progress import Progress, SilentProgress
 
-# Chosen on streets 0 and 1 and log 002; measured only in combination
-# (docs/benchmarks/lighting.md).
 
-# Candidate strengths: irradiance of a high sun over the level sky's. An overcast sky has 0.
-_STRENGTHS = (0.6, 1.5, 3.5, 8.0)
-# Blocks with pairs, at least; with fewer, the likelihood is uniform.
-_MIN_BLOCKS = 5
-# Coarse cells that are refined, at most; a limit on time.
-_MOST_CELLS = 60
-# Weight of a uniform density in the result: no direction is ruled out, because the model may be
-# wrong everywhere.
-_UNIFORM_FRACTION = 0.02
-# Log of the number of directions with uncorrelated shadows, about a hundred.
-_LOG_INDEPENDENT = 4.6
-# Partners of each point.
-_PAIRS_PER_POINT = 2
-# Distance of the nearest and of the farthest partner, in metres.
-_PAIR_DISTANCE_M = (0.3, 3.0)
-# Cosine between the normals of two points of one plane, at least (14 degrees).
-_SAME_PLANE_COSINE = 0.97
-# Distance of a point to the plane of its partner, at most, in metres.
-_SAME_PLANE_OFFSET_M = 0.15
-# Side of the blocks, in metres, within which errors are taken as fully correlated.
-_BLOCK_M = 4.0
-# Number of independent pairs as which a block counts, at most.
-_PAIRS_PER_BLOCK = 3.0
-# Fraction of pairs with a wrong cast shadow, because of unobserved occluders.
-_WRONG_FRACTION = 0.3
-# Light of the surroundings where the sky is hidden, in units of the level sky.
-_BOUNCE = 0.35
-# Spacing of the refined directions, in degrees.
-_FINE_DEG = 1.2
-# Error of the direction that errors of the meshes cause, in degrees.
-_MESH_STD_DEG = 1.5
+@dataclass(frozen=True)
+class _ContrastModel:
+    """Model of contrasts between surface points.
+
+    The values were chosen on streets 0 and 1 and log 002 and measured only in combination
+    (docs/benchmarks/lighting.md).
+    """
+
+    strengths: tuple[float, float, float, float] = (0.6, 1.5, 3.5, 8.0)
+    """Candidate strengths: irradiance of a high sun over the level sky's. An overcast sky has
+    0."""
+    min_blocks: int = 5
+    """Blocks with pairs, at least; with fewer, the likelihood is uniform."""
+    most_cells: int = 60
+    """Coarse cells that are refined, at most; a limit on time."""
+    uniform_fraction: float = 0.02
+    """Weight of a uniform density in the result: no direction is ruled out, because the model
+    may be wrong everywhere."""
+    log_independent: float = 4.6
+    """Log of the number of directions with uncorrelated shadows, about a hundred."""
+    pairs_per_point: int = 2
+    """Partners of each point."""
+    pair_distance_m: tuple[float, float] = (0.3, 3.0)
+    """Distance of the nearest and of the farthest partner, in metres."""
+    same_plane_cosine: float = 0.97
+    """Cosine between the normals of two points of one plane, at least (14 degrees)."""
+    same_plane_offset_m: float = 0.15
+    """Distance of a point to the plane of its partner, at most, in metres."""
+    block_m: float = 4.0
+    """Side of the blocks, in metres, within which errors are taken as fully correlated."""
+    pairs_per_block: float = 3.0
+    """Number of independent pairs as which a block counts, at most."""
+    wrong_fraction: float = 0.3
+    """Fraction of pairs with a wrong cast shadow, because of unobserved occluders."""
+    bounce: float = 0.35
+    """Light of the surroundings where the sky is hidden, in units of the level sky."""
+    fine_deg: float = 1.2
+    """Spacing of the refined directions, in degrees."""
+    mesh_std_deg: float = 1.5
+    """Error of the direction that errors of the meshes cause, in degrees."""
+
+
+_MODEL = _ContrastModel()
 
 
 @dataclass(frozen=True)
@@ -106,9 +116,10 @@ def vote(
     first, second = _pairs(samples, rng)
     coarse = fibonacci_hemisphere(config.coarse_count)
     weight = np.full(len(coarse), 2 * np.pi / len(coarse))
+    # Bootstrap over blocks: each sample draws as many blocks as there are, with repetition.
     blocks = _block_numbers(samples, first)
     block_count = int(blocks.max()) + 1 if len(blocks) else 0
-    if block_count < _MIN_BLOCKS:
+    if block_count < _MODEL.min_blocks:
         return ShadowLikelihood(coarse, np.zeros(len(coarse)), 0.5, len(first), block_count)
     model = _PairModel(samples, caster, first, second, blocks, config)
     counts = rng.multinomial(
@@ -121,8 +132,9 @@ def vote(
     next(steps)
     sunny, trust = _reliability(votes, model.block_votes(coarse, is_flipped=True))
     next(steps)
+    # Coarse cells with most of the mass are replaced by the fine directions nearest to them.
     chosen = _best_cells(rough, weight)
-    fine = fibonacci_hemisphere(count_for_spacing(_FINE_DEG))
+    fine = fibonacci_hemisphere(count_for_spacing(_MODEL.fine_deg))
     fine = fine[np.isin(KDTree(coarse).query(fine)[1], chosen)]
     exact = _resampled(model.block_votes(fine), counts)
     for _ in steps:
@@ -133,8 +145,10 @@ def vote(
     directions = np.concatenate([coarse[rest], fine])
     weight = np.concatenate([weight[rest], np.full(len(fine), fine_sr)])
     joint = np.concatenate([rough[:, rest], exact], axis=1)
-    density = _blurred(directions, _mean_density(trust * joint, weight), weight, _MESH_STD_DEG)
-    relative = (1 - _UNIFORM_FRACTION) * density * 2 * np.pi + _UNIFORM_FRACTION
+    density = _blurred(
+        directions, _mean_density(trust * joint, weight), weight, _MODEL.mesh_std_deg
+    )
+    relative = (1 - _MODEL.uniform_fraction) * density * 2 * np.pi + _MODEL.uniform_fraction
     return ShadowLikelihood(directions, np.log(relative), sunny, len(first), block_count)
 
 
@@ -145,18 +159,18 @@ def _pairs(
     nothing = np.zeros(0, np.int64)
     if len(samples) < 2:
         return nothing, nothing
-    near_m, far_m = _PAIR_DISTANCE_M
+    near_m, far_m = _MODEL.pair_distance_m
     tree = KDTree(samples.position_world)
     found = tree.query_pairs(far_m, output_type="ndarray").astype(np.int64)
     i, j = found[:, 0], found[:, 1]
     offset = samples.position_world[j] - samples.position_world[i]
     normal = samples.normal_world
     keep = np.linalg.norm(offset, axis=1) >= near_m
-    keep &= np.einsum("ij,ij->i", normal[i], normal[j]) >= _SAME_PLANE_COSINE
-    keep &= np.abs(np.einsum("ij,ij->i", normal[i], offset)) <= _SAME_PLANE_OFFSET_M
+    keep &= np.einsum("ij,ij->i", normal[i], normal[j]) >= _MODEL.same_plane_cosine
+    keep &= np.abs(np.einsum("ij,ij->i", normal[i], offset)) <= _MODEL.same_plane_offset_m
     keep &= samples.material[i] == samples.material[j]
     i, j = i[keep], j[keep]
-    order = rng.permutation(len(i))[: _PAIRS_PER_POINT * len(samples)]
+    order = rng.permutation(len(i))[: _MODEL.pairs_per_point * len(samples)]
     return i[order], j[order]
 
 
@@ -166,7 +180,7 @@ def _block_numbers(
     """Index of the block of each pair's first point."""
     if not len(first):
         return np.zeros(0, np.int64)
-    cell = np.floor(samples.position_world[first] / _BLOCK_M).astype(np.int64)
+    cell = np.floor(samples.position_world[first] / _MODEL.block_m).astype(np.int64)
     return np.unique(cell, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
 
 
@@ -186,9 +200,10 @@ class _PairModel:
         self._config = config
         self._first, self._second = first, second
         self._used = np.unique(np.concatenate([first, second]))
-        diffuse = samples.sky_fraction + _BOUNCE * (1 - samples.sky_fraction)
+        diffuse = samples.sky_fraction + _MODEL.bounce * (1 - samples.sky_fraction)
         self._diffuse = np.maximum(diffuse, 0.05).astype(np.float32)
         seen = samples.log_radiance[first] - samples.log_radiance[second]
+        # The contrast beyond that of the diffuse light is caused by the sun or by paint.
         flat = np.log(self._diffuse[first] / self._diffuse[second])
         excess = seen - flat
         # Median absolute deviation times 1.4826, a robust standard deviation: few pairs lie across
@@ -197,7 +212,7 @@ class _PairModel:
         self._scale = np.float32(1.0 / noise)
         self._excess = (excess * self._scale).astype(np.float32)
         self._inverse_null = 1.0 / _density(self._excess)
-        fraction = np.minimum(1.0, _PAIRS_PER_BLOCK / np.bincount(blocks)).astype(np.float32)
+        fraction = np.minimum(1.0, _MODEL.pairs_per_block / np.bincount(blocks)).astype(np.float32)
         self._block_count = len(fraction)
         self._sum_blocks = sparse.csr_matrix(
             (fraction[blocks], (blocks, np.arange(len(blocks)))), dtype=np.float32
@@ -208,12 +223,12 @@ class _PairModel:
     ) -> Float32[np.ndarray, "b d s"]:
         """Log likelihood ratios against an overcast sky; `is_flipped` exchanges light and shade of
         the sun."""
-        votes = np.zeros((self._block_count, len(directions), len(_STRENGTHS)), np.float32)
+        votes = np.zeros((self._block_count, len(directions), len(_MODEL.strengths)), np.float32)
         sign = -self._scale if is_flipped else self._scale
         for d, direction in enumerate(directions):
             sun = self._sun_on_points(direction)
             through = _transmission(float(direction[2]))
-            for s, strength in enumerate(_STRENGTHS):
+            for s, strength in enumerate(_MODEL.strengths):
                 step = sign * np.log1p(np.float32(strength * through) * sun)
                 ratio = self._ratio(step[self._first] - step[self._second])
                 votes[:, d, s] = self._sum_blocks @ np.log(ratio)
@@ -231,7 +246,7 @@ class _PairModel:
         return sun / self._diffuse
 
     def _ratio(self, step: Float32[np.ndarray, " p"]) -> Float32[np.ndarray, " p"]:
-        wrong = np.float32(_WRONG_FRACTION)
+        wrong = np.float32(_MODEL.wrong_fraction)
         return (1 - wrong) * _density(self._excess - step) * self._inverse_null + wrong
 
 
@@ -268,8 +283,8 @@ def _reliability(
     chance = max(float(flipped.sum(axis=0).max()), 0.0)
     # Chance maxima of independent directions are about their log; larger ones indicate that the
     # log likelihoods are too large by this factor.
-    excess = max(1.0, chance / _LOG_INDEPENDENT)
-    log_odds = (best - chance) / excess - _LOG_INDEPENDENT
+    excess = max(1.0, chance / _MODEL.log_independent)
+    log_odds = (best - chance) / excess - _MODEL.log_independent
     probability = 1.0 / (1.0 + np.exp(-np.clip(log_odds, -20.0, 20.0)))
     return float(probability), float(np.clip((best - chance) / max(best, 1e-6), 0.0, 1.0))
 
@@ -290,13 +305,14 @@ def _best_cells(
     density = _mean_density(0.5 * log_ratio, weight) * weight
     order = np.argsort(density)[::-1]
     count = int((np.cumsum(density[order]) < 0.98).sum()) + 1
-    return order[: min(count, _MOST_CELLS)].astype(np.int64)
+    return order[: min(count, _MODEL.most_cells)].astype(np.int64)
 
 
 def _mean_density(
     log_ratio: Float32[np.ndarray, "k d s"], weight: Float[np.ndarray, " d"]
 ) -> Float64[np.ndarray, " d"]:
     """Posterior density per sr given a sun, mean over the bootstrap samples."""
+    # The maximum is subtracted first, so that the exponentials do not overflow.
     top = log_ratio.max(axis=(1, 2), keepdims=True)
     density = np.exp((log_ratio - top).astype(np.float64)).mean(axis=2)
     density /= (density @ weight)[:, None]

@@ -50,8 +50,7 @@ _LEAST_LEVEL = 1e-3
 # Radiance, as a fraction of white at the network's exposure, below which the correction acts as an
 # addition rather than a factor.
 _FLOOR = 0.01
-# sRGB codes are about proportional to light to the power of one over this.
-_CODE_POWER = 2.4
+
 # The expected error lies between exp of minus this, less than a code of 8 bits, and 1.
 _MOST_EXACT = 6.0
 # Log of the largest correction factor.
@@ -164,7 +163,8 @@ class RelitNet(nn.Module):
         for network in cast(list[RelitNet], [self, *self.partners]):
             change, log_error = network.look(seen, guiding)
             picture = physical * torch.exp(change * is_land * is_new) - floor
-            log_error = (log_error - torch.log(exposure) / _CODE_POWER).clamp(-_MOST_EXACT, 0.0)
+            # sRGB codes are about proportional to light to the power of 1 / 2.4.
+            log_error = (log_error - torch.log(exposure) / 2.4).clamp(-_MOST_EXACT, 0.0)
             found.append(Correction(picture.clamp_min(0.0), log_error))
         return found[0] if len(found) == 1 else _mean(found)
 

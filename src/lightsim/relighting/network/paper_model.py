@@ -22,8 +22,6 @@ from torch.nn import functional
 from lightsim.relighting.network.blocks import Residual, Rise, padded
 from lightsim.relighting.network.features import FAR_M, Batch, Unseen, coded, without
 
-# Input channels: seven planes of three.
-_INPUTS = 21
 # Rows and columns of parts over which features are averaged before the linear layers; not
 # published, sensitivity not measured.
 _PARTS = (4, 8)
@@ -51,7 +49,7 @@ class PaperNet(nn.Module):
         super().__init__()
         self.config = config
         widths = config.widths
-        self.stem = nn.Sequential(nn.Conv2d(_INPUTS, widths[0], 3, padding=1), Residual(widths[0]))
+        self.stem = nn.Sequential(nn.Conv2d(7 * 3, widths[0], 3, padding=1), Residual(widths[0]))
         self.down = nn.ModuleList(
             nn.Sequential(nn.Conv2d(a, b, 3, 2, 1), Residual(b))
             for a, b in itertools.pairwise(widths)

@@ -93,6 +93,7 @@ def cut_out(
         coverage: accurate fraction of each pixel that actors cover.
         is_rendered: pixels that were rendered: those of actors, and some around them.
     """
+    # Un-mixing as for the sky: rendered = fraction * own + (1 - fraction) * behind.
     behind = fill_holes(rendered, is_rendered & (sampled == 0))
     fraction = np.where(sampled > 0, sampled, 1.0)[..., None]
     own = np.maximum(rendered - (1 - fraction) * behind, 0.0) / fraction

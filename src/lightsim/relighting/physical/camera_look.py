@@ -45,8 +45,7 @@ _SMOOTHEST = 0.1
 _BINS = 8
 # Blocks that a bin requires, at least.
 _FEWEST_BLOCKS = 10
-# Lower limit of the noise variance, for pictures without noise.
-_LEAST_VARIANCE = 1e-9
+
 # Picture value at which photon noise equals read-out noise, at most. Without a limit, rough
 # asphalt, the darkest surface of most pictures, made dark cars noisy.
 _READ_SIGNAL = 0.02
@@ -144,6 +143,7 @@ def noise_like(
     signal: Float32[np.ndarray, "h w"], look: CameraLook, rng: np.random.Generator
 ) -> Float32[np.ndarray, "h w"]:
     """Random noise with the camera's variance and grain at these picture values."""
+    # Normalised, so that filtering changes the correlation of the noise but not its variance.
     kernel = np.array([look.grain, 1.0, look.grain], np.float32)
     kernel /= np.sqrt(np.square(kernel).sum())
     noise = rng.standard_normal(signal.shape, dtype=np.float32)
@@ -186,7 +186,7 @@ def _noise(blocks: Float64[np.ndarray, "n k"]) -> tuple[float, float, float]:
         covariance.append(np.median(_beside(rest[smooth]) / np.maximum(scatter[smooth], 1e-12)))
     at, variance = np.array(found).T
     grain, kept = _grain(float(np.median(covariance)))
-    variance = np.maximum(variance / kept - _rounding(at), _LEAST_VARIANCE)
+    variance = np.maximum(variance / kept - _rounding(at), 1e-9)
     # Relative errors, so that bins with texture, whose variance is too large, count little.
     model = np.stack([at + _READ_SIGNAL, at], axis=1) / variance[:, None]
     both, photons = (float(x) for x in nnls(model, np.ones_like(variance))[0])

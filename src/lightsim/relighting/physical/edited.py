@@ -120,6 +120,7 @@ def edited_image(inputs: EditInputs) -> EditedImage:
     new = np.where(inputs.is_fixed, 0.0, inputs.new.coverage).astype(np.float32)
     is_new = (radiance != background).any(axis=-1)
     is_edited = ((change > 0) | (hidden > 0) | (new > 0) | is_new) & ~inputs.is_fixed
+    # Fraction of each pixel that remains recorded, below both kinds of edits.
     kept = (1 - hidden) * (1 - new)
     sky = recorded.sky_matte * kept + (1 - new) * hidden * ~inputs.buffers.has_surface
     return EditedImage(
@@ -224,6 +225,7 @@ def _colour_match(
         return np.ones_like(rendered)
     log_match = np.log(recorded.radiance + _DARKEST) - np.log(rendered + _DARKEST)
     limit = np.float32(np.log(_MATCH_LIMIT))
+    # Clipped, because a wrong base colour of one surface must not tint its surroundings.
     filled = fill_holes(np.clip(log_match, -limit, limit).astype(np.float32), is_known)
     radius = max(1, round(_MATCH_WIDTH * recorded.width_px / 2))
     smooth = box_mean(median_smoothed(filled, _MATCH_WIDTH, recorded.width_px), radius)

@@ -99,6 +99,7 @@ def median(image: Float32[np.ndarray, "h w"], size_px: int) -> Float32[np.ndarra
     """
     from lightsim.relighting.physical.median_kernels import rank_medians
 
+    # Medians of ranks are exact for any values, and a histogram of ranks has no empty bins.
     order = np.argsort(image, axis=None, kind="stable")
     ranks = np.empty(image.size, dtype=np.int32)
     ranks[order] = np.arange(image.size, dtype=np.int32)
@@ -132,6 +133,7 @@ def _pull_push(
     if max(height, width) == 1 or bool((weight >= 1).all()):
         return np.where(weight > 0, own, 0.0).astype(np.float32)
     sums = _halved(weight)
+    # Weights saturate at 1, so that a coarse pixel with one known fine pixel is fully known.
     clamped = np.minimum(sums, 1.0)
     coarse = _pull_push(_halved(total) * (clamped / np.maximum(sums, _EPSILON)), clamped)
     trust = np.minimum(weight, 1.0)

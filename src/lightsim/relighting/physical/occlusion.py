@@ -9,6 +9,8 @@ similar to be separated (examined on log 002; cars as occluders have accurate me
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Bool, Float32
 from scipy import ndimage
@@ -18,29 +20,39 @@ from lightsim.core.outline import nearest_of
 from lightsim.core.window import window_around
 from lightsim.relighting.physical.filters import colour_guided_filter
 
-# Chosen by eye on log 002; sensitivity not measured.
 
-# Distance of an occluder in front of the actor, at least, in metres. Surfaces that touch the actor,
-# such as the ground, have their edge where both meshes meet.
-_BEFORE_M = 0.5
-# Vertical component of the normal above which a surface is ground and no occluder.
-_LEVEL = 0.7
-# Distance from a reconstructed surface within which pixels may belong to it: this many metres on
-# the surface, plus `_REACH_PX` pixels.
-_REACH_M = 0.12
-# Part of that distance that does not depend on the depth, in pixels.
-_REACH_PX = 1.5
-# Limit on that distance, in pixels.
-_FARTHEST_PX = 16.0
-# Radius of the windows over which the colours of both sides are learnt, over the median reach.
-_WINDOW = 3
-# Weight of undecided pixels in these windows.
-_UNDECIDED_WEIGHT = 0.05
-# Variance of sRGB codes below which colours are taken as equal.
-_SAME_COLOUR = 1e-3
-# Likeness to the occluder's colour at which a pixel begins to belong to it, and at which it belongs
-# to it fully.
-_LIKENESS = (0.5, 0.8)
+@dataclass(frozen=True)
+class _OutlineModel:
+    """Thresholds between occluder and background.
+
+    The values were chosen by eye on log 002; their sensitivity was not measured.
+    """
+
+    before_m: float = 0.5
+    """Distance of an occluder in front of the actor, at least, in metres. Surfaces that touch
+    the actor, such as the ground, have their edge where both meshes meet."""
+    level: float = 0.7
+    """Vertical component of the normal above which a surface is ground and no occluder."""
+    reach_m: float = 0.12
+    """Distance from a reconstructed surface within which pixels may belong to it: this many
+    metres on the surface, plus `reach_px` pixels."""
+    reach_px: float = 1.5
+    """Part of that distance that does not depend on the depth, in pixels."""
+    farthest_px: float = 16.0
+    """Limit on that distance, in pixels."""
+    window: int = 3
+    """Radius of the windows over which the colours of both sides are learnt, over the median
+    reach."""
+    undecided_weight: float = 0.05
+    """Weight of undecided pixels in these windows."""
+    same_colour: float = 1e-3
+    """Variance of sRGB codes below which colours are taken as equal."""
+    likeness: tuple[float, float] = (0.5, 0.8)
+    """Likeness to the occluder's colour at which a pixel begins to belong to it, and at which
+    it belongs to it fully."""
+
+
+_MODEL = _OutlineModel()
 
 
 def hidden_by_picture(
@@ -62,17 +74,19 @@ def hidden_by_picture(
     if not (is_new.any() and before.any()):
         return hidden
     distance_px, nearest = nearest_of(before)
-    reach_px = focal_px * _REACH_M / buffers.depth_z_m[nearest] + _REACH_PX
-    is_open = _grown(is_new) & (distance_px <= np.minimum(reach_px, _FARTHEST_PX))
+    # Depth errors move outlines by a length in the scene, and sampling by about a pixel.
+    reach_px = focal_px * _MODEL.reach_m / buffers.depth_z_m[nearest] + _MODEL.reach_px
+    is_open = _grown(is_new) & (distance_px <= np.minimum(reach_px, _MODEL.farthest_px))
     if not is_open.any():
         return hidden
-    radius = _WINDOW * int(np.ceil(np.median(reach_px[is_open]).clip(1, _FARTHEST_PX)))
+    radius = _MODEL.window * int(np.ceil(np.median(reach_px[is_open]).clip(1, _MODEL.farthest_px)))
     part = window_around(is_open, 2 * radius)
-    weight = np.where(is_open, np.float32(_UNDECIDED_WEIGHT), np.float32(1))
+    weight = np.where(is_open, np.float32(_MODEL.undecided_weight), np.float32(1))
+    # The filter fits, per window, the occluder mask as a linear function of colour (a local matte).
     likeness = colour_guided_filter(
-        codes[part], before[part].astype(np.float32), weight[part], radius, _SAME_COLOUR
+        codes[part], before[part].astype(np.float32), weight[part], radius, _MODEL.same_colour
     )
-    low, high = _LIKENESS
+    low, high = _MODEL.likeness
     fraction = np.clip((likeness - low) / (high - low), 0.0, 1.0)
     hidden[part] = np.where(is_open[part], fraction, 0.0)
     return hidden
@@ -87,6 +101,6 @@ def _occluders(buffers: GBuffers, is_new: Bool[np.ndarray, "h w"]) -> Bool[np.nd
     if not is_new.any():
         return np.zeros_like(is_new)
     _, nearest = nearest_of(is_new)
-    is_before = buffers.depth_z_m < buffers.depth_z_m[nearest] - _BEFORE_M
-    is_upright = buffers.normal_world[..., 2] < _LEVEL
+    is_before = buffers.depth_z_m < buffers.depth_z_m[nearest] - _MODEL.before_m
+    is_upright = buffers.normal_world[..., 2] < _MODEL.level
     return is_before & is_upright & (buffers.actor_index == BACKGROUND)

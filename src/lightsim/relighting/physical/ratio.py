@@ -151,6 +151,7 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
         lights = _refined(inputs)
     if inputs.circumstances is not None:
         lights = replace(lights, around=_change_around(inputs.circumstances))
+    # Pixels that are mostly sky have no surface of their own; enclosed ones a meaningless one.
     is_surface = inputs.buffers.has_surface & (inputs.sky_matte < 0.5)
     is_surface &= ~_is_enclosed(foreground, inputs.source, is_surface, config)
     ratio = np.exp(
@@ -280,6 +281,7 @@ def _relit_surface(
     change = np.abs(np.log(np.maximum(ratio, _TINY)))
     variance_ratio = np.square(by_ratio * change * np.float32(_SHADING_DEVIATION))
     variance_ratio += np.square(np.maximum(ratio - 1, 0) * np.float32(_RADIANCE_DEVIATION))
+    # The radiance of clipped pixels is unknown: relative error of 1.
     variance_ratio += np.square(np.where(inputs.is_clipped[..., None], by_ratio, 0.0))
     doubt = np.float32(config.base_colour_deviation) ** 2 + _other_surface(
         foreground, inputs, config
@@ -316,6 +318,7 @@ def _other_surface(
         _CORRECTION_DETAIL,
         inputs.width_px,
     )
+    # The mean over channels is a difference of brightness, the rest a difference of hue.
     brighter = apart.mean(axis=-1, keepdims=True)
     colour = np.square(apart - brighter).sum(axis=-1, keepdims=True)
     most = least = light.shaded

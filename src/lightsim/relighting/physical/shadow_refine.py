@@ -9,6 +9,8 @@ up to the next image edge.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Bool, Float32
 from scipy import ndimage
@@ -22,34 +24,45 @@ from lightsim.relighting.physical.filters import box_mean, guided_filter
 # Added to radiance and light before logarithms, in scene units.
 _DARKEST = np.float32(1e-4)
 
-# Chosen by eye on log 002 and the street of seed 0; measured only in combination
-# (docs/benchmarks/relighting.md).
 
-# Distance from a rendered shadow edge, in metres, over which its log-odds grow by one.
-_GEOMETRY_ERROR_M = 0.2
-# Log-odds of the rendered visibility far from its edges.
-_LARGEST_PRIOR_LOGIT = 3.0
-# Standard deviation of log luminance of an image against base colour times light.
-_LUMINANCE_DEVIATION = 0.4
-# Standard deviation of the logs of red over blue, and of green over both.
-_CHROMA_DEVIATION = 0.3
-# Limit on the log-odds from one pixel's colour.
-_LARGEST_IMAGE_LOGIT = 4.0
-# Log-odds from unanimous neighbours.
-_SMOOTHNESS_LOGIT = 8.0
-# Radius of the neighbourhood, as a fraction of the image width.
-_NEIGHBOURHOOD_FRACTION = 1 / 100
-# Width of a strip, as a fraction of the image width, below which a change is taken as noise.
-_SMALLEST_FRACTION = 1 / 240
-# Variance of log luminance below which the image has no edge.
-_EDGE_VARIANCE = 0.003
-# Standard deviations of the visibility nearby: at most the first away from shadow borders, at least
-# the second at a border.
-_EDGE_DEVIATION = (0.05, 0.15)
-# Iterations of the mean-field inference.
-_ITERATIONS = 5
-# Sunlight over the other light, at least, for a refinement; below, the visibility is as rendered.
-_LEAST_CONTRAST = 0.15
+@dataclass(frozen=True)
+class _LabelModel:
+    """Random field of lit and shadowed pixels.
+
+    The values were chosen by eye on log 002 and the street of seed 0 and measured only in
+    combination (docs/benchmarks/relighting.md).
+    """
+
+    geometry_error_m: float = 0.2
+    """Distance from a rendered shadow edge, in metres, over which its log-odds grow by one."""
+    largest_prior_logit: float = 3.0
+    """Log-odds of the rendered visibility far from its edges."""
+    luminance_deviation: float = 0.4
+    """Standard deviation of log luminance of an image against base colour times light."""
+    chroma_deviation: float = 0.3
+    """Standard deviation of the logs of red over blue, and of green over both."""
+    largest_image_logit: float = 4.0
+    """Limit on the log-odds from one pixel's colour."""
+    smoothness_logit: float = 8.0
+    """Log-odds from unanimous neighbours."""
+    neighbourhood_fraction: float = 1 / 100
+    """Radius of the neighbourhood, as a fraction of the image width."""
+    smallest_fraction: float = 1 / 240
+    """Width of a strip, as a fraction of the image width, below which a change is taken as
+    noise."""
+    edge_variance: float = 0.003
+    """Variance of log luminance below which the image has no edge."""
+    edge_deviation: tuple[float, float] = (0.05, 0.15)
+    """Standard deviations of the visibility nearby: at most the first away from shadow borders,
+    at least the second at a border."""
+    iterations: int = 5
+    """Iterations of the mean-field inference."""
+    least_contrast: float = 0.15
+    """Sunlight over the other light, at least, for a refinement; below, the visibility is as
+    rendered."""
+
+
+_MODEL = _LabelModel()
 
 
 def refine_sun_visibility(
@@ -78,7 +91,7 @@ def refine_sun_visibility(
     ambient = shadows.sky + shadows.bounce + (shadows.reflected - by_sun) / colour
     ambient = np.maximum(ambient, _DARKEST)
     contrast = luminance(sunlight) / luminance(ambient)
-    is_open = is_usable & buffers.has_surface & (contrast > _LEAST_CONTRAST)
+    is_open = is_usable & buffers.has_surface & (contrast > _MODEL.least_contrast)
     if not is_open.any():
         return shadows.sun_visibility
     prior = _prior_logit(shadows.sun_visibility, buffers, is_open)
@@ -103,10 +116,10 @@ def _along_edges(
     Dapples under leaves are thinner than the estimate from all pictures. Faces turned away from the
     sun are included, because those of leaves, sills and reveals are often misplaced in the mesh.
     """
-    near = max(1, round(width_px * _NEIGHBOURHOOD_FRACTION))
+    near = max(1, round(width_px * _MODEL.neighbourhood_fraction))
     weight = is_usable.astype(np.float32)
     guide = np.log(np.maximum(brightness, _DARKEST)).astype(np.float32)
-    guided = np.clip(guided_filter(guide, visibility, weight, near, _EDGE_VARIANCE), 0.0, 1.0)
+    guided = np.clip(guided_filter(guide, visibility, weight, near, _MODEL.edge_variance), 0.0, 1.0)
     part = weight * border_fraction(visibility, width_px)
     return np.where(part > 0, visibility + part * (guided - visibility), visibility)
 
@@ -116,9 +129,9 @@ def border_fraction(
 ) -> Float32[np.ndarray, "h w"]:
     """Weight that is 1 near borders of shadows and 0 where all pixels nearby are lit or all
     shadowed."""
-    near = max(1, round(width_px * _NEIGHBOURHOOD_FRACTION))
+    near = max(1, round(width_px * _MODEL.neighbourhood_fraction))
     variance = box_mean(np.square(visibility), near) - np.square(box_mean(visibility, near))
-    flat, edge = _EDGE_DEVIATION
+    flat, edge = _MODEL.edge_deviation
     deviation = np.sqrt(np.maximum(variance, np.float32(0)))
     return np.clip((deviation - flat) / (edge - flat), 0.0, 1.0).astype(np.float32)
 
@@ -132,7 +145,7 @@ def _changed_fraction(
 
     Elsewhere rendered edges are sharper than estimated ones. Small specks are left out.
     """
-    smallest = max(2, round(width_px * _SMALLEST_FRACTION))
+    smallest = max(2, round(width_px * _MODEL.smallest_fraction))
     is_changed = (visibility > 0.5) != (rendered > 0.5)
     is_changed = ndimage.binary_opening(is_changed, np.ones((smallest, smallest)))
     grown = np.asarray(ndimage.binary_dilation(is_changed, np.ones((3, 3))))
@@ -152,16 +165,18 @@ def _infer(
         look: log of the image over the model without sun, and the step that the sun adds to it.
         prior: log-odds of lit from the rendered visibility.
     """
-    near = max(1, round(width_px * _NEIGHBOURHOOD_FRACTION))
+    near = max(1, round(width_px * _MODEL.neighbourhood_fraction))
     weight = is_open.astype(np.float32)
     guide = np.log(np.maximum(brightness, _DARKEST)).astype(np.float32)
     # The initial value includes each pixel's colour: started from the prior alone, the neighbours
     # would keep a wide false shadow for ever.
     own = prior + _image_logit(*look)
     visibility = _sigmoid(own)
-    for _ in range(_ITERATIONS):
+    for _ in range(_MODEL.iterations):
         mean = guided_filter(guide, visibility, weight, near, 0.05)
-        visibility = _sigmoid(own + np.float32(_SMOOTHNESS_LOGIT) * (2 * np.clip(mean, 0, 1) - 1))
+        visibility = _sigmoid(
+            own + np.float32(_MODEL.smoothness_logit) * (2 * np.clip(mean, 0, 1) - 1)
+        )
     soft = guided_filter(guide, visibility, weight, max(1, near // 2), 0.01)
     return np.clip(soft, 0.0, 1.0).astype(np.float32)
 
@@ -175,11 +190,13 @@ def _image_logit(
     Brightness, red over blue, and green over both are taken as independent Gaussians.
     """
     basis = np.array([[1 / 3, 1 / 3, 1 / 3], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]], np.float32)
-    deviation = np.array([_LUMINANCE_DEVIATION, _CHROMA_DEVIATION, _CHROMA_DEVIATION], np.float32)
+    deviation = np.array(
+        [_MODEL.luminance_deviation, _MODEL.chroma_deviation, _MODEL.chroma_deviation], np.float32
+    )
     if_shadowed = residual @ basis.T / deviation
     if_lit = (residual - step) @ basis.T / deviation
     logit = 0.5 * (np.square(if_shadowed) - np.square(if_lit)).sum(axis=-1)
-    limit = np.float32(_LARGEST_IMAGE_LOGIT)
+    limit = np.float32(_MODEL.largest_image_logit)
     return (limit * np.tanh(logit / limit)).astype(np.float32)
 
 
@@ -193,8 +210,8 @@ def _prior_logit(
     inside = np.asarray(ndimage.distance_transform_edt(is_lit | ~is_open))
     outside = np.asarray(ndimage.distance_transform_edt(~is_lit | ~is_open))
     signed_px = np.where(is_lit, inside, -outside)
-    logit = signed_px * _footprint_m(buffers) / _GEOMETRY_ERROR_M
-    limit = _LARGEST_PRIOR_LOGIT
+    logit = signed_px * _footprint_m(buffers) / _MODEL.geometry_error_m
+    limit = _MODEL.largest_prior_logit
     return (limit * np.tanh(logit / limit)).astype(np.float32)
 
 
