@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from lightsim.core.dome import SkyDome, Sun, add_sun, irradiance, split_sun
+from lightsim.core.dome import SkyDome, Sun, add_sun, split_sun
 from lightsim.core.twin import LightFreedom, SkyEstimate
+from lightsim.lighting.sky.clear_sky import level_irradiance
 
 
 def unseen_part(dome: SkyDome, freedom: LightFreedom) -> SkyDome:
@@ -39,9 +40,8 @@ def rebalanced(
     changed = (sky * factor).astype(np.float32)
     upper = changed.copy()
     upper[len(upper) // 2 :] = 0.0
-    up = np.array([0.0, 0.0, 1.0])
-    level = irradiance(upper, up)
-    unseen = irradiance((upper * freedom.unseen[..., None]).astype(np.float32), up)
+    level = level_irradiance(upper)
+    unseen = level_irradiance((upper * freedom.unseen[..., None]).astype(np.float32))
     dome = SkyDome(changed, None)
     if sun is not None:
         light = (sun.irradiance * sun_factor).astype(np.float32)

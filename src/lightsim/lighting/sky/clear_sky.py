@@ -41,8 +41,7 @@ def clear_sky(
             outside 1 to 10.
     """
     radiance, sun = clear_sky_parts(sun_direction_world, turbidity, GROUND_ALBEDO, height_px)
-    level = irradiance(radiance, np.array([0.0, 0.0, 1.0]))
-    level += sun.irradiance * sun.direction_world[2]
+    level = level_irradiance(radiance) + sun.irradiance * sun.direction_world[2]
     return add_sun(with_ground(radiance, GROUND_ALBEDO * level / np.pi), sun)
 
 
@@ -90,6 +89,11 @@ def overcast_shape(height_px: int) -> Float32[np.ndarray, "h w 3"]:
     elevation_sine = pixel_directions(height_px)[..., 2:3]
     shape = np.where(elevation_sine > 0, (1 + 2 * elevation_sine) / 3, 0.0)
     return np.repeat(shape, 3, axis=-1).astype(np.float32)
+
+
+def level_irradiance(radiance: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3"]:
+    """RGB irradiance of a dome on level ground."""
+    return irradiance(radiance, np.array([0.0, 0.0, 1.0]))
 
 
 def with_ground(

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Float32
 from scipy.optimize import nnls
 
 from lightsim.core.colour import luminance
-from lightsim.core.dome import Sun, add_sun, irradiance
+from lightsim.core.dome import Sun, add_sun
 from lightsim.core.equirect import pixel_directions, solid_angles_sr
 from lightsim.core.solar import angle_between_deg
 from lightsim.core.twin import LightFreedom, Panorama, SkyEstimate
@@ -18,6 +18,7 @@ from lightsim.lighting.sky.blend import blend_observed, shrink_masked, unseen_we
 from lightsim.lighting.sky.clear_sky import (
     GROUND_ALBEDO,
     clear_sky_parts,
+    level_irradiance,
     overcast_shape,
     with_ground,
 )
@@ -129,7 +130,7 @@ def estimate_sky(
         sun.origin,
         sun.uncertainty_deg,
         float(np.hypot(strength.log_std, level_log_std)),
-        irradiance(sky, np.array([0.0, 0.0, 1.0])).astype(np.float32),
+        level_irradiance(sky).astype(np.float32),
         level_log_std,
         (*sun.notes, *_sky_notes(panorama, analytic, sun), *strength.notes),
     )
@@ -151,12 +152,11 @@ def _usual_sun(
     Both logs are combined by the inverse of their variances; the expected attenuation by cloud is
     included.
     """
-    up = np.array([0.0, 0.0, 1.0])
     radiance, clear = clear_sky_parts(
         sun.direction_world, _USUAL_TURBIDITY, GROUND_ALBEDO, _FIT_HEIGHT_PX
     )
-    usual_ratio = _grey(clear.irradiance) / _grey(irradiance(radiance, up))
-    usual = np.log(usual_ratio * _grey(irradiance(sky, up)))
+    usual_ratio = _grey(clear.irradiance) / _grey(level_irradiance(radiance))
+    usual = np.log(usual_ratio * _grey(level_irradiance(sky)))
     fitted = np.log(max(_grey(analytic.clear_sun_irradiance), 1e-9))
     # Heuristic: a poor or mostly overcast fit carries little information about a clear sun.
     fit_std = 0.2 + 8.0 * analytic.residual + 2.0 * analytic.overcast_fraction
@@ -243,9 +243,8 @@ def fit_analytic_sky(
     clear, clear_sun = clear_sky_parts(sun_direction_world, turbidity, GROUND_ALBEDO, full)
     cloud = overcast_shape(full) * weights[:, 1]
     radiance = (clear * weights[:, 0] + cloud).astype(np.float32)
-    up = np.array([0.0, 0.0, 1.0])
-    total = float(irradiance(radiance, up).sum())
-    fraction = float(irradiance(cloud, up).sum() / max(total, 1e-12))
+    total = float(level_irradiance(radiance).sum())
+    fraction = float(level_irradiance(cloud).sum() / max(total, 1e-12))
     sun_rgb = clear_sun.irradiance * weights[:, 0].mean()
     return AnalyticFit(
         radiance, turbidity, fraction, sun_rgb.astype(np.float32), residual, len(observed)
@@ -290,9 +289,8 @@ def _unseen_scale(panorama: Panorama, sun_direction_world: Float[np.ndarray, "3"
     shadow, then have the observed mean radiance."""
     sky, sun = clear_sky_parts(sun_direction_world, _USUAL_TURBIDITY, GROUND_ALBEDO, _FIT_HEIGHT_PX)
     # Half of the surfaces are taken to be in shadow; the cosine is bounded for low suns.
-    level = irradiance(sky, np.array([0.0, 0.0, 1.0])) + 0.5 * sun.irradiance * max(
-        float(sun_direction_world[2]), 0.2
-    )
+    sine = max(float(sun_direction_world[2]), 0.2)
+    level = level_irradiance(sky) + 0.5 * sun.irradiance * sine
     surfaces = panorama.radiance[panorama.is_seen & ~panorama.is_sky]
     if not len(surfaces):
         return 1.0
@@ -318,7 +316,7 @@ def _ground_radiance(
     below[: below.shape[0] // 2] = False
     if below.mean() > 0.02:
         return panorama.radiance[below].astype(np.float64).mean(axis=0)
-    return GROUND_ALBEDO * irradiance(sky, np.array([0.0, 0.0, 1.0])) / np.pi
+    return GROUND_ALBEDO * level_irradiance(sky) / np.pi
 
 
 def _sky_notes(panorama: Panorama, analytic: AnalyticFit, sun: SunDirection) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from lightsim.core.colour import CLIPPED_CODE, linear_from_srgb8
-from lightsim.core.dome import irradiance, split_sun
+from lightsim.core.dome import split_sun
 from lightsim.core.equirect import pixel_directions
 from lightsim.core.resample import resize_area
 from lightsim.core.sky_choice import SkyChoice
@@ -16,6 +16,7 @@ from lightsim.core.solar import direction_enu
 from lightsim.core.twin import Panorama, SkyEstimate
 from lightsim.errors import InputError
 from lightsim.lighting.sample import SkyPrediction
+from lightsim.lighting.sky.clear_sky import level_irradiance
 from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
 from lightsim.lighting.sun.cues import NetworkCue, OpenSkyCue, panorama_cues
 from lightsim.lighting.sun.direction import SunDirection
@@ -66,7 +67,7 @@ def edited_sky(estimate: SkyEstimate, choice: SkyChoice, heading_deg: float | No
         known_deg = None if heading_deg is None else azimuth_deg
         estimate = replace(estimate, sun_azimuth_deg=known_deg, sun_elevation_deg=elevation_deg)
     dome = with_edited_sun(estimate.dome, direction, choice.sun_factor)
-    level = irradiance(split_sun(dome)[0], np.array([0.0, 0.0, 1.0]))
+    level = level_irradiance(split_sun(dome)[0])
     notes = ("the sun was edited by hand", *estimate.notes)
     return replace(estimate, dome=dome, sky_irradiance=level.astype(np.float32), notes=notes)
 

@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from lightsim.core.colour import linear_from_srgb
-from lightsim.core.dome import SkyDome, Sun, irradiance, resized, split_sun
+from lightsim.core.dome import SkyDome, Sun, resized, split_sun
 from lightsim.core.twin import Panorama, SkyEstimate
 from lightsim.lighting.panorama.complete import completed_ldr, exposed_ldr
 from lightsim.lighting.sample import SkyPrediction
+from lightsim.lighting.sky.clear_sky import level_irradiance
 from lightsim.lighting.sun.direction import SunDirection
 
 if TYPE_CHECKING:
@@ -77,7 +78,7 @@ def decoded_sky(
         InputError: no pixel was observed.
     """
     dome = resized(decoded_dome(panorama, sun_direction=sun.direction_world), height_px)
-    level = irradiance(split_sun(dome)[0], np.array([0.0, 0.0, 1.0]))
+    level = level_irradiance(split_sun(dome)[0])
     note = (
         f"the dome is decoded by the network ({SKY_WEIGHTS}) from its latent and peak and the"
         " estimated sun direction; the sun's strength was not checked against shadows"

@@ -25,8 +25,11 @@ from lightsim.core.outline import grown_outline
 from lightsim.relighting.physical.actor_layer import ActorLayer
 from lightsim.relighting.physical.camera_look import CameraLook
 from lightsim.relighting.physical.filters import box_mean, fill_holes, median_smoothed
-from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
-from lightsim.relighting.physical.shadow_refine import refine_sun_visibility
+from lightsim.relighting.physical.ratio import (
+    RatioConfig,
+    RelightInputs,
+    relight_physical,
+)
 
 # Chosen by eye on log 002 and the street of seed 0; sensitivity not measured.
 
@@ -141,15 +144,7 @@ def _light_before_and_after(inputs: EditInputs) -> tuple[ShadowBuffers, ShadowBu
     recorded, sun = inputs.recorded, inputs.recorded.source_sun
     if sun is None or sun.direction_world[2] <= 0:
         return recorded.source, inputs.light
-    found = with_found_visibility(recorded.source, recorded.buffers, sun, recorded.found_visibility)
-    shown = refine_sun_visibility(
-        recorded.radiance,
-        recorded.buffers,
-        found,
-        sun,
-        recorded.sky_matte < 0.5,
-        recorded.width_px,
-    )
+    shown = shown_visibility(recorded, sun)
     after = with_found_visibility(inputs.light, inputs.buffers, sun, inputs.found_visibility)
     # Behind a removed actor is another surface, on which the picture shows no shadows.
     is_shown = (inputs.past_gone == 1) & (inputs.gone == 0)

@@ -165,14 +165,10 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
     return composite(relit, inputs.target_sky, inputs.sky_matte)
 
 
-def _refined(inputs: RelightInputs) -> Lights:
-    """Source and target light with the shadow edges of the image."""
-    sun = inputs.source_sun
-    if sun is None or sun.direction_world[2] <= 0:
-        return Lights(inputs.source, inputs.target)
-    rendered = inputs.source.sun_visibility
+def shown_visibility(inputs: RelightInputs, sun: Sun) -> Float32[np.ndarray, "h w"]:
+    """Visibility of the source's sun, from all pictures and refined by the image."""
     found = with_found_visibility(inputs.source, inputs.buffers, sun, inputs.found_visibility)
-    visibility = refine_sun_visibility(
+    return refine_sun_visibility(
         inputs.radiance,
         inputs.buffers,
         found,
@@ -180,6 +176,15 @@ def _refined(inputs: RelightInputs) -> Lights:
         inputs.sky_matte < 0.5,
         inputs.width_px,
     )
+
+
+def _refined(inputs: RelightInputs) -> Lights:
+    """Source and target light with the shadow edges of the image."""
+    sun = inputs.source_sun
+    if sun is None or sun.direction_world[2] <= 0:
+        return Lights(inputs.source, inputs.target)
+    rendered = inputs.source.sun_visibility
+    visibility = shown_visibility(inputs, sun)
     sunlight = unoccluded_sun(inputs.buffers, inputs.source, sun)
     source = with_sun_visibility(inputs.source, sunlight, visibility)
     weight = np.zeros_like(visibility)
