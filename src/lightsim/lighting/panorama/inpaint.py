@@ -26,6 +26,17 @@ SMOOTH_HEIGHT_PX = 64
 _BLEND_PX = 1.5
 
 
+def check_panorama_size(height_px: int, width_px: int) -> None:
+    """Raise InputError unless a panorama is twice as wide as high."""
+    if width_px != 2 * height_px:
+        raise InputError(
+            "a panorama must be twice as wide as high",
+            got=f"{width_px}x{height_px} px",
+            expected=f"{2 * height_px}x{height_px} px",
+            remedy="Crop or pad it to an equirectangular image.",
+        )
+
+
 def complete_panorama(
     ldr: Float32[np.ndarray, "h w 3"],
     is_seen: Bool[np.ndarray, "h w"],
@@ -40,12 +51,7 @@ def complete_panorama(
         InputError: the panorama is not twice as wide as high, or no pixel was observed.
     """
     height, width = ldr.shape[:2]
-    if width != 2 * height:
-        raise InputError(
-            "a panorama must be twice as wide as high",
-            got=f"{width}x{height} px",
-            expected=f"{2 * height}x{height} px",
-        )
+    check_panorama_size(height, width)
     if not is_seen.any():
         raise InputError(
             "the panorama has no observed pixel, so its holes cannot be filled",

@@ -15,6 +15,7 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import direction_enu
 from lightsim.core.twin import Panorama, SkyEstimate
 from lightsim.errors import InputError
+from lightsim.lighting.panorama.inpaint import check_panorama_size
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.clear_sky import level_irradiance
 from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
@@ -99,12 +100,7 @@ def panorama_from_image(
         InputError: the picture is not 2:1, too small, or shows no sky.
     """
     height, width = srgb8.shape[:2]
-    if width != 2 * height:
-        raise InputError(
-            "a panorama must be twice as wide as high",
-            got=f"{width}x{height} px",
-            remedy="Crop or pad it to an equirectangular image.",
-        )
+    check_panorama_size(height, width)
     if height < _LEAST_ROWS:
         raise InputError(
             "the panorama is too small to show a sky",
