@@ -29,6 +29,7 @@ from lightsim.relighting.physical.ratio import (
     RatioConfig,
     RelightInputs,
     relight_physical,
+    shown_visibility,
 )
 
 # Chosen by eye on log 002 and the street of seed 0; sensitivity not measured.
