@@ -13,9 +13,12 @@ from lightsim.core.dome import irradiance
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import GeoReference
 from lightsim.errors import InputError
-from lightsim.lighting.sky.clear_sky import LUMINANCE_CD_M2, clear_sky_parts
+from lightsim.lighting.sky.clear_sky import SCENE_UNITS_PER_MODEL_UNIT, clear_sky_parts
 from lightsim.lighting.target_sky import target_sky
 
+# Luminance of one scene unit of a clear sky: the model's RGB is spectral radiance in
+# W / (m2 sr nm), weighted by CIE y and divided by the sum of y over nanometres, 106.857.
+_LUMINANCE_CD_M2 = 683.0 * 106.857 / SCENE_UNITS_PER_MODEL_UNIT
 _NM = np.arange(380.0, 781.0)
 _RGB_FROM_XYZ = np.linalg.inv(
     [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750],
@@ -44,7 +47,7 @@ def _model(elevation_deg: float, turbidity: float) -> tuple[np.ndarray, np.ndarr
     direction = np.array([np.cos(angle), 0.0, np.sin(angle)])
     sky, sun = clear_sky_parts(direction, turbidity, 0.2, 32)
     up = np.array([0.0, 0.0, 1.0])
-    return sun.irradiance * LUMINANCE_CD_M2, irradiance(sky, up) * LUMINANCE_CD_M2
+    return sun.irradiance * _LUMINANCE_CD_M2, irradiance(sky, up) * _LUMINANCE_CD_M2
 
 
 def _spectral(elevation_deg: float, aerosol: float) -> tuple[np.ndarray, np.ndarray, float]:

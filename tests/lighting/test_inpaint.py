@@ -271,10 +271,10 @@ def test_wrong_input_is_named() -> None:
     ldr, seen = np.zeros((8, 12, 3), np.float32), np.ones((8, 12), bool)
     with pytest.raises(InputError, match="12x8"):
         complete_panorama(ldr, seen, None)
-    with pytest.raises(InputError, match="nothing"):
+    with pytest.raises(InputError, match="no observed pixel"):
         complete_panorama(np.zeros((8, 16, 3), np.float32), np.zeros((8, 16), bool), None)
     nothing = np.zeros((8, 16), bool)
-    with pytest.raises(InputError, match="shows nothing"):
+    with pytest.raises(InputError, match="black or empty"):
         completed_ldr(Panorama(np.zeros((8, 16, 3), np.float32), nothing, nothing, nothing), None)
     wide = replace(TINY, dilations=(1, 8))
     with pytest.raises(InputError, match="dilations"):

@@ -17,7 +17,7 @@ from lightsim.core.twin import Panorama
 from lightsim.errors import InputError
 from lightsim.lighting.sky.clear_sky import clear_sky, clear_sky_parts
 from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
-from lightsim.lighting.sky.image_sky import estimate_from_panorama
+from lightsim.lighting.sky.image_sky import estimate_from_picture, panorama_from_image
 from lightsim.lighting.sun.direction import (
     SunDirection,
     find_sun_blob,
@@ -136,9 +136,8 @@ def test_the_dome_of_a_partly_seen_clear_sky_matches_the_truth():
 
 def test_a_picture_alone_gives_a_sky():
     truth = clear_sky(direction_enu(80.0, 50.0), 3.0, height_px=64).scaled(0.5)
-    sky = estimate_from_panorama(
-        srgb8_from_linear(truth.radiance), None, None, SkyConfig(height_px=64)
-    )
+    picture = panorama_from_image(srgb8_from_linear(truth.radiance), None)
+    sky = estimate_from_picture(picture, None, SkyConfig(height_px=64))
     assert sky.origin == "image"
     assert sky.sun_azimuth_deg is None
     assert sky.dome.sun is not None

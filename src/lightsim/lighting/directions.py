@@ -1,4 +1,4 @@
-"""Evenly spread directions of the upper hemisphere and averages over them."""
+"""Evenly distributed directions of the upper hemisphere and averages over them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 
 def fibonacci_hemisphere(count: int) -> Float[np.ndarray, "n 3"]:
-    """Directions of equal solid angle 2 pi / count, z up (Gonzalez 2010,
+    """Return directions of equal solid angle 2 pi / count, z up (Gonzalez 2010,
     doi:10.1007/s11004-009-9257-x)."""
     k = np.arange(count) + 0.5
     z = 1.0 - k / count
@@ -17,7 +17,7 @@ def fibonacci_hemisphere(count: int) -> Float[np.ndarray, "n 3"]:
 
 
 def count_for_spacing(spacing_deg: float) -> int:
-    """How many directions of the hemisphere lie about this far apart."""
+    """Number of directions of the hemisphere at which neighbours are about this far apart."""
     return max(1, round(2 * np.pi / np.radians(spacing_deg) ** 2))
 
 

@@ -1,4 +1,5 @@
-"""Night panoramas: their level is part of what they show, and "auto" scaling loses it."""
+"""Classification of panoramas as day or night. The brightness of a night sky is part of its
+content, so "auto" scaling must not change it."""
 
 from __future__ import annotations
 
@@ -8,22 +9,24 @@ from lightsim.core.colour import luminance
 from lightsim.core.dome import SkyDome, split_sun
 from lightsim.core.equirect import pixel_directions
 
+# Sine of the elevation above which the sky is examined: 30 degrees, above most houses and lamps.
 _UPPER_SINE = 0.5
-"""Sine of the elevation above which the sky is judged: 30 degrees, above most houses and lamps."""
+# Upper limit on the median luminance of the upper sky, relative to the mean of the sphere without
+# its strongest lamp or sun. Measured: nights up to 0.48, days with a grey upper sky from 0.64.
 _DIM = 0.55
-"""Median luminance of the upper sky over the mean of the sphere without its strongest lamp or sun:
-the upper sky gives little of the light. Nights up to 0.48; days of a grey upper sky from 0.64."""
+# Range of blue over red of the upper sky at night. Measured: dim day skies are blue (from 2.5) or
+# contain green leaves and rock (at most 0.89); nights lie between 0.93 (haze lit by lamps) and 1.67
+# (stars).
 _GREY = (0.91, 2.0)
-"""Blue over red of the upper sky. Dim day skies are blue (from 2.5) or green leaves and rock (at
-most 0.89); nights lie at 0.93 to 1.67: haze that lamps light, or stars."""
 
 
 def looks_like_night(dome: SkyDome) -> bool:
-    """Return whether a panorama was taken at night: its upper sky is neither blue nor a source of
-    light beside what is around.
+    """Return whether a panorama was taken at night: its upper sky is neither blue nor brighter than
+    its surroundings.
 
-    On 62 day and 7 night panoramas (python benchmarks/bench_night.py FOLDER): no day, five nights;
-    a sky of stars alone looks like clouds, and full moon on a long exposure like the sun.
+    Measured on 62 day and 7 night panoramas (python benchmarks/bench_night.py FOLDER): no day and
+    five nights are found. A sky with stars alone is not found, because it resembles clouds; nor is
+    a full moon on a long exposure, because it resembles the sun.
     """
     rest, _ = split_sun(dome)
     upper = pixel_directions(dome.height_px)[..., 2] > _UPPER_SINE

@@ -1,5 +1,5 @@
-"""What the lighting networks are trained on and what they say: the contract between data, networks
-and estimate."""
+"""Training samples and predictions of the lighting networks: the interface between training data,
+networks and the sky estimate."""
 
 from __future__ import annotations
 
@@ -12,19 +12,22 @@ from jaxtyping import Bool, Float32
 
 @dataclass(frozen=True, eq=False)
 class LightingBatch:
-    """Panoramas under known skies. Directions are in the panorama's own frame (z up; row 0 the
-    zenith; columns as in core/equirect.py); exposure is random, and 1 is where pixels clip.
+    """Panoramas with known skies, for training.
+
+    Directions are in the panorama's own frame (z up; row 0 is the zenith; columns as in
+    core/equirect.py). Exposure is random; the value 1 is where pixels clip.
 
     Args:
-        panorama: complete LDR panoramas, sRGB in [0, 1], tone-mapped and clipped.
-        visibility: what a camera rig with its own blind spots saw of them.
+        panorama: complete LDR panoramas, sRGB in [0, 1], clipped.
+        visibility: true where a simulated camera rig with its blind spots observes the panorama.
         front: pictures of one camera of limited field of view, sRGB in [0, 1].
-        sky: linear radiance of the upper half, sun included, in units of the clipping value.
-            Where scene hides the sky it is there all the same.
-        sky_seen: where the panorama's upper half shows sky and not scene.
-        sun_direction: unit vectors; of the brightest spot where the sun is hidden.
+        sky: linear radiance of the upper half, sun included, in units of the clipping value; also
+            defined where the scene occludes the sky.
+        sky_seen: true where the panorama's upper half shows sky and not scene.
+        sun_direction: unit vectors towards the sun; towards the brightest spot where the sun is
+            hidden.
         log_peak: natural logarithm of the luminance of the dome's brightest pixel.
-        is_sunny: the sun is clear of clouds: it casts shadows.
+        is_sunny: true where no cloud hides the sun, so that it casts shadows.
     """
 
     panorama: Float32[np.ndarray, "n h w 3"]
@@ -39,12 +42,12 @@ class LightingBatch:
 
 @runtime_checkable
 class LightingData(Protocol):
-    """An endless source of batches. The same seed and index give the same batch."""
+    """An endless source of batches. Equal seed and index give equal batches."""
 
     height_px: int
 
     def batch(self, size: int, seed: int, index: int, *, only_sunny: bool) -> LightingBatch:
-        """`size` panoramas; with `only_sunny`, of clear suns as far as the source has such."""
+        """Return `size` panoramas; with `only_sunny`, with clear suns if the source has any."""
         ...
 
 
@@ -58,25 +61,25 @@ class PanoramaBatch:
 
 @runtime_checkable
 class PanoramaData(Protocol):
-    """An endless source of panoramas and masks. The same seed and index give the same batch."""
+    """An endless source of panoramas and masks. Equal seed and index give equal batches."""
 
     height_px: int
 
     def panoramas(self, size: int, seed: int, index: int) -> PanoramaBatch:
-        """`size` complete panoramas and what cameras saw of them."""
+        """Return `size` complete panoramas and the masks of what cameras observe of them."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class SkyPrediction:
-    """What a network reads off one completed LDR panorama; frame and units as in LightingBatch.
+    """Prediction of a sky network for one LDR panorama; frame and units as in LightingBatch.
 
     Args:
         sun_direction: unit vector.
         concentration: kappa of the von Mises-Fisher density around it (1 / rad^2 when large).
         log_peak: see LightingBatch.
-        log_peak_std: one standard deviation.
-        sunny_probability: that the sun casts shadows.
+        log_peak_std: one standard deviation of `log_peak`.
+        sunny_probability: probability that the sun casts shadows.
         latent: appearance of the sky (paper: z_sky).
     """
 

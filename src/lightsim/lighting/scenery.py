@@ -1,4 +1,4 @@
-"""The sky of an HDR panorama without the place that it was taken at: trees, roofs, ground."""
+"""Removal of scenery (trees, roofs, ground) from an HDR panorama, so that only sky remains."""
 
 from __future__ import annotations
 
@@ -19,37 +19,43 @@ from lightsim.lighting.panorama.inpaint import SMOOTH_HEIGHT_PX, fade_into_seen,
 EstimateMatte = Callable[
     [UInt8[np.ndarray, "h w 3"], PinholeCamera, RigidTransform], Float32[np.ndarray, "h w"]
 ]
-"""Fraction of each pixel of a picture that is sky, by the camera and its pose."""
+"""Function (picture, camera, world_from_camera) that returns the sky fraction of each pixel."""
 
+# Mean step of log luminance between columns, at `_WORKING_ROWS` rows, above which a panorama
+# contains scenery; larger of two bands: 4 to 0 degrees above the horizon, 0 to 40 degrees below. Of
+# 53 outdoor day HDRIs the 9 without scenery have at most 0.023, the 44 with scenery at least 0.037
+# (docs/benchmarks/lighting.md).
 _PLACE_STEP = 0.03
-"""Mean step of log luminance from pixel to pixel, at `_WORKING_ROWS`, from 4 degrees above the
-horizon to it, or from there to 40 below. Of 53 outdoor day HDRIs the 9 without a place have at most
-0.023, the 44 places at least 0.037 (docs/benchmarks/lighting.md)."""
+# Rows of the reduced panorama on which `_PLACE_STEP` was measured; a limit on time only.
 _WORKING_ROWS = 256
+# Value of the 60th percentile of the upper half in the segmented pictures. Dark, so that sunlit
+# walls do not clip and are not taken for sky; 0.25 and 0.4 missed more walls.
 _EXPOSURE_LEVEL = 0.12
-"""Value of the 60th percentile of the upper half in the pictures that are segmented: dark, so that
-walls in the sun do not clip and pass for sky. 0.25 and 0.4 lost more walls."""
+# Azimuth and elevation of the segmented pictures. Their field of view is 90 degrees; together they
+# cover the upper half of the sphere.
 _VIEWS_DEG = (*((60.0 * number, 25.0) for number in range(6)), (0.0, 89.0))
-"""Azimuth and elevation of pictures of 90 degrees that together see all of the upper half."""
+# Side of the segmented pictures, at most, in pixels; a limit on time, sensitivity not measured.
 _MAX_VIEW_PX = 480
-_SURE = 0.98
+# Sky fraction below which a pixel counts as scenery; sensitivity not measured.
+_PURE_SKY = 0.98
+# Angular width of the rim around scenery whose pixels may be mixed with it, in degrees.
 _RIM_DEG = 0.7
-"""What lies so close to scenery may be mixed with it."""
+# Poles are thinner than the first and longer than the second angle, in degrees.
 _POLE_DEG = (2.0, 3.0)
-"""Poles are thinner than the first and longer than the second."""
+# Difference of log radiance between a pole and the sky beside it, at least.
 _POLE_STEP = 0.1
-"""Log radiance by which a pole differs from the sky beside it."""
+# Smallest piece of sky that is used, as a fraction of the upper half.
 _LEAST_SKY = 0.01
-"""Fraction of the upper half that a piece of sky covers at least."""
 
 
 def without_scenery(dome: SkyDome, estimate_matte: EstimateMatte) -> tuple[SkyDome, float]:
-    """The dome as a backdrop: its sky alone, and the fraction of the upper half that was scenery.
+    """Return the sky of a dome as a background, and the fraction of the upper half that was
+    scenery.
 
-    Where sky was seen the picture is the file's, to the bit, and as sharp. Behind scenery and below
-    the horizon the sky's log radiance is continued smoothly (Laplace), and meets what was seen
-    without an edge. The sun shines wherever the file has it. A file that shows no place comes back
-    as it is, and so does one without any sky.
+    Where sky was observed, the radiance is the file's, bit for bit. Behind scenery and below the
+    horizon, the log radiance of the sky is continued smoothly (Laplace) and joins the observed sky
+    without an edge. The sun is added wherever the file has it. A file without scenery, or without
+    any sky, is returned unchanged.
 
     Args:
         estimate_matte: finds sky in a perspective picture.
@@ -68,12 +74,13 @@ def without_scenery(dome: SkyDome, estimate_matte: EstimateMatte) -> tuple[SkyDo
 
 
 def _shows_place(radiance: Float32[np.ndarray, "h w 3"]) -> bool:
-    """Whether skyline or ground have structure, as no smooth or mirrored lower half has."""
+    """Return whether skyline or ground have structure; smooth and mirrored lower halves have
+    none."""
     return place_step(radiance) > _PLACE_STEP
 
 
 def place_step(radiance: Float32[np.ndarray, "h w 3"]) -> float:
-    """Mean step of log luminance from column to column, of the rougher of skyline and ground."""
+    """Mean step of log luminance between columns, in the rougher of skyline and ground band."""
     height = min(len(radiance), _WORKING_ROWS)
     value = luminance(resize_area(radiance, height, 2 * height))
     level = float(np.median(value[: height // 2]))
@@ -87,7 +94,8 @@ def place_step(radiance: Float32[np.ndarray, "h w 3"]) -> float:
 def _sky_matte(
     radiance: Float32[np.ndarray, "h w 3"], estimate_matte: EstimateMatte
 ) -> Float[np.ndarray, "h w"]:
-    """Fraction of sky of every pixel, a mean over perspective views that fades at their borders."""
+    """Sky fraction of each pixel: a weighted mean over perspective views whose weights fall to
+    their borders."""
     height = len(radiance)
     upper = luminance(radiance[: height // 2])
     exposure = _EXPOSURE_LEVEL / max(float(np.percentile(upper, 60)), 1e-12)
@@ -109,7 +117,7 @@ def _sky_matte(
 
 
 def _looking(azimuth_deg: float, elevation_deg: float) -> RigidTransform:
-    """`world_from_camera` at the origin; azimuth counter-clockwise from world +x."""
+    """Return `world_from_camera` at the origin; azimuth is counter-clockwise from world +x."""
     azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
     flat = np.cos(elevation)
     forward = np.array([np.cos(azimuth) * flat, np.sin(azimuth) * flat, np.sin(elevation)])
@@ -121,10 +129,10 @@ def _looking(azimuth_deg: float, elevation_deg: float) -> RigidTransform:
 def _seen_sky(
     radiance: Float32[np.ndarray, "h w 3"], matte: Float[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Pixels that show nothing but sky: the matte's, without poles, the rim of scenery and small
-    gaps between leaves."""
+    """Pixels that show nothing but sky: those of the matte without poles, the rim of scenery and
+    small gaps between leaves."""
     height, width = matte.shape
-    scenery = matte < _SURE
+    scenery = matte < _PURE_SKY
     scenery[height // 2 :] = True
     rim_px = int(np.ceil(_RIM_DEG / 180.0 * height))
     poles = ndimage.binary_dilation(_upright_lines(radiance), iterations=rim_px)
@@ -132,7 +140,7 @@ def _seen_sky(
     scenery, poles = (
         np.asarray(np.pad(mask, around, mode="wrap"), bool) for mask in (scenery, poles)
     )
-    # What stands on scenery is scenery; a wisp of cloud in the open is not.
+    # Thin lines count as poles only where they touch scenery; isolated lines are wisps of cloud.
     scenery = ndimage.binary_propagation(scenery, mask=scenery | poles)
     seen = ~np.asarray(ndimage.binary_dilation(scenery, iterations=rim_px), bool)
     labels, count = ndimage.label(seen)  # type: ignore[misc]
@@ -143,8 +151,8 @@ def _seen_sky(
 
 
 def _upright_lines(radiance: Float32[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
-    """Pixels of lines that are thin sideways and long upwards: poles and trunks that a matte
-    misses, brighter or darker than the sky beside them."""
+    """Pixels of narrow, tall lines (poles and trunks that the matte misses), brighter or darker
+    than the sky beside them."""
     height = len(radiance)
     thin_px, long_px = (round(degrees / 180.0 * height) for degrees in _POLE_DEG)
     value = np.log(radiance + 1e-6 * float(radiance.mean()))
@@ -158,12 +166,13 @@ def _upright_lines(radiance: Float32[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "
 def _continued(
     radiance: Float32[np.ndarray, "h w 3"], is_seen: Bool[np.ndarray, "h w"]
 ) -> Float[np.ndarray, "h w 3"]:
-    """The seen sky continued over all the rest."""
+    """Smooth continuation of the observed sky over the whole sphere."""
     height = len(radiance)
     rows = min(height, SMOOTH_HEIGHT_PX)
     weight = is_seen[..., None].astype(np.float32)
     fraction = resize_area(weight, rows, 2 * rows)
     mean = resize_area(radiance * weight, rows, 2 * rows) / np.maximum(fraction, 1e-6)
+    # Logarithms, so that the continuation stays positive and gradients are relative.
     floor = 1e-6 * float(radiance[is_seen].mean()) + 1e-12
     small = fill_by_laplace(np.log(mean + floor).astype(np.float32), fraction[..., 0] > 0)
     large = small if rows == height else sample_bilinear(small, pixel_directions(height))

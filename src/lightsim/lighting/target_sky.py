@@ -1,4 +1,4 @@
-"""Target skies: named ones, arrays from files, and how bright they are made."""
+"""Target skies: named skies, skies from files, and the scaling of their brightness."""
 
 from __future__ import annotations
 
@@ -20,22 +20,24 @@ from lightsim.errors import InputError
 from lightsim.lighting.sky.clear_sky import clear_sky
 
 FORMS = "sun:AZIMUTH,ELEVATION[,TURBIDITY], time:ISO (such as 2019-05-11T01:59:16Z) or source"
+# Turbidity of a clear sky, where the option gives none.
 _DEFAULT_TURBIDITY = 3.0
+# First year, and the year after the last, that are accepted: the ephemeris is exact there and times
+# fit into 64-bit nanoseconds.
 _YEARS = (1900, 2200)
-"""Where the ephemeris is exact and times fit into nanoseconds."""
 
 
 def target_sky(
     spec: str, *, geo: GeoReference | None, source: SkyEstimate | None, height_px: int
 ) -> tuple[SkyDome, str, dict[str, Any]]:
-    """The sky that a form names: dome in frame `world`, a one-line description, and the facts to
-    record (sun azimuth from true north, elevation, turbidity, what was assumed).
+    """Return the sky that a specification names: the dome in frame `world`, a one-line description,
+    and the facts to record (sun azimuth from true north, elevation, turbidity, assumptions).
 
-    Azimuths are clockwise from true north; a log of unknown heading is taken as world = ENU, and
-    the facts say so. `source` comes at its own resolution.
+    Azimuths are clockwise from true north. For a log of unknown heading world axes are taken as
+    ENU, and the facts record this. `source` is returned at its own resolution.
 
     Raises:
-        InputError: the form is not one of FORMS, or asks for what the log does not have.
+        InputError: the form is not one of FORMS, or requires what the log does not have.
     """
     if spec == "source":
         return _source_sky(source)
@@ -77,7 +79,8 @@ def target_sky(
 def towards_sun(
     azimuth_deg: float, elevation_deg: float, geo: GeoReference | None
 ) -> tuple[Float[np.ndarray, "3"], dict[str, str]]:
-    """Unit vector in `world`, and what was assumed where the heading is unknown."""
+    """Return the unit vector towards the sun in `world`, and the assumption made if the heading is
+    unknown."""
     if geo is not None and geo.enu_from_world is not None:
         return direction_world(azimuth_deg, elevation_deg, geo.enu_from_world), {}
     assumed = {"assumed": "the heading is unknown: world x is taken as east"}
@@ -87,15 +90,16 @@ def towards_sun(
 def with_edited_sun(
     dome: SkyDome, direction_world: Float[np.ndarray, "3"] | None, factor: float
 ) -> SkyDome:
-    """The same sky under a sun that stands elsewhere, or is weaker or stronger (paper, appendix:
-    human control).
+    """Return the sky with its sun moved, or made weaker or stronger (paper, appendix: human
+    control).
 
-    The sun is what `split_sun` takes out: the disc, and its glow within 4 degrees as far as it
-    exceeds what lies around. All of it shines from the new disc; wider glow stays where it was.
+    The sun is the part that `split_sun` extracts: the disc, and its glow within 4 degrees where it
+    exceeds the surrounding sky. All of it is emitted by the new disc; wider glow stays in place.
 
     Args:
-        direction_world: unit vector towards the new place, above the horizon; None leaves it.
-        factor: on the irradiance; 0 takes the sun out.
+        direction_world: unit vector towards the new position, above the horizon; None keeps the
+            position.
+        factor: multiplies the sun's irradiance; 0 removes the sun.
 
     Raises:
         InputError: the sky has no sun.
@@ -136,7 +140,7 @@ def _parse_sun(spec: str) -> tuple[float, float, float]:
 
 
 def parse_time(spec: str) -> int:
-    """Nanoseconds UTC of time:ISO; a time without an offset is UTC.
+    """Return nanoseconds UTC of time:ISO; a time without an offset is UTC.
 
     Raises:
         InputError: it is no ISO 8601 time of the years 1900 to 2199.
@@ -158,14 +162,14 @@ def parse_time(spec: str) -> int:
 
 
 def dome_from_array(radiance: Float32[np.ndarray, "h w 3"], name: str) -> SkyDome:
-    """A dome of a sky file's pixels (`store.images.read_sky` has mended them), frame `world`, with
+    """Return the dome of a sky file's pixels (after `store.images.read_sky`), frame `world`, with
     its sun if it has one.
 
     Args:
-        name: of the file, for errors.
+        name: name of the file, for errors.
 
     Raises:
-        InputError: not 2:1, not finite, negative, or too bright.
+        InputError: the array is not 2:1, not finite, negative, or too bright.
     """
     try:
         dome = SkyDome(radiance, None)
@@ -180,14 +184,15 @@ def scale_to_source(
     mode: Literal["auto", "none"] | float,
     luminance_of: Callable[[SkyDome], float] | None = None,
 ) -> tuple[SkyDome, float]:
-    """The dome times a factor, and the factor.
+    """Return the dome times a factor, and the factor.
 
     "auto" gives the dome the source's luminance; "none" keeps scene units as stored (a clear sky
-    then lights a white level surface to a luminance of about 1 at a sun of 45 degrees); a number
-    multiplies.
+    with the sun at 45 degrees then lights a white level surface to a luminance of about 1); a
+    number multiplies.
 
     Args:
-        luminance_of: of what a dome lights; by default that of white level ground.
+        luminance_of: measures the luminance of a scene under a dome; by default, of white level
+            ground.
 
     Raises:
         InputError: the number is not positive, a sky is black, or "auto" has no source.
@@ -228,7 +233,7 @@ def _level_luminance(dome: SkyDome) -> float:
 
 
 def sun_azimuth_deg(direction: Float[np.ndarray, "3"], geo: GeoReference | None) -> float | None:
-    """Azimuth clockwise from true north of a direction in `world`; None of unknown heading."""
+    """Azimuth of a `world` direction, clockwise from true north; None if the heading is unknown."""
     if geo is None or geo.enu_from_world is None:
         return None
     return azimuth_elevation(geo.enu_from_world.rotate(direction)).azimuth_deg

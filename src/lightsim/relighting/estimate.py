@@ -1,4 +1,4 @@
-"""What a way of relighting says of a frame."""
+"""Output of a relighting method: the relit frame and, optionally, its expected error."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class Estimate:
 
     Args:
         radiance: scene units, linear, before camera gain.
-        expected_error: mean absolute error expected of the picture's sRGB code, in [0, 1]; None
-            where the method does not tell.
+        expected_error: expected mean absolute error of the picture's sRGB code, in [0, 1]; None if
+            the method does not estimate it.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]
@@ -26,4 +26,4 @@ class Estimate:
 
 
 Relight = Callable[[RelightInputs, RatioConfig], Estimate]
-"""(inputs of a frame, settings) -> the frame under the target sky."""
+"""Function (inputs of a frame, settings) that returns the frame under the target sky."""

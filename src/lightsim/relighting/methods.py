@@ -47,7 +47,7 @@ class Method:
 
     @property
     def has_weights(self) -> bool:
-        """Whether --weights applies."""
+        """True if the option --weights applies to the method."""
         return bool(self.weights_name or self.weights_in_work)
 
 
@@ -125,11 +125,11 @@ def relight_by(name: str, weights: Path | None = None) -> Relight:
     """Return the function of a method by name; networks run on CUDA where torch finds it.
 
     Args:
-        name: of a method.
-        weights: file of its network; None selects the shipped weights.
+        name: name of the method.
+        weights: weights file of its network; None selects the shipped weights.
 
     Raises:
-        InputError, ArtefactError: no such method, or its weights are missing, damaged or another
-            network's.
+        InputError, ArtefactError: no such method, or its weights are missing, damaged or those of
+            another network.
     """
     return find_method(name).make(weights)

@@ -1,4 +1,4 @@
-"""What the networks on panoramas share: padding on the sphere and contextual attention.
+"""Padding on the sphere and contextual attention, for the networks on panoramas.
 
 Yu et al., Generative Image Inpainting with Contextual Attention, CVPR 2018,
 doi:10.1109/CVPR.2018.00577.
@@ -11,14 +11,19 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
+# Stride at which patches are compared and copied: half resolution, as published.
 MATCH_STRIDE = 2
+# Side of the copied patches in pixels: twice the stride, so that four patches overlap on every
+# pixel (as published).
 _COPY_SIZE = 4
-_MASKED = -1e4
 
 
 def pad_sphere(x: Float[Tensor, "n c h w"], size: int) -> Float[Tensor, "n c _ _"]:
-    """A panorama with `size` more pixels on each side, as on the sphere: columns wrap around, and
-    above the top row the picture goes on half a turn further, upside down. There is no border."""
+    """Pad a panorama by `size` pixels on each side as on the sphere.
+
+    Columns wrap around. Beyond a pole the panorama continues on the opposite meridian: rows are
+    mirrored and shifted by half a turn.
+    """
     if size == 0:
         return x
     width = x.shape[-1]
@@ -29,7 +34,8 @@ def pad_sphere(x: Float[Tensor, "n c h w"], size: int) -> Float[Tensor, "n c _ _
 
 
 def fold_sphere(padded: Float[Tensor, "n c _ _"], size: int) -> Float[Tensor, "n c h w"]:
-    """The transpose of `pad_sphere`: what lies on the padding is added where it came from."""
+    """Transpose of `pad_sphere`: values on the padding are added to the pixels they were copied
+    from."""
     width = padded.shape[-1] - 2 * size
     tall = padded[..., size : size + width].clone()
     tall[..., width - size :] += padded[..., :size]
@@ -48,12 +54,12 @@ def contextual_attention(
     sharpness: float = 10.0,
     propagates: bool = False,
 ) -> Float[Tensor, "n c h w"]:
-    """Every place described by patches of the known part that look like it.
+    """Describe every position by patches of the known part with similar features.
 
     3x3 patches at half resolution are compared by the cosine of their features; the softmax of
-    `sharpness` times it weighs the 4x4 patches that are laid down, four over every pixel.
-    With `propagates`, neighbours vote for neighbouring patches (the paper's fusion, with wrapped
-    columns). Where nothing is wholly known, all patches serve.
+    `sharpness` times the cosine weights the 4x4 patches that are copied, four over every pixel.
+    With `propagates`, scores are averaged over neighbouring patches (the paper's fusion, with
+    wrapped columns). Where no patch is fully known, all patches are used.
     """
     small = functional.avg_pool2d(features, MATCH_STRIDE)
     rows, columns = small.shape[-2:]
@@ -63,7 +69,9 @@ def contextual_attention(
     if propagates:
         scores = _propagated(scores, rows, columns)
     touched = functional.unfold(pad_sphere(hole, 1), _COPY_SIZE, stride=MATCH_STRIDE).amax(1)
-    weights = torch.softmax(scores + _MASKED * touched[:, :, None], dim=1)
+    # Patches that touch the hole are excluded by a finite score, so that the weights stay defined
+    # where all patches are excluded.
+    weights = torch.softmax(scores + -1e4 * touched[:, :, None], dim=1)
     copies = functional.unfold(pad_sphere(features, 1), _COPY_SIZE, stride=MATCH_STRIDE)
     size = (features.shape[-2] + 2, features.shape[-1] + 2)
     laid = functional.fold(copies @ weights, size, _COPY_SIZE, stride=MATCH_STRIDE)
@@ -71,7 +79,7 @@ def contextual_attention(
 
 
 def _propagated(scores: Float[Tensor, "n k q"], rows: int, columns: int) -> Float[Tensor, "n k q"]:
-    """Scores averaged along both horizontal neighbours, then both vertical ones."""
+    """Scores averaged over both horizontal neighbours, then over both vertical ones."""
     grid = scores.reshape(-1, rows, columns, rows, columns)
     grid = (grid + grid.roll((1, 1), (2, 4)) + grid.roll((-1, -1), (2, 4))) / 3
     total = grid.clone()

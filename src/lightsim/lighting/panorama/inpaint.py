@@ -1,4 +1,4 @@
-"""Incomplete panoramas completed: by the trained network, or smoothly without one."""
+"""Completion of panoramas with holes, by the trained network or by a smooth continuation."""
 
 from __future__ import annotations
 
@@ -18,8 +18,23 @@ from lightsim.errors import InputError
 if TYPE_CHECKING:
     import torch
 
+# Rows at which holes are filled smoothly; a smooth fill has no finer detail. Sensitivity not
+# measured.
 SMOOTH_HEIGHT_PX = 64
+# Standard deviation of the transition from fill to observed pixels, in pixels of the filled size;
+# sensitivity not measured.
 _BLEND_PX = 1.5
+
+
+def check_panorama_size(height_px: int, width_px: int) -> None:
+    """Raise InputError unless a panorama is twice as wide as high."""
+    if width_px != 2 * height_px:
+        raise InputError(
+            "a panorama must be twice as wide as high",
+            got=f"{width_px}x{height_px} px",
+            expected=f"{2 * height_px}x{height_px} px",
+            remedy="Crop or pad it to an equirectangular image.",
+        )
 
 
 def complete_panorama(
@@ -27,25 +42,20 @@ def complete_panorama(
     is_seen: Bool[np.ndarray, "h w"],
     weights: Mapping[str, torch.Tensor] | None,
 ) -> Float32[np.ndarray, "h w 3"]:
-    """A panorama (sRGB in [0, 1]) without holes; what was seen is kept to the bit.
+    """Return a panorama (sRGB in [0, 1]) without holes; observed pixels are unchanged, bit for bit.
 
-    The holes are filled at the network's size and brought up to the panorama's; towards the seen
-    pixels they fade into them. Without `weights` the colours are continued smoothly (Laplace).
+    Holes are filled at the network's size, and the fill is enlarged and blended into the observed
+    pixels. Without `weights` the colours are continued smoothly (Laplace).
 
     Raises:
-        InputError: it is not twice as wide as high, or nothing of it was seen.
+        InputError: the panorama is not twice as wide as high, or no pixel was observed.
     """
     height, width = ldr.shape[:2]
-    if width != 2 * height:
-        raise InputError(
-            "a panorama must be twice as wide as high",
-            got=f"{width}x{height} px",
-            expected=f"{2 * height}x{height} px",
-        )
+    check_panorama_size(height, width)
     if not is_seen.any():
         raise InputError(
-            "nothing of the panorama was seen, so nothing continues it",
-            expected="one seen pixel or more",
+            "the panorama has no observed pixel, so its holes cannot be filled",
+            expected="one observed pixel or more",
         )
     if is_seen.all():
         return ldr.copy()
@@ -65,7 +75,8 @@ def fill_by_network(
     is_seen: Bool[np.ndarray, "n h w"],
     weights: Mapping[str, torch.Tensor],
 ) -> Float32[np.ndarray, "n h w 3"]:
-    """The generator's refined picture in the holes, for panoramas of any size that it divides."""
+    """Fill the holes with the generator's refined picture; the generator's stride must divide the
+    size."""
     import torch
 
     from lightsim.lighting.panorama.inpaint_network import InpaintGenerator
@@ -82,7 +93,7 @@ def fill_by_network(
 def fill_by_laplace(
     ldr: Float32[np.ndarray, "h w 3"], is_seen: Bool[np.ndarray, "h w"]
 ) -> Float32[np.ndarray, "h w 3"]:
-    """The holes as membranes between the seen pixels, around the panorama without a seam."""
+    """Fill the holes with membranes between the observed pixels, without a seam in azimuth."""
     margin = ldr.shape[1] // 2
     around = np.pad(ldr, ((0, 0), (margin, margin), (0, 0)), mode="wrap").astype(np.float64)
     known = np.pad(is_seen, ((0, 0), (margin, margin)), mode="wrap")
@@ -93,7 +104,7 @@ def fill_by_laplace(
 def fill_by_nearest(
     ldr: Float32[np.ndarray, "h w 3"], is_seen: Bool[np.ndarray, "h w"]
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Every hole pixel the colour of the nearest seen one, in pixels, wrapped sideways."""
+    """Give every hole pixel the colour of the nearest observed one, in pixels, wrapped sideways."""
     margin = ldr.shape[1] // 2
     known = np.pad(is_seen, ((0, 0), (margin, margin)), mode="wrap")
     around = np.pad(ldr, ((0, 0), (margin, margin), (0, 0)), mode="wrap")
@@ -103,7 +114,8 @@ def fill_by_nearest(
 def fill_by_rows(
     ldr: Float32[np.ndarray, "h w 3"], is_seen: Bool[np.ndarray, "h w"]
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Every hole pixel the mean colour of what was seen in its row, or in the nearest row seen."""
+    """Give every hole pixel the mean observed colour of its row, or of the nearest row with
+    observed pixels."""
     counts = is_seen.sum(axis=1)
     means = (ldr * is_seen[..., None]).sum(axis=1) / np.maximum(counts, 1)[:, None]
     rows = np.flatnonzero(counts)
@@ -114,7 +126,8 @@ def fill_by_rows(
 def shrink_seen(
     ldr: Float32[np.ndarray, "h w 3"], is_seen: Bool[np.ndarray, "h w"], height_px: int
 ) -> tuple[Float32[np.ndarray, "h2 w2 3"], Bool[np.ndarray, "h2 w2"]]:
-    """The seen pixels averaged as light over larger ones; seen is what was seen by half."""
+    """Return linear means of the observed pixels on a smaller grid; a pixel counts as observed if
+    half of it was."""
     weight = is_seen[..., None].astype(np.float32)
     fraction = resize_area(weight, height_px, 2 * height_px)
     linear = resize_area(linear_from_srgb(ldr) * weight, height_px, 2 * height_px)
@@ -129,14 +142,15 @@ def fade_into_seen(
     is_seen: Bool[np.ndarray, "h w"],
     sigma_px: float,
 ) -> Float[np.ndarray, "h w 3"]:
-    """The fill plus its own error at the seen pixels, carried a little into the holes."""
+    """Add the fill's error at the observed pixels to the holes nearby, with a Gaussian fall-off."""
     weight = is_seen[..., None].astype(np.float64)
     near = _blurred(weight, sigma_px)
     error = _blurred((ldr - large) * weight, sigma_px) / np.maximum(near, 1e-6)
-    # At a straight border half of the neighbourhood is seen: there all of the error is carried.
+    # At a straight border half of the neighbourhood is observed; the factor 2 makes up for it.
     return large + error * np.clip(2 * near, 0.0, 1.0)
 
 
 def _blurred(image: Float[np.ndarray, "h w c"], sigma_px: float) -> Float[np.ndarray, "h w c"]:
+    """Gaussian blur, wrapped in azimuth."""
     wide = ndimage.gaussian_filter1d(image, sigma_px, axis=1, mode="wrap")
     return ndimage.gaussian_filter1d(wide, sigma_px, axis=0, mode="nearest")

@@ -2,8 +2,8 @@
 spectrally normalised patch discriminator.
 
 Yu et al., Free-Form Image Inpainting with Gated Convolution, ICCV 2019,
-doi:10.1109/ICCV.2019.00457. Of the place of a pixel the networks are told the elevation alone and
-the padding follows the sphere, so that a turned panorama gives the turned result.
+doi:10.1109/ICCV.2019.00457. Padding follows the sphere, and of a pixel's position the networks
+receive the elevation only, so that a rotated panorama gives the rotated result.
 """
 
 from __future__ import annotations
@@ -19,18 +19,14 @@ from torch.nn.utils.parametrizations import spectral_norm
 from lightsim.lighting.panorama.attention_network import contextual_attention, pad_sphere
 from lightsim.lighting.sky.panorama_layers import filled
 
+# Panorama sizes must be multiples of this: encoder stride 4, times MATCH_STRIDE of the attention.
 TOTAL_STRIDE = 8
+# Input channels: RGB, hole mask, elevation.
 _INPUTS = 5
-_FEATURE_GAIN = 2.4
-_OUTPUT_GAIN = 0.1
 
 
 class GatedConvolution(nn.Module):
-    """ELU(features) x sigmoid(gate), both convolutions of the input.
-
-    The first weights keep the signal's size: a gate of one half after an ELU needs a gain of 2.4.
-    With the usual ones it would be halved and halved again, and deep layers learn nothing at first.
-    """
+    """ELU(features) x sigmoid(gate), both convolutions of the input."""
 
     def __init__(
         self, inputs: int, outputs: int, size: int = 3, *, stride: int = 1, dilation: int = 1
@@ -40,32 +36,35 @@ class GatedConvolution(nn.Module):
         self.convolution = nn.Conv2d(inputs, 2 * outputs, size, stride=stride, dilation=dilation)
 
         deviation = self.convolution.weight[0].numel() ** -0.5
-        nn.init.normal_(self.convolution.weight[:outputs], 0.0, _FEATURE_GAIN * deviation)
+        # A gain of 2.4 compensates an ELU times a gate of about one half. With the usual gain of 1
+        # every layer would halve the signal, and deep layers would not learn.
+        nn.init.normal_(self.convolution.weight[:outputs], 0.0, 2.4 * deviation)
         nn.init.normal_(self.convolution.weight[outputs:], 0.0, deviation)
         nn.init.constant_(self.convolution.bias, 0.0)  # type: ignore[arg-type]
 
     def forward(self, x: Float[Tensor, "n _ _ _"]) -> Float[Tensor, "n _ _ _"]:
-        """[n, inputs, h, w] to [n, outputs, h / stride, w / stride], padded as on the sphere."""
+        """Map [n, inputs, h, w] to [n, outputs, h / stride, w / stride], padded on the sphere."""
         features, gate = self.convolution(pad_sphere(x, self.padding)).chunk(2, dim=1)
         return functional.elu(features) * torch.sigmoid(gate)
 
 
 class _Output(nn.Module):
-    """A plain convolution to RGB."""
+    """Plain convolution to RGB."""
 
     def __init__(self, inputs: int) -> None:
         super().__init__()
         self.convolution = nn.Conv2d(inputs, 3, 3)
-        deviation = _OUTPUT_GAIN * (9 * inputs) ** -0.5
+        # A small gain (0.1), so that training starts near the smooth fill.
+        deviation = 0.1 * (9 * inputs) ** -0.5
         nn.init.normal_(self.convolution.weight, 0.0, deviation)
 
     def forward(self, x: Float[Tensor, "n _ h w"]) -> Float[Tensor, "n 3 h w"]:
-        """Features to RGB of the same size, padded as on the sphere."""
+        """Map features to RGB of the same size, padded as on the sphere."""
         return self.convolution(pad_sphere(x, 1))
 
 
 def _encoder(width: int) -> list[nn.Module]:
-    """Down to a quarter of the size, with four times the channels."""
+    """Layers that reduce to a quarter of the size, with four times the channels."""
     return [
         GatedConvolution(_INPUTS, width, 5),
         GatedConvolution(width, 2 * width, stride=2),
@@ -76,7 +75,7 @@ def _encoder(width: int) -> list[nn.Module]:
 
 
 def _decoder(inputs: int, width: int) -> list[nn.Module]:
-    """Back to the full size and RGB."""
+    """Layers that enlarge a quarter of the size to full-size RGB."""
     return [
         GatedConvolution(inputs, 4 * width),
         nn.Upsample(scale_factor=2),
@@ -94,15 +93,16 @@ def _dilated(width: int, dilations: tuple[int, ...]) -> list[nn.Module]:
 
 
 class InpaintGenerator(nn.Module):
-    """Two stages; the second has a branch of dilated convolutions and one of attention.
+    """Generator in two stages; the second has a branch of dilated convolutions and one of
+    attention.
 
     Args:
         width: channels at the full resolution; deeper layers have up to four times as many.
-        height_px: rows of the panoramas that it is trained for (kept with the weights).
-        dilations: of the layers at a quarter of the size, at most height_px / 4.
-        propagates: neighbours vote for neighbouring patches in the attention.
-        is_residual: the holes start as a smooth continuation of what is known, and each stage adds
-            to what it is given; else they start grey and each stage paints anew, as published.
+        height_px: rows of the panoramas that it is trained for (stored with the weights).
+        dilations: dilations of the layers at a quarter of the size, at most height_px / 4.
+        propagates: the attention averages its scores over neighbouring patches.
+        is_residual: holes start as a smooth continuation of the known pixels, and each stage adds
+            to its input; otherwise holes start grey and each stage paints anew, as published.
     """
 
     def __init__(
@@ -135,7 +135,8 @@ class InpaintGenerator(nn.Module):
 
     @classmethod
     def from_weights(cls, weights: Mapping[str, Tensor]) -> InpaintGenerator:
-        """The generator whose `state_dict` was kept; shape and working size lie in the tensors."""
+        """Return the generator of a stored `state_dict`; the tensors hold shape and working
+        size."""
         width = weights["coarse.0.convolution.weight"].shape[0] // 2
         dilations = tuple(int(d) for d in weights["dilations"])
         generator = cls(
@@ -151,8 +152,11 @@ class InpaintGenerator(nn.Module):
     def forward(
         self, image: Float[Tensor, "n 3 h w"], hole: Float[Tensor, "n 1 h w"]
     ) -> tuple[Float[Tensor, "n 3 h w"], Float[Tensor, "n 3 h w"]]:
-        """The coarse and the refined picture, values about -1 to 1 as `image`, holes and all;
-        what `image` holds inside the holes is not looked at."""
+        """Return the coarse and the refined picture, values about -1 to 1 as `image`, observed
+        pixels included.
+
+        Values of `image` inside the holes are ignored.
+        """
         known = image * (1 - hole)
         elevation = elevation_map(image)
         start = filled(known, 1 - hole) if self._is_residual else known
@@ -168,10 +172,10 @@ class InpaintGenerator(nn.Module):
 
 
 class PatchDiscriminator(nn.Module):
-    """SN-PatchGAN: one judgement for every place and channel of the last, small feature map.
+    """SN-PatchGAN: one score for every position and channel of the last, small feature map.
 
     Args:
-        width: channels of the first of `layers` layers; the third and on have four times as many.
+        width: channels of the first of `layers` layers; from the third on, four times as many.
     """
 
     def __init__(self, width: int, layers: int) -> None:
@@ -185,10 +189,10 @@ class PatchDiscriminator(nn.Module):
     def forward(
         self, image: Float[Tensor, "n 3 h w"], hole: Float[Tensor, "n 1 h w"]
     ) -> Float[Tensor, "n _ _ _"]:
-        """Unbounded scores, high for true pictures, at 1 / 2^layers of the size.
+        """Return unbounded scores, high for real pictures, at 1 / 2^layers of the size.
 
         Args:
-            image: values about -1 to 1, the holes filled or true.
+            image: values about -1 to 1, the holes filled or real.
             hole: 1 where the picture was to be completed.
         """
         x = torch.cat([image, hole, elevation_map(image)], 1)
@@ -200,7 +204,7 @@ class PatchDiscriminator(nn.Module):
 
 
 def elevation_map(image: Float[Tensor, "n _ h w"]) -> Float[Tensor, "n 1 h w"]:
-    """The height of each row, 1 at the zenith and -1 at the nadir."""
+    """Linear elevation of each row: 1 at the zenith and -1 at the nadir."""
     count, _, height, width = image.shape
     rows = 1 - (torch.arange(height, device=image.device) + 0.5) * (2 / height)
     return rows[:, None].expand(count, 1, height, width).to(image.dtype)

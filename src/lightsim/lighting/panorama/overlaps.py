@@ -1,4 +1,4 @@
-"""Cameras brought to one exposure and white balance where they see the same sky."""
+"""Per-camera factors that match exposure and white balance of the sky where cameras overlap."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
+# Weight of the prior (factor 1), as a fraction of the panorama's area: an overlap of this area
+# corrects two thirds of the difference between two cameras, slivers less. Sensitivity not measured.
 _PRIOR_FRACTION = 5e-4
-"""An overlap of this fraction of the panorama alone is believed two thirds; slivers less."""
+# Radiance below which a pixel is not compared, because its ratio is mostly noise.
 _DARKEST = 1e-3
 
 
@@ -18,13 +20,13 @@ def sky_factors(
 ) -> Float[np.ndarray, "n 3"]:
     """RGB factors, one row per camera, that make the skies of overlapping cameras agree.
 
-    Camera gains are solved on surfaces. Tone curves bend, so bright sky needs factors of its own:
-    the least squares of the overlaps' median log ratios, weighted by area. The geometric mean of
-    the factors is 1.
+    Camera gains are solved on surfaces. Camera responses are not linear near white, so bright sky
+    requires factors of its own: the least-squares solution of the overlaps' median log ratios,
+    weighted by area. The geometric mean of the factors is 1.
 
     Args:
-        radiance: panorama of each camera alone, gains divided out.
-        is_usable: where it saw unsaturated sky.
+        radiance: panorama of each single camera, gains divided out.
+        is_usable: true where the camera observed unsaturated sky.
     """
     count = len(radiance)
     system = np.eye(count) * _PRIOR_FRACTION
@@ -37,6 +39,7 @@ def sky_factors(
             continue
         fraction = float(is_bright.sum() / both.size)
         ratio = np.median(np.log(first[is_bright] / second[is_bright]), axis=0)
+        # Normal equations of log factor a - log factor b = -ratio, weighted by area.
         system[[a, b], [a, b]] += fraction
         system[[a, b], [b, a]] -= fraction
         right[a] -= fraction * ratio

@@ -1,4 +1,4 @@
-"""The panorama of all cameras (paper, Sec. 3.2: I_pano = Theta(I, D, P))."""
+"""Stitching of all cameras into one panorama (paper, Sec. 3.2: I_pano = Theta(I, D, P))."""
 
 from __future__ import annotations
 
@@ -24,36 +24,34 @@ from lightsim.progress import Progress, SilentProgress
 CastDepth = Callable[[CameraFrame, PinholeCamera], Float32[np.ndarray, "h w"]]
 """depth_z_m of the reconstructed scene at a camera's size; inf without a surface."""
 SkyMatte = Callable[[CameraFrame, PinholeCamera], Float32[np.ndarray, "h w"]]
-"""Sky alpha in [0, 1], at the camera's size or at that of the image."""
+"""Sky alpha in [0, 1], at the camera's size or at the size of the image."""
+
+# The sensitivity to the following constants was not measured.
+
+# Distance to the camera plane below which points of actors' boxes are not projected, in metres.
 _NEAR_M = 0.2
-"""What lies nearer to the camera plane is not projected."""
-_INFINITY_M = 1e6
-"""Where sky is put, so that the camera's motion during its readout does not shift it."""
 
-
-# None was measured alone.
-
-# Camera pixels along one side of a panorama pixel; larger images are shrunk to this.
+# Camera pixels along one side of a panorama pixel; larger images are reduced to this.
 _SAMPLES_PER_PX = 2.0
 # Alpha from which a camera pixel counts as sky.
 _SKY_THRESHOLD = 0.9
-# Boxes of moving actors are masked with this margin.
+# Margin around the masked boxes of moving actors, in metres.
 _ACTOR_MARGIN_M = 0.4
 
 
 @dataclass(frozen=True)
 class StitchConfig:
-    """How the panorama is made."""
+    """Settings of the panorama."""
 
     height_px: int = 512
     """Rows of the panorama; it is twice as wide."""
     frame_count: int = 5
-    """Moments of the log whose sky is used, 1 = the middle one; surfaces come from it alone."""
+    """Moments of the log whose sky is used; surfaces are taken from the middle moment only."""
 
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """One shrunk image, ready to be projected."""
+    """One reduced image with the masks and depths that its projection requires."""
 
     camera: PinholeCamera
     frame: CameraFrame
@@ -65,7 +63,7 @@ class _View:
 
 
 class _Sums:
-    """Weighted sums of the panorama's pixels; clipped contributions are kept apart."""
+    """Weighted sums per panorama pixel, separate for clipped and unclipped contributions."""
 
     def __init__(self, height_px: int) -> None:
         self._count = 2 * height_px * height_px
@@ -80,7 +78,7 @@ class _Sums:
         weight: Float[np.ndarray, " n"],
         is_clipped: Bool[np.ndarray, " n"],
     ) -> None:
-        """Adds weighted radiance to the cells of the flat panorama that `index` names."""
+        """Add weighted radiance to the cells of the flat panorama given by `index`."""
         for sums, chosen in ((self._open, ~is_clipped), (self._clipped, is_clipped)):
             for channel in range(3):
                 sums[:, channel] += np.bincount(
@@ -98,7 +96,8 @@ class _Sums:
     def mean(
         self,
     ) -> tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-        """Mean radiance, what was seen, and where every contribution was clipped."""
+        """Return mean radiance, the observed pixels, and the pixels with only clipped
+        contributions."""
         is_open = self._open[:, 3] > 0
         sums = np.where(is_open[:, None], self._open, self._clipped)
         is_seen = sums[:, 3] > 0
@@ -119,14 +118,15 @@ def stitch_panorama(
     *,
     progress: Progress | None = None,
 ) -> Panorama:
-    """What the cameras saw around the ego's place in the middle of the log, scene units.
+    """Return the panorama that the cameras observed around the ego position in the middle of the
+    log, scene units.
 
     Surfaces: every camera pixel of the middle moment is unprojected with its depth and projected
-    equirectangularly around the mean camera centre; the nearest surface wins. Sky lies at
-    infinity: every panorama direction is looked up in the cameras of several moments, so it has
-    no holes and the ego's motion shows what a building hid. Overlaps are averaged after the
-    gains are divided out and the cameras' skies are matched (`sky_factors`); clipped pixels count
-    only where no other pixel was unclipped. A direction that any moment saw as sky is sky.
+    equirectangularly around the mean camera centre; the nearest surface wins. Sky is at infinity:
+    every panorama direction is looked up in the cameras of several moments, so that it has no holes
+    and the ego's motion reveals sky behind buildings. Overlaps are averaged after the gains are
+    divided out and the cameras' skies are matched (`sky_factors`); clipped pixels count only where
+    no other pixel was unclipped. A direction that is sky at any moment is sky.
 
     Raises:
         InputError: the log has no frames, or a camera has no gain.
@@ -156,18 +156,20 @@ def stitch_panorama(
         view = _load_view(
             log, frame, camera_gains[frame.camera_name], cast_depth, sky_matte, config
         )
+        # Sky is at infinity and does not change with the ego position, so every moment adds to it.
         _add_sky(skies[frame.camera_name], view, config.height_px)
         if frame.stem == middle:
             splats.append(_splat(view, centre, config.height_px))
             np.minimum.at(nearest_m, splats[-1][0], splats[-1][1])
     for index, distance_m, radiance, is_clipped in splats:
+        # Tolerance of 5 % plus 0.3 m: cameras disagree by depth errors about one surface.
         near = distance_m <= nearest_m[index] * 1.05 + 0.3
         surfaces.add(index[near], radiance[near], np.ones(int(near.sum())), is_clipped[near])
     return _merge(_matched(list(skies.values()), config.height_px), surfaces)
 
 
 def _matched(skies: list[_Sums], height_px: int) -> _Sums:
-    """The skies of all cameras, brought to one exposure and white balance."""
+    """Sum of the skies of all cameras, matched in exposure and white balance."""
     means = [sums.mean() for sums in skies]
     factors = sky_factors(
         [radiance for radiance, _, _ in means],
@@ -204,7 +206,7 @@ def _load_view(
     linear = resize_area(linear_from_srgb8(srgb8), *size)
     saturated = np.any(srgb8 >= CLIPPED_CODE, axis=-1, keepdims=True)
     clipped = resize_area(np.asarray(saturated, np.float32), *size)
-    is_valid = ~_moving_actor_mask(log, frame, camera, _ACTOR_MARGIN_M)
+    is_valid = ~_moving_actor_mask(log, frame, camera)
     if frame.camera_name in log.ego_vehicle_masks:
         ego_vehicle = log.ego_vehicle_masks[frame.camera_name].astype(np.float32)[..., None]
         is_valid &= resize_area(ego_vehicle, *size)[..., 0] == 0
@@ -221,25 +223,26 @@ def _load_view(
 
 
 def _moving_actor_mask(
-    log: DrivingLog, frame: CameraFrame, camera: PinholeCamera, margin_m: float
+    log: DrivingLog, frame: CameraFrame, camera: PinholeCamera
 ) -> Bool[np.ndarray, "h w"]:
-    """True where the box of a moving actor may be seen."""
+    """True where the box of a moving actor may be visible."""
     mask = np.zeros((camera.height_px, camera.width_px), dtype=bool)
     camera_from_world = frame.world_from_camera.inverse()
     for actor in log.actors_at(frame.time_ns):
         if actor.is_moving:
-            points = _box_points_world(actor, frame.time_ns, margin_m)
+            points = _box_points_world(actor, frame.time_ns)
             front = points[camera_from_world.apply(points)[:, 2] > _NEAR_M]
             if len(front) >= 8:
                 _fill_hull(mask, *frame.project(camera, front))
     return mask
 
 
-def _box_points_world(actor: ActorTrack, time_ns: int, margin_m: float) -> Float[np.ndarray, "n 3"]:
-    """A grid of points in the box; its projected hull is the box's, even near the camera."""
+def _box_points_world(actor: ActorTrack, time_ns: int) -> Float[np.ndarray, "n 3"]:
+    """Grid of points in the box with its margin; the hull of their projections covers the box."""
+    # Eight corners would not do: near the camera some lie behind it and are dropped.
     steps = np.linspace(-0.5, 0.5, 6)
     grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    return actor.world_from_actor(time_ns).apply(grid * (actor.size_lwh_m + 2 * margin_m))
+    return actor.world_from_actor(time_ns).apply(grid * (actor.size_lwh_m + 2 * _ACTOR_MARGIN_M))
 
 
 def _fill_hull(
@@ -256,14 +259,16 @@ def _fill_hull(
 
 
 def _add_sky(sums: _Sums, view: _View, height_px: int) -> None:
-    """Look every panorama direction up in a view; weights fall towards the image border."""
+    """Look up every panorama direction in a view; weights fall towards the image border."""
     directions = pixel_directions(height_px).reshape(-1, 3)
     pose = view.frame.world_from_camera
     index = np.nonzero(directions @ pose.rotation[:, 2] > 0)[0]
-    far = pose.translation_m + _INFINITY_M * directions[index]
+    # Sky is 1000 km away, so that the camera's motion during its readout does not shift it.
+    far = pose.translation_m + 1e6 * directions[index]
     uv, is_inside = view.frame.project(view.camera, far)
     index = index[is_inside]
     column, row = uv[is_inside].astype(np.int64).T
+    # The rim of the sky is left out, because its pixels are mixed with buildings and leaves.
     good = view.is_valid & ndimage.binary_erosion(view.is_sky, border_value=1)
     keep = good[row, column]
     index, column, row = index[keep], column[keep], row[keep]
@@ -276,9 +281,9 @@ def _add_sky(sums: _Sums, view: _View, height_px: int) -> None:
 def _splat(
     view: _View, centre_world: Float[np.ndarray, "3"], height_px: int
 ) -> tuple[np.ndarray, Float32[np.ndarray, " n"], Float32[np.ndarray, "n 3"], np.ndarray]:
-    """Panorama index, distance, radiance and clipping of every surface pixel of a view.
+    """Return panorama index, distance, radiance and clipping of every surface pixel of a view.
 
-    What is neither sky nor reconstructed (a roof above the LiDAR) is put far away.
+    Pixels that are neither sky nor reconstructed (a roof above the LiDAR) are placed 1 km away.
     """
     chosen = view.is_valid & ~view.is_sky
     depth_m = np.where(np.isfinite(view.depth_z_m), view.depth_z_m, 1000.0)[chosen]

@@ -1,4 +1,4 @@
-"""An estimated sky with its sun and its unseen part changed."""
+"""Changes of an estimated sky: factors on its sun and on its unobserved part."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from lightsim.core.dome import SkyDome, Sun, add_sun, irradiance, split_sun
+from lightsim.core.dome import SkyDome, Sun, add_sun, split_sun
 from lightsim.core.twin import LightFreedom, SkyEstimate
-
-_UP = np.array([0.0, 0.0, 1.0])
+from lightsim.lighting.sky.clear_sky import level_irradiance
 
 
 def unseen_part(dome: SkyDome, freedom: LightFreedom) -> SkyDome:
-    """The sky where no camera saw it, without sun."""
+    """The sky where no camera observed it, without the sun."""
     sky, _ = split_sun(dome)
     return SkyDome((sky * freedom.unseen[..., None]).astype(np.float32), None)
 
@@ -29,20 +28,20 @@ def rebalanced(
     unseen_log_std: float,
     note: str,
 ) -> SkyEstimate:
-    """The estimate with RGB factors on its sun and on its unseen sky.
+    """Return the estimate with RGB factors on its sun and on its unobserved sky.
 
     Args:
-        sun_log_std, unseen_log_std: one standard deviation of the logs of the new sun and of the
-            new unseen sky.
-        note: says why.
+        sun_log_std: one standard deviation of the log of the new sun.
+        unseen_log_std: one standard deviation of the log of the new unobserved sky.
+        note: reason for the change, added to the estimate's notes.
     """
     sky, sun = split_sun(estimate.dome)
     factor = 1.0 + freedom.unseen[..., None] * (unseen_factor - 1.0)
     changed = (sky * factor).astype(np.float32)
     upper = changed.copy()
     upper[len(upper) // 2 :] = 0.0
-    level = irradiance(upper, _UP)
-    unseen = irradiance((upper * freedom.unseen[..., None]).astype(np.float32), _UP)
+    level = level_irradiance(upper)
+    unseen = level_irradiance((upper * freedom.unseen[..., None]).astype(np.float32))
     dome = SkyDome(changed, None)
     if sun is not None:
         light = (sun.irradiance * sun_factor).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Observed sky and analytic sky in one dome."""
+"""Combination of observed sky and analytic sky in one dome."""
 
 from __future__ import annotations
 
@@ -8,18 +8,22 @@ from scipy import ndimage
 
 from lightsim.core.twin import Panorama
 
+# Width of the transition from observed to analytic sky, in dome pixels. Chosen by eye.
 _FEATHER_PX = 6.0
-"""Width of the transition from observed to analytic sky, in dome pixels. Chosen by eye."""
+# Angle over which the observed sky's colour is extended into the unobserved part, in degrees;
+# sensitivity not measured.
 _CORRECTION_DEG = 12.0
-"""Reach of the observed sky's colour into the unobserved part. Not measured."""
 
 
 def blend_observed(
     panorama: Panorama,
     analytic: Float32[np.ndarray, "h w 3"],
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Observed sky where it was seen, feathered into the analytic one, which takes on the
-    observed sky's colour near it. Saturated sky is at least as bright as the model."""
+    """Blend the observed sky into the analytic one.
+
+    Near the observed part, the analytic sky is corrected towards its colour; the border is
+    feathered. Saturated sky is at least as bright as the model. The lower half is black.
+    """
     height = len(analytic)
     seen = panorama.is_sky & panorama.is_seen
     observed, coverage = shrink_masked(panorama.radiance, seen, height)
@@ -32,7 +36,9 @@ def blend_observed(
     observed[is_bright] = np.maximum(observed[is_bright], model[is_bright])
     if not is_seen.any():
         return analytic
+    # The correction is limited to a factor of 5, so that single bad pixels do not dominate it.
     near = np.clip(observed / np.maximum(model, 1e-6), 0.2, 5.0)
+    # Saturated pixels are excluded: their radiance is only a lower limit.
     log_ratio = np.log(near) * (is_seen & ~is_bright)[..., None]
     sigma_px = _CORRECTION_DEG / 180.0 * height
     support = _blur((is_seen & ~is_bright).astype(np.float64), sigma_px)
@@ -45,8 +51,8 @@ def blend_observed(
 
 
 def unseen_weight(panorama: Panorama, height_px: int) -> Float[np.ndarray, "h w"]:
-    """Of a dome of that height: 1 where it shows a model, 0 where it shows what was seen or the
-    ground, soft between."""
+    """Weight of the model in a dome of that height: 1 where the sky was not observed, 0 where it
+    was observed and on the ground, with a soft transition."""
     _, coverage = shrink_masked(panorama.radiance, panorama.is_sky & panorama.is_seen, height_px)
     weight = 1.0 - _feathered(coverage > 0.5)
     weight[height_px // 2 :] = 0.0
@@ -54,8 +60,10 @@ def unseen_weight(panorama: Panorama, height_px: int) -> Float[np.ndarray, "h w"
 
 
 def _feathered(is_seen: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """1 inside, falling to 0 at the border; the lower half of the dome is no border."""
+    """Weight that is 1 inside the observed sky and falls to 0 at its border; the horizon is no
+    border."""
     height = len(is_seen)
+    # Three copies side by side, so that distances wrap around in azimuth.
     padded = np.concatenate([is_seen] * 3, axis=1)
     padded[height // 2 :] = True
     inside = np.asarray(ndimage.distance_transform_edt(padded))[:, 2 * height : 4 * height]
@@ -63,7 +71,7 @@ def _feathered(is_seen: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
 
 
 def _blur(image: Float[np.ndarray, "h w"], sigma_px: float) -> Float[np.ndarray, "h w"]:
-    """Gaussian, wrapping around in azimuth."""
+    """Gaussian blur, wrapping around in azimuth."""
     rows = ndimage.gaussian_filter1d(image, sigma_px, axis=0, mode="nearest")
     return np.asarray(ndimage.gaussian_filter1d(rows, sigma_px, axis=1, mode="wrap"))
 

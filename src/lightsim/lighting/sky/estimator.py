@@ -1,9 +1,9 @@
-"""The trained sky dome estimator: LDR panorama -> sun, latent, and any dome that goes with them."""
+"""The trained sky dome estimator: LDR panorama -> sun, latent, and domes with this or another
+sun."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,56 +19,51 @@ from lightsim.lighting.sky.network import SkyNetwork, network_from_tensors
 from lightsim.lighting.sky.sky_terms import SkyEncoding, SkyTensors
 from lightsim.store.weights import load_weights
 
-DEFAULT_WEIGHTS = "sky-small"
-# Turns by whole strides change nothing, for the network turns with its input.
+# Rotations over which predictions are averaged, as fractions of the width. The network is
+# equivariant to rotations by multiples of its stride, so only other rotations add information.
 _TURNS_OF_WIDTH = (0.0, 5 / 128, 10 / 128)
 
 
 @dataclass(frozen=True, eq=False)
 class SkyEstimator:
-    """Reads skies off LDR panoramas (sRGB in [0, 1], row 0 up) and makes HDR domes.
+    """Estimates skies from LDR panoramas (sRGB in [0, 1], row 0 up) and decodes HDR domes.
 
-    Where nothing was seen it looks at a smooth fill of its own, whatever the panorama shows there.
+    Unobserved pixels are replaced by a smooth fill, whatever values the panorama has there.
 
     Args:
-        network: trained.
+        network: trained network.
     """
 
     network: SkyNetwork
 
     @classmethod
-    def load(cls, weights: str | Mapping[str, Tensor] = DEFAULT_WEIGHTS) -> SkyEstimator:
-        """From weights of the package, by name, or from tensors.
+    def load(cls, weights: str) -> SkyEstimator:
+        """Load the estimator from weights of the package, by name.
 
         Raises:
             InputError: no such weights, or they are damaged.
         """
-        tensors = load_weights(weights) if isinstance(weights, str) else weights
-        return cls(network_from_tensors(tensors))
+        return cls(network_from_tensors(load_weights(weights)))
 
     def predict(
         self,
         ldr: Float32[np.ndarray, "h w 3"],
         seen: Bool[np.ndarray, "h w"] | None = None,
-        *,
-        averages: bool = False,
     ) -> SkyPrediction:
-        """Sun, intensity and latent of a panorama of any size.
+        """Predict sun, intensity and latent of a panorama of any size.
+
+        The prediction is a mean over small rotations and their mirror images.
 
         Args:
-            ldr: counts where it was seen.
-            seen: what cameras saw of it; None means all.
-            averages: mean over small turns and their mirror images: slower by six.
+            ldr: panorama; only its observed pixels are used.
+            seen: mask of the observed pixels; None means all.
 
         Raises:
             InputError: the panorama is not twice as wide as high.
         """
         batch = self._tensors(ldr, seen)
         with torch.no_grad():
-            first = self.network.encode(batch)
-            if not averages:
-                return _prediction(first)
-            return _mean_prediction(first, _views(self.network, batch))
+            return _mean_prediction(self.network.encode(batch), _views(self.network, batch))
 
     def decode(
         self,
@@ -78,23 +73,22 @@ class SkyEstimator:
         seen: Bool[np.ndarray, "h w"] | None = None,
         sun_direction: Float[np.ndarray, "3"] | None = None,
         log_peak: float | None = None,
-        latent: Float32[np.ndarray, "64"] | None = None,
     ) -> Float32[np.ndarray, "h/2 w 3"]:
-        """Radiance of the upper half, in units of the clipping value, under this or another sun.
+        """Decode the radiance of the upper half, in units of the clipping value, under this or
+        another sun.
 
         At the network's own height the brightest pixel has luminance exp(log_peak) and lies at the
-        sun; at another height the sun keeps its energy and hence changes its radiance.
+        sun; at another height the sun keeps its irradiance, so its radiance changes.
 
         Args:
-            prediction: what `predict` said of `ldr`.
+            prediction: result of `predict` for `ldr`.
             ldr: as given to `predict`.
             seen: as given to `predict`.
-            sun_direction: another unit vector towards the sun; it must be above the horizon.
+            sun_direction: another unit vector towards the sun, above the horizon.
             log_peak: another peak.
-            latent: of another sky.
 
         Raises:
-            InputError: the sun asked for is below the horizon.
+            InputError: the requested sun is below the horizon.
         """
         direction = prediction.sun_direction if sun_direction is None else sun_direction
         if direction[2] <= 0:
@@ -104,7 +98,7 @@ class SkyEstimator:
                 expected="an elevation above 0 deg",
             )
         batch = self._tensors(ldr, seen)
-        encoding = _encoding(prediction, prediction.latent if latent is None else latent)
+        encoding = _encoding(prediction)
         peak = torch.tensor([prediction.log_peak if log_peak is None else log_peak])
         with torch.no_grad():
             dome = self.network.dome(batch, encoding, _row(direction), peak.to(torch.float32))
@@ -114,6 +108,7 @@ class SkyEstimator:
     def _tensors(
         self, ldr: Float32[np.ndarray, "h w 3"], seen: Bool[np.ndarray, "h w"] | None
     ) -> SkyTensors:
+        """Batch of one panorama at the network's size; fields without input are 0."""
         height, width = ldr.shape[:2]
         if width != 2 * height or height % 2:
             raise InputError(
@@ -140,7 +135,7 @@ class SkyEstimator:
 
 
 def _views(network: SkyNetwork, batch: SkyTensors) -> list[SkyEncoding]:
-    """Encodings of turned and mirrored panoramas, directions turned back."""
+    """Encodings of rotated and mirrored panoramas, with their directions rotated back."""
     width = batch.panorama.shape[3]
     found = []
     for mirrored in (False, True):
@@ -169,13 +164,14 @@ def _views(network: SkyNetwork, batch: SkyTensors) -> list[SkyEncoding]:
 
 
 def _turned(direction: Float[Tensor, "n 3"], angle_rad: float) -> Float[Tensor, "n 3"]:
-    """Counter-clockwise about z."""
+    """Directions rotated counter-clockwise about z."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return direction @ torch.tensor([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _mean_prediction(first: SkyEncoding, views: list[SkyEncoding]) -> SkyPrediction:
-    """Means over views; directions by their concentration, so that disagreement lowers it."""
+    """Mean of the predictions; directions are weighted by concentration, so disagreement
+    lowers it."""
     predicted = [_prediction(view) for view in views]
     total = np.mean([p.concentration * p.sun_direction for p in predicted], axis=0)
     length = max(float(np.linalg.norm(total)), 1e-6)
@@ -190,7 +186,7 @@ def _mean_prediction(first: SkyEncoding, views: list[SkyEncoding]) -> SkyPredict
 
 
 def _prediction(encoding: SkyEncoding) -> SkyPrediction:
-    """The first of an encoding. A Laplace density's std is sqrt(2) times its scale."""
+    """Prediction of the first sample of an encoding."""
     assert encoding.log_concentration is not None
     assert encoding.log_peak_scale is not None
     assert encoding.sunny_logit is not None
@@ -198,20 +194,21 @@ def _prediction(encoding: SkyEncoding) -> SkyPrediction:
         sun_direction=encoding.direction[0].numpy().astype(np.float32),
         concentration=float(encoding.log_concentration[0].exp()),
         log_peak=float(encoding.log_peak[0]),
+        # The standard deviation of a Laplace density is sqrt(2) times its scale.
         log_peak_std=math.sqrt(2) * float(encoding.log_peak_scale[0].exp()),
         sunny_probability=float(torch.sigmoid(encoding.sunny_logit[0])),
         latent=encoding.latent[0].numpy().astype(np.float32),
     )
 
 
-def _encoding(prediction: SkyPrediction, latent: Float32[np.ndarray, "64"]) -> SkyEncoding:
+def _encoding(prediction: SkyPrediction) -> SkyEncoding:
     return SkyEncoding(
         _row(prediction.sun_direction),
         None,
         torch.tensor([prediction.log_peak]),
         None,
         None,
-        _row(latent),
+        _row(prediction.latent),
     )
 
 
@@ -222,7 +219,8 @@ def _row(vector: Float[np.ndarray, " v"]) -> Float[Tensor, "1 v"]:
 def _at_height(
     upper: Float32[np.ndarray, "r w 3"], direction: Float[np.ndarray, "3"], height_px: int
 ) -> Float32[np.ndarray, "r2 w2 3"]:
-    """An upper half for another height of the panorama; a sun keeps its energy and direction."""
+    """Resize an upper half for a panorama of another height; a sun keeps its irradiance and
+    direction."""
     if 2 * len(upper) == height_px:
         return upper
     # The lower half repeats the horizon, so that no black ground bleeds into the last rows.

@@ -1,4 +1,4 @@
-"""The sky dome estimator: three encoders and a decoder that takes sun and latent explicitly.
+"""The sky dome estimator: three encoders, and a decoder with explicit inputs for sun and latent.
 
 Paper Sec. 3.2 "Generating HDR sky domes" and appendix "Sky dome estimator architecture".
 """
@@ -37,25 +37,26 @@ from lightsim.lighting.sky.sky_terms import (
 from lightsim.networks.stored import load_stored, stored_config, stored_tensors
 
 KIND = "lightsim"
-_SRGB_GAMMA = 2.2
+
+# Channels of `_position`.
 _POSITION = 2
-"""Channels that tell where a pixel is."""
+# Angle around the old and the new position of a moved sun within which the decoder ignores the LDR
+# sky, in degrees. Sensitivity not measured.
 MOVED_SUN_DEG = 30.0
-"""Around a sun that was moved, and where it was, the decoder draws the sky anew."""
+# A sun that moves by less, in degrees, leaves the observed sky unchanged. Sensitivity not measured.
 STAYING_SUN_DEG = 6.0
-"""A sun that moves less leaves the sky as it was seen."""
 
 
 @dataclass(frozen=True)
 class SkyNetworkConfig:
-    """How the network is built; as it is for the CPU, `full` for a GPU."""
+    """Size of the network; the defaults are for the CPU, `full` for a GPU."""
 
     widths: tuple[int, ...] = (16, 32, 64, 96)
     """Channels of the encoders at strides 2, 4, 8, 16."""
     decoder_widths: tuple[int, ...] = (8, 16, 32, 64)
     """Channels of the decoder at strides 1, 2, 4, 8."""
     height_px: int = 64
-    """Of the panoramas it is trained on; others are resized to it."""
+    """Rows of the panoramas it is trained on; others are resized to it."""
 
     @classmethod
     def full(cls) -> SkyNetworkConfig:
@@ -64,7 +65,7 @@ class SkyNetworkConfig:
 
 
 class HeatHead(nn.Module):
-    """A density over the pixels of the upper half, its mean direction and how narrow it is."""
+    """Density over the pixels of the upper half, with its mean direction and concentration."""
 
     def __init__(self, widths: tuple[int, ...]) -> None:
         super().__init__()
@@ -73,11 +74,12 @@ class HeatHead(nn.Module):
         self.spread = nn.Linear(2 * widths[-1] + 1, 1)
 
     def forward(self, features: list[Tensor], rows: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Log density over the pixels (sums to 1), directions, log concentration."""
+        """Return the log density over the pixels (sums to 1), the directions and their log
+        concentration."""
         logits = upsampled(self.exit(functional.silu(self.merge(features))))[:, 0, :rows]
         polar = (torch.arange(rows, device=logits.device) + 0.5) * math.pi / (2 * rows)
-        # A pixel's fraction of the sphere, so that equal logits mean an even sky, not a heavy
-        # zenith.
+        # Solid angle of each row: equal logits then mean a uniform density on the sphere, without
+        # a maximum at the zenith.
         logits = logits + torch.log(torch.sin(polar))[None, :, None]
         log_density = torch.log_softmax(logits.flatten(1), dim=1).view_as(logits)
         directions = direction_map(2 * rows, rows, logits.device)[0]
@@ -111,27 +113,29 @@ class SkyNetwork(nn.Module):
             self.colour_head = nn.Linear(config.decoder_widths[-1], 3)
 
     def shown(self, batch: SkyTensors) -> SkyTensors:
-        """The panorama as encoders and decoder see it: a smooth fill where no camera looked.
+        """Return the batch with a smooth fill in unobserved pixels, the input of encoders and
+        decoder.
 
-        What an inpainting network paints there is a function of the same seen pixels and brings
-        no evidence of its own; none is looked at.
+        The content of an inpainting network is a function of the same observed pixels and adds no
+        evidence, so it is not used.
         """
         return batch.shown(filled(batch.panorama, batch.seen), batch.seen)
 
     def encode(self, batch: SkyTensors) -> SkyEncoding:
-        """Sun, peak and latent, each from its own encoder (paper, Sec. 3.2)."""
+        """Predict sun, peak and latent, each by its own encoder (paper, Sec. 3.2)."""
         image = self.encoder_input(self.shown(batch))
         _, direction, log_kappa = self.direct(image, batch.panorama.shape[2] // 2)
         peak, scale, sunny = self.measure(image)
         return SkyEncoding(direction, log_kappa, peak, scale, sunny, self.latent(image))
 
     def direct(self, image: Tensor, rows: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Log density over the pixels, direction and log concentration."""
+        """Return log density over the pixels, direction and log concentration."""
         return self.direction_head(self.direction_encoder(image), rows)
 
     def measure(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Log peak, log of its expected error, logit of sunny."""
+        """Return log peak, log of its expected error, and the logit of a clear sun."""
         value = self.intensity_head(pooled(self.intensity_encoder(image)[-1]))
+        # Offset and scale of the untrained output; sensitivity not measured.
         return 4.0 + 2.0 * value[:, 0], value[:, 1], value[:, 2]
 
     def latent(self, image: Tensor) -> Float[Tensor, "n v"]:
@@ -139,7 +143,7 @@ class SkyNetwork(nn.Module):
         return self.latent_head(pooled(self.latent_encoder(image)[-1]))
 
     def encoder_input(self, batch: SkyTensors) -> Float[Tensor, "n c h w"]:
-        """What the encoders take, from a batch that is `shown`."""
+        """Input channels of the encoders, from a batch returned by `shown`."""
         image = torch.cat([batch.panorama * 2 - 1, batch.seen], dim=1)
         return torch.cat([image, _position(image, batch.panorama.shape[2])], dim=1)
 
@@ -151,13 +155,13 @@ class SkyNetwork(nn.Module):
         latent: Float[Tensor, "n v"],
         kept: Float[Tensor, "n 1 r w"] | None = None,
     ) -> Float[Tensor, "n 3 r w"]:
-        """HDR radiance of the upper half.
+        """Return the HDR radiance of the upper half.
 
         Args:
-            batch: gives the LDR sky that the dome follows; `shown`.
-            direction: of the sun.
-            log_peak: of the luminance of its pixel.
-            latent: of the sky.
+            batch: contains the LDR sky that the dome follows; returned by `shown`.
+            direction: unit vector towards the sun.
+            log_peak: log of the luminance of the sun's pixel.
+            latent: latent of the sky.
             kept: 1 where the dome must follow the LDR sky, 0 where the latent alone decides.
         """
         ldr = batch.ldr_sky
@@ -173,7 +177,9 @@ class SkyNetwork(nn.Module):
             dim=1,
         )
         value, mean = self.decoder(image, latent)
-        base = log_radiance(ldr**_SRGB_GAMMA) * kept + (1 - kept) * -1.0
+        # The exponent 2.2 approximates the sRGB curve. Without the LDR sky, the decoder starts
+        # from a log radiance of -1.
+        base = log_radiance(ldr**2.2) * kept + (1 - kept) * -1.0
         sky = radiance_of_log(base + value)
         colour = torch.exp(torch.tanh(self.colour_head(mean)))
         colour = colour / luminance_of(colour[:, :, None, None])[:, :, 0, 0]
@@ -182,24 +188,26 @@ class SkyNetwork(nn.Module):
     def dome(
         self, batch: SkyTensors, encoding: SkyEncoding, direction: Tensor, log_peak: Tensor
     ) -> Float[Tensor, "n 3 r w"]:
-        """The upper half under any sun; near a sun that was moved the sky is drawn anew."""
+        """Return the upper half under any sun; around the old and new position of a moved sun the
+        LDR sky is ignored."""
         kept = kept_for(encoding.direction, direction, batch.ldr_sky.shape[2])
         return self.decode(self.shown(batch), direction, log_peak, encoding.latent, kept)
 
 
 def _position(image: Tensor, height: int) -> Float[Tensor, "n p r w"]:
-    """Elevation of each pixel without its azimuth: the network turns with its input."""
+    """Elevation of each pixel without its azimuth, so that the network is equivariant to
+    rotations."""
     x, y, z = direction_map(height, image.shape[2], image.device).unbind(1)
     return torch.stack([z, torch.hypot(x, y)], dim=1).expand(len(image), -1, -1, -1)
 
 
 def tensors_of(network: SkyNetwork) -> dict[str, Tensor]:
-    """All weights and the config: what `network_from_tensors` needs."""
+    """Return all weights and the config, the input of `network_from_tensors`."""
     return stored_tensors(network, network.config, KIND)
 
 
 def network_from_tensors(tensors: Mapping[str, Tensor]) -> SkyNetwork:
-    """The network whose weights (in any precision) and config these are."""
+    """Return the network with these weights (in any precision) and this config."""
     network = SkyNetwork(SkyNetworkConfig(**stored_config(tensors)[1]))
     load_stored(network, tensors)
     return network
@@ -208,7 +216,8 @@ def network_from_tensors(tensors: Mapping[str, Tensor]) -> SkyNetwork:
 def kept_for(
     old: Float[Tensor, "n 3"], new: Float[Tensor, "n 3"], rows: int
 ) -> Float[Tensor, "n 1 r w"]:
-    """Where a dome whose sun moved still follows the LDR sky: away from both suns."""
+    """Weight of the LDR sky in a dome whose sun moved: 1 away from both suns, and everywhere if the
+    sun hardly moved."""
     moved_deg = torch.rad2deg(torch.acos((old * new).sum(dim=1).clamp(-1, 1)))
     stays = (moved_deg <= STAYING_SUN_DEG)[:, None, None, None]
     return torch.maximum(_away(old, new, rows), stays.to(old))
@@ -217,8 +226,8 @@ def kept_for(
 def random_kept(
     direction: Float[Tensor, "n 3"], rows: int, generator: torch.Generator
 ) -> Float[Tensor, "n 1 r w"]:
-    """Where the decoder may follow the LDR sky in training: everywhere, nowhere, or outside discs
-    around the sun and around a random spot, as when a user moves the sun."""
+    """Random weight of the LDR sky in training: everywhere, nowhere, or outside discs around the
+    sun and a random direction, as when a user moves the sun."""
     count = len(direction)
     draw = torch.rand(count, generator=generator).to(direction)[:, None, None, None]
     azimuth = torch.rand(count, generator=generator) * 2 * math.pi
@@ -230,7 +239,7 @@ def random_kept(
 
 
 def _away(a: Tensor, b: Tensor, rows: int) -> Tensor:
-    """1 far from both directions, 0 near one; in between it fades, so that no edge shows."""
+    """Weight that is 1 far from both directions and 0 near one, with a smooth transition."""
     angle = torch.rad2deg(
         torch.acos(torch.maximum(cosine_map(a, rows), cosine_map(b, rows)).clamp(-1, 1))
     )

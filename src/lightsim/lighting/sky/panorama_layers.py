@@ -1,4 +1,4 @@
-"""Layers for panoramas: convolutions that know that the left border touches the right one."""
+"""Layers for panoramas: convolutions that wrap around in azimuth."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from torch.nn import functional
 
 from lightsim.core.equirect import pixel_directions
 
+# Channels of a group in group normalisation; a common choice, sensitivity not measured.
 _GROUP = 8
 
 
@@ -23,14 +24,14 @@ def direction_map(height_px: int, rows: int, device: torch.device) -> Float[Tens
 def pad_borders(
     image: Float[Tensor, "n c h w"], size: int, *, wraps: bool = True
 ) -> Float[Tensor, "n c h2 w2"]:
-    """The image with `size` more pixels on each side: around the panorama sideways (or the border
-    pixel repeated, where it does not wrap), the border pixel repeated above and below."""
+    """Pad the image by `size` pixels on each side: wrapped sideways (or replicated, if `wraps` is
+    false), replicated above and below."""
     image = functional.pad(image, (size, size, 0, 0), mode="circular" if wraps else "replicate")
     return functional.pad(image, (0, 0, size, size), mode="replicate")
 
 
 def upsampled(image: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c H W"]:
-    """Twice the size, bilinear, without a seam."""
+    """Enlarge to twice the size, bilinear, without a seam."""
     padded = pad_borders(image, 1)
     double = functional.interpolate(padded, scale_factor=2, mode="bilinear", align_corners=False)
     return double[..., 2:-2, 2:-2]
@@ -45,7 +46,7 @@ class WrapConv(nn.Module):
         self.convolution = nn.Conv2d(inputs, outputs, 3, stride)
 
     def forward(self, image: Float[Tensor, "n c h w"]) -> Float[Tensor, "n d h2 w2"]:
-        """Height and width divided by the stride, rounded up."""
+        """Convolve; height and width are divided by the stride and rounded up."""
         return self.convolution(pad_borders(image, 1, wraps=self.wraps))
 
 
@@ -64,7 +65,7 @@ class Residual(nn.Module):
         )
 
     def forward(self, image: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
-        """The image plus what two convolutions add to it, in the same size."""
+        """Return the image plus the output of two convolutions, in the same size."""
         return image + self.layers(image)
 
 
@@ -86,7 +87,8 @@ class Pyramid(nn.Module):
         )
 
     def forward(self, image: Float[Tensor, "n c h w"]) -> list[Tensor]:
-        """One feature map [n, widths[i], h / 2^(i + 1), w / 2^(i + 1)] per level, finest first."""
+        """Return one feature map [n, widths[i], h / 2^(i + 1), w / 2^(i + 1)] per level, finest
+        first."""
         features = []
         for level in self.levels:
             image = level(image)
@@ -95,7 +97,7 @@ class Pyramid(nn.Module):
 
 
 class Merge(nn.Module):
-    """The top of a pyramid brought down to its finest level, sum by sum.
+    """Merge a pyramid from its coarsest to its finest level by sums.
 
     A feature pyramid network (Lin et al. 2017, doi:10.1109/CVPR.2017.106).
     """
@@ -106,7 +108,7 @@ class Merge(nn.Module):
         self.smooth = nn.ModuleList(WrapConv(widths[0], widths[0]) for _ in widths[1:])
 
     def forward(self, features: list[Tensor]) -> Float[Tensor, "n c h w"]:
-        """Merged features at the size and width of `features[0]`, the finest level."""
+        """Return merged features at the size and width of `features[0]`, the finest level."""
         merged = self.sideways[-1](features[-1])
         for index in range(len(features) - 2, -1, -1):
             merged = upsampled(merged) + self.sideways[index](features[index])
@@ -115,13 +117,13 @@ class Merge(nn.Module):
 
 
 class UNet(nn.Module):
-    """Image to image, with a vector fused in at the coarsest level.
+    """Image to image, with a vector added at the coarsest level.
 
     After the U-Net of Ronneberger et al. 2015 (arXiv:1505.04597).
 
     Args:
         inputs: channels of the image.
-        outputs: channels that come back.
+        outputs: channels of the result.
         widths: channels at strides 1, 2, 4 ...
         vector: length of the vector.
     """
@@ -138,7 +140,7 @@ class UNet(nn.Module):
     def forward(
         self, image: Float[Tensor, "n c h w"], vector: Float[Tensor, "n v"]
     ) -> tuple[Float[Tensor, "n o h w"], Float[Tensor, "n m"]]:
-        """The picture, and the mean of the fused features."""
+        """Return the result, and the mean of the features at the coarsest level."""
         levels = [self.entry(image)]
         levels += self.down(functional.silu(levels[0]))
         x = self.middle(levels[-1] + self.fuse(vector)[:, :, None, None])
@@ -149,14 +151,14 @@ class UNet(nn.Module):
 
 
 def pooled(features: Float[Tensor, "n c h w"]) -> Float[Tensor, "n d"]:
-    """Mean and maximum over the image: what does not change when the panorama is turned."""
+    """Mean and maximum over the image, which are invariant to rotations of the panorama."""
     return torch.cat([features.mean(dim=(2, 3)), features.amax(dim=(2, 3))], dim=1)
 
 
 def filled(
     image: Float[Tensor, "n c h w"], seen: Float[Tensor, "n 1 h w"]
 ) -> Float[Tensor, "n c h w"]:
-    """Unseen pixels replaced by a smooth continuation of the seen ones (pull and push)."""
+    """Replace unobserved pixels by a smooth continuation of the observed ones (pull-push)."""
     height, width = image.shape[-2:]
     if height % 2 or width % 2 or min(height, width) <= 2:
         total = seen.sum(dim=(2, 3), keepdim=True)

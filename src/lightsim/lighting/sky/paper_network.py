@@ -1,7 +1,7 @@
-"""The sky dome estimator as published: three encoders, five maps, a U-Net that draws the dome.
+"""The sky dome estimator as published: three encoders, five maps and a U-Net that decodes the dome.
 
 Paper Sec. 3.2 "Generating HDR sky domes", Sec. 3.3 and appendix "Sky dome estimator architecture".
-What the paper leaves open is marked "open" below.
+Choices that the paper leaves open are marked "open" below.
 """
 
 from __future__ import annotations
@@ -22,21 +22,23 @@ from lightsim.lighting.sky.sky_terms import (
     radiance_of_log,
 )
 
+# Rows and columns to which the encoder's features are averaged before its fully connected layers
+# (open).
 _FLAT = (2, 8)
+# Channels of `sun_encoding`, the paper's "five intermediate representations" of sun and intensity.
 MAPS = 5
-"""The paper's "five intermediate representations" of sun and intensity; see `sun_encoding`."""
 
 
 @dataclass(frozen=True)
 class PaperSkyConfig:
-    """How wide the networks are; open in the paper, as is the size of the panoramas."""
+    """Widths of the networks and size of the panoramas (open)."""
 
     widths: tuple[int, ...] = (16, 32, 64, 96)
     """Channels of the encoders at strides 2, 4, 8, 16."""
     decoder_widths: tuple[int, ...] = (8, 16, 32, 64)
     """Channels of the decoder at strides 1, 2, 4, 8."""
     height_px: int = 64
-    """Of the panoramas."""
+    """Rows of the panoramas."""
 
     @classmethod
     def full(cls) -> PaperSkyConfig:
@@ -45,9 +47,10 @@ class PaperSkyConfig:
 
 
 class SkyEncoder(nn.Module):
-    """Upper half of the LDR panorama and directions of its pixels -> `outputs` numbers.
+    """Encoder from the upper half of the LDR panorama and the directions of its pixels to `outputs`
+    numbers.
 
-    Open: the layers; here a convolutional pyramid and two fully connected ones.
+    Open: the layers; here a convolutional pyramid and two fully connected layers.
     """
 
     def __init__(self, widths: tuple[int, ...], outputs: int) -> None:
@@ -57,7 +60,7 @@ class SkyEncoder(nn.Module):
         self.head = nn.Sequential(nn.Linear(flat, 128), nn.SiLU(), nn.Linear(128, outputs))
 
     def forward(self, image: Float[Tensor, "n 6 r w"]) -> Float[Tensor, "n v"]:
-        """One vector for each image."""
+        """Return one vector for each image."""
         features = functional.adaptive_avg_pool2d(self.pyramid(image)[-1], _FLAT)
         return self.head(features.flatten(1))
 
@@ -65,7 +68,7 @@ class SkyEncoder(nn.Module):
 class PaperSkyNetwork(nn.Module):
     """Completed LDR panorama -> z_sky, f_int, f_dir -> HDR sky dome.
 
-    The decoder sees nothing of the panorama: the dome is drawn from the three alone.
+    The decoder has no access to the panorama: z_sky, f_int and f_dir alone determine the dome.
     """
 
     composes_sun = False
@@ -81,18 +84,20 @@ class PaperSkyNetwork(nn.Module):
             self.decoder = UNet(MAPS, 3, config.decoder_widths, LATENT)
 
     def encode(self, batch: SkyTensors) -> SkyEncoding:
-        """f_dir, f_int (a logarithm) and z_sky; neither spread nor whether the sun is clear."""
+        """Predict f_dir, f_int (a logarithm) and z_sky; without uncertainties and without a
+        clear-sun probability."""
         image = encoder_input(batch)
         return SkyEncoding(
             self.direct(image), None, self.measure(image), None, None, self.latent_encoder(image)
         )
 
     def direct(self, image: Float[Tensor, "n 6 r w"]) -> Float[Tensor, "n 3"]:
-        """f_dir: unit vectors, from an `encoder_input`."""
+        """Return f_dir, unit vectors, from an `encoder_input`."""
         return functional.normalize(self.direction_encoder(image), dim=1)
 
     def measure(self, image: Float[Tensor, "n 6 r w"]) -> Float[Tensor, " n"]:
-        """f_int: log of the luminance of the brightest pixel, from an `encoder_input`."""
+        """Return f_int, the log of the luminance of the brightest pixel, from an
+        `encoder_input`."""
         return 4.0 + 2.0 * self.intensity_encoder(image)[:, 0]
 
     def decode(
@@ -102,18 +107,18 @@ class PaperSkyNetwork(nn.Module):
         latent: Float[Tensor, "n v"],
         rows: int,
     ) -> Float[Tensor, "n 3 r w"]:
-        """HDR radiance of the upper half from f_dir, f_int and z_sky (paper, Eq. 2)."""
+        """Return the HDR radiance of the upper half from f_dir, f_int and z_sky (paper, Eq. 2)."""
         return radiance_of_log(self.decoder(sun_encoding(direction, log_peak, rows), latent)[0])
 
     def dome(
         self, batch: SkyTensors, encoding: SkyEncoding, direction: Tensor, log_peak: Tensor
     ) -> Float[Tensor, "n 3 r w"]:
-        """The upper half of a panorama's size under any sun."""
+        """Return the upper half at the panorama's size under any sun."""
         return self.decode(direction, log_peak, encoding.latent, batch.ldr_sky.shape[2])
 
 
 def encoder_input(batch: SkyTensors) -> Float[Tensor, "n 6 r w"]:
-    """The upper half of the panorama and, channel by channel, the unit vector of each pixel."""
+    """Concatenate the upper half of the panorama and the unit vector of each pixel, as channels."""
     sky = batch.ldr_sky * 2 - 1
     position = direction_map(2 * sky.shape[2], sky.shape[2], sky.device)
     return torch.cat([sky, position.expand(len(sky), -1, -1, -1)], dim=1)
@@ -122,9 +127,9 @@ def encoder_input(batch: SkyTensors) -> Float[Tensor, "n 6 r w"]:
 def sun_encoding(
     direction: Float[Tensor, "n 3"], log_peak: Float[Tensor, " n"], rows: int
 ) -> Float[Tensor, "n 5 r w"]:
-    """f_dir and f_int as five maps of the LDR sky's size.
+    """Encode f_dir and f_int as five maps of the LDR sky's size.
 
-    Open: which five. Taken as those of NLFE, which the paper follows (Wang et al. 2022,
+    Open: the choice of the five. They are those of NLFE, which the paper follows (Wang et al. 2022,
     doi:10.1007/978-3-031-20086-1_22, Sec. 3.1), with one channel of intensity: the unit vector of
     each pixel (3), a spherical Gaussian lobe exp(100 (cos - 1)) around the sun (1), and the
     intensity where that lobe exceeds 0.9 of its largest value (1).

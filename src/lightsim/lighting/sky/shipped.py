@@ -1,4 +1,4 @@
-"""The shipped lighting networks at work: what they predict of a panorama, and what they draw."""
+"""Application of the shipped lighting networks: predictions for a panorama and decoded domes."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from lightsim.core.colour import linear_from_srgb
-from lightsim.core.dome import SkyDome, Sun, irradiance, resized, split_sun
+from lightsim.core.dome import SkyDome, Sun, resized, split_sun
 from lightsim.core.twin import Panorama, SkyEstimate
-from lightsim.errors import InputError
 from lightsim.lighting.panorama.complete import completed_ldr, exposed_ldr
 from lightsim.lighting.sample import SkyPrediction
+from lightsim.lighting.sky.clear_sky import level_irradiance
 from lightsim.lighting.sun.direction import SunDirection
 
 if TYPE_CHECKING:
@@ -25,54 +25,36 @@ SKY_WEIGHTS = "sky-small"
 
 
 def predict_sky(panorama: Panorama) -> SkyPrediction:
-    """Sun, peak and latent that the estimator reads off what was seen of a panorama.
+    """Predict sun, peak and latent from the observed pixels of a panorama.
 
-    It does not look at what is inpainted. `log_peak` is in the panorama's own unit of radiance.
+    Inpainted pixels are not used. `log_peak` is in the panorama's own unit of radiance.
 
     Raises:
-        InputError: nothing was seen, or the weights are damaged.
+        InputError: no pixel was observed, or the weights are damaged.
     """
     ldr, exposure = exposed_ldr(panorama)
-    predicted = _estimator().predict(ldr, panorama.is_seen, averages=True)
+    predicted = _estimator().predict(ldr, panorama.is_seen)
     return replace(predicted, log_peak=predicted.log_peak - float(np.log(exposure)))
 
 
 def decoded_dome(
-    panorama: Panorama,
-    *,
-    sun_direction: Float[np.ndarray, "3"] | None = None,
-    sun_factor: float = 1.0,
+    panorama: Panorama, *, sun_direction: Float[np.ndarray, "3"] | None = None
 ) -> SkyDome:
-    """The dome that the decoder draws of a panorama; on demand with its sun elsewhere, or stronger
-    (paper, appendix: the same sky latent with other f_dir and f_int).
+    """Decode the dome of a panorama, with a moved sun if requested.
 
-    The decoder draws the upper half; the lower one is the completed panorama's.
+    The decoder returns the upper half; the lower half is that of the completed panorama.
     `lighting.target_sky.with_edited_sun` moves the sun of any HDR dome.
 
     Args:
-        panorama: stitched or a picture; the dome has its size, unit and frame.
+        panorama: stitched or from a picture; the dome has its size, unit and frame.
         sun_direction: unit vector towards another sun.
-        sun_factor: on the sun's peak.
 
     Raises:
-        InputError: the factor is not positive, the sun is below the horizon, or nothing was seen.
+        InputError: the sun is below the horizon, or no pixel was observed.
     """
-    if not sun_factor > 0 or not np.isfinite(sun_factor):
-        raise InputError(
-            "the sun's factor must be positive",
-            where="--sun-factor",
-            got=sun_factor,
-            expected="a finite number above 0",
-        )
     ldr, exposure = completed_panorama(panorama)
-    predicted = _estimator().predict(ldr, panorama.is_seen, averages=True)
-    upper = _estimator().decode(
-        predicted,
-        ldr,
-        seen=panorama.is_seen,
-        sun_direction=sun_direction,
-        log_peak=predicted.log_peak + float(np.log(sun_factor)),
-    )
+    predicted = _estimator().predict(ldr, panorama.is_seen)
+    upper = _estimator().decode(predicted, ldr, seen=panorama.is_seen, sun_direction=sun_direction)
     ground = linear_from_srgb(ldr[len(ldr) // 2 :])
     radiance = (np.concatenate([upper, ground]) / np.float32(exposure)).astype(np.float32)
     direction = predicted.sun_direction if sun_direction is None else sun_direction
@@ -83,21 +65,23 @@ def decoded_dome(
 def decoded_sky(
     panorama: Panorama, sun: SunDirection, prediction: SkyPrediction, height_px: int
 ) -> SkyEstimate:
-    """The source sky in the paper's way (Sec. 3.2): the decoder draws it from the latent and the
-    peak that the encoders read off the completed panorama and from the sun that was found, by GPS
-    where the log has it. No shadow and no balance is asked.
+    """Estimate the source sky by the paper's method (Sec. 3.2).
+
+    The decoder combines the latent and the peak that the encoders predict from the completed
+    panorama with the estimated sun direction (from GPS if the log has it). Shadows and light
+    balance are not used.
 
     Args:
         prediction: `predict_sky` of the panorama, for its uncertainty.
 
     Raises:
-        InputError: nothing was seen.
+        InputError: no pixel was observed.
     """
     dome = resized(decoded_dome(panorama, sun_direction=sun.direction_world), height_px)
-    level = irradiance(split_sun(dome)[0], np.array([0.0, 0.0, 1.0]))
+    level = level_irradiance(split_sun(dome)[0])
     note = (
-        f"the dome is the decoder's ({SKY_WEIGHTS}, the sun put in), on its own latent and peak and"
-        " the sun found here; no shadow says how strong that sun is"
+        f"the dome is decoded by the network ({SKY_WEIGHTS}) from its latent and peak and the"
+        " estimated sun direction; the sun's strength was not checked against shadows"
     )
     return SkyEstimate(
         dome,
@@ -107,16 +91,17 @@ def decoded_sky(
         sun.uncertainty_deg,
         prediction.log_peak_std,
         level.astype(np.float32),
-        prediction.log_peak_std,  # The network says no more of its own error.
+        prediction.log_peak_std,  # The network predicts no separate error of the sky.
         (*sun.notes, note),
     )
 
 
 def completed_panorama(panorama: Panorama) -> tuple[Float32[np.ndarray, "h w 3"], float]:
-    """The panorama in sRGB, inpainted where nothing was seen, and its exposure (`exposed_ldr`).
+    """Return the panorama in sRGB, inpainted where it was not observed, and its exposure
+    (`exposed_ldr`).
 
     Raises:
-        InputError: nothing was seen, or the weights are damaged.
+        InputError: no pixel was observed, or the weights are damaged.
     """
     from lightsim.store.weights import load_weights
 

@@ -1,4 +1,4 @@
-"""What all sky networks share: batches as tensors, predictions, sun lobes and terms of the loss."""
+"""Common parts of all sky networks: batches as tensors, predictions, sun lobes and loss terms."""
 
 from __future__ import annotations
 
@@ -14,22 +14,24 @@ from torch.nn import functional
 from lightsim.core.colour import LUMINANCE_WEIGHTS
 from lightsim.lighting.sky.panorama_layers import direction_map
 
+# Length of the sky latent (paper: z_sky).
 LATENT = 64
+# Radiance added before logarithms, as a fraction of the clipping value: darker differences are
+# invisible. Sensitivity not measured.
 _LOG_FLOOR = 0.02
-_DIMMER = 0.98
 
 
 @dataclass(frozen=True, eq=False)
 class SkyTensors:
-    """A lighting batch as tensors, channels first; see `lighting.sample.LightingBatch`.
+    """Lighting batch as tensors, channels first; see `lighting.sample.LightingBatch`.
 
     Args:
-        panorama: sRGB in [0, 1]; where `seen` is 0, what completed it.
-        seen: 1 where the cameras saw it.
-        front: one camera's picture.
+        panorama: sRGB in [0, 1]; where `seen` is 0, values of a completion.
+        seen: 1 where the cameras observed the panorama.
+        front: picture of one camera.
         sky: linear radiance of the upper half.
         sun_direction: unit vectors.
-        log_peak: of the luminance of the brightest pixel.
+        log_peak: log of the luminance of the brightest pixel.
         is_sunny: 1 or 0.
     """
 
@@ -47,25 +49,27 @@ class SkyTensors:
         return self.panorama[:, :, : self.panorama.shape[2] // 2]
 
     def shown(self, panorama: Tensor, seen: Tensor) -> SkyTensors:
-        """The same with another completion."""
+        """Return the batch with another panorama and mask."""
         return replace(self, panorama=panorama, seen=seen)
 
 
 Draw = Callable[[bool], SkyTensors]
-"""The batch of a step: of all skies (False) or of clear suns alone (True)."""
+"""Function that returns the batch of a training step: from all skies (False) or from skies with a
+clear sun only (True)."""
 
 
 @dataclass(frozen=True, eq=False)
 class SkyEncoding:
-    """What an encoder says of each panorama.
+    """Output of an encoder for each panorama.
 
     Args:
         direction: unit vectors towards the sun.
-        log_concentration: of the von Mises-Fisher density around them, if the network says it.
-        log_peak: of the luminance of the brightest pixel.
-        log_peak_scale: logarithm of the mean absolute error expected of log_peak, if said.
-        sunny_logit: of the probability that the sun casts shadows, if said.
-        latent: of the sky's appearance.
+        log_concentration: log of the concentration of the von Mises-Fisher density around them;
+            None if the network does not predict it.
+        log_peak: log of the luminance of the brightest pixel.
+        log_peak_scale: log of the expected mean absolute error of log_peak; None if not predicted.
+        sunny_logit: logit of the probability that the sun casts shadows; None if not predicted.
+        latent: appearance of the sky.
     """
 
     direction: Float[Tensor, "n 3"]
@@ -77,7 +81,7 @@ class SkyEncoding:
 
 
 def luminance_of(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 h w"]:
-    """Relative luminance of linear sRGB (weights of ITU-R BT.709), channel kept."""
+    """Relative luminance of linear sRGB (weights of ITU-R BT.709), with one channel."""
     weights = torch.tensor(LUMINANCE_WEIGHTS, device=radiance.device)[None, :, None, None]
     return (radiance * weights).sum(dim=1, keepdim=True)
 
@@ -91,9 +95,10 @@ def cosine_map(direction: Float[Tensor, "n 3"], rows: int) -> Float[Tensor, "n 1
 def sun_lobe(
     direction: Float[Tensor, "n 3"], rows: int, width_px: float = 0.35
 ) -> Float[Tensor, "n 1 r w"]:
-    """A spot at a direction, 1 at its brightest pixel; its centroid is the direction.
+    """Gaussian lobe around a direction, 1 at its brightest pixel; its centroid is the direction.
 
-    The square of the angle is 2 (1 - cosine): exact enough over a few pixels, and smooth.
+    `width_px` is its standard deviation. The squared angle is approximated by 2 (1 - cosine),
+    accurate and smooth over a few pixels.
     """
     sigma = width_px * math.pi / (2 * rows)
     exponent = (cosine_map(direction, rows) - 1.0) / sigma**2
@@ -103,8 +108,9 @@ def sun_lobe(
 def sun_maps(
     direction: Float[Tensor, "n 3"], log_peak: Float[Tensor, " n"], rows: int
 ) -> Float[Tensor, "n 4 r w"]:
-    """Direction and intensity of the sun as pictures: a spherical Gaussian lobe, the cosine, the
-    sun's pixels, and the intensity in them (paper: explicitly encoded representations)."""
+    """Encode direction and intensity of the sun as four maps: a spherical Gaussian lobe, the
+    cosine, the sun's pixels, and the intensity in them (paper: explicitly encoded
+    representations)."""
     cosine = cosine_map(direction, rows)
     lobe = torch.exp(100.0 * (cosine - 1.0))
     pixel = (sun_lobe(direction, rows) > 0.5).to(cosine)
@@ -112,14 +118,14 @@ def sun_maps(
 
 
 def row_weights(rows: int, device: torch.device) -> Float[Tensor, "1 1 r 1"]:
-    """Solid angle of the pixels of the upper half; the mean is 1."""
+    """Solid angle of the pixels of the upper half, normalised to a mean of 1."""
     polar = (torch.arange(rows, device=device) + 0.5) * math.pi / (2 * rows)
     weight = torch.sin(polar)
     return (weight / weight.mean())[None, None, :, None]
 
 
 def log_radiance(radiance: Tensor) -> Tensor:
-    """Logarithm with a floor of 2 % of the clipping value."""
+    """Logarithm of radiance plus 2 % of the clipping value."""
     return torch.log(radiance.clamp_min(0.0) + _LOG_FLOOR)
 
 
@@ -131,13 +137,13 @@ def radiance_of_log(value: Tensor) -> Tensor:
 def log_sky_error(
     predicted: Float[Tensor, "n 3 r w"], truth: Float[Tensor, "n 3 r w"]
 ) -> Float[Tensor, ""]:
-    """L2 of the radiance in the log space, by solid angle."""
+    """Mean squared error of log radiance, weighted by solid angle."""
     square = (log_radiance(predicted) - log_radiance(truth)) ** 2
     return (square * row_weights(truth.shape[2], truth.device)).mean()
 
 
 def angles(a: Float[Tensor, "n 3"], b: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
-    """Angles in radians, with a gradient also where they vanish."""
+    """Angles in radians, with a finite gradient at angle 0."""
     cross = torch.linalg.cross(a, b)
     return torch.atan2(torch.sqrt((cross * cross).sum(dim=1) + 1e-12), (a * b).sum(dim=1))
 
@@ -161,7 +167,8 @@ def fisher_loss(
 def heat_loss(
     log_density: Float[Tensor, "n r w"], truth: Float[Tensor, "n 3"]
 ) -> Float[Tensor, " n"]:
-    """Cross-entropy between a density over the pixels and a spot of one pixel at the truth."""
+    """Cross-entropy between a density over the pixels and a one-pixel spot at the true
+    direction."""
     rows = log_density.shape[1]
     target = sun_lobe(truth, rows, 1.0)[:, 0] * row_weights(rows, truth.device)[:, 0]
     target = target / target.sum(dim=(1, 2), keepdim=True)
@@ -171,12 +178,13 @@ def heat_loss(
 def laplace_loss(
     value: Float[Tensor, " n"], log_scale: Float[Tensor, " n"], truth: Float[Tensor, " n"]
 ) -> Float[Tensor, " n"]:
-    """Negative log-likelihood of the Laplace density: an L1 loss that knows its own scale."""
+    """Negative log-likelihood of a Laplace density with predicted scale."""
     return (value - truth).abs() * torch.exp(-log_scale) + log_scale + math.log(2.0)
 
 
 def sunny_loss(logit: Float[Tensor, " n"], truth: Float[Tensor, " n"]) -> Float[Tensor, ""]:
-    """Mean cross-entropy, in nats, of whether the sun casts shadows (`truth` 1 or 0)."""
+    """Mean cross-entropy, in nats, of the prediction that the sun casts shadows (`truth` 1 or
+    0)."""
     return functional.binary_cross_entropy_with_logits(logit, truth)
 
 
@@ -186,11 +194,12 @@ def compose_sun(
     direction: Float[Tensor, "n 3"],
     log_peak: Float[Tensor, " n"],
 ) -> Float[Tensor, "n 3 r w"]:
-    """The sky and a sun whose brightest pixel has the luminance asked for; no other is brighter.
+    """Add a sun with the given peak luminance to the sky; no other pixel is brighter.
 
-    `sun_colour` has luminance 1. Skies that are brighter than the peak are dimmed to it.
+    `sun_colour` has luminance 1. Skies brighter than the peak are dimmed to it.
     """
     peak = torch.exp(log_peak)[:, None, None, None]
-    sky = sky * (_DIMMER * peak / luminance_of(sky).clamp_min(1e-6)).clamp_max(1.0)
+    # 2 % below the peak, so that the sun's pixel is the brightest.
+    sky = sky * (0.98 * peak / luminance_of(sky).clamp_min(1e-6)).clamp_max(1.0)
     lobe = sun_lobe(direction, sky.shape[2])
     return sky * (1 - lobe) + lobe * peak * sun_colour[:, :, None, None]

@@ -1,8 +1,8 @@
-"""What single observations say about the sun: log likelihoods of directions under a sun that casts
-shadows and under an overcast sky.
+"""Cues for the sun direction: log likelihoods of directions, under a sun that casts shadows and
+under an overcast sky.
 
-A cue is evaluated on cells of some size, so every cue takes the cells' half width as a blur: a
-narrow peak must not fall between cells.
+A cue is evaluated on cells of a given size. Every cue takes the cells' half width as a blur, so
+that a narrow peak does not fall between cells.
 """
 
 from __future__ import annotations
@@ -23,38 +23,48 @@ from lightsim.errors import InputError
 from lightsim.lighting.directions import log_vmf
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sun.direction import (
+    CLOCK_STD_DEG,
     EPHEMERIS_STD_DEG,
+    UNKNOWN_HEADING_STD_DEG,
     SunBlob,
     find_sun_blobs,
     gradient_candidates,
 )
 from lightsim.lighting.sun.shadow_likelihood import ShadowLikelihood
 
-_UNIFORM = -float(np.log(2 * np.pi))
-"""Log density of the hemisphere, per sr."""
-_CLOCK_STD_DEG = 1.0 * 360.0 / 86164.0
-"""A second of clock."""
-_UNKNOWN_HEADING_STD_DEG = 1.0
-_WRONG_HEADING_FRACTION, _WRONG_PLACE_FRACTION = 0.002, 0.0005
+# Assumptions; their sensitivity was not measured.
+
+# Probability that the recorded heading is wrong, so that other cues can overrule it.
+_WRONG_HEADING_FRACTION = 0.002
+# Probability that the recorded place or time is wrong.
+_WRONG_PLACE_FRACTION = 0.0005
+# Plausibility of "none of the clipped spots is the sun", on the scale of SunBlob.plausibility.
 _NO_SPOT_WEIGHT = 0.15
-"""Plausibility of "none of the spots is the sun"."""
+# Limit on the log odds of sun against overcast of a single cue.
 _ODDS_LIMIT = 6.0
-"""No cue's log odds of sun against overcast count for more."""
+# Log likelihood of a clear sun in observed, unsaturated sky, relative to elsewhere.
+_OPEN_SKY_PENALTY = -3.0
+# Standard deviation of the relative errors of a well-fitting clear sky: thin cloud and non-linear
+# camera responses.
+_GRADIENT_STD = 0.07
+# Probability that a clear sky is the wrong model, so that its gradient carries no information.
+_GRADIENT_OUTLIERS = 0.4
 
 
 @runtime_checkable
 class Cue(Protocol):
-    """One observation."""
+    """One observation that constrains the sun direction."""
 
     @property
     def name(self) -> str:
-        """For people, in the notes of the sky."""
+        """Name for readers, in the notes of the sky."""
         ...
 
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
-        """Of each direction: column 0 given a clear sun, column 1 given an overcast sky.
+        """Return log likelihoods per direction: column 0 given a clear sun, column 1 given an
+        overcast sky.
 
         Natural logarithms, relative to a uniform hemisphere. `blur_deg` is the standard deviation
         that widens narrow cues to the spacing of the directions.
@@ -69,15 +79,16 @@ def _both(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
 def _robust(
     log_density: Float[np.ndarray, " n"], outlier_fraction: float
 ) -> Float[np.ndarray, " n"]:
-    """Mixed with a uniform hemisphere, relative to it."""
-    return np.logaddexp(
-        np.log1p(-outlier_fraction) + log_density - _UNIFORM, np.log(max(outlier_fraction, 1e-12))
-    )
+    """Mix a density with a uniform hemisphere; the result is relative to the uniform density."""
+    # A uniform hemisphere has the log density -log(2 pi) per steradian.
+    relative = np.log1p(-outlier_fraction) + log_density + np.log(2 * np.pi)
+    return np.logaddexp(relative, np.log(max(outlier_fraction, 1e-12)))
 
 
 @dataclass(frozen=True, eq=False)
 class EphemerisCue:
-    """Place and time: the elevation is known, the azimuth as well as the heading is."""
+    """Sun position by place and time: the elevation is known, the azimuth is as uncertain as the
+    heading."""
 
     position: SolarPosition
     geo: GeoReference
@@ -85,24 +96,26 @@ class EphemerisCue:
 
     @property
     def heading_std_deg(self) -> float | None:
-        """None: the heading is unknown."""
+        """Standard deviation of the heading, in degrees; None if the heading is unknown."""
         if self.geo.enu_from_world is None:
             return None
         residual = self.geo.heading_residual_deg
-        return _UNKNOWN_HEADING_STD_DEG if residual is None else float(residual)
+        return UNKNOWN_HEADING_STD_DEG if residual is None else float(residual)
 
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
-        """Normal in elevation and azimuth over a uniform hemisphere; the same under cloud.
+        """Normal density in elevation and azimuth, relative to a uniform hemisphere; equal under
+        cloud.
 
-        Without a heading every azimuth is as likely. A wrong heading or place keeps a small
-        probability, so that other cues can outvote it.
+        Without a heading all azimuths are equally likely. A wrong heading or place has a small
+        probability, so that other cues can overrule it.
         """
-        level_deg = float(np.linalg.norm([EPHEMERIS_STD_DEG, _CLOCK_STD_DEG, blur_deg]))
+        level_deg = float(np.linalg.norm([EPHEMERIS_STD_DEG, CLOCK_STD_DEG, blur_deg]))
         elevation = np.degrees(np.arcsin(np.clip(directions_world[:, 2], -1, 1)))
         height = -0.5 * ((elevation - self.position.elevation_deg) / level_deg) ** 2
         height -= np.log(level_deg)
+        # An angle on the sphere is a larger angle of azimuth near the zenith; bounded there.
         cosine = np.maximum(np.cos(np.radians(self.position.elevation_deg)), 0.05)
         if self.geo.enu_from_world is None or self.heading_std_deg is None:
             turn = np.full(len(height), -np.log(360.0 * cosine))
@@ -116,12 +129,13 @@ class EphemerisCue:
                 np.log1p(-_WRONG_HEADING_FRACTION) + right,
                 np.log(_WRONG_HEADING_FRACTION / 360.0 / cosine),
             )
+        # From a density per square degree to one per steradian.
         log_density = height + turn - 0.5 * np.log(2 * np.pi) + 2 * np.log(180.0 / np.pi)
         return _both(_robust(log_density, _WRONG_PLACE_FRACTION))
 
 
 def ephemeris_cue(geo: GeoReference, time_ns: int) -> EphemerisCue:
-    """The sun's place in the sky at a UTC time.
+    """Return the cue of place and UTC time.
 
     Raises:
         InputError: the sun is below the horizon.
@@ -131,15 +145,18 @@ def ephemeris_cue(geo: GeoReference, time_ns: int) -> EphemerisCue:
         raise InputError(
             "the sun is below the horizon: twilight and night are not modelled",
             got=f"elevation {position.elevation_deg:.2f} degrees",
-            remedy="Build with --gps none, which finds the light by the pictures alone.",
+            expected="an elevation above 0",
+            remedy="Build with --gps none, which estimates the light from the pictures alone.",
         )
     return EphemerisCue(position, geo)
 
 
 @dataclass(frozen=True, eq=False)
 class BlobCue:
-    """Clipped spots: one of them is the sun, or none. A cut one may be the rim of a glow whose
-    middle was not seen."""
+    """Clipped spots of the sky: one of them is the sun, or none is.
+
+    A cut spot may be the rim of a glow whose centre was not observed.
+    """
 
     blobs: Sequence[SunBlob]
     name: str = "clipped spots"
@@ -147,16 +164,17 @@ class BlobCue:
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
-        """Lobes about the spots, by plausibility, and a uniform part for "none is the sun".
+        """Lobes around the spots, weighted by plausibility, and a uniform part for "none is the
+        sun".
 
-        A clear sun gains up to 1.5 nats near the likeliest spot where that is not cut.
+        A clear sun gains up to 1.5 nats near the most plausible spot if that spot is not cut.
         """
         weight = np.array([blob.plausibility for blob in self.blobs])
         none = _NO_SPOT_WEIGHT / (_NO_SPOT_WEIGHT + weight.sum())
         parts = [self._around(blob, directions_world, blur_deg) for blob in self.blobs]
         density = np.tensordot(weight / weight.sum(), np.exp(parts), axes=1)
         values = np.log((1 - none) * density * 2 * np.pi + none)
-        # A free, round spot is rare under cloud.
+        # An isolated, round spot is rare under cloud.
         best = max(self.blobs, key=lambda blob: blob.plausibility)
         odds = 0.0 if best.is_cut else float(np.clip(np.log(best.plausibility + 0.5), 0.0, 1.5))
         near = directions_world @ best.direction_world > np.cos(np.radians(6.0 + blur_deg))
@@ -166,6 +184,7 @@ class BlobCue:
     def _around(
         blob: SunBlob, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, " n"]:
+        """Log density of the sun given one spot: a narrow and a wide lobe, 0.7 to 0.3."""
         cosine = directions_world @ blob.direction_world
         near_deg = float(np.hypot(0.5, blob.radius_deg * (0.8 if blob.is_cut else 0.33)))
         wide_deg = 15.0 if blob.is_cut else 4.0
@@ -177,27 +196,26 @@ class BlobCue:
 
 @dataclass(frozen=True, eq=False)
 class OpenSkyCue:
-    """A clear sun cannot stand where sky was seen that is not saturated."""
+    """Observed, unsaturated sky, which contains no clear sun."""
 
     panorama: Panorama
-    log_penalty: float = -3.0
     name: str = "sky without a sun"
 
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
-        """`log_penalty` for a clear sun in unsaturated sky, else 0; no blur."""
+        """`_OPEN_SKY_PENALTY` for a clear sun in unsaturated sky, else 0; no blur."""
         is_open = looked_up(
             self.panorama.is_sky & self.panorama.is_seen & ~self.panorama.is_clipped,
             directions_world,
         )
-        return np.stack([self.log_penalty * is_open, np.zeros(len(is_open))], axis=1)
+        return np.stack([_OPEN_SKY_PENALTY * is_open, np.zeros(len(is_open))], axis=1)
 
 
 def looked_up(
     mask: Bool[np.ndarray, "h w"], directions_world: Float[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:
-    """The mask's pixels at directions."""
+    """Values of the mask at directions."""
     height, width = mask.shape
     uv = uv_from_directions(directions_world)
     column = np.minimum((uv[:, 0] * width).astype(np.int64), width - 1)
@@ -206,7 +224,7 @@ def looked_up(
 
 
 class _Interpolated:
-    """Log likelihoods given on scattered directions, between them by the three nearest."""
+    """Interpolation of log likelihoods between scattered directions by the three nearest."""
 
     def __init__(
         self, directions_world: Float[np.ndarray, "d 3"], values: Float[np.ndarray, " d"]
@@ -221,27 +239,26 @@ class _Interpolated:
 
 
 class GradientCue:
-    """Clear skies, compared with the unsaturated sky that was seen."""
+    """Brightness gradient of the observed, unsaturated sky, compared with clear skies."""
 
     name = "gradient of the sky"
 
-    def __init__(
-        self, panorama: Panorama, std: float = 0.07, outlier_fraction: float = 0.4
-    ) -> None:
+    def __init__(self, panorama: Panorama) -> None:
         directions, residual = gradient_candidates(panorama)
-        # Relative errors that thin clouds and tone curves leave of a well-fitting model.
-        log_weight = -(residual - residual.min()) / (2 * std**2)
-        # Candidates lie on rings of equal count: each stands for a cosine's fraction of the sphere.
+        log_weight = -(residual - residual.min()) / (2 * _GRADIENT_STD**2)
+        # All rings have the same number of candidates, so that a candidate represents a solid
+        # angle in proportion to the cosine of its elevation.
         fraction = np.exp(log_weight) * np.sqrt(1 - directions[:, 2] ** 2)
         density = np.exp(log_weight) / fraction.sum() * np.sqrt(1 - directions[:, 2] ** 2).sum()
         self._values = _Interpolated(
-            directions, np.log((1 - outlier_fraction) * density + outlier_fraction)
+            directions, np.log((1 - _GRADIENT_OUTLIERS) * density + _GRADIENT_OUTLIERS)
         )
 
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
-        """Of the fit of clear skies, between its candidates; the same under cloud, no blur."""
+        """Likelihood of the fitted clear skies, interpolated between candidates; equal under cloud,
+        no blur."""
         return _both(self._values.at(directions_world))
 
 
@@ -257,16 +274,16 @@ class ShadowCue:
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
-        """The votes between their directions and the odds of a clear sun; half the votes under
-        cloud, no blur."""
+        """Shadow likelihood plus the log odds of a clear sun; half the shadow likelihood under
+        cloud; no blur."""
         values = self._values.at(directions_world)
-        # Thin cloud softens shadows but does not move them.
+        # Thin cloud softens shadows without moving them, so the likelihood holds at half weight.
         return np.stack([values + _log_odds(self.votes.sunny_probability), 0.5 * values], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkCue:
-    """A trained network's reading of the completed panorama."""
+    """Prediction of a trained network for the completed panorama."""
 
     prediction: SkyPrediction
     temper: float = 0.7
@@ -275,7 +292,7 @@ class NetworkCue:
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
-        """The predicted density, widened by `temper` and the blur, and the odds of a clear sun."""
+        """Predicted density, widened by `temper` and the blur, and the log odds of a clear sun."""
         cosine = directions_world @ self.prediction.sun_direction.astype(np.float64)
         kappa = max(self.prediction.concentration * self.temper, 1e-3)
         std_deg = float(np.hypot(np.degrees(1 / np.sqrt(kappa)), blur_deg))
@@ -290,7 +307,7 @@ def _log_odds(probability: float) -> float:
 
 
 def panorama_cues(panorama: Panorama) -> list[Cue]:
-    """What a panorama says by itself; nothing, where no sky was seen."""
+    """Return the cues that a panorama alone provides; none if no sky was observed."""
     seen = panorama.is_sky & panorama.is_seen
     if not seen.any():
         return []
@@ -301,6 +318,6 @@ def panorama_cues(panorama: Panorama) -> list[Cue]:
     try:
         cues.append(GradientCue(panorama))
     except InputError:
-        # All of it is saturated or too little was seen: its gradient says nothing.
+        # The sky is saturated, or too little was observed: its gradient carries no information.
         return cues
     return cues

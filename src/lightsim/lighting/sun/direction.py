@@ -1,4 +1,4 @@
-"""Where the sun stands in frame `world`: from place and time, or from the panorama."""
+"""Sun direction in frame `world`, from place and time or from the panorama."""
 
 from __future__ import annotations
 
@@ -18,30 +18,41 @@ from lightsim.core.solar import (
 )
 from lightsim.core.twin import Panorama
 from lightsim.errors import InputError
-from lightsim.lighting.sky.clear_sky import clear_sky_parts, overcast_shape
+from lightsim.lighting.sky.clear_sky import GROUND_ALBEDO, clear_sky_parts, overcast_shape
 
-# Refraction and levelling of the world frame; the ephemeris itself is better than 0.001.
+# Error of refraction and of the world frame's levelling, in degrees; the ephemeris itself is exact
+# to 0.001 degrees.
 EPHEMERIS_STD_DEG = 0.05
+# Rotation of the sky in one second (360 degrees in a sidereal day): the error of a clock that is
+# off by a second.
+CLOCK_STD_DEG = 360.0 / 86164.0
+# Standard deviation of a heading whose residual was not recorded, in degrees; an assumption.
+UNKNOWN_HEADING_STD_DEG = 1.0
 
-_CLOCK_STD_S = 1.0
-_SKY_TURN_DEG_PER_S = 360.0 / 86164.0
-_BLOB_MAX_RADIUS_DEG = 12.0
+# Sensitivity to the following constants was not measured.
+
+# Smallest and largest radius of a clipped spot that may be the sun, in degrees. Smaller spots are
+# glints or lamps, because lens and air widen the sun; larger ones are clouds.
+_BLOB_RADIUS_DEG = (0.3, 12.0)
+# Usual radius of the sun's clipped spot, in degrees.
+_BLOB_USUAL_RADIUS_DEG = 1.5
+# Fraction of its bounding disc that a spot fills, at least: the sun's spot is round.
 _BLOB_MIN_FILL = 0.1
-_BLOB_MIN_RADIUS_DEG, _BLOB_USUAL_RADIUS_DEG = 0.3, 1.5
+# Largest gap between pieces of one spot, in degrees.
 _PIECE_GAP_DEG = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class SunDirection:
-    """Direction of the sun.
+    """Direction of the sun, with its uncertainty and its source.
 
     Args:
         direction_world: unit vector towards the sun.
         azimuth_deg: clockwise from true north, or None where the heading is unknown.
         origin: "gps+time", "time+image" (heading unknown) or "image".
         uncertainty_deg: one standard deviation of each component of its error.
-        notes: how it was found.
-        sunny_probability: that it casts shadows; None where nothing was asked.
+        notes: evidence of the estimate.
+        sunny_probability: probability that it casts shadows; None where it was not estimated.
     """
 
     direction_world: Float[np.ndarray, "3"]
@@ -55,14 +66,14 @@ class SunDirection:
 
 @dataclass(frozen=True, eq=False)
 class SunBlob:
-    """A compact clipped spot of the observed sky.
+    """Compact clipped spot of the observed sky.
 
     Args:
         direction_world: its solid-angle-weighted centre.
         radius_deg: radius of the disc of equal solid angle.
-        is_cut: it touches what was not seen as sky, so that its centre is biased.
-        plausibility: relative weight among the spots of one panorama; a free, round spot of usual
-            size in an even sky has about 1.
+        is_cut: it touches pixels that were not observed as sky, so that its centre is biased.
+        plausibility: relative weight among the spots of one panorama; an isolated, round spot of
+            usual size in a uniform sky has about 1.
     """
 
     direction_world: Float[np.ndarray, "3"]
@@ -72,9 +83,9 @@ class SunBlob:
 
 
 def sun_from_geo(geo: GeoReference, time_ns: int) -> SunDirection:
-    """The sun by ephemeris at a UTC time, turned into frame `world`.
+    """Return the sun by ephemeris at a UTC time, rotated into frame `world`.
 
-    The uncertainty adds the heading's, 0.05 degrees of levelling and a clock error of a second.
+    The uncertainty combines the heading's, 0.05 degrees of levelling and a clock error of a second.
 
     Raises:
         InputError: the heading is unknown, or the sun is below the horizon.
@@ -92,8 +103,9 @@ def sun_from_geo(geo: GeoReference, time_ns: int) -> SunDirection:
             remedy="Give an HDR file as the sky.",
         )
     direction = direction_world(position.azimuth_deg, position.elevation_deg, geo.enu_from_world)
-    heading_deg = geo.heading_residual_deg if geo.heading_residual_deg is not None else 1.0
-    parts = [heading_deg, EPHEMERIS_STD_DEG, _CLOCK_STD_S * _SKY_TURN_DEG_PER_S]
+    residual_deg = geo.heading_residual_deg
+    heading_deg = UNKNOWN_HEADING_STD_DEG if residual_deg is None else residual_deg
+    parts = [heading_deg, EPHEMERIS_STD_DEG, CLOCK_STD_DEG]
     return SunDirection(
         direction,
         position.azimuth_deg,
@@ -105,11 +117,11 @@ def sun_from_geo(geo: GeoReference, time_ns: int) -> SunDirection:
 
 
 def find_sun_blob(
-    panorama: Panorama, near_world: Float[np.ndarray, "3"] | None = None, within_deg: float = 8.0
+    panorama: Panorama, near_world: Float[np.ndarray, "3"] | None = None
 ) -> SunBlob | None:
-    """The clipped spot of the sky that looks most like the sun, or None.
+    """Return the most plausible clipped spot of the sky, or None.
 
-    With `near_world`, it is the nearest one that touches or lies within `within_deg` of it.
+    With `near_world`, return the nearest spot that touches or lies within 8 degrees of it.
     """
     blobs = find_sun_blobs(panorama)
     if near_world is None:
@@ -118,16 +130,16 @@ def find_sun_blob(
     near = [
         (off, blob)
         for off, blob in zip(off_deg, blobs, strict=True)
-        if off <= within_deg + blob.radius_deg
+        if off <= 8.0 + blob.radius_deg
     ]
     return min(near, key=lambda pair: pair[0])[1] if near else None
 
 
 def find_sun_blobs(panorama: Panorama) -> list[SunBlob]:
-    """All clipped spots of the sky that could be the sun: connected, smaller than a disc of 12
-    degrees radius, filling their own bounding disc by 10 %."""
+    """Return all clipped spots of the sky that may be the sun: connected, smaller than a disc of 12
+    degrees radius, and filling 10 % of their own bounding disc."""
     mask = panorama.is_sky & panorama.is_clipped & panorama.is_seen
-    # Thin cloud and cables tear the spot apart: pieces a degree apart belong together.
+    # Thin cloud and cables divide the spot: pieces up to a degree apart are joined.
     pieces_px = max(1, round(mask.shape[0] * _PIECE_GAP_DEG / 180.0))
     padded = np.pad(mask, ((0, 0), (pieces_px, pieces_px)), mode="wrap")
     grown = ndimage.binary_dilation(padded, iterations=pieces_px)[:, pieces_px:-pieces_px]
@@ -142,7 +154,7 @@ def find_sun_blobs(panorama: Panorama) -> list[SunBlob]:
 
 
 class _Glow:
-    """How much brighter the sky around a spot is than elsewhere."""
+    """Brightness of the sky around a spot, relative to the whole sky."""
 
     def __init__(
         self, directions: Float[np.ndarray, "n 3"], value: Float[np.ndarray, " n"]
@@ -151,7 +163,8 @@ class _Glow:
         self._usual = float(np.median(value)) if len(value) else 1.0
 
     def around(self, centre: Float[np.ndarray, "3"], radius_deg: float) -> float:
-        """Mean within twice the radius and 2 degrees of `centre`, over the whole sky's median."""
+        """Mean radiance within twice the radius plus 2 degrees of `centre`, over the whole sky's
+        median."""
         cosine = self._directions @ centre
         ring = cosine > np.cos(np.radians(2.0 * radius_deg + 2.0))
         if not ring.any():
@@ -162,6 +175,7 @@ class _Glow:
 def _describe_blob(
     mask: Bool[np.ndarray, "h w"], unseen: Bool[np.ndarray, "h w"], sky: _Glow
 ) -> SunBlob | None:
+    """Return the spot of a mask with its plausibility; None if it cannot be the sun."""
     height = mask.shape[0]
     row, column = np.nonzero(mask)
     weight = solid_angles_sr(height)[row, 0]
@@ -170,8 +184,8 @@ def _describe_blob(
     centre = weight @ directions
     centre /= np.linalg.norm(centre)
     radius_deg = float(np.degrees(np.sqrt(area_sr / np.pi)))
-    # Smaller spots are glints or lamps: lens and air spread the sun.
-    if not _BLOB_MIN_RADIUS_DEG <= radius_deg <= _BLOB_MAX_RADIUS_DEG:
+    smallest_deg, largest_deg = _BLOB_RADIUS_DEG
+    if not smallest_deg <= radius_deg <= largest_deg:
         return None
     cosine = np.clip(directions @ centre, -1.0, 1.0)
     extent_deg = float(np.degrees(np.arccos(np.percentile(cosine, 10))))
@@ -179,7 +193,7 @@ def _describe_blob(
     if fill < _BLOB_MIN_FILL:
         return None
     is_cut = bool((mask & unseen).any())
-    # A sun's spot is round, stands free and glows; clouds and gaps in leaves do neither.
+    # The sun's spot is round, isolated and has a glow; clouds and gaps in leaves have neither.
     glow = float(np.clip(sky.around(centre, radius_deg), 0.3, 3.0))
     size = float(np.exp(-0.5 * (np.log(radius_deg / _BLOB_USUAL_RADIUS_DEG) / 1.2) ** 2))
     plausibility = fill * glow**2 * size * (0.4 if is_cut else 1.0)
@@ -187,7 +201,7 @@ def _describe_blob(
 
 
 def _wrapped_labels(mask: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
-    """Connected regions, where the first and last columns are neighbours."""
+    """Labels of connected regions, where the first and last columns are neighbours."""
     labels = np.zeros(mask.shape, np.int32)
     ndimage.label(mask, structure=np.ones((3, 3)), output=labels)
     for left, right in zip(labels[:, 0], labels[:, -1], strict=True):
@@ -199,11 +213,13 @@ def _wrapped_labels(mask: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
 def gradient_candidates(
     panorama: Panorama,
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """Sun directions on rings of equal elevation, and how badly clear skies (plus an overcast
-    part) with that sun fit the observed, unsaturated sky: mean squared relative residuals.
+    """Return candidate sun directions and the residuals of clear skies with these suns.
+
+    Candidates lie on rings of equal elevation. Each residual is the mean squared relative residual
+    of a clear sky, plus an overcast part, fitted to the observed, unsaturated sky.
 
     Raises:
-        InputError: almost no sky was seen.
+        InputError: almost no sky was observed.
     """
     height, step = 32, panorama.radiance.shape[0] // 32
     usable = panorama.is_sky & panorama.is_seen & ~panorama.is_clipped
@@ -213,7 +229,9 @@ def gradient_candidates(
     is_used[height // 2 :] = False
     if is_used.sum() < 8:
         raise InputError(
-            "the sun cannot be found: almost no sky was seen in the images",
+            "the sun cannot be found: almost no sky was observed in the images",
+            got=f"{int(is_used.sum())} cells of observed, unsaturated sky",
+            expected="8 cells or more (of 32 x 64)",
             remedy="Give place, time and heading of the log, or an HDR file as the sky.",
         )
     observed = luminance((total.sum((1, 3)) / np.maximum(count, 1)[..., None]).astype(np.float32))
@@ -224,7 +242,7 @@ def gradient_candidates(
 def _gradient_residuals(
     observed: Float[np.ndarray, "h w"], is_used: Bool[np.ndarray, "h w"]
 ) -> list[tuple[Float[np.ndarray, "3"], float]]:
-    """(sun direction, mean squared relative residual) of every candidate."""
+    """Return (sun direction, mean squared relative residual) of every candidate."""
     height, width = observed.shape
     values = observed[is_used]
     overcast = luminance(overcast_shape(height))[is_used] / values
@@ -232,7 +250,11 @@ def _gradient_residuals(
     found: list[tuple[Float[np.ndarray, "3"], float]] = []
     for elevation in np.radians(np.arange(5.0, 80.0, 10.0)):
         forward = np.array([np.cos(elevation), 0.0, np.sin(elevation)])
-        skies = [luminance(clear_sky_parts(forward, t, 0.2, height)[0]) for t in (2.0, 4.0, 8.0)]
+        skies = [
+            luminance(clear_sky_parts(forward, turbidity, GROUND_ALBEDO, height)[0])
+            for turbidity in (2.0, 4.0, 8.0)
+        ]
+        # A clear sky at another azimuth is the same sky, shifted by columns.
         for shift, azimuth in enumerate(azimuths):
             direction = np.array(
                 [

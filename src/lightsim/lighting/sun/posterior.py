@@ -1,7 +1,7 @@
-"""One density over the sun's direction and over "clear sun or overcast" from all that is known.
+"""Joint posterior of the sun's direction and of "clear sun or overcast", from all cues.
 
-Cues (`cues`) are taken as independent given the sun: their log likelihoods add up on a grid of
-directions of equal solid angle, which is made finer around the mass until it resolves it.
+Cues (`cues`) are taken as independent given the sun: their log likelihoods are added on a grid of
+directions of equal solid angle. The grid is refined around the mass until it resolves the mass.
 """
 
 from __future__ import annotations
@@ -19,48 +19,42 @@ from lightsim.lighting.directions import count_for_spacing, fibonacci_hemisphere
 from lightsim.lighting.sun.cues import Cue, EphemerisCue, ShadowCue, looked_up
 from lightsim.lighting.sun.direction import SunDirection
 
-_STD_PER_RADIUS_90 = 2.146
-"""sqrt(-2 log 0.1): radius of the 90 % disc of a round normal density, in standard deviations."""
-_LOWEST_SINE = np.sin(np.radians(0.5))
+# Sensitivity to the following constants was not measured.
 
 
-# None was measured alone.
-
-# Of the first grid, over the hemisphere.
+# Spacing of the first grid, over the hemisphere, in degrees.
 _SPACING_DEG = 2.0
-# The grid is made finer until 99 % of the mass lie beyond this many spacings.
+# The grid is refined until the disc with 99 % of the mass has a radius above this many spacings.
 _RESOLVED = 8.0
-# Spacings along the radius of a finer grid.
+# Spacings along the radius of a refined grid.
 _FINER_STEPS = 25
-# Finer grids at most.
+# Largest number of refinements.
 _MAX_ROUNDS = 4
-# Probability of a clear sun before anything was seen.
+# Prior probability of a clear sun.
 _SUNNY_PRIOR = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class SunPosterior:
-    """Where the sun is.
+    """Posterior of the sun's direction, with the estimate and its uncertainty.
 
     Args:
         grid_world: directions.
-        mass: probability of each with a clear sun, and with an overcast sky; sums to 1.
-        direction_world: the estimate: the direction with the least expected angle to the sun, or
-            the mode where that was asked for.
-        mode_world: the densest direction.
-        region_90_deg: radius about `direction_world` that holds 90 % of the mass.
-        sunny_probability: of a sun that casts shadows.
-        visible_probability: that a clear sun stands in a part of the sky that was seen.
-        heading_correction_deg: azimuth by ephemeris minus azimuth found, clockwise; None without
-            place, time and heading.
+        mass: probability of each direction with a clear sun, and with an overcast sky; sums to 1.
+        direction_world: the estimate: the direction of least expected angle to the sun, or the mode
+            if requested.
+        region_90_deg: radius about `direction_world` that contains 90 % of the mass.
+        sunny_probability: probability of a sun that casts shadows.
+        visible_probability: probability of a clear sun in an observed part of the sky.
+        heading_correction_deg: azimuth by ephemeris minus estimated azimuth, clockwise; None
+            without place, time and heading.
         heading_deg: azimuth of world +x, clockwise from north; None without place and time.
-        notes: each cue's own word.
+        notes: result of each cue alone.
     """
 
     grid_world: Float[np.ndarray, "n 3"]
     mass: Float64[np.ndarray, "n 2"]
     direction_world: Float[np.ndarray, "3"]
-    mode_world: Float[np.ndarray, "3"]
     region_90_deg: float
     sunny_probability: float
     visible_probability: float
@@ -70,13 +64,14 @@ class SunPosterior:
 
     @property
     def uncertainty_deg(self) -> float:
-        """One standard deviation of each of the two components of the direction's error: of the
-        round normal density with the same 90 % disc."""
-        return self.region_90_deg / _STD_PER_RADIUS_90
+        """One standard deviation of each component of the direction's error: that of the round
+        normal density with the same 90 % disc."""
+        # sqrt(-2 log 0.1) standard deviations: the radius of the 90 % disc.
+        return self.region_90_deg / 2.146
 
     def probability_within(self, direction_world: Float[np.ndarray, "3"]) -> float:
-        """Mass of what lies nearer to the estimate than a direction: uniform in [0, 1] for true
-        suns where the posterior is calibrated."""
+        """Mass of the directions nearer to the estimate than a given one: uniform in [0, 1] for
+        true suns if the posterior is calibrated."""
         limit = float(self.direction_world @ direction_world)
         nearer = self.grid_world @ self.direction_world > limit
         return float(self.mass[nearer].sum())
@@ -85,27 +80,29 @@ class SunPosterior:
 def sun_posterior(
     cues: Sequence[Cue], panorama: Panorama | None, *, takes_mode: bool = False
 ) -> SunPosterior:
-    """The density of the sun given cues; without any, that of a uniform hemisphere.
+    """Return the posterior of the sun given cues; without cues, that of a uniform hemisphere.
 
     Args:
         cues: independent given the sun.
-        panorama: what was seen; None where nothing was.
-        takes_mode: the estimate is the mode, else the direction with the least expected angle to
-            the sun: that lies between several modes, but of one wide density it is pushed up by
-            the horizon.
+        panorama: observed sky, for `visible_probability`; None without one.
+        takes_mode: the estimate is the mode; otherwise, the direction of least expected angle to
+            the sun. The latter lies between several modes, and the horizon biases it upwards for a
+            wide density.
     """
     grid = fibonacci_hemisphere(count_for_spacing(_SPACING_DEG))
     spacing_deg = _SPACING_DEG
     mass = _mass(cues, grid, spacing_deg)
     for _ in range(_MAX_ROUNDS):
         centre = _median_direction(grid, mass)
+        # 99 % of the mass, with a margin of 30 %, so that the refined disc does not cut it off.
         reach_deg = _radius_deg(grid, mass, centre, 0.99)
         if reach_deg > _RESOLVED * spacing_deg:
             break
         radius_deg = max(1.3 * reach_deg, 2.5 * spacing_deg)
         spacing_deg = radius_deg / _FINER_STEPS
         disc = disc_directions(centre, radius_deg, round(np.pi * _FINER_STEPS**2))
-        grid = disc[disc[:, 2] > _LOWEST_SINE]
+        # Suns below 0.5 degrees light nothing.
+        grid = disc[disc[:, 2] > np.sin(np.radians(0.5))]
         mass = _mass(cues, grid, spacing_deg)
     mode = grid[int(mass.sum(axis=1).argmax())]
     centre = mode if takes_mode else _median_direction(grid, mass)
@@ -118,7 +115,6 @@ def sun_posterior(
         grid,
         mass,
         centre,
-        mode,
         max(_radius_deg(grid, mass, centre, 0.9), 0.5 * spacing_deg),
         float(mass[:, 0].sum()),
         visible,
@@ -129,14 +125,13 @@ def sun_posterior(
 
 
 def sun_direction(posterior: SunPosterior, position: SolarPosition | None) -> SunDirection:
-    """The estimate in the form that the sky's fit takes; `position` where place and time are
-    known."""
+    """Return the estimate as a SunDirection; `position` is given if place and time are known."""
     found = azimuth_elevation(posterior.direction_world)
     is_known = position is not None and posterior.heading_correction_deg is not None
     origin = "gps+time" if is_known else ("image" if position is None else "time+image")
     summary = (
         f"sun: 90 % within {posterior.region_90_deg:.1f} degrees; clear with probability"
-        f" {posterior.sunny_probability:.2f}, in the sky that was seen"
+        f" {posterior.sunny_probability:.2f}, in the observed sky"
         f" {posterior.visible_probability:.2f}"
     )
     notes = [summary, *posterior.notes]
@@ -144,8 +139,8 @@ def sun_direction(posterior: SunPosterior, position: SolarPosition | None) -> Su
         notes.append(f"heading corrected by {posterior.heading_correction_deg:+.2f} degrees")
     elif posterior.heading_deg is not None:
         notes.append(
-            f"the heading was unknown: world +x points {posterior.heading_deg:.1f} degrees from"
-            " north if the sun stands where it was found"
+            f"the heading is unknown: the estimated sun implies that world +x points"
+            f" {posterior.heading_deg:.1f} degrees clockwise from north"
         )
     return SunDirection(
         posterior.direction_world,
@@ -163,10 +158,12 @@ def _mass(
     grid: Float[np.ndarray, "n 3"],
     spacing_deg: float,
 ) -> Float64[np.ndarray, "n 2"]:
+    """Normalised posterior mass of each direction, with a clear sun and with an overcast sky."""
     prior = np.log([_SUNNY_PRIOR, 1.0 - _SUNNY_PRIOR])
     log_mass = np.tile(prior, (len(grid), 1))
     for cue in cues:
         log_mass = log_mass + cue.log_likelihood(grid, 0.5 * spacing_deg)
+    # The maximum is subtracted first, so that the exponentials do not overflow.
     mass = np.exp(log_mass - log_mass.max())
     return mass / mass.sum()
 
@@ -174,10 +171,10 @@ def _mass(
 def _median_direction(
     grid: Float[np.ndarray, "n 3"], mass: Float64[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "3"]:
-    """Of the grid's directions, the one with the least expected angle (geometric median)."""
+    """Direction of the grid with the least expected angle to the sun (geometric median)."""
     total = mass.sum(axis=1)
     order = np.argsort(total)[::-1]
-    # Candidates and weights in the long tail change nothing.
+    # Directions in the tail of the mass do not change the result; leaving them out saves time.
     heavy = order[: max(50, int((np.cumsum(total[order]) < 0.999).sum()) + 1)]
     candidates = heavy[:800]
     angles = np.arccos(np.clip(grid[candidates] @ grid[heavy].T, -1, 1))
@@ -190,6 +187,7 @@ def _radius_deg(
     centre: Float[np.ndarray, "3"],
     fraction: float,
 ) -> float:
+    """Radius around `centre` that contains a fraction of the mass, in degrees."""
     angle = np.degrees(np.arccos(np.clip(grid @ centre, -1, 1)))
     order = np.argsort(angle)
     reached = np.searchsorted(np.cumsum(mass.sum(axis=1)[order]), fraction)
@@ -199,11 +197,11 @@ def _radius_deg(
 def _heading(
     cues: Sequence[Cue], direction_world: Float[np.ndarray, "3"]
 ) -> tuple[float | None, float | None]:
-    """(correction of the log's heading, azimuth of world +x)."""
+    """Return the correction of the log's heading, and the azimuth of world +x."""
     for cue in cues:
         if isinstance(cue, EphemerisCue):
             in_world = azimuth_elevation(direction_world).azimuth_deg
-            # Azimuths in world axes take +y for north; world +x then lies at 90 degrees.
+            # Azimuths in world axes take +y as north, so that world +x is at 90 degrees.
             heading_deg = (90.0 + cue.position.azimuth_deg - in_world) % 360.0
             if cue.geo.enu_from_world is None:
                 return None, heading_deg
@@ -214,7 +212,7 @@ def _heading(
 
 
 def _notes(cues: Sequence[Cue], centre: Float[np.ndarray, "3"]) -> tuple[str, ...]:
-    """What each cue alone would say."""
+    """Notes on the result of each cue alone, relative to the joint estimate."""
     notes: list[str] = []
     for cue in cues:
         grid = fibonacci_hemisphere(count_for_spacing(_SPACING_DEG))
@@ -227,7 +225,7 @@ def _notes(cues: Sequence[Cue], centre: Float[np.ndarray, "3"]) -> tuple[str, ..
         )
         if isinstance(cue, ShadowCue):
             votes = cue.votes
-            predicted += f"; {votes.pair_count} pairs in {votes.block_count} places, clear sun"
+            predicted += f"; {votes.pair_count} pairs in {votes.block_count} blocks, clear sun"
             predicted += f" {votes.sunny_probability:.2f}"
         notes.append(predicted)
     return tuple(notes)

@@ -1,15 +1,17 @@
-"""Which sun explains the light and shade on the reconstructed surfaces?
+"""Likelihood of sun directions from light and shade on the reconstructed surfaces.
 
-Two points of one plane and material share their base colour on average, so that the contrast of
-their radiance is that of the light on them: log L_i - log L_j = log(d_i + s c_i v_i) - log(d_j +
-s c_j v_j), with the diffuse light d (open fraction of the sky and what the surroundings send, in
-units
-of the level sky), the sun's strength s in the same units, its cosine c and its visibility v, cast
-through the meshes. Every direction of a grid is asked how likely it makes the contrasts seen; a sun
-of strength 0 is the rival hypothesis: overcast. Neighbouring pairs share paint and mesh errors:
-blocks of space are the unit of evidence, and the posterior is the mean over bootstrap samples of
-blocks (BayesBag, Huggins & Miller 2023, doi:10.1214/21-BA1301), which stays wide where few blocks
-carry the vote or the model is wrong.
+Two points of one plane and one material have equal base colours on average, so that the contrast of
+their radiance is that of their light: log L_i - log L_j = log(d_i + s c_i v_i) - log(d_j + s c_j
+v_j). Here d is the diffuse light (sky view factor plus light of the surroundings, in units of the
+level sky), s the sun's strength in these units, c the cosine of incidence, and v the visibility of
+the sun, found by casting rays through the meshes. For every direction of a grid, the likelihood of
+the observed contrasts is computed; the alternative hypothesis, an overcast sky, has a sun of
+strength 0.
+
+Errors of paint and mesh are correlated between neighbouring pairs. Blocks of space are therefore
+the unit of evidence, and the posterior is the mean over bootstrap samples of blocks (BayesBag,
+Huggins & Miller 2023, doi:10.1214/21-BA1301), which stays wide if few blocks carry the evidence or
+if the model is wrong.
 """
 
 from __future__ import annotations
@@ -23,73 +25,81 @@ from scipy.spatial import KDTree
 
 from lightsim.core.casting import RayCaster
 from lightsim.lighting.directions import count_for_spacing, fibonacci_hemisphere, log_vmf
-from lightsim.lighting.sun.surface_samples import (
-    BLOCK_M,
-    LIFT_M,
-    SAME_PLANE_COSINE,
-    SAME_PLANE_OFFSET_M,
-    SampleConfig,
-    SurfaceSamples,
-)
+from lightsim.lighting.sun.surface_samples import LIFT_M, SampleConfig, SurfaceSamples
 from lightsim.progress import Progress, SilentProgress
 
-STRENGTHS = (0.6, 1.5, 3.5, 8.0)
-"""Candidates of the irradiance of a high sun over the level sky's; 0 is the rival."""
-_MIN_BLOCKS, _MOST_CELLS = 5, 60
-_UNIFORM_FRACTION = 0.02
-_LOG_INDEPENDENT = 4.6
-"""Log of the number of directions whose shadows differ altogether, about a hundred."""
+
+@dataclass(frozen=True)
+class _ContrastModel:
+    """Model of contrasts between surface points.
+
+    The values were chosen on streets 0 and 1 and log 002 and measured only in combination
+    (docs/benchmarks/lighting.md).
+    """
+
+    strengths: tuple[float, float, float, float] = (0.6, 1.5, 3.5, 8.0)
+    """Candidate strengths: irradiance of a high sun over the level sky's. An overcast sky has
+    0."""
+    min_blocks: int = 5
+    """Blocks with pairs, at least; with fewer, the likelihood is uniform."""
+    most_cells: int = 60
+    """Coarse cells that are refined, at most; a limit on time."""
+    uniform_fraction: float = 0.02
+    """Weight of a uniform density in the result: no direction is ruled out, because the model
+    may be wrong everywhere."""
+    log_independent: float = 4.6
+    """Log of the number of directions with uncorrelated shadows, about a hundred."""
+    pairs_per_point: int = 2
+    """Partners of each point."""
+    pair_distance_m: tuple[float, float] = (0.3, 3.0)
+    """Distance of the nearest and of the farthest partner, in metres."""
+    same_plane_cosine: float = 0.97
+    """Cosine between the normals of two points of one plane, at least (14 degrees)."""
+    same_plane_offset_m: float = 0.15
+    """Distance of a point to the plane of its partner, at most, in metres."""
+    block_m: float = 4.0
+    """Side of the blocks, in metres, within which errors are taken as fully correlated."""
+    pairs_per_block: float = 3.0
+    """Number of independent pairs as which a block counts, at most."""
+    wrong_fraction: float = 0.3
+    """Fraction of pairs with a wrong cast shadow, because of unobserved occluders."""
+    bounce: float = 0.35
+    """Light of the surroundings where the sky is hidden, in units of the level sky."""
+    fine_deg: float = 1.2
+    """Spacing of the refined directions, in degrees."""
+    mesh_std_deg: float = 1.5
+    """Error of the direction that errors of the meshes cause, in degrees."""
 
 
-# Chosen with streets 0 and 1 and log 002 in view; only what all do together is measured
-# (docs/benchmarks/lighting.md).
-
-# Partners of each point.
-_PAIRS_PER_POINT = 2
-# Nearest and farthest partner.
-_PAIR_DISTANCE_M = (0.3, 3.0)
-# Independent pairs that a block counts for at most.
-_VOTES_PER_BLOCK = 3.0
-# Fraction of pairs whose cast shadow is wrong: casters that no sensor saw.
-_WRONG_FRACTION = 0.3
-# Light of the surroundings where no sky is seen, in units of the level sky.
-_BOUNCE = 0.35
-# Spacing of the second round, near the first round's best.
-_FINE_DEG = 1.2
-# Error that the meshes' shape adds to the direction.
-_MESH_STD_DEG = 1.5
+_MODEL = _ContrastModel()
 
 
 @dataclass(frozen=True)
 class ShadowLikelihoodConfig:
-    """How surfaces are asked for the sun."""
+    """Settings of the shadow likelihood."""
 
     samples: SampleConfig = field(default_factory=SampleConfig)
-    """The points."""
+    """Sampling of the surface points."""
     coarse_count: int = 700
-    """Directions of the first round over the hemisphere (5.4 degrees apart)."""
+    """Directions of the first round, over the hemisphere (5.4 degrees apart)."""
     bootstraps: int = 200
-    """Resampled sets of blocks."""
+    """Number of bootstrap samples of the blocks."""
 
 
 @dataclass(frozen=True, eq=False)
 class ShadowLikelihood:
-    """What surfaces say about the sun.
+    """Likelihood of sun directions, from light and shade on surfaces.
 
     Args:
-        direction_world: candidates.
-        weight_sr: solid angle that each stands for.
-        log_likelihood: of each, given a sun that casts shadows; 0 is a uniform sky's.
-        sunny_probability: of a sun that casts shadows, at even odds before.
-        log_strength: posterior mean of the log of the sun's irradiance over the level sky's.
-        pair_count, block_count: behind it.
+        direction_world: candidate directions.
+        log_likelihood: log likelihood of each, given a sun that casts shadows; 0 for a uniform sky.
+        sunny_probability: probability of a sun that casts shadows, at even prior odds.
+        pair_count, block_count: number of pairs and blocks behind it.
     """
 
     direction_world: Float[np.ndarray, "d 3"]
-    weight_sr: Float[np.ndarray, " d"]
     log_likelihood: Float[np.ndarray, " d"]
     sunny_probability: float
-    log_strength: float
     pair_count: int
     block_count: int
 
@@ -102,29 +112,29 @@ def vote(
     *,
     progress: Progress | None = None,
 ) -> ShadowLikelihood:
-    """Likelihood of every sun direction given the light and shade on the samples."""
+    """Return the likelihood of sun directions given the light and shade on the samples."""
     first, second = _pairs(samples, rng)
     coarse = fibonacci_hemisphere(config.coarse_count)
     weight = np.full(len(coarse), 2 * np.pi / len(coarse))
-    blocks = _block_numbers(samples, first, BLOCK_M)
+    # Bootstrap over blocks: each sample draws as many blocks as there are, with repetition.
+    blocks = _block_numbers(samples, first)
     block_count = int(blocks.max()) + 1 if len(blocks) else 0
-    if block_count < _MIN_BLOCKS:
-        return ShadowLikelihood(
-            coarse, weight, np.zeros(len(coarse)), 0.5, 0.0, len(first), block_count
-        )
+    if block_count < _MODEL.min_blocks:
+        return ShadowLikelihood(coarse, np.zeros(len(coarse)), 0.5, len(first), block_count)
     model = _PairModel(samples, caster, first, second, blocks, config)
     counts = rng.multinomial(
         block_count, np.full(block_count, 1.0 / block_count), size=config.bootstraps
     ).astype(np.float32)
-    steps = (progress or SilentProgress()).track(range(3), "reading shadows")
+    steps = (progress or SilentProgress()).track(range(3), "estimating the sun from shadows")
     next(steps)
     votes = model.block_votes(coarse)
     rough = _resampled(votes, counts)
     next(steps)
     sunny, trust = _reliability(votes, model.block_votes(coarse, is_flipped=True))
     next(steps)
+    # Coarse cells with most of the mass are replaced by the fine directions nearest to them.
     chosen = _best_cells(rough, weight)
-    fine = fibonacci_hemisphere(count_for_spacing(_FINE_DEG))
+    fine = fibonacci_hemisphere(count_for_spacing(_MODEL.fine_deg))
     fine = fine[np.isin(KDTree(coarse).query(fine)[1], chosen)]
     exact = _resampled(model.block_votes(fine), counts)
     for _ in steps:
@@ -135,53 +145,47 @@ def vote(
     directions = np.concatenate([coarse[rest], fine])
     weight = np.concatenate([weight[rest], np.full(len(fine), fine_sr)])
     joint = np.concatenate([rough[:, rest], exact], axis=1)
-    density = _blurred(directions, _mean_density(trust * joint, weight), weight, _MESH_STD_DEG)
-    # Against a model that is wrong everywhere, no direction is ruled out.
-    relative = (1 - _UNIFORM_FRACTION) * density * 2 * np.pi + _UNIFORM_FRACTION
-    return ShadowLikelihood(
-        directions,
-        weight,
-        np.log(relative),
-        sunny,
-        _mean_log_strength(joint, weight),
-        len(first),
-        block_count,
+    density = _blurred(
+        directions, _mean_density(trust * joint, weight), weight, _MODEL.mesh_std_deg
     )
+    relative = (1 - _MODEL.uniform_fraction) * density * 2 * np.pi + _MODEL.uniform_fraction
+    return ShadowLikelihood(directions, np.log(relative), sunny, len(first), block_count)
 
 
 def _pairs(
     samples: SurfaceSamples, rng: np.random.Generator
 ) -> tuple[Int64[np.ndarray, " p"], Int64[np.ndarray, " p"]]:
-    """Random partners on the same plane of the same material."""
+    """Draw random pairs of points on one plane of one material."""
     nothing = np.zeros(0, np.int64)
     if len(samples) < 2:
         return nothing, nothing
-    near_m, far_m = _PAIR_DISTANCE_M
+    near_m, far_m = _MODEL.pair_distance_m
     tree = KDTree(samples.position_world)
     found = tree.query_pairs(far_m, output_type="ndarray").astype(np.int64)
     i, j = found[:, 0], found[:, 1]
     offset = samples.position_world[j] - samples.position_world[i]
     normal = samples.normal_world
     keep = np.linalg.norm(offset, axis=1) >= near_m
-    keep &= np.einsum("ij,ij->i", normal[i], normal[j]) >= SAME_PLANE_COSINE
-    keep &= np.abs(np.einsum("ij,ij->i", normal[i], offset)) <= SAME_PLANE_OFFSET_M
+    keep &= np.einsum("ij,ij->i", normal[i], normal[j]) >= _MODEL.same_plane_cosine
+    keep &= np.abs(np.einsum("ij,ij->i", normal[i], offset)) <= _MODEL.same_plane_offset_m
     keep &= samples.material[i] == samples.material[j]
     i, j = i[keep], j[keep]
-    order = rng.permutation(len(i))[: _PAIRS_PER_POINT * len(samples)]
+    order = rng.permutation(len(i))[: _MODEL.pairs_per_point * len(samples)]
     return i[order], j[order]
 
 
 def _block_numbers(
-    samples: SurfaceSamples, first: Int64[np.ndarray, " p"], block_m: float
+    samples: SurfaceSamples, first: Int64[np.ndarray, " p"]
 ) -> Int64[np.ndarray, " p"]:
+    """Index of the block of each pair's first point."""
     if not len(first):
         return np.zeros(0, np.int64)
-    cell = np.floor(samples.position_world[first] / block_m).astype(np.int64)
+    cell = np.floor(samples.position_world[first] / _MODEL.block_m).astype(np.int64)
     return np.unique(cell, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
 
 
 class _PairModel:
-    """Log likelihood of the observed contrasts for any sun, block by block."""
+    """Log likelihood of the observed contrasts for any sun, per block."""
 
     def __init__(
         self,
@@ -196,17 +200,19 @@ class _PairModel:
         self._config = config
         self._first, self._second = first, second
         self._used = np.unique(np.concatenate([first, second]))
-        diffuse = samples.sky_fraction + _BOUNCE * (1 - samples.sky_fraction)
+        diffuse = samples.sky_fraction + _MODEL.bounce * (1 - samples.sky_fraction)
         self._diffuse = np.maximum(diffuse, 0.05).astype(np.float32)
         seen = samples.log_radiance[first] - samples.log_radiance[second]
+        # The contrast beyond that of the diffuse light is caused by the sun or by paint.
         flat = np.log(self._diffuse[first] / self._diffuse[second])
         excess = seen - flat
-        # Robust: shadow edges are few among all pairs.
+        # Median absolute deviation times 1.4826, a robust standard deviation: few pairs lie across
+        # a shadow edge.
         noise = np.clip(1.4826 * np.median(np.abs(excess)), 0.05, 0.5)
         self._scale = np.float32(1.0 / noise)
         self._excess = (excess * self._scale).astype(np.float32)
         self._inverse_null = 1.0 / _density(self._excess)
-        fraction = np.minimum(1.0, _VOTES_PER_BLOCK / np.bincount(blocks)).astype(np.float32)
+        fraction = np.minimum(1.0, _MODEL.pairs_per_block / np.bincount(blocks)).astype(np.float32)
         self._block_count = len(fraction)
         self._sum_blocks = sparse.csr_matrix(
             (fraction[blocks], (blocks, np.arange(len(blocks)))), dtype=np.float32
@@ -215,20 +221,21 @@ class _PairModel:
     def block_votes(
         self, directions: Float[np.ndarray, "d 3"], *, is_flipped: bool = False
     ) -> Float32[np.ndarray, "b d s"]:
-        """Log likelihood ratio to an overcast sky; flipped: of a sun whose light were shade."""
-        votes = np.zeros((self._block_count, len(directions), len(STRENGTHS)), np.float32)
+        """Log likelihood ratios against an overcast sky; `is_flipped` exchanges light and shade of
+        the sun."""
+        votes = np.zeros((self._block_count, len(directions), len(_MODEL.strengths)), np.float32)
         sign = -self._scale if is_flipped else self._scale
         for d, direction in enumerate(directions):
             sun = self._sun_on_points(direction)
             through = _transmission(float(direction[2]))
-            for s, strength in enumerate(STRENGTHS):
+            for s, strength in enumerate(_MODEL.strengths):
                 step = sign * np.log1p(np.float32(strength * through) * sun)
                 ratio = self._ratio(step[self._first] - step[self._second])
                 votes[:, d, s] = self._sum_blocks @ np.log(ratio)
         return votes
 
     def _sun_on_points(self, direction: Float[np.ndarray, "3"]) -> Float32[np.ndarray, " n"]:
-        """Cosine times visibility over the diffuse light."""
+        """Cosine times visibility of the sun, over the diffuse light, for each point."""
         samples = self._samples
         sun = np.zeros(len(samples), np.float32)
         cosine = samples.normal_world[self._used] @ direction
@@ -239,21 +246,24 @@ class _PairModel:
         return sun / self._diffuse
 
     def _ratio(self, step: Float32[np.ndarray, " p"]) -> Float32[np.ndarray, " p"]:
-        wrong = np.float32(_WRONG_FRACTION)
+        wrong = np.float32(_MODEL.wrong_fraction)
         return (1 - wrong) * _density(self._excess - step) * self._inverse_null + wrong
 
 
 def _transmission(sine: float) -> float:
-    """What the air leaves of the sun, relative to the zenith: a sun at the horizon makes no hard
-    shadows. Air mass by Kasten & Young 1989 (doi:10.1364/AO.28.004735), 0.1 a unit."""
+    """Direct sunlight relative to a sun at the zenith, after the atmosphere.
+
+    Air mass by Kasten & Young 1989 (doi:10.1364/AO.28.004735), optical depth 0.1 per air mass. A
+    sun at the horizon therefore casts no strong shadows.
+    """
     elevation_deg = float(np.degrees(np.arcsin(np.clip(sine, 0.0, 1.0))))
     air_mass = 1.0 / (sine + 0.50572 * (elevation_deg + 6.07995) ** -1.6364)
     return float(np.exp(-0.1 * (air_mass - 1.0)))
 
 
 def _density(z: Float32[np.ndarray, " p"]) -> Float32[np.ndarray, " p"]:
-    """Unnormalised: Student's t with 3 degrees of freedom, and a fifth with three times its
-    width, because paint has heavy tails."""
+    """Unnormalised density of contrast errors: Student's t with 3 degrees of freedom, and a fifth
+    with three times its width for the heavy tails of paint."""
     square = z * z
     narrow, wide = 1 + square * np.float32(1 / 3), 1 + square * np.float32(1 / 27)
     return np.float32(0.8) / (narrow * narrow) + np.float32(0.2 / 3) / (wide * wide)
@@ -262,16 +272,19 @@ def _density(z: Float32[np.ndarray, " p"]) -> Float32[np.ndarray, " p"]:
 def _reliability(
     found: Float32[np.ndarray, "b d s"], flipped: Float32[np.ndarray, "b d s"]
 ) -> tuple[float, float]:
-    """(probability of a sun that casts shadows at even odds, fraction of the vote to be trusted).
+    """Return the probability of a sun that casts shadows at even odds, and the weight of the
+    likelihood.
 
-    The flipped sun is a control: it meets the same shapes, paint and look-elsewhere effect, and
-    whatever it explains is chance. Its best stands against the sun's best; a true sun must beat
-    it by more than the number of independent directions makes likely.
+    The flipped sun is a control with the same shapes, paint and number of directions: what it
+    explains is chance. The largest likelihood of the sun is compared with that of the flipped sun;
+    a true sun must exceed it by more than the number of independent directions makes likely.
     """
     best = float(found.sum(axis=0).max())
     chance = max(float(flipped.sum(axis=0).max()), 0.0)
-    spread = max(1.0, chance / _LOG_INDEPENDENT)
-    log_odds = (best - chance) / spread - _LOG_INDEPENDENT
+    # Chance maxima of independent directions are about their log; larger ones indicate that the
+    # log likelihoods are too large by this factor.
+    excess = max(1.0, chance / _MODEL.log_independent)
+    log_odds = (best - chance) / excess - _MODEL.log_independent
     probability = 1.0 / (1.0 + np.exp(-np.clip(log_odds, -20.0, 20.0)))
     return float(probability), float(np.clip((best - chance) / max(best, 1e-6), 0.0, 1.0))
 
@@ -279,6 +292,7 @@ def _reliability(
 def _resampled(
     votes: Float32[np.ndarray, "b d s"], counts: Float32[np.ndarray, "k b"]
 ) -> Float32[np.ndarray, "k d s"]:
+    """Sums over the blocks of each bootstrap sample."""
     flat = counts @ votes.reshape(len(votes), -1)
     return flat.reshape(len(counts), *votes.shape[1:])
 
@@ -286,31 +300,23 @@ def _resampled(
 def _best_cells(
     log_ratio: Float32[np.ndarray, "k d s"], weight: Float[np.ndarray, " d"]
 ) -> Int64[np.ndarray, " m"]:
-    """Directions that are worth a closer look: most of the posterior's mass, flattened because
-    the coarse grid steps over narrow peaks."""
+    """Coarse directions to refine: those with most of the posterior's mass, which is flattened
+    first because the coarse grid may miss narrow peaks."""
     density = _mean_density(0.5 * log_ratio, weight) * weight
     order = np.argsort(density)[::-1]
     count = int((np.cumsum(density[order]) < 0.98).sum()) + 1
-    return order[: min(count, _MOST_CELLS)].astype(np.int64)
+    return order[: min(count, _MODEL.most_cells)].astype(np.int64)
 
 
 def _mean_density(
     log_ratio: Float32[np.ndarray, "k d s"], weight: Float[np.ndarray, " d"]
 ) -> Float64[np.ndarray, " d"]:
     """Posterior density per sr given a sun, mean over the bootstrap samples."""
+    # The maximum is subtracted first, so that the exponentials do not overflow.
     top = log_ratio.max(axis=(1, 2), keepdims=True)
     density = np.exp((log_ratio - top).astype(np.float64)).mean(axis=2)
     density /= (density @ weight)[:, None]
     return density.mean(axis=0)
-
-
-def _mean_log_strength(
-    log_ratio: Float32[np.ndarray, "k d s"], weight: Float[np.ndarray, " d"]
-) -> float:
-    top = log_ratio.max(axis=(1, 2), keepdims=True)
-    fraction = np.einsum("kds,d->ks", np.exp((log_ratio - top).astype(np.float64)), weight)
-    fraction /= fraction.sum(axis=1, keepdims=True)
-    return float(fraction.mean(axis=0) @ np.log(STRENGTHS))
 
 
 def _blurred(
@@ -319,8 +325,8 @@ def _blurred(
     weight: Float[np.ndarray, " d"],
     std_deg: float,
 ) -> Float[np.ndarray, " d"]:
-    """Blurred by errors of the meshes that all blocks share."""
+    """Density blurred by the mesh errors that all blocks have in common."""
     kernel = np.exp(log_vmf(np.clip(directions @ directions.T, -1, 1), std_deg))
-    # Coarse cells are wider than the kernel: a row that does not sum to one keeps its own mass.
+    # Coarse cells are wider than the kernel; normalised rows retain their mass there.
     mass = kernel * weight[None]
     return (mass / mass.sum(axis=1, keepdims=True)) @ density

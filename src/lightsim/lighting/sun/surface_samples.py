@@ -1,4 +1,4 @@
-"""Points of the reconstructed surfaces and the radiance that cameras saw on them."""
+"""Points of the reconstructed surfaces, with their observed radiance."""
 
 from __future__ import annotations
 
@@ -13,34 +13,28 @@ from lightsim.core.casting import MakeCaster, RayCaster
 from lightsim.core.colour import luminance
 from lightsim.core.mesh import Provenance, TriMesh
 
-_MUTE = (Provenance.INFERRED, Provenance.BACKGROUND_PROXY)
-"""Surfaces whose shape was guessed: they cast shadows but have no say."""
+# Surfaces of inferred shape: they cast shadows, but no points are sampled on them.
+_UNMEASURED = (Provenance.INFERRED, Provenance.BACKGROUND_PROXY)
 
-# Chosen with streets 0 and 1 and log 002 in view; only what all do together is measured
+# Chosen on streets 0 and 1 and log 002; measured only in combination
 # (docs/benchmarks/lighting.md).
 
-# Normals of two points of one surface differ by no more (14 degrees).
-SAME_PLANE_COSINE = 0.97
-# The second lies this close to the first one's plane.
-SAME_PLANE_OFFSET_M = 0.15
-# Observations within a block of this size share their errors and count as one.
-BLOCK_M = 4.0
-# Rays start this far above a surface, so that they miss the bumps of its mesh.
+# Distance of ray origins from their surface, in metres, so that rays miss the bumps of its mesh.
 LIFT_M = 0.08
-# Points lie this close to the path of the cameras.
+# Largest distance of points to the path of the cameras, in metres.
 _REACH_M = 35.0
-# Surfaces whose colour was guessed do not count.
+# Confidence of the base colour, at least; lower ones are extrapolated colours.
 _MIN_CONFIDENCE = 0.5
 
 
 @dataclass(frozen=True)
 class SampleConfig:
-    """Which surface points are asked."""
+    """Number of surface points and of their rays."""
 
     point_count: int = 4000
-    """Surface points, about, in proportion to area."""
+    """Approximate number of surface points, distributed in proportion to area."""
     sky_rays: int = 32
-    """Cosine-weighted rays that measure how much sky a point sees."""
+    """Cosine-weighted rays per point that measure its sky view factor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +44,7 @@ class SurfaceSamples:
     Args:
         log_radiance: natural logarithm of the observed luminance.
         material: class of the surface.
-        sky_fraction: cosine-weighted open fraction of the hemisphere that is sky.
+        sky_fraction: sky view factor, the cosine-weighted open fraction of the hemisphere.
     """
 
     position_world: Float[np.ndarray, "n 3"]
@@ -71,19 +65,20 @@ def sample_surfaces(
     config: SampleConfig,
     rng: np.random.Generator,
 ) -> tuple[SurfaceSamples, RayCaster]:
-    """Points of a mesh that shows observed radiance, and the caster of all that may shade them.
+    """Return points of a mesh with observed radiance, and a ray caster of all surfaces that cast
+    shadows.
 
     Args:
         mesh: static surfaces, frame `world`; `base_colour` is radiance.
         casters: further surfaces that cast shadows.
-        path_world: where cameras stood.
+        path_world: positions of the cameras.
     """
     caster = make_caster([mesh, *casters])
     face, barycentric = _drawn_faces(mesh, path_world, config, rng)
     corners = mesh.vertices[mesh.faces[face]].astype(np.float64)
     position = (corners * barycentric[:, :, None]).sum(axis=1)
     normal = mesh.face_normals()[face]
-    # Seen from the path: thin walls have two sides, and only one was seen.
+    # Normals are turned towards the path: only that side of a thin wall was observed.
     nearest = path_world[KDTree(path_world).query(position)[1]]
     is_away = np.einsum("ij,ij->i", normal, nearest - position) < 0
     normal = np.where(is_away[:, None], -normal, normal)
@@ -95,7 +90,7 @@ def sample_surfaces(
     material = np.zeros(len(face), np.int64)
     if mesh.face_material is not None:
         material = mesh.face_material[face].astype(np.int64)
-    keep &= ~mesh.comes_from(*_MUTE)[face]
+    keep &= ~mesh.comes_from(*_UNMEASURED)[face]
     position, normal, radiance, material = (a[keep] for a in (position, normal, radiance, material))
     sky_fraction = _sky_fraction(caster, position + LIFT_M * normal, normal, config, rng)
     return SurfaceSamples(position, normal, np.log(radiance), material, sky_fraction), caster
@@ -107,8 +102,8 @@ def _drawn_faces(
     config: SampleConfig,
     rng: np.random.Generator,
 ) -> tuple[Int64[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-    """Area-weighted faces near the path and uniform points in them; more than asked for, because
-    some will be dropped."""
+    """Draw area-weighted faces near the path and uniform points on them, twice the requested number
+    because some are rejected later."""
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     area = np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
@@ -129,10 +124,12 @@ def _sky_fraction(
     config: SampleConfig,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, " n"]:
+    """Sky view factor of each point by cosine-weighted rays."""
     found = np.zeros(len(start))
     for _ in range(config.sky_rays):
         sphere = rng.normal(size=normal.shape)
         sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
+        # A point on the unit sphere around the normal's tip is cosine-distributed.
         direction = normal + (1 - 1e-6) * sphere
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         found += (direction[:, 2] > 0) & ~caster.is_occluded(start, direction)

@@ -6,11 +6,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+# Channels of a group in group normalisation; a common choice, sensitivity not measured.
 _GROUP = 8
 
 
 class Residual(nn.Module):
-    """x + conv(act(norm(conv(act(norm(x)))))) (arXiv:1603.05027)."""
+    """Residual block x + conv(act(norm(conv(act(norm(x)))))) (arXiv:1603.05027)."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -28,7 +29,7 @@ class Residual(nn.Module):
 
 
 class Rise(nn.Module):
-    """To twice the size, joined with what the way down knew there."""
+    """Enlarge features to twice the size and join them with the encoder's features of that size."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
@@ -42,7 +43,8 @@ class Rise(nn.Module):
 
 
 def padded(x: Tensor, multiple: int) -> tuple[Tensor, tuple[int, int]]:
-    """The border repeated below and to the right up to a multiple; and the size before."""
+    """Pad below and to the right to a multiple by repeating the border; return also the size
+    before."""
     height, width = x.shape[-2:]
     below, right = -height % multiple, -width % multiple
     return functional.pad(x, (0, right, 0, below), mode="replicate"), (height, width)

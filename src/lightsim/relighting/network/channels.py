@@ -1,4 +1,4 @@
-"""What relighting networks see of a frame: named planes, and the two skies.
+"""Inputs of the relighting networks for a frame: named planes and the two skies.
 
 Radiances and lights are linear and multiplied by the camera's gain, so that 1 is the white of its
 pictures, whatever the unit of the scene. Vectors and domes are in the camera's level frame: right,
@@ -20,44 +20,45 @@ from lightsim.core.resample import resize_area
 from lightsim.relighting.physical.ratio import Circumstances, RelightInputs
 
 Planes = dict[str, Float[np.ndarray, "_ _ _"]]
-"""Arrays of one picture size by name; domes (`OF_SKIES`) have their own."""
+"""Arrays of one picture size by name; domes (`OF_SKIES`) have a size of their own."""
 
+# Rows of the domes that networks receive: enough for the sun's position, little memory.
 DOME_ROWS = 32
 OF_SKIES = "_dome"
-"""End of the names of what has no pixels of the picture."""
+"""Suffix of the names of domes, whose pixels are not those of the picture."""
 SCENE = MappingProxyType(
     {
         "source": 3,  # The recorded picture, sRGB in [0, 1].
         "clipped": 1,
         "matte": 1,  # Fraction of the pixel that is sky.
-        "surface": 1,  # 1 where a mesh is met; all that follow are 0 elsewhere.
+        "surface": 1,  # 1 where the ray meets a mesh; the planes below are 0 elsewhere.
         "depth": 1,  # Metres along the optical axis.
         "position": 3,  # Metres from the camera.
         "normal": 3,
         "base_colour": 3,
         "openness": 1,  # Ambient occlusion: 1 is open.
         "actor": 1,  # 1 on actors.
-        "found": 1,  # The recorded sun's visibility as pictures show it; -1 where they do not.
+        "found": 1,  # Visibility of the recorded sun, estimated from pictures; -1 where unknown.
     }
 )
 """Planes of a frame, with their channels."""
 LIGHT = MappingProxyType(
     {
-        "shaded": 3,  # What a white Lambert surface would show.
+        "shaded": 3,  # Radiance of a white Lambert surface.
         "ratio": 3,  # Shadow ratio S (paper, Sec. 4).
-        "sun": 1,  # Fraction of the solar disc seen.
+        "sun": 1,  # Visible fraction of the solar disc.
         "reflected": 3,
     }
 )
 """Planes of a frame under one sky; named `source_shaded` and so on."""
 BUFFERS = ("openness", "normal", "depth", "position")
-"""The paper's I_buffer."""
+"""Planes of the paper's I_buffer."""
 TARGET = MappingProxyType({"physical": 3, "sky": 3})
-"""Planes of one target sky: the physical estimate, and what the camera sees of the sky."""
+"""Planes of one target sky: the physical estimate, and the sky along the camera's rays."""
 
 
 def scene_planes(inputs: RelightInputs, seen: Circumstances) -> Planes:
-    """Planes of `SCENE`, and of `LIGHT` under the source sky."""
+    """Return the planes of `SCENE`, and those of `LIGHT` under the source sky."""
     buffers = inputs.buffers
     is_there = buffers.has_surface
     found = inputs.found_visibility
@@ -88,10 +89,10 @@ def scene_planes(inputs: RelightInputs, seen: Circumstances) -> Planes:
 def target_planes(
     inputs: RelightInputs, seen: Circumstances, physical: Float32[np.ndarray, "h w 3"]
 ) -> Planes:
-    """Planes of `LIGHT` under the target sky, and of `TARGET`.
+    """Return the planes of `LIGHT` under the target sky, and those of `TARGET`.
 
     Args:
-        physical: scene radiance that physical relighting found.
+        physical: scene radiance of physical relighting.
     """
     planes = {
         "physical": physical * seen.gain,
@@ -112,8 +113,10 @@ def _light_planes(light: ShadowBuffers, gain: Float32[np.ndarray, "3"]) -> dict[
 
 
 def _level_axes(world_from_camera: RigidTransform) -> Float32[np.ndarray, "3 3"]:
-    """Right, forward and up of the camera, level, as columns in frame `world`; a camera that looks
-    straight up or down has the top of its picture for forward."""
+    """Level right, forward and up axes of the camera, as columns in frame `world`.
+
+    A camera that looks straight up or down has the top of its picture as forward.
+    """
     axis, top = world_from_camera.rotation[:, 2], -world_from_camera.rotation[:, 1]
     x, y = axis[:2] if np.hypot(*axis[:2]) > 1e-3 else top[:2]
     length = np.hypot(x, y)
@@ -123,7 +126,8 @@ def _level_axes(world_from_camera: RigidTransform) -> Float32[np.ndarray, "3 3"]
 def _dome(
     dome: SkyDome, gain: Float32[np.ndarray, "3"], axes: Float32[np.ndarray, "3 3"]
 ) -> Float32[np.ndarray, "r c 3"]:
-    """Small, as the camera shows it, its centre column towards the camera's forward."""
+    """Reduced dome times the camera's gain, with its centre column along the camera's forward
+    axis."""
     small = resize_area(dome.radiance, DOME_ROWS, 2 * DOME_ROWS)
     azimuth_deg = float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1])))
     return SkyDome(small * gain, None).rotated(-azimuth_deg).radiance

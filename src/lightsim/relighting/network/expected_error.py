@@ -1,4 +1,5 @@
-"""How far off a corrected picture is expected to be: what the network says, and what it shows."""
+"""Expected error of a corrected picture, from the network's prediction and from the picture
+itself."""
 
 from __future__ import annotations
 
@@ -10,26 +11,28 @@ from torch.nn import functional
 from lightsim.relighting.network.features import Batch, modelled, srgb_of
 from lightsim.relighting.network.model import Correction
 
+# Radius of the window, in pixels of the working size, over which contrast is the range of codes.
 _REACH_PX = 2
-"""Of a pixel of the working size: contrast is the range of codes so far around."""
+# Added to codes (in [0, 1]) before the log, so that flat regions stay finite.
 _FLOOR = 0.02
-"""Of codes: added before the log."""
+# Exponents of the cues in the order of `error_cues`, fitted on streets outside the training set of
+# the shipped network (`benchmarks/expected_error_fit.py`).
 POWERS = (0.63, 0.06, 0.14, 0.74)
+# Log of the factor of their product, from the same fit.
 _CONSTANT = -0.67
-"""Fitted on streets that the shipped network had not seen (`benchmarks/expected_error_fit.py`)."""
 
 
 def expected_error(found: Correction, working: Batch) -> Float[Tensor, "n 1 p q"]:
-    """Mean absolute error expected of the picture's sRGB codes, at half of the working size.
+    """Expected mean absolute error of the picture's sRGB codes, at half of the working size.
 
-    The network knows what kind of surface tends to be wrong. Whatever is displaced, blurred or
-    wrongly cut shows where the picture has contrast, what nobody knows where the picture and the
-    twin's own rendering disagree, and shadows that are guesses where the sun is half seen; a
-    product of powers takes them together.
+    The estimate is a product of powers of four cues. The network predicts which kinds of surface
+    tend to be wrong. Displacement, blur and wrong outlines cause errors where the picture has
+    contrast; unknown light causes errors where picture and rendering of the twin disagree;
+    uncertain shadows cause errors where the sun is half visible.
 
     Args:
-        found: by the network.
-        working: the planes that it saw, at the working size.
+        found: output of the network.
+        working: the network's input planes, at the working size.
     """
     powers = found.log_error.new_tensor(POWERS)[:, None, None]
     log_error = (powers * error_cues(found, working)).sum(1, keepdim=True)
@@ -37,7 +40,7 @@ def expected_error(found: Correction, working: Batch) -> Float[Tensor, "n 1 p q"
 
 
 def error_cues(found: Correction, working: Batch) -> Float[Tensor, "n 4 p q"]:
-    """Logs of what the expected error is a product of powers of."""
+    """Logs of the four cues whose weighted sum is the log of the expected error."""
     code = srgb_of(found.picture).clamp(0, 1)
     code = functional.interpolate(code, working["source"].shape[-2:], mode="area")
     rendered = srgb_of(modelled(working, "target")).clamp(0, 1)
@@ -49,7 +52,7 @@ def error_cues(found: Correction, working: Batch) -> Float[Tensor, "n 4 p q"]:
     shown = (
         torch.log(_small(brightest - darkest, found) + _FLOOR),
         torch.log(_small((rendered - code).abs().mean(1, keepdim=True), found) + _FLOOR),
-        # Between 1 and 3: most where half of the disc, or of the guesses, is open.
+        # Between 1 and 3 before the log: largest where half of the solar disc is visible.
         torch.log1p(8 * _small(sun * (1 - sun), found)),
     )
     return torch.cat([found.log_error, *shown], dim=1)

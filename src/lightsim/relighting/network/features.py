@@ -1,4 +1,4 @@
-"""The planes of a frame as tensors, and what the network makes of them before its first layer."""
+"""Planes of a frame as tensors, and the features that the network computes from them."""
 
 from __future__ import annotations
 
@@ -17,20 +17,22 @@ from lightsim.relighting.network.channels import BUFFERS, OF_SKIES, Planes
 Batch = Mapping[str, Tensor]
 """Planes with a leading axis of samples, by name (`channels`)."""
 Unseen = Literal["buffers", "shadow-maps", "physical", "confidence"]
-"""What ablations leave out: I_buffer, visibilities and shadow ratios, the physical estimate (the
-twin's own picture stands for it), or the gain on the network's confidence."""
+"""Inputs that ablations remove: I_buffer, visibilities and shadow ratios, the physical estimate
+(replaced by a rendering of the twin), or the factor of the network's confidence."""
+# Radiance, as a fraction of white, above which `coded` is logarithmic and below which it is linear.
 _DARK = 0.02
-"""Of white: the code of radiance is logarithmic above it and linear below."""
-_FAR_M = 200.0
+# Distance that is coded as 1, in metres: beyond most surfaces of a street. Sensitivity not
+# measured.
+FAR_M = 200.0
 
 
 def tensors_of(planes: Planes, device: torch.device | str = "cpu") -> dict[str, Tensor]:
-    """One sample as a batch."""
+    """Convert the planes of one sample to a batch."""
     return {k: torch.from_numpy(v).to(device, torch.float32)[None] for k, v in planes.items()}
 
 
 def shrunk(batch: Batch, columns: int) -> Batch:
-    """The planes at most so many columns wide, by areas; domes stay."""
+    """Reduce the planes to at most `columns` columns by area means; domes keep their size."""
     height, width = batch["source"].shape[-2:]
     if width <= columns:
         return batch
@@ -46,12 +48,13 @@ def shrunk(batch: Batch, columns: int) -> Batch:
 
 
 def coded(radiance: Tensor) -> Tensor:
-    """Log of radiance, 0 in the dark and 1 at white; brighter is larger than 1."""
+    """Log code of radiance: 0 for black and 1 for white; brighter radiance exceeds 1."""
     return torch.log1p(radiance.clamp_min(0.0) / _DARK) / math.log1p(1 / _DARK)
 
 
 def srgb_of(linear: Tensor) -> Tensor:
-    """sRGB code (IEC 61966-2-1) of linear values, not clipped above 1; with a gradient at 0."""
+    """sRGB code (IEC 61966-2-1) of linear values, not clipped above 1; with a finite gradient
+    at 0."""
     linear = linear.clamp_min(0.0)
     curve = 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055
     return torch.where(linear <= 0.0031308, 12.92 * linear, curve)
@@ -64,7 +67,7 @@ def linear_of(srgb: Tensor) -> Tensor:
 
 
 def without(batch: Batch, unseen: Collection[Unseen]) -> Batch:
-    """The batch without what a network is not to see, for ablations."""
+    """Return the batch without the inputs that an ablation removes."""
     hidden: set[str] = set(BUFFERS) if "buffers" in unseen else set()
     if "shadow-maps" in unseen:
         hidden |= {f"{which}_{name}" for which in ("source", "target") for name in ("ratio", "sun")}
@@ -76,13 +79,14 @@ def without(batch: Batch, unseen: Collection[Unseen]) -> Batch:
 
 
 def rendered(batch: Batch, which: str) -> Float[Tensor, "n 3 h w"]:
-    """Linear picture of the twin under one of the skies, `source_sky` or `target_sky` behind."""
+    """Linear picture of the twin under one of the skies, with `source_sky` or `target_sky` behind
+    it."""
     surface = batch["surface"]
     return surface * modelled(batch, which) + (1 - surface) * batch[f"{which}_sky"]
 
 
 def grey(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 h w"]:
-    """Luminance."""
+    """Luminance of linear RGB."""
     weights = torch.tensor(LUMINANCE_WEIGHTS, dtype=radiance.dtype, device=radiance.device)
     return (radiance * weights[:, None, None]).sum(1, keepdim=True)
 
@@ -93,17 +97,17 @@ def modelled(batch: Batch, which: str) -> Float[Tensor, "n 3 h w"]:
 
 
 def level(batch: Batch) -> Float[Tensor, "n 1 1 1"]:
-    """How bright the physical estimate of a frame is: its mean over surfaces, 1 is white."""
+    """Mean luminance of a frame's physical estimate over its surfaces; 1 is white."""
     surface, axes = batch["surface"], (1, 2, 3)
     total = (surface * grey(batch["target_physical"])).sum(axes, keepdim=True)
     return total / surface.sum(axes, keepdim=True).clamp_min(1.0)
 
 
 def features(batch: Batch, exposure: Float[Tensor, "n 1 1 1"]) -> Float[Tensor, "n 39 h w"]:
-    """All that the network sees pixel by pixel, each within a few units of 0.
+    """Concatenate all features of the network per pixel, each within a few units of 0.
 
     Args:
-        exposure: the frame is shown as a camera with so many times its gain would show it.
+        exposure: factor on the camera's gain under which the frame is shown to the network.
     """
     found = batch["found"]
 
@@ -129,7 +133,7 @@ def features(batch: Batch, exposure: Float[Tensor, "n 1 1 1"]) -> Float[Tensor, 
             batch["clipped"],
             batch["matte"],
             batch["surface"],
-            torch.log1p(batch["depth"]) / math.log1p(_FAR_M),
+            torch.log1p(batch["depth"]) / math.log1p(FAR_M),
             batch["normal"],
             batch["base_colour"].clamp_min(0.0).sqrt(),
             batch["openness"],

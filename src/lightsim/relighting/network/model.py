@@ -1,13 +1,12 @@
-"""The network of `--method network`: what physical relighting gets wrong, in log space.
+"""The network of `--method network`: a correction of the physical estimate, in log space.
 
-A U-Net (Ronneberger et al. 2015, arXiv:1505.04597) looks at the frame at half of its working size
-and predicts, for every pixel there, how the log of the physical estimate changes: a constant and a
-few factors on guides that are computed at the size of the picture, as in Gharbi et al. 2017
-(doi:10.1145/3072959.3073592). So the size of the picture costs little, and edges stay where the
-picture has them. Besides, it says how far off it expects to be. Networks that learned from
-different first weights, streets or sizes err differently where nothing tells what is right, so that
-the mean of their pictures is closer to the truth than each (Hansen and Salamon 1990,
-doi:10.1109/34.58871).
+A U-Net (Ronneberger et al. 2015, arXiv:1505.04597) processes the frame at half of its working size
+and predicts, for every pixel there, the change of the log of the physical estimate: a constant and
+a few factors on guides that are computed at the size of the picture, as in Gharbi et al. 2017
+(doi:10.1145/3072959.3073592). The cost therefore hardly depends on the size of the picture, and
+edges stay in place. The network also predicts its own error. Networks trained with different first
+weights, streets or sizes have different errors where the input is ambiguous, so that the mean of
+their pictures is closer to the truth than each (Hansen and Salamon 1990, doi:10.1109/34.58871).
 """
 
 from __future__ import annotations
@@ -35,23 +34,30 @@ from lightsim.relighting.network.features import (
     without,
 )
 
+# Channels of `features`.
 _FEATURES = 39
+# Colour channels of the correction.
 _COLOURS = 3
+
+# Chosen on synthetic streets; sensitivity not measured, unless stated.
+
+# Mean of the physical estimate, as a fraction of white, after the network's own exposure. With
+# absolute brightness as an input, frames brighter than the training streets were treated as wrong.
 _LEVEL = 0.05
-"""Mean of the physical estimate, of white, to which the network's own exposure brings every frame:
-one that sees absolute brightness takes what is brighter than its streets for wrong."""
+# Lower limit of a frame's mean for that exposure, as a fraction of white: an almost black frame is
+# not amplified to daylight.
 _LEAST_LEVEL = 1e-3
-"""Of white: a frame that is black but for a few codes is not brought up to day."""
+# Radiance, as a fraction of white at the network's exposure, below which the correction acts as an
+# addition rather than a factor.
 _FLOOR = 0.01
-"""Of white at the network's exposure: darker pixels change by an addition rather than a factor."""
-_CODE_POWER = 2.4
-"""sRGB codes grow as light to one over this."""
+
+# The expected error lies between exp of minus this, less than a code of 8 bits, and 1.
 _MOST_EXACT = 6.0
-"""The expected error lies between exp of minus this, less than a code of 8 bits, and 1."""
+# Log of the largest correction factor.
 _LARGEST = 2.5
-"""Log of the largest factor."""
+# Mean change of the log of light over a frame below which the correction fades out: smaller changes
+# are hardly visible.
 _SMALL_CHANGE = 0.1
-"""Of the log of light, in the mean over a frame: less than this hardly shows."""
 
 
 @dataclass(frozen=True)
@@ -61,24 +67,24 @@ class RelitNetConfig:
     widths: tuple[int, ...] = (32, 64, 96, 128)
     """Channels at a half, a quarter, ... of the working size."""
     guide_count: int = 8
-    """Guides that corrections follow."""
+    """Number of guides that corrections follow."""
     dropout: float = 0.1
-    """Of channels, while it learns: streets are few."""
+    """Fraction of channels dropped in training, because the training streets are few."""
     working_columns: int = 480
-    """The picture is brought to this width before the network looks at it; narrower ones stay."""
+    """Width to which wider pictures are reduced before the network."""
     unseen: tuple[Unseen, ...] = ()
-    """What ablations leave out."""
+    """Inputs that ablations remove."""
     partners: tuple[RelitNetConfig, ...] = ()
-    """Further networks, which look at the same planes, whose pictures are averaged with its."""
+    """Further networks with the same inputs, whose pictures are averaged with this one's."""
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What the network found for a batch.
+    """Output of the network for a batch.
 
     Args:
         picture: linear, 1 is the camera's white; not clipped.
-        log_error: natural log of the mean absolute error expected of the picture's sRGB code, at
+        log_error: natural log of the expected mean absolute error of the picture's sRGB code, at
             half of the working size.
     """
 
@@ -87,7 +93,7 @@ class Correction:
 
 
 class RelitNet(nn.Module):
-    """Physical estimate and what it was made of -> a better picture."""
+    """Network that corrects the physical estimate, given the estimate and its inputs."""
 
     def __init__(self, config: RelitNetConfig) -> None:
         super().__init__()
@@ -115,17 +121,17 @@ class RelitNet(nn.Module):
             mine = (config.unseen, config.working_columns)
             if (partner.unseen, partner.working_columns) != mine:
                 raise InputError(
-                    "networks whose pictures are averaged look at the same planes",
+                    "networks whose pictures are averaged must have the same inputs",
                     got=partner,
                     expected=f"{config.working_columns} columns, unseen {config.unseen}",
                 )
         self.partners = nn.ModuleList(RelitNet(partner) for partner in config.partners)
-        # The first guess is physics.
+        # With zero weights the untrained network returns the physical estimate.
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)  # type: ignore[arg-type]
 
     def alone(self) -> list[RelitNet]:
-        """The networks whose pictures are averaged, each on its own."""
+        """Return the networks whose pictures are averaged, as single networks."""
         first = RelitNet(replace(self.config, partners=()))
         first.load_state_dict(
             {k: v for k, v in self.state_dict().items() if not k.startswith("partners.")}
@@ -133,12 +139,12 @@ class RelitNet(nn.Module):
         return [first, *cast(list[RelitNet], list(self.partners))]
 
     def forward(self, batch: Batch, working: Batch | None = None) -> Correction:
-        """The batch corrected.
+        """Correct the batch.
 
         Args:
-            batch: planes at the size of the picture; `target_level`, where they are crops, is that
-                of their whole frames (`features.level`).
-            working: the same at the working size; None: the picture has it.
+            batch: planes at the size of the picture; if they are crops, `target_level` is the level
+                of the whole frames (`features.level`).
+            working: the planes at the working size; None if the picture has that size.
         """
         given, batch = batch, without(batch, self.config.unseen)
         if working is None or working is given:
@@ -157,22 +163,24 @@ class RelitNet(nn.Module):
         for network in cast(list[RelitNet], [self, *self.partners]):
             change, log_error = network.look(seen, guiding)
             picture = physical * torch.exp(change * is_land * is_new) - floor
-            log_error = (log_error - torch.log(exposure) / _CODE_POWER).clamp(-_MOST_EXACT, 0.0)
+            # sRGB codes are about proportional to light to the power of 1 / 2.4.
+            log_error = (log_error - torch.log(exposure) / 2.4).clamp(-_MOST_EXACT, 0.0)
             found.append(Correction(picture.clamp_min(0.0), log_error))
         return found[0] if len(found) == 1 else _mean(found)
 
     def look(
         self, seen: Float[Tensor, "n f p q"], guiding: Float[Tensor, "n f h w"]
     ) -> tuple[Float[Tensor, "n 3 h w"], Tensor]:
-        """How the log of the estimate changes, by this network alone, and the expected error's log.
+        """Return the change of the log of the estimate by this network alone, and the log of its
+        expected error.
 
         Args:
-            seen: features at the working size.
-            guiding: at the size of the picture.
+            seen: the frame's features at the working size.
+            guiding: features at the size of the picture.
         """
         coefficients, log_error = self._coefficients(seen)
-        spread = functional.interpolate(coefficients, guiding.shape[-2:], mode="bilinear")
-        constant, factors = spread[:, :_COLOURS], spread[:, _COLOURS:]
+        wide = functional.interpolate(coefficients, guiding.shape[-2:], mode="bilinear")
+        constant, factors = wide[:, :_COLOURS], wide[:, _COLOURS:]
         followed = self.guide(guiding)
         change = constant + (
             factors.unflatten(1, (_COLOURS, self.config.guide_count)) * followed[:, None]
@@ -180,7 +188,8 @@ class RelitNet(nn.Module):
         return _LARGEST * torch.tanh(change / _LARGEST), log_error
 
     def _coefficients(self, seen: Float[Tensor, "n f h w"]) -> tuple[Tensor, Tensor]:
-        """Coefficients of the correction, times their confidence, and the expected error's log."""
+        """Return the coefficients of the correction times their confidence, and the log of the
+        expected error."""
         x, size = padded(seen, 2 ** len(self.config.widths))
         x = self.stem(x)
         levels = [x]
@@ -191,22 +200,25 @@ class RelitNet(nn.Module):
         for step in self.up:
             x = step(x, levels.pop())
         found = self.head(x)[..., : (size[0] + 1) // 2, : (size[1] + 1) // 2]
-        is_sure = "confidence" in self.config.unseen
-        confidence = 1.0 if is_sure else torch.sigmoid(found[:, -2:-1] + 1.0)
-        # Bounded, or one surprise of a likelihood ends the training.
+        is_fixed = "confidence" in self.config.unseen
+        confidence = 1.0 if is_fixed else torch.sigmoid(found[:, -2:-1] + 1.0)
+        # Bounded, because a single improbable pixel would otherwise make the likelihood diverge.
         return found[:, :-2] * confidence, -_MOST_EXACT * torch.sigmoid(found[:, -1:])
 
 
 def _mean(found: Sequence[Correction]) -> Correction:
-    """Of pictures by their codes."""
+    """Mean of several corrections: of pictures in sRGB codes, of errors as such."""
     code = torch.stack([srgb_of(one.picture) for one in found]).mean(0)
     error = torch.stack([one.log_error for one in found]).exp().mean(0)
     return Correction(linear_of(code), error.log())
 
 
 def _how_new(batch: Batch, floor: Float[Tensor, "n 1 1 1"]) -> Float[Tensor, "n 1 1 1"]:
-    """0 under the recorded light, where the recorded picture is right and so is the physical
-    estimate, which gives it back; 1 under any other: twice _SMALL_CHANGE is .98."""
+    """Weight of the correction: 0 under the recorded light, 1 under any other.
+
+    Under the recorded light the recorded picture is correct, and the physical estimate returns it.
+    At twice _SMALL_CHANGE the weight is 0.98.
+    """
     source, target = (grey(batch[f"{which}_shaded"]) for which in ("source", "target"))
     surface, axes = batch["surface"], (1, 2, 3)
     change = torch.log((target + floor) / (source + floor)).abs() * surface

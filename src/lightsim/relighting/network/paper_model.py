@@ -1,10 +1,11 @@
 """The network of `--method paper`: RelitNet as LightSim (NeurIPS 2023) describes it.
 
 Eq. RelitNet and appendix, "Neural deferred rendering architecture": a U-Net with image encoder,
-lighting encoder, latent fuser and rendering decoder. Seven inputs of three channels each: source
-picture, ambient occlusion, normal, depth, position, and both shadow ratios; source and target dome
-give latents that are joined with the picture's. Sizes are not published; ours are small enough for
-a CPU. A linear layer needs a picture of one size: here it looks at means over 4 x 8 parts.
+lighting encoder, latent fuser and rendering decoder. It has seven inputs of three channels each:
+source picture, ambient occlusion, normal, depth, position, and both shadow ratios. Latents of
+source and target dome are joined with the picture's. Sizes are not published; those here are small
+enough for a CPU. A linear layer requires a fixed size, so the latent is computed from means over 4
+x 8 parts of the picture.
 """
 
 from __future__ import annotations
@@ -19,12 +20,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from lightsim.relighting.network.blocks import Residual, Rise, padded
-from lightsim.relighting.network.features import Batch, Unseen, without
+from lightsim.relighting.network.features import FAR_M, Batch, Unseen, coded, without
 
-_INPUTS = 21
+# Rows and columns of parts over which features are averaged before the linear layers; not
+# published, sensitivity not measured.
 _PARTS = (4, 8)
-_FAR_M = 200.0
-_DARK = 0.02
 
 
 @dataclass(frozen=True)
@@ -34,21 +34,22 @@ class PaperNetConfig:
     widths: tuple[int, ...] = (32, 64, 96, 128, 128)
     """Channels of the image encoder at full size, a half, a quarter, ..."""
     latent: int = 256
-    """Of the picture."""
+    """Length of the picture's latent."""
     sky_latent: int = 64
-    """Of each dome."""
+    """Length of each dome's latent."""
     unseen: tuple[Unseen, ...] = ()
-    """What ablations leave out."""
+    """Inputs that ablations remove."""
 
 
 class PaperNet(nn.Module):
-    """Picture, buffers, shadow ratios and domes -> the picture under the target sky."""
+    """Network from picture, buffers, shadow ratios and domes to the picture under the target
+    sky."""
 
     def __init__(self, config: PaperNetConfig) -> None:
         super().__init__()
         self.config = config
         widths = config.widths
-        self.stem = nn.Sequential(nn.Conv2d(_INPUTS, widths[0], 3, padding=1), Residual(widths[0]))
+        self.stem = nn.Sequential(nn.Conv2d(7 * 3, widths[0], 3, padding=1), Residual(widths[0]))
         self.down = nn.ModuleList(
             nn.Sequential(nn.Conv2d(a, b, 3, 2, 1), Residual(b))
             for a, b in itertools.pairwise(widths)
@@ -71,7 +72,7 @@ class PaperNet(nn.Module):
         self.head = nn.Conv2d(widths[0], 3, 3, padding=1)
 
     def forward(self, batch: Batch) -> Float[Tensor, "n 3 h w"]:
-        """sRGB in [0, 1]."""
+        """Return the relit picture, sRGB in [0, 1]."""
         x, size = padded(
             _inputs(without(batch, self.config.unseen)), 2 ** (len(self.config.widths) - 1)
         )
@@ -86,29 +87,26 @@ class PaperNet(nn.Module):
         return torch.sigmoid(self.head(x))[..., : size[0], : size[1]]
 
     def _fused(self, x: Tensor, batch: Batch) -> Tensor:
-        """The picture's latent and those of both skies, brought back to the size of `x`."""
+        """Fuse the latents of the picture and of both skies, and enlarge them to the size of
+        `x`."""
         image = self.compress(functional.adaptive_avg_pool2d(self.squeeze(x), _PARTS).flatten(1))
-        skies = [self.lighting(_coded_dome(batch[f"{w}_dome"])) for w in ("source", "target")]
+        skies = [self.lighting(coded(batch[f"{w}_dome"])) for w in ("source", "target")]
         fused = self.spread(torch.cat([image, *skies], dim=1))
         fused = functional.silu(fused).unflatten(1, (-1, *_PARTS))
         return functional.interpolate(fused, x.shape[-2:], mode="bilinear")
 
 
 def _inputs(batch: Batch) -> Float[Tensor, "n 21 h w"]:
-    depth = torch.log1p(batch["depth"]) / math.log1p(_FAR_M)
+    depth = torch.log1p(batch["depth"]) / math.log1p(FAR_M)
     return torch.cat(
         [
             batch["source"],
             batch["openness"].expand(-1, 3, -1, -1),
             batch["normal"],
             depth.expand(-1, 3, -1, -1),
-            batch["position"] / _FAR_M,
+            batch["position"] / FAR_M,
             batch["source_ratio"],
             batch["target_ratio"],
         ],
         dim=1,
     )
-
-
-def _coded_dome(dome: Float[Tensor, "n 3 r c"]) -> Float[Tensor, "n 3 r c"]:
-    return torch.log1p(dome.clamp_min(0.0) / _DARK) / math.log1p(1 / _DARK)

@@ -1,4 +1,4 @@
-"""`--method network` and `--method paper`: frames as the shipped networks show them."""
+"""Application of the shipped networks to frames: `--method network` and `--method paper`."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from lightsim.relighting.physical.ratio import (
 
 
 def relit_by(network: RelitNet, inputs: RelightInputs, config: RatioConfig) -> Estimate:
-    """The physical estimate, corrected, and the error that is expected of it.
+    """Return the corrected physical estimate and its expected error.
 
     Raises:
-        InputError: the inputs do not tell of camera and skies.
+        InputError: the inputs have no camera and skies (`circumstances`).
     """
     seen = circumstances_of(inputs)
     physical = relight_physical(inputs, config)
@@ -37,7 +37,7 @@ def relit_by(network: RelitNet, inputs: RelightInputs, config: RatioConfig) -> E
         found = network(batch, working)
         error = expected_error(found, working)
     picture = found.picture[0].permute(1, 2, 0).cpu().numpy()
-    # Sky and what the network leaves alone keep their radiance to the bit.
+    # Sky pixels keep their radiance bit for bit.
     is_same = inputs.sky_matte[..., None] >= 1
     radiance = np.where(is_same, physical, picture / seen.gain).astype(np.float32)
     error = functional.interpolate(error, picture.shape[:2], mode="bilinear")
@@ -45,13 +45,14 @@ def relit_by(network: RelitNet, inputs: RelightInputs, config: RatioConfig) -> E
 
 
 def painted_by(network: PaperNet, inputs: RelightInputs, config: RatioConfig) -> Estimate:
-    """Radiance whose picture the network painted, sky and all; at most the camera's white.
+    """Return the radiance whose picture the network predicts, sky included; at most the camera's
+    white.
 
     Args:
-        config: of other methods; not looked at.
+        config: unused; settings of other methods.
 
     Raises:
-        InputError: the inputs do not tell of camera and skies.
+        InputError: the inputs have no camera and skies (`circumstances`).
     """
     seen = circumstances_of(inputs)
     planes = scene_planes(inputs, seen) | target_planes(inputs, seen, inputs.target_sky)
@@ -62,15 +63,16 @@ def painted_by(network: PaperNet, inputs: RelightInputs, config: RatioConfig) ->
 
 
 def circumstances_of(inputs: RelightInputs) -> Circumstances:
-    """Camera and skies of a frame.
+    """Return camera and skies of a frame.
 
     Raises:
-        InputError: the inputs do not tell of them.
+        InputError: the inputs do not have them.
     """
     if inputs.circumstances is None:
         raise InputError(
-            "relighting networks look at camera and skies",
-            got="neither",
-            expected="inputs with circumstances",
+            "relighting networks require camera and skies",
+            where="circumstances",
+            got="None",
+            expected="inputs with the camera's gain and pose and both sky domes",
         )
     return inputs.circumstances

@@ -1,4 +1,4 @@
-"""Relighting networks by the kind that their weights carry."""
+"""Relighting networks by the kind that their weights files store."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ KINDS: Kinds = MappingProxyType(
 )
 AnyNetwork = TypeVar("AnyNetwork", bound=nn.Module)
 _KIND = "relight {}"
-"""Kind that a weights file carries, by method."""
+"""Kind that a weights file stores, by method."""
 
 
 def make_network(config: Any, kinds: Kinds = KINDS) -> Any:
@@ -49,7 +49,7 @@ def network_of(tensors: Mapping[str, Tensor], kinds: Kinds = KINDS) -> Any:
     configs = {_KIND.format(method): config for method, (_, config) in kinds.items()}
     if kind not in configs:
         raise InputError(
-            "these are weights of another network", got=kind, expected=", ".join(configs)
+            "the weights belong to another network", got=kind, expected=", ".join(configs)
         )
     partners = tuple(RelitNetConfig(**one) for one in values.pop("partners", ()))
     config = configs[kind](**values)
@@ -59,10 +59,11 @@ def network_of(tensors: Mapping[str, Tensor], kinds: Kinds = KINDS) -> Any:
 
 
 def probe(network: RelitNet) -> float:
-    """Mean of what a network makes of planes of noise, which is the same for every network.
+    """Mean output of the network for fixed planes of noise, a check of the code that computes its
+    inputs.
 
-    Weights carry it in their record: code that shows or uses planes in another way than they were
-    trained with makes another one.
+    Weights store it in their record. Code that computes or uses planes differently from training
+    returns another value.
     """
     noise = torch.Generator().manual_seed(0)
     channels = dict(SCENE) | {f"target_{name}": count for name, count in TARGET.items()}
@@ -89,10 +90,10 @@ def network_for(
     Args:
         kind: class of the network.
         weights: file; None selects the shipped weights of the method.
-        folder: where the shipped weights lie.
+        folder: folder of the shipped weights.
 
     Raises:
-        InputError, ArtefactError: the weights are missing or damaged, or another network's.
+        InputError, ArtefactError: the weights are missing, damaged or those of another network.
     """
     method = _method_of(kind, kinds)
     shipped = f"relight-{method}"
@@ -101,9 +102,10 @@ def network_for(
     if isinstance(network, kind):
         return network
     raise InputError(
-        "these are the weights of another network",
+        "the weights belong to another network",
         where=weights,
-        expected=f"those of lightsim train relight --network {method}",
+        got=f"a {type(network).__name__}",
+        expected=f"weights from lightsim train relight --network {method}",
     )
 
 

@@ -1,8 +1,8 @@
-"""Rendered actors as a layer that a camera could have recorded: as sharp as its pictures are, and
-blurred by what moves while the shutter is open.
+"""Rendered actors as a layer that a camera could have recorded: with its sharpness, and blurred by
+motion during the exposure.
 
-A layer is a premultiplied radiance and a coverage (Porter & Duff 1984, doi:10.1145/800031.808606):
-whatever blurs one blurs the other, so that edges stay right over any background.
+A layer is a premultiplied radiance and a coverage (Porter & Duff 1984, doi:10.1145/800031.808606).
+Both are blurred alike, so that edges are correct over any background.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ from lightsim.relighting.physical.camera_look import (
 )
 from lightsim.relighting.physical.filters import fill_holes
 
-# Shorter motion is not seen.
+# Motion during the exposure, in pixels, below which no motion blur is applied: it is invisible.
 _STILL_PX = 0.25
-# Taps along the motion lie this close together; between them the layer is interpolated.
+# Distance between samples along the motion, in pixels; the layer is interpolated between pixels.
 _TAP_PX = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class ActorLayer:
-    """Actors without what is behind them, in the whole picture.
+    """Actors without their background, in the whole picture.
 
     Args:
-        radiance: times coverage, linear, scene units.
-        coverage: fraction of each pixel.
+        radiance: radiance times coverage, linear, scene units.
+        coverage: fraction of each pixel that actors cover.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]
     coverage: Float32[np.ndarray, "h w"]
 
     def part(self, window: Window) -> ActorLayer:
-        """A window of the picture."""
+        """Return a window of the layer."""
         return ActorLayer(self.radiance[window], self.coverage[window])
 
     def over(
@@ -51,8 +51,8 @@ class ActorLayer:
         look: CameraLook,
         gain: Float32[np.ndarray, "3"],
     ) -> Float32[np.ndarray, "h w 3"]:
-        """The background, which the camera recorded, with the actors before it; where the camera
-        sharpens, their edges are sharpened with them."""
+        """Composite the actors over a recorded background; if the camera sharpens, also their
+        edges."""
         seen = self.radiance + (1 - self.coverage[..., None]) * background
         is_shown = self.coverage > 0
         if look.spread_px2 >= 0 or not is_shown.any():
@@ -60,19 +60,19 @@ class ActorLayer:
         part = window_around(is_shown, 1)
         behind, together = (srgb_from_linear(x[part] * gain) for x in (background, seen))
         cover = self.coverage[part][..., None]
-        # Of the background, that is sharpened already, as much is left as is seen.
+        # The recorded background is sharpened already: only the layer and its coverage are.
         layer = np.concatenate([together - (1 - cover) * behind, cover], axis=-1)
         layer = sharpened(layer.astype(np.float32), look)
         codes = layer[..., :3] + (1 - layer[..., 3:]) * behind
         is_near = np.asarray(ndimage.binary_dilation(is_shown[part]), dtype=bool)[..., None]
-        # What is brighter than the camera can code keeps its radiance.
+        # Pixels brighter than the camera's white keep their radiance: codes cannot represent it.
         is_touched = is_near & ((codes < 1) | (together < 1))
         seen[part] = np.where(is_touched, linear_from_srgb(codes) / gain, seen[part])
         return seen.astype(np.float32)
 
 
 def empty_layer(height_px: int, width_px: int) -> ActorLayer:
-    """Nobody."""
+    """Layer without actors."""
     return ActorLayer(
         np.zeros((height_px, width_px, 3), np.float32), np.zeros((height_px, width_px), np.float32)
     )
@@ -84,18 +84,20 @@ def cut_out(
     coverage: Float32[np.ndarray, "h w"],
     is_rendered: Bool[np.ndarray, "h w"],
 ) -> ActorLayer:
-    """Actors of a rendered picture: at their edges the part that is background is taken out.
+    """Extract the actors of a rendered picture: at their edges the background's part is removed.
 
     Args:
-        sampled: fraction of the samples that show actors, of those whose mean `rendered` is: with
-            another fraction, background would stay at edges, or be taken from the actor.
-        coverage: fraction of each pixel that they fill, as exact as edges shall be.
-        is_rendered: pixels that the picture shows: those of actors, and some around.
+        sampled: fraction of the samples that show actors, among the samples whose mean `rendered`
+            is. Any other estimate of it would leave background at the edges, or remove parts of the
+            actor.
+        coverage: accurate fraction of each pixel that actors cover.
+        is_rendered: pixels that were rendered: those of actors, and some around them.
     """
+    # Un-mixing as for the sky: rendered = fraction * own + (1 - fraction) * behind.
     behind = fill_holes(rendered, is_rendered & (sampled == 0))
     fraction = np.where(sampled > 0, sampled, 1.0)[..., None]
     own = np.maximum(rendered - (1 - fraction) * behind, 0.0) / fraction
-    # What lies between all samples of a pixel has the colour of what is beside it.
+    # Parts of an actor between all samples of a pixel have no colour: use that of their neighbours.
     actor = fill_holes(own.astype(np.float32), sampled > 0)
     return ActorLayer((coverage[..., None] * actor).astype(np.float32), coverage)
 
@@ -103,11 +105,10 @@ def cut_out(
 def photographed(
     layer: ActorLayer, look: CameraLook, motion_px: Float32[np.ndarray, "h w 2"]
 ) -> ActorLayer:
-    """The layer as it reaches the camera's sensor.
+    """Return the layer as the camera's sensor records it: with motion blur and the lens's blur.
 
     Args:
-        motion_px: by which (u, v) pixels of actors move while the shutter is open; NaN where
-            nobody is.
+        motion_px: motion (u, v) of the actors' pixels during the exposure; NaN outside actors.
     """
     is_shown = layer.coverage > 0
     if not is_shown.any():
@@ -129,7 +130,7 @@ def photographed(
 def _moved(
     image: Float32[np.ndarray, "h w c"], motion_px: Float32[np.ndarray, "h w 2"], longest_px: float
 ) -> Float32[np.ndarray, "h w c"]:
-    """Mean over the exposure: each pixel sees what lies along its motion."""
+    """Mean over the exposure: the samples of each pixel lie along its motion."""
     taps = max(2, int(np.ceil(longest_px / _TAP_PX)))
     times = (np.arange(taps) + 0.5) / taps - 0.5
     rows, columns = np.indices(image.shape[:2], dtype=np.float32)

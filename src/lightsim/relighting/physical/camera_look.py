@@ -1,12 +1,12 @@
-"""How sharp and how noisy a camera's pictures are, measured from the pictures themselves, so that
-rendered parts look as if the same camera had recorded them.
+"""Sharpness and noise of a camera, measured from its pictures, so that rendered parts can be given
+both.
 
-Sharpness is a variance: that of the point spread beyond the pixel's own square, which renderers
-have too. It is negative where the camera's own processing, or making pictures smaller, sharpens.
-Noise is a variance that grows with the signal (Foi et al. 2008, doi:10.1109/TIP.2008.2001399), and
-a correlation of neighbours, which demosaicing and JPEG leave. It is one for all channels: JPEG
-keeps colour at half the resolution, and what it leaves of noise is grey (correlation of the
-channels in smooth blocks of log 002: 0.8 to 0.9).
+Sharpness is the variance of the camera's blur beyond the pixel's own square, which renderers have
+too. It is negative if the camera's processing, or reducing the pictures, sharpens. Noise is a
+variance that grows with the signal (Foi et al. 2008, doi:10.1109/TIP.2008.2001399), with a
+correlation of neighbouring pixels that demosaicing and JPEG cause. One noise is used for all
+channels: JPEG stores colour at half the resolution, so that remaining noise is grey (correlation of
+the channels in smooth blocks of log 002: 0.8 to 0.9).
 """
 
 from __future__ import annotations
@@ -29,33 +29,42 @@ from lightsim.core.colour import (
 )
 from lightsim.relighting.physical.edge_widths import PIXEL_PX2, SCALES_PX, find_edges, pile
 
+# Sensitivity to the counts below was not measured.
+
+# Edges that a measurement of sharpness requires, at least.
 _FEWEST_EDGES = 200
-# No camera was seen to sharpen more; beyond, the Laplacian would need an endless weight.
+# Sharpest measured variance, in px^2: no camera sharpened more, and beyond it the weight of the
+# Laplacian diverges.
 _SHARPEST_PX2 = -0.4
-# Side of the blocks whose spread around a plane is noise where nothing else is.
+# Side of the blocks, in pixels, whose variance around a plane is noise in smooth regions.
 _BLOCK_PX = 16
-# Noise is what the smoothest part of the blocks of like brightness shows.
+# Quantile of the blocks' variance, among blocks of similar brightness, that is taken as noise:
+# texture only adds to it.
 _SMOOTHEST = 0.1
-_BINS, _FEWEST_BLOCKS = 8, 10
-_LEAST_VARIANCE = 1e-9
-# Picture value whose photons make as much noise as reading out does, at most. Without a limit rough
-# asphalt, the darkest that most pictures show, made dark cars noisy.
+# Number of brightness bins.
+_BINS = 8
+# Blocks that a bin requires, at least.
+_FEWEST_BLOCKS = 10
+
+# Picture value at which photon noise equals read-out noise, at most. Without a limit, rough
+# asphalt, the darkest surface of most pictures, made dark cars noisy.
 _READ_SIGNAL = 0.02
-# Beyond 1 / sqrt(2) neighbours of neighbours would weigh more than neighbours.
+# Candidate grains. The correlation of neighbours has its maximum at 1 / sqrt(2), so that larger
+# grains cannot be identified from it.
 _GRAINS = np.linspace(0.0, 0.7, 15)
+# 8-bit codes up to which noise is truncated at 0.
 _DARK = 3
-"""8-bit codes up to which noise is cut off."""
 
 
 @dataclass(frozen=True)
 class CameraLook:
-    """Sharpness and noise of one camera; of linear picture values, 1 is where they clip.
+    """Sharpness and noise of one camera, for linear picture values that clip at 1.
 
     Args:
-        spread_px2: variance of the point spread beyond a pixel's square; negative: sharpened.
+        spread_px2: variance of the blur beyond a pixel's square; negative if the camera sharpens.
         noise_dark: variance of the noise at 0.
-        noise_slope: what the variance grows by from 0 to 1.
-        grain: weight of each neighbour's noise in a pixel's, along rows and columns.
+        noise_slope: increase of the variance from 0 to 1.
+        grain: weight of each neighbour's noise in a pixel's noise, along rows and columns.
     """
 
     spread_px2: float = 0.0
@@ -64,7 +73,7 @@ class CameraLook:
     grain: float = 0.0
 
     def noise_std(self, signal: Float32[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n"]:
-        """Standard deviation of the noise at picture values."""
+        """Standard deviation of the noise at given picture values."""
         variance = self.noise_dark + self.noise_slope * np.clip(signal, 0.0, 1.0)
         return np.sqrt(variance).astype(np.float32)
 
@@ -72,13 +81,13 @@ class CameraLook:
 def measure_look(
     pictures: Iterable[UInt8[np.ndarray, "h w 3"]], is_left_out: Bool[np.ndarray, "h w"]
 ) -> CameraLook:
-    """The look of a camera by some of its pictures.
+    """Measure the look of a camera from some of its pictures.
 
     Args:
-        is_left_out: pixels that tell nothing of it: the ego vehicle's own.
+        is_left_out: pixels to ignore: those of the ego vehicle.
 
     Returns:
-        What too few edges or smooth blocks tell is 0: as rendered.
+        The look. Sharpness or noise is 0 (as rendered) if there are too few edges or smooth blocks.
     """
     widths, blocks = [], []
     for srgb8 in pictures:
@@ -88,27 +97,27 @@ def measure_look(
         widths.append(find_edges(codes, is_cut).spread_px2)
         blocks.append(_blocks(grey.astype(np.float64))[_blocks(~is_cut).all(axis=1)])
     edges = np.concatenate(widths)
-    spread = pile(edges) if len(edges) >= _FEWEST_EDGES else 0.0
-    return CameraLook(spread, *_noise(np.concatenate(blocks)))
+    variance = pile(edges) if len(edges) >= _FEWEST_EDGES else 0.0
+    return CameraLook(variance, *_noise(np.concatenate(blocks)))
 
 
 def blurred(
     image: Float32[np.ndarray, "h w *c"], look: CameraLook
 ) -> Float32[np.ndarray, "h w *c"]:
-    """What the lens leaves of a rendered image, linear; the same where the camera sharpens."""
+    """Rendered image, linear, blurred by the lens; unchanged if the camera sharpens."""
     sigma = float(np.sqrt(max(look.spread_px2, 0.0)))
     return ndimage.gaussian_filter(image, sigma, mode="nearest", axes=(0, 1))
 
 
 def blur_reach_px(look: CameraLook) -> int:
-    """How far `blurred` carries anything."""
+    """Radius of the kernel of `blurred`, in pixels."""
     return int(np.ceil(4 * np.sqrt(max(look.spread_px2, 0.0))))
 
 
 def sharpened(
     codes: Float32[np.ndarray, "h w *c"], look: CameraLook
 ) -> Float32[np.ndarray, "h w *c"]:
-    """A picture's sRGB codes, in [0, 1], as the camera sharpens them: a pixel against its four
+    """Sharpen a picture's sRGB codes, in [0, 1], as the camera does: a pixel against its four
     neighbours."""
     weight = _sharpening(look.spread_px2)
     kernel = [-weight, 2 * weight, -weight]
@@ -117,9 +126,12 @@ def sharpened(
 
 
 def _sharpening(spread_px2: float) -> float:
-    """Weight of each neighbour that makes the gradients of a rendered edge fall between the two
-    scales as those of the recorded edges do: the second difference of a Gaussian of variance V at
-    its top is 2 (1 - exp(-1 / 2V)) of it."""
+    """Weight of each neighbour with which rendered edges have the gradient ratio of the recorded
+    edges.
+
+    The ratio is that of the gradients under the two finer filters. The second difference of a
+    Gaussian of variance V at its top is 2 (1 - exp(-1 / 2V)) of its value.
+    """
     known = np.square(SCALES_PX[:2]) + 1 / 3 + PIXEL_PX2
     fine, coarse = 2 * (1 - np.exp(-0.5 / known))
     spread_px2 = min(max(spread_px2, _SHARPEST_PX2), 0.0)
@@ -130,7 +142,8 @@ def _sharpening(spread_px2: float) -> float:
 def noise_like(
     signal: Float32[np.ndarray, "h w"], look: CameraLook, rng: np.random.Generator
 ) -> Float32[np.ndarray, "h w"]:
-    """The noise that the camera would have recorded at these picture values."""
+    """Random noise with the camera's variance and grain at these picture values."""
+    # Normalised, so that filtering changes the correlation of the noise but not its variance.
     kernel = np.array([look.grain, 1.0, look.grain], np.float32)
     kernel /= np.sqrt(np.square(kernel).sum())
     noise = rng.standard_normal(signal.shape, dtype=np.float32)
@@ -140,7 +153,7 @@ def noise_like(
 
 
 def _blocks(image: np.ndarray) -> np.ndarray:
-    """Squares of the image, [n, pixels]."""
+    """Square blocks of the image, [n, pixels]."""
     n = _BLOCK_PX
     rows, columns = (size // n for size in image.shape)
     cut = image[: rows * n, : columns * n].reshape(rows, n, columns, n)
@@ -148,39 +161,40 @@ def _blocks(image: np.ndarray) -> np.ndarray:
 
 
 def _without_plane() -> Float64[np.ndarray, "k k"]:
-    """The projection that takes a plane out of a block."""
+    """Projection that removes the best-fitting plane of a block."""
     y, x = np.indices((_BLOCK_PX, _BLOCK_PX)).reshape(2, -1)
     plane = np.linalg.qr(np.stack([np.ones(len(x)), x, y], axis=1))[0]
     return np.eye(len(x)) - plane @ plane.T
 
 
 def _noise(blocks: Float64[np.ndarray, "n k"]) -> tuple[float, float, float]:
-    """Noise at 0, its slope and its grain, by the smoothest blocks of each brightness."""
+    """Noise variance at 0, its slope and the grain, from the smoothest blocks of each
+    brightness."""
     from scipy.optimize import nnls
 
     signal = blocks.mean(axis=1)
     rest = blocks @ _without_plane()
-    spread = np.square(rest).mean(axis=1)
+    scatter = np.square(rest).mean(axis=1)
     found, covariance = [], []
     for inside in np.array_split(np.argsort(signal, kind="stable"), _BINS):
         if len(inside) < _FEWEST_BLOCKS:
             return 0.0, 0.0, 0.0
-        # Their median is the wanted quantile of all.
-        limit = np.quantile(spread[inside], 2 * _SMOOTHEST)
-        smooth = inside[spread[inside] <= limit]
-        found.append((signal[smooth].mean(), np.median(spread[smooth])))
-        covariance.append(np.median(_beside(rest[smooth]) / np.maximum(spread[smooth], 1e-12)))
+        # The median of the lower part is the wanted quantile of all blocks.
+        limit = np.quantile(scatter[inside], 2 * _SMOOTHEST)
+        smooth = inside[scatter[inside] <= limit]
+        found.append((signal[smooth].mean(), np.median(scatter[smooth])))
+        covariance.append(np.median(_beside(rest[smooth]) / np.maximum(scatter[smooth], 1e-12)))
     at, variance = np.array(found).T
     grain, kept = _grain(float(np.median(covariance)))
-    variance = np.maximum(variance / kept - _rounding(at), _LEAST_VARIANCE)
-    # Relative errors count: texture, which only adds, hardly does.
+    variance = np.maximum(variance / kept - _rounding(at), 1e-9)
+    # Relative errors, so that bins with texture, whose variance is too large, count little.
     model = np.stack([at + _READ_SIGNAL, at], axis=1) / variance[:, None]
     both, photons = (float(x) for x in nnls(model, np.ones_like(variance))[0])
     return _READ_SIGNAL * both, both + photons, grain
 
 
 def _beside(rest: Float64[np.ndarray, "n k"]) -> Float64[np.ndarray, " n"]:
-    """Mean product of neighbours in blocks."""
+    """Mean product of neighbouring pixels in each block."""
     square = rest.reshape(-1, _BLOCK_PX, _BLOCK_PX)
     along = (square[:, :, 1:] * square[:, :, :-1]).mean(axis=(1, 2))
     across = (square[:, 1:] * square[:, :-1]).mean(axis=(1, 2))
@@ -188,8 +202,8 @@ def _beside(rest: Float64[np.ndarray, "n k"]) -> Float64[np.ndarray, " n"]:
 
 
 def _grain(correlation: float) -> tuple[float, float]:
-    """The grain whose noise correlates so between neighbours when a plane is taken out of blocks,
-    and the part of its variance that is left then."""
+    """Return the grain with this correlation between neighbours after a plane is removed, and the
+    fraction of the variance that remains."""
     rest = _without_plane()
     found = []
     for grain in _GRAINS:
@@ -208,8 +222,8 @@ def _grain(correlation: float) -> tuple[float, float]:
 
 
 def _rounding(signal: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-    """Variance of the luminance that 8-bit codes add, at picture values; added anew when the
-    picture is coded."""
+    """Variance of the luminance that rounding to 8-bit codes adds at given picture values; it is
+    subtracted because coding the picture adds it again."""
     codes = 255 * srgb_from_linear(signal).astype(np.float64)
     ends = linear_from_srgb((codes[:, None] + [-0.5, 0.5]) / 255).astype(np.float64)
     step = ends[:, 1] - ends[:, 0]

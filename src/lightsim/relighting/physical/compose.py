@@ -1,4 +1,4 @@
-"""Scene radiance to what a camera would have recorded."""
+"""Conversion of scene radiance to the picture that a camera records."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def camera_image(
     gain: Float32[np.ndarray, "3"],
     exposure_ev: float,
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """8-bit sRGB of scene radiance: times the camera's gain and 2^EV, clipped at white.
+    """Return 8-bit sRGB of scene radiance times the camera's gain and 2^EV, clipped at white.
 
     Raises:
         InputError: a gain is not positive, or the radiance is not finite.

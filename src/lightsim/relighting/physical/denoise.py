@@ -1,8 +1,8 @@
-"""Noise of the recorded picture taken out where relighting would amplify it.
+"""Removal of the recorded picture's noise where relighting would amplify it.
 
-Deep shade that another sky lights up is multiplied, and its sensor noise with it. Non-local means
-(Buades et al. 2005, doi:10.1109/CVPR.2005.38) keep texture that repeats within a few pixels; at the
-noise that the picture itself shows, a clean picture stays as it is.
+Relighting multiplies deep shade that another sky lights, and its sensor noise with it. Non-local
+means (Buades et al. 2005, doi:10.1109/CVPR.2005.38) preserve texture that repeats within a few
+pixels. The filter uses the noise measured in the picture, so that a clean picture is unchanged.
 """
 
 from __future__ import annotations
@@ -11,23 +11,27 @@ import numpy as np
 from jaxtyping import Float32, Int64
 from scipy import ndimage
 
-_PATCH_PX, _REACH_PX = 5, 5
+# Side of the compared patches, in pixels; sensitivity not measured.
+_PATCH_PX = 5
+# Radius of the search window, in pixels; sensitivity not measured.
+_REACH_PX = 5
+# Strength of the filter, in standard deviations of the noise (scikit-image advises 0.6 to 0.8).
 _STRENGTH = 0.6
-"""Of the filter, in standard deviations of the noise (scikit-image advises 0.6 to 0.8)."""
+# Immerkaer's second difference: its response to planes and straight edges is small.
 _NOISE_KERNEL = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
-_MEDIAN_OF_NORMAL = 0.6745
-"""Median of the absolute value of a standard normal."""
 
 
 def denoised_where_amplified(
     radiance: Float32[np.ndarray, "h w 3"], factor: Float32[np.ndarray, "h w"]
 ) -> Float32[np.ndarray, "h w 3"]:
-    """The picture without its noise where it is multiplied by 2 and more, as it is up to 1, and
-    mixed between.
+    """Return the picture, denoised where it is amplified.
+
+    Pixels with a factor of 2 or more are denoised, pixels with a factor of 1 or less are unchanged;
+    those between are blended.
 
     Args:
         radiance: linear, 0 or more.
-        factor: by which each pixel is about to be multiplied.
+        factor: factor by which each pixel will be multiplied.
     """
     weight = np.clip(np.log2(np.maximum(factor, np.float32(1e-6))), 0.0, 1.0)[..., None]
     rows, columns = (np.flatnonzero((weight > 0).any(axis=(axis, 2))) for axis in (1, 0))
@@ -35,7 +39,7 @@ def denoised_where_amplified(
         return radiance
     from skimage.restoration import denoise_nl_means
 
-    # The root makes the noise of photons even.
+    # The square root gives photon noise a constant variance.
     root = np.sqrt(np.maximum(radiance, 0.0))
     sigma = noise_std(root)
     if sigma == 0:
@@ -56,7 +60,8 @@ def denoised_where_amplified(
 
 
 def _around(rows: Int64[np.ndarray, " r"], columns: Int64[np.ndarray, " c"]) -> tuple[slice, slice]:
-    """The part of the picture that they span, and as far around it as the filter looks."""
+    """Slices of the part of the picture that the rows and columns span, with the filter's
+    margin."""
     margin = _PATCH_PX // 2 + _REACH_PX
     first = (max(int(found[0]) - margin, 0) for found in (rows, columns))
     last = (int(found[-1]) + margin + 1 for found in (rows, columns))
@@ -65,12 +70,12 @@ def _around(rows: Int64[np.ndarray, " r"], columns: Int64[np.ndarray, " c"]) -> 
 
 
 def noise_std(image: Float32[np.ndarray, "h w c"]) -> float:
-    """Standard deviation of the noise of a channel, from second differences, which texture and
-    edges hardly have (Immerkaer 1996, doi:10.1006/cviu.1996.0060; the median in place of the mean).
-    """
+    """Standard deviation of a channel's noise from second differences, which suppress texture and
+    edges (Immerkaer 1996, doi:10.1006/cviu.1996.0060, with the median in place of the mean)."""
     size = float(np.sqrt(np.square(_NOISE_KERNEL).sum()))
     deviations = [
         np.median(np.abs(ndimage.convolve(image[..., channel], _NOISE_KERNEL, mode="nearest")))
         for channel in range(image.shape[2])
     ]
-    return float(np.mean(deviations)) / (size * _MEDIAN_OF_NORMAL)
+    # 0.6745: median of the absolute value of a standard normal variable.
+    return float(np.mean(deviations)) / (size * 0.6745)

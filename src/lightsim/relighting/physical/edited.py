@@ -1,9 +1,9 @@
-"""The source image of an edited street: I'_src of the paper's augmented reality representation.
+"""Source image of an edited street: I'_src of the paper's augmented reality representation.
 
-What did not change keeps the recorded pixels. Where the light changed, they are multiplied by its
-ratio (quotient images, as in `ratio.py`); where another surface is seen, the twin is rendered: what
-was hidden with the colours of the real pixels around it, what is put in by its own (differential
-rendering, Debevec 1998, doi:10.1145/280814.280864). Paper, Sec. 4 and A.2.
+Unchanged pixels are the recorded ones. Where the light changed, they are multiplied by its ratio
+(quotient images, as in `ratio.py`). Where another surface is visible, the twin is rendered:
+previously hidden surfaces with the colours of the real pixels around them, inserted actors with
+their own (differential rendering, Debevec 1998, doi:10.1145/280814.280864). Paper, Sec. 4 and A.2.
 """
 
 from __future__ import annotations
@@ -25,25 +25,32 @@ from lightsim.core.outline import grown_outline
 from lightsim.relighting.physical.actor_layer import ActorLayer
 from lightsim.relighting.physical.camera_look import CameraLook
 from lightsim.relighting.physical.filters import box_mean, fill_holes, median_smoothed
-from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, relight_physical
-from lightsim.relighting.physical.shadow_refine import refine_sun_visibility
+from lightsim.relighting.physical.ratio import (
+    RatioConfig,
+    RelightInputs,
+    relight_physical,
+    shown_visibility,
+)
 
-# Chosen while looking at log 002 and the street of seed 0.
+# Chosen by eye on log 002 and the street of seed 0; sensitivity not measured.
 
-# Relative change of light that no one sees, and from which on it counts in full: below the first
-# the recorded pixel stays, bit by bit.
-_UNSEEN_CHANGE, _SEEN_CHANGE = 0.02, 0.06
-# A single ray in 32 that meets another actor far away changes the light of one point: what does
-# not change its surroundings, within this fraction of the picture's width, is noise.
+# Relative change of light that is invisible, and from which on it is applied in full. Below the
+# first, the recorded pixel stays, bit for bit.
+_VISIBLE_CHANGE = (0.02, 0.06)
+# Radius, as a fraction of the picture's width, over which a change of light must extend: one of 32
+# rays that meets a distant actor changes the light of a single point, which is noise.
 _STEADY_WIDTH = 1 / 100
-# Between these factors on the light without the sun, the twin takes the picture's place: under
-# vehicles and right beside them.
+# Factors on the light without the sun between which the rendered twin replaces the picture: under
+# vehicles and directly beside them.
 _CONTACT_RISE = (1.3, 2.0)
-# Width of the windows, as a fraction of the picture's, over which rendered colours are compared
-# with recorded ones; and by which factor they differ at most.
-_MATCH_WIDTH, _MATCH_LIMIT = 12 / 480, 3.0
-# With the colours of its surroundings, the twin's base colour is known better than alone.
+# Width of the windows, as a fraction of the picture's width, over which rendered colours are
+# compared with recorded ones.
+_MATCH_WIDTH = 12 / 480
+# Largest factor between rendered and recorded colours.
+_MATCH_LIMIT = 3.0
+# After the match with recorded colours, the twin's base colour is more accurate than by default.
 _MATCHED = RatioConfig(are_shadows_refined=False, base_colour_deviation=0.1)
+# Added to radiance and light before logarithms and quotients, in scene units.
 _DARKEST = np.float32(1e-3)
 
 
@@ -52,18 +59,18 @@ class EditInputs:
     """One frame before and after edits, both under the source sky.
 
     Args:
-        recorded: the picture, with geometry and light of the log; `target` is not looked at.
+        recorded: the picture, with geometry and light of the log; `target` is not used.
         buffers: geometry of the edited street.
-        light: its light.
-        found_visibility: see `RelightInputs`, of the edited street.
+        light: light of the edited street.
+        found_visibility: see `RelightInputs`, for the edited street.
         sky: the source sky along the pixels' rays.
-        gone: fraction of each pixel that shows actors which are not there any more.
-        new: actors that were not there, as they reach the camera's sensor.
-        past_gone: fraction of the sun's disc that actors which are gone left open, at most.
-        past_new: the same of actors that were not there.
-        is_fixed: pixels that stay whatever happens: the ego vehicle's own.
+        gone: fraction of each pixel that shows removed actors.
+        new: inserted actors, as the camera's sensor records them.
+        past_gone: visible fraction of the sun's disc past removed actors, at most.
+        past_new: visible fraction of the sun's disc past inserted actors, at most.
+        is_fixed: pixels that never change: those of the ego vehicle.
         focal_px: focal length of the camera.
-        look: its sharpness.
+        look: sharpness of the camera.
         gain: picture value over radiance.
     """
 
@@ -84,14 +91,15 @@ class EditInputs:
 
 @dataclass(frozen=True, eq=False)
 class EditedImage:
-    """The picture that the camera would have taken.
+    """Picture that the camera would have recorded in the edited street.
 
     Args:
         radiance: linear, scene units; where not `is_edited`, that of the recorded picture.
-        is_edited: pixels that differ.
-        is_clipped: at least one channel is saturated in the recorded picture, which is still seen.
+        is_edited: pixels that differ from the recorded picture.
+        is_clipped: at least one channel is saturated in the recorded picture, which is still
+            visible.
         sky_matte: fraction of sky.
-        rendered: fraction of each pixel that is rendered, and no recorded pixel any more.
+        rendered: fraction of each pixel that is rendered rather than recorded.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]
@@ -102,7 +110,7 @@ class EditedImage:
 
 
 def edited_image(inputs: EditInputs) -> EditedImage:
-    """The frame with its edits, under the sky under which it was recorded."""
+    """Return the frame with its edits, under the sky under which it was recorded."""
     recorded = inputs.recorded
     before, after = _light_before_and_after(inputs)
     hidden = np.maximum(_grown_outline(inputs), _contact(before, after, inputs))
@@ -116,6 +124,7 @@ def edited_image(inputs: EditInputs) -> EditedImage:
     new = np.where(inputs.is_fixed, 0.0, inputs.new.coverage).astype(np.float32)
     is_new = (radiance != background).any(axis=-1)
     is_edited = ((change > 0) | (hidden > 0) | (new > 0) | is_new) & ~inputs.is_fixed
+    # Fraction of each pixel that remains recorded, below both kinds of edits.
     kept = (1 - hidden) * (1 - new)
     sky = recorded.sky_matte * kept + (1 - new) * hidden * ~inputs.buffers.has_surface
     return EditedImage(
@@ -128,29 +137,19 @@ def edited_image(inputs: EditInputs) -> EditedImage:
 
 
 def _light_before_and_after(inputs: EditInputs) -> tuple[ShadowBuffers, ShadowBuffers]:
-    """The light of both streets with the shadow edges that the picture shows.
+    """Light of both streets, with the shadow edges of the picture.
 
-    Around the shadow of an actor that is gone the picture tells nothing of the light after it; all
-    around, its shadows stay, and those of new actors fall into what sun it shows.
+    Inside the shadow of a removed actor the picture does not show the light afterwards. Elsewhere
+    its shadows stay, and shadows of inserted actors reduce the sun that it shows.
     """
     recorded, sun = inputs.recorded, inputs.recorded.source_sun
     if sun is None or sun.direction_world[2] <= 0:
         return recorded.source, inputs.light
-    believed = with_found_visibility(
-        recorded.source, recorded.buffers, sun, recorded.found_visibility
-    )
-    shown = refine_sun_visibility(
-        recorded.radiance,
-        recorded.buffers,
-        believed,
-        sun,
-        recorded.sky_matte < 0.5,
-        recorded.width_px,
-    )
+    shown = shown_visibility(recorded, sun)
     after = with_found_visibility(inputs.light, inputs.buffers, sun, inputs.found_visibility)
-    # What an actor hid is another surface: its own side in the shade tells nothing of that.
-    is_told = (inputs.past_gone == 1) & (inputs.gone == 0)
-    visibility = np.where(is_told, shown * inputs.past_new, after.sun_visibility)
+    # Behind a removed actor is another surface, on which the picture shows no shadows.
+    is_shown = (inputs.past_gone == 1) & (inputs.gone == 0)
+    visibility = np.where(is_shown, shown * inputs.past_new, after.sun_visibility)
     return (
         _with_visibility(recorded.source, recorded.buffers, sun, shown),
         _with_visibility(inputs.light, inputs.buffers, sun, visibility.astype(np.float32)),
@@ -164,7 +163,8 @@ def _with_visibility(
 
 
 def _grown_outline(inputs: EditInputs) -> Float32[np.ndarray, "h w"]:
-    """How much of each pixel an actor hid that is gone; those that stand before it stay."""
+    """Fraction of each pixel that removed actors hid, with a grown outline; actors in front of them
+    stay."""
     buffers, is_inside = inputs.recorded.buffers, inputs.gone > 0.5
     hidden = inputs.gone
     if is_inside.any():
@@ -178,8 +178,8 @@ def _grown_outline(inputs: EditInputs) -> Float32[np.ndarray, "h w"]:
 def _contact(
     before: ShadowBuffers, after: ShadowBuffers, inputs: EditInputs
 ) -> Float32[np.ndarray, "h w"]:
-    """1 where an actor that is gone stood so close that hardly any light of the sky arrived: the
-    picture shows too little there to be made brighter."""
+    """1 where a removed actor was so close that hardly any skylight arrived: the picture is too
+    dark there to be brightened."""
     if not (inputs.past_gone < 1).any() and not (inputs.gone > 0).any():
         return np.zeros_like(inputs.gone)
     light = [luminance(x.sky + x.bounce) + _DARKEST for x in (before, after)]
@@ -195,13 +195,15 @@ def _change(
     recorded: RelightInputs,
     hidden: Float32[np.ndarray, "h w"],
 ) -> Float32[np.ndarray, "h w"]:
-    """0 where the light of a surface is what it was, to 1 where its change is seen."""
+    """Weight of the exchanged light: 0 where the light of a surface is unchanged, 1 where its
+    change is visible."""
     ratio = (after.shaded + _DARKEST) / (before.shaded + _DARKEST)
     change = np.abs(np.log(ratio)).max(axis=-1)
     radius = max(1, round(_STEADY_WIDTH * recorded.width_px))
-    # Twice the mean: at the edge of a shadow half of the surroundings change.
+    # Twice the mean, because at the edge of a shadow only half of the surroundings change.
     change = np.minimum(change, 2 * box_mean(change, radius))
-    fraction = np.clip((change - _UNSEEN_CHANGE) / (_SEEN_CHANGE - _UNSEEN_CHANGE), 0.0, 1.0)
+    invisible, full = _VISIBLE_CHANGE
+    fraction = np.clip((change - invisible) / (full - invisible), 0.0, 1.0)
     is_surface = recorded.buffers.has_surface & (recorded.sky_matte < 0.5)
     return np.where(is_surface & (hidden < 1), fraction, 0.0).astype(np.float32)
 
@@ -209,8 +211,8 @@ def _change(
 def _colour_match(
     inputs: EditInputs, before: ShadowBuffers, hidden: Float32[np.ndarray, "h w"]
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Recorded over rendered radiance, smooth; where an actor or its shadow is gone, that of the
-    pixels around."""
+    """Smooth ratio of recorded to rendered radiance; where an actor or its shadow is removed, the
+    ratio of the pixels around."""
     recorded = inputs.recorded
     rendered = recorded.buffers.base_colour * before.shaded + before.reflected
     is_known = recorded.buffers.has_surface & (recorded.sky_matte < 0.02) & ~recorded.is_clipped
@@ -219,6 +221,7 @@ def _colour_match(
         return np.ones_like(rendered)
     log_match = np.log(recorded.radiance + _DARKEST) - np.log(rendered + _DARKEST)
     limit = np.float32(np.log(_MATCH_LIMIT))
+    # Clipped, because a wrong base colour of one surface must not tint its surroundings.
     filled = fill_holes(np.clip(log_match, -limit, limit).astype(np.float32), is_known)
     radius = max(1, round(_MATCH_WIDTH * recorded.width_px / 2))
     smooth = box_mean(median_smoothed(filled, _MATCH_WIDTH, recorded.width_px), radius)
@@ -231,7 +234,7 @@ def _with_light_exchanged(
     after: ShadowBuffers,
     match: Float32[np.ndarray, "h w 3"],
 ) -> Float32[np.ndarray, "h w 3"]:
-    """The recorded surfaces under the light of the edited street."""
+    """Relight the recorded surfaces with the light of the edited street."""
     recorded = inputs.recorded
     colour = np.clip(recorded.buffers.base_colour * match, 0.0, 1.0)
     exchanged = replace(
@@ -245,6 +248,6 @@ def _with_light_exchanged(
 
 
 def _twin_radiance(inputs: EditInputs, light: ShadowBuffers) -> Float32[np.ndarray, "h w 3"]:
-    """What the twin shows where the picture shows nothing."""
+    """Rendered radiance of the twin, for pixels that the picture does not show."""
     surface = inputs.buffers.base_colour * light.shaded + light.reflected
     return np.where(inputs.buffers.has_surface[..., None], surface, inputs.sky)

@@ -1,4 +1,4 @@
-"""Small image filters that relighting is built of: box means, guided filters, hole filling."""
+"""Image filters of relighting: box means, guided filters, medians and hole filling."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import numpy as np
 from jaxtyping import Bool, Float32
 from scipy import ndimage
 
+# Lower limit of sums of weights, against division by zero.
 _EPSILON = np.float32(1e-6)
+# Width in pixels to which wider images are reduced before a median; a limit on time.
 _MEDIAN_AT_PX = 480
-"""Images wider than this are made smaller before their medians are taken."""
 
 
 def box_mean(image: Float32[np.ndarray, "h w *c"], radius_px: int) -> Float32[np.ndarray, "h w *c"]:
@@ -24,7 +25,7 @@ def guided_filter(
     radius_px: int,
     epsilon: float,
 ) -> Float32[np.ndarray, "h w"]:
-    """The image made locally linear in the guide, so that its edges lie on the guide's.
+    """Smooth the image so that it is locally linear in the guide and its edges lie on the guide's.
 
     He et al., Guided Image Filtering, doi:10.1109/TPAMI.2012.213, with a weight per pixel.
     """
@@ -47,7 +48,8 @@ def colour_guided_filter(
     radius_px: int,
     epsilon: float,
 ) -> Float32[np.ndarray, "h w"]:
-    """As `guided_filter`, linear in a guide of three channels (there Sec. 3.5)."""
+    """Smooth the image so that it is locally linear in a guide of three channels (`guided_filter`,
+    there Sec. 3.5)."""
     total = box_mean(weight, radius_px)[..., None]
 
     def mean(values: np.ndarray) -> np.ndarray:
@@ -56,9 +58,9 @@ def colour_guided_filter(
     products = (guide[..., :, None] * guide[..., None, :]).reshape(*image.shape, 9)
     colour, target = mean(guide), mean(image[..., None])
     covariance = mean(guide * image[..., None]) - colour * target
-    spread = mean(products).reshape(*image.shape, 3, 3)
-    spread = spread - colour[..., :, None] * colour[..., None, :] + epsilon * np.eye(3)
-    slope = np.linalg.solve(spread, covariance[..., None])[..., 0]
+    scatter = mean(products).reshape(*image.shape, 3, 3)
+    scatter = scatter - colour[..., :, None] * colour[..., None, :] + epsilon * np.eye(3)
+    slope = np.linalg.solve(scatter, covariance[..., None])[..., 0]
     offset = target - (slope * colour).sum(axis=-1, keepdims=True)
     smooth = box_mean(np.concatenate([slope, offset], axis=-1).astype(np.float32), radius_px)
     return ((smooth[..., :3] * guide).sum(axis=-1) + smooth[..., 3]).astype(np.float32)
@@ -67,12 +69,14 @@ def colour_guided_filter(
 def median_smoothed(
     image: Float32[np.ndarray, "h w c"], width_fraction: float, picture_width_px: int | None = None
 ) -> Float32[np.ndarray, "h w c"]:
-    """Median over squares of this fraction of the picture's width: thin details go, edges of what
-    is larger stay. Wide pictures are filtered at a fraction of their size and brought up linearly.
+    """Median over squares whose side is a fraction of the picture's width.
+
+    Thin details are removed, edges of larger regions are preserved. Wide pictures are filtered at a
+    fraction of their size and enlarged linearly.
 
     Args:
-        image: the picture, or a window of it:
-        picture_width_px: of which picture.
+        image: the picture, or a window of it.
+        picture_width_px: width of the whole picture; None if `image` is all of it.
     """
     height, width, channels = image.shape
     picture_width = picture_width_px or width
@@ -81,18 +85,21 @@ def median_smoothed(
     rows, columns = padded.shape[0] // step, padded.shape[1] // step
     small = padded.reshape(rows, step, columns, step, channels).mean(axis=(1, 3))
     size = 2 * round(width_fraction * -(-picture_width // step) / 2) + 1
-    calm = np.stack([median(small[..., c], size) for c in range(channels)], axis=-1)
+    smooth = np.stack([median(small[..., c], size) for c in range(channels)], axis=-1)
     if step == 1:
-        return calm
-    up = _enlarged(calm, step * rows, step * columns)
+        return smooth
+    up = _enlarged(smooth, step * rows, step * columns)
     return np.ascontiguousarray(up[:height, :width])
 
 
 def median(image: Float32[np.ndarray, "h w"], size_px: int) -> Float32[np.ndarray, "h w"]:
-    """Median over squares of an odd number of pixels, edges repeated: what
-    `scipy.ndimage.median_filter` gives, which sorts anew for every pixel."""
+    """Median over squares of an odd number of pixels, edges repeated.
+
+    Equal to `scipy.ndimage.median_filter`, which is slower because it sorts for every pixel.
+    """
     from lightsim.relighting.physical.median_kernels import rank_medians
 
+    # Medians of ranks are exact for any values, and a histogram of ranks has no empty bins.
     order = np.argsort(image, axis=None, kind="stable")
     ranks = np.empty(image.size, dtype=np.int32)
     ranks[order] = np.arange(image.size, dtype=np.int32)
@@ -105,9 +112,9 @@ def median(image: Float32[np.ndarray, "h w"], size_px: int) -> Float32[np.ndarra
 def fill_holes(
     image: Float32[np.ndarray, "h w c"], is_known: Bool[np.ndarray, "h w"]
 ) -> Float32[np.ndarray, "h w c"]:
-    """Known pixels as they are, the others from their surroundings (pull-push pyramid).
+    """Fill unknown pixels from their surroundings (pull-push pyramid); known pixels are unchanged.
 
-    Where nothing is known at all the result is 0. Gortler et al., The Lumigraph, Sec. 3.4,
+    The result is 0 if no pixel is known. Gortler et al., The Lumigraph, Sec. 3.4,
     doi:10.1145/237170.237200.
     """
     if is_known.all():
@@ -120,12 +127,13 @@ def fill_holes(
 def _pull_push(
     total: Float32[np.ndarray, "h w c"], weight: Float32[np.ndarray, "h w 1"]
 ) -> Float32[np.ndarray, "h w c"]:
-    """`total` is value times weight; coarser levels fill what finer ones do not know."""
+    """Fill by coarser levels; `total` is value times weight."""
     own = total / np.maximum(weight, _EPSILON)
     height, width = weight.shape[:2]
     if max(height, width) == 1 or bool((weight >= 1).all()):
         return np.where(weight > 0, own, 0.0).astype(np.float32)
     sums = _halved(weight)
+    # Weights saturate at 1, so that a coarse pixel with one known fine pixel is fully known.
     clamped = np.minimum(sums, 1.0)
     coarse = _pull_push(_halved(total) * (clamped / np.maximum(sums, _EPSILON)), clamped)
     trust = np.minimum(weight, 1.0)
@@ -135,8 +143,8 @@ def _pull_push(
 def _enlarged(
     image: Float32[np.ndarray, "a b c"], height: int, width: int
 ) -> Float32[np.ndarray, "h w c"]:
-    """Bilinear, edges repeated: `scipy.ndimage.zoom` of order 1 in grid mode, which takes several
-    times as long."""
+    """Enlarge bilinearly, edges repeated; equal to `scipy.ndimage.zoom` of order 1 in grid mode,
+    which is several times slower."""
     for axis, size in ((0, height), (1, width)):
         own = image.shape[axis]
         place = np.clip((np.arange(size) + 0.5) * (own / size) - 0.5, 0, own - 1)
@@ -148,7 +156,7 @@ def _enlarged(
 
 
 def _halved(image: Float32[np.ndarray, "h w c"]) -> Float32[np.ndarray, "_ _ c"]:
-    """Sum of 2x2 blocks."""
+    """Sums of 2x2 blocks."""
     height, width, channels = image.shape
     padded = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)))
     blocks = padded.reshape((height + 1) // 2, 2, (width + 1) // 2, 2, channels)

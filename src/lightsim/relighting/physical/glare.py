@@ -7,9 +7,10 @@ from jaxtyping import Float, Float32
 
 from lightsim.core.dome import Sun
 
+# Angle, in radians, within which scattered light is constant: the disc and its aureole. Beyond it,
+# scattered light decreases with the square of the angle, in lenses as in eyes (CIE 146:2002;
+# Talvala et al. 2007, doi:10.1145/1276377.1276424).
 _CORE_RAD = float(np.radians(0.5))
-"""The disc itself and its aureole; scattered light falls off with the angle squared beyond it, in
-lenses as in eyes (CIE 146:2002; Talvala et al. 2007, doi:10.1145/1276377.1276424)."""
 
 
 def veiling_glare(
@@ -19,27 +20,27 @@ def veiling_glare(
     visible: float,
     fraction: float,
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Radiance that the picture gains by the sun on the lens, in the units of the sun's irradiance.
+    """Radiance that the sun on the lens adds to the picture, in the units of the sun's irradiance.
 
     Args:
-        rays_world: unit directions in which the pixels look.
-        axis_world: the optical axis; a sun behind the lens scatters nothing.
-        visible: fraction of the solar disc that the lens sees.
-        fraction: of the light on the lens that it scatters over the half space before it.
+        rays_world: unit directions of the pixels.
+        axis_world: the optical axis; a sun behind the lens adds nothing.
+        visible: fraction of the solar disc that is visible from the lens.
+        fraction: fraction of the light on the lens that it scatters over the half space in front.
     """
     towards = sun.direction_world / np.linalg.norm(sun.direction_world)
     on_lens = max(float(axis_world @ towards), 0.0) * visible * fraction
     if on_lens == 0:
         return np.zeros(rays_world.shape, dtype=np.float32)
-    # Angles by chords: the arc cosine is blunt near the sun.
+    # Angles from chords, because the arc cosine is inaccurate near the sun.
     chord = np.linalg.norm(rays_world - towards, axis=-1)
     angle_rad = 2 * np.arcsin(np.clip(chord / 2, 0.0, 1.0))
-    spread = 1 / (np.square(angle_rad) + _CORE_RAD**2) / _whole()
-    return (on_lens * spread[..., None] * sun.irradiance).astype(np.float32)
+    density = 1 / (np.square(angle_rad) + _CORE_RAD**2) / _whole()
+    return (on_lens * density[..., None] * sun.irradiance).astype(np.float32)
 
 
 def _whole() -> float:
-    """Integral of the fall-off over the half space."""
+    """Integral of the decrease with angle over the half space."""
     angles_rad = (np.arange(20_000) + 0.5) * (np.pi / 2 / 20_000)
     density = np.sin(angles_rad) / (np.square(angles_rad) + _CORE_RAD**2)
     return float(2 * np.pi * density.sum() * (angles_rad[1] - angles_rad[0]))

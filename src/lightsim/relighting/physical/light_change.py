@@ -1,4 +1,4 @@
-"""By how much a target sky's light exceeds the source's, pixel by pixel."""
+"""Change of light between source and target sky, per pixel."""
 
 from __future__ import annotations
 
@@ -11,32 +11,41 @@ from scipy import ndimage
 from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.relighting.physical.filters import fill_holes, median_smoothed
 
-# Widths of the medians, as fractions of the picture's, over the light's change on upright and on
-# level surfaces: reveals, ledges, leaves and panes of meshes are rough guesses that say less than
-# the picture's own details. Level surfaces have no relief; on them thin shadows are known.
-_UPRIGHT_DETAIL, _LEVEL_DETAIL = 14 / 480, 5 / 480
+# Width of the median over the light's change on upright surfaces, as a fraction of the picture's
+# width. Reveals, ledges, leaves and panes of meshes are inaccurate, so that details of the picture
+# are preferred. Chosen on log 002 and the street of seed 0; sensitivity not measured.
+_UPRIGHT_DETAIL = 14 / 480
+# Width of the median on level surfaces, smaller because they have no relief and thin shadows on
+# them are accurate.
+_LEVEL_DETAIL = 5 / 480
+# Vertical component of the normal, in magnitude, above which a surface is level.
 _LEVEL = 0.8
-# Fractions of the picture's width: surfaces so near tell what light a pixel without one gets, and
-# surfaces so far away nothing.
-_NEAR, _FAR = 0.01, 0.04
+# Distances to the nearest surface, as fractions of the picture's width, between which the light of
+# a pixel without surface changes from that of the nearest surfaces to that of the whole sky.
+_FAR = (0.01, 0.04)
+# Added to light, against the logarithm of zero.
 _TINY = np.float32(1e-8)
 
 
 @dataclass(frozen=True, eq=False)
 class Lights:
-    """Of both skies, on one frame.
+    """Light of source and target sky on one frame.
 
     Args:
-        source: with the sun visibility that pictures show, where they show any.
-        sunlight: of the source without visibility, over pi; None without a sun.
-        around: log of the target sky's light over the source's, over all directions; None: unknown.
-        told: how far its visibility is what pictures show and meshes do not, 0 to 1; None: nowhere.
+        source: light of the source sky, with the sun visibility estimated from pictures where
+            there is an estimate.
+        target: light of the target sky.
+        sunlight: irradiance of the unoccluded source sun, over pi; None without a sun.
+        picture_weight: weight, in [0, 1], with which the source's sun visibility is taken from
+            pictures rather than meshes; None means 0.
+        around: log of the target sky's light over the source's, over all directions; None if
+            unknown.
     """
 
     source: ShadowBuffers
     target: ShadowBuffers
     sunlight: Float32[np.ndarray, "h w 3"] | None = None
-    told: Float32[np.ndarray, "h w"] | None = None
+    picture_weight: Float32[np.ndarray, "h w"] | None = None
     around: Float32[np.ndarray, "3"] | None = None
 
 
@@ -47,18 +56,20 @@ def log_light_change(
     darkest_fraction: float,
     width_px: int,
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Log of target over source light, without thin details, which meshes only guess; where no mesh
-    is, that of the surroundings (0 if there are none), and far from all meshes that of the skies
-    as a whole: wires have no side that a sun behind the camera lights.
+    """Log of target over source light, without thin details, which are inaccurate in meshes.
 
-    The source's shadows as pictures show them are no guess: they stay as thin as they are. Light of
-    the unlit and of the lit source, over the target's, is smooth; the visibility mixes the two.
+    Pixels without a mesh have the value of their surroundings (0 without any). Far from all meshes
+    they have that of the skies as a whole, because thin objects such as wires have no side that a
+    sun behind the camera lights.
+
+    Source shadows estimated from pictures are accurate and stay thin: the logs of target light over
+    unlit and over lit source light are smoothed, and the visibility mixes the two.
 
     Args:
-        is_surface: where a mesh tells of light.
-        darkest_fraction: both lights get this fraction of their own median added, so that a pixel
-            in the dark under both keeps its radiance instead of an arbitrary quotient.
-        width_px: of the picture that these arrays may be a window of.
+        is_surface: pixels whose light a mesh defines.
+        darkest_fraction: fraction of their own median that is added to both lights, so that a pixel
+            dark under both keeps its radiance instead of an arbitrary quotient.
+        width_px: width of the picture that these arrays may be a window of.
     """
     source, target = lights.source, lights.target
     if not is_surface.any():
@@ -77,44 +88,47 @@ def log_light_change(
             raw = raw + far * (lights.around - raw)
         return _without_relief(raw, is_level, width_px)
 
-    calm = change(source.shaded)
-    if lights.sunlight is None or lights.told is None or not lights.told.any():
-        return calm
+    smooth = change(source.shaded)
+    weight = lights.picture_weight
+    if lights.sunlight is None or weight is None or not weight.any():
+        return smooth
     unlit = source.sky + source.bounce
     visibility = source.sun_visibility[..., None]
     of_source = (1 - visibility) * np.exp(-change(unlit))
     of_source += visibility * np.exp(-change(unlit + lights.sunlight))
-    told = np.where(is_surface, lights.told, np.float32(0))[..., None]
-    return (calm - told * (np.log(of_source) + calm)).astype(np.float32)
+    weight = np.where(is_surface, weight, np.float32(0))[..., None]
+    return (smooth - weight * (np.log(of_source) + smooth)).astype(np.float32)
 
 
 def median_light(
     light: Float32[np.ndarray, "h w 3"], is_surface: Bool[np.ndarray, "h w"]
 ) -> Float32[np.ndarray, "3"]:
-    """Per channel over the surfaces; every seventh pixel is plenty."""
+    """Median of the light over the surfaces, per channel; every seventh pixel is sufficient."""
     values = light[is_surface][::7]
     return np.median(values, axis=0).astype(np.float32) if len(values) else np.zeros(3, np.float32)
 
 
 def _far_fraction(is_surface: Bool[np.ndarray, "h w"], width_px: int) -> Float32[np.ndarray, "h w"]:
-    """How little the nearest surfaces tell of a pixel's light."""
+    """Weight of the whole sky in a pixel's light: 0 near surfaces, 1 far from all."""
     if is_surface.all():
         return np.zeros(is_surface.shape, np.float32)
     away = np.asarray(ndimage.distance_transform_edt(~is_surface)) / width_px
-    return np.clip((away - _NEAR) / (_FAR - _NEAR), 0.0, 1.0).astype(np.float32)
+    near, far = _FAR
+    return np.clip((away - near) / (far - near), 0.0, 1.0).astype(np.float32)
 
 
 def _without_relief(
     log_ratio: Float32[np.ndarray, "h w 3"], is_level: Bool[np.ndarray, "h w"], width_px: int
 ) -> Float32[np.ndarray, "h w 3"]:
+    """Log ratio smoothed by medians: wide on upright surfaces, narrow on level ones."""
     details = _LEVEL_DETAIL, _UPRIGHT_DETAIL
     level, upright = (median_smoothed(log_ratio, detail, width_px) for detail in details)
     return np.where(is_level[..., None], level, upright)
 
 
 def _with_steps(is_level: Bool[np.ndarray, "h w"], width_px: int) -> Bool[np.ndarray, "h w"]:
-    """Level pixels, and upright ones between level ones above and below, nearer than the median
-    over upright surfaces is wide: kerbs and stairs are no relief."""
+    """Level pixels, and upright ones between level ones above and below within the width of the
+    upright median: kerbs and stairs count as level."""
     size = 2 * (round(_UPRIGHT_DETAIL * width_px) // 2) + 1
     wider = ndimage.maximum_filter1d(is_level.astype(np.uint8), size, axis=0)
     return ndimage.minimum_filter1d(wider, size, axis=0).astype(bool)

@@ -1,4 +1,5 @@
-"""The sky behind a soft matte: taking the old one out of mixed pixels, putting the new one in."""
+"""Sky behind a soft matte: removal of the old sky from mixed pixels, and compositing of the new
+one."""
 
 from __future__ import annotations
 
@@ -7,20 +8,20 @@ from jaxtyping import Float32
 
 from lightsim.relighting.physical.filters import fill_holes
 
+# Distance of a matte to 0 or 1 within which a pixel counts as unmixed.
 _PURE = np.float32(0.02)
-"""A matte this close to 0 or 1 counts as unmixed."""
+# Foreground fraction, at least, by which a mixed pixel is divided: smaller ones amplify noise.
 _THINNEST = np.float32(0.15)
-"""Below this fraction of foreground, un-mixing only amplifies noise."""
 
 
 def foreground_radiance(
     radiance: Float32[np.ndarray, "h w 3"], sky_matte: Float32[np.ndarray, "h w"]
 ) -> Float32[np.ndarray, "h w 3"]:
-    """The image without the light of the sky in mixed pixels (leaves, wires, edges).
+    """Image without the light of the sky in mixed pixels (leaves, wires, edges).
 
-    A mixed pixel is C = (1 - a) F + a S (Porter and Duff 1984, doi:10.1145/800031.808606). S comes
-    from pure sky nearby; F is solved for, and the thinner the foreground, the more it is replaced
-    by that of its surroundings. Pixels without sky are returned as they are.
+    A mixed pixel is C = (1 - a) F + a S (Porter and Duff 1984, doi:10.1145/800031.808606). S is
+    taken from pure sky nearby and F is solved for. The smaller the foreground fraction, the more F
+    is replaced by that of its surroundings. Pixels without sky are unchanged.
     """
     is_mixed = sky_matte > _PURE
     if not is_mixed.any():
@@ -40,6 +41,7 @@ def composite(
     sky: Float32[np.ndarray, "h w 3"],
     sky_matte: Float32[np.ndarray, "h w"],
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Foreground over sky. The sun behind a nearly closed matte stays out of the picture."""
+    """Composite the foreground over a sky. A sun behind a nearly closed matte does not shine
+    through."""
     alpha = np.where(sky_matte > _PURE, sky_matte, 0.0)[..., None]
     return ((1 - alpha) * foreground + alpha * sky).astype(np.float32)

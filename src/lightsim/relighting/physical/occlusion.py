@@ -1,13 +1,15 @@
-"""What the picture knows better of an occluder's edge than the twin's mesh: leaves between an
-inserted actor and the camera that no mesh holds.
+"""Outlines of occluders from the picture: leaves between an inserted actor and the camera that no
+mesh contains.
 
-Near a static surface that stands well before the actor, pixels of the actor whose recorded colour
-is that of the surface, and not that of what lies behind it, are hidden too. Whatever the mesh
-hides stays hidden: what the actor looks like there was not rendered, and colours of poles and walls
-are too alike to tell (looked at on log 002; cars as occluders have good meshes, and panes).
+Near a static surface that is well in front of the actor, pixels of the actor are also hidden if
+their recorded colour is that of the surface and not that of the background. Pixels that the mesh
+hides stay hidden: the actor was not rendered there, and the colours of poles and walls are too
+similar to be separated (examined on log 002; cars as occluders have accurate meshes, and panes).
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float32
@@ -18,18 +20,39 @@ from lightsim.core.outline import nearest_of
 from lightsim.core.window import window_around
 from lightsim.relighting.physical.filters import colour_guided_filter
 
-# An occluder stands at least this far before the actor: what touches it, as the ground does, has
-# its edge where both meshes meet. Surfaces less upright than that are ground.
-_BEFORE_M, _LEVEL = 0.5, 0.7
-# What is as near as this to a reconstructed surface may belong to it, in metres and pixels; and no
-# farther than this many pixels.
-_REACH_M, _REACH_PX, _FARTHEST_PX = 0.12, 1.5, 16.0
-# The colours of both sides are learnt over windows this many times as wide; pixels that are in
-# question count this much.
-_WINDOW, _IN_QUESTION = 3, 0.05
-# Variance of sRGB codes below which colours are one; from which on a pixel is partly, and from
-# which on wholly the occluder's. Looked at on log 002.
-_SAME_COLOUR, _SURE = 1e-3, (0.5, 0.8)
+
+@dataclass(frozen=True)
+class _OutlineModel:
+    """Thresholds between occluder and background.
+
+    The values were chosen by eye on log 002; their sensitivity was not measured.
+    """
+
+    before_m: float = 0.5
+    """Distance of an occluder in front of the actor, at least, in metres. Surfaces that touch
+    the actor, such as the ground, have their edge where both meshes meet."""
+    level: float = 0.7
+    """Vertical component of the normal above which a surface is ground and no occluder."""
+    reach_m: float = 0.12
+    """Distance from a reconstructed surface within which pixels may belong to it: this many
+    metres on the surface, plus `reach_px` pixels."""
+    reach_px: float = 1.5
+    """Part of that distance that does not depend on the depth, in pixels."""
+    farthest_px: float = 16.0
+    """Limit on that distance, in pixels."""
+    window: int = 3
+    """Radius of the windows over which the colours of both sides are learnt, over the median
+    reach."""
+    undecided_weight: float = 0.05
+    """Weight of undecided pixels in these windows."""
+    same_colour: float = 1e-3
+    """Variance of sRGB codes below which colours are taken as equal."""
+    likeness: tuple[float, float] = (0.5, 0.8)
+    """Likeness to the occluder's colour at which a pixel begins to belong to it, and at which
+    it belongs to it fully."""
+
+
+_MODEL = _OutlineModel()
 
 
 def hidden_by_picture(
@@ -38,30 +61,34 @@ def hidden_by_picture(
     is_new: Bool[np.ndarray, "h w"],
     focal_px: float,
 ) -> Float32[np.ndarray, "h w"]:
-    """Fraction of new actors' pixels that something nearer hides, by the recorded picture.
+    """Fraction of the new actors' pixels that a nearer surface hides, according to the recorded
+    picture.
 
     Args:
         codes: the recorded picture, sRGB in [0, 1].
-        buffers: of the street with the actors.
-        is_new: pixels whose centres show them; those beside may show a part of them.
+        buffers: geometry of the street with the actors.
+        is_new: pixels whose centres show new actors; their neighbours may show a part of them.
     """
     hidden = np.zeros(is_new.shape, np.float32)
     before = _occluders(buffers, is_new)
     if not (is_new.any() and before.any()):
         return hidden
     distance_px, nearest = nearest_of(before)
-    reach_px = focal_px * _REACH_M / buffers.depth_z_m[nearest] + _REACH_PX
-    is_asked = _grown(is_new) & (distance_px <= np.minimum(reach_px, _FARTHEST_PX))
-    if not is_asked.any():
+    # Depth errors move outlines by a length in the scene, and sampling by about a pixel.
+    reach_px = focal_px * _MODEL.reach_m / buffers.depth_z_m[nearest] + _MODEL.reach_px
+    is_open = _grown(is_new) & (distance_px <= np.minimum(reach_px, _MODEL.farthest_px))
+    if not is_open.any():
         return hidden
-    radius = _WINDOW * int(np.ceil(np.median(reach_px[is_asked]).clip(1, _FARTHEST_PX)))
-    part = window_around(is_asked, 2 * radius)
-    weight = np.where(is_asked, np.float32(_IN_QUESTION), np.float32(1))
+    radius = _MODEL.window * int(np.ceil(np.median(reach_px[is_open]).clip(1, _MODEL.farthest_px)))
+    part = window_around(is_open, 2 * radius)
+    weight = np.where(is_open, np.float32(_MODEL.undecided_weight), np.float32(1))
+    # The filter fits, per window, the occluder mask as a linear function of colour (a local matte).
     likeness = colour_guided_filter(
-        codes[part], before[part].astype(np.float32), weight[part], radius, _SAME_COLOUR
+        codes[part], before[part].astype(np.float32), weight[part], radius, _MODEL.same_colour
     )
-    sure = np.clip((likeness - _SURE[0]) / (_SURE[1] - _SURE[0]), 0.0, 1.0)
-    hidden[part] = np.where(is_asked[part], sure, 0.0)
+    low, high = _MODEL.likeness
+    fraction = np.clip((likeness - low) / (high - low), 0.0, 1.0)
+    hidden[part] = np.where(is_open[part], fraction, 0.0)
     return hidden
 
 
@@ -70,10 +97,10 @@ def _grown(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 
 def _occluders(buffers: GBuffers, is_new: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Static upright surfaces that stand before the nearest pixel of an actor."""
+    """Static upright surfaces in front of the nearest pixel of an actor."""
     if not is_new.any():
         return np.zeros_like(is_new)
     _, nearest = nearest_of(is_new)
-    is_before = buffers.depth_z_m < buffers.depth_z_m[nearest] - _BEFORE_M
-    is_upright = buffers.normal_world[..., 2] < _LEVEL
+    is_before = buffers.depth_z_m < buffers.depth_z_m[nearest] - _MODEL.before_m
+    is_upright = buffers.normal_world[..., 2] < _MODEL.level
     return is_before & is_upright & (buffers.actor_index == BACKGROUND)

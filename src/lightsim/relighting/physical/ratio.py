@@ -1,9 +1,9 @@
 """Physical relighting: the image divided by its own shading, times that of the target sky.
 
-Every texture and every detail that no mesh holds stays in the picture, because only the light is
-exchanged (quotient images, Shashua and Riklin-Raviv 2001, doi:10.1109/34.908964). Where the image
-carries no information (clipped, or deep in a shadow that the target lights up), the base colour
-of the twin stands in. Paper, Sec. 4: this is what its network is compared to and trained on.
+All texture and detail that no mesh contains is preserved, because only the light is exchanged
+(quotient images, Shashua and Riklin-Raviv 2001, doi:10.1109/34.908964). Where the image has no
+information (clipped, or in a deep shadow that the target sky lights), the base colour of the twin
+is used. Paper, Sec. 4: its network is compared to this method and trained on it.
 """
 
 from __future__ import annotations
@@ -29,35 +29,37 @@ from lightsim.relighting.physical.light_change import Lights, log_light_change, 
 from lightsim.relighting.physical.matte import composite, foreground_radiance
 from lightsim.relighting.physical.shadow_refine import border_fraction, refine_sun_visibility
 
-_ENCLOSED_RIM_PX = 3
+# Lower limit of light and variances, against logarithms and quotients of zero.
 _TINY = 1e-8
 
-
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
+# Chosen by eye on log 002 and the street of seed 0; measured only in combination
 # (docs/benchmarks/relighting.md).
 
-# Of a pixel's radiance, the most that may be reflection.
+# Rim around enclosed pixels, in pixels, where smoothed light is wrong.
+_ENCLOSED_RIM_PX = 3
+# Largest fraction of a pixel's radiance that may be reflection.
 _MOST_REFLECTED = 0.7
-# Relative error of a ratio for every e-fold by which it changes the light. More trust in the base
-# colour scores higher on grainy synthetic pictures, but takes details from the picture that no mesh
-# and no texture holds.
+# Relative error of a ratio per e-fold by which it changes the light. Larger values, which favour
+# the base colour, score higher on noisy synthetic pictures, but remove details of the picture that
+# no mesh and no texture contains.
 _SHADING_DEVIATION = 0.35
-# Absolute error of the recorded radiance: noise and 8 bits in the dark.
+# Absolute error of the recorded radiance in the dark: noise and 8-bit rounding.
 _RADIANCE_DEVIATION = 0.004
-# Widths of the medians, as fractions of the picture's, over reflections, and over what the base
-# colour corrects.
-_REFLECTION_DETAIL, _CORRECTION_DETAIL = 6 / 480, 4 / 480
-# Up to this angle between the suns, found shadow edges hold for the target as well.
+# Width of the median over reflections, as a fraction of the picture's width.
+_REFLECTION_DETAIL = 6 / 480
+# Width of the median over corrections by the base colour, as a fraction of the picture's width.
+_CORRECTION_DETAIL = 4 / 480
+# Angle between both suns, in degrees, up to which estimated shadow edges also apply to the target.
 _SAME_SUN_DEG = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Circumstances:
-    """Under which a frame was taken and shall be shown; networks look at pictures and skies.
+    """Camera and skies of a frame, which only networks require.
 
     Args:
-        gain: of the camera; times radiance it is the linear picture, 1 its white.
-        world_from_camera: where it stands.
+        gain: gain of the camera; radiance times gain is the linear picture, 1 its white.
+        world_from_camera: pose of the camera.
         source_sky, target_sky: domes in scene units, sun included.
     """
 
@@ -76,16 +78,16 @@ class RelightInputs:
         is_clipped: at least one channel of the recorded image is saturated.
         sky_matte: fraction of each pixel that is sky, in [0, 1].
         buffers: geometry, moving actors included.
-        source: light of the sky under which the image was taken.
-        target: light of the sky wanted.
+        source: light of the source sky, under which the image was recorded.
+        target: light of the target sky.
         target_sky: the target dome along the pixels' rays, sun included.
         source_sun: the sun of the source sky; without it, its shadows are taken as rendered.
         target_sun: the sun of the target sky, if it has one.
-        found_visibility: of the source's sun, as all pictures together show it; NaN where they
-            show none, and the rendered one holds.
-        picture_width_px: of the picture that these arrays are a window of; None: they are all of
-            it.
-        circumstances: what networks need besides; None: physical relighting alone is asked for.
+        found_visibility: visibility of the source's sun, estimated from all pictures; NaN where
+            there is no estimate and the rendered visibility is used.
+        picture_width_px: width of the picture that these arrays are a window of; None if they are
+            the whole picture.
+        circumstances: further inputs of networks; None for physical relighting.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]
@@ -103,7 +105,7 @@ class RelightInputs:
 
     @property
     def width_px(self) -> int:
-        """Of the whole picture: filters are as wide as a part of it."""
+        """Width of the whole picture, to which the widths of filters are proportional."""
         return self.picture_width_px or self.radiance.shape[1]
 
     def __post_init__(self) -> None:
@@ -128,20 +130,20 @@ class RelightInputs:
 
 @dataclass(frozen=True)
 class RatioConfig:
-    """How shading ratios are made robust."""
+    """Settings that make shading ratios robust."""
 
     are_shadows_refined: bool = True
-    """Move the source's shadow edges to where the image has them."""
+    """Move the source's shadow edges to those of the image."""
     darkest_fraction: float = 0.02
-    """Light below this fraction of the frame's median counts as that much, under both skies."""
+    """Fraction of the frame's median light that is added to the light of both skies."""
     base_colour_deviation: float = 0.3
     """Relative error of the twin's base colour times target light."""
 
 
 def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.ndarray, "h w 3"]:
-    """Scene radiance of the frame under the target sky, linear, before camera gain.
+    """Return the scene radiance of the frame under the target sky, linear, before camera gain.
 
-    With the source sky as the target, the source comes back outside clipped pixels and sky.
+    With the source sky as target, the result is the source image, except in clipped pixels and sky.
     """
     foreground = foreground_radiance(inputs.radiance, inputs.sky_matte)
     lights = Lights(inputs.source, inputs.target)
@@ -149,6 +151,7 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
         lights = _refined(inputs)
     if inputs.circumstances is not None:
         lights = replace(lights, around=_change_around(inputs.circumstances))
+    # Pixels that are mostly sky have no surface of their own; enclosed ones a meaningless one.
     is_surface = inputs.buffers.has_surface & (inputs.sky_matte < 0.5)
     is_surface &= ~_is_enclosed(foreground, inputs.source, is_surface, config)
     ratio = np.exp(
@@ -162,43 +165,48 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
     return composite(relit, inputs.target_sky, inputs.sky_matte)
 
 
-def _refined(inputs: RelightInputs) -> Lights:
-    """Source and target light with the shadow edges that the image shows."""
-    sun = inputs.source_sun
-    if sun is None or sun.direction_world[2] <= 0:
-        return Lights(inputs.source, inputs.target)
-    rendered = inputs.source.sun_visibility
-    believed = with_found_visibility(inputs.source, inputs.buffers, sun, inputs.found_visibility)
-    visibility = refine_sun_visibility(
+def shown_visibility(inputs: RelightInputs, sun: Sun) -> Float32[np.ndarray, "h w"]:
+    """Visibility of the source's sun, from all pictures and refined by the image."""
+    found = with_found_visibility(inputs.source, inputs.buffers, sun, inputs.found_visibility)
+    return refine_sun_visibility(
         inputs.radiance,
         inputs.buffers,
-        believed,
+        found,
         sun,
         inputs.sky_matte < 0.5,
         inputs.width_px,
     )
+
+
+def _refined(inputs: RelightInputs) -> Lights:
+    """Source and target light with the shadow edges of the image."""
+    sun = inputs.source_sun
+    if sun is None or sun.direction_world[2] <= 0:
+        return Lights(inputs.source, inputs.target)
+    rendered = inputs.source.sun_visibility
+    visibility = shown_visibility(inputs, sun)
     sunlight = unoccluded_sun(inputs.buffers, inputs.source, sun)
     source = with_sun_visibility(inputs.source, sunlight, visibility)
-    told = np.zeros_like(visibility)
+    weight = np.zeros_like(visibility)
     if inputs.found_visibility is not None:
-        # Away from borders what pictures tell is grain.
-        told = border_fraction(visibility, inputs.width_px)
-        told *= np.isfinite(inputs.found_visibility)
+        # Away from shadow borders the estimate from pictures is mostly noise.
+        weight = border_fraction(visibility, inputs.width_px)
+        weight *= np.isfinite(inputs.found_visibility)
     if inputs.target_sun is None:
-        return Lights(source, inputs.target, sunlight, told)
-    # The same sun has the same shadow edges; two suns apart err independently.
+        return Lights(source, inputs.target, sunlight, weight)
+    # Equal suns have equal shadow edges; the errors of distant suns are independent.
     angle = angle_between_deg(sun.direction_world, inputs.target_sun.direction_world)
     fraction = np.float32(max(0.0, 1.0 - angle / _SAME_SUN_DEG))
     if fraction == 0:
-        return Lights(source, inputs.target, sunlight, told)
+        return Lights(source, inputs.target, sunlight, weight)
     moved = np.clip(inputs.target.sun_visibility + fraction * (visibility - rendered), 0.0, 1.0)
     other = unoccluded_sun(inputs.buffers, inputs.target, inputs.target_sun)
     target = with_sun_visibility(inputs.target, other, moved.astype(np.float32))
-    return Lights(source, target, sunlight, (1 - fraction) * told)
+    return Lights(source, target, sunlight, (1 - fraction) * weight)
 
 
 def _change_around(circumstances: Circumstances) -> Float32[np.ndarray, "3"]:
-    """`Lights.around` of these skies."""
+    """Log of the target sky's mean radiance over the source's (`Lights.around`)."""
     source, target = (
         np.log(np.maximum(sky.mean_radiance, _TINY))
         for sky in (circumstances.source_sky, circumstances.target_sky)
@@ -212,9 +220,11 @@ def _is_enclosed(
     is_surface: Bool[np.ndarray, "h w"],
     config: RatioConfig,
 ) -> Bool[np.ndarray, "h w"]:
-    """Pixels where no light arrives in the rendering and the picture shows some: the camera looks
-    through a hole of the mesh into what is closed all around. Their mesh tells nothing, nor does
-    the rim of the hole, where light is smoothed."""
+    """Pixels without light in the rendering but not in the picture, with a rim.
+
+    There the camera looks through a hole of the mesh into a closed volume, whose surfaces carry no
+    information; neither does the rim of the hole, where light is smoothed.
+    """
     from scipy.ndimage import binary_dilation
 
     least = np.float32(config.darkest_fraction) * median_light(source.shaded, is_surface)
@@ -231,22 +241,26 @@ def _exchanged_reflections(
     is_surface: Bool[np.ndarray, "h w"],
     width_px: int,
 ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:
-    """The picture without what its surfaces reflect of the source, and what they reflect of the
-    target. Where the model reflects more than the picture can hold, part of it is believed, and the
-    same part of the target's."""
+    """Return the picture without the reflections of the source, and the reflections of the target.
+
+    Where the modelled reflection exceeds the possible part of the picture, it is reduced, and the
+    target's by the same factor.
+    """
     source = lights.source
     before, after = (
         median_smoothed(light.reflected, _REFLECTION_DETAIL, width_px)
         for light in (source, lights.target)
     )
-    if lights.told is not None:
-        # A post's shadow on a road that mirrors the sun is as thin as pictures show it.
+    if lights.picture_weight is not None:
+        # Shadows in the sun's reflection stay as thin as in the pictures: that of a post on a wet
+        # road, for example.
         open_sun, visibility = source.reflected_sun, source.sun_visibility[..., None]
         rest = np.maximum(source.reflected - visibility * open_sun, 0.0)
         rest, open_sun = (
             median_smoothed(part, _REFLECTION_DETAIL, width_px) for part in (rest, open_sun)
         )
-        before = before + lights.told[..., None] * (rest + visibility * open_sun - before)
+        weight = lights.picture_weight[..., None]
+        before = before + weight * (rest + visibility * open_sun - before)
     held = np.where(is_surface[..., None], before, 0.0)
     most = np.float32(_MOST_REFLECTED) * foreground
     part = np.where(held > most, most / np.maximum(held, np.float32(1e-9)), 1.0)
@@ -262,46 +276,54 @@ def _relit_surface(
     is_surface: Bool[np.ndarray, "h w"],
     config: RatioConfig,
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Ratio and base colour combined by the inverse of their variances, the same for all channels,
-    or hues would shift. Where the picture tells anything, what the base colour changes is smooth:
-    details come from the picture."""
+    """Combine ratio and base colour by the inverse of their variances.
+
+    All channels have the same weight, so that hues do not shift. Where the picture has information,
+    the correction by the base colour is smoothed, so that details come from the picture.
+    """
     by_ratio = foreground * ratio
     by_model = inputs.buffers.base_colour * target.shaded
-    change = np.abs(np.log(np.maximum(ratio, np.float32(1e-8))))
+    change = np.abs(np.log(np.maximum(ratio, _TINY)))
     variance_ratio = np.square(by_ratio * change * np.float32(_SHADING_DEVIATION))
     variance_ratio += np.square(np.maximum(ratio - 1, 0) * np.float32(_RADIANCE_DEVIATION))
+    # The radiance of clipped pixels is unknown: relative error of 1.
     variance_ratio += np.square(np.where(inputs.is_clipped[..., None], by_ratio, 0.0))
     doubt = np.float32(config.base_colour_deviation) ** 2 + _other_surface(
         foreground, inputs, config
     )
-    variance_model = np.square(by_model) * doubt + np.float32(1e-8)
+    variance_model = np.square(by_model) * doubt + np.float32(_TINY)
     of_ratio, of_model = (v.sum(axis=-1, keepdims=True) for v in (variance_ratio, variance_model))
     weight = np.where(is_surface[..., None], of_model / (of_model + of_ratio), 1.0)
     mixed = weight * by_ratio + (1 - weight) * by_model
-    floor = np.float32(config.darkest_fraction) * median_light(target.shaded, is_surface) + 1e-8
+    floor = np.float32(config.darkest_fraction) * median_light(target.shaded, is_surface) + _TINY
     correction = np.log(np.maximum(mixed, 0) + floor) - np.log(np.maximum(by_ratio, 0) + floor)
     smooth = median_smoothed(correction.astype(np.float32), _CORRECTION_DETAIL, inputs.width_px)
     detailed = (np.maximum(by_ratio, 0) + floor) * np.exp(smooth) - floor
-    is_told = is_surface & ~inputs.is_clipped
-    return np.where(is_told[..., None], np.maximum(detailed, 0), mixed).astype(np.float32)
+    is_informative = is_surface & ~inputs.is_clipped
+    return np.where(is_informative[..., None], np.maximum(detailed, 0), mixed).astype(np.float32)
 
 
 def _other_surface(
     foreground: Float32[np.ndarray, "h w 3"], inputs: RelightInputs, config: RatioConfig
 ) -> Float32[np.ndarray, "h w 1"]:
-    """Square of how far, in logs, the picture is from what the model can show under the source: in
-    colour, and in brightness beyond all of the sun or none of it. Meshes end elsewhere than what
-    they stand for: a crown's green must not lie on the wall beside it."""
+    """Squared difference, in logs, of the picture from all that the model can show under the source
+    sky.
+
+    It is the sum of the difference in colour and of the difference in brightness beyond full sun or
+    full shadow. Meshes have wrong outlines: the green of a crown must not appear on the wall beside
+    it.
+    """
     light = inputs.source
     floor = np.float32(config.darkest_fraction) * median_light(
         light.shaded, inputs.buffers.has_surface
-    ) + np.float32(1e-8)
+    ) + np.float32(_TINY)
     modelled = np.log(inputs.buffers.base_colour * light.shaded + floor)
     apart = median_smoothed(
         (np.log(np.maximum(foreground, 0) + floor) - modelled).astype(np.float32),
         _CORRECTION_DETAIL,
         inputs.width_px,
     )
+    # The mean over channels is a difference of brightness, the rest a difference of hue.
     brighter = apart.mean(axis=-1, keepdims=True)
     colour = np.square(apart - brighter).sum(axis=-1, keepdims=True)
     most = least = light.shaded

@@ -1,12 +1,15 @@
-"""Where the image says that the source's sun shadows lie.
+"""Refinement of the source's sun visibility by the image.
 
-Reconstructed geometry puts shadow edges some decimetres off, and misses some casters. Dividing an
-image by wrong shading leaves a ghost of every shadow, so the source's sun visibility is decided
-again per pixel: by the rendered one, less and less trusted near its own edges, by how bright and
-how blue the pixel is for its surface, and by its neighbours up to the next image edge.
+Shadow edges from reconstructed geometry are wrong by some decimetres, and some occluders are
+missing. Division of an image by wrong shading leaves a residual of every shadow. The source's sun
+visibility is therefore estimated again per pixel: from the rendered visibility, with less weight
+near its edges; from brightness and blueness of the pixel for its surface; and from its neighbours
+up to the next image edge.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float32
@@ -18,35 +21,48 @@ from lightsim.core.dome import Sun
 from lightsim.core.found_visibility import decided, unoccluded_sun
 from lightsim.relighting.physical.filters import box_mean, guided_filter
 
+# Added to radiance and light before logarithms, in scene units.
 _DARKEST = np.float32(1e-4)
 
 
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
-# (docs/benchmarks/relighting.md).
+@dataclass(frozen=True)
+class _LabelModel:
+    """Random field of lit and shadowed pixels.
 
-# Distance from a rendered shadow edge over which it gains the trust of one logit.
-_GEOMETRY_ERROR_M = 0.2
-# Trust in the rendered visibility far from its edges.
-_LARGEST_PRIOR_LOGIT = 3.0
-# Standard deviation of log luminance of an image against base colour times light.
-_LUMINANCE_DEVIATION = 0.4
-# The same of the log of red over blue and of green over the two.
-_CHROMA_DEVIATION = 0.3
-# Most that the look of one pixel may say.
-_LARGEST_IMAGE_LOGIT = 4.0
-# Weight of the neighbours' vote.
-_SMOOTHNESS_LOGIT = 8.0
-# Radius of the neighbourhood as a fraction of the image width.
-_NEIGHBOURHOOD_FRACTION = 1 / 100
-# Width of a strip, as a fraction of the image width, below which a change is taken for noise.
-_SMALLEST_FRACTION = 1 / 240
-# Variance of log luminance below which the image has no edge; deviations of the visibility nearby
-# that are no border of a shadow, and that are one.
-_EDGE_VARIANCE, _EDGE_DEVIATION = 0.003, (0.05, 0.15)
-# Rounds of the vote.
-_ITERATIONS = 5
-# Sun light below this fraction of the other light is left as rendered.
-_LEAST_CONTRAST = 0.15
+    The values were chosen by eye on log 002 and the street of seed 0 and measured only in
+    combination (docs/benchmarks/relighting.md).
+    """
+
+    geometry_error_m: float = 0.2
+    """Distance from a rendered shadow edge, in metres, over which its log-odds grow by one."""
+    largest_prior_logit: float = 3.0
+    """Log-odds of the rendered visibility far from its edges."""
+    luminance_deviation: float = 0.4
+    """Standard deviation of log luminance of an image against base colour times light."""
+    chroma_deviation: float = 0.3
+    """Standard deviation of the logs of red over blue, and of green over both."""
+    largest_image_logit: float = 4.0
+    """Limit on the log-odds from one pixel's colour."""
+    smoothness_logit: float = 8.0
+    """Log-odds from unanimous neighbours."""
+    neighbourhood_fraction: float = 1 / 100
+    """Radius of the neighbourhood, as a fraction of the image width."""
+    smallest_fraction: float = 1 / 240
+    """Width of a strip, as a fraction of the image width, below which a change is taken as
+    noise."""
+    edge_variance: float = 0.003
+    """Variance of log luminance below which the image has no edge."""
+    edge_deviation: tuple[float, float] = (0.05, 0.15)
+    """Standard deviations of the visibility nearby: at most the first away from shadow borders,
+    at least the second at a border."""
+    iterations: int = 5
+    """Iterations of the mean-field inference."""
+    least_contrast: float = 0.15
+    """Sunlight over the other light, at least, for a refinement; below, the visibility is as
+    rendered."""
+
+
+_MODEL = _LabelModel()
 
 
 def refine_sun_visibility(
@@ -57,23 +73,25 @@ def refine_sun_visibility(
     is_usable: Bool[np.ndarray, "h w"],
     width_px: int | None = None,
 ) -> Float32[np.ndarray, "h w"]:
-    """Sun visibility in [0, 1] that agrees with the image; as rendered where it cannot be told.
+    """Return the sun visibility in [0, 1] that agrees with the image; as rendered where the image
+    is not informative.
 
     Args:
         radiance: the image in scene units.
         shadows: the rendered light of the image's own sky.
         is_usable: pixels with a surface that are neither sky nor clipped.
-        width_px: of the picture, where all this is a window of it.
+        width_px: width of the whole picture, if these arrays are a window of it.
     """
     width = width_px or radiance.shape[1]
     colour = np.maximum(buffers.base_colour, np.float32(0.02))
-    # Reflections count as light that a diffuse surface of this colour would need.
+    # Reflections are converted to the light under which a diffuse surface of this colour would
+    # have the same radiance.
     by_sun = shadows.sun_visibility[..., None] * shadows.reflected_sun
     sunlight = unoccluded_sun(buffers, shadows, sun) + shadows.reflected_sun / colour
     ambient = shadows.sky + shadows.bounce + (shadows.reflected - by_sun) / colour
     ambient = np.maximum(ambient, _DARKEST)
     contrast = luminance(sunlight) / luminance(ambient)
-    is_open = is_usable & buffers.has_surface & (contrast > _LEAST_CONTRAST)
+    is_open = is_usable & buffers.has_surface & (contrast > _MODEL.least_contrast)
     if not is_open.any():
         return shadows.sun_visibility
     prior = _prior_logit(shadows.sun_visibility, buffers, is_open)
@@ -93,13 +111,15 @@ def _along_edges(
     is_usable: Bool[np.ndarray, "h w"],
     width_px: int,
 ) -> Float32[np.ndarray, "h w"]:
-    """Where light meets shade, locally linear in the image: dapples under leaves are thinner than
-    what all pictures together tell. Faces that turn from the sun take part: those of leaves, sills
-    and reveals are often not where the mesh has them."""
-    near = max(1, round(width_px * _NEIGHBOURHOOD_FRACTION))
+    """Make the visibility locally linear in the image near shadow borders.
+
+    Dapples under leaves are thinner than the estimate from all pictures. Faces turned away from the
+    sun are included, because those of leaves, sills and reveals are often misplaced in the mesh.
+    """
+    near = max(1, round(width_px * _MODEL.neighbourhood_fraction))
     weight = is_usable.astype(np.float32)
     guide = np.log(np.maximum(brightness, _DARKEST)).astype(np.float32)
-    guided = np.clip(guided_filter(guide, visibility, weight, near, _EDGE_VARIANCE), 0.0, 1.0)
+    guided = np.clip(guided_filter(guide, visibility, weight, near, _MODEL.edge_variance), 0.0, 1.0)
     part = weight * border_fraction(visibility, width_px)
     return np.where(part > 0, visibility + part * (guided - visibility), visibility)
 
@@ -107,10 +127,11 @@ def _along_edges(
 def border_fraction(
     visibility: Float32[np.ndarray, "h w"], width_px: int
 ) -> Float32[np.ndarray, "h w"]:
-    """1 about borders of shadows, 0 where all nearby is lit or all is shadowed."""
-    near = max(1, round(width_px * _NEIGHBOURHOOD_FRACTION))
+    """Weight that is 1 near borders of shadows and 0 where all pixels nearby are lit or all
+    shadowed."""
+    near = max(1, round(width_px * _MODEL.neighbourhood_fraction))
     variance = box_mean(np.square(visibility), near) - np.square(box_mean(visibility, near))
-    flat, edge = _EDGE_DEVIATION
+    flat, edge = _MODEL.edge_deviation
     deviation = np.sqrt(np.maximum(variance, np.float32(0)))
     return np.clip((deviation - flat) / (edge - flat), 0.0, 1.0).astype(np.float32)
 
@@ -120,9 +141,11 @@ def _changed_fraction(
     rendered: Float32[np.ndarray, "h w"],
     width_px: int,
 ) -> Float32[np.ndarray, "h w"]:
-    """1 where lit and shadowed are exchanged, fading to 0 beside: elsewhere rendered edges are
-    sharper than found ones. Specks are left out."""
-    smallest = max(2, round(width_px * _SMALLEST_FRACTION))
+    """Weight that is 1 where lit and shadowed pixels are exchanged and fades to 0 beside them.
+
+    Elsewhere rendered edges are sharper than estimated ones. Small specks are left out.
+    """
+    smallest = max(2, round(width_px * _MODEL.smallest_fraction))
     is_changed = (visibility > 0.5) != (rendered > 0.5)
     is_changed = ndimage.binary_opening(is_changed, np.ones((smallest, smallest)))
     grown = np.asarray(ndimage.binary_dilation(is_changed, np.ones((3, 3))))
@@ -136,16 +159,24 @@ def _infer(
     is_open: Bool[np.ndarray, "h w"],
     width_px: int,
 ) -> Float32[np.ndarray, "h w"]:
-    """Mean-field inference: `look` is log(image / unlit model), and what sun adds to it."""
-    near = max(1, round(width_px * _NEIGHBOURHOOD_FRACTION))
+    """Estimate the visibility by mean-field inference.
+
+    Args:
+        look: log of the image over the model without sun, and the step that the sun adds to it.
+        prior: log-odds of lit from the rendered visibility.
+    """
+    near = max(1, round(width_px * _MODEL.neighbourhood_fraction))
     weight = is_open.astype(np.float32)
     guide = np.log(np.maximum(brightness, _DARKEST)).astype(np.float32)
-    # From the looks of each pixel on: the vote of a wide false shadow would never leave the prior.
+    # The initial value includes each pixel's colour: started from the prior alone, the neighbours
+    # would keep a wide false shadow for ever.
     own = prior + _image_logit(*look)
     visibility = _sigmoid(own)
-    for _ in range(_ITERATIONS):
-        vote = guided_filter(guide, visibility, weight, near, 0.05)
-        visibility = _sigmoid(own + np.float32(_SMOOTHNESS_LOGIT) * (2 * np.clip(vote, 0, 1) - 1))
+    for _ in range(_MODEL.iterations):
+        mean = guided_filter(guide, visibility, weight, near, 0.05)
+        visibility = _sigmoid(
+            own + np.float32(_MODEL.smoothness_logit) * (2 * np.clip(mean, 0, 1) - 1)
+        )
     soft = guided_filter(guide, visibility, weight, max(1, near // 2), 0.01)
     return np.clip(soft, 0.0, 1.0).astype(np.float32)
 
@@ -154,16 +185,18 @@ def _image_logit(
     residual: Float32[np.ndarray, "h w 3"],
     step: Float32[np.ndarray, "h w 3"],
 ) -> Float32[np.ndarray, "h w"]:
-    """Log-odds of lit against shadowed from the look of each pixel alone, clipped.
+    """Log-odds of lit against shadowed from each pixel's colour alone, limited.
 
     Brightness, red over blue, and green over both are taken as independent Gaussians.
     """
     basis = np.array([[1 / 3, 1 / 3, 1 / 3], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]], np.float32)
-    deviation = np.array([_LUMINANCE_DEVIATION, _CHROMA_DEVIATION, _CHROMA_DEVIATION], np.float32)
+    deviation = np.array(
+        [_MODEL.luminance_deviation, _MODEL.chroma_deviation, _MODEL.chroma_deviation], np.float32
+    )
     if_shadowed = residual @ basis.T / deviation
     if_lit = (residual - step) @ basis.T / deviation
     logit = 0.5 * (np.square(if_shadowed) - np.square(if_lit)).sum(axis=-1)
-    limit = np.float32(_LARGEST_IMAGE_LOGIT)
+    limit = np.float32(_MODEL.largest_image_logit)
     return (limit * np.tanh(logit / limit)).astype(np.float32)
 
 
@@ -177,8 +210,8 @@ def _prior_logit(
     inside = np.asarray(ndimage.distance_transform_edt(is_lit | ~is_open))
     outside = np.asarray(ndimage.distance_transform_edt(~is_lit | ~is_open))
     signed_px = np.where(is_lit, inside, -outside)
-    logit = signed_px * _footprint_m(buffers) / _GEOMETRY_ERROR_M
-    limit = _LARGEST_PRIOR_LOGIT
+    logit = signed_px * _footprint_m(buffers) / _MODEL.geometry_error_m
+    limit = _MODEL.largest_prior_logit
     return (limit * np.tanh(logit / limit)).astype(np.float32)
 
 
