@@ -1,7 +1,7 @@
-"""Blender's Cycles as a reference renderer (paper, Sec. 4), in a process of its own.
+"""Blender's Cycles as a reference renderer (paper, Sec. 4), in a separate process.
 
-The module bpy needs one exact version of Python and a NumPy before 2.0, which LightSim cannot use:
-it lives in another interpreter, which `cycles_worker.py` is run with.
+The module bpy requires one exact version of Python and a NumPy before 2.0, which LightSim cannot
+use. `cycles_worker.py` therefore runs in another interpreter.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import LightSimError, MissingDependencyError
+from lightsim.render.gbuffers import camera_pose
 from lightsim.render.reference.corner_mesh import CornerMesh, corner_mesh
-from lightsim.render.reference.path_tracer import camera_pose
-from lightsim.render.reference.renderer import Picture, Shot
+from lightsim.render.reference.renderer import SEED_STEP, Picture, Shot
 from lightsim.render.scene import FrameScene, StaticScene
 
 PYTHON_VARIABLE = "LIGHTSIM_BLENDER_PYTHON"
 _REMEDY = (
-    "bpy and LightSim want different NumPys: make a virtual environment of Python 3.11 for "
-    "Blender alone, run `pip install 'bpy==4.5.*'` in it, and name its interpreter in "
+    "bpy and LightSim require different versions of NumPy: make a virtual environment of Python "
+    "3.11 for Blender, run `pip install 'bpy==4.5.*'` in it, and give its interpreter in "
     f"{PYTHON_VARIABLE} or --blender-python."
 )
 
 
 def find_bpy(python: str | Path | None = None) -> str:
-    """The interpreter that has bpy; importing bpy takes seconds, finding it does not.
+    """Return the interpreter that has bpy, without importing bpy, which takes seconds.
 
     Args:
         python: see `Cycles`.
@@ -61,11 +61,11 @@ def find_bpy(python: str | Path | None = None) -> str:
 
 
 class Cycles:
-    """Takes shots with Cycles on the CPU. A rolling shutter is rendered at its middle row.
+    """Reference renderer by Cycles on the CPU. A rolling shutter is rendered at its middle row.
 
     Args:
-        python: an interpreter that has bpy; None for the one that the environment variable
-            LIGHTSIM_BLENDER_PYTHON names, else the running one.
+        python: an interpreter that has bpy; None: the one in the environment variable
+            LIGHTSIM_BLENDER_PYTHON, else the running one.
 
     Raises:
         MissingDependencyError: that interpreter has no bpy.
@@ -73,12 +73,10 @@ class Cycles:
 
     def __init__(self, python: str | Path | None = None) -> None:
         self.python = find_bpy(python)
-        self.seconds: list[float] = []
-        """What Cycles took for each picture of the last call of `shoot`, its setup included."""
         self._folder = tempfile.TemporaryDirectory(prefix="lightsim-cycles-")
         self._noise: IO[bytes] = (Path(self._folder.name) / "blender.log").open("w+b")
         self._process = subprocess.Popen(
-            # -P: this folder's modules must not hide Blender's own `cycles`.
+            # -P: otherwise this folder's cycles.py would shadow Blender's module `cycles`.
             [self.python, "-P", str(Path(__file__).with_name("cycles_worker.py"))],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -91,13 +89,8 @@ class Cycles:
         self._scene: FrameScene | None = None
         self._ask({"do": "start"})
 
-    @property
-    def pid(self) -> int:
-        """Of Blender's process."""
-        return self._process.pid
-
     def close(self) -> None:
-        """End the process; done by itself when the object goes."""
+        """End the process; this also happens when the object is released."""
         self._end()
 
     def __enter__(self) -> Cycles:
@@ -114,7 +107,7 @@ class Cycles:
         shots: Sequence[Shot],
         seed: int,
     ) -> list[Picture]:
-        """As `path_tracer.PathTracer.shoot`.
+        """Return linear radiance of each shot; see `renderer.ReferenceTracer.shoot`.
 
         Raises:
             FrameMismatchError: the pose does not map `camera` to `world`.
@@ -124,7 +117,6 @@ class Cycles:
         self._load(scene)
         out = Path(self._folder.name) / "picture.npy"
         images = []
-        self.seconds = []
         for number, shot in enumerate(shots):
             request = _camera_request(camera, pose) | self._light_request(shot)
             request |= {
@@ -134,14 +126,14 @@ class Cycles:
                 "bounces": shot.bounces,
                 "surfaces": shot.surfaces,
                 "is_antialiased": shot.is_antialiased,
-                "seed": (seed + 7919 * number) % (1 << 31),
+                "seed": (seed + SEED_STEP * number) % (1 << 31),
             }
-            self.seconds.append(self._ask(request)["seconds"])
+            self._ask(request)
             images.append(np.load(out))
         return images
 
     def _load(self, scene: FrameScene) -> None:
-        """Hand over what has changed since the last call."""
+        """Send the meshes that have changed since the last call."""
         static = scene.static
         if static is not self._static:
             self._ask({"do": "remove", "prefix": ""})
@@ -172,8 +164,12 @@ class Cycles:
         np.savez(path, light=light, seen=shot.dome.radiance)
         return {"sky": str(path), "sun": _sun_request(sun) if shot.has_sun else None}
 
-    def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
-        """One request, one reply."""
+    def _ask(self, request: dict[str, Any]) -> None:
+        """Send one request and wait until it is done.
+
+        Raises:
+            LightSimError: the request failed, or the process ended.
+        """
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         try:
@@ -190,10 +186,9 @@ class Cycles:
                 got=" ".join(f"{reply['error']} {self._last_words()}".split()),
                 remedy="Check its bpy (4.5) and the free memory, or choose another --renderer.",
             )
-        return reply
 
     def _last_words(self) -> str:
-        """The end of what Blender printed."""
+        """Return the end of Blender's output."""
         self._noise.flush()
         self._noise.seek(0)
         return self._noise.read().decode(errors="replace")[-800:]
@@ -202,7 +197,7 @@ class Cycles:
 def _end(
     process: subprocess.Popen[str], noise: IO[bytes], folder: tempfile.TemporaryDirectory[str]
 ) -> None:
-    """Blender ends when nobody talks to it any more."""
+    """End Blender by closing its pipes, which ends its loop over requests."""
     for pipe in (process.stdin, process.stdout):
         if pipe is not None:
             pipe.close()
@@ -212,7 +207,8 @@ def _end(
 
 
 def _clean_environment() -> dict[str, str]:
-    """The other interpreter must not see this one's packages."""
+    """Return the environment without the variables that would expose this interpreter's
+    packages."""
     hidden = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
     return {key: value for key, value in os.environ.items() if key not in hidden}
 

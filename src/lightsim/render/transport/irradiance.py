@@ -15,20 +15,21 @@ from lightsim.render.transport.lobes import Lobes, sun_in_lobes
 from lightsim.render.transport.matrix import TransportConfig, static_face_table, trace_points
 from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
 
+# Points in memory at once, with some 100 rays each. Not measured alone.
 _TILE_POINTS = 1 << 16
 
 
 @dataclass(frozen=True)
 class IrradianceConfig:
-    """Light on surface points."""
+    """Settings of the light on surface points."""
 
     transport: TransportConfig = field(default_factory=lambda: TransportConfig(sky_rays=64))
-    """Numbers of rays; pixel settings are not used."""
+    """Numbers of rays; pixel settings are ignored."""
     unseen_albedo: float | None = None
-    """With a number, the colours of the meshes are the radiance that cameras saw, and that is what
-    other surfaces send: all bounces are in it, and no base colour is needed, which is what
-    decomposition is looking for. Sides that no camera saw reflect one bounce with this grey
-    albedo. None leaves the light of other surfaces out."""
+    """With a number, the colours of the meshes are their recorded radiance, which other surfaces
+    receive as bounce light: it contains all bounces, and requires no base colour, the unknown of
+    the decomposition. Sides that no camera observed reflect one bounce with this grey albedo.
+    None: no light of other surfaces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,16 +37,16 @@ class PointIrradiance:
     """Light on n points.
 
     Args:
-        sun_visibility: fraction of the solar disc seen, 0 behind the surface's own horizon.
-        sky_visibility: cosine-weighted fraction of the hemisphere that is open.
-        sun: irradiance / pi, RGB, that the sun gives.
-        sky: the part of the open sky.
-        sky_part: of `sky`, that of the part of the dome that was asked for; zero without one.
-        bounce: the part of other surfaces.
-        reflected: radiance that the points' specular lobes send, of sky and other surfaces; zero
+        sun_visibility: visible fraction of the solar disc, 0 if the surface faces away from it.
+        sky_visibility: sky view factor, the cosine-weighted open fraction of the hemisphere.
+        sun: irradiance / pi of the sun, RGB.
+        sky: irradiance / pi of the open sky.
+        sky_part: fraction of `sky` from the requested part of the dome; 0 without one.
+        bounce: irradiance / pi of other surfaces.
+        reflected: radiance that the points' specular lobes reflect, of sky and other surfaces; 0
             without lobes.
-        reflected_part: of `reflected`, that of the part of the dome that was asked for.
-        reflected_sun: the same of the sun, without visibility.
+        reflected_part: fraction of `reflected` from the requested part of the dome.
+        reflected_sun: radiance of the sun that the lobes reflect, without visibility.
     """
 
     sun_visibility: Float32[np.ndarray, " n"]
@@ -60,12 +61,12 @@ class PointIrradiance:
 
     @property
     def irradiance_over_pi(self) -> Float32[np.ndarray, "n 3"]:
-        """RGB of sun, sky and bounce; a white Lambert surface shows it."""
+        """RGB of sun, sky and bounce: the radiance of a white Lambert surface."""
         return self.sun + self.sky + self.bounce
 
     @staticmethod
     def zeros(count: int) -> PointIrradiance:
-        """Darkness, to be filled in."""
+        """Return zero light, to be filled in."""
         one, two = (np.zeros(count, dtype=np.float32) for _ in range(2))
         return PointIrradiance(
             one, two, *(np.zeros((count, 3), dtype=np.float32) for _ in range(7))
@@ -81,15 +82,20 @@ def irradiance_at(
     faces: FaceTable | None = None,
     part_of_dome: SkyDome | None = None,
 ) -> PointIrradiance:
-    """Light of a dome on surface points, in frame `world`.
+    """Return the light of a dome on surface points, in frame `world`.
 
     Scenes without actors come from `render.scene.without_actors`.
 
     Args:
-        faces: what an earlier call with the same scene, rays and seed has traced already
-            (`static_face_table`); it grows, which makes many small calls cheap.
-        surface: with lobes (`Lobes.none_on` for none); no ray is traced where none reflects.
-        part_of_dome: a dome without sun whose light is wanted besides.
+        surface: points with lobes (`Lobes.none_on` for none); no ray is traced for points that do
+            not reflect.
+        scene: surfaces that block and reflect light.
+        dome: the sky with its sun.
+        config: numbers of rays.
+        seed: of the ray directions.
+        faces: from `static_face_table` with the same scene, rays and seed; it grows, which makes
+            many small calls cheap.
+        part_of_dome: a dome without sun whose light is returned separately.
     """
     config = config or IrradianceConfig()
     rays = config.transport
@@ -118,11 +124,11 @@ def _tile(
     surface: Lobes,
     shifts: Float32[np.ndarray, "n 2"],
     scene: FrameScene,
-    shared: tuple[EnvironmentCells, EnvironmentCells | None, FaceTable],
+    light: tuple[EnvironmentCells, EnvironmentCells | None, FaceTable],
     config: IrradianceConfig,
 ) -> PointIrradiance:
     points, normals = surface.ray_starts_world, surface.normal_world
-    cells, part_cells, face_table = shared
+    cells, part_cells, face_table = light
     table = trace_points(scene, surface, shifts, config.transport, face_table)
     radiosity = _radiosity(table.faces, scene, cells, config.unseen_albedo)
     lit = light_points(table, radiosity, scene, points, normals, cells, config.transport)
@@ -152,7 +158,8 @@ def _tile(
 def _radiosity(
     faces: FaceSamples, scene: FrameScene, cells: EnvironmentCells, unseen_albedo: float | None
 ) -> Float32[np.ndarray, "f 3"]:
-    """What each face sends: as it was seen, or one grey bounce where it was not."""
+    """Return the radiance of each face: the recorded one, or one grey bounce for unobserved
+    faces."""
     if unseen_albedo is None:
         return np.zeros_like(faces.base_colour)
     grey = replace(faces, base_colour=np.full_like(faces.base_colour, unseen_albedo))

@@ -10,17 +10,17 @@ from lightsim.core.colour import luminance
 from lightsim.core.dome import Sun
 from lightsim.render.casters.embree import offset_origins
 from lightsim.render.scene import FrameScene
-from lightsim.render.transport.faces import TransportConfig, hashed_shifts
+from lightsim.render.transport.faces import TransportConfig
 from lightsim.render.transport.glossy import glossy_lobes
 from lightsim.render.transport.lobes import sun_in_lobes
 from lightsim.render.transport.matrix import SampleTable
 from lightsim.render.transport.samples import PixelSamples
 from lightsim.render.transport.sky import EnvironmentCells
 from lightsim.render.transport.sun import (
-    PATTERNS,
     TILE_RAYS,
     as_seen,
     disc_patterns,
+    pattern_numbers,
     unshadowed_sun,
 )
 
@@ -37,13 +37,18 @@ def resolve(
     ],
     config: TransportConfig,
 ) -> ShadowBuffers:
-    """Means over the samples of each pixel.
+    """Return means over the samples of each pixel.
 
-    Sky and bounce light at pixel centres hold for all samples of a pixel, except at edges, where
-    every sample gets its own. Sun rays start from every sample.
+    Sky and bounce light at pixel centres are used for all samples of a pixel, except at edges,
+    where each sample has its own. Sun rays start from every sample.
 
     Args:
-        arrived: the sky; light of the faces met, of the traced points, and at pixel centres.
+        detail: transport to the samples.
+        scene: surfaces that block the sun.
+        gbuffers: geometry of the frame.
+        arrived: the sky; radiance of the faces met; sums of the traced points, and at pixel
+            centres.
+        config: numbers of rays.
     """
     cells, radiosity, sums, images = arrived
     samples = detail.samples
@@ -80,7 +85,7 @@ def resolve(
 def _sun_at_edges(
     samples: PixelSamples, visible: Float32[np.ndarray, " n"], sun: Sun
 ) -> Float32[np.ndarray, "e 3"]:
-    """Irradiance / pi of the sun on the samples at edges."""
+    """Return irradiance / pi of the sun on the samples at edges."""
     return unshadowed_sun(samples.edge.normal_world, sun) * visible[samples.edge.rows, None]
 
 
@@ -90,7 +95,8 @@ def _diffuse(
     edge_shaded: Float32[np.ndarray, "e 3"],
     fraction: Float32[np.ndarray, " p"],
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Mean radiance by diffuse reflection: colours differ within a pixel, light at edges only."""
+    """Return mean radiance of diffuse reflection: colours differ within a pixel, light only at
+    edges."""
     samples = detail.samples
     image = detail.base_colour * shaded
     image.reshape(-1, 3)[samples.pixel[samples.edge.rows]] = 0
@@ -104,13 +110,19 @@ def _add_sun(
     arriving: tuple[Sun, Float32[np.ndarray, " p"]],
     config: TransportConfig,
 ) -> Float32[np.ndarray, " n"]:
-    """Fraction of the solar disc that each sample sees, 0 where the sun stands behind it; adds to
-    `image` the means of that, of it times the sun's cosine, and of the cosine.
+    """Return the visible fraction of the solar disc of each sample, 0 if it faces away from the
+    sun.
 
-    The samples of a pixel share `sun_rays` points on the disc, at least one each.
+    Three channels of `image` receive the means of that fraction, of it times the sun's cosine, and
+    of the cosine. The samples of a pixel divide `sun_rays` points on the disc among them, at least
+    one each.
 
     Args:
+        image: modified in place.
+        fraction: weight of a sample in the mean of its pixel.
+        frame: samples, scene and geometry.
         arriving: the sun, and the luminance of other light at each pixel.
+        config: numbers of rays.
     """
     samples, scene, gbuffers = frame
     sun, shade = arriving
@@ -131,7 +143,7 @@ def _add_sun(
         facing = np.flatnonzero(cosine > 0)
         pixel = samples.pixel[part][facing]
         origins = offset_origins(samples.ray_starts_world[part][facing], normals[facing])
-        chosen = (hashed_shifts(pixel.astype(np.int64), 7)[:, 0] * PATTERNS).astype(np.int64)
+        chosen = pattern_numbers(pixel.astype(np.int64))
         which = samples.number[part][facing, None] + samples.per_pixel * np.arange(rays)
         directions = patterns[chosen[:, None], which].reshape(-1, 3)
         occluded = caster.is_occluded(np.repeat(origins, rays, axis=0), directions)
@@ -140,8 +152,8 @@ def _add_sun(
             sunlight = float(luminance(sun.irradiance / np.pi)) * cosine[facing] * open_rays
             open_rays *= as_seen(roofs.open_fraction(origins, sun), shade[pixel], sunlight)
         visible[start + facing] = open_rays
-        seen = visible[part]
-        samples.add_means(image, part, np.stack([seen, cosine * seen, cosine], axis=1), fraction)
+        disc = visible[part]
+        samples.add_means(image, part, np.stack([disc, cosine * disc, cosine], axis=1), fraction)
     return visible
 
 
@@ -152,7 +164,7 @@ def _glossy(
     visible: Float32[np.ndarray, " n"],
     fraction: Float32[np.ndarray, " p"],
 ) -> Float32[np.ndarray, "h w 3"] | None:
-    """Mean radiance that smooth samples reflect; None where there are none."""
+    """Return the mean radiance that smooth samples reflect; None without such samples."""
     if detail.glossy is None:
         return None
     table, smoothing = detail.glossy

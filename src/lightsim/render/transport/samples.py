@@ -1,4 +1,4 @@
-"""What pixels show between their centres, so that edges are averaged, not stair-stepped."""
+"""Surface samples within pixels, so that edges are anti-aliased."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ from lightsim.render.gbuffers import BAND_RAYS, SeenSurfaces, see, surface_mater
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import TransportConfig
 
+# Cosine above which neighbouring normals count as one surface (18 degrees). Chosen; sensitivity not
+# measured.
 _SAME_NORMAL = 0.95
-"""Cosine above which neighbouring normals count as one surface."""
 
 
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:
-    """Some of the samples, with all that is known of their surface.
+    """Some of the samples, with the attributes of their surface.
 
     Args:
         rows: among the samples.
-        towards_camera: unit.
+        towards_camera: unit vectors.
     """
 
     rows: Int64[np.ndarray, " k"]
@@ -40,17 +41,17 @@ class SurfacePoints:
 
 @dataclass(frozen=True, eq=False)
 class PixelSamples:
-    """Surfaces at `per_pixel` points of every pixel. Samples that see the sky are left out.
+    """Surfaces at `per_pixel` points of every pixel, without samples that show the sky.
 
     Args:
-        per_pixel: how many points were looked at.
+        per_pixel: points of each pixel.
         pixel: flat number of the pixel of each sample.
         number: of the sample within its pixel.
         ray_starts_world: of each sample, see core.buffers.GBuffers.
         base_colour: mean over the samples of a pixel; 0 without a surface.
         coverage: fraction of each pixel's samples that show a surface.
-        edge: samples of pixels that show more than one surface; the samples of other pixels lie
-            on the surface at the pixel's centre.
+        edge: samples of pixels that show more than one surface; the samples of other pixels lie on
+            the surface at the pixel's centre.
         glossy: samples on surfaces that reflect.
     """
 
@@ -76,7 +77,7 @@ class PixelSamples:
         values: Float32[np.ndarray, "k c"],
         fraction: Float32[np.ndarray, " p"],
     ) -> Float32[np.ndarray, "h w c"]:
-        """`image`, to which each pixel's values times `fraction` are added in place."""
+        """Add each pixel's values times `fraction` to `image` in place, and return it."""
         from lightsim.render.transport.kernels import add_to_pixels
 
         add_to_pixels(self.pixel[rows], fraction, values, image.reshape(fraction.size, -1))
@@ -84,7 +85,7 @@ class PixelSamples:
 
     @property
     def black(self) -> Float32[np.ndarray, "h w 3"]:
-        """An image of zeros."""
+        """Image of zeros."""
         return np.zeros((*self.coverage.shape, 3), dtype=np.float32)
 
 
@@ -96,10 +97,16 @@ def render_samples(
     config: TransportConfig,
     is_wanted: Bool[np.ndarray, "h w"] | None = None,
 ) -> PixelSamples:
-    """Look at `config.pixel_samples` points of every pixel, or of those that are wanted.
+    """Return surface samples at `config.pixel_samples` points of every pixel, or of the wanted
+    ones.
 
     Args:
-        gbuffers: of the same view, to tell edges.
+        scene: surfaces visible to cameras.
+        camera: of the view.
+        view: a recorded frame, or the pose world_from_camera of a static camera.
+        gbuffers: of the same view, to detect edges.
+        config: number of samples.
+        is_wanted: pixels to sample; None: all.
     """
     count = config.pixel_samples
     corners = camera.pixel_centres().reshape(-1, 2) - 0.5
@@ -115,16 +122,20 @@ def render_samples(
 
 
 def sample_offsets(count: int) -> Float[np.ndarray, "n 2"]:
-    """Points of the unit square, one in each cell of a grid, no two in one row or column (Kensler
-    2013, correlated multi-jittered sampling, without jitter). The centre for a single one."""
+    """Return points of the unit square, one in each cell of a grid, no two in one row or column.
+
+    Correlated multi-jittered sampling (Kensler 2013) without jitter; the centre for a single point.
+    """
     side = round(np.sqrt(count))
     i, j = np.divmod(np.arange(count), side)
     return np.stack([(i + (j + 0.5) / side) / side, (j + (i + 0.5) / side) / side], axis=1)
 
 
 class _Gathered:
-    """Samples as they come, band by band. Arrays are as long as they can become: memory that is
-    never written is never used."""
+    """Samples of the pixels so far, band by band.
+
+    Arrays have their greatest possible length: memory pages that are never written cost nothing.
+    """
 
     def __init__(self, gbuffers: GBuffers, per_pixel: int) -> None:
         size = gbuffers.depth_z_m.size
@@ -146,7 +157,7 @@ class _Gathered:
         pixels: Int64[np.ndarray, " p"],
         config: TransportConfig,
     ) -> None:
-        """The samples of these pixels."""
+        """Add the samples of some pixels."""
         local, number = np.divmod(seen.rows, self._per_pixel)
         count = np.bincount(local, minlength=len(pixels))
         for c in range(3):
@@ -175,7 +186,8 @@ class _Gathered:
         self._total = new.stop
 
     def result(self) -> PixelSamples:
-        """All samples; pixels whose centre alone meets a surface keep the light at their centre."""
+        """Return all samples; pixels with a surface at their centre only are lit at their
+        centre."""
         buffers = self._gbuffers
         shape = buffers.depth_z_m.shape
         missed = np.flatnonzero((self._coverage == 0) & buffers.has_surface.reshape(-1))
@@ -197,11 +209,14 @@ class _Gathered:
 def _is_unlike(
     scene: FrameScene, seen: SeenSurfaces, pixel: Int64[np.ndarray, " n"], gbuffers: GBuffers
 ) -> Bool[np.ndarray, " n"]:
-    """Whether samples show another surface than the centre of their pixel."""
+    """Return the samples that show another surface than the centre of their pixel."""
+    from lightsim.render.transport.kernels import SAME_SURFACE_M, SAME_SURFACE_PER_M
+
     normal = gbuffers.normal_world.reshape(-1, 3)[pixel]
     gap = seen.position_world - gbuffers.position_world.reshape(-1, 3)[pixel]
     depth = gbuffers.depth_z_m.reshape(-1)[pixel]
-    tolerance = np.where(np.isfinite(depth), 0.004 * depth + 0.02, 0.0)
+    # Without a surface at the centre the tolerance is 0: all samples count as another surface.
+    tolerance = np.where(np.isfinite(depth), SAME_SURFACE_PER_M * depth + SAME_SURFACE_M, 0.0)
     far = np.abs(np.einsum("nc,nc->n", gap, normal)) > tolerance
     bent = np.einsum("nc,nc->n", seen.normal_world, normal) < _SAME_NORMAL
     other = scene.actor_index[seen.hits.mesh_index] != gbuffers.actor_index.reshape(-1)[pixel]
