@@ -44,8 +44,10 @@ def tone_mapped(linear: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"
 
 
 def dome_preview(dome: SkyDome) -> UInt8[np.ndarray, "h w 3"]:
-    """Return the dome in 8 bits, about 768 pixels wide, its centre column along world +x, a ring
-    around the sun."""
+    """Return the dome as an 8-bit image about 768 pixels wide.
+
+    Its centre column looks along world +x; a ring marks the sun, if the dome has one.
+    """
     width_px = 768
     step = max(1, dome.radiance.shape[1] // width_px)
     height, width = dome.height_px // step, dome.radiance.shape[1] // step

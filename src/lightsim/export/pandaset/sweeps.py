@@ -1,4 +1,4 @@
-"""Sweeps of a written log: recorded rows with simulated ones among them."""
+"""Sweeps of a written log: recorded rows and simulated ones."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from lightsim.store.pandaset_tables import Columns
 
 @dataclass(frozen=True, eq=False)
 class WrittenSweep:
-    """A sweep to write.
+    """Sweep to write.
 
     Args:
-        columns: x, y, z, i, t, d, as PandaSet has them.
+        columns: x, y, z, i, t, d, as in PandaSet.
         semantic_class: of each row; -1 unknown.
-        is_recorded: rows that are the recorded ones.
+        is_recorded: rows that equal recorded ones.
     """
 
     columns: Columns
@@ -44,7 +44,7 @@ class WrittenSweep:
 
 
 class SweepEditor:
-    """Makes the sweeps of a scenario; what the LiDARs answer is learnt when it is first needed."""
+    """Editor of the sweeps of a scenario; the LiDARs' response is learnt on first use."""
 
     def __init__(
         self, workspace: Workspace, recorded: Scenario, scenario: Scenario, progress: Progress
@@ -56,7 +56,7 @@ class SweepEditor:
         self._beams = RecordedBeams(workspace.log, paths)
 
     def edited(self, lazy: LazySweep) -> WrittenSweep | None:
-        """The sweep as it would have been recorded; None where it is as it was."""
+        """Return the sweep of the scenario; None if it equals the recorded one."""
         change = self.change.at(lazy.time_ns)
         if change.is_none:
             return None
@@ -99,18 +99,23 @@ class SweepEditor:
 def motion_of(
     recorded: Trajectory, driven: Trajectory, times_ns: Int64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 4 4"]:
-    """What carries all that is fixed to the ego vehicle from its recorded path to another."""
+    """Return the rigid motion of the world that moves the ego vehicle from its recorded path to
+    another."""
     return driven.held_at(times_ns) @ np.linalg.inv(recorded.held_at(times_ns))
 
 
 def written(
     recorded: RecordedSweep, made: SimulatedBeams, path: PathCorrection | None
 ) -> WrittenSweep:
-    """The rows of a simulated sweep, in the world as recorded. Kept rows are the recorded numbers;
-    a beam that came back before and does now keeps its row, others are put in by their time.
+    """Return the rows of a simulated sweep, in the recorded world.
+
+    Unchanged returns have the recorded values. A beam with returns both before and now keeps its
+    row; others are inserted by time.
 
     Args:
-        path: the correction that turned the recorded world into the twin's.
+        recorded: the sweep with its stored rows.
+        made: the simulated beams.
+        path: correction from the recorded world to the twin's.
     """
     rows, beams = recorded.rows, made.beams
     is_made = made.answers.is_returned & np.isfinite(made.range_m)
@@ -124,7 +129,7 @@ def written(
     simulated: Columns = {
         **dict(zip("xyz", points.T, strict=True)),
         "i": made.answers.intensity[taken].astype(np.float64),
-        # To the microsecond, as recorded ones.
+        # Rounded to the microsecond, like recorded times.
         "t": np.round(times_ns * 1e-9, 6),
         "d": beams.device[taken],
     }
@@ -141,7 +146,10 @@ def written(
 def _positions(
     recorded: RecordedSweep, taken: Int64[np.ndarray, " k"]
 ) -> Float64[np.ndarray, " k"]:
-    """Where beams stand among the recorded rows: PandaSet has LiDAR after LiDAR, each in time."""
+    """Return the positions of beams among the recorded rows.
+
+    PandaSet orders rows by LiDAR, and by time for each LiDAR.
+    """
     beams = recorded.beams
     place = beams.row.astype(np.float64)
     for device in np.unique(beams.device).tolist():
