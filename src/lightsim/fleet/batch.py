@@ -121,6 +121,7 @@ def run_batch(
     if not lines:
         raise InputError("the list contains no log", expected="one or more lines")
     options.out.mkdir(parents=True, exist_ok=True)
+    # Repeated lines would write the same files at the same time.
     chosen = Shard.parse(options.shard).of(list(dict.fromkeys(lines)))
     jobs = [_job((command, *words), options.out) for words in chosen]
     pending = [job for job in jobs if not job.is_done()]
@@ -132,6 +133,7 @@ def run_batch(
             for future in progress.track(as_completed(futures), command, len(pending)):
                 if future.result():
                     failed[futures[future].log] = _last_line(futures[future].log)
+        # Also at Ctrl-C: processes must not outlive the batch.
         except BaseException:
             running.stop()
             pool.shutdown(wait=True, cancel_futures=True)
@@ -149,6 +151,7 @@ def _job(words: tuple[str, ...], out: Path) -> _Job:
 
     The name does not depend on the line's position: lists may be reordered, and extended.
     """
+    # Short, since it only separates lines with the same first log.
     digest = hashlib.sha256("\0".join(words).encode()).hexdigest()[:8]
     # `evaluate` and `train` have another word, the subject, before the log.
     is_second = words[0] in ("evaluate", "train") and len(words) > 2
@@ -163,6 +166,7 @@ class _Running:
     """Running processes."""
 
     def __init__(self, at_a_time: int) -> None:
+        # Without a limit each process would start threads for all cores. The user's value wins.
         own = max(1, core_count() // at_a_time)
         self._environment = {THREADS: str(own), **os.environ}
         self._lock = threading.Lock()
@@ -186,6 +190,7 @@ class _Running:
             code = process.wait()
         with self._lock:
             self._alive.discard(process)
+        # Written last: a crash leaves the line unfinished.
         if code == 0:
             write_text(job.done, job.record)
         return code

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64, Shaped
+from jaxtyping import Bool, Float64, Int64
 
 from lightsim.core.frames import Trajectory
 from lightsim.core.sensors import LidarSweep
+from lightsim.lidar.rows import Rows
 
 # Row of a beam without a return.
 NO_ROW = -1
 
 
 @dataclass(frozen=True, eq=False)
-class Beams:
+class Beams(Rows):
     """Rays of LiDARs in frame `world`, each at its own time.
 
     Args:
@@ -47,10 +47,6 @@ class Beams:
         """Return points at a distance along each beam, frame `world`."""
         return self.origins_world + distance_m[:, None] * self.directions_world
 
-    def chosen(self, rows: Shaped[np.ndarray, " k"]) -> Beams:
-        """Return some of the beams, by a mask or by their numbers."""
-        return Beams(*(getattr(self, f.name)[rows] for f in fields(self)))
-
     def moved(self, motion: Float64[np.ndarray, "n 4 4"]) -> Beams:
         """Return the beams, each transformed by its own rigid motion of the world."""
         rotation = motion[:, :3, :3]
@@ -59,13 +55,9 @@ class Beams:
         return Beams(origins, directions, self.times_ns, self.device, self.range_m, self.row)
 
 
-def joined(parts: Sequence[Beams]) -> Beams:
-    """Concatenate one or more groups of beams."""
-    return Beams(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Beams)))
-
-
 def returned_beams(sweep: LidarSweep, device: Int64[np.ndarray, " n"]) -> Beams:
     """Return the beams of a sweep's returns, in its order."""
+    # In double precision: directions of far returns are needed to a hundredth of a degree.
     along = sweep.points_world.astype(np.float64) - sweep.origins_world
     range_m = np.linalg.norm(along, axis=1)
     offset_ns = np.rint(sweep.time_offset_s.astype(np.float64) * 1e9).astype(np.int64)
@@ -88,13 +80,12 @@ def unreturned_beams(
     """Return beams without return, from their directions in frame `ego`.
 
     Args:
-        directions_ego: unit vectors.
-        times_ns: of the measurements.
         returned: beams of the same LiDAR and sweep with returns, which give the sensor's positions.
         ego: `world_from_ego`.
     """
     rotation = ego.held_at(times_ns)[:, :3, :3]
     order = np.argsort(returned.times_ns, kind="stable")
+    # Times relative to the sweep: nanoseconds since 1970 exceed a float's precision.
     knots, start_ns = returned.times_ns[order], int(returned.times_ns.min())
     origins = [
         np.interp(times_ns - start_ns, knots - start_ns, returned.origins_world[order, axis])

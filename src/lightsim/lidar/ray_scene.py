@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, Shaped
@@ -14,6 +14,7 @@ from lightsim.core.mesh import TriMesh
 from lightsim.core.scenario import ActorPlacement
 from lightsim.core.sensors import SWEEP_HOLD_S
 from lightsim.lidar.beams import Beams
+from lightsim.lidar.rows import Rows
 
 # Body of a beam that meets no surface.
 NOTHING = -2
@@ -25,7 +26,7 @@ _BOX_MARGIN_M = 0.15
 
 
 @dataclass(frozen=True, eq=False)
-class Surfaces:
+class Surfaces(Rows):
     """First surface on each beam.
 
     Args:
@@ -51,19 +52,10 @@ class Surfaces:
 
     def nearer(self, other: Surfaces) -> Surfaces:
         """Return the nearer of two surfaces on each beam."""
-        nearest = Surfaces(*(getattr(self, f.name).copy() for f in fields(self)))
+        nearest = self.chosen(np.arange(len(self.body)))
         rows = np.flatnonzero(other.distance_m < self.distance_m)
         nearest.fill(rows, other.chosen(rows))
         return nearest
-
-    def chosen(self, rows: Shaped[np.ndarray, " k"]) -> Surfaces:
-        """Return the surfaces of some of the beams, by a mask or by their numbers."""
-        return Surfaces(*(getattr(self, f.name)[rows] for f in fields(self)))
-
-    def fill(self, rows: Int64[np.ndarray, " k"], other: Surfaces) -> None:
-        """Replace some rows by others."""
-        for field in fields(self):
-            getattr(self, field.name)[rows] = getattr(other, field.name)
 
 
 class RayScene:
@@ -115,6 +107,7 @@ class RayScene:
             rows = np.flatnonzero(_may_meet(beams, caster.meshes[0], track, self._time_ns))
             if not len(rows):
                 continue
+            # Distances along a beam do not change by a rigid motion, so hits need no correction.
             carried = carried_to(beams.chosen(rows), track, self._time_ns)
             hits = caster.intersect(carried.origins_world, carried.directions_world)
             met = Surfaces.nothing(len(beams))
@@ -152,6 +145,7 @@ def in_actor(
     half = track.size_lwh_m / 2 + _BOX_MARGIN_M
     centre = track.trajectory.held(time_ns).translation_m
     reach_m = float(np.linalg.norm(half)) + _swept_m(beams, track, time_ns)
+    # A coarse selection: the transformation of all points of a sweep for each actor is slow.
     near = np.flatnonzero((np.abs(points_world - centre) < reach_m).all(axis=1))
     local = to_actor(points_world[near], track, beams.times_ns[near])
     is_in = (np.abs(local) <= half).all(axis=1)
@@ -177,6 +171,7 @@ def _may_meet(
     centre = track.trajectory.held(time_ns).translation_m
     reach_m = np.linalg.norm(mesh.vertices - centre, axis=1).max(initial=0.0)
     towards = centre - beams.origins_world
+    # Distance along the beam of its point nearest to the centre, not behind the sensor.
     along = np.maximum((towards * beams.directions_world).sum(axis=1), 0.0)
     past = np.linalg.norm(towards - along[:, None] * beams.directions_world, axis=1)
     return past < reach_m + _swept_m(beams, track, time_ns)
@@ -203,6 +198,8 @@ def _surfaces(
         face = hits.face_index[rows]
         corners = mesh.vertices[mesh.faces[face]].astype(np.float64)
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        # Normals of faces instead of smooth ones: the LiDAR's response depends on the true
+        # incidence.
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         found.body[rows] = bodies[index]
         found.normal[rows] = normal

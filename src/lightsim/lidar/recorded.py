@@ -19,13 +19,7 @@ from lightsim.datasets.pandaset.numbered import TABLES, numbered_files
 from lightsim.datasets.pandaset.places import SWEEPS
 from lightsim.datasets.pandaset.sweeps import read_rows
 from lightsim.datasets.safe_pickle import Table
-from lightsim.lidar.beams import (
-    Beams,
-    in_ego,
-    joined,
-    returned_beams,
-    unreturned_beams,
-)
+from lightsim.lidar.beams import Beams, in_ego, returned_beams, unreturned_beams
 from lightsim.lidar.ray_scene import (
     STATIC,
     RayScene,
@@ -128,7 +122,7 @@ class RecordedBeams:
             parts.append(
                 unreturned_beams(missing.vectors, missing.times_ns, of_device, self._log.ego)
             )
-        return RecordedSweep(sweep, rows, joined(parts))
+        return RecordedSweep(sweep, rows, Beams.joined(parts))
 
     def _load(self, lazy: LazySweep) -> tuple[LidarSweep, Table, Int64[np.ndarray, " n"]]:
         rows, is_good = read_rows(self._paths[int(lazy.stem)])
@@ -174,14 +168,6 @@ def learn_response(
 
     A beam is used if the surface it met is known: the twin agrees with its return, or the beam has
     no return and the twin gives the surface.
-
-    Args:
-        beams: of the recording.
-        sweeps: to learn from.
-        static: caster over the static scene.
-        placements: actors of the recording.
-        make_caster: constructor of ray casters.
-        progress: shows the sweeps.
     """
     found: dict[tuple[int, str], list[Donors]] = {}
     noise: dict[int, list[float]] = {}

@@ -53,6 +53,7 @@ class Change:
 
         Objects that no edit touches are identical in both.
         """
+        # By identity, since comparing tracks and meshes by value is slow.
         before = {id(p) for p in recorded.placements}
         after = {id(p) for p in scenario.placements}
         left = {id(t) for t in scenario.tracks if t.actor_id not in scenario.removed}
@@ -125,14 +126,17 @@ class LidarSimulator:
         """Return a sweep in which only beams that meet a change are simulated."""
         new = self._scene(change.new, time_ns).cast_actors(beams)
         gone = self._scene(change.gone_shapes, time_ns).cast_actors(beams)
+        # Boxes in addition to meshes: reconstructed meshes of actors miss parts, such as mirrors.
         in_gone = _in_any(beams, change.gone, time_ns)
         rows = np.flatnonzero((new.body != NOTHING) | (gone.body != NOTHING) | in_gone)
         some, new = beams.chosen(rows), new.chosen(rows)
         rest = self._surfaces(some, change.kept, time_ns)
+        # A recorded return is more accurate than the twin, so it limits new actors.
         open_m = np.where(some.is_returned, some.range_m, rest.distance_m)
         was_gone = _was_gone(some, in_gone[rows], gone.chosen(rows), rest)
         open_m[was_gone] = rest.distance_m[was_gone]
         is_changed = was_gone | (new.distance_m < open_m)
+        # Bodies are numbered over new actors, then unchanged ones.
         bodies = (*change.new, *change.kept)
         rest.body[rest.body >= 0] += len(change.new)
         met = new.nearer(rest).chosen(is_changed)
@@ -160,6 +164,7 @@ class LidarSimulator:
         returns."""
         scene = self._scene(placements, time_ns)
         static = scene.cast_static(beams)
+        # Each LiDAR has its own donors.
         for device in np.unique(beams.device).tolist():
             rows = np.flatnonzero((beams.device == device) & (static.body == STATIC))
             static.distance_m[rows] = self._response.refined_m(
@@ -181,6 +186,7 @@ class LidarSimulator:
         count = len(beams)
         answers, range_m = Answers.nothing(count), np.full(count, np.inf)
         is_kept = beams.is_returned & (not is_all)
+        # Simulated beams replace their recorded returns.
         is_kept[rows] = False
         for device in np.unique(beams.device[rows]).tolist():
             for body in np.unique(met.body).tolist():
@@ -189,6 +195,7 @@ class LidarSimulator:
                     continue
                 own, surfaces = beams.chosen(rows[part]), met.chosen(part)
                 found = self._of_body(device, own, surfaces, _placement(bodies, body), rng)
+                # Distances of the twin have no noise, recorded ones do.
                 noise = rng.normal(0.0, self._response.noise_m.get(device, 0.0), len(part))
                 answers.fill(rows[part], found)
                 range_m[rows[part]] = np.where(
@@ -210,6 +217,7 @@ class LidarSimulator:
         track = placement.track
         local = to_actor(points, track, beams.times_ns)
         found = self._response.answer(device, track.actor_id, track.kind, (local, looks), rng)
+        # An actor's own label is certain; a donor's class may be that of a mislabelled point.
         known = self._class_by_label.get(label_of(track))
         if known is not None:
             found.semantic_class[found.is_returned] = known

@@ -12,15 +12,16 @@ doi:10.1109/CVPR42600.2020.01118).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int64, Shaped
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 from scipy.spatial import KDTree
 
 from lightsim.core.actors import ActorKind
 from lightsim.lidar.beams import Beams
 from lightsim.lidar.ray_scene import Surfaces
+from lightsim.lidar.rows import Rows
 
 # Recorded beams in memory: 24 of them lie within 0.3 m of most places of PandaSet's sequence 002.
 MOST_DONORS = 1_500_000
@@ -53,7 +54,7 @@ _FLAT_M = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
+class Answers(Rows):
     """Responses to beams.
 
     Args:
@@ -71,20 +72,6 @@ class Answers:
         """Return responses without a return."""
         none = np.full(count, -1, dtype=np.int64)
         return cls(np.zeros(count, dtype=bool), np.zeros(count, np.float32), none)
-
-    @classmethod
-    def joined(cls, parts: Sequence[Answers]) -> Answers:
-        """Concatenate one or more groups of responses."""
-        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
-
-    def chosen(self, rows: Shaped[np.ndarray, "..."]) -> Answers:
-        """Return some of the responses."""
-        return Answers(*(getattr(self, f.name)[rows] for f in fields(self)))
-
-    def fill(self, rows: Int64[np.ndarray, " k"], other: Answers) -> None:
-        """Replace some rows by others."""
-        for field in fields(self):
-            getattr(self, field.name)[rows] = getattr(other, field.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,11 +153,8 @@ class Response:
         """Return the responses to beams on one body.
 
         Args:
-            device: number of the LiDAR.
             body: an actor's id, "" for the static scene.
-            kind: of the actor; None for the static scene.
             met: places in the body's frame, and looks.
-            rng: draws the donors.
         """
         places, looks = met
         # Donors by look are the fallback for places without donors nearby.
@@ -255,8 +239,6 @@ def fitted_planes(
     points.
 
     Args:
-        points: groups of points.
-        weight: of each point.
         tilt: unit normals for planes through points in one line; 0: any.
     """
     part = (weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-9))[..., None]

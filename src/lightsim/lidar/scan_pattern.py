@@ -19,6 +19,8 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import KDTree
 
+from lightsim.lidar.rows import Rows
+
 # Least span of the azimuths of a spinning LiDAR in one sweep.
 _SPINS_RAD = np.radians(300.0)
 # Width of a bin in the histogram of elevations: well below the rings' scatter of 0.03 degrees.
@@ -44,7 +46,7 @@ _SAME_BEAM = 0.7
 
 
 @dataclass(frozen=True, eq=False)
-class ScanDirections:
+class ScanDirections(Rows):
     """Directions of one LiDAR in one sweep.
 
     Args:
@@ -71,10 +73,6 @@ class ScanDirections:
         flat = np.cos(self.elevation_rad)
         parts = (np.cos(self.azimuth_rad) * flat, np.sin(self.azimuth_rad) * flat)
         return np.stack([*parts, np.sin(self.elevation_rad)], axis=1)
-
-    def chosen(self, mask: Bool[np.ndarray, " n"]) -> ScanDirections:
-        """Return the directions of a mask."""
-        return ScanDirections(self.azimuth_rad[mask], self.elevation_rad[mask], self.times_ns[mask])
 
     @property
     def is_spinning(self) -> bool:
@@ -139,7 +137,6 @@ def missing_in_raster(found: ScanDirections, others: Sequence[ScanDirections]) -
     They are directions of other sweeps with no return of this one within the raster's step.
 
     Args:
-        found: directions with returns in this sweep.
         others: of the same LiDAR in other sweeps, nearest in time first.
     """
     have = found.vectors
@@ -153,11 +150,7 @@ def missing_in_raster(found: ScanDirections, others: Sequence[ScanDirections]) -
         times_ns = new.times_ns - int(other.times_ns.min()) + start_ns
         parts.append(ScanDirections(new.azimuth_rad, new.elevation_rad, times_ns))
         have = np.concatenate([have, new.vectors])
-    return ScanDirections(
-        np.concatenate([p.azimuth_rad for p in parts]),
-        np.concatenate([p.elevation_rad for p in parts]),
-        np.concatenate([p.times_ns for p in parts]),
-    )
+    return ScanDirections.joined(parts)
 
 
 _Fired = tuple[Float64[np.ndarray, " _"], Int64[np.ndarray, " _"]]

@@ -32,13 +32,12 @@ class CompositeCaster:
         """Return the nearest first hit of each ray; at equal distances the earlier caster wins."""
         best: RayHits | None = None
         for caster, first in zip(self._casters, self._first_mesh, strict=True):
-            if best is not None and not _has_faces(caster):
-                continue
-            found = caster.intersect(origins_world, directions_world)
-            best = found if best is None and first == 0 else _nearer(best, found, first)
-        if best is None:
-            return RayHits.misses(len(origins_world))
-        return best
+            if best is None:
+                # The first caster's hits are used as they are, without a copy.
+                best = caster.intersect(origins_world, directions_world)
+            elif _has_faces(caster):
+                _take_nearer(best, caster.intersect(origins_world, directions_world), first)
+        return RayHits.misses(len(origins_world)) if best is None else best
 
     def is_occluded(
         self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
@@ -63,13 +62,10 @@ def _has_faces(caster: RayCaster) -> bool:
     return any(len(mesh.faces) for mesh in caster.meshes)
 
 
-def _nearer(best: RayHits | None, found: RayHits, first_mesh: int) -> RayHits:
-    """Return `best` with the nearer hits of `found` written into it in place."""
-    if best is None:
-        best = RayHits.misses(len(found.distance_m))
+def _take_nearer(best: RayHits, found: RayHits, first_mesh: int) -> None:
+    """Write the nearer hits of `found` into `best`."""
     nearer = np.flatnonzero(found.distance_m < best.distance_m)
     best.distance_m[nearer] = found.distance_m[nearer]
     best.mesh_index[nearer] = found.mesh_index[nearer] + np.int32(first_mesh)
     best.face_index[nearer] = found.face_index[nearer]
     best.barycentric[nearer] = found.barycentric[nearer]
-    return best

@@ -36,6 +36,7 @@ def denoise(
         LightSimError: the library failed.
     """
     pyoidn = need("pyoidn", extra="denoise")
+    # One such value would corrupt its neighbourhood without an error from the library.
     is_finite = np.isfinite(image).all(axis=2)
     if not is_finite.all():
         raise InputError(
@@ -49,6 +50,8 @@ def denoise(
             albedo=np.clip(base_colour, 0, 1),
             normal=np.ascontiguousarray(normal_world),
             hdr=True,
+            # Albedo and normals come from primary rays and have no noise: they are not denoised
+            # first.
             clean_aux=True,
         )
     except RuntimeError as error:

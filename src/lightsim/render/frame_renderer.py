@@ -23,7 +23,7 @@ from lightsim.core.solar import angle_between_deg
 from lightsim.core.window import Window
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.coverage import actor_coverage
-from lightsim.render.gbuffers import render_gbuffers, with_ambient_occlusion
+from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.image import scene_image
 from lightsim.render.roofs import UncertainRoofs
 from lightsim.render.scene import (
@@ -113,6 +113,8 @@ class TransportFrame:
             samples = render_samples(
                 self._scene, camera, frame, self.geometry, self._config, self._is_wanted
             )
+        # The ray pattern depends on the position in the whole image, so that a window's light
+        # equals that of the same pixels in the whole.
         corner_px = frame.corner_px if isinstance(frame, WindowFrame) else (0, 0)
         tracing = self._tracing
         return trace_transport(
@@ -129,13 +131,12 @@ class TransportFrame:
     @property
     def buffers(self) -> GBuffers:
         """Geometry buffers with ambient occlusion."""
-        return with_ambient_occlusion(self.geometry, self._table.ambient_occlusion)
+        return replace(self.geometry, ambient_occlusion=self._table.ambient_occlusion)
 
     def part(self, window: Window, is_wanted: Bool[np.ndarray, "h w"]) -> TransportFrame:
         """Return some pixels of an image window as a frame of its own, with rays of its own.
 
         Args:
-            window: rows and columns of the image.
             is_wanted: pixels to light, within the window.
         """
         geometry = self.geometry.part(window).within(is_wanted)
@@ -167,9 +168,12 @@ class TransportFrame:
         """Return irradiance / pi of the pixels under a sky; the result of the last sky object is
         cached."""
         if self._last is None or self._last[0] is not sky:
+            # Released before the next sky is computed, so that two results are never in memory.
             self._last = None
             lit = light(self._table, self._scene, self.geometry, sky, self._config)
             if sky.sun is not None and _is_same_sun(sky.sun, self._tracing.recorded_sun):
+                # Images of the recording show where its shadows are; geometry shows it less
+                # accurately.
                 found = self.found_visibility(sky.sun)
                 lit = with_found_visibility(lit, self.geometry, sky.sun, found)
             self._last = (sky, lit)
@@ -195,6 +199,7 @@ class TransportFrame:
         points = buffers.ray_starts_world.reshape(-1, 3)[rows]
         normals = buffers.normal_world.reshape(-1, 3)[rows]
         found = buffers.found_visibility.copy()
+        # The estimate has no moving actors: their shadows are multiplied.
         # `sun_visibility` is also 0 on surfaces that face away from the sun.
         found.reshape(-1)[rows] *= sun_visibility(
             make_embree_caster(moving), points, normals, sun, self._config
@@ -214,7 +219,6 @@ class TransportFrame:
 
         Args:
             placements: actors that cast shadows.
-            sun: the sun.
             grown_m: metres by which the actors' surfaces are moved outwards, to bound their
                 shadows.
 
@@ -227,6 +231,7 @@ class TransportFrame:
         meshes = placed_meshes(placements, self.view[0].time_ns)
         if not meshes:
             return past
+        # Embree, since uploading a few meshes to a GPU for one call would not pay off.
         caster = make_embree_caster(grown(meshes, grown_m) if grown_m else meshes)
         direction = sun.direction_world.astype(np.float32)
         faces_sun = buffers.has_surface & (buffers.normal_world @ direction > 0)
@@ -279,6 +284,7 @@ def visible_sky(
     if sky.sun is not None:
         radius_rad = np.radians(sky.sun.angular_radius_deg)
         axis = sky.sun.direction_world / np.linalg.norm(sky.sun.direction_world)
+        # The sun is absent from `sky.behind`, whose texels would blur its disc.
         in_disc = rays @ axis > np.cos(radius_rad)
         solid_angle_sr = 2 * np.pi * (1 - np.cos(radius_rad))
         seen[in_disc] += (sky.sun.irradiance / solid_angle_sr).astype(np.float32)
@@ -303,12 +309,7 @@ class FrameRenderer:
         """Build the static scene.
 
         Args:
-            background: reconstructed static mesh.
-            inferred: unobserved occluders.
-            transport: numbers of rays and of bounces.
-            seed: of the ray directions.
             inferred_is_visible: cameras show `inferred` too.
-            make_caster: constructor of ray casters.
             is_sampled, recorded_sun: see `Tracing`.
         """
         self._static = make_static_scene(
@@ -338,6 +339,7 @@ class FrameRenderer:
         """Return a renderer of anti-aliased images of the same twin, with the same static scene and
         faces."""
         other = copy(self)
+        # The numbers of face rays do not change, so the face table is reused.
         transport = replace(
             self._tracing.config,
             pixel_samples=pixel_samples,
@@ -384,6 +386,8 @@ class FrameRenderer:
         scene = self.scene(scenario, frame.time_ns)
         rays = frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))
         caster = self._make_caster(placed_meshes(changed, frame.time_ns))
+        # Both poses of a changed actor are in `changed`: pixels that it leaves and pixels that it
+        # covers.
         differs = np.flatnonzero(caster.is_occluded(*rays))
         geometry = render_gbuffers(scene, camera, frame, (known.geometry, differs))
         return TransportFrame(known.view, geometry, scene, self._tracing)

@@ -30,7 +30,7 @@ def render_gbuffers(
     """Return depth, position, normal, base colour and actor of every pixel (paper, Sec. 4).
 
     Normals are interpolated between vertices and face the camera. Ambient occlusion is 1:
-    `trace_transport` estimates it from its rays, see `with_ambient_occlusion`.
+    `trace_transport` estimates it from its rays.
 
     Args:
         view: a recorded frame, or the pose world_from_camera of a static camera.
@@ -46,7 +46,9 @@ def render_gbuffers(
         pixels = known[1]
         mask = np.ones((height, width), dtype=bool)
         mask.reshape(-1)[pixels] = False
+        # Pixels to cast anew start without a surface: in this scene their rays may meet none.
         out = known[0].within(mask)
+    # Allocated only for twins with such estimates.
     if out.found_visibility is None and _is_any_found(scene):
         out = replace(out, found_visibility=np.full((height, width), np.nan, dtype=np.float32))
     centres = camera.pixel_centres().reshape(-1, 2)
@@ -127,7 +129,9 @@ def see(
     hits = scene.camera_caster.intersect(origins, directions)
     rows = np.flatnonzero(hits.is_hit)
     hits = _select(hits, rows)
+    # In double precision, since positions are sums of large coordinates.
     distance = hits.distance_m.astype(np.float64)
+    # Depth is along the optical axis, the distance along the ray.
     depth = distance * camera.directions(uv[rows])[:, 2]
     towards = directions[rows]
     position = (origins[rows] + distance[:, None] * towards).astype(np.float32)
@@ -172,6 +176,7 @@ def _rows_by_mesh(
 ) -> Iterator[tuple[int, Int64[np.ndarray, " k"]]]:
     """Yield each camera-visible mesh that has hits: its number and the rows of its hits."""
     count = len(scene.camera_meshes)
+    # Sorted once, instead of one mask over all hits for each of many meshes.
     order = np.argsort(hits.mesh_index, kind="stable")
     bounds = np.searchsorted(hits.mesh_index[order], np.arange(count + 1))
     for k in range(count):
@@ -186,6 +191,7 @@ def view_rays(
     if isinstance(view, CameraFrame):
         return view.pixel_rays(camera, uv)
     directions = view.rotate(camera.directions(uv))
+    # Broadcasting alone would give a read-only view.
     return np.broadcast_to(camera_pose(view).translation_m, directions.shape).copy(), directions
 
 
@@ -204,13 +210,6 @@ def camera_pose(view: CameraFrame | RigidTransform) -> RigidTransform:
             expected="world_from_camera",
         )
     return view
-
-
-def with_ambient_occlusion(
-    gbuffers: GBuffers, ambient_occlusion: Float32[np.ndarray, "h w"]
-) -> GBuffers:
-    """Return the buffers with ambient occlusion."""
-    return replace(gbuffers, ambient_occlusion=ambient_occlusion)
 
 
 def _select(hits: RayHits, rows: Shaped[np.ndarray, " k"]) -> RayHits:

@@ -18,13 +18,13 @@ def scene_image(
     """Return the radiance of every pixel, in the units of the sky.
 
     Args:
-        gbuffers: geometry of the frame.
         light: from `render.transport.light`. Anti-aliased and with reflections if its matrix was
             traced with samples; otherwise base colour times light at pixel centres.
         sky: radiance of the dome along the pixels' rays.
     """
     diffuse = gbuffers.base_colour * light.shaded if light.diffuse is None else light.diffuse
     surface = diffuse if light.glossy is None else diffuse + light.glossy
+    # Anti-aliased light has a fraction of surface in each pixel; the rest is sky.
     coverage = gbuffers.has_surface if light.coverage is None else light.coverage
     covered = coverage.astype(np.float32)[..., None]
     return covered * surface + (1 - covered) * sky

@@ -122,8 +122,6 @@ class ViewRays:
         it.
 
         Args:
-            frame: frame of the image.
-            camera: of the frame.
             points_world: surface points of the rays at the image's time; NaN if the surface was
                 absent then.
 
@@ -182,10 +180,6 @@ def recorded_view(
     """Return an image with the distances along its pixels' rays.
 
     Args:
-        frame: frame of the image.
-        srgb8: the image.
-        camera: of the frame.
-        gain: of the camera.
         sky_matte: fraction of sky in [0, 1].
         distance_m: to the twin's surface along each pixel's ray; inf without one.
         is_usable: false on the ego vehicle.
@@ -217,7 +211,6 @@ def blended(
     images.
 
     Args:
-        rays: of the view.
         pictures: each image with the rays' surface points at its time; NaN if the surface was
             absent or lit differently.
     """
@@ -270,7 +263,6 @@ def disagreement(
     (photo-consistency; Seitz and Dyer 1999, doi:10.1023/A:1008176507526).
 
     Args:
-        rays: of the view.
         pictures: see `blended`.
         of_rims: compare the pixels of `rims_seen`; otherwise those of `blended`.
 

@@ -126,6 +126,7 @@ def sun_disc(mi: Any, sun: Sun, around_world: Float[np.ndarray, "3"]) -> dict[st
         target=around_world.tolist(),
         up=up,
     )
+    # Irradiance of a uniform disc of angular radius r is radiance x pi x sin(r)^2.
     radiance = sun.irradiance.astype(np.float64) / (np.pi * np.sin(radius) ** 2)
     return {
         "type": "disk",

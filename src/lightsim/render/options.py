@@ -29,6 +29,7 @@ class LightChoice:
     """Python 3.11 interpreter that has bpy 4.5, for --renderer cycles."""
 
     def __post_init__(self) -> None:
+        # Options are checked at construction, before any data is read.
         check_choice("--renderer", self.renderer, get_args(RendererName))
         if self.rays is not None:
             # Such a number of rays takes minutes a pixel: a larger one is a typing error.

@@ -54,7 +54,6 @@ class Renderer(Protocol):
         """Prepare a sky once for many frames.
 
         Args:
-            sky: the dome that gives light.
             behind: the dome that cameras show behind surfaces, if another one; the reference
                 renderers always show `sky`.
         """
@@ -71,6 +70,7 @@ class Renderer(Protocol):
 
 def renderer_settings(choice: RendererChoice) -> dict[str, Any]:
     """Return the settings that determine the images, apart from noise, without the backend."""
+    # The backend is left out, because the casters agree to rounding.
     more: dict[str, Any] = {"bounces": choice.bounces, "is_denoised": choice.denoise}
     if choice.renderer == "transport":
         pixels = TransportConfig(pixel_samples=choice.pixel_samples)
@@ -98,10 +98,6 @@ def make_renderer(
     """Return the renderer that the user chose.
 
     Args:
-        choice: the user's options.
-        background: reconstructed static mesh.
-        inferred: unobserved occluders.
-        seed: of the sampling.
         has_images: images are rendered too, which requires rays for reflections.
         recorded_sun: for this sun light transport uses the visibility estimated from images; the
             reference renderers trace its shadows.
@@ -112,6 +108,7 @@ def make_renderer(
         MissingDependencyError: its package is not installed.
     """
     if choice.denoise and has_images:
+        # Imported only if chosen: the package is an optional extra.
         from lightsim.render import denoise
 
         denoise.check_installed()
@@ -125,8 +122,10 @@ def make_renderer(
         return make_reference(choice, background, inferred, seed)
     config = transport_as_chosen(choice, TransportConfig(pixel_samples=choice.pixel_samples))
     if not has_images:
+        # Light buffers have no reflections, so their rays would be wasted.
         config = replace(config, glossy_rays=0)
     backend = resolve_backend(choice.backend)
+    # The sums run on the device of the rays only if torch can use it as well.
     if backend == "mitsuba-cuda" and has_torch_cuda():
         config = replace(config, device="cuda")
     make_caster = choose_caster(backend)
@@ -225,4 +224,5 @@ class _DenoisedFrame:
         from lightsim.render.denoise import denoise
 
         buffers = self.buffers
+        # Guides without noise keep texture and edges sharp.
         return denoise(self.traced.image(sky), buffers.base_colour, buffers.normal_world)

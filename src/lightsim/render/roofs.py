@@ -54,6 +54,7 @@ class UncertainRoofs:
         point."""
         direction = sun.direction_world / np.linalg.norm(sun.direction_world)
         towards = np.broadcast_to(direction.astype(np.float32), points_world.shape)
+        # From the highest shape downwards: each step traces only the rays that are still occluded.
         count = np.full(len(points_world), len(self.guesses), dtype=np.float32)
         rows = np.arange(len(points_world))
         # A ray that passes over the roofs of one shape passes over all lower shapes.

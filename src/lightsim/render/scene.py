@@ -94,6 +94,7 @@ class FrameScene:
         roofs = self.static.roofs
         if roofs is None or roofs.are_told(sun):
             return self.caster, None
+        # Without `inferred`, which is only one of the possible shapes of the roofs.
         return CompositeCaster([self.static.background_caster, self.actor_caster]), roofs
 
     @property
@@ -109,6 +110,7 @@ class FrameScene:
     @property
     def camera_normals(self) -> tuple[Float32[np.ndarray, "_ 3"], ...]:
         """Vertex normals of `camera_meshes`."""
+        # Normals of `inferred` come last, so the slice leaves them out if cameras do not show them.
         return self.static.normals[: len(self.static.camera_meshes)] + self.actor_normals
 
     @property
@@ -132,7 +134,6 @@ def make_static_scene(
         inferred: meshes of unobserved surfaces (roofs, upper facades), inferred from their shadows.
         inferred_is_visible: cameras show the inferred meshes too, so that pixels beyond the reach
             of the LiDAR have a surface.
-        make_caster: constructor of ray casters.
     """
     background, inferred = tuple(background), tuple(inferred)
     background_caster = make_caster(background)
@@ -140,6 +141,7 @@ def make_static_scene(
         background,
         inferred,
         background_caster,
+        # A second structure over the same meshes costs memory, so it is built only if it differs.
         make_caster(background + inferred) if inferred else background_caster,
         tuple(mesh.vertex_normals() for mesh in background + inferred),
         inferred_is_visible=inferred_is_visible,
@@ -155,6 +157,7 @@ def place(
     """Return the static scene with the scenario's actors at their poses at `time_ns`."""
     placements = scenario.placements_at(time_ns)
     actors = placed_meshes(placements, time_ns)
+    # Parked actors are those with an estimated sun visibility on their own mesh.
     left = [p for p in scenario.vacated if p.track.is_present(time_ns)]
     return FrameScene(
         static,

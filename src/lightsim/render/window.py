@@ -39,9 +39,11 @@ def seen_through(
 ) -> tuple[WindowFrame, PinholeCamera]:
     """Return the frame and the camera of a window of an image, which may be a window itself."""
     rows, columns = window
+    # A window of a window refers to the whole image again.
     whole, (left, top) = camera, (0, 0)
     if isinstance(frame, WindowFrame):
         whole, (left, top) = frame.whole, frame.corner_px
+    # All fields of the frame are copied, because a rolling shutter needs them for the rays.
     values = {f.name: getattr(frame, f.name) for f in fields(CameraFrame)}
     part = replace(
         camera,

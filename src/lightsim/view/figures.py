@@ -14,8 +14,9 @@ from lightsim.core.equirect import uv_from_directions
 from lightsim.core.resample import resize_area
 from lightsim.errors import InputError
 
-# Depths of the two ends of the colour scale, in metres: the range of most street surfaces.
+# Depth of the red end of the colour scale, in metres; a display choice.
 _NEAR_M = 2.0
+# Depth of the blue end, in metres; a display choice.
 _FAR_M = 80.0
 # Coefficients of the Turbo colour map's polynomial (Mikhailov 2019) by channel, sRGB in [0, 1].
 _TURBO = np.array(
@@ -90,6 +91,7 @@ def depth_colours(depth_z_m: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w
     Pixels without a surface are dark grey.
     """
     part = np.log(np.clip(depth_z_m, _NEAR_M, _FAR_M) / _FAR_M) / np.log(_NEAR_M / _FAR_M)
+    # The dark ends of Turbo are left out, so that depths differ from the grey of missing surfaces.
     return _on_surface(_turbo(0.08 + 0.84 * part), np.isfinite(depth_z_m))
 
 

@@ -85,6 +85,7 @@ def render_report(
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent / "templates"),
         autoescape=True,
+        # A misspelt name in the template is an error, not an empty cell.
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -117,6 +118,7 @@ def write_report(
             remedy="Create the folder first.",
         )
     page = render_report(title, sections, subtitle=subtitle, cards=cards)
+    # In the same folder, since a rename is atomic only within one file system.
     temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         temporary.write_text(page, encoding="utf-8")
@@ -130,10 +132,12 @@ def _data_uri(image: UInt8[np.ndarray, "h w 3"]) -> str:
 
     stream = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(image)).save(stream, "JPEG", quality=88)
+    # Embedded, so that a report remains complete when its file is moved or sent.
     return "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
 
 
 def _is_number(value: Cell) -> bool:
+    # A bool is an int in Python, but not a number of a table.
     return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
 
 

@@ -57,8 +57,6 @@ class BoxEditor:
         """Return the editor for a scenario that edits made from a recorded log.
 
         Args:
-            recorded: the log without edits.
-            scenario: with edits.
             tables: the recorded boxes, sweep by sweep.
             timing: time at which the roof LiDAR scans each direction.
             path: correction from the recorded world to the twin's.
@@ -78,6 +76,7 @@ class BoxEditor:
                 strict=True,
             )
         )
+        # PandaSet labels an object in the overlap of two sensors twice, linked by sibling ids.
         owner = owner_by_uuid(pairs)
         owners = {owner.get(name, name) for name in names}
         gone = frozenset(uuid for uuid, own in owner.items() if own in owners)
@@ -92,6 +91,7 @@ class BoxEditor:
             for i, uuid in enumerate(uuids)
             if uuid not in self.gone
         ]
+        # Recorded columns that the editor does not compute are copied from the actor's old box.
         was = {uuid: i for i, uuid in reversed(list(enumerate(uuids)))}
         made: list[dict[str, Any]] = []
         for track in self.changed:

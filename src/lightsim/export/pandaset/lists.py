@@ -49,6 +49,7 @@ class WrittenFrames:
             for name in scenario.cameras
         ]
         sweeps = [{int(stem) for stem in sweep_stems}] if sweep_stems else []
+        # Readers of PandaSet expect the same number of files from every sensor.
         numbers = set.intersection(*of_camera, *sweeps)
         if not numbers:
             raise InputError(
@@ -68,6 +69,7 @@ class WrittenFrames:
     @property
     def stems(self) -> dict[int, str]:
         """New stems by the recorded number; they sort like numbers."""
+        # At least two digits, as in PandaSet.
         width = max(2, len(str(len(self.recorded_stems) - 1)))
         return {number: f"{place:0{width}d}" for place, number in enumerate(self.recorded_stems)}
 
@@ -111,6 +113,7 @@ class ListWriter:
         calibration = calibration_path(self._source)
         if calibration is not None:
             text = calibration.read_text(encoding="utf-8")
+            # Edited as text, so that comments and order of the calibration are preserved.
             text = _without_readout(text, self._driven_cameras)
             write_text(folder / calibration.name, text)
 
@@ -157,12 +160,14 @@ class ListWriter:
         assert self._scenario.ego is not None
         times = np.array([time_ns], dtype=np.int64)
         matrix = motion_of(self._recorded.ego, self._scenario.ego, times)[0]
+        # The correction of the ego path is undone: files are in the recorded world.
         motion, path = RigidTransform("world", "world", matrix), self._workspace.alignment.path
         return motion if path is None else path.at(time_ns).inverse() @ motion @ path.at(time_ns)
 
     def _lidar_poses(self) -> list[Any]:
         """Return the recorded poses, or the LiDAR's poses on the ego path if there are none."""
         path = self._source / "lidar" / "poses.json"
+        # Without a change the recorded text is copied, free of rounding.
         if path.is_file() and not self._is_ego_moved:
             return self._frames.entries(path)
         times_ns = [_ns(t) for t in self._frames.entries(path.with_name("timestamps.json"))]
@@ -188,6 +193,7 @@ class ListWriter:
             step = (self._motion(_ns(time_s)) @ was).translation_m - was.translation_m
             east, north, up = log.geo.enu_from_world.rotate(step[None])[0].tolist()
             lat, long = fix["lat"], fix["long"]
+            # Degrees per metre at the fix, by differences of the reader's own projection.
             beside = np.array([lat, lat + _DEGREE]), np.array([long, long + _DEGREE])
             east_m, north_m = east_north_m(*beside)[1].tolist()
             fix["lat"] = lat + _DEGREE * north / north_m

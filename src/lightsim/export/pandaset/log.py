@@ -72,6 +72,7 @@ class LogWriter:
     def write_mark(self, folder: Path, made_of: Mapping[str, Any]) -> None:
         """Write simulated.json."""
         scenario = self.scenario
+        # The recorded stem of each new one, for a comparison with the recording.
         stems = zip(self._frames.stems.values(), self._frames.recorded_stems.values(), strict=True)
         mark = {
             "simulated_by": f"LightSim {__version__}",
@@ -98,6 +99,8 @@ class LogWriter:
         for frame in self.progress.track(frames_to_write, "write pictures", count):
             path = folder / "camera" / frame.camera_name / self._file(frame.stem, ".jpg")
             path.parent.mkdir(parents=True, exist_ok=True)
+            # Simulated frames are lossless PNG, so an unchanged frame is identical to its JPEG's
+            # pixels.
             made = read_srgb8(frames / "frames" / frame.camera_name / f"{frame.stem}.png")
             own = recorded[frame.camera_name].paths[int(frame.stem)]
             shown = read_srgb8(own)
@@ -120,6 +123,7 @@ class LogWriter:
             number, name = int(lazy.stem), self._file(lazy.stem, _SUFFIX)
             made = editor.edited(lazy)
             if made is None:
+                # An unchanged sweep is copied with its point classes.
                 copy_table(recorded[number], folder / SWEEPS / name, "index")
                 if number in classes:
                     copy_table(classes[number], folder / CLASSES / name)
@@ -166,6 +170,7 @@ class LogWriter:
 
     @cached_property
     def _timing(self) -> ScanTiming:
+        # Scan times are estimated from one recorded sweep, since they are a property of the LiDAR.
         log = self.workspace.recorded_log
         if not log.sweeps:
             return ScanTiming.instantaneous()
@@ -217,6 +222,7 @@ def log_folders(
 
 def _check_place(log: Path, taken: Sequence[Path]) -> None:
     """Check that a log is outside of folders whose files are counted: recordings and artefacts."""
+    # A log inside such a folder would change its hash.
     around = [p for p in (log, *log.parents) if p in taken or (p / RECORD_NAME).is_file()]
     if around:
         raise InputError(
@@ -238,7 +244,6 @@ def write_logs(
     """Write the simulated log of each sky; complete logs of the same frames are skipped.
 
     Args:
-        writer: of the scenario.
         logs: from `log_folders`.
         frames: WORK/scenarios/NAME of each sky.
         is_overwriting: replace logs of other scenarios.
@@ -251,6 +256,7 @@ def write_logs(
         made_of = {"sky": sky, "frames_key": read_json(folder / RECORD_NAME)["key"]}
         if not _is_made(log, made_of, is_overwriting=is_overwriting):
             _write_log(writer, log, folder, made_of, first)
+        # The first log, new or already complete, is the source of the others.
         first = first or log
 
 
@@ -259,12 +265,14 @@ def _write_log(
 ) -> None:
     """Write a log atomically; logs of further skies are copies of the first with other images."""
     partial = log.with_name(f".{log.name}.partial")
+    # Left by an interrupted run.
     if partial.exists():
         shutil.rmtree(partial)
     if other is None:
         partial.mkdir()
         writer.write(partial)
     else:
+        # Sweeps and boxes do not depend on the sky.
         shutil.copytree(other, partial, ignore=shutil.ignore_patterns("*.jpg", SIMULATED_NAME))
     writer.write_pictures(partial, frames)
     writer.write_mark(partial, made_of)
@@ -306,6 +314,7 @@ def _mark_of(log: Path) -> Mapping[str, Any] | None:
         mark = read_json(log / SIMULATED_NAME)
     except (OSError, ArtefactError):
         mark = None
+    # Only folders that this module wrote may be replaced.
     if not isinstance(mark, dict) or "frames_key" not in mark:
         raise InputError(
             "the folder for the log contains other files",
@@ -320,13 +329,12 @@ def copy_table(own: Path, target: Path, index_name: str | None = None) -> None:
     """Write a recorded table as NN.pkl.gz; its bytes are copied if pandas 1.0 can load them.
 
     Args:
-        own: file of the recorded table.
-        target: file to write.
         index_name: name of the index if the table is written anew.
 
     Raises:
         InputError: it cannot be read.
     """
+    # Old pandas cannot load pickles of newer versions: the names in the pickle show which it is.
     data = read_packed(own, MAX_BYTES)
     if not names_in(data, own) <= PORTABLE_NAMES:
         write_table(target, parse_table(data, own), index_name)

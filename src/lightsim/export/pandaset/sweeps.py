@@ -61,17 +61,20 @@ class SweepEditor:
         if change.is_none:
             return None
         recorded = self._beams.of(lazy)
+        # Seeded by the sweep, so that the result does not depend on which sweeps are written.
         rng = np.random.default_rng([self._scenario.seed, lazy.time_ns])
         if change.is_ego_moved:
             assert self._recorded.ego is not None
             assert self._scenario.ego is not None
             times_ns = recorded.beams.times_ns
+            # From a changed path every beam meets other surfaces.
             motion = motion_of(self._recorded.ego, self._scenario.ego, times_ns)
             made = self._simulator.whole(
                 recorded.beams.moved(motion), self._scenario.placements, lazy.time_ns, rng
             )
         else:
             made = self._simulator.edited(recorded.beams, change, lazy.time_ns, rng)
+            # No beam changed, so the recorded file can be copied.
             is_all_kept = (made.is_kept == recorded.beams.is_returned).all()
             if is_all_kept and not made.answers.is_returned.any():
                 return None
@@ -113,14 +116,13 @@ def written(
     row; others are inserted by time.
 
     Args:
-        recorded: the sweep with its stored rows.
-        made: the simulated beams.
         path: correction from the recorded world to the twin's.
     """
     rows, beams = recorded.rows, made.beams
     is_made = made.answers.is_returned & np.isfinite(made.range_m)
     taken = np.flatnonzero(made.is_kept | is_made)
     taken = taken[np.argsort(_positions(recorded, taken), kind="stable")]
+    # Recorded rows are copied as numbers; their points here are placeholders.
     is_recorded = made.is_kept[taken]
     points = beams.chosen(taken).at(np.where(is_recorded, 1.0, made.range_m[taken]))
     times_ns = beams.times_ns[taken]
@@ -155,6 +157,7 @@ def _positions(
     for device in np.unique(beams.device).tolist():
         own = np.flatnonzero(beams.is_returned & (beams.device == device))
         new = np.flatnonzero(~beams.is_returned & (beams.device == device))
+        # Stored times may be out of order within a LiDAR; their running maximum is sorted.
         until = np.maximum.accumulate(beams.times_ns[own])
         after = np.searchsorted(until, beams.times_ns[new], side="right")
         place[new] = np.append(beams.row[own], beams.row[own].max() + 1)[after] - 0.5

@@ -12,6 +12,7 @@ def resolve_backend(backend: Backend) -> Backend:
     """Return the backend; "auto" becomes CUDA if Mitsuba can use it here, else Embree."""
     if backend != "auto":
         return backend
+    # Mitsuba's LLVM backend is never chosen: it requires DRJIT_LIBLLVM_PATH to be set.
     return "mitsuba-cuda" if is_usable("cuda") else "embree"
 
 

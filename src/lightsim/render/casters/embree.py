@@ -124,6 +124,7 @@ def _weights(
     u: Float32[np.ndarray, " n"], v: Float32[np.ndarray, " n"], face: Int32[np.ndarray, " n"]
 ) -> Float32[np.ndarray, "n 3"]:
     """Return the vertex weights of Embree's (u, v); 0 without a hit."""
+    # Rounding can move hits at an edge slightly outside of their face.
     u, v = np.clip(u, 0.0, 1.0), np.clip(v, 0.0, 1.0)
     weights = np.stack([np.maximum(1 - u - v, 0), u, v], axis=1)
     return np.where((face != MISS)[:, None], weights, np.float32(0))

@@ -38,6 +38,7 @@ class MitsubaCaster:
         check_world(meshes)
         self._meshes = tuple(meshes)
         self._backend: MitsubaBackend = backend
+        # Mitsuba numbers the faces of the one shape; these bounds recover mesh and face.
         self._first_face = np.cumsum([0] + [len(mesh.faces) for mesh in meshes])
         self._scene: Any = None
         if self._first_face[-1]:
@@ -83,6 +84,7 @@ class MitsubaCaster:
         hits.distance_m[rows] = t
         hits.mesh_index[rows] = mesh
         hits.face_index[rows] = face - self._first_face[mesh]
+        # Rounding can move hits at an edge slightly outside of their face.
         u, v = np.clip(u, 0.0, 1.0), np.clip(v, 0.0, 1.0)
         hits.barycentric[rows] = np.stack([np.maximum(1 - u - v, 0), u, v], axis=1)
 
@@ -131,6 +133,7 @@ def is_usable(backend: MitsubaBackend) -> bool:
     """
     if not (has_cuda() if backend == "cuda" else has_llvm()):
         return False
+    # Only a traced ray proves that driver and libraries work together.
     triangle = TriMesh(
         "world",
         np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1]], np.float32),

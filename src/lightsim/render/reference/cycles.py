@@ -84,6 +84,7 @@ class Cycles:
             env=_clean_environment(),
             text=True,
         )
+        # Blender ends with this object even if `close` is never called.
         self._end = weakref.finalize(self, _end, self._process, self._noise, self._folder)
         self._static: StaticScene | None = None
         self._scene: FrameScene | None = None
@@ -92,12 +93,6 @@ class Cycles:
     def close(self) -> None:
         """End the process; this also happens when the object is released."""
         self._end()
-
-    def __enter__(self) -> Cycles:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def shoot(
         self,
@@ -129,12 +124,14 @@ class Cycles:
                 "seed": (seed + SEED_STEP * number) % (1 << 31),
             }
             self._ask(request)
+            # Files, because pictures through a pipe would have to be encoded in JSON.
             images.append(np.load(out))
         return images
 
     def _load(self, scene: FrameScene) -> None:
         """Send the meshes that have changed since the last call."""
         static = scene.static
+        # By identity: the static scene is one object for all frames of a log.
         if static is not self._static:
             self._ask({"do": "remove", "prefix": ""})
             for k, (mesh, normals) in enumerate(zip(static.meshes, static.normals, strict=True)):
@@ -158,6 +155,7 @@ class Cycles:
         self._ask({"do": "mesh", "name": name, "path": str(path), "is_visible": is_visible})
 
     def _light_request(self, shot: Shot) -> dict[str, Any]:
+        # The sun is a lamp of its own: in the dome it would be a few bright texels, and noisy.
         rest, sun = split_sun(shot.dome)
         path = Path(self._folder.name) / "sky.npz"
         light = rest if shot.has_sky else np.zeros_like(rest)
@@ -176,6 +174,7 @@ class Cycles:
             self._process.stdin.write(json.dumps(request) + "\n")
             self._process.stdin.flush()
             line = self._process.stdout.readline()
+        # A crash of Blender, often for lack of memory.
         except BrokenPipeError:
             line = ""
         reply = json.loads(line) if line else {"error": "the process ended", "trace": ""}
@@ -191,6 +190,7 @@ class Cycles:
         """Return the end of Blender's output."""
         self._noise.flush()
         self._noise.seek(0)
+        # The end has Blender's own error message.
         return self._noise.read().decode(errors="replace")[-800:]
 
 
@@ -209,6 +209,7 @@ def _end(
 def _clean_environment() -> dict[str, str]:
     """Return the environment without the variables that would expose this interpreter's
     packages."""
+    # These variables would make Blender's Python import this environment's NumPy.
     hidden = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
     return {key: value for key, value in os.environ.items() if key not in hidden}
 
@@ -234,4 +235,5 @@ def _sun_request(sun: Sun | None) -> dict[str, Any] | None:
 def _arrays(mesh: CornerMesh) -> dict[str, Any]:
     names = ("vertices", "normals", "uv", "colour", "texture", "roughness", "metallic")
     arrays = {name: getattr(mesh, name) for name in names}
+    # A mesh without texture has no entry for it.
     return {name: array for name, array in arrays.items() if array is not None}

@@ -57,6 +57,7 @@ class Worker:
         mesh.materials.append(self.materials[name])
         thing = self._object(name, mesh)
         thing.visible_camera = request["is_visible"]
+        # Blender's offset would move shadow rays off the surface, unlike in the other renderers.
         thing.cycles.shadow_terminator_geometry_offset = 0.0
 
     def do_remove(self, request: dict[str, Any]) -> None:
@@ -94,6 +95,7 @@ class Worker:
         pixels = np.empty(width * height * 4, dtype=np.float32)
         image.pixels.foreach_get(pixels)
         self.bpy.data.images.remove(image)
+        # Blender's first row is the lowest.
         return pixels.reshape(height, width, 4)[::-1, :, :3].copy()
 
     def _set_camera(self, request: dict[str, Any]) -> None:
@@ -104,6 +106,7 @@ class Worker:
         render.pixel_aspect_x, render.pixel_aspect_y = max(1.0, fy / fx), max(1.0, fx / fy)
         lens.sensor_fit, lens.sensor_width = "HORIZONTAL", 36.0
         lens.lens = fx / width * 36.0
+        # Shifts are in units of the image's width, in both directions.
         lens.shift_x = (width / 2 - cx) / width
         lens.shift_y = (cy - height / 2) / width
         lens.clip_start, lens.clip_end = 0.01, 1.0e5
@@ -118,6 +121,7 @@ class Worker:
             light.energy = 0.0
         else:
             level = max(sun["irradiance"])
+            # Blender separates the strength of a lamp from its colour.
             light.energy = level
             light.color = [value / level for value in sun["irradiance"]]
             light.angle = math.radians(2 * sun["angular_radius_deg"])
@@ -132,6 +136,7 @@ def _settings(scene: Any) -> None:
     """Set unbiased rendering: nothing clamped, blurred, denoised or stopped early."""
     scene.render.engine = "CYCLES"
     scene.render.resolution_percentage = 100
+    # Blender's render data of unchanged meshes is reused between shots.
     scene.render.use_persistent_data = True
     scene.render.image_settings.file_format = "OPEN_EXR"
     scene.render.image_settings.color_depth = "32"
@@ -144,6 +149,7 @@ def _settings(scene: Any) -> None:
     cycles.blur_glossy = 0.0
     cycles.light_sampling_threshold = 0.0
     cycles.caustics_reflective = True
+    # No material of a twin is transparent.
     cycles.transmission_bounces = cycles.volume_bounces = cycles.transparent_max_bounces = 0
 
 
@@ -208,6 +214,7 @@ def _material(bpy: Any, name: str, texture: np.ndarray | None) -> Any:
     for key in ("diffuse", "white"):
         nodes.new("ShaderNodeBsdfDiffuse").name = key
     links.new(nodes["diffuse"].inputs["Color"], source)
+    # White for camera rays only: reflections between surfaces have their base colour.
     mixed = nodes.new("ShaderNodeMixRGB")
     links.new(mixed.inputs[0], nodes.new("ShaderNodeLightPath").outputs["Is Camera Ray"])
     links.new(mixed.inputs[1], source)

@@ -98,6 +98,7 @@ class PathTracer:
         """Render bands of rows, in passes of at most _MAX_PATHS paths."""
         height, width = job.camera.height_px, job.camera.width_px
         samples = job.shot.samples
+        # Bands first, then passes: a band of one row with all samples may still be too large.
         rows = max(1, min(height, _MAX_PATHS // (width * samples)))
         per_pass = max(1, min(samples, _MAX_PATHS // (width * rows)))
         image = np.zeros((height, width, 3), dtype=np.float64)
@@ -105,6 +106,7 @@ class PathTracer:
             band = np.arange(top, min(top + rows, height))
             for start in range(0, samples, per_pass):
                 count = min(per_pass, samples - start)
+                # The seed depends on band and pass, so the image does not depend on their order.
                 rng = np.random.default_rng((job.seed, top, start))
                 image[band] += count / samples * self._band(job, band, count, rng)
         return image.astype(np.float32)
@@ -132,6 +134,7 @@ class PathTracer:
         radiance = job.shot.dome.look_up(directions).astype(np.float64)
         radiance[met] = found.reshape(len(met), repeat, 3).mean(axis=1)
         if job.shot.surfaces == "white":
+            # The radiance of a diffuse surface is proportional to its base colour.
             radiance[met] /= _base_colour(job.scene, hits, met)
         return radiance.reshape(len(rows), width, -1, 3).mean(axis=2)
 
@@ -148,6 +151,7 @@ class PathTracer:
             return np.zeros((0, 3))
         integrator = world.integrator()
         sampler = mi.load_dict({"type": "independent"})
+        # Scalar variants trace one ray a call.
         if self.variant.startswith("scalar"):
             sampler.seed(seed)
             found = np.empty((len(origins), 3))

@@ -18,7 +18,7 @@ from lightsim.core.mesh import TriMesh
 from lightsim.core.resample import resize_sphere
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
-from lightsim.render.gbuffers import render_gbuffers, with_ambient_occlusion
+from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import FrameScene, make_static_scene, place
 from lightsim.render.transport.matrix import TransportConfig, trace_transport
 from lightsim.render.transport.sun import unshadowed_sun
@@ -69,11 +69,7 @@ class ReferenceTracer(Protocol):
         """Return one image a shot, in their order.
 
         Args:
-            scene: surfaces.
-            camera: of the view.
             view: a recorded frame, or the pose world_from_camera of a static camera.
-            shots: images to render.
-            seed: of the paths.
         """
         ...
 
@@ -129,9 +125,10 @@ class ReferenceRenderer:
         """Return the geometry of a frame, ready for any number of skies."""
         scene = self.scene(scenario, frame.time_ns)
         buffers = render_gbuffers(scene, camera, frame)
+        # Ambient occlusion needs few rays and no bounce.
         occlusion = TransportConfig(sky_rays=16, face_rays=0)
         table = trace_transport(scene, buffers, occlusion, self._seed)
-        buffers = with_ambient_occlusion(buffers, table.ambient_occlusion)
+        buffers = replace(buffers, ambient_occlusion=table.ambient_occlusion)
         return ReferenceFrame(self, scene, frame, camera, buffers)
 
     def shoot(self, traced: ReferenceFrame, shots: Sequence[Shot]) -> list[Picture]:
@@ -146,6 +143,7 @@ class ReferenceRenderer:
         """Return the shots of the direct sun, the direct sky, and all light, each on white
         surfaces."""
         whole = Shot(sky, self._samples, self._bounces, "white", is_antialiased=False)
+        # The direct sun has less noise than the sky, so a quarter of the paths is used.
         sun = replace(whole, bounces=0, has_sky=False, samples=max(4, self._samples // 4))
         return [sun, replace(whole, bounces=0, has_sun=False), whole]
 
@@ -193,6 +191,7 @@ def _shadow_buffers(buffers: GBuffers, sky: SkyDome, images: Sequence[Picture]) 
         sun_alone[buffers.has_surface] = unshadowed_sun(normals, disc)
     open_alone = np.zeros_like(sun)
     open_alone[buffers.has_surface] = open_irradiance_over_pi(rest, normals)
+    # Visibility is the ratio of the rendered and the unoccluded sun, 0 on surfaces that face away.
     level = sun_alone.sum(axis=-1)
     fraction = sun.sum(axis=-1) / np.where(level > 0, level, 1)
     visibility = np.where(level > 0, np.clip(fraction, 0, 1), 0)
@@ -213,6 +212,7 @@ def open_irradiance_over_pi(
     # Irradiance varies slowly with the normal: a table of 2.8 degrees is fine enough.
     rows = 64
     cells = resize_sphere(radiance, rows)
+    # The same directions serve as normals and as directions of light: one small matrix product.
     towards = pixel_directions(rows).reshape(-1, 3)
     solid = np.broadcast_to(solid_angles_sr(rows), (rows, 2 * rows)).reshape(-1, 1)
     cosine = np.maximum(towards @ towards.T, 0.0)

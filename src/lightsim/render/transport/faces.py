@@ -102,6 +102,7 @@ class FaceTable:
         self._caster = caster
         self._config = config
         self._seed = seed
+        # Row of each side's samples, -1 before it is traced.
         self._row_by_side = np.full(2 * self._first_face[-1], -1, dtype=np.int32)
         self._cells = np.zeros((0, config.face_rays), dtype=np.uint16)
         self._next = np.zeros((0, config.face_rays), dtype=np.int32)
@@ -118,6 +119,7 @@ class FaceTable:
         corners, normals = self._geometry(sides)
         count = max(1, self._config.face_sun_rays)
         points = self._points(sides, corners, count).reshape(-1, 3)
+        # Sun rays start from several points of a face, since a shadow's edge may cross it.
         starts = offset_origins(points, np.repeat(normals, count, axis=0))
         return FaceSamples(
             starts.reshape(-1, count, 3),
@@ -198,6 +200,7 @@ class FaceTable:
         for mesh, rows, own in self._by_mesh(sides >> 1):
             if mesh.confidence is not None:
                 confidence[rows] = mesh.confidence[mesh.faces[own]].mean(axis=1)
+        # Cameras observe the front of a reconstructed face.
         return np.where(sides & 1, np.float32(0.0), confidence)
 
     def _points(
@@ -223,6 +226,8 @@ class FaceTable:
         met = np.full((len(sides) if self._config.bounces > 1 else 0, rays), OPEN, dtype=np.int32)
         finder = SideFinder(self._caster) if self._config.bounces > 1 else None
         tile = max(1, TILE_RAYS // max(1, rays))
+        # Each ray starts from its own point of the face, so that large faces are sampled over their
+        # area.
         for start in range(0, len(sides) if rays else 0, tile):
             part = slice(start, start + tile)
             corners, normals = self._geometry(sides[part])
@@ -231,6 +236,8 @@ class FaceTable:
             points = self._points(sides[part], corners, rays).reshape(-1, 3)
             origins = offset_origins(points, np.repeat(normals, rays, axis=0))
             flat = directions.reshape(-1, 3)
+            # Further bounces need the side that is met; one bounce needs only whether the sky is
+            # hidden.
             if finder is not None:
                 met[part] = finder.met(origins, flat).reshape(-1, rays)
                 is_blocked = met[part] != OPEN
@@ -246,7 +253,6 @@ def hemisphere_directions(
     """Return cosine-stratified unit directions about each normal, and the environment cell of each.
 
     Args:
-        normals: unit vectors.
         shifts: offsets of each point's pattern, in [0, 1).
         rays: directions for each normal.
 
@@ -267,6 +273,7 @@ def hashed_shifts(numbers: Int64[np.ndarray, " n"], seed: int) -> Float32[np.nda
     SplitMix64 (Steele et al. 2014, doi:10.1145/2660193.2660195).
     """
     shifts = np.empty((len(numbers), 2), dtype=np.float32)
+    # Unsigned overflow is part of the hash.
     for axis in range(2):
         with np.errstate(over="ignore"):
             z = numbers.astype(np.uint64) * np.uint64(2) + np.uint64(2 * seed * 1000003 + axis)
@@ -286,6 +293,7 @@ def pixel_shifts(
     3 neighbourhood, as the later smoothing requires. The second is hashed, since two such patterns
     together would be visible as stripes.
     """
+    # A random offset gives each seed another pattern.
     offset = np.random.default_rng(seed).random(2) * 64.0
     i, j = rows // step + offset[0], columns // step + offset[1]
     u = (52.9829189 * ((0.06711056 * j + 0.00583715 * i) % 1.0)) % 1.0

@@ -73,6 +73,7 @@ def reflection_smoothing(
 ) -> ReflectionSmoothing:
     """Return the smoothing of the rough reflecting pixels of a frame."""
     shape = samples.coverage.shape
+    # Pixels with rough reflections, without those that also have smooth ones or an edge.
     is_rough = np.zeros(samples.coverage.size, dtype=bool)
     is_rough[samples.pixel[samples.glossy.rows]] = config.filter_radius > 0
     is_smooth = samples.glossy.roughness < _SMOOTHED_ROUGHNESS
@@ -86,6 +87,7 @@ def reflection_smoothing(
     near = TracedPixels(
         index.reshape(shape), np.concatenate([position, normal], axis=1), int(shape[1])
     )
+    # Radius 2 in full resolution has the size of radius 1 in blocks of 2 x 2.
     wide = replace(config, shading_step_px=1, filter_radius=2)
     return ReflectionSmoothing(pixel, near.upsampling_to_centres(pixel, gbuffers, wide))
 

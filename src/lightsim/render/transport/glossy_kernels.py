@@ -57,6 +57,7 @@ def _smith(x, y, z, alpha):
 @no_type_check
 def _visible_normal(x, y, z, alpha, u, v):
     """Return a microfacet normal, drawn in proportion to its projected area towards (x, y, z)."""
+    # Stretch to the hemisphere of roughness 1 (Heitz 2018, section 3).
     sx, sy, sz = alpha * x, alpha * y, z
     length = np.sqrt(sx * sx + sy * sy + sz * sz)
     sx, sy, sz = sx / length, sy / length, sz / length
@@ -69,6 +70,7 @@ def _visible_normal(x, y, z, alpha, u, v):
     q = (1.0 - mix) * np.sqrt(max(0.0, 1.0 - p * p)) + mix * q
     r = np.sqrt(max(0.0, 1.0 - p * p - q * q))
     hx, hy, hz = p * ax + q * bx + r * sx, p * ay + q * by + r * sy, q * bz + r * sz
+    # Back to the ellipsoid.
     hx, hy, hz = alpha * hx, alpha * hy, max(1e-6, hz)
     length = np.sqrt(hx * hx + hy * hy + hz * hz)
     return hx / length, hy / length, hz / length
@@ -98,6 +100,7 @@ def reflected_rays(normals, towards_camera, alphas, shifts, part, directions, we
             m = k * parts + which[p]
             u = (shifts[p, 0] + (m + 0.5) / total) % 1.0
             v = (shifts[p, 1] + (m + 1) * _GOLDEN) % 1.0
+            # Reflected directions below the surface lose their energy, as in single scattering.
             hx, hy, hz = _visible_normal(x, y, z, alpha, u, v)
             cosine = x * hx + y * hy + z * hz
             lx, ly, lz = 2 * cosine * hx - x, 2 * cosine * hy - y, 2 * cosine * hz - z

@@ -89,10 +89,6 @@ def irradiance_at(
     Args:
         surface: points with lobes (`Lobes.none_on` for none); no ray is traced for points that do
             not reflect.
-        scene: surfaces that block and reflect light.
-        dome: the sky with its sun.
-        config: numbers of rays.
-        seed: of the ray directions.
         faces: from `static_face_table` with the same scene, rays and seed; it grows, which makes
             many small calls cheap.
         part_of_dome: a dome without sun whose light is returned separately.
@@ -100,9 +96,11 @@ def irradiance_at(
     config = config or IrradianceConfig()
     rays = config.transport
     if config.unseen_albedo is None:
+        # Without the bounce the faces' own rays are not needed.
         rays = replace(rays, face_rays=0)
     cells = prepare_sky(dome)
     part_cells = None if part_of_dome is None else prepare_sky(part_of_dome)
+    # The table is common to all tiles, and only their faces are traced.
     table = static_face_table(scene, rays, seed) if faces is None else faces
     found = PointIrradiance.zeros(len(surface))
     for start in range(0, len(surface), _TILE_POINTS):
@@ -137,6 +135,7 @@ def _tile(
         reflected = table.reflections.light(cells, radiosity)
         if cells.sun is not None:
             reflected_sun = sun_in_lobes(surface, cells.sun)
+    # The part of the dome costs sums only, with the same rays and without bounce.
     if part_cells is not None:
         dark = np.zeros_like(radiosity)
         sky_part = table_sums(table, part_cells, dark)[:, :3]
@@ -162,6 +161,7 @@ def _radiosity(
     faces."""
     if unseen_albedo is None:
         return np.zeros_like(faces.base_colour)
+    # Confidence 0: no camera observed this side, so its colour is not a radiance.
     grey = replace(faces, base_colour=np.full_like(faces.base_colour, unseen_albedo))
     is_seen = faces.confidence[:, None] > 0
     return np.where(is_seen, faces.base_colour, face_radiosity(grey, scene, cells))

@@ -34,6 +34,7 @@ SAME_SURFACE_PER_M = 0.004
 def _cell_of(x, y, z, rows):
     """Return the environment cell of a direction in the equirectangular grid."""
     row = min(int(np.arccos(min(max(z, -1.0), 1.0)) * (rows / np.pi)), rows - 1)
+    # Column 0 is at azimuth 180 degrees; the modulo below catches directions on that seam.
     columns = 2 * rows
     column = int((0.5 - np.arctan2(y, x) / (2.0 * np.pi)) * columns)
     return row * columns + column % columns
@@ -78,6 +79,7 @@ def _barycentric(u, v):
 
     Heitz 2019, "A low-distortion map between triangle and square".
     """
+    # The square is folded along its diagonal.
     if v > u:
         return 0.5 * u, v - 0.5 * u
     return u - 0.5 * v, 0.5 * v
@@ -206,6 +208,7 @@ def _likeness(position, normal, other_position, other_normal, tolerance):
         cosine += normal[i] * other_normal[i]
     if cosine <= 0.0:
         return 0.0
+    # The eighth power halves the weight at 23 degrees between the normals.
     return cosine**8 * np.exp(-((gap / tolerance) ** 2))
 
 
@@ -230,6 +233,7 @@ def _neighbours(index, block, grid, offset, surface, traced, rows, weights):
         k = index[i, j]
         dr = di + 0.5 - (offset[0] + 0.5) / step
         dc = dj + 0.5 - (offset[1] + 0.5) / step
+        # Gaussian with a standard deviation of one block.
         near = np.exp(-0.5 * (dr * dr + dc * dc))
         likeness = _likeness(surface[:3], surface[3:6], traced[k, :3], traced[k, 3:], tolerance)
         if (likeness + 1e-9) * near > best:
@@ -240,6 +244,7 @@ def _neighbours(index, block, grid, offset, surface, traced, rows, weights):
             found += 1
     if found == 0 and best_row >= 0:
         weights[0], rows[0], total, found = 1.0, best_row, 1.0, 1
+    # Without any neighbour the light stays 0.
     weights[:found] /= total if total > 0.0 else 1.0
     return found
 
@@ -366,11 +371,13 @@ def shading_normals(mesh, smooth, face_index, barycentric, directions, out, lift
         n /= max(np.sqrt((n * n).sum()), 1e-30)
         agreement = (n * flat).sum()
         side = 1.0
+        # Within 6 degrees of perpendicular, the side of the smooth normal is uncertain.
         if abs(agreement) < 0.1:
             n[:] = flat
         elif agreement < 0:
             n[:] = -n
             side = -1.0
+        # Normals face the ray, so both sides of open meshes can be lit.
         away = flat[0] * directions[r, 0] + flat[1] * directions[r, 1] + flat[2] * directions[r, 2]
         if away > 0:
             n[:] = -n

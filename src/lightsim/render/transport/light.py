@@ -47,12 +47,10 @@ def light(
     Args:
         table: from `trace_transport` with the same scene, buffers and config; with samples, the
             light is the mean over each pixel's surfaces.
-        scene: surfaces that block the sun.
-        gbuffers: geometry of the frame.
         sky: a dome, or the result of `prepare_sky`, which saves time for many frames.
-        config: numbers of rays.
     """
     cells = prepare_sky(sky) if isinstance(sky, SkyDome) else sky
+    # The light of the faces comes first, since it is the bounce of the traced points.
     radiosity = face_radiosity(table.points.faces, scene, cells)
     sums = table_sums(table.points, cells, radiosity)
     images = np.zeros((gbuffers.depth_z_m.size, 9), dtype=np.float32)
@@ -113,6 +111,7 @@ def _at_centres(
     if cells.sun is not None:
         has_surface = gbuffers.has_surface
         normals = gbuffers.normal_world[has_surface]
+        # The light in shade decides how uncertain shadows of roofs are averaged.
         shade = luminance((open_sky + bounce)[has_surface])
         visibility[has_surface] = sun_in_scene(
             scene, gbuffers.ray_starts_world[has_surface], normals, cells.sun, config, shade
@@ -194,10 +193,12 @@ def face_radiosity(
 def _sun_on_faces(faces: FaceSamples, scene: FrameScene, sun: Sun) -> Float32[np.ndarray, "f 3"]:
     """Return irradiance / pi of the sun's centre, as the mean over each face's sun points."""
     arriving = unshadowed_sun(faces.normals_world, sun)
+    # Only faces that face the sun need rays.
     lit = np.flatnonzero(arriving.any(axis=1))
     count = faces.sun_points_world.shape[1]
     origins = faces.sun_points_world[lit].reshape(-1, 3)
     towards = np.broadcast_to(sun.direction_world.astype(np.float32), origins.shape)
+    # One ray to the disc's centre: penumbrae on faces average out in the bounce.
     caster, roofs = scene.before_sun(sun)
     visible = (~caster.is_occluded(origins, towards)).astype(np.float32)
     if roofs is not None:

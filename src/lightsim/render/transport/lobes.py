@@ -52,6 +52,7 @@ class Lobes:
         """Return points with diffuse reflection only."""
         nothing = np.zeros((len(points_world), 3), np.float32)
         normals = normals_world.astype(np.float32)
+        # Any roughness serves, because F0 = 0 disables the lobe.
         rough = np.ones(len(nothing), np.float32)
         return Lobes(points_world.astype(np.float32), normals, normals, rough, nothing)
 
@@ -122,10 +123,7 @@ def trace_lobes(
     """Trace `count` rays of each point; `face_rows` still has sides (`render.transport.sides`).
 
     Args:
-        finder: of the sides that rays meet.
-        lobes: the points.
         shifts: in [0, 1), offsets of each point's pattern of rays.
-        count: rays of each point.
         pattern_part: part of the pattern that each point uses, and the number of parts; None: all.
     """
     from lightsim.render.transport.glossy_kernels import reflected_rays
@@ -138,6 +136,7 @@ def trace_lobes(
         np.empty((total, count, 2), dtype=np.float32),
         lobes.f0,
     )
+    # Alpha is the GGX width: roughness squared, as in the Principled model.
     alphas = _alphas(lobes.roughness)
     tile = max(1, TILE_RAYS // count)
     for start in range(0, total, tile):
@@ -154,6 +153,7 @@ def trace_lobes(
             table.weights[part],
         )
         uv = uv_from_directions(directions)
+        # 16 bits resolve 0.005 degrees, at a third of the memory of float32 vectors.
         table.directions_uv[part] = np.minimum(uv * 65536.0, 65535.0).astype(np.uint16)
         origins = offset_origins(lobes.ray_starts_world[part], normals)
         sides = finder.met(np.repeat(origins, count, axis=0), directions.reshape(-1, 3))
@@ -177,6 +177,7 @@ def sun_in_lobes(lobes: Lobes, sun: Sun) -> Float32[np.ndarray, "g 3"]:
     The lobe is widened by the disc, whose radius is halved on half vectors (compare Karis 2013,
     sphere lights), so that a mirror shows a highlight of finite radiance.
     """
+    # The variances of lobe and disc add.
     alphas = np.hypot(_alphas(lobes.roughness), np.radians(sun.angular_radius_deg) / 2)
     direction = sun.direction_world / np.linalg.norm(sun.direction_world)
     out = np.empty_like(lobes.f0)
@@ -217,8 +218,6 @@ def pixel_lobes(
     """Return lobes at the centres of pixels (flat numbers); None if the buffers have no material.
 
     Args:
-        gbuffers: geometry of the frame.
-        pixel: flat numbers.
         is_matte_alone: leave out smooth surfaces, which are traced by samples
             (`render.transport.glossy`); otherwise their lobes are widened to what single points of
             a mesh can resolve.
@@ -228,6 +227,7 @@ def pixel_lobes(
     roughness, metallic = gbuffers.material.reshape(-1, 2)[pixel].T
     f0 = normal_reflectance(gbuffers.base_colour.reshape(-1, 3)[pixel], metallic)
     if is_matte_alone:
+        # Their rays are traced by samples, so they must not be counted twice.
         f0[roughness < MATTE_ROUGHNESS] = 0.0
     return Lobes(
         gbuffers.ray_starts_world.reshape(-1, 3)[pixel],

@@ -132,10 +132,6 @@ def trace_transport(
     """Trace the light transport matrix of one frame.
 
     Args:
-        scene: surfaces that block and reflect light.
-        gbuffers: geometry of the frame.
-        config: numbers of rays.
-        seed: of the ray directions.
         face_table: from `static_face_table` with the same config, common to the frames of a log;
             None: a new one.
         samples: from `render.transport.samples`, for anti-aliased images and reflections.
@@ -158,9 +154,11 @@ def trace_transport(
     if lobes is not None and config.glossy_rays:
         reflections = trace_lobes(finder, lobes, shifts, config.glossy_rays)
     static = face_table or static_face_table(scene, config)
+    # All kinds of rays refer to one list of faces, whose light is computed once per sky.
     met = [sides, *(table.face_rows for table in (glossy, reflections) if table is not None)]
     tables = static, actor_faces or actor_face_table(scene, config)
     faces = _compact(met, scene, tables, config)
+    # Only the sums over pixel rays run on the device; the light of faces is summed on the CPU.
     on_device = None
     if config.device != "cpu":
         cell_count = 2 * SKY_CELL_ROWS**2
@@ -198,6 +196,7 @@ def _detail(
     # Smooth samples lose the energy of their reflections from their diffuse base colour.
     diffuse = samples.glossy.base_colour * diffuse_fraction(samples, glossy)
     lost = diffuse - samples.glossy.base_colour
+    # Means over pixels are corrected by the difference, without another sum over all samples.
     colour = samples.add_means(
         samples.base_colour.copy(), samples.glossy.rows, lost, samples.fraction
     )
@@ -226,6 +225,7 @@ def trace_points(
     if config.glossy_rays and surface.f0.any():
         reflections = trace_lobes(finder, surface, shifts, config.glossy_rays)
         met.append(reflections.face_rows)
+    # Actors move, so their faces are traced for each scene.
     tables = face_table or static_face_table(scene, config), actor_face_table(scene, config)
     faces = _compact(met, scene, tables, config)
     return PointTransport(cells, sides, faces, None, reflections)
@@ -263,6 +263,7 @@ def _compact(
     from lightsim.render.transport.kernels import UNLISTED, fill_unlisted, mark_rows, renumber
 
     static, actors = tables
+    # A mask over all sides is faster than sorting the sides of all rays.
     is_met = np.zeros(2 * sum(len(mesh.faces) for mesh in scene.meshes), dtype=np.bool_)
     for array in sides:
         mark_rows(array, is_met)
@@ -273,12 +274,14 @@ def _compact(
         mark_rows(_next_sides(met, static, actors), is_met)
         met = np.flatnonzero(is_met)
         next_rows = _next_sides(met, static, actors)
+    # Sides of a third level of faces are not listed; `fill_unlisted` replaces them.
     number = np.full(len(is_met), UNLISTED, dtype=np.int32)
     number[met] = np.arange(len(met), dtype=np.int32)
     for array in sides if next_rows is None else [*sides, next_rows]:
         renumber(array, number)
     if next_rows is not None:
         fill_unlisted(next_rows)
+    # Sides of actors follow those of the static meshes.
     split = int(np.searchsorted(met, 2 * static.face_count))
     parts = [static.samples(met[:split]), actors.samples(met[split:] - 2 * static.face_count)]
     return FaceSamples(
@@ -315,6 +318,7 @@ def _traced_pixels(
     blocks = (-(-height // step), -(-width // step))
     row = np.full(blocks, -1, dtype=np.int64)
     column = np.full(blocks, -1, dtype=np.int64)
+    # The middle pixel represents its block best; others serve blocks at the border of a surface.
     shifts = [(step // 2 + k) % step for k in range(step)]
     base_row, base_column = np.meshgrid(*[np.arange(b) * step for b in blocks], indexing="ij")
     for dr in shifts:

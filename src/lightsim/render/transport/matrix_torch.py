@@ -53,6 +53,7 @@ class TorchTransport:
         table = torch.zeros((self._cell_count + len(radiosity), 6), device=self._device)
         table[: self._cell_count, :3] = cells
         table[self._cell_count :, 3:] = torch.from_numpy(radiosity).to(self._device)
+        # No training: gradients would only cost memory.
         with torch.no_grad():
             met = embedding_bag(self._met, table, mode="mean")
             whole = embedding_bag(self._cells, cells, mode="mean")

@@ -43,20 +43,18 @@ def resolve(
     where each sample has its own. Sun rays start from every sample.
 
     Args:
-        detail: transport to the samples.
-        scene: surfaces that block the sun.
-        gbuffers: geometry of the frame.
         arrived: the sky; radiance of the faces met; sums of the traced points, and at pixel
             centres.
-        config: numbers of rays.
     """
     cells, radiosity, sums, images = arrived
     samples = detail.samples
     fraction = samples.fraction
     edge_light = detail.edge_upsampling(sums)
+    # Pixels at edges are replaced by the mean of their samples.
     images.reshape(-1, 9)[samples.pixel[samples.edge.rows]] = 0
     samples.add_means(images, samples.edge.rows, edge_light, fraction)
     open_sky, bounce, sky_unshadowed = (images[..., i : i + 3].copy() for i in (0, 3, 6))
+    # Released before the sun's arrays are allocated: images of 9 channels are large.
     del images
     visible = np.zeros(len(samples.pixel), dtype=np.float32)
     sun = samples.black
@@ -98,6 +96,7 @@ def _diffuse(
     """Return mean radiance of diffuse reflection: colours differ within a pixel, light only at
     edges."""
     samples = detail.samples
+    # Within a surface the mean of colour times light is the product of the means; not at edges.
     image = detail.base_colour * shaded
     image.reshape(-1, 3)[samples.pixel[samples.edge.rows]] = 0
     return samples.add_means(image, samples.edge.rows, detail.edge_colour * edge_shaded, fraction)
@@ -118,14 +117,12 @@ def _add_sun(
     one each.
 
     Args:
-        image: modified in place.
         fraction: weight of a sample in the mean of its pixel.
-        frame: samples, scene and geometry.
         arriving: the sun, and the luminance of other light at each pixel.
-        config: numbers of rays.
     """
     samples, scene, gbuffers = frame
     sun, shade = arriving
+    # The rays are divided among the samples, so that a pixel costs the same with and without them.
     rays = max(1, config.sun_rays // samples.per_pixel)
     patterns = disc_patterns(sun, rays * samples.per_pixel)
     direction = (sun.direction_world / np.linalg.norm(sun.direction_world)).astype(np.float32)
@@ -136,6 +133,7 @@ def _add_sun(
     tile = max(1, TILE_RAYS // rays)
     for start in range(0, len(visible), tile):
         part = slice(start, start + tile)
+        # Samples of inner pixels have the normal of the pixel's centre; those at edges their own.
         normals = centre_normals[samples.pixel[part]]
         edges = slice(*np.searchsorted(edge_rows, (start, start + tile)))
         normals[edge_rows[edges] - start] = samples.edge.normal_world[edges]
@@ -144,6 +142,7 @@ def _add_sun(
         pixel = samples.pixel[part][facing]
         origins = offset_origins(samples.ray_starts_world[part][facing], normals[facing])
         chosen = pattern_numbers(pixel.astype(np.int64))
+        # Each sample takes other points of its pixel's pattern.
         which = samples.number[part][facing, None] + samples.per_pixel * np.arange(rays)
         directions = patterns[chosen[:, None], which].reshape(-1, 3)
         occluded = caster.is_occluded(np.repeat(origins, rays, axis=0), directions)
@@ -171,6 +170,7 @@ def _glossy(
     samples = detail.samples
     points = samples.glossy
     rays = table.light(cells, radiosity)
+    # The sun's highlight is added after the smoothing, because it has no noise.
     image = smoothing(samples.add_means(samples.black, points.rows, rays, fraction))
     if cells.sun is not None:
         sun = sun_in_lobes(glossy_lobes(samples), cells.sun) * visible[points.rows, None]

@@ -101,15 +101,13 @@ def render_samples(
     ones.
 
     Args:
-        scene: surfaces visible to cameras.
-        camera: of the view.
         view: a recorded frame, or the pose world_from_camera of a static camera.
         gbuffers: of the same view, to detect edges.
-        config: number of samples.
         is_wanted: pixels to sample; None: all.
     """
     count = config.pixel_samples
     corners = camera.pixel_centres().reshape(-1, 2) - 0.5
+    # Samples are counted from the pixel's corner.
     wanted = np.arange(len(corners)) if is_wanted is None else np.flatnonzero(is_wanted)
     offsets = sample_offsets(count)
     band = max(1, BAND_RAYS // count)
@@ -126,6 +124,7 @@ def sample_offsets(count: int) -> Float[np.ndarray, "n 2"]:
 
     Correlated multi-jittered sampling (Kensler 2013) without jitter; the centre for a single point.
     """
+    # Both coordinates have `count` different values, so edges of any direction are resolved finely.
     side = round(np.sqrt(count))
     i, j = np.divmod(np.arange(count), side)
     return np.stack([(i + (j + 0.5) / side) / side, (j + (i + 0.5) / side) / side], axis=1)
@@ -142,6 +141,7 @@ class _Gathered:
         self._gbuffers = gbuffers
         self._per_pixel = per_pixel
         self._total = 0
+        # One more sample a pixel, for pixels that only their centre hits (`result`).
         self._pixel = np.empty(size * per_pixel + size, dtype=np.int32)
         self._number = np.empty(len(self._pixel), dtype=np.uint8)
         self._position = np.empty((len(self._pixel), 3), dtype=np.float32)
@@ -166,6 +166,7 @@ class _Gathered:
         self._coverage[pixels] = count / self._per_pixel
         is_edge = np.zeros(len(pixels), dtype=bool)
         if self._per_pixel > 1:
+            # A silhouette against the sky.
             is_edge = (count > 0) & (count < self._per_pixel)
             is_edge[local[_is_unlike(scene, seen, pixels[local], self._gbuffers)]] = True
         roughness, metallic = surface_material(scene, seen.hits).T
@@ -190,6 +191,7 @@ class _Gathered:
         centre."""
         buffers = self._gbuffers
         shape = buffers.depth_z_m.shape
+        # A thin object can lie between all samples and still hit the centre.
         missed = np.flatnonzero((self._coverage == 0) & buffers.has_surface.reshape(-1))
         positions = buffers.ray_starts_world.reshape(-1, 3)
         self._append(missed, np.zeros_like(missed), positions[missed])

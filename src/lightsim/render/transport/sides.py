@@ -23,6 +23,7 @@ class SideFinder:
         self._caster = caster
         counts = [len(mesh.faces) for mesh in caster.meshes]
         self._first_face = np.cumsum([0, *counts])
+        # Normals decide front or back; they are not normalised, since only the sign matters.
         self._normals = np.empty((int(self._first_face[-1]), 3), dtype=np.float32)
         for first, mesh in zip(self._first_face[:-1], caster.meshes, strict=True):
             face_normals(mesh.vertices, mesh.faces, self._normals[first : first + len(mesh.faces)])

@@ -39,6 +39,7 @@ def sun_visibility(
     neighbouring pixels differ, and frames of a sequence do not flicker.
     """
     direction = (sun.direction_world / np.linalg.norm(sun.direction_world)).astype(np.float32)
+    # Points that face away from the sun's centre are in their own shadow and need no rays.
     facing = np.flatnonzero(normals_world @ direction > 0)
     patterns = disc_patterns(sun, config.sun_rays)
     visible = np.zeros(len(points_world), dtype=np.float32)
@@ -65,11 +66,6 @@ def sun_in_scene(
     """Return `sun_visibility` in a scene whose roofs may be uncertain.
 
     Args:
-        scene: surfaces that block the sun.
-        points_world: where rays start, before `offset_origins`.
-        normals_world: unit vectors.
-        sun: the sun.
-        config: numbers of rays.
         shade: luminance of all other light on the points, for `as_seen`; None: the mean light is
             returned.
     """
@@ -100,6 +96,8 @@ def as_seen(
         chance: probability that the sun is visible.
         shade, sunlight: luminances of other light, and of the sun's.
     """
+    # Pixel values relative to full light, averaged with the probability, and converted back to
+    # light.
     total = np.maximum(shade + sunlight, 1e-12)
     dark = (shade / total) ** _CODE_POWER
     mean = (dark + (1 - dark) * chance) ** (1 / _CODE_POWER)
@@ -115,6 +113,7 @@ def disc_patterns(sun: Sun, count: int) -> Float32[np.ndarray, "p k 3"]:
     """Return sample directions on the solar disc, rotated about its centre by PATTERNS angles."""
     axis = sun.direction_world / np.linalg.norm(sun.direction_world)
     disc = disc_directions(axis, sun.angular_radius_deg, count)
+    # Rodrigues' rotation about the sun's axis.
     along = (disc @ axis)[:, None] * axis
     across = disc - along
     angle = (np.arange(PATTERNS) / PATTERNS * 2 * np.pi)[:, None, None]

@@ -30,6 +30,7 @@ class BilateralUpsampling:
 
     def __call__(self, values: Float32[np.ndarray, "t c"]) -> Float32[np.ndarray, "n c"]:
         """Return values of the traced points at the n points."""
+        # Points without a traced point nearby remain 0.
         out = np.zeros((len(self.rows), values.shape[1]), dtype=np.float32)
         self.add(values, out, np.arange(len(out)))
         return out
@@ -84,6 +85,7 @@ class TracedPixels:
         """Return the weights for points on surfaces that are visible in the given (flat) pixels."""
         from lightsim.render.transport.kernels import spread_weights
 
+        # Fixed room for each point; `count` has the number that is used.
         size = (2 * config.filter_radius + 1) ** 2
         upsampling = BilateralUpsampling(
             np.zeros((len(pixel), size), dtype=np.int32),
