@@ -47,22 +47,13 @@ from lightsim.progress import Progress
 # Sweeps, evenly distributed over the log, from which the elevations of the rings are estimated.
 # Chosen; sensitivity not measured.
 _RING_SWEEPS = 8
-# Least range of returns that are used for this, in metres: coordinates are stored in steps of 4 mm,
-# so the elevation of nearer returns is inaccurate.
-_RING_LEAST_M = 4.0
+
 # Neighbouring sweeps from which the missing directions of a raster are taken. Chosen; sensitivity
 # not measured.
 _RASTER_SWEEPS = 2
 # Distance between a return and the mesh, along the normal, up to which they agree, in metres: more
 # than nine tenths of the returns of PandaSet's sequence 002.
 _SAME_M = 0.1
-# Least number of returns for an estimate of the range noise. Chosen; sensitivity not measured.
-_FEWEST = 100
-# Returns of one sweep in that estimate, to bound its time.
-_NOISE_SAMPLES = 4000
-# Ranges of these returns, in metres: nearer ones suffer from the steps of 4 mm, farther ones from
-# sparse neighbours. Chosen; sensitivity not measured.
-_NOISE_RANGE_M = (4.0, 40.0)
 
 
 def sweep_paths(source: Path) -> Mapping[int, Path]:
@@ -151,7 +142,8 @@ class RecordedBeams:
         chosen = sweeps[:: max(1, len(sweeps) // _RING_SWEEPS)]
         found: dict[int, list[ScanDirections]] = {}
         for lazy in chosen:
-            for device, directions in self._directions(lazy, _RING_LEAST_M).items():
+            # Coordinates in steps of 4 mm make the elevation of returns within 4 m inaccurate.
+            for device, directions in self._directions(lazy, least_m=4.0).items():
                 found.setdefault(device, []).append(directions)
         return {device: find_rings(several) for device, several in found.items()}
 
@@ -237,12 +229,13 @@ def _noise_m(beams: Beams, device: int, seed: int) -> tuple[float, ...]:
     estimated by the median, which is robust to edges.
     """
     own = beams.chosen(beams.is_returned & (beams.device == device))
-    near, far = _NOISE_RANGE_M
-    own = own.chosen((own.range_m > near) & (own.range_m < far))
-    if len(own) < _FEWEST:
+    # Nearer returns suffer from the steps of 4 mm, farther ones from sparse neighbours. The numbers
+    # here are chosen; sensitivity not measured.
+    own = own.chosen((own.range_m > 4.0) & (own.range_m < 40.0))
+    if len(own) < 100:
         return ()
     rng = np.random.default_rng(seed)
-    rows = rng.choice(len(own), min(len(own), _NOISE_SAMPLES), replace=False)
+    rows = rng.choice(len(own), min(len(own), 4000), replace=False)
     points = own.at(own.range_m)
     around = nearest(KDTree(own.directions_world), own.directions_world[rows], 9)[1][:, 1:]
     centre, normal, _ = fitted_planes(

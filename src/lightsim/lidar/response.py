@@ -25,25 +25,19 @@ from lightsim.lidar.rows import Rows
 
 # Recorded beams in memory: 24 of them lie within 0.3 m of most places of PandaSet's sequence 002.
 MOST_DONORS = 1_500_000
-# The next four constants are the units of the distance between donors: one unit of each counts
-# alike. All are chosen; sensitivity not measured.
-#
-# Position: half a metre.
+# Units of the distance between donors: one unit of each counts alike. Chosen; sensitivity not
+# measured. First the unit of the position, in metres.
 _PLACE_M = 0.5
-# Logarithm of the range: two thirds farther.
-_LOG_DISTANCE = 0.5
-# Cosine of incidence: 60 degrees instead of perpendicular.
-_COSINE = 0.5
-# Roughness: paint instead of glass.
-_ROUGHNESS = 0.2
+# Units of the logarithm of the range (two thirds farther), of the cosine of incidence (60 degrees
+# instead of perpendicular), and of roughness (paint instead of glass).
+_LOOK_UNITS = np.array([0.5, 0.5, 0.2])
 # Nearest donors, one of which is drawn at random. Chosen; sensitivity not measured.
 _ALIKE = 8
 # Nearest returns to which a plane is fitted. Chosen; sensitivity not measured.
 _SURFEL = 24
 # Greatest distance of a donor in these units: farther ones belong to another place.
 _FAR = 2.0
-# Least cosine between beam and plane: with less, the distance of their intersection is undefined.
-_LEAST_COSINE = 0.02
+
 # Greatest distance between plane and mesh along a beam, in metres: otherwise they are different
 # surfaces. Chosen; sensitivity not measured.
 _MOST_STEP_M = 0.3
@@ -116,8 +110,8 @@ def sort_of(kind: ActorKind | None) -> Sort:
 
 def looks_of(beams: Beams, met: Surfaces) -> Float32[np.ndarray, "n 3"]:
     """Return distance, incidence and roughness of beams on surfaces, in units that count alike."""
-    distance = np.log(np.clip(met.distance_m, 0.1, 1e4)) / _LOG_DISTANCE
-    looks = np.stack([distance, met.cosine / _COSINE, met.roughness / _ROUGHNESS], axis=1)
+    distance = np.log(np.clip(met.distance_m, 0.1, 1e4))
+    looks = np.stack([distance, met.cosine, met.roughness], axis=1) / _LOOK_UNITS
     return looks.astype(np.float32)
 
 
@@ -187,7 +181,8 @@ class Response:
         centre, normal, variance = fitted_planes(points, weight, met.normal[rows])
         along = (normal * beams.directions_world[rows]).sum(axis=1)
         offset = ((centre - beams.origins_world[rows]) * normal).sum(axis=1)
-        is_crossed = np.abs(along) > _LEAST_COSINE
+        # Nearly parallel to the plane, the distance of the intersection is undefined.
+        is_crossed = np.abs(along) > 0.02
         plane = offset / np.where(is_crossed, along, 1.0)
         is_plane = is_crossed & (variance < _FLAT_M**2) & (weight.sum(axis=1) >= _SURFEL / 2)
         is_plane &= np.abs(plane - distance[rows]) < _MOST_STEP_M

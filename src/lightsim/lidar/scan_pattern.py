@@ -21,28 +21,10 @@ from scipy.spatial import KDTree
 
 from lightsim.lidar.rows import Rows
 
-# Least span of the azimuths of a spinning LiDAR in one sweep.
-_SPINS_RAD = np.radians(300.0)
-# Width of a bin in the histogram of elevations: well below the rings' scatter of 0.03 degrees.
-_BIN_RAD = np.radians(0.01)
-# Standard deviation of the histogram's smoothing: returns scatter by 0.03 degrees about their ring
-# if they are stored in steps of 4 mm.
-_BLUR_BINS = 3
-# Half of the least distance of two rings: the finest of the Pandar64 are 0.167 degrees apart.
-_LEAST_GAP_BINS = 8
-# Least height of a ring's peak relative to the highest one: a ring that points at the sky has few
-# returns. Chosen; sensitivity not measured.
-_LEAST_PEAK = 0.02
-# Greatest distance of a return from its ring: coordinates in steps of 4 mm rotate a beam of 1 m by
-# 0.2 degrees.
-_NEAR_RING_RAD = np.radians(0.5)
 # Fraction of the rings that begin before the estimated start of a sweep, and end after its end:
 # single returns are early, and objects may hide the start of most rings. Chosen; sensitivity not
 # measured.
 _END = 0.1
-# Fraction of the raster's step within which returns of two sweeps belong to one beam. Chosen;
-# sensitivity not measured.
-_SAME_BEAM = 0.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,9 +59,9 @@ class ScanDirections(Rows):
     @property
     def is_spinning(self) -> bool:
         """True if the directions surround the sensor."""
-        # In bins of 5 degrees.
+        # A forward-looking LiDAR spans far less than 300 degrees. In bins of 5 degrees.
         used = np.histogram(self.azimuth_rad, 72, (-np.pi, np.pi))[0] > 0
-        return bool(used.mean() * 2 * np.pi > _SPINS_RAD)
+        return bool(used.mean() * 2 * np.pi > np.radians(300.0))
 
 
 def find_rings(sweeps: Sequence[ScanDirections]) -> Float64[np.ndarray, " k"]:
@@ -90,10 +72,14 @@ def find_rings(sweeps: Sequence[ScanDirections]) -> Float64[np.ndarray, " k"]:
     from scipy.signal import find_peaks  # Takes a second to import.
 
     elevation = np.concatenate([s.elevation_rad for s in sweeps])
-    edges = np.arange(elevation.min() - 1e-3, elevation.max() + 1e-3, _BIN_RAD)
-    counts = gaussian_filter1d(np.histogram(elevation, edges)[0].astype(np.float64), _BLUR_BINS)
-    peaks = find_peaks(counts, prominence=_LEAST_PEAK * counts.max(), distance=_LEAST_GAP_BINS)[0]
-    return edges[peaks] + _BIN_RAD / 2
+    bin_rad = np.radians(0.01)
+    edges = np.arange(elevation.min() - 1e-3, elevation.max() + 1e-3, bin_rad)
+    # Returns scatter by 0.03 degrees, 3 bins, about their ring if stored in steps of 4 mm.
+    counts = gaussian_filter1d(np.histogram(elevation, edges)[0].astype(np.float64), 3)
+    # A ring that points at the sky has few returns, so low peaks count (chosen, not measured). The
+    # finest rings of the Pandar64 are 0.167 degrees apart: 8 bins are half of that.
+    peaks = find_peaks(counts, prominence=0.02 * counts.max(), distance=8)[0]
+    return edges[peaks] + bin_rad / 2
 
 
 def missing_in_rings(found: ScanDirections, rings_rad: Float64[np.ndarray, " k"]) -> ScanDirections:
@@ -106,7 +92,8 @@ def missing_in_rings(found: ScanDirections, rings_rad: Float64[np.ndarray, " k"]
     if not len(rings_rad):
         return found.chosen(np.zeros(len(found.times_ns), dtype=bool))
     ring = np.argmin(np.abs(found.elevation_rad[:, None] - rings_rad), axis=1)
-    is_near = np.abs(found.elevation_rad - rings_rad[ring]) < _NEAR_RING_RAD
+    # Steps of 4 mm rotate a beam of 1 m by 0.2 degrees; returns farther from a ring are outliers.
+    is_near = np.abs(found.elevation_rad - rings_rad[ring]) < np.radians(0.5)
     turned = _turned(found)
     in_ring = [_in_order(found, turned, is_near & (ring == k)) for k in range(len(rings_rad))]
     steps = np.concatenate([np.diff(angle) for angle, _ in in_ring])
@@ -141,7 +128,9 @@ def missing_in_raster(found: ScanDirections, others: Sequence[ScanDirections]) -
     """
     have = found.vectors
     nearest = KDTree(have).query(have, k=2, workers=1)[0][:, 1]
-    least = _SAME_BEAM * float(np.median(nearest))
+    # Returns of two sweeps nearer than 0.7 of the raster's step belong to one beam. Chosen;
+    # sensitivity not measured.
+    least = 0.7 * float(np.median(nearest))
     start_ns = int(found.times_ns.min())
     parts = [found.chosen(np.zeros(len(have), dtype=bool))]
     for other in others:

@@ -36,15 +36,12 @@ _BORDER = 0.15
 _BLENDED_RAD = 0.03
 # Decay of the weight in the comparison of images, wider than for blending to include more images.
 _COMPARED_RAD = 0.1
-# Least weight of all further images, relative to the best one, for a comparison to count.
-_LEAST_COMPARED = 0.2
+
 # Relative tolerance between the distance of a surface and the range of distances in the 3 x 3
 # pixels around its projection.
 _SAME_DISTANCE = 0.02
 # Depth of a crown, in metres: rims that two images show of one crown may differ by this much.
 _RIM_M = 1.0
-# Distance of pixels without a surface, in metres: far enough for no parallax.
-_SKY_M = 1e5
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +96,8 @@ class ViewRays:
 
     @property
     def _reach_m(self) -> Float[np.ndarray, " n"]:
-        return np.where(np.isfinite(self.distance_m), self.distance_m, _SKY_M)
+        # 100 km is far enough for no parallax.
+        return np.where(np.isfinite(self.distance_m), self.distance_m, 1e5)
 
     def part(self, rows: slice | Int64[np.ndarray, " k"]) -> ViewRays:
         """Return some of the rays."""
@@ -278,8 +276,8 @@ def disagreement(
         code = np.sqrt(np.maximum(luminance(_sampled(view, uv[rows])[:, :3]), 0.0))
         codes.add(rows, penalty[rows], np.column_stack([code, code * code]))
     mean, square = codes.values.T
-    # The best image has the weight 1.
-    is_compared = codes.weight > 1 + _LEAST_COMPARED
+    # The best image has the weight 1; all others together need 0.2 for a comparison.
+    is_compared = codes.weight > 1 + 0.2
     deviation = np.sqrt(np.maximum(square - mean * mean, 0.0))
     return np.where(is_compared, deviation, np.float32(np.inf)).astype(np.float32)
 

@@ -21,12 +21,6 @@ from lightsim.render.roofs import UncertainRoofs
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.render.transport.matrix_torch import has_torch_cuda
 
-# Defaults of the path tracers: paths a pixel and bounces. Chosen as a compromise between noise and
-# time; sensitivity not measured.
-_PATHS = 64
-# Later bounces carry little light on streets; chosen, sensitivity not measured.
-_PATH_BOUNCES = 4
-
 
 @runtime_checkable
 class TracedFrame(Protocol):
@@ -175,13 +169,14 @@ def make_reference(
         from lightsim.render.reference.cycles import Cycles
 
         tracer = Cycles(choice.blender_python)
-    bounces = choice.bounces or _PATH_BOUNCES
+    # Defaults of 64 paths a pixel and 4 bounces: chosen as a compromise between noise and time;
+    # sensitivity not measured.
     return ReferenceRenderer(
         background,
         inferred,
         tracer,
-        choice.rays or _PATHS,
-        bounces=bounces,
+        choice.rays or 64,
+        bounces=choice.bounces or 4,
         seed=seed,
         inferred_is_visible=inferred_is_visible,
     )

@@ -14,10 +14,6 @@ from lightsim.core.equirect import uv_from_directions
 from lightsim.core.resample import resize_area
 from lightsim.errors import InputError
 
-# Depth of the red end of the colour scale, in metres; a display choice.
-_NEAR_M = 2.0
-# Depth of the blue end, in metres; a display choice.
-_FAR_M = 80.0
 # Coefficients of the Turbo colour map's polynomial (Mikhailov 2019) by channel, sRGB in [0, 1].
 _TURBO = np.array(
     [
@@ -90,7 +86,8 @@ def depth_colours(depth_z_m: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w
 
     Pixels without a surface are dark grey.
     """
-    part = np.log(np.clip(depth_z_m, _NEAR_M, _FAR_M) / _FAR_M) / np.log(_NEAR_M / _FAR_M)
+    near_m, far_m = 2.0, 80.0
+    part = np.log(np.clip(depth_z_m, near_m, far_m) / far_m) / np.log(near_m / far_m)
     # The dark ends of Turbo are left out, so that depths differ from the grey of missing surfaces.
     return _on_surface(_turbo(0.08 + 0.84 * part), np.isfinite(depth_z_m))
 

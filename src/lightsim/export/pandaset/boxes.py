@@ -19,8 +19,7 @@ from lightsim.store.pandaset_tables import Columns, cuboid_table
 # Speed in m/s below which a vehicle that drives in the log has stopped: above the noise of tracks.
 # Chosen; sensitivity not measured.
 _MOVES_M_S = 0.3
-# Half of the time over which speed is measured, half a sweep.
-_BESIDE_NS = 50_000_000
+
 # Kinds, besides vehicles, for which PandaSet's boxes have a motion attribute.
 _DRIVEN = frozenset({
     ActorKind.MOTORCYCLE, ActorKind.SCOOTER, ActorKind.BICYCLE, ActorKind.PERSONAL_MOBILITY,
@@ -143,8 +142,10 @@ class BoxEditor:
 
 
 def _attributes(track: ActorTrack, time_ns: int) -> Mapping[str, str]:
-    ends = track.trajectory.held_at(np.array([time_ns - _BESIDE_NS, time_ns + _BESIDE_NS]))
-    speed = float(np.linalg.norm(ends[1, :3, 3] - ends[0, :3, 3])) / (2e-9 * _BESIDE_NS)
+    # Speed over one sweep of 0.1 s.
+    half_ns = 50_000_000
+    ends = track.trajectory.held_at(np.array([time_ns - half_ns, time_ns + half_ns]))
+    speed = float(np.linalg.norm(ends[1, :3, 3] - ends[0, :3, 3])) / (2e-9 * half_ns)
     is_moving = speed > _MOVES_M_S
     if track.kind.is_vehicle or track.kind in _DRIVEN:
         still = "Stopped" if track.is_moving else "Parked"

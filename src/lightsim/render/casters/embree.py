@@ -15,9 +15,6 @@ _CHUNK_RAYS = 1 << 18
 # Distance of ray origins from their surface, in metres. With less, rays meet the surface that they
 # leave; with more, light leaks under cars. Not measured alone.
 _OFFSET_M = 0.002
-# Least offset in float32 steps of the largest coordinate: far from the origin (beyond 2 km) 2 mm
-# would be lost in rounding. Chosen; sensitivity not measured.
-_MIN_OFFSET_ULPS = 8.0
 
 
 class EmbreeCaster:
@@ -105,7 +102,8 @@ def offset_origins(
     """
     largest = np.abs(points_world).max(axis=1, initial=0.0)
     ulp = np.spacing(largest.astype(np.float32)).astype(np.float64)
-    step = np.maximum(_OFFSET_M, _MIN_OFFSET_ULPS * ulp)[:, None]
+    # Far from the origin (beyond 2 km) 2 mm would be lost in rounding.
+    step = np.maximum(_OFFSET_M, 8.0 * ulp)[:, None]
     return (points_world + step * directions_world).astype(np.float32)
 
 

@@ -28,10 +28,6 @@ _MAX_PATHS = 1 << 22
 # of two faces, and pixel centres of level cameras over gridded meshes lie on such edges in whole
 # rows.
 _NEAR_CENTRE_PX = (0.503, 0.498)
-# Start of a path before its surface, as a fraction of the distance: well above float32 rounding.
-_STEP_BACK = 1e-4
-# The constant part of that step, in metres, for near surfaces. Both chosen.
-_STEP_BACK_M = 1e-3
 
 
 class PathTracer:
@@ -123,7 +119,9 @@ class PathTracer:
         hits = job.scene.camera_caster.intersect(origins, directions)
         met = np.flatnonzero(hits.is_hit)
         distance = hits.distance_m[met].astype(np.float64)[:, None]
-        start = np.maximum(distance * (1 - _STEP_BACK) - _STEP_BACK_M, 0.0)
+        # Paths start before their surface, by 1 mm and a ten-thousandth of the distance, which is
+        # well above float32 rounding.
+        start = np.maximum(distance * (1 - 1e-4) - 1e-3, 0.0)
         points = origins[met] + start * directions[met]
         found = self._radiance(
             job,

@@ -19,8 +19,6 @@ from numba import njit, prange
 
 from lightsim.render.transport.kernels import GOLDEN_2D
 
-# Second step of the R2 sequence, as in `kernels`.
-_GOLDEN = GOLDEN_2D[1]
 # Least cosine of the viewing direction, a guard: shading normals may lean away from the camera.
 _GRAZING = 1e-3
 
@@ -99,7 +97,7 @@ def reflected_rays(normals, towards_camera, alphas, shifts, part, directions, we
         for k in range(count):
             m = k * parts + which[p]
             u = (shifts[p, 0] + (m + 0.5) / total) % 1.0
-            v = (shifts[p, 1] + (m + 1) * _GOLDEN) % 1.0
+            v = (shifts[p, 1] + (m + 1) * GOLDEN_2D[1]) % 1.0
             # Reflected directions below the surface lose their energy, as in single scattering.
             hx, hy, hz = _visible_normal(x, y, z, alpha, u, v)
             cosine = x * hx + y * hy + z * hz

@@ -21,8 +21,6 @@ from lightsim.render.transport.faces import TILE_RAYS
 from lightsim.render.transport.sides import SideFinder
 from lightsim.render.transport.sky import EnvironmentCells
 
-# Least GGX width, a guard against division by 0 for mirrors.
-_LEAST_ALPHA = 1e-3
 # Least roughness at pixel centres: normals of reconstructed meshes have errors of degrees, with
 # which a sharper highlight would sparkle. Chosen; sensitivity not measured.
 _LEAST_AT_CENTRES = 0.3
@@ -209,7 +207,8 @@ def specular_lobe(
 
 
 def _alphas(roughness: Float[np.ndarray, " n"]) -> Float32[np.ndarray, " n"]:
-    return np.maximum(np.square(roughness), _LEAST_ALPHA).astype(np.float32)
+    # The lower bound is a guard against division by 0 for mirrors.
+    return np.maximum(np.square(roughness), 1e-3).astype(np.float32)
 
 
 def pixel_lobes(
