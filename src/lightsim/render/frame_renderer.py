@@ -188,7 +188,7 @@ class TransportFrame:
 
         Returns:
             Visibility in [0, 1], NaN for pixels without an estimate. None if the frame has no
-                estimate at all.
+            estimate at all.
         """
         buffers = self.geometry
         if buffers.found_visibility is None or sun is None:
@@ -224,7 +224,7 @@ class TransportFrame:
 
         Returns:
             Fraction of the solar disc in [0, 1]; 1 without a surface and on surfaces that face away
-                from the sun.
+            from the sun.
         """
         buffers = self.geometry
         past = np.ones(buffers.depth_z_m.shape, dtype=np.float32)

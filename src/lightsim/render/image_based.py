@@ -125,7 +125,7 @@ class ViewRays:
 
         Returns:
             Penalty in radians, inf outside the image, without regard to occlusion. Then (u, v) in
-                the image, and the distance from its camera in metres.
+            the image, and the distance from its camera in metres.
         """
         uv, is_inside = frame.project(camera, points_world)
         uv = np.where(is_inside[:, None], uv, 0.0)

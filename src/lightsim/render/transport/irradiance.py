@@ -10,10 +10,11 @@ from jaxtyping import Float32
 from lightsim.core.dome import SkyDome
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import FaceSamples, FaceTable, hashed_shifts
-from lightsim.render.transport.light import face_radiosity, light_points, table_sums
+from lightsim.render.transport.light import face_radiosity, table_sums
 from lightsim.render.transport.lobes import Lobes, sun_in_lobes
 from lightsim.render.transport.matrix import TransportConfig, static_face_table, trace_points
 from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
+from lightsim.render.transport.sun import sun_in_scene, unshadowed_sun
 
 # Points in memory at once, with some 100 rays each. Not measured alone.
 _TILE_POINTS = 1 << 16
@@ -129,8 +130,14 @@ def _tile(
     cells, part_cells, face_table = light
     table = trace_points(scene, surface, shifts, config.transport, face_table)
     radiosity = _radiosity(table.faces, scene, cells, config.unseen_albedo)
-    lit = light_points(table, radiosity, scene, points, normals, cells, config.transport)
-    sky_part, reflected, reflected_part, reflected_sun = (np.zeros_like(lit.sky) for _ in range(4))
+    sums = table_sums(table, cells, radiosity)
+    visibility = np.zeros(len(points), dtype=np.float32)
+    sun, sky_part, reflected, reflected_part, reflected_sun = (
+        np.zeros((len(points), 3), dtype=np.float32) for _ in range(5)
+    )
+    if cells.sun is not None:
+        visibility = sun_in_scene(scene, points, normals, cells.sun, config.transport)
+        sun = unshadowed_sun(normals, cells.sun) * visibility[:, None]
     if table.reflections is not None:
         reflected = table.reflections.light(cells, radiosity)
         if cells.sun is not None:
@@ -142,12 +149,12 @@ def _tile(
         if table.reflections is not None:
             reflected_part = table.reflections.light(part_cells, dark)
     return PointIrradiance(
-        lit.sun_visibility,
+        visibility,
         table.sky_view_factor,
-        lit.direct_sun,
-        lit.sky,
+        sun,
+        sums[:, :3],
         sky_part,
-        lit.bounce,
+        sums[:, 3:6],
         reflected,
         reflected_part,
         reflected_sun,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float32
@@ -17,17 +17,6 @@ from lightsim.render.transport.matrix import PointTransport, TransportConfig, Tr
 from lightsim.render.transport.resolve import resolve
 from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
 from lightsim.render.transport.sun import sun_in_scene, unshadowed_sun
-
-
-@dataclass(frozen=True, eq=False)
-class PointLight:
-    """Light on n points, irradiance / pi (see `core.buffers.ShadowBuffers`)."""
-
-    sun_visibility: Float32[np.ndarray, " n"]
-    direct_sun: Float32[np.ndarray, "n 3"]
-    sky: Float32[np.ndarray, "n 3"]
-    bounce: Float32[np.ndarray, "n 3"]
-    sky_unshadowed: Float32[np.ndarray, "n 3"]
 
 
 def light(
@@ -126,25 +115,6 @@ def _at_centres(
         direct_sun + open_sky + bounce,
         sun_image + sky_unshadowed,
     )
-
-
-def light_points(
-    table: PointTransport,
-    radiosity: Float32[np.ndarray, "f 3"],
-    scene: FrameScene,
-    points_world: Float32[np.ndarray, "n 3"],
-    normals_world: Float32[np.ndarray, "n 3"],
-    cells: EnvironmentCells,
-    config: TransportConfig,
-) -> PointLight:
-    """Return the light of one sky on traced points, with the bounce of the surrounding faces."""
-    sums = table_sums(table, cells, radiosity)
-    visibility = np.zeros(len(points_world), dtype=np.float32)
-    sun = np.zeros((len(points_world), 3), dtype=np.float32)
-    if cells.sun is not None:
-        visibility = sun_in_scene(scene, points_world, normals_world, cells.sun, config)
-        sun = unshadowed_sun(normals_world, cells.sun) * visibility[:, None]
-    return PointLight(visibility, sun, sums[:, :3], sums[:, 3:6], sums[:, 6:])
 
 
 def table_sums(
