@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from lightsim.core.frames import Trajectory
+from lightsim.core.rows import Rows
 from lightsim.core.sensors import LidarSweep
-from lightsim.lidar.rows import Rows
 
 # Row of a beam without a return.
 NO_ROW = -1

@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float64, Int64, Shaped
 from lightsim.core.actors import ActorTrack
 from lightsim.core.casting import MakeCaster, RayCaster, RayHits
 from lightsim.core.mesh import TriMesh
+from lightsim.core.rows import Rows
 from lightsim.core.scenario import ActorPlacement
 from lightsim.core.sensors import SWEEP_HOLD_S
 from lightsim.lidar.beams import Beams
-from lightsim.lidar.rows import Rows
 
 # Body of a beam that meets no surface.
 NOTHING = -2

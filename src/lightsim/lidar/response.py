@@ -19,9 +19,9 @@ from jaxtyping import Bool, Float, Float32, Float64, Int64
 from scipy.spatial import KDTree
 
 from lightsim.core.actors import ActorKind
+from lightsim.core.rows import Rows
 from lightsim.lidar.beams import Beams
 from lightsim.lidar.ray_scene import Surfaces
-from lightsim.lidar.rows import Rows
 
 # Recorded beams in memory: 24 of them lie within 0.3 m of most places of PandaSet's sequence 002.
 MOST_DONORS = 1_500_000

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import KDTree
 
-from lightsim.lidar.rows import Rows
+from lightsim.core.rows import Rows
 
 # Fraction of the rings that begin before the estimated start of a sweep, and end after its end:
 # single returns are early, and objects may hide the start of most rings. Chosen; sensitivity not

@@ -26,7 +26,7 @@ from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import LightSimError, MissingDependencyError
 from lightsim.render.gbuffers import camera_pose
-from lightsim.render.reference.corner_mesh import CornerMesh, corner_mesh
+from lightsim.render.reference.corner_mesh import corner_mesh
 from lightsim.render.reference.renderer import SEED_STEP, Picture, Shot
 from lightsim.render.scene import FrameScene, StaticScene
 
@@ -151,7 +151,9 @@ class Cycles:
         if len(mesh.faces) == 0:
             return
         path = Path(self._folder.name) / "mesh.npz"
-        np.savez(path, **_arrays(corner_mesh(mesh, normals)))
+        # A mesh without texture has no array for it.
+        arrays = vars(corner_mesh(mesh, normals)).items()
+        np.savez(path, **{key: array for key, array in arrays if array is not None})
         self._ask({"do": "mesh", "name": name, "path": str(path), "is_visible": is_visible})
 
     def _light_request(self, shot: Shot) -> dict[str, Any]:
@@ -230,10 +232,3 @@ def _sun_request(sun: Sun | None) -> dict[str, Any] | None:
         "irradiance": sun.irradiance.tolist(),
         "angular_radius_deg": sun.angular_radius_deg,
     }
-
-
-def _arrays(mesh: CornerMesh) -> dict[str, Any]:
-    names = ("vertices", "normals", "uv", "colour", "texture", "roughness", "metallic")
-    arrays = {name: getattr(mesh, name) for name in names}
-    # A mesh without texture has no entry for it.
-    return {name: array for name, array in arrays.items() if array is not None}

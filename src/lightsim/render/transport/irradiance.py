@@ -108,7 +108,7 @@ def irradiance_at(
         part = slice(start, start + _TILE_POINTS)
         numbers = np.arange(start, min(start + _TILE_POINTS, len(surface)), dtype=np.int64)
         tile = _tile(
-            surface.at(part),
+            surface.chosen(part),
             hashed_shifts(numbers, seed),
             scene,
             (cells, part_cells, table),

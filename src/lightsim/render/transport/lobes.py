@@ -16,6 +16,7 @@ from lightsim.core.buffers import GBuffers
 from lightsim.core.dome import Sun
 from lightsim.core.equirect import uv_from_directions
 from lightsim.core.mesh import MATTE_ROUGHNESS
+from lightsim.core.rows import Rows
 from lightsim.render.casters.embree import offset_origins
 from lightsim.render.transport.faces import TILE_RAYS
 from lightsim.render.transport.sides import SideFinder
@@ -27,7 +28,7 @@ _LEAST_AT_CENTRES = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Lobes:
+class Lobes(Rows):
     """Surface points and their specular lobes.
 
     Args:
@@ -56,16 +57,6 @@ class Lobes:
 
     def __len__(self) -> int:
         return len(self.f0)
-
-    def at(self, rows: slice) -> Lobes:
-        """Return some of the points."""
-        return Lobes(
-            self.ray_starts_world[rows],
-            self.normal_world[rows],
-            self.towards_camera[rows],
-            self.roughness[rows],
-            self.f0[rows],
-        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,7 +64,8 @@ def resolve(
         sunlight = (cells.sun.irradiance / np.pi).astype(np.float32)
         shade = luminance(open_sky + bounce).reshape(-1)
         visible = _add_sun(sun, fraction, (samples, scene, gbuffers), (cells.sun, shade), config)
-        edge_shaded += _sun_at_edges(samples, visible, cells.sun)
+        edge_sun = unshadowed_sun(samples.edge.normal_world, cells.sun)
+        edge_shaded += edge_sun * visible[samples.edge.rows, None]
     direct_sun = sun[..., 1:2] * sunlight
     shaded = direct_sun + open_sky + bounce
     return ShadowBuffers(
@@ -78,13 +79,6 @@ def resolve(
         _diffuse(detail, shaded, edge_shaded, fraction),
         _glossy(detail, cells, radiosity, visible, fraction),
     )
-
-
-def _sun_at_edges(
-    samples: PixelSamples, visible: Float32[np.ndarray, " n"], sun: Sun
-) -> Float32[np.ndarray, "e 3"]:
-    """Return irradiance / pi of the sun on the samples at edges."""
-    return unshadowed_sun(samples.edge.normal_world, sun) * visible[samples.edge.rows, None]
 
 
 def _diffuse(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32, Int64, UInt8
@@ -11,6 +11,7 @@ from lightsim.core.buffers import GBuffers
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import MATTE_ROUGHNESS
+from lightsim.core.rows import Rows
 from lightsim.core.sensors import CameraFrame
 from lightsim.render.gbuffers import BAND_RAYS, SeenSurfaces, see, surface_material
 from lightsim.render.scene import FrameScene
@@ -22,7 +23,7 @@ _SAME_NORMAL = 0.95
 
 
 @dataclass(frozen=True, eq=False)
-class SurfacePoints:
+class SurfacePoints(Rows):
     """Some of the samples, with the attributes of their surface.
 
     Args:
@@ -203,8 +204,8 @@ class _Gathered:
             self._position[: self._total],
             self._colour.reshape(*shape, 3),
             self._coverage.reshape(shape),
-            _joined(self._edges),
-            _joined(self._glossy),
+            SurfacePoints.joined(self._edges),
+            SurfacePoints.joined(self._glossy),
         )
 
 
@@ -240,8 +241,3 @@ def _points(
         roughness[rows],
         metallic[rows],
     )
-
-
-def _joined(parts: list[SurfacePoints]) -> SurfacePoints:
-    names = [f.name for f in fields(SurfacePoints)]
-    return SurfacePoints(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))

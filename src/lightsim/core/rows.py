@@ -1,4 +1,4 @@
-"""Base of dataclasses whose fields are arrays with one row per beam."""
+"""Base of dataclasses whose fields are arrays of one length, such as beams or surface points."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ RowsT = TypeVar("RowsT", bound="Rows")
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Arrays of one length; subclasses name them as fields."""
+    """Arrays of one length, which subclasses declare as fields."""
 
-    def chosen(self: RowsT, rows: Shaped[np.ndarray, " _"]) -> RowsT:
-        """Return some rows, by a mask or by their numbers."""
+    def chosen(self: RowsT, rows: Shaped[np.ndarray, " _"] | slice) -> RowsT:
+        """Return some rows, by a mask, a slice or their numbers."""
         return type(self)(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     def fill(self: RowsT, rows: Shaped[np.ndarray, " _"], other: RowsT) -> None:
