@@ -12,8 +12,10 @@ from lightsim.core.mesh import TriMesh
 
 
 class CompositeCaster:
-    """Return the nearest hit over several casters; `mesh_index` counts the first caster's meshes
-    first."""
+    """Ray caster that returns the nearest hit over several casters.
+
+    `mesh_index` counts the first caster's meshes first.
+    """
 
     def __init__(self, casters: Sequence[RayCaster]) -> None:
         self._casters = tuple(casters)

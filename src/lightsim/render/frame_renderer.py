@@ -75,8 +75,9 @@ class Tracing:
 
 
 class TransportFrame:
-    """One frame whose rays are traced once, at the first request for light; each sky then costs
-    sums only.
+    """One frame whose rays are traced once, at the first request for light.
+
+    Each sky then costs sums only.
 
     Args:
         view: the frame and its camera.
@@ -144,8 +145,7 @@ class TransportFrame:
         return self._with(view, geometry, self._tracing, is_wanted)
 
     def traced_as(self, tracing: Tracing) -> TransportFrame:
-        """Return the same pixels with other ray settings; the actors' face table is common to both
-        frames."""
+        """Return the same pixels with other ray settings and the same face table of actors."""
         return self._with(self.view, self.geometry, tracing, self._is_wanted)
 
     def diffuse_once(self) -> TransportFrame:
@@ -165,8 +165,7 @@ class TransportFrame:
         return TransportFrame(view, geometry, self._scene, tracing, is_wanted, faces)
 
     def light(self, sky: SkyDome | EnvironmentCells) -> ShadowBuffers:
-        """Return irradiance / pi of the pixels under a sky; the result of the last sky object is
-        cached."""
+        """Return irradiance / pi of the pixels under a sky; the last sky's result is cached."""
         if self._last is None or self._last[0] is not sky:
             # Released before the next sky is computed, so that two results are never in memory.
             self._last = None
@@ -180,15 +179,14 @@ class TransportFrame:
         return self._last[1]
 
     def found_visibility(self, sun: Sun | None) -> Float32[np.ndarray, "h w"] | None:
-        """Return the visibility of the recorded sun, as estimated from images, times moving actors'
+        """Return the recorded sun's visibility as estimated from images, times moving actors'
         shadows.
 
         Args:
             sun: the sun of the recording.
 
         Returns:
-            Visibility in [0, 1], NaN for pixels without an estimate. None if the frame has no
-            estimate at all.
+            Visibility in [0, 1], NaN for pixels without an estimate. None if the frame has none.
         """
         buffers = self.geometry
         if buffers.found_visibility is None or sun is None:
@@ -280,15 +278,15 @@ def visible_sky(
     """Return the radiance of the sky in a camera, with a sharp solar disc."""
     assert sky.behind is not None
     rays = frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))[1]
-    seen = sample_bilinear(sky.behind, rays).astype(np.float32)
+    radiance = sample_bilinear(sky.behind, rays).astype(np.float32)
     if sky.sun is not None:
         radius_rad = np.radians(sky.sun.angular_radius_deg)
         axis = sky.sun.direction_world / np.linalg.norm(sky.sun.direction_world)
         # The sun is absent from `sky.behind`, whose texels would blur its disc.
         in_disc = rays @ axis > np.cos(radius_rad)
         solid_angle_sr = 2 * np.pi * (1 - np.cos(radius_rad))
-        seen[in_disc] += (sky.sun.irradiance / solid_angle_sr).astype(np.float32)
-    return seen.reshape(camera.height_px, camera.width_px, 3)
+        radiance[in_disc] += (sky.sun.irradiance / solid_angle_sr).astype(np.float32)
+    return radiance.reshape(camera.height_px, camera.width_px, 3)
 
 
 class FrameRenderer:
@@ -336,8 +334,7 @@ class FrameRenderer:
         sun_rays: int | None = None,
         glossy_rays: int | None = None,
     ) -> FrameRenderer:
-        """Return a renderer of anti-aliased images of the same twin, with the same static scene and
-        faces."""
+        """Return a renderer of anti-aliased images with the same static scene and faces."""
         other = copy(self)
         # The numbers of face rays do not change, so the face table is reused.
         transport = replace(
@@ -393,6 +390,5 @@ class FrameRenderer:
         return TransportFrame(known.view, geometry, scene, self._tracing)
 
     def retrace(self, frame: TransportFrame) -> TransportFrame:
-        """Return a frame of another renderer of the same twin with the ray settings of this
-        renderer."""
+        """Return another renderer's frame of the same twin with this renderer's ray settings."""
         return frame.traced_as(self._tracing)

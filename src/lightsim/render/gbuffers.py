@@ -54,7 +54,7 @@ def render_gbuffers(
     centres = camera.pixel_centres().reshape(-1, 2)
     for start in range(0, len(pixels), BAND_RAYS):
         band = pixels[start : start + BAND_RAYS]
-        found = see(scene, camera, view, centres[band])
+        found = cast_primary_rays(scene, camera, view, centres[band])
         index = band[found.rows]
         values = {
             "depth_z_m": found.depth_z_m,
@@ -98,7 +98,7 @@ def _empty(height: int, width: int) -> GBuffers:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenSurfaces:
+class PrimaryHits:
     """First surfaces on primary rays.
 
     Args:
@@ -118,12 +118,12 @@ class SeenSurfaces:
     towards_camera: Float32[np.ndarray, "n 3"]
 
 
-def see(
+def cast_primary_rays(
     scene: FrameScene,
     camera: PinholeCamera,
     view: CameraFrame | RigidTransform,
     uv: Float[np.ndarray, "m 2"],
-) -> SeenSurfaces:
+) -> PrimaryHits:
     """Return the surfaces behind points (u, v) of the image."""
     origins, directions = view_rays(view, camera, uv)
     hits = scene.camera_caster.intersect(origins, directions)
@@ -136,7 +136,7 @@ def see(
     towards = directions[rows]
     position = (origins[rows] + distance[:, None] * towards).astype(np.float32)
     normal, terminator_offset, colour = _surface(scene, hits, towards)
-    return SeenSurfaces(
+    return PrimaryHits(
         rows,
         hits,
         depth.astype(np.float32),

@@ -235,18 +235,18 @@ def rims_seen(
             differently.
     """
     count = len(rays.distance_m)
-    rims, seen = _Mean.empty(count, 4), _Mean.empty(count, 1)
+    rims, fraction = _Mean.empty(count, 4), _Mean.empty(count, 1)
     for view, points in pictures:
         penalty, uv, away_m = rays.penalties(view.frame, view.camera, points)
         is_rim = _shows_rim(view, uv, away_m)
         # An image in which something nearer occludes the place is no evidence.
         is_visible = np.isfinite(penalty) & (is_rim | _sees_past(view, uv, away_m))
         rows = np.flatnonzero(is_visible)
-        seen.add(rows, penalty[rows], is_rim[rows, None].astype(np.float32))
+        fraction.add(rows, penalty[rows], is_rim[rows, None].astype(np.float32))
         rows = np.flatnonzero(is_visible & is_rim)
         rims.add(rows, penalty[rows], _sampled(view, uv[rows]))
     found = rims.values
-    return BlendedView(found[:, :3], found[:, 3], seen.values[:, 0] > 0.5)
+    return BlendedView(found[:, :3], found[:, 3], fraction.values[:, 0] > 0.5)
 
 
 def disagreement(

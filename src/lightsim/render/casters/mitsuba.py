@@ -149,8 +149,10 @@ def is_usable(backend: MitsubaBackend) -> bool:
 
 
 def make_mitsuba_scene(mitsuba: Any, meshes: Sequence[TriMesh]) -> Any:
-    """Return a scene of one shape with all meshes, in Mitsuba's current variant; faces are
-    required."""
+    """Return a scene of one shape with all meshes, in Mitsuba's current variant.
+
+    At least one mesh must have faces.
+    """
     first_vertex = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
     vertices = np.concatenate([mesh.vertices for mesh in meshes]).astype(np.float32)
     faces = np.concatenate(

@@ -13,7 +13,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import MATTE_ROUGHNESS
 from lightsim.core.rows import Rows
 from lightsim.core.sensors import CameraFrame
-from lightsim.render.gbuffers import BAND_RAYS, SeenSurfaces, see, surface_material
+from lightsim.render.gbuffers import BAND_RAYS, PrimaryHits, cast_primary_rays, surface_material
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import TransportConfig
 
@@ -116,7 +116,7 @@ def render_samples(
     for start in range(0, len(wanted), band):
         pixels = wanted[start : start + band]
         uv = (corners[pixels, None] + offsets).reshape(-1, 2)
-        gathered.add(scene, see(scene, camera, view, uv), pixels, config)
+        gathered.add(scene, cast_primary_rays(scene, camera, view, uv), pixels, config)
     return gathered.result()
 
 
@@ -154,28 +154,28 @@ class _Gathered:
     def add(
         self,
         scene: FrameScene,
-        seen: SeenSurfaces,
+        surfaces: PrimaryHits,
         pixels: Int64[np.ndarray, " p"],
         config: TransportConfig,
     ) -> None:
         """Add the samples of some pixels."""
-        local, number = np.divmod(seen.rows, self._per_pixel)
+        local, number = np.divmod(surfaces.rows, self._per_pixel)
         count = np.bincount(local, minlength=len(pixels))
         for c in range(3):
-            total = np.bincount(local, seen.base_colour[:, c], minlength=len(pixels))
+            total = np.bincount(local, surfaces.base_colour[:, c], minlength=len(pixels))
             self._colour[pixels, c] = total / np.maximum(count, 1)
         self._coverage[pixels] = count / self._per_pixel
         is_edge = np.zeros(len(pixels), dtype=bool)
         if self._per_pixel > 1:
             # A silhouette against the sky.
             is_edge = (count > 0) & (count < self._per_pixel)
-            is_edge[local[_is_unlike(scene, seen, pixels[local], self._gbuffers)]] = True
-        roughness, metallic = surface_material(scene, seen.hits).T
+            is_edge[local[_is_unlike(scene, surfaces, pixels[local], self._gbuffers)]] = True
+        roughness, metallic = surface_material(scene, surfaces.hits).T
         is_glossy = (roughness < MATTE_ROUGHNESS) & (config.glossy_rays > 0)
-        for found, chosen in ((self._edges, is_edge[local]), (self._glossy, is_glossy)):
-            points = _points(seen, np.flatnonzero(chosen), roughness, metallic)
-            found.append(replace(points, rows=points.rows + self._total))
-        self._append(pixels[local], number, seen.offset_world)
+        for gathered, chosen in ((self._edges, is_edge[local]), (self._glossy, is_glossy)):
+            points = _points(surfaces, np.flatnonzero(chosen), roughness, metallic)
+            gathered.append(replace(points, rows=points.rows + self._total))
+        self._append(pixels[local], number, surfaces.offset_world)
 
     def _append(
         self,
@@ -210,34 +210,34 @@ class _Gathered:
 
 
 def _is_unlike(
-    scene: FrameScene, seen: SeenSurfaces, pixel: Int64[np.ndarray, " n"], gbuffers: GBuffers
+    scene: FrameScene, surfaces: PrimaryHits, pixel: Int64[np.ndarray, " n"], gbuffers: GBuffers
 ) -> Bool[np.ndarray, " n"]:
     """Return the samples that show another surface than the centre of their pixel."""
     from lightsim.render.transport.kernels import SAME_SURFACE_M, SAME_SURFACE_PER_M
 
     normal = gbuffers.normal_world.reshape(-1, 3)[pixel]
-    gap = seen.position_world - gbuffers.position_world.reshape(-1, 3)[pixel]
+    gap = surfaces.position_world - gbuffers.position_world.reshape(-1, 3)[pixel]
     depth = gbuffers.depth_z_m.reshape(-1)[pixel]
     # Without a surface at the centre the tolerance is 0: all samples count as another surface.
     tolerance = np.where(np.isfinite(depth), SAME_SURFACE_PER_M * depth + SAME_SURFACE_M, 0.0)
     far = np.abs(np.einsum("nc,nc->n", gap, normal)) > tolerance
-    bent = np.einsum("nc,nc->n", seen.normal_world, normal) < _SAME_NORMAL
-    other = scene.actor_index[seen.hits.mesh_index] != gbuffers.actor_index.reshape(-1)[pixel]
+    bent = np.einsum("nc,nc->n", surfaces.normal_world, normal) < _SAME_NORMAL
+    other = scene.actor_index[surfaces.hits.mesh_index] != gbuffers.actor_index.reshape(-1)[pixel]
     return far | bent | other
 
 
 def _points(
-    seen: SeenSurfaces,
+    surfaces: PrimaryHits,
     rows: Int64[np.ndarray, " k"],
     roughness: Float32[np.ndarray, " n"],
     metallic: Float32[np.ndarray, " n"],
 ) -> SurfacePoints:
     return SurfacePoints(
         rows,
-        seen.normal_world[rows],
-        seen.base_colour[rows],
-        seen.towards_camera[rows],
-        seen.depth_z_m[rows],
+        surfaces.normal_world[rows],
+        surfaces.base_colour[rows],
+        surfaces.towards_camera[rows],
+        surfaces.depth_z_m[rows],
         roughness[rows],
         metallic[rows],
     )
