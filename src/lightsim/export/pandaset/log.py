@@ -40,8 +40,7 @@ from lightsim.store.images import read_srgb8, write_jpeg
 from lightsim.store.pandaset_tables import write_packed, write_table
 from lightsim.store.table_pickle import PORTABLE_NAMES
 
-# Quality of written JPEGs, with full chroma: high enough that its artefacts do not matter for
-# training. Chosen; sensitivity not measured.
+# Quality of written JPEGs, with full chroma. Chosen; sensitivity not measured.
 _JPEG_QUALITY = 95
 _SUFFIX = ".pkl.gz"
 _JPEG_MAGIC = b"\xff\xd8\xff"
