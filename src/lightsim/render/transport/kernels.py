@@ -103,10 +103,7 @@ def face_points(corners, shifts, count, points):
 @njit(cache=True)
 @no_type_check
 def mean_texels(image, corner_uv, shifts, count, out):
-    """Write the mean colour of each triangle of a texture over `count` evenly distributed points.
-
-    Serial, because meshes are many and small, as in `face_normals`.
-    """
+    """Write the mean colour of each triangle of a texture, serially as in `face_normals`."""
     height, width = image.shape[0], image.shape[1]
     for f in range(corner_uv.shape[0]):
         total = np.zeros(3)
@@ -244,7 +241,7 @@ def _neighbours(index, block, grid, offset, surface, traced, rows, weights):
             found += 1
     if found == 0 and best_row >= 0:
         weights[0], rows[0], total, found = 1.0, best_row, 1.0, 1
-    # Without any neighbour the light stays 0.
+
     weights[:found] /= total if total > 0.0 else 1.0
     return found
 
