@@ -20,8 +20,8 @@ class Rows:
         """Return some rows, by a mask, a slice or their numbers."""
         return type(self)(*(getattr(self, f.name)[rows] for f in fields(self)))
 
-    def fill(self: RowsT, rows: Shaped[np.ndarray, " _"], other: RowsT) -> None:
-        """Replace some rows by others, in place."""
+    def fill(self, rows: Shaped[np.ndarray, " _"], other: Rows) -> None:
+        """Replace some rows by those of another object of the same class, in place."""
         for field in fields(self):
             getattr(self, field.name)[rows] = getattr(other, field.name)
 
