@@ -79,7 +79,6 @@ def _barycentric(u, v):
 
     Heitz 2019, "A low-distortion map between triangle and square".
     """
-    # The square is folded along its diagonal.
     if v > u:
         return 0.5 * u, v - 0.5 * u
     return u - 0.5 * v, 0.5 * v
