@@ -133,8 +133,8 @@ def run_batch(
             for future in progress.track(as_completed(futures), command, len(pending)):
                 if future.result():
                     failed[futures[future].log] = _last_line(futures[future].log)
-        # Also at Ctrl-C: processes must not outlive the batch.
         except BaseException:
+            # Also at Ctrl-C: processes must not outlive the batch.
             running.stop()
             pool.shutdown(wait=True, cancel_futures=True)
             raise

@@ -176,8 +176,8 @@ class Cycles:
             self._process.stdin.write(json.dumps(request) + "\n")
             self._process.stdin.flush()
             line = self._process.stdout.readline()
-        # A crash of Blender, often for lack of memory.
         except BrokenPipeError:
+            # A crash of Blender, often for lack of memory.
             line = ""
         reply = json.loads(line) if line else {"error": "the process ended", "trace": ""}
         if "error" in reply:
