@@ -161,5 +161,5 @@ def test_faces_have_the_mean_colour_of_their_texture():
 
 
 def test_no_bounces_are_refused():
-    with pytest.raises(InputError, match="at least once"):
+    with pytest.raises(InputError, match="number of bounces is too small"):
         TransportConfig(bounces=0)

@@ -61,7 +61,6 @@ def test_parity_with_mitsuba(cycles):
         # The noise of a pixel is about 3 %: the texture and the camera agree too.
         assert np.median(np.abs(a - b)[seen] / b[seen].mean()) < 0.06
     np.testing.assert_allclose(ours[0][~seen], theirs[0][~seen], atol=2e-3)
-    assert len(cycles.seconds) == len(shots)
 
 
 @pytest.mark.slow

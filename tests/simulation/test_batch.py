@@ -115,7 +115,7 @@ def test_lists_are_read_as_a_shell_does(tmp_path: Path) -> None:
     path.write_text("logs/001 --work 'a\n")
     with pytest.raises(InputError, match=r"list\.txt:1"):
         read_list(path)
-    with pytest.raises(InputError, match="names no log"):
+    with pytest.raises(InputError, match="contains no log"):
         run_batch("build", [], BatchOptions(out=tmp_path), SilentProgress())
 
 

@@ -15,7 +15,7 @@ from lightsim.core.scenario import ActorPlacement, Scenario
 from lightsim.core.sensors import LidarSweep
 from lightsim.core.twin import ActorAsset
 from lightsim.export.pandaset.sweeps import written
-from lightsim.lidar.beams import Beams, in_ego, joined, returned_beams, unreturned_beams
+from lightsim.lidar.beams import Beams, in_ego, returned_beams, unreturned_beams
 from lightsim.lidar.ray_scene import Surfaces
 from lightsim.lidar.recorded import RecordedSweep, _noise_m
 from lightsim.lidar.resimulate import Change, LidarSimulator, SimulatedBeams
@@ -58,7 +58,7 @@ def returned(beams: Beams, range_m: np.ndarray) -> Beams:
     is_back = np.isfinite(range_m)
     hit, lost = beams.chosen(is_back), beams.chosen(~is_back)
     hit = replace(hit, range_m=range_m[is_back], row=np.arange(is_back.sum()))
-    return joined([hit, lost])
+    return Beams.joined([hit, lost])
 
 
 def to_ground(beams: Beams) -> np.ndarray:
@@ -271,7 +271,7 @@ def test_kept_rows_are_the_recorded_numbers_and_new_ones_stand_in_time(
     beams = returned(turning_beams(), to_ground(turning_beams()))
     order = np.argsort(beams.times_ns[beams.is_returned], kind="stable")
     hit = beams.chosen(np.flatnonzero(beams.is_returned)[order])
-    beams = joined([replace(hit, row=np.arange(len(hit))), beams.chosen(~beams.is_returned)])
+    beams = Beams.joined([replace(hit, row=np.arange(len(hit))), beams.chosen(~beams.is_returned)])
     count = len(hit)
     path = PathCorrection(
         np.array([END_NS - 10**9, END_NS]), np.zeros(3), np.array([[0, 0, 0.01], [0, 0, 0.02]]),

@@ -22,11 +22,11 @@ def test_tone_mapping_keeps_order_and_hue(rng: np.random.Generator) -> None:
 def test_the_ring_marks_the_sun_where_it_is() -> None:
     sun = Sun(np.array([0.0, 0.8, 0.6]), np.full(3, 5.0, np.float32))
     dome = add_sun(np.full((64, 128, 3), 0.2, np.float32), sun)
-    picture = figures.dome_preview(dome, width_px=256)
-    assert picture.shape == (128, 256, 3)
-    rows, columns = np.nonzero((picture == figures._MARKER).all(axis=2))
-    assert columns.mean() == pytest.approx(0.25 * 256, abs=1.0)
-    assert rows.mean() == pytest.approx(np.arccos(0.6) / np.pi * 128, abs=1.0)
+    picture = figures.dome_preview(dome)
+    assert picture.shape == (384, 768, 3)
+    rows, columns = np.nonzero((picture == (255, 64, 32)).all(axis=2))
+    assert columns.mean() == pytest.approx(0.25 * 768, abs=1.0)
+    assert rows.mean() == pytest.approx(np.arccos(0.6) / np.pi * 384, abs=1.0)
 
 
 def test_colour_maps_tell_near_from_far_and_sky() -> None:

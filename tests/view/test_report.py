@@ -68,7 +68,7 @@ def test_one_file_with_everything_inside(tmp_path: Path) -> None:
 
 
 def test_wrong_rows_and_folders(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="another length"):
+    with pytest.raises(InputError, match="differ in length"):
         Table(("a", "b"), [("only one",)])
     with pytest.raises(InputError, match="does not exist"):
         write_report(tmp_path / "no" / "r.html", "t", [])

@@ -1,5 +1,5 @@
-"""One command over many logs: a process each, what is finished is kept, failures are told at the
-end."""
+"""One command over many logs: a process for each log, finished logs are skipped, failures are
+reported at the end."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ _PROGRAM = (sys.executable, "-m", "lightsim")
 
 @dataclass(frozen=True, kw_only=True)
 class BatchOptions:
-    """How many logs are worked on."""
+    """Options of a batch over logs."""
 
     out: Path
-    """Folder for what the commands print (<log>.log) and for what is finished (<log>.done)."""
+    """Folder for the commands' output (<log>.log) and for markers of finished logs (<log>.done)."""
     jobs: int = 1
-    """Processes at a time; each takes as many cores as OMP_NUM_THREADS says, or its part of all."""
+    """Processes at a time; each uses OMP_NUM_THREADS cores, by default an equal part of all."""
     shard: str = ""
-    """I/N, I from 1 to N: take the I-th of N parts of the list; parts may share DIR."""
+    """I/N, I from 1 to N: take the I-th of N parts of the list; parts may use the same DIR."""
 
     def __post_init__(self) -> None:
         check_number("--jobs", self.jobs, 1, 1024)
@@ -47,8 +47,13 @@ class BatchOptions:
 
 @dataclass(frozen=True)
 class BatchResult:
-    """How many lines were run, how many had been finished before, and what failed: what the
-    command printed last, by the log of its output."""
+    """Outcome of a batch.
+
+    Args:
+        run: number of lines that were run.
+        kept: number of lines that had been finished before.
+        failed: last line of each failed command's output, by its output file.
+    """
 
     run: int
     kept: int
@@ -66,7 +71,8 @@ class _Job:
 
     @property
     def record(self) -> str:
-        """What a finished line was: others' results, and other versions', are not taken for it."""
+        """Content of the .done file: results of other words or other versions do not count as
+        finished."""
         return json.dumps({"words": self.words, "version": __version__}) + "\n"
 
     def is_done(self) -> bool:
@@ -74,7 +80,9 @@ class _Job:
 
 
 def read_list(path: Path) -> list[tuple[str, ...]]:
-    """One log a line: the words that follow the command, quoted as in a shell; # starts a comment.
+    """Return the words of each line of a list of logs.
+
+    A line has the words that follow the command, quoted as in a shell; # starts a comment.
 
     Raises:
         InputError: the file cannot be read, or a line's quotes do not match.
@@ -102,17 +110,18 @@ def run_batch(
     options: BatchOptions,
     progress: Progress,
 ) -> BatchResult:
-    """Runs `lightsim COMMAND LINE` for each line of this shard that is not finished.
+    """Run `lightsim COMMAND LINE` for each line of this shard that is not finished.
 
-    A line is finished when its command ended well with these words in this version; one that
-    failed or was interrupted is run again, and goes on where its command can.
+    A line is finished when its command succeeded with these words in this version. A failed or
+    interrupted line is run again, and resumes if its command can.
 
     Raises:
         InputError: there are no lines.
     """
     if not lines:
-        raise InputError("the list names no log", expected="one or more lines")
+        raise InputError("the list contains no log", expected="one or more lines")
     options.out.mkdir(parents=True, exist_ok=True)
+    # Repeated lines would write the same files at the same time.
     chosen = Shard.parse(options.shard).of(list(dict.fromkeys(lines)))
     jobs = [_job((command, *words), options.out) for words in chosen]
     pending = [job for job in jobs if not job.is_done()]
@@ -125,6 +134,7 @@ def run_batch(
                 if future.result():
                     failed[futures[future].log] = _last_line(futures[future].log)
         except BaseException:
+            # Also at Ctrl-C: processes must not outlive the batch.
             running.stop()
             pool.shutdown(wait=True, cancel_futures=True)
             raise
@@ -132,14 +142,18 @@ def run_batch(
 
 
 def log_of(command: BatchCommand, line: tuple[str, ...], out: Path) -> Path:
-    """Where the output of a line goes."""
+    """Return the output file of a line."""
     return _job((command, *line), out).log
 
 
 def _job(words: tuple[str, ...], out: Path) -> _Job:
-    """Named by its first log and by all its words: lists may be reordered, and grow."""
+    """Return the job of a line, with a file name from its first log and a hash of all its words.
+
+    The name does not depend on the line's position: lists may be reordered, and extended.
+    """
+    # Short, since it only separates lines with the same first log.
     digest = hashlib.sha256("\0".join(words).encode()).hexdigest()[:8]
-    # What is evaluated or trained on comes after what is measured or trained.
+    # `evaluate` and `train` have another word, the subject, before the log.
     is_second = words[0] in ("evaluate", "train") and len(words) > 2
     given = list(words[2:] if is_second else words[1:])
     paths = [word for word in given if "/" in word]
@@ -149,9 +163,10 @@ def _job(words: tuple[str, ...], out: Path) -> _Job:
 
 
 class _Running:
-    """The processes that are alive."""
+    """Running processes."""
 
     def __init__(self, at_a_time: int) -> None:
+        # Without a limit each process would start threads for all cores. The user's value wins.
         own = max(1, core_count() // at_a_time)
         self._environment = {THREADS: str(own), **os.environ}
         self._lock = threading.Lock()
@@ -159,10 +174,11 @@ class _Running:
         self._is_stopped = False
 
     def run(self, job: _Job) -> int:
-        """The exit code of the job's command."""
+        """Run the job's command and return its exit code."""
         with job.log.open("wb") as log:
             with self._lock:
                 if self._is_stopped:
+                    # The shell's exit code of an interrupted command.
                     return 130
                 process = subprocess.Popen(
                     [*_PROGRAM, *job.words],
@@ -174,12 +190,13 @@ class _Running:
             code = process.wait()
         with self._lock:
             self._alive.discard(process)
+        # Written last: a crash leaves the line unfinished.
         if code == 0:
             write_text(job.done, job.record)
         return code
 
     def stop(self) -> None:
-        """SIGTERM, upon which a command ends cleanly."""
+        """Send SIGTERM, upon which a command ends cleanly."""
         with self._lock:
             self._is_stopped = True
             for process in self._alive:
@@ -188,4 +205,4 @@ class _Running:
 
 def _last_line(log: Path) -> str:
     lines = log.read_text(errors="replace").strip().splitlines()
-    return lines[-1][:300] if lines else "it printed nothing"
+    return lines[-1][:300] if lines else "no output"

@@ -1,1 +1,1 @@
-"""LiDAR sweeps of an edited log: which beams meet something else now, and what comes back."""
+"""LiDAR sweeps of an edited log: beams whose surface changed, and their simulated returns."""

@@ -1,31 +1,31 @@
-"""The beams of a sweep: those that came back, and those that did not."""
+"""Beams of a sweep, with and without returns."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64, Shaped
+from jaxtyping import Bool, Float64, Int64
 
 from lightsim.core.frames import Trajectory
+from lightsim.core.rows import Rows
 from lightsim.core.sensors import LidarSweep
 
+# Row of a beam without a return.
 NO_ROW = -1
-"""Of a beam that did not come back."""
 
 
 @dataclass(frozen=True, eq=False)
-class Beams:
+class Beams(Rows):
     """Rays of LiDARs in frame `world`, each at its own time.
 
     Args:
-        origins_world: where the sensor stood, metres.
-        directions_world: unit.
-        times_ns: when it was measured.
-        device: which LiDAR, by the log's own number.
-        range_m: distance of the return; inf where none came back.
-        row: of the return in its sweep, NO_ROW where none came back.
+        origins_world: positions of the sensor, metres.
+        directions_world: unit vectors.
+        times_ns: time of each measurement.
+        device: number of the LiDAR in the log.
+        range_m: distance of the return; inf without one.
+        row: of the return in its sweep, NO_ROW without one.
     """
 
     origins_world: Float64[np.ndarray, "n 3"]
@@ -40,32 +40,24 @@ class Beams:
 
     @property
     def is_returned(self) -> Bool[np.ndarray, " n"]:
-        """Beams that came back."""
+        """Beams with a return."""
         return self.row != NO_ROW
 
     def at(self, distance_m: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
-        """Points at a distance along each beam, frame `world`."""
+        """Return points at a distance along each beam, frame `world`."""
         return self.origins_world + distance_m[:, None] * self.directions_world
 
-    def chosen(self, rows: Shaped[np.ndarray, " k"]) -> Beams:
-        """Some of the beams, by a mask or by their numbers."""
-        return Beams(*(getattr(self, f.name)[rows] for f in fields(self)))
-
     def moved(self, motion: Float64[np.ndarray, "n 4 4"]) -> Beams:
-        """Each beam carried along by its own rigid motion of the world."""
+        """Return the beams, each transformed by its own rigid motion of the world."""
         rotation = motion[:, :3, :3]
         origins = np.einsum("nij,nj->ni", rotation, self.origins_world) + motion[:, :3, 3]
         directions = np.einsum("nij,nj->ni", rotation, self.directions_world)
         return Beams(origins, directions, self.times_ns, self.device, self.range_m, self.row)
 
 
-def joined(parts: Sequence[Beams]) -> Beams:
-    """All beams of all parts, of one or more."""
-    return Beams(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Beams)))
-
-
 def returned_beams(sweep: LidarSweep, device: Int64[np.ndarray, " n"]) -> Beams:
-    """The beams of a sweep's returns, in its order."""
+    """Return the beams of a sweep's returns, in its order."""
+    # In double precision: directions of far returns are needed to a hundredth of a degree.
     along = sweep.points_world.astype(np.float64) - sweep.origins_world
     range_m = np.linalg.norm(along, axis=1)
     offset_ns = np.rint(sweep.time_offset_s.astype(np.float64) * 1e9).astype(np.int64)
@@ -85,14 +77,15 @@ def unreturned_beams(
     returned: Beams,
     ego: Trajectory,
 ) -> Beams:
-    """Beams that did not come back, from their directions in frame `ego`.
+    """Return beams without return, from their directions in frame `ego`.
 
     Args:
-        returned: those of the same LiDAR and sweep that did: they tell where it stood.
+        returned: beams of the same LiDAR and sweep with returns, which give the sensor's positions.
         ego: `world_from_ego`.
     """
     rotation = ego.held_at(times_ns)[:, :3, :3]
     order = np.argsort(returned.times_ns, kind="stable")
+    # Times relative to the sweep: nanoseconds since 1970 exceed a float's precision.
     knots, start_ns = returned.times_ns[order], int(returned.times_ns.min())
     origins = [
         np.interp(times_ns - start_ns, knots - start_ns, returned.origins_world[order, axis])
@@ -110,6 +103,6 @@ def unreturned_beams(
 
 
 def in_ego(beams: Beams, ego: Trajectory) -> Float64[np.ndarray, "n 3"]:
-    """Directions in frame `ego` at each beam's own time."""
+    """Return directions in frame `ego` at each beam's own time."""
     rotation = ego.held_at(beams.times_ns)[:, :3, :3]
     return np.einsum("nji,nj->ni", rotation, beams.directions_world)

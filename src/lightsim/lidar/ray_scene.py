@@ -1,10 +1,9 @@
-"""What the beams of one sweep meet: the static scene, and every actor where it is at each beam's
-own time."""
+"""Surfaces on the beams of one sweep: the static scene, and each actor at each beam's own time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, Shaped
@@ -12,25 +11,29 @@ from jaxtyping import Bool, Float64, Int64, Shaped
 from lightsim.core.actors import ActorTrack
 from lightsim.core.casting import MakeCaster, RayCaster, RayHits
 from lightsim.core.mesh import TriMesh
+from lightsim.core.rows import Rows
 from lightsim.core.scenario import ActorPlacement
 from lightsim.core.sensors import SWEEP_HOLD_S
 from lightsim.lidar.beams import Beams
 
-NOTHING, STATIC = -2, -1
-"""Bodies that are no actor."""
+# Body of a beam that meets no surface.
+NOTHING = -2
+# Body of a beam that meets the static scene.
+STATIC = -1
+# Margin around labelled boxes, in metres: returns of mirrors and wheels lie outside of the boxes.
+# Chosen; sensitivity not measured.
 _BOX_MARGIN_M = 0.15
-"""Labelled boxes are that exact: returns of mirrors and wheels lie outside."""
 
 
 @dataclass(frozen=True, eq=False)
-class Surfaces:
-    """The first surface on each beam.
+class Surfaces(Rows):
+    """First surface on each beam.
 
     Args:
-        distance_m: along the beam; inf where there is none.
+        distance_m: along the beam; inf without a surface.
         body: NOTHING, STATIC, or the number of a placement.
-        normal: unit, of the surface where it is met; 0 where there is none.
-        cosine: between beam and normal, from either side.
+        normal: unit vector of the surface at the hit; 0 without a surface.
+        cosine: absolute cosine between beam and normal.
         roughness: of the surface's material.
     """
 
@@ -42,39 +45,27 @@ class Surfaces:
 
     @classmethod
     def nothing(cls, count: int) -> Surfaces:
-        """Of beams that meet nothing, to be filled in."""
+        """Return beams without a surface, to be filled in."""
         body = np.full(count, NOTHING, dtype=np.int64)
         normal = np.zeros((count, 3))
         return cls(np.full(count, np.inf), body, normal, np.zeros(count), np.ones(count))
 
     def nearer(self, other: Surfaces) -> Surfaces:
-        """The first of two surfaces on each beam."""
-        nearest = self.copied()
+        """Return the nearer of two surfaces on each beam."""
+        nearest = self.chosen(np.arange(len(self.body)))
         rows = np.flatnonzero(other.distance_m < self.distance_m)
         nearest.fill(rows, other.chosen(rows))
         return nearest
 
-    def chosen(self, rows: Shaped[np.ndarray, " k"]) -> Surfaces:
-        """Of some of the beams, by a mask or by their numbers."""
-        return Surfaces(*(getattr(self, f.name)[rows] for f in fields(self)))
-
-    def copied(self) -> Surfaces:
-        """The same, to be changed."""
-        return Surfaces(*(getattr(self, f.name).copy() for f in fields(self)))
-
-    def fill(self, rows: Int64[np.ndarray, " k"], other: Surfaces) -> None:
-        """Put others in their places."""
-        for field in fields(self):
-            getattr(self, field.name)[rows] = getattr(other, field.name)
-
 
 class RayScene:
-    """Casts beams against a static scene and placed actors.
+    """Caster of beams against a static scene and placed actors.
 
     Args:
         static: caster over the static meshes.
-        placements: actors; those that are not present at the sweep's time are left out.
+        placements: actors; those absent at the sweep's time are ignored.
         time_ns: of the sweep.
+        make_caster: constructor of ray casters.
     """
 
     def __init__(
@@ -86,32 +77,37 @@ class RayScene:
     ) -> None:
         self._static = static
         self._time_ns = time_ns
-        there = [(n, p) for n, p in enumerate(placements) if is_there(p.track, time_ns)]
-        still = [(n, p) for n, p in there if not p.track.is_moving]
-        moving = [(n, p) for n, p in there if p.track.is_moving]
-        self._still_bodies = np.array([n for n, _ in still], dtype=np.int64)
-        self._still = make_caster([placed(p, time_ns) for _, p in still])
+        present = [(n, p) for n, p in enumerate(placements) if is_there(p.track, time_ns)]
+        parked = [(n, p) for n, p in present if not p.track.is_moving]
+        moving = [(n, p) for n, p in present if p.track.is_moving]
+        self._parked_bodies = np.array([n for n, _ in parked], dtype=np.int64)
+        # Parked actors have one caster; a moving one has its own, since beams are moved for it.
+        self._parked = make_caster([placed(p, time_ns) for _, p in parked])
         self._moving = [(n, p.track, make_caster([placed(p, time_ns)])) for n, p in moving]
 
     def cast(self, beams: Beams) -> Surfaces:
-        """The first surface on each beam."""
+        """Return the first surface on each beam."""
         return self.cast_static(beams).nearer(self.cast_actors(beams))
 
     def cast_static(self, beams: Beams) -> Surfaces:
-        """The first static surface on each beam."""
+        """Return the first static surface on each beam."""
         found = self._static.intersect(beams.origins_world, beams.directions_world)
         bodies = np.full(len(self._static.meshes), STATIC, dtype=np.int64)
         return _surfaces(found, self._static.meshes, bodies, beams)
 
     def cast_actors(self, beams: Beams) -> Surfaces:
-        """The first actor on each beam. An actor that moves is met where it is at the beam's
-        time: the beam is carried along by what is left of its motion until the sweep's time."""
-        found = self._still.intersect(beams.origins_world, beams.directions_world)
-        nearest = _surfaces(found, self._still.meshes, self._still_bodies, beams)
+        """Return the first actor on each beam, with moving actors at the beam's own time.
+
+        Instead of the actor, the beam is moved, by the actor's motion from the beam's time to the
+        sweep's.
+        """
+        found = self._parked.intersect(beams.origins_world, beams.directions_world)
+        nearest = _surfaces(found, self._parked.meshes, self._parked_bodies, beams)
         for body, track, caster in self._moving:
             rows = np.flatnonzero(_may_meet(beams, caster.meshes[0], track, self._time_ns))
             if not len(rows):
                 continue
+            # Distances along a beam do not change by a rigid motion, so hits need no correction.
             carried = carried_to(beams.chosen(rows), track, self._time_ns)
             hits = caster.intersect(carried.origins_world, carried.directions_world)
             met = Surfaces.nothing(len(beams))
@@ -121,18 +117,18 @@ class RayScene:
 
 
 def is_there(track: ActorTrack, time_ns: int) -> bool:
-    """Whether an actor is met by the beams of a sweep."""
+    """Return true if an actor is present for the beams of a sweep."""
     return track.is_present(time_ns, SWEEP_HOLD_S)
 
 
 def placed(placement: ActorPlacement, time_ns: int) -> TriMesh:
-    """An actor's mesh in frame `world` where it is at the time of a sweep."""
+    """Return an actor's mesh in frame `world` at the time of a sweep."""
     pose = placement.track.world_from_actor(time_ns, SWEEP_HOLD_S)
     return placement.asset.mesh.transformed(pose)
 
 
 def carried_to(beams: Beams, track: ActorTrack, time_ns: int) -> Beams:
-    """Beams as they lie to an actor, brought to where the actor is at another time."""
+    """Return beams moved with an actor from each beam's own time to another time."""
     there = track.trajectory.held(time_ns).matrix
     return beams.moved(there @ np.linalg.inv(track.trajectory.held_at(beams.times_ns)))
 
@@ -140,11 +136,16 @@ def carried_to(beams: Beams, track: ActorTrack, time_ns: int) -> Beams:
 def in_actor(
     beams: Beams, points_world: Float64[np.ndarray, "n 3"], track: ActorTrack, time_ns: int
 ) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, "k 3"]]:
-    """Points of a sweep that lie in an actor's box, grown by what labels are exact to, at their
-    beams' own times: their numbers, and where they lie in frame `actor`."""
+    """Return the points of a sweep in an actor's box, grown by the labels' error, at their beams'
+    times.
+
+    Returns:
+        Numbers of these points, and their positions in frame `actor`.
+    """
     half = track.size_lwh_m / 2 + _BOX_MARGIN_M
     centre = track.trajectory.held(time_ns).translation_m
     reach_m = float(np.linalg.norm(half)) + _swept_m(beams, track, time_ns)
+    # A coarse selection: the transformation of all points of a sweep for each actor is slow.
     near = np.flatnonzero((np.abs(points_world - centre) < reach_m).all(axis=1))
     local = to_actor(points_world[near], track, beams.times_ns[near])
     is_in = (np.abs(local) <= half).all(axis=1)
@@ -154,7 +155,7 @@ def in_actor(
 def to_actor(
     points_world: Float64[np.ndarray, "n 3"], track: ActorTrack, times_ns: Int64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 3"]:
-    """Points in frame `actor`, each at its own time."""
+    """Return points in frame `actor`, each at its own time."""
     poses = track.trajectory.held_at(times_ns)
     return np.einsum("nji,nj->ni", poses[:, :3, :3], points_world - poses[:, :3, 3])
 
@@ -162,18 +163,23 @@ def to_actor(
 def _may_meet(
     beams: Beams, mesh: TriMesh, track: ActorTrack, time_ns: int
 ) -> Bool[np.ndarray, " n"]:
-    """Beams that pass an actor by less than it reaches and moves until they are measured; others
-    are certain to miss it."""
+    """Return the beams that may meet an actor; all others are certain to miss it.
+
+    A beam may meet it if it passes the actor's centre by less than the mesh's radius plus its
+    motion.
+    """
     centre = track.trajectory.held(time_ns).translation_m
     reach_m = np.linalg.norm(mesh.vertices - centre, axis=1).max(initial=0.0)
     towards = centre - beams.origins_world
+    # Distance along the beam of its point nearest to the centre, not behind the sensor.
     along = np.maximum((towards * beams.directions_world).sum(axis=1), 0.0)
     past = np.linalg.norm(towards - along[:, None] * beams.directions_world, axis=1)
     return past < reach_m + _swept_m(beams, track, time_ns)
 
 
 def _swept_m(beams: Beams, track: ActorTrack, time_ns: int) -> float:
-    """How far from its place at a time an actor is when beams are measured, at most."""
+    """Return the greatest distance of an actor during the beams from its position at a time, in
+    metres."""
     measured_ns = beams.times_ns
     ends_ns = [f(initial=time_ns) for f in (measured_ns.min, measured_ns.max)]
     places = track.trajectory.held_at(np.array([time_ns, *ends_ns]))[:, :3, 3]
@@ -192,6 +198,8 @@ def _surfaces(
         face = hits.face_index[rows]
         corners = mesh.vertices[mesh.faces[face]].astype(np.float64)
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        # Normals of faces instead of smooth ones: the LiDAR's response depends on the true
+        # incidence.
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         found.body[rows] = bodies[index]
         found.normal[rows] = normal

@@ -1,4 +1,4 @@
-"""The beams of a recording, and what its LiDARs answered."""
+"""Beams of a recording, and the responses of its LiDARs."""
 
 from __future__ import annotations
 
@@ -19,13 +19,7 @@ from lightsim.datasets.pandaset.numbered import TABLES, numbered_files
 from lightsim.datasets.pandaset.places import SWEEPS
 from lightsim.datasets.pandaset.sweeps import read_rows
 from lightsim.datasets.safe_pickle import Table
-from lightsim.lidar.beams import (
-    Beams,
-    in_ego,
-    joined,
-    returned_beams,
-    unreturned_beams,
-)
+from lightsim.lidar.beams import Beams, in_ego, returned_beams, unreturned_beams
 from lightsim.lidar.ray_scene import (
     STATIC,
     RayScene,
@@ -50,31 +44,32 @@ from lightsim.lidar.scan_pattern import (
 )
 from lightsim.progress import Progress
 
+# Sweeps, evenly distributed over the log, from which the elevations of the rings are estimated.
+# Chosen; sensitivity not measured.
 _RING_SWEEPS = 8
-_RING_LEAST_M = 4.0
-"""Nearer returns tell their ring too badly: they are stored in steps of 4 mm."""
+
+# Neighbouring sweeps from which the missing directions of a raster are taken. Chosen; sensitivity
+# not measured.
 _RASTER_SWEEPS = 2
+# Distance between a return and the mesh, along the normal, up to which they agree, in metres: more
+# than nine tenths of the returns of PandaSet's sequence 002.
 _SAME_M = 0.1
-"""Across a surface, between a return and the mesh: more than nine tenths of sequence 002's."""
-_FEWEST = 100
-"""Returns that tell how ranges scatter."""
-_NOISE_SAMPLES = 4000
-_NOISE_RANGE_M = (4.0, 40.0)
 
 
 def sweep_paths(source: Path) -> Mapping[int, Path]:
-    """Return the sweeps' files of a recording in PandaSet's layout, by frame number."""
+    """Return the sweeps' files of a recording in PandaSet's layout, by the number in the frame
+    stem."""
     return numbered_files(source / SWEEPS, TABLES).paths
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedSweep:
-    """A sweep as it is stored, and all of its beams.
+    """Sweep as stored, with all of its beams.
 
     Args:
         sweep: in the world of the twin.
         rows: the stored columns, row by row with `sweep`.
-        beams: those of the rows in their order, then those that did not come back.
+        beams: the rows' beams in their order, then those without a return.
     """
 
     sweep: LidarSweep
@@ -83,7 +78,7 @@ class RecordedSweep:
 
     @property
     def answers(self) -> Answers:
-        """What came back of the beams."""
+        """Responses to the beams."""
         count = len(self.beams)
         found = Answers.nothing(count)
         returned = Answers(
@@ -96,11 +91,11 @@ class RecordedSweep:
 
 
 class RecordedBeams:
-    """Reads sweeps of one recording with their beams.
+    """Reader of the sweeps of one recording with their beams.
 
     Args:
         log: in the world of the twin.
-        paths: of the sweeps' files, by frame number.
+        paths: files of the sweeps, by the number in the frame stem.
     """
 
     def __init__(self, log: DrivingLog, paths: Mapping[int, Path]) -> None:
@@ -108,7 +103,7 @@ class RecordedBeams:
         self._paths = paths
 
     def of(self, lazy: LazySweep) -> RecordedSweep:
-        """A sweep with all beams."""
+        """Return a sweep with all beams."""
         sweep, rows, device = self._load(lazy)
         returned = returned_beams(sweep, device)
         parts = [returned]
@@ -118,7 +113,7 @@ class RecordedBeams:
             parts.append(
                 unreturned_beams(missing.vectors, missing.times_ns, of_device, self._log.ego)
             )
-        return RecordedSweep(sweep, rows, joined(parts))
+        return RecordedSweep(sweep, rows, Beams.joined(parts))
 
     def _load(self, lazy: LazySweep) -> tuple[LidarSweep, Table, Int64[np.ndarray, " n"]]:
         rows, is_good = read_rows(self._paths[int(lazy.stem)])
@@ -147,7 +142,8 @@ class RecordedBeams:
         chosen = sweeps[:: max(1, len(sweeps) // _RING_SWEEPS)]
         found: dict[int, list[ScanDirections]] = {}
         for lazy in chosen:
-            for device, directions in self._directions(lazy, _RING_LEAST_M).items():
+            # Coordinates in steps of 4 mm make the elevation of returns within 4 m inaccurate.
+            for device, directions in self._directions(lazy, least_m=4.0).items():
                 found.setdefault(device, []).append(directions)
         return {device: find_rings(several) for device, several in found.items()}
 
@@ -160,10 +156,10 @@ def learn_response(
     make_caster: MakeCaster,
     progress: Progress,
 ) -> Response:
-    """What the LiDARs answered in some sweeps of a recording, of which `placements` are the actors.
+    """Return the responses of the LiDARs in some sweeps of a recording.
 
-    A beam counts where the surface it met is known: the twin and the return agree, or the twin
-    alone tells, of a beam that did not come back.
+    A beam is used if the surface it met is known: the twin agrees with its return, or the beam has
+    no return and the twin gives the surface.
     """
     found: dict[tuple[int, str], list[Donors]] = {}
     noise: dict[int, list[float]] = {}
@@ -192,7 +188,7 @@ def _donors(
     time_ns: int,
 ) -> list[tuple[tuple[int, str], Donors]]:
     met = scene.cast(beams)
-    # Beams that nothing came back of are where the twin has them.
+    # Beams without a return take their distance from the twin.
     distance = np.where(beams.is_returned, beams.range_m, met.distance_m)
     met = replace(met, distance_m=distance)
     points = beams.at(np.where(np.isfinite(distance), distance, 0.0))
@@ -220,32 +216,38 @@ def _donors(
 
 
 def _agrees(beams: Beams, scene: RayScene, met: Surfaces) -> Bool[np.ndarray, " n"]:
-    """Beams whose return lies on the surface that the twin has there."""
+    """Return the beams whose return lies on the static surface of the twin."""
     cast = scene.cast_static(beams)
     with np.errstate(invalid="ignore"):
         return np.abs(cast.distance_m - met.distance_m) * cast.cosine < _SAME_M
 
 
 def _noise_m(beams: Beams, device: int, seed: int) -> tuple[float, ...]:
-    """Standard deviation of ranges: of returns about the plane through their eight neighbours in
-    the sweep, by the median, which edges do not move. Empty where there are too few."""
+    """Return the standard deviation of ranges in one sweep, in metres; empty with too few returns.
+
+    It is the deviation of returns from the plane through their eight neighbours in the sweep,
+    estimated by the median, which is robust to edges.
+    """
     own = beams.chosen(beams.is_returned & (beams.device == device))
-    near, far = _NOISE_RANGE_M
-    own = own.chosen((own.range_m > near) & (own.range_m < far))
-    if len(own) < _FEWEST:
+    # Nearer returns suffer from the steps of 4 mm, farther ones from sparse neighbours. The numbers
+    # here are chosen; sensitivity not measured.
+    own = own.chosen((own.range_m > 4.0) & (own.range_m < 40.0))
+    if len(own) < 100:
         return ()
     rng = np.random.default_rng(seed)
-    rows = rng.choice(len(own), min(len(own), _NOISE_SAMPLES), replace=False)
+    rows = rng.choice(len(own), min(len(own), 4000), replace=False)
     points = own.at(own.range_m)
     around = nearest(KDTree(own.directions_world), own.directions_world[rows], 9)[1][:, 1:]
     centre, normal, _ = fitted_planes(
         points[around], np.ones(around.shape), np.zeros((len(rows), 3))
     )
     along = (normal * own.directions_world[rows]).sum(axis=1)
+    # At grazing incidence an error of the plane becomes a large error of the range.
     is_met = np.abs(along) > 0.3
     if not is_met.any():
         return ()
     off = ((points[rows] - centre) * normal).sum(axis=1)[is_met] / along[is_met]
-    # The plane itself scatters: three numbers from eight neighbours.
+    # 1.4826 turns a median deviation into a standard deviation. The plane has noise too: three
+    # parameters from eight neighbours.
     scatter = 1.4826 * np.median(np.abs(off)) / np.sqrt(1.0 + 3.0 / 8.0)
     return (float(scatter),)

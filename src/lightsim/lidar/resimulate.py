@@ -1,4 +1,4 @@
-"""Sweeps of an edited log: recorded returns where nothing changed, simulated ones elsewhere."""
+"""Sweeps of an edited log: recorded returns of unchanged beams, simulated ones of all others."""
 
 from __future__ import annotations
 
@@ -24,20 +24,21 @@ from lightsim.lidar.ray_scene import (
 )
 from lightsim.lidar.response import Answers, Response, looks_of
 
+# Distance along a beam, in metres, up to which a return belongs to the static scene behind a
+# removed actor. Chosen; sensitivity not measured.
 _SAME_M = 0.3
-"""Along a beam, between a return and the static scene behind a removed actor."""
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What an edited log's beams meet that the recorded one's did not, or the reverse.
+    """Difference between a recorded and an edited log, as far as beams meet it.
 
     Args:
-        kept: actors that stand where they stood.
-        gone: tracks of actors that are not there any more, or not there.
-        gone_shapes: those of them that have a shape.
-        new: actors that were not there.
-        is_ego_moved: the LiDARs themselves stand elsewhere.
+        kept: actors with unchanged poses.
+        gone: tracks of actors that are absent or elsewhere in the edited log.
+        gone_shapes: such actors that have a mesh.
+        new: actors that are absent or elsewhere in the recorded log.
+        is_ego_moved: the LiDARs themselves have other poses.
     """
 
     kept: tuple[ActorPlacement, ...]
@@ -48,8 +49,11 @@ class Change:
 
     @classmethod
     def between(cls, recorded: Scenario, scenario: Scenario) -> Change:
-        """From the log as it was to a scenario that was made from it by edits: what no edit
-        touches is the same object in both."""
+        """Return the change from a recorded log to a scenario that edits made from it.
+
+        Objects that no edit touches are identical in both.
+        """
+        # By identity, since comparing tracks and meshes by value is slow.
         before = {id(p) for p in recorded.placements}
         after = {id(p) for p in scenario.placements}
         left = {id(t) for t in scenario.tracks if t.actor_id not in scenario.removed}
@@ -62,7 +66,7 @@ class Change:
         )
 
     def at(self, time_ns: int) -> Change:
-        """What of it concerns a sweep."""
+        """Return the part of the change that concerns a sweep."""
         return Change(
             self.kept,
             tuple(t for t in self.gone if is_there(t, time_ns)),
@@ -73,19 +77,19 @@ class Change:
 
     @property
     def is_none(self) -> bool:
-        """Whether the beams meet what they met."""
+        """True if no beam is affected."""
         return not (self.gone or self.new or self.is_ego_moved)
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedBeams:
-    """Beams of a sweep and what comes back of them.
+    """Beams of a sweep and their responses.
 
     Args:
-        beams: in the order of the recorded rows, then those that had not come back.
-        is_kept: the recorded return stands.
-        range_m: of all others; inf where nothing comes back.
-        answers: of all others.
+        beams: in the order of the recorded rows, then those without a recorded return.
+        is_kept: the recorded return is unchanged.
+        range_m: of all others; inf without a return.
+        answers: responses to all others.
     """
 
     beams: Beams
@@ -95,12 +99,13 @@ class SimulatedBeams:
 
 
 class LidarSimulator:
-    """Simulates sweeps of one twin.
+    """Simulator of the sweeps of one twin.
 
     Args:
         static: caster over the twin's static scene.
         response: of the recording's LiDARs.
         class_by_label: the log's number of a point class, by its name.
+        make_caster: constructor of ray casters.
     """
 
     def __init__(
@@ -118,17 +123,20 @@ class LidarSimulator:
     def edited(
         self, beams: Beams, change: Change, time_ns: int, rng: np.random.Generator
     ) -> SimulatedBeams:
-        """A sweep in which only beams that meet what changed are simulated."""
+        """Return a sweep in which only beams that meet a change are simulated."""
         new = self._scene(change.new, time_ns).cast_actors(beams)
         gone = self._scene(change.gone_shapes, time_ns).cast_actors(beams)
+        # Boxes in addition to meshes: reconstructed meshes of actors miss parts, such as mirrors.
         in_gone = _in_any(beams, change.gone, time_ns)
         rows = np.flatnonzero((new.body != NOTHING) | (gone.body != NOTHING) | in_gone)
         some, new = beams.chosen(rows), new.chosen(rows)
         rest = self._surfaces(some, change.kept, time_ns)
+        # A recorded return is more accurate than the twin, so it limits new actors.
         open_m = np.where(some.is_returned, some.range_m, rest.distance_m)
         was_gone = _was_gone(some, in_gone[rows], gone.chosen(rows), rest)
         open_m[was_gone] = rest.distance_m[was_gone]
         is_changed = was_gone | (new.distance_m < open_m)
+        # Bodies are numbered over new actors, then unchanged ones.
         bodies = (*change.new, *change.kept)
         rest.body[rest.body >= 0] += len(change.new)
         met = new.nearer(rest).chosen(is_changed)
@@ -141,7 +149,7 @@ class LidarSimulator:
         time_ns: int,
         rng: np.random.Generator,
     ) -> SimulatedBeams:
-        """A sweep of which every beam is simulated."""
+        """Return a sweep in which every beam is simulated."""
         rows = np.arange(len(beams))
         met = self._surfaces(beams, placements, time_ns)
         return self._answered(beams, rows, met, placements, rng, is_all=True)
@@ -152,9 +160,11 @@ class LidarSimulator:
     def _surfaces(
         self, beams: Beams, placements: Sequence[ActorPlacement], time_ns: int
     ) -> Surfaces:
-        """The first surface on each beam, the static scene as its returns have it."""
+        """Return the first surface on each beam, with the static scene refined by its recorded
+        returns."""
         scene = self._scene(placements, time_ns)
         static = scene.cast_static(beams)
+        # Each LiDAR has its own donors.
         for device in np.unique(beams.device).tolist():
             rows = np.flatnonzero((beams.device == device) & (static.body == STATIC))
             static.distance_m[rows] = self._response.refined_m(
@@ -172,10 +182,11 @@ class LidarSimulator:
         *,
         is_all: bool,
     ) -> SimulatedBeams:
-        """Some beams answered, the others as they were recorded."""
+        """Return the sweep with some beams simulated and the others as recorded."""
         count = len(beams)
         answers, range_m = Answers.nothing(count), np.full(count, np.inf)
         is_kept = beams.is_returned & (not is_all)
+        # Simulated beams replace their recorded returns.
         is_kept[rows] = False
         for device in np.unique(beams.device[rows]).tolist():
             for body in np.unique(met.body).tolist():
@@ -184,6 +195,7 @@ class LidarSimulator:
                     continue
                 own, surfaces = beams.chosen(rows[part]), met.chosen(part)
                 found = self._of_body(device, own, surfaces, _placement(bodies, body), rng)
+                # Distances of the twin have no noise, recorded ones do.
                 noise = rng.normal(0.0, self._response.noise_m.get(device, 0.0), len(part))
                 answers.fill(rows[part], found)
                 range_m[rows[part]] = np.where(
@@ -205,6 +217,7 @@ class LidarSimulator:
         track = placement.track
         local = to_actor(points, track, beams.times_ns)
         found = self._response.answer(device, track.actor_id, track.kind, (local, looks), rng)
+        # An actor's own label is certain; a donor's class may be that of a mislabelled point.
         known = self._class_by_label.get(label_of(track))
         if known is not None:
             found.semantic_class[found.is_returned] = known
@@ -216,7 +229,7 @@ def _placement(bodies: Sequence[ActorPlacement], body: int) -> ActorPlacement | 
 
 
 def _in_any(beams: Beams, tracks: Sequence[ActorTrack], time_ns: int) -> Bool[np.ndarray, " n"]:
-    """Returns that lie in one of the actors' boxes."""
+    """Return the beams whose returns lie in one of the actors' boxes."""
     is_in = np.zeros(len(beams), dtype=bool)
     rows = np.flatnonzero(beams.is_returned)
     own = beams.chosen(rows)
@@ -229,8 +242,11 @@ def _in_any(beams: Beams, tracks: Sequence[ActorTrack], time_ns: int) -> Bool[np
 def _was_gone(
     beams: Beams, in_gone: Bool[np.ndarray, " n"], gone: Surfaces, rest: Surfaces
 ) -> Bool[np.ndarray, " n"]:
-    """Beams that met an actor which is gone: the return lies in its box and nearer to it than to
-    what is still there; or nothing came back, and the actor's shape stood first."""
+    """Return the beams that met an actor which is gone.
+
+    A return must lie in its box, and nearer to its mesh than to the remaining scene. Without a
+    return, the actor's mesh must be the first surface.
+    """
     with np.errstate(invalid="ignore"):
         off_rest = np.abs(beams.range_m - rest.distance_m)
         is_rest = (off_rest <= np.abs(beams.range_m - gone.distance_m)) & (off_rest < _SAME_M)

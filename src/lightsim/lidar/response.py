@@ -1,55 +1,58 @@
-"""How this recording's LiDARs answer a surface: whether a beam comes back, how strong, how exact.
+"""Responses of a recording's LiDARs to surfaces: probability of a return, intensity, and accuracy.
 
-Nothing is modelled that the recording can tell. A simulated beam takes over what happened to a
-recorded one in alike circumstances (hot-deck imputation, Andridge & Little 2010,
-doi:10.1111/j.1751-5823.2010.00103.x): for the static scene and for actors of the log, one that met
-the same place from about the same distance and angle; for others, one that met an actor of the same
-sort. So weak returns of dark, far, grazing and specular surfaces are lost as often as in the log.
-Surfels of recorded returns instead of the mesh follow LiDARsim (Manivasagam et al. 2020,
+Nothing is modelled that the recording contains. A simulated beam takes the response of a recorded
+one in similar circumstances (hot-deck imputation, Andridge & Little 2010,
+doi:10.1111/j.1751-5823.2010.00103.x). For the static scene and for actors of the log, this donor
+met the same place from about the same distance and angle; for other actors, it met an actor of the
+same kind. Thus weak returns of dark, far, grazing and specular surfaces are lost as often as in the
+log. Surfels of recorded returns instead of the mesh follow LiDARsim (Manivasagam et al. 2020,
 doi:10.1109/CVPR42600.2020.01118).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int64, Shaped
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 from scipy.spatial import KDTree
 
 from lightsim.core.actors import ActorKind
+from lightsim.core.rows import Rows
 from lightsim.lidar.beams import Beams
 from lightsim.lidar.ray_scene import Surfaces
 
+# Recorded beams in memory: 24 of them lie within 0.3 m of most places of PandaSet's sequence 002.
 MOST_DONORS = 1_500_000
-"""Recorded beams that are kept: 24 of them lie within 0.3 m of most places of sequence 002."""
+# Units of the distance between donors: one unit of each counts alike. Chosen; sensitivity not
+# measured. First the unit of the position, in metres.
 _PLACE_M = 0.5
-_LOG_DISTANCE = 0.5
-_COSINE = 0.5
-_ROUGHNESS = 0.2
-"""Differences that count alike: half a metre, a distance two thirds farther, 60 degrees instead of
-head-on, paint instead of glass."""
+# Units of the logarithm of the range (two thirds farther), of the cosine of incidence (60 degrees
+# instead of perpendicular), and of roughness (paint instead of glass).
+_LOOK_UNITS = np.array([0.5, 0.5, 0.2])
+# Nearest donors, one of which is drawn at random. Chosen; sensitivity not measured.
 _ALIKE = 8
-"""Donors among which chance decides."""
+# Nearest returns to which a plane is fitted. Chosen; sensitivity not measured.
 _SURFEL = 24
-"""Returns that make a plane."""
+# Greatest distance of a donor in these units: farther ones belong to another place.
 _FAR = 2.0
-"""In the units above: donors beyond are of another place."""
-_LEAST_COSINE = 0.02
+
+# Greatest distance between plane and mesh along a beam, in metres: otherwise they are different
+# surfaces. Chosen; sensitivity not measured.
 _MOST_STEP_M = 0.3
-"""The surface of the returns lies that near to the mesh, or is another one."""
+# Greatest RMS distance of returns from their plane, in metres; on rougher surfaces the mesh is
+# used. Also the assumed width of returns along the mesh's tangent plane: returns in one line, which
+# are narrower than that, take the plane's tilt about the line from the mesh.
 _FLAT_M = 0.05
-"""RMS of returns about their plane; rougher places keep the mesh. Returns in one line, which is
-less wide, have the mesh's tilt about it."""
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
-    """What came back of beams.
+class Answers(Rows):
+    """Responses to beams.
 
     Args:
-        is_returned: whether anything did.
+        is_returned: beams with a return.
         intensity: 0 to 255.
         semantic_class: of the log; -1 unknown.
     """
@@ -60,23 +63,9 @@ class Answers:
 
     @classmethod
     def nothing(cls, count: int) -> Answers:
-        """Of beams that did not come back."""
+        """Return responses without a return."""
         none = np.full(count, -1, dtype=np.int64)
         return cls(np.zeros(count, dtype=bool), np.zeros(count, np.float32), none)
-
-    @classmethod
-    def joined(cls, parts: Sequence[Answers]) -> Answers:
-        """All answers of all parts, of one or more."""
-        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
-
-    def chosen(self, rows: Shaped[np.ndarray, "..."]) -> Answers:
-        """Some of them."""
-        return Answers(*(getattr(self, f.name)[rows] for f in fields(self)))
-
-    def fill(self, rows: Int64[np.ndarray, " k"], other: Answers) -> None:
-        """Put others in their places."""
-        for field in fields(self):
-            getattr(self, field.name)[rows] = getattr(other, field.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,10 +73,10 @@ class Donors:
     """Recorded beams that met one body, by one LiDAR.
 
     Args:
-        places: metres, in the body's own frame; where the beam was returned from, or would have
-            been.
-        looks: log of the distance, cosine of incidence, roughness: in the units that count alike.
-        answers: what came back.
+        places: positions on the body, in its own frame, metres; for beams without a return, where
+            they would have met it.
+        looks: log of the distance, cosine of incidence, roughness, in units that count alike.
+        answers: responses to the beams.
     """
 
     places: Float32[np.ndarray, "n 3"]
@@ -96,7 +85,7 @@ class Donors:
 
     @classmethod
     def joined(cls, parts: Sequence[Donors]) -> Donors:
-        """All donors of all parts, of one or more."""
+        """Concatenate one or more groups of donors."""
         places, looks = (
             np.concatenate([getattr(p, n) for p in parts]) for n in ("places", "looks")
         )
@@ -107,11 +96,11 @@ class Donors:
 
 
 Sort = str
-"""Of bodies that answer alike: "static", "vehicle", "person" or "other"."""
+"""Group of bodies with similar responses: "static", "vehicle", "person" or "other"."""
 
 
 def sort_of(kind: ActorKind | None) -> Sort:
-    """Which bodies answer like this one; None is the static scene."""
+    """Return the group of bodies with similar responses; the kind None is the static scene."""
     if kind is None:
         return "static"
     if kind.is_vehicle:
@@ -120,19 +109,19 @@ def sort_of(kind: ActorKind | None) -> Sort:
 
 
 def looks_of(beams: Beams, met: Surfaces) -> Float32[np.ndarray, "n 3"]:
-    """How beams meet surfaces, in units that count alike."""
-    distance = np.log(np.clip(met.distance_m, 0.1, 1e4)) / _LOG_DISTANCE
-    looks = np.stack([distance, met.cosine / _COSINE, met.roughness / _ROUGHNESS], axis=1)
+    """Return distance, incidence and roughness of beams on surfaces, in units that count alike."""
+    distance = np.log(np.clip(met.distance_m, 0.1, 1e4))
+    looks = np.stack([distance, met.cosine, met.roughness], axis=1) / _LOOK_UNITS
     return looks.astype(np.float32)
 
 
 class Response:
-    """Answers of one recording.
+    """Responses of the LiDARs of one recording.
 
     Args:
         donors: by (device, body), a body being an actor's id or "" for the static scene.
         kinds: of the actors among the bodies.
-        noise_m: standard deviation of ranges, by device; not of those that had too few returns.
+        noise_m: standard deviation of ranges, by device; without devices that had too few returns.
     """
 
     def __init__(
@@ -155,13 +144,14 @@ class Response:
         met: tuple[Float[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]],
         rng: np.random.Generator,
     ) -> Answers:
-        """What comes back of one body's surfaces.
+        """Return the responses to beams on one body.
 
         Args:
             body: an actor's id, "" for the static scene.
             met: places in the body's frame, and looks.
         """
         places, looks = met
+        # Donors by look are the fallback for places without donors nearby.
         found = self._like_look(device, sort_of(kind), looks, rng)
         own = self._donors.get((device, body))
         if own is None:
@@ -174,8 +164,11 @@ class Response:
         return found
 
     def refined_m(self, device: int, beams: Beams, met: Surfaces) -> Float64[np.ndarray, " n"]:
-        """Distances to the static scene as its recorded returns have it: to the plane through those
-        around the place where a beam meets the mesh, which is smoother and coarser."""
+        """Return distances to the static scene, refined by its recorded returns.
+
+        Where the returns around a hit on the mesh form a plane, the distance is that to the plane,
+        since the mesh is smoother and coarser than the returns.
+        """
         own = self._donors.get((device, ""))
         distance = met.distance_m.copy()
         if own is None or len(own) < _SURFEL or not len(beams):
@@ -188,7 +181,8 @@ class Response:
         centre, normal, variance = fitted_planes(points, weight, met.normal[rows])
         along = (normal * beams.directions_world[rows]).sum(axis=1)
         offset = ((centre - beams.origins_world[rows]) * normal).sum(axis=1)
-        is_crossed = np.abs(along) > _LEAST_COSINE
+        # Nearly parallel to the plane, the distance of the intersection is undefined.
+        is_crossed = np.abs(along) > 0.02
         plane = offset / np.where(is_crossed, along, 1.0)
         is_plane = is_crossed & (variance < _FLAT_M**2) & (weight.sum(axis=1) >= _SURFEL / 2)
         is_plane &= np.abs(plane - distance[rows]) < _MOST_STEP_M
@@ -236,16 +230,17 @@ def fitted_planes(
     weight: Float[np.ndarray, "n k"],
     tilt: Float[np.ndarray, "n 3"],
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
-    """Centre, unit normal and variance across of the plane through each group of points.
+    """Return centre, unit normal and variance along the normal of the plane through each group of
+    points.
 
     Args:
-        tilt: unit normals that planes through points in one line should have; 0: any.
+        tilt: unit normals for planes through points in one line; 0: any.
     """
     part = (weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-9))[..., None]
     centre = (part * points).sum(axis=1)
-    spread = points - centre[:, None]
-    moments = np.einsum("nki,nkj->nij", part * spread, spread)
-    # As if the points were a little wide along the plane of that tilt.
+    offset = points - centre[:, None]
+    moments = np.einsum("nki,nkj->nij", part * offset, offset)
+    # Added variance in the plane perpendicular to `tilt` decides the normal of points in one line.
     wide = moments + _FLAT_M**2 * (np.eye(3) - tilt[:, :, None] * tilt[:, None, :])
     normal = np.linalg.eigh(wide).eigenvectors[:, :, 0]
     return centre, normal, np.einsum("ni,nij,nj->n", normal, moments, normal)
@@ -254,7 +249,7 @@ def fitted_planes(
 def nearest(
     tree: KDTree, wanted: Float[np.ndarray, "n d"], count: int, within: float = np.inf
 ) -> tuple[Float64[np.ndarray, "n k"], Int64[np.ndarray, "n k"]]:
-    """Distances and numbers of the nearest few."""
+    """Return distances and numbers of the nearest few points."""
     far, near = tree.query(wanted, k=count, workers=1, distance_upper_bound=within)
     return np.asarray(far), np.asarray(near, dtype=np.int64)
 
@@ -262,5 +257,5 @@ def nearest(
 def _features(
     places: Float[np.ndarray, "n 3"], looks: Float[np.ndarray, "n 3"]
 ) -> Float32[np.ndarray, "n 5"]:
-    """Place, distance and angle; what a place is made of follows from the place."""
+    """Return place, distance and angle; roughness is left out, since it follows from the place."""
     return np.concatenate([places / _PLACE_M, looks[:, :2]], axis=1).astype(np.float32)

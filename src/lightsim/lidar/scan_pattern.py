@@ -1,12 +1,12 @@
-"""Where a LiDAR looked and nothing came back.
+"""Directions of LiDAR beams without a return.
 
-A log stores returns alone. What is put before the sky, or laid bare behind a removed actor, is met
-by beams that did not return; their directions follow from those that did.
+A log stores returns only. Actors that are added in front of the sky, and surfaces behind removed
+actors, are met by beams that had no return; their directions follow from those of the returns.
 
-A spinning LiDAR has lasers at fixed elevations (rings) which fire at equal steps of azimuth: gaps
-in a ring are filled step by step. One that looks ahead repeats its raster from sweep to sweep, as
-the PandarGT does (returns of two sweeps of sequence 002 lie 0.02 degrees apart, neighbours of one
-sweep 0.09): its gaps are filled from other sweeps, as far as any of them had a return there.
+A spinning LiDAR has lasers at fixed elevations (rings) that fire at equal steps of azimuth: gaps in
+a ring are filled step by step. A forward-looking LiDAR repeats its raster from sweep to sweep, like
+the PandarGT (returns of two sweeps of PandaSet's sequence 002 are 0.02 degrees apart, neighbours of
+one sweep 0.09): its gaps are filled from other sweeps that had returns there.
 """
 
 from __future__ import annotations
@@ -19,33 +19,22 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import KDTree
 
-_SPINS_RAD = np.radians(300.0)
-"""A LiDAR whose returns of one sweep span more than this turns round."""
-_BIN_RAD = np.radians(0.01)
-_BLUR_BINS = 3
-"""Returns scatter by 0.03 degrees about their ring, where they are stored in steps of 4 mm."""
-_LEAST_GAP_BINS = 8
-"""Half of the least distance of two rings: the Pandar64's finest are 0.167 degrees apart."""
-_LEAST_PEAK = 0.02
-"""Of the strongest ring: one that looks into the sky returns seldom."""
-_NEAR_RING_RAD = np.radians(0.5)
-"""Returns farther from every ring are not of a ring: coordinates in steps of 4 mm turn a beam of
-1 m by 0.2 degrees."""
+from lightsim.core.rows import Rows
+
+# Fraction of the rings that begin before the estimated start of a sweep, and end after its end:
+# single returns are early, and objects may hide the start of most rings. Chosen; sensitivity not
+# measured.
 _END = 0.1
-"""Of the rings begin before what counts as a sweep's start, and end after its end: single returns
-are early, and most rings may be shaded there."""
-_SAME_BEAM = 0.7
-"""Of the raster's step: two sweeps' returns nearer than that are of one beam."""
 
 
 @dataclass(frozen=True, eq=False)
-class ScanDirections:
+class ScanDirections(Rows):
     """Directions of one LiDAR in one sweep.
 
     Args:
         azimuth_rad: counter-clockwise from ahead, frame `ego`.
-        elevation_rad: above the plane of frame `ego`.
-        times_ns: when each was measured.
+        elevation_rad: above the horizontal plane of frame `ego`.
+        times_ns: time of each measurement.
     """
 
     azimuth_rad: Float64[np.ndarray, " n"]
@@ -56,7 +45,7 @@ class ScanDirections:
     def of(
         cls, directions_ego: Float64[np.ndarray, "n 3"], times_ns: Int64[np.ndarray, " n"]
     ) -> ScanDirections:
-        """From unit vectors."""
+        """Return directions from unit vectors in frame `ego`."""
         azimuth = np.arctan2(directions_ego[:, 1], directions_ego[:, 0])
         return cls(azimuth, np.arcsin(np.clip(directions_ego[:, 2], -1.0, 1.0)), times_ns)
 
@@ -67,44 +56,49 @@ class ScanDirections:
         parts = (np.cos(self.azimuth_rad) * flat, np.sin(self.azimuth_rad) * flat)
         return np.stack([*parts, np.sin(self.elevation_rad)], axis=1)
 
-    def chosen(self, mask: Bool[np.ndarray, " n"]) -> ScanDirections:
-        """Those of a mask."""
-        return ScanDirections(self.azimuth_rad[mask], self.elevation_rad[mask], self.times_ns[mask])
-
     @property
     def is_spinning(self) -> bool:
-        """Whether they surround the sensor."""
+        """True if the directions surround the sensor."""
+        # A forward-looking LiDAR spans far less than 300 degrees. In bins of 5 degrees.
         used = np.histogram(self.azimuth_rad, 72, (-np.pi, np.pi))[0] > 0
-        return bool(used.mean() * 2 * np.pi > _SPINS_RAD)
+        return bool(used.mean() * 2 * np.pi > np.radians(300.0))
 
 
 def find_rings(sweeps: Sequence[ScanDirections]) -> Float64[np.ndarray, " k"]:
-    """Elevations of the lasers of a spinning LiDAR, ascending: where returns of several sweeps
-    pile up."""
+    """Return the elevations of the lasers of a spinning LiDAR, ascending, in radians.
+
+    They are the peaks in the histogram of the returns of several sweeps.
+    """
     from scipy.signal import find_peaks  # Takes a second to import.
 
     elevation = np.concatenate([s.elevation_rad for s in sweeps])
-    edges = np.arange(elevation.min() - 1e-3, elevation.max() + 1e-3, _BIN_RAD)
-    counts = gaussian_filter1d(np.histogram(elevation, edges)[0].astype(np.float64), _BLUR_BINS)
-    peaks = find_peaks(counts, prominence=_LEAST_PEAK * counts.max(), distance=_LEAST_GAP_BINS)[0]
-    return edges[peaks] + _BIN_RAD / 2
+    bin_rad = np.radians(0.01)
+    edges = np.arange(elevation.min() - 1e-3, elevation.max() + 1e-3, bin_rad)
+    # Returns scatter by 0.03 degrees, 3 bins, about their ring if stored in steps of 4 mm.
+    counts = gaussian_filter1d(np.histogram(elevation, edges)[0].astype(np.float64), 3)
+    # A ring that points at the sky has few returns, so low peaks count (chosen, not measured). The
+    # finest rings of the Pandar64 are 0.167 degrees apart: 8 bins are half of that.
+    peaks = find_peaks(counts, prominence=0.02 * counts.max(), distance=8)[0]
+    return edges[peaks] + bin_rad / 2
 
 
 def missing_in_rings(found: ScanDirections, rings_rad: Float64[np.ndarray, " k"]) -> ScanDirections:
-    """Where a spinning LiDAR fired and nothing came back.
+    """Return the directions in which a spinning LiDAR fired without a return.
 
-    Along a ring azimuth advances by equal steps. Before a ring's first and after its last return
-    the steps go on to the ends of the sweep; a ring without returns fires as the fullest. Without
-    rings nothing is known to be missing.
+    Azimuth advances by equal steps along a ring. Steps continue before a ring's first and after its
+    last return to the ends of the sweep. A ring without returns gets the directions of the fullest
+    ring. Without rings the result is empty.
     """
     if not len(rings_rad):
         return found.chosen(np.zeros(len(found.times_ns), dtype=bool))
     ring = np.argmin(np.abs(found.elevation_rad[:, None] - rings_rad), axis=1)
-    is_near = np.abs(found.elevation_rad - rings_rad[ring]) < _NEAR_RING_RAD
+    # Steps of 4 mm rotate a beam of 1 m by 0.2 degrees; returns farther from a ring are outliers.
+    is_near = np.abs(found.elevation_rad - rings_rad[ring]) < np.radians(0.5)
     turned = _turned(found)
     in_ring = [_in_order(found, turned, is_near & (ring == k)) for k in range(len(rings_rad))]
     steps = np.concatenate([np.diff(angle) for angle, _ in in_ring])
-    # Most returns have a neighbour; equal angles are returns of two lasers taken for one.
+    # The median step is the firing step, since most returns have a neighbour. Steps of 0 are
+    # returns of two lasers that were assigned to one ring.
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
     returned = [angle for angle, _ in in_ring if len(angle)]
     ends = [
@@ -125,15 +119,18 @@ def missing_in_rings(found: ScanDirections, rings_rad: Float64[np.ndarray, " k"]
 
 
 def missing_in_raster(found: ScanDirections, others: Sequence[ScanDirections]) -> ScanDirections:
-    """Where a LiDAR that looks ahead fired and nothing came back: directions of other sweeps with
-    no return of this one within the raster's step.
+    """Return the directions in which a forward-looking LiDAR fired without a return.
+
+    They are directions of other sweeps with no return of this one within the raster's step.
 
     Args:
-        others: of the same LiDAR in other sweeps, the most alike first.
+        others: of the same LiDAR in other sweeps, nearest in time first.
     """
     have = found.vectors
     nearest = KDTree(have).query(have, k=2, workers=1)[0][:, 1]
-    least = _SAME_BEAM * float(np.median(nearest))
+    # Returns of two sweeps nearer than 0.7 of the raster's step belong to one beam. Chosen;
+    # sensitivity not measured.
+    least = 0.7 * float(np.median(nearest))
     start_ns = int(found.times_ns.min())
     parts = [found.chosen(np.zeros(len(have), dtype=bool))]
     for other in others:
@@ -142,25 +139,21 @@ def missing_in_raster(found: ScanDirections, others: Sequence[ScanDirections]) -
         times_ns = new.times_ns - int(other.times_ns.min()) + start_ns
         parts.append(ScanDirections(new.azimuth_rad, new.elevation_rad, times_ns))
         have = np.concatenate([have, new.vectors])
-    return ScanDirections(
-        np.concatenate([p.azimuth_rad for p in parts]),
-        np.concatenate([p.elevation_rad for p in parts]),
-        np.concatenate([p.times_ns for p in parts]),
-    )
+    return ScanDirections.joined(parts)
 
 
 _Fired = tuple[Float64[np.ndarray, " _"], Int64[np.ndarray, " _"]]
-"""Angles turned, ascending, and times."""
+"""Rotation angles, ascending, and times."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Turned:
-    """How far a spinning LiDAR had turned when each direction was measured.
+    """Rotation angle of a spinning LiDAR at the measurement of each direction.
 
     Args:
-        angle_rad: growing beyond a full turn.
+        angle_rad: increasing beyond a full turn.
         rate: radians a nanosecond.
-        sign: of the turn, 1 counter-clockwise.
+        sign: of the rotation, 1 counter-clockwise.
     """
 
     angle_rad: Float64[np.ndarray, " n"]
@@ -169,8 +162,10 @@ class _Turned:
 
 
 def _turned(found: ScanDirections) -> _Turned:
-    """From azimuths, the full turns by the times, which may be stored in coarse steps, or as one
-    for the whole sweep."""
+    """Return rotation angles: azimuths plus full turns from the times.
+
+    Times may be stored in coarse steps, or as one value for the whole sweep.
+    """
     order = np.argsort(found.times_ns, kind="stable")
     since_ns = (found.times_ns - found.times_ns[order[0]]).astype(np.float64)
     if not since_ns.any():
@@ -183,14 +178,14 @@ def _turned(found: ScanDirections) -> _Turned:
 
 
 def _in_order(found: ScanDirections, turned: _Turned, mask: Bool[np.ndarray, " n"]) -> _Fired:
-    """The returns of one ring as its laser fired."""
+    """Return the returns of one ring in the order of firing."""
     angle, times_ns = turned.angle_rad[mask], found.times_ns[mask]
     order = np.argsort(angle, kind="stable")
     return angle[order], times_ns[order]
 
 
 def _gaps(fired: _Fired, step: float, ends: Sequence[float], rate: float) -> _Fired:
-    """The firings of a ring between its returns, and from the sweep's start to its end."""
+    """Return the firings of a ring without returns: in gaps, and to the sweep's start and end."""
     angle, times_ns = fired
     if not len(angle) or not np.isfinite(step):
         return np.empty(0), np.empty(0, dtype=np.int64)
@@ -200,7 +195,7 @@ def _gaps(fired: _Fired, step: float, ends: Sequence[float], rate: float) -> _Fi
     before = np.repeat(np.arange(len(missing)), missing)
     number = np.arange(len(before)) - np.repeat(np.cumsum(missing) - missing, missing) + 1
     fraction = number / (missing[before] + 1)
-    # Nanoseconds since 1970 exceed a float; their differences do not.
+    # Nanoseconds since 1970 exceed a float's precision; their differences do not.
     passed = (fraction * np.diff(times_ns)[before]).astype(np.int64)
     return (
         np.concatenate(

@@ -1,4 +1,4 @@
-"""How much of each pixel an actor covers: soft edges for what is put into a picture."""
+"""Fraction of each pixel that an actor covers: soft edges for composited actors."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.sensors import CameraFrame
 from lightsim.render.scene import FrameScene
 
-_SIDE = 4
-"""Rays along each side of a pixel at an edge: steps of 1/16 do not show in 8 bits of noise."""
-_STEPS = (np.arange(_SIDE) + 0.5) / _SIDE
-_GRID = np.stack(np.meshgrid(_STEPS, _STEPS), axis=-1).reshape(-1, 2)
+# Sub-pixel positions of the rays at an edge, a regular grid of 4 x 4: coverage in steps of 1/16 is
+# not visible in the noise of 8-bit images. Chosen so; sensitivity not measured.
+_GRID = np.stack(np.meshgrid(*[(np.arange(4) + 0.5) / 4] * 2), axis=-1).reshape(-1, 2)
 
 
 def actor_coverage(
@@ -26,16 +25,20 @@ def actor_coverage(
     numbers: Collection[int],
     offsets: Float[np.ndarray, "n 2"] = _GRID,
 ) -> Float32[np.ndarray, "h w"]:
-    """Fraction of each pixel that shows one of these actors, by their numbers in the scenario.
+    """Return the fraction of each pixel that shows one of the given actors.
 
-    Pixels around the outline at pixel centres are looked at by a ray at each of the offsets from
-    their corner, by default 16; what lies between the centres of all pixels is not found.
+    Only pixels along the outline, as found at pixel centres, are sampled more finely. Parts of
+    actors between the centres of all pixels are missed.
+
+    Args:
+        numbers: the actors' numbers in the scenario.
+        offsets: positions of the rays within an edge pixel, from its corner; default: 16.
     """
     from scipy.ndimage import binary_dilation
 
     is_shown = np.isin(buffers.actor_index, list(numbers))
     around = np.ones((3, 3), dtype=bool)
-    # Every pixel with a neighbour that differs.
+    # Edge pixels have a neighbour of the other kind, in the actors or outside of them.
     is_edge = np.logical_and(*(binary_dilation(part, around) for part in (is_shown, ~is_shown)))
     coverage = is_shown.astype(np.float32)
     rows, columns = np.nonzero(is_edge)

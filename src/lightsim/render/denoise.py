@@ -9,7 +9,7 @@ from lightsim.errors import InputError, LightSimError, need
 
 
 def check_installed() -> None:
-    """Find out before the first frame is rendered.
+    """Check that the denoiser is installed, before the first frame is rendered.
 
     Raises:
         MissingDependencyError: pyoidn is not installed.
@@ -22,12 +22,13 @@ def denoise(
     base_colour: Float32[np.ndarray, "h w 3"],
     normal_world: Float32[np.ndarray, "h w 3"],
 ) -> Float32[np.ndarray, "h w 3"]:
-    """The image without noise, guided by noise-free buffers (Afra, Open Image Denoise, 2019-).
+    """Return the image without noise, guided by noise-free buffers (Afra, Open Image Denoise,
+    2019-).
 
     Args:
         image: linear radiance or irradiance / pi, any scale.
-        base_colour: in [0, 1]; all one where the image has it divided out (white surfaces).
-        normal_world: unit, 0 without a surface.
+        base_colour: in [0, 1]; all 1 if the image has the base colour divided out (white surfaces).
+        normal_world: unit vectors, 0 without a surface.
 
     Raises:
         MissingDependencyError: pyoidn is not installed.
@@ -35,6 +36,7 @@ def denoise(
         LightSimError: the library failed.
     """
     pyoidn = need("pyoidn", extra="denoise")
+    # One such value would corrupt its neighbourhood without an error from the library.
     is_finite = np.isfinite(image).all(axis=2)
     if not is_finite.all():
         raise InputError(
@@ -48,6 +50,8 @@ def denoise(
             albedo=np.clip(base_colour, 0, 1),
             normal=np.ascontiguousarray(normal_world),
             hdr=True,
+            # Albedo and normals come from primary rays and have no noise: they are not denoised
+            # first.
             clean_aux=True,
         )
     except RuntimeError as error:

@@ -1,4 +1,4 @@
-"""How a twin's parts become a scene that can be rendered; used by stages and by relighting."""
+"""Renderer of frames by the light transport matrix; used by build stages and by relighting."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from lightsim.core.solar import angle_between_deg
 from lightsim.core.window import Window
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.coverage import actor_coverage
-from lightsim.render.gbuffers import render_gbuffers, with_ambient_occlusion
+from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.image import scene_image
 from lightsim.render.roofs import UncertainRoofs
 from lightsim.render.scene import (
@@ -48,22 +48,23 @@ from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
 from lightsim.render.transport.sun import sun_in_scene, sun_visibility
 from lightsim.render.window import WindowFrame, seen_through
 
+# Position error of cast shadows, in metres: an actor's observed shadow lies this close to the
+# shadow of its reconstructed mesh. Chosen; sensitivity not measured.
 SHADOW_ERROR_M = 0.25
-"""Shadows that pictures show lie this close to where a reconstructed actor casts them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tracing:
-    """How the rays of frames are traced.
+    """Settings of the rays of frames.
 
     Args:
-        config: of the rays.
-        seed: of their directions.
-        faces: the static ones that they have met.
+        config: numbers of rays and of bounces.
+        seed: of the ray directions.
+        faces: table of static faces, which grows with every traced frame.
         is_sampled: light is the mean over `config.pixel_samples` points of each pixel, with
             reflections.
-        recorded_sun: light of this sun takes its visibility as the twin found it; None: every
-            sun's is rendered.
+        recorded_sun: for this sun the visibility that the twin estimated from images is used. None:
+            visibility is rendered for every sun.
     """
 
     config: TransportConfig
@@ -74,17 +75,17 @@ class Tracing:
 
 
 class TransportFrame:
-    """A frame whose rays are traced once, when light is first asked for: any sky is a few sums
-    away.
+    """One frame whose rays are traced once, at the first request for light.
+
+    Each sky then costs sums only.
 
     Args:
         view: the frame and its camera.
         geometry: its buffers, with ambient occlusion 1.
         scene: the scene at the frame's time.
-        tracing: of the rays.
-        is_wanted: pixels that anything is asked about; `geometry` shows no surface elsewhere.
-            None: all.
-        actor_faces: of the scene, with what rays have met already.
+        tracing: settings of the rays.
+        is_wanted: pixels to light; `geometry` has no surface elsewhere. None: all pixels.
+        actor_faces: face table of the scene's actors, if another frame of the scene has traced one.
     """
 
     def __init__(
@@ -113,6 +114,8 @@ class TransportFrame:
             samples = render_samples(
                 self._scene, camera, frame, self.geometry, self._config, self._is_wanted
             )
+        # The ray pattern depends on the position in the whole image, so that a window's light
+        # equals that of the same pixels in the whole.
         corner_px = frame.corner_px if isinstance(frame, WindowFrame) else (0, 0)
         tracing = self._tracing
         return trace_transport(
@@ -128,26 +131,25 @@ class TransportFrame:
 
     @property
     def buffers(self) -> GBuffers:
-        """Geometry, with ambient occlusion."""
-        return with_ambient_occlusion(self.geometry, self._table.ambient_occlusion)
+        """Geometry buffers with ambient occlusion."""
+        return replace(self.geometry, ambient_occlusion=self._table.ambient_occlusion)
 
     def part(self, window: Window, is_wanted: Bool[np.ndarray, "h w"]) -> TransportFrame:
-        """Some pixels of a window of the picture as a frame of its own, which is traced for
-        itself.
+        """Return some pixels of an image window as a frame of its own, with rays of its own.
 
         Args:
-            is_wanted: within the window.
+            is_wanted: pixels to light, within the window.
         """
         geometry = self.geometry.part(window).within(is_wanted)
         view = seen_through(*self.view, window)
         return self._with(view, geometry, self._tracing, is_wanted)
 
     def traced_as(self, tracing: Tracing) -> TransportFrame:
-        """The same pixels, whose rays are traced otherwise; faces that they meet are not."""
+        """Return the same pixels with other ray settings and the same face table of actors."""
         return self._with(self.view, self.geometry, tracing, self._is_wanted)
 
     def diffuse_once(self) -> TransportFrame:
-        """The same pixels with one bounce and no reflections: fewer rays, for a first look."""
+        """Return the same pixels with one bounce and no reflections: fewer rays, for a preview."""
         config = replace(self._config, bounces=1, glossy_rays=0)
         return self.traced_as(replace(self._tracing, config=config))
 
@@ -158,43 +160,51 @@ class TransportFrame:
         tracing: Tracing,
         is_wanted: Bool[np.ndarray, "h w"] | None,
     ) -> TransportFrame:
-        """Another view of the scene."""
+        """Return another view of the scene."""
         faces = self._actor_faces
         return TransportFrame(view, geometry, self._scene, tracing, is_wanted, faces)
 
     def light(self, sky: SkyDome | EnvironmentCells) -> ShadowBuffers:
-        """Irradiance / pi of the pixels under a sky; that of the last sky object is kept."""
+        """Return irradiance / pi of the pixels under a sky; the last sky's result is cached."""
         if self._last is None or self._last[0] is not sky:
+            # Released before the next sky is computed, so that two results are never in memory.
             self._last = None
             lit = light(self._table, self._scene, self.geometry, sky, self._config)
             if sky.sun is not None and _is_same_sun(sky.sun, self._tracing.recorded_sun):
+                # Images of the recording show where its shadows are; geometry shows it less
+                # accurately.
                 found = self.found_visibility(sky.sun)
                 lit = with_found_visibility(lit, self.geometry, sky.sun, found)
             self._last = (sky, lit)
         return self._last[1]
 
     def found_visibility(self, sun: Sun | None) -> Float32[np.ndarray, "h w"] | None:
-        """Visibility of the recorded sun as the twin found it in the pictures, behind the moving
-        actors' shadows; NaN where it found none. None: nowhere.
+        """Return the recorded sun's visibility as estimated from images, times moving actors'
+        shadows.
 
         Args:
-            sun: under which the log was recorded.
+            sun: the sun of the recording.
+
+        Returns:
+            Visibility in [0, 1], NaN for pixels without an estimate. None if the frame has none.
         """
         buffers = self.geometry
         if buffers.found_visibility is None or sun is None:
             return None
-        # What never moves casts its shadow in the visibility already.
+        # Estimated visibility already contains the shadows of parked actors.
         moving = [mesh for mesh in self._scene.actors if mesh.sun_visibility is None]
         rows = np.flatnonzero(np.isfinite(buffers.found_visibility))
         points = buffers.ray_starts_world.reshape(-1, 3)[rows]
         normals = buffers.normal_world.reshape(-1, 3)[rows]
         found = buffers.found_visibility.copy()
-        # Zero behind the surface's own horizon, too.
+        # The estimate has no moving actors: their shadows are multiplied.
+        # `sun_visibility` is also 0 on surfaces that face away from the sun.
         found.reshape(-1)[rows] *= sun_visibility(
             make_embree_caster(moving), points, normals, sun, self._config
         )
         if self._scene.vacated:
-            # Nobody saw these places without the parked actor's shadow: they are as rendered.
+            # Behind a removed parked actor no image shows the surface without its shadow, so the
+            # rendered visibility is used (NaN).
             caster = make_embree_caster(grown(self._scene.vacated, SHADOW_ERROR_M))
             past = sun_visibility(caster, points, normals, sun, self._config)
             found.reshape(-1)[rows[past < 1]] = np.nan
@@ -203,13 +213,23 @@ class TransportFrame:
     def sun_past(
         self, placements: Sequence[ActorPlacement], sun: Sun, grown_m: float = 0.0
     ) -> Float32[np.ndarray, "h w"]:
-        """Fraction of the sun's disc that the surfaces would see if only these actors stood before
-        it; 1 where there is no surface, or where it turns away from the sun."""
+        """Return the sun visibility of the surfaces if only the given actors occluded the sun.
+
+        Args:
+            placements: actors that cast shadows.
+            grown_m: metres by which the actors' surfaces are moved outwards, to bound their
+                shadows.
+
+        Returns:
+            Fraction of the solar disc in [0, 1]; 1 without a surface and on surfaces that face away
+            from the sun.
+        """
         buffers = self.geometry
         past = np.ones(buffers.depth_z_m.shape, dtype=np.float32)
         meshes = placed_meshes(placements, self.view[0].time_ns)
         if not meshes:
             return past
+        # Embree, since uploading a few meshes to a GPU for one call would not pay off.
         caster = make_embree_caster(grown(meshes, grown_m) if grown_m else meshes)
         direction = sun.direction_world.astype(np.float32)
         faces_sun = buffers.has_surface & (buffers.normal_world @ direction > 0)
@@ -218,28 +238,34 @@ class TransportFrame:
         return past
 
     def sun_on_lens(self, sun: Sun) -> float:
-        """Fraction of the sun's disc that the camera sees, whether or not it looks there."""
+        """Return the fraction of the solar disc visible from the camera, wherever it looks."""
         place = np.asarray(self.view[0].world_from_camera.translation_m, np.float32)[None]
         towards = (sun.direction_world / np.linalg.norm(sun.direction_world)).astype(np.float32)
         return float(sun_in_scene(self._scene, place, towards[None], sun, self._config)[0])
 
     def coverage(self, numbers: Collection[int]) -> Float32[np.ndarray, "h w"]:
-        """Fraction of each pixel that shows one of these actors, by their numbers."""
+        """Return the fraction of each pixel that shows one of these actors.
+
+        Args:
+            numbers: the actors' numbers in the scenario.
+        """
         return actor_coverage(self._scene, *self.view, self.geometry, numbers)
 
     def sampled_coverage(self, numbers: Collection[int]) -> Float32[np.ndarray, "h w"]:
-        """The same by the samples of which `image` is the mean."""
+        """Return `coverage` at the sub-pixel samples of which `image` is the mean."""
         offsets = sample_offsets(self._config.pixel_samples)
         return actor_coverage(self._scene, *self.view, self.geometry, numbers, offsets)
 
     def image(self, sky: EnvironmentCells) -> Float32[np.ndarray, "h w 3"]:
-        """Radiance: anti-aliased and with reflections where the renderer looks at samples of
-        pixels; the sky behind."""
+        """Return radiance with the sky behind surfaces.
+
+        It is anti-aliased and has reflections if the renderer samples pixels.
+        """
         return scene_image(self.geometry, self.light(sky), visible_sky(sky, *self.view))
 
 
 def _is_same_sun(sun: Sun, recorded: Sun | None) -> bool:
-    """Whether a sun stands where the recorded one stood, to a tenth of its disc."""
+    """Return true if two suns differ in direction by less than a tenth of the disc's radius."""
     if recorded is None:
         return False
     angle_deg = angle_between_deg(sun.direction_world, recorded.direction_world)
@@ -249,21 +275,22 @@ def _is_same_sun(sun: Sun, recorded: Sun | None) -> bool:
 def visible_sky(
     sky: EnvironmentCells, frame: CameraFrame, camera: PinholeCamera
 ) -> Float32[np.ndarray, "h w 3"]:
-    """The sky as a camera sees it, with a sharp solar disc."""
+    """Return the radiance of the sky in a camera, with a sharp solar disc."""
     assert sky.behind is not None
     rays = frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))[1]
-    seen = sample_bilinear(sky.behind, rays).astype(np.float32)
+    radiance = sample_bilinear(sky.behind, rays).astype(np.float32)
     if sky.sun is not None:
         radius_rad = np.radians(sky.sun.angular_radius_deg)
         axis = sky.sun.direction_world / np.linalg.norm(sky.sun.direction_world)
+        # The sun is absent from `sky.behind`, whose texels would blur its disc.
         in_disc = rays @ axis > np.cos(radius_rad)
         solid_angle_sr = 2 * np.pi * (1 - np.cos(radius_rad))
-        seen[in_disc] += (sky.sun.irradiance / solid_angle_sr).astype(np.float32)
-    return seen.reshape(camera.height_px, camera.width_px, 3)
+        radiance[in_disc] += (sky.sun.irradiance / solid_angle_sr).astype(np.float32)
+    return radiance.reshape(camera.height_px, camera.width_px, 3)
 
 
 class FrameRenderer:
-    """Buffers and light of single frames; what is static is prepared once."""
+    """Renderer of buffers and light of single frames; the static part is prepared once."""
 
     def __init__(
         self,
@@ -277,8 +304,12 @@ class FrameRenderer:
         is_sampled: bool = False,
         recorded_sun: Sun | None = None,
     ) -> None:
-        """`is_sampled`: light is the mean over `transport.pixel_samples` points of each pixel,
-        with reflections. `recorded_sun`: its shadows fall where the twin found them."""
+        """Build the static scene.
+
+        Args:
+            inferred_is_visible: cameras show `inferred` too.
+            is_sampled, recorded_sun: see `Tracing`.
+        """
         self._static = make_static_scene(
             [background],
             [inferred] if len(inferred.faces) else [],
@@ -290,8 +321,7 @@ class FrameRenderer:
         self._tracing = Tracing(transport, seed, faces, is_sampled, recorded_sun)
 
     def with_roofs(self, roofs: UncertainRoofs | None) -> FrameRenderer:
-        """The same where what is inferred may be otherwise, for suns whose shadows no picture
-        shows."""
+        """Return the renderer with uncertain roofs, for suns whose shadows no image shows."""
         other = copy(self)
         other._static = replace(self._static, roofs=roofs)
         return other
@@ -304,8 +334,9 @@ class FrameRenderer:
         sun_rays: int | None = None,
         glossy_rays: int | None = None,
     ) -> FrameRenderer:
-        """A renderer of anti-aliased images of the same twin, which shares all that is static."""
+        """Return a renderer of anti-aliased images with the same static scene and faces."""
         other = copy(self)
+        # The numbers of face rays do not change, so the face table is reused.
         transport = replace(
             self._tracing.config,
             pixel_samples=pixel_samples,
@@ -318,23 +349,22 @@ class FrameRenderer:
         return other
 
     def prepare(self, sky: SkyDome, behind: SkyDome | None = None) -> EnvironmentCells:
-        """A sky made ready once for many frames; see `prepare_sky`."""
+        """Prepare a sky once for many frames; see `prepare_sky`."""
         return prepare_sky(sky, behind)
 
     def scene(self, scenario: Scenario, time_ns: int) -> FrameScene:
-        """The static meshes and the scenario's actors where they are at `time_ns`."""
+        """Return the static meshes and the scenario's actors at their poses at `time_ns`."""
         return place(self._static, scenario, time_ns, self._make_caster)
 
     def geometry(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> GBuffers:
-        """Geometry buffers alone (ambient occlusion 1)."""
+        """Return the geometry buffers (ambient occlusion 1)."""
         scene = self.scene(scenario, frame.time_ns)
         return render_gbuffers(scene, camera, frame)
 
     def trace(
         self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera
     ) -> TransportFrame:
-        """Geometry and the light transport matrix of a frame: all that does not depend on the
-        sky."""
+        """Return the frame with its geometry; its light transport matrix is traced on first use."""
         scene = self.scene(scenario, frame.time_ns)
         geometry = render_gbuffers(scene, camera, frame)
         return TransportFrame((frame, camera), geometry, scene, self._tracing)
@@ -342,19 +372,23 @@ class FrameRenderer:
     def trace_beside(
         self, known: TransportFrame, scenario: Scenario, changed: Sequence[ActorPlacement]
     ) -> TransportFrame:
-        """The same view of another scenario.
+        """Return the view of a known frame in another scenario; only changed pixels are cast anew.
 
         Args:
-            changed: actors that are not where they are in the known one, and where they are there.
+            known: a frame of the first scenario.
+            scenario: the second scenario.
+            changed: actors whose pose differs between the two scenarios, with both poses.
         """
         frame, camera = known.view
         scene = self.scene(scenario, frame.time_ns)
         rays = frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))
         caster = self._make_caster(placed_meshes(changed, frame.time_ns))
+        # Both poses of a changed actor are in `changed`: pixels that it leaves and pixels that it
+        # covers.
         differs = np.flatnonzero(caster.is_occluded(*rays))
         geometry = render_gbuffers(scene, camera, frame, (known.geometry, differs))
         return TransportFrame(known.view, geometry, scene, self._tracing)
 
-    def retrace(self, seen: TransportFrame) -> TransportFrame:
-        """A frame of another renderer of the same twin, traced as this one does."""
-        return seen.traced_as(self._tracing)
+    def retrace(self, frame: TransportFrame) -> TransportFrame:
+        """Return another renderer's frame of the same twin with this renderer's ray settings."""
+        return frame.traced_as(self._tracing)

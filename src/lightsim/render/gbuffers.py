@@ -17,8 +17,8 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.errors import FrameMismatchError
 from lightsim.render.scene import FrameScene
 
+# Primary rays in memory at once. Not measured alone; peaks are in docs/benchmarks/memory.md.
 BAND_RAYS = 1 << 18
-"""Primary rays in memory at once."""
 
 
 def render_gbuffers(
@@ -27,14 +27,14 @@ def render_gbuffers(
     view: CameraFrame | RigidTransform,
     known: tuple[GBuffers, Int64[np.ndarray, " k"]] | None = None,
 ) -> GBuffers:
-    """Depth, position, normal, base colour and actor of every pixel (paper, Sec. 4).
+    """Return depth, position, normal, base colour and actor of every pixel (paper, Sec. 4).
 
-    `view` is a recorded frame, or the pose world_from_camera of a still camera.
     Normals are interpolated between vertices and face the camera. Ambient occlusion is 1:
-    `trace_transport` measures it from the rays it traces, see `with_ambient_occlusion`.
+    `trace_transport` estimates it from its rays.
 
     Args:
-        known: buffers of another scene from there, and the (flat) pixels that differ.
+        view: a recorded frame, or the pose world_from_camera of a static camera.
+        known: buffers of another scene in the same view, and the (flat) pixels that differ.
 
     Raises:
         FrameMismatchError: the pose does not map `camera` to `world`.
@@ -46,29 +46,31 @@ def render_gbuffers(
         pixels = known[1]
         mask = np.ones((height, width), dtype=bool)
         mask.reshape(-1)[pixels] = False
+        # Pixels to cast anew start without a surface: in this scene their rays may meet none.
         out = known[0].within(mask)
+    # Allocated only for twins with such estimates.
     if out.found_visibility is None and _is_any_found(scene):
         out = replace(out, found_visibility=np.full((height, width), np.nan, dtype=np.float32))
     centres = camera.pixel_centres().reshape(-1, 2)
     for start in range(0, len(pixels), BAND_RAYS):
         band = pixels[start : start + BAND_RAYS]
-        seen = see(scene, camera, view, centres[band])
-        index = band[seen.rows]
+        found = cast_primary_rays(scene, camera, view, centres[band])
+        index = band[found.rows]
         values = {
-            "depth_z_m": seen.depth_z_m,
-            "position_world": seen.position_world,
-            "normal_world": seen.normal_world,
-            "base_colour": seen.base_colour,
-            "offset_world": seen.offset_world,
-            "towards_camera_world": seen.towards_camera,
-            "material": surface_material(scene, seen.hits),
-            "actor_index": scene.actor_index[seen.hits.mesh_index],
+            "depth_z_m": found.depth_z_m,
+            "position_world": found.position_world,
+            "normal_world": found.normal_world,
+            "base_colour": found.base_colour,
+            "offset_world": found.offset_world,
+            "towards_camera_world": found.towards_camera,
+            "material": surface_material(scene, found.hits),
+            "actor_index": scene.actor_index[found.hits.mesh_index],
         }
         if out.found_visibility is not None:
-            values["found_visibility"] = _found_visibility(scene, seen.hits)
-        for name, found in values.items():
+            values["found_visibility"] = _found_visibility(scene, found.hits)
+        for name, value in values.items():
             array = getattr(out, name)
-            array.reshape(-1, *array.shape[2:])[index] = found
+            array.reshape(-1, *array.shape[2:])[index] = value
     return out
 
 
@@ -77,7 +79,7 @@ def _is_any_found(scene: FrameScene) -> bool:
 
 
 def _empty(height: int, width: int) -> GBuffers:
-    """Buffers in which no pixel shows a surface."""
+    """Return buffers without any surface."""
 
     def zeros(channels: int) -> Float32[np.ndarray, "h w c"]:
         return np.zeros((height, width, channels), dtype=np.float32)
@@ -96,14 +98,14 @@ def _empty(height: int, width: int) -> GBuffers:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenSurfaces:
-    """What primary rays meet.
+class PrimaryHits:
+    """First surfaces on primary rays.
 
     Args:
-        rows: of the rays that meet a surface; the other fields hold these alone.
+        rows: rays that meet a surface; the other fields hold these rays only.
         hits: the faces.
-        lifted_world: see core.buffers.GBuffers.
-        towards_camera: unit.
+        offset_world: see core.buffers.GBuffers.
+        towards_camera: unit vectors.
     """
 
     rows: Int64[np.ndarray, " n"]
@@ -116,23 +118,25 @@ class SeenSurfaces:
     towards_camera: Float32[np.ndarray, "n 3"]
 
 
-def see(
+def cast_primary_rays(
     scene: FrameScene,
     camera: PinholeCamera,
     view: CameraFrame | RigidTransform,
     uv: Float[np.ndarray, "m 2"],
-) -> SeenSurfaces:
-    """Surfaces behind points (u, v) of the image."""
-    origins, directions = _rays(view, camera, uv)
+) -> PrimaryHits:
+    """Return the surfaces behind points (u, v) of the image."""
+    origins, directions = view_rays(view, camera, uv)
     hits = scene.camera_caster.intersect(origins, directions)
     rows = np.flatnonzero(hits.is_hit)
     hits = _select(hits, rows)
+    # In double precision, since positions are sums of large coordinates.
     distance = hits.distance_m.astype(np.float64)
+    # Depth is along the optical axis, the distance along the ray.
     depth = distance * camera.directions(uv[rows])[:, 2]
     towards = directions[rows]
     position = (origins[rows] + distance[:, None] * towards).astype(np.float32)
     normal, terminator_offset, colour = _surface(scene, hits, towards)
-    return SeenSurfaces(
+    return PrimaryHits(
         rows,
         hits,
         depth.astype(np.float32),
@@ -145,7 +149,7 @@ def see(
 
 
 def surface_material(scene: FrameScene, hits: RayHits) -> Float32[np.ndarray, "n 2"]:
-    """Roughness and metallic of faces that cameras see."""
+    """Return roughness and metallic of faces that are visible to cameras."""
     values = np.zeros((len(hits.face_index), 2), dtype=np.float32)
     for k, rows in _rows_by_mesh(scene, hits):
         mesh = scene.camera_meshes[k]
@@ -158,7 +162,8 @@ def surface_material(scene: FrameScene, hits: RayHits) -> Float32[np.ndarray, "n
 
 
 def _found_visibility(scene: FrameScene, hits: RayHits) -> Float32[np.ndarray, " n"]:
-    """See `core.mesh.TriMesh.sun_visibility`."""
+    """Return the sun visibility that the twin stores on its meshes
+    (`core.mesh.TriMesh.sun_visibility`)."""
     values = np.full(len(hits.face_index), np.nan, dtype=np.float32)
     for k, rows in _rows_by_mesh(scene, hits):
         mesh = scene.camera_meshes[k]
@@ -169,8 +174,9 @@ def _found_visibility(scene: FrameScene, hits: RayHits) -> Float32[np.ndarray, "
 def _rows_by_mesh(
     scene: FrameScene, hits: RayHits
 ) -> Iterator[tuple[int, Int64[np.ndarray, " k"]]]:
-    """Numbers of the meshes that cameras see and their hits, of those that have any."""
+    """Yield each camera-visible mesh that has hits: its number and the rows of its hits."""
     count = len(scene.camera_meshes)
+    # Sorted once, instead of one mask over all hits for each of many meshes.
     order = np.argsort(hits.mesh_index, kind="stable")
     bounds = np.searchsorted(hits.mesh_index[order], np.arange(count + 1))
     for k in range(count):
@@ -178,27 +184,32 @@ def _rows_by_mesh(
             yield k, order[bounds[k] : bounds[k + 1]]
 
 
-def _rays(
+def view_rays(
     view: CameraFrame | RigidTransform, camera: PinholeCamera, uv: Float[np.ndarray, "n 2"]
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Origins and directions of pixels: of a recorded frame, or of a still camera at a pose."""
+    """Return ray origins and directions, frame `world`, of a frame or of a camera at one pose."""
     if isinstance(view, CameraFrame):
         return view.pixel_rays(camera, uv)
+    directions = view.rotate(camera.directions(uv))
+    # Broadcasting alone would give a read-only view.
+    return np.broadcast_to(camera_pose(view).translation_m, directions.shape).copy(), directions
+
+
+def camera_pose(view: CameraFrame | RigidTransform) -> RigidTransform:
+    """Return world_from_camera of a view, at the middle of its readout.
+
+    Raises:
+        FrameMismatchError: the pose does not map `camera` to `world`.
+    """
+    if isinstance(view, CameraFrame):
+        return view.world_from_camera
     if (view.dst, view.src) != ("world", "camera"):
         raise FrameMismatchError(
-            "the camera pose joins the wrong frames",
+            "the camera pose has the wrong frames",
             got=f"{view.dst}_from_{view.src}",
             expected="world_from_camera",
         )
-    directions = view.rotate(camera.directions(uv))
-    return np.broadcast_to(view.translation_m, directions.shape).copy(), directions
-
-
-def with_ambient_occlusion(
-    gbuffers: GBuffers, ambient_occlusion: Float32[np.ndarray, "h w"]
-) -> GBuffers:
-    """The buffers with measured ambient occlusion."""
-    return replace(gbuffers, ambient_occlusion=ambient_occlusion)
+    return view
 
 
 def _select(hits: RayHits, rows: Shaped[np.ndarray, " k"]) -> RayHits:
@@ -210,7 +221,8 @@ def _select(hits: RayHits, rows: Shaped[np.ndarray, " k"]) -> RayHits:
 def _surface(
     scene: FrameScene, hits: RayHits, directions_world: Float[np.ndarray, "n 3"]
 ) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
-    """Shading normal that faces the ray, bulge and base colour at each hit."""
+    """Return the shading normal that faces the ray, the terminator offset and the base colour of
+    each hit."""
     from lightsim.render.transport.kernels import shading_normals
 
     meshes: Sequence[TriMesh] = scene.camera_meshes

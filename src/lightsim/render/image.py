@@ -1,4 +1,4 @@
-"""The picture that a camera without gain and noise would take: surfaces, reflections and sky."""
+"""Image of an ideal camera without gain and noise: surfaces, reflections and sky."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ from lightsim.core.sensors import CameraFrame
 def scene_image(
     gbuffers: GBuffers, light: ShadowBuffers, sky: Float32[np.ndarray, "h w 3"]
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Radiance of every pixel, in the units of the sky.
+    """Return the radiance of every pixel, in the units of the sky.
 
     Args:
-        light: from `render.transport.light`; anti-aliased and with reflections where its table
-            was traced with samples, else base colour x light at pixel centres.
-        sky: the dome along the rays of the pixels.
+        light: from `render.transport.light`. Anti-aliased and with reflections if its matrix was
+            traced with samples; otherwise base colour times light at pixel centres.
+        sky: radiance of the dome along the pixels' rays.
     """
     diffuse = gbuffers.base_colour * light.shaded if light.diffuse is None else light.diffuse
     surface = diffuse if light.glossy is None else diffuse + light.glossy
+    # Anti-aliased light has a fraction of surface in each pixel; the rest is sky.
     coverage = gbuffers.has_surface if light.coverage is None else light.coverage
     covered = coverage.astype(np.float32)[..., None]
     return covered * surface + (1 - covered) * sky
@@ -32,7 +33,7 @@ def scene_image(
 def sky_image(
     dome: SkyDome, camera: PinholeCamera, frame: CameraFrame
 ) -> Float32[np.ndarray, "h w 3"]:
-    """The dome as a camera sees it, pixel by pixel."""
+    """Return the radiance of a dome along the ray of each pixel."""
     directions = camera.directions(camera.pixel_centres())
     rotation = frame.world_from_camera.rotation
     return dome.look_up(points_rotated(directions, rotation)).astype(np.float32)

@@ -1,5 +1,7 @@
-"""A view put together from recorded pictures, through the geometry of the twin: unstructured
-lumigraph rendering (Buehler et al. 2001, doi:10.1145/383259.383309)."""
+"""Image-based rendering: a view blended from recorded images through the twin's geometry.
+
+Unstructured lumigraph rendering (Buehler et al. 2001, doi:10.1145/383259.383309).
+"""
 
 from __future__ import annotations
 
@@ -14,38 +16,48 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.colour import linear_from_srgb8, luminance
 from lightsim.core.sensors import CameraFrame
 
-# What a picture costs that is a second away, and one whose pixels cover e times as much surface, in
-# radians between its ray and the view's: shadows and reflections move on, blur stays.
-_PENALTY_PER_S, _PENALTY_COARSE = 0.3, 0.1
-# And where the view meets no surface: a wire that none was made of is taken to be infinitely far
-# away, and each picture shows it elsewhere.
+# The penalty of an image at a pixel is the angle, in radians, between the image's ray and the
+# view's, plus terms in the same unit. All weights are chosen by hand; their sensitivity is not
+# measured.
+#
+# Penalty of an image one second away: shadows and reflections move with time.
+_PENALTY_PER_S = 0.3
+# The same for pixels without a surface, where a wire that the twin lacks counts as infinitely far
+# away and moves from image to image.
 _PENALTY_FAR_PER_S = 1.0
-# And one whose border is close, at the border; it rises over this fraction of the picture's width.
-# Without it, cameras that differ a little leave a seam in the sky.
-_PENALTY_BORDER, _BORDER = 0.1, 0.15
-# Pictures are mixed that differ by about this much.
+# Penalty of an image whose pixels cover e times as much surface as the view's: it looks blurred.
+_PENALTY_COARSE = 0.1
+# Penalty at an image's border. Without it, small differences between cameras leave a seam in the
+# sky.
+_PENALTY_BORDER = 0.1
+# Width over which the border's penalty falls to 0, as a fraction of the image's width.
+_BORDER = 0.15
+# Decay of the blending weight exp(-penalty / width): images of about this difference are blended.
 _BLENDED_RAD = 0.03
-# And compared; the second must count this much of the best.
-_COMPARED_RAD, _LEAST_COMPARED = 0.1, 0.2
-# A picture shows a surface if their distances agree to this fraction beyond those of the pixels
-# around.
+# Decay of the weight in the comparison of images, wider than for blending to include more images.
+_COMPARED_RAD = 0.1
+
+# Relative tolerance between the distance of a surface and the range of distances in the 3 x 3
+# pixels around its projection.
 _SAME_DISTANCE = 0.02
-# Crowns are about this deep: rims that two pictures show of one may lie so far apart.
+# Depth of a crown, in metres: rims that two images show of one crown may differ by this much.
 _RIM_M = 1.0
-_SKY_M = 1e5
-"""Everything without a surface is this far."""
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedView:
-    """A picture and how far away is what it shows. Make it with `recorded_view`.
+    """Recorded image with the distance of the surface in each pixel; made by `recorded_view`.
 
     Args:
+        frame: frame of the image.
+        camera: of the frame.
+        srgb8: the image.
         gain: of the camera.
         sky_matte: fraction of sky, in 255ths.
-        near_m, far_m: least and greatest distance along the rays of a pixel and those around it;
-            inf without a surface, NaN where the picture is not to be used.
-        is_rim: what the twin's actors and crowns lack, as far away as they are.
+        near_m, far_m: least and greatest distance along the rays of a pixel and its neighbours; inf
+            without a surface, NaN for unusable pixels.
+        is_rim: pixels that show a part of an actor or a crown that the twin's mesh lacks; their
+            distance is that of the actor or crown.
     """
 
     frame: CameraFrame
@@ -60,7 +72,7 @@ class RecordedView:
 
 @dataclass(frozen=True, eq=False)
 class ViewRays:
-    """The rays of a view and what they meet.
+    """Rays of a view and the surfaces they meet.
 
     Args:
         camera_name: of the view.
@@ -79,15 +91,16 @@ class ViewRays:
 
     @property
     def points_world(self) -> Float[np.ndarray, "n 3"]:
-        """What the rays meet; far away without a surface."""
+        """Surface points on the rays; far away without a surface."""
         return self.origins_world + self._reach_m[:, None] * self.directions_world
 
     @property
     def _reach_m(self) -> Float[np.ndarray, " n"]:
-        return np.where(np.isfinite(self.distance_m), self.distance_m, _SKY_M)
+        # 100 km is far enough for no parallax.
+        return np.where(np.isfinite(self.distance_m), self.distance_m, 1e5)
 
     def part(self, rows: slice | Int64[np.ndarray, " k"]) -> ViewRays:
-        """Some of the rays."""
+        """Return some of the rays."""
         return ViewRays(
             self.camera_name,
             self.time_ns,
@@ -103,15 +116,16 @@ class ViewRays:
         camera: PinholeCamera,
         points_world: Float[np.ndarray, "n 3"],
     ) -> tuple[Float32[np.ndarray, " n"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
-        """How badly a picture tells what the rays see, where it would be in the picture (u, v) and
-        at which distance.
+        """Return how unsuitable an image is for each ray, and where the ray's surface appears in
+        it.
 
         Args:
-            points_world: what the rays meet, where it was when the picture was taken; NaN where it
-                was not there.
+            points_world: surface points of the rays at the image's time; NaN if the surface was
+                absent then.
 
         Returns:
-            Radians, inf outside the picture; occlusion is not looked at.
+            Penalty in radians, inf outside the image, without regard to occlusion. Then (u, v) in
+            the image, and the distance from its camera in metres.
         """
         uv, is_inside = frame.project(camera, points_world)
         uv = np.where(is_inside[:, None], uv, 0.0)
@@ -129,21 +143,21 @@ class ViewRays:
         inside = np.minimum(uv, size_px - uv).min(axis=1) / (_BORDER * camera.width_px)
         penalty += _PENALTY_BORDER * np.maximum(1 - inside, 0)
         if frame.camera_name != self.camera_name:
-            # Cameras differ in colour, and a dozen pictures of one may end in one place: the weight
-            # falls to nothing there.
+            # Cameras differ in colour, and many images of one camera may end at the same place:
+            # their weight falls to 0 there, which avoids a visible edge.
             penalty -= _BLENDED_RAD * np.log(np.clip(inside, 1e-3, 1.0))
-        is_told = is_inside & np.isfinite(away_m)
-        return np.where(is_told, penalty, np.inf).astype(np.float32), uv, away_m
+        is_valid = is_inside & np.isfinite(away_m)
+        return np.where(is_valid, penalty, np.inf).astype(np.float32), uv, away_m
 
 
 @dataclass(frozen=True, eq=False)
 class BlendedView:
-    """What recorded pictures show of a view.
+    """View blended from recorded images.
 
     Args:
-        radiance: linear, scene units; 0 where no picture shows the surface.
+        radiance: linear, scene units; 0 for surfaces that no image shows.
         sky_matte: fraction of sky.
-        is_observed: at least one picture shows the surface.
+        is_observed: at least one image shows the surface.
     """
 
     radiance: Float32[np.ndarray, "n 3"]
@@ -161,11 +175,13 @@ def recorded_view(
     is_usable: Bool[np.ndarray, "h w"],
     rim_m: Float32[np.ndarray, "h w"] | None = None,
 ) -> RecordedView:
-    """A picture with the distances along its pixels' rays; the ego vehicle is not usable.
+    """Return an image with the distances along its pixels' rays.
 
     Args:
-        srgb8: the frame's picture.
-        rim_m: distance of leaves and outlines that hide what the twin has there, inf elsewhere.
+        sky_matte: fraction of sky in [0, 1].
+        distance_m: to the twin's surface along each pixel's ray; inf without one.
+        is_usable: false on the ego vehicle.
+        rim_m: distance of leaves and outlines in front of the twin's surface, inf elsewhere.
     """
     is_rim = np.zeros(distance_m.shape, dtype=bool)
     if rim_m is not None:
@@ -189,12 +205,12 @@ def blended(
     rays: ViewRays,
     pictures: Iterable[tuple[RecordedView, Float[np.ndarray, "n 3"]]],
 ) -> BlendedView:
-    """The view as pictures show it, the best of them at each pixel; where several are about as
-    good, their mean.
+    """Return the view from the best image at each pixel, or from the mean of about equally good
+    images.
 
     Args:
-        pictures: each with the points that the rays meet, where they were when it was taken (NaN
-            where they were not there, or in another light).
+        pictures: each image with the rays' surface points at its time; NaN if the surface was
+            absent or lit differently.
     """
     mean = _Mean.empty(len(rays.distance_m), 4)
     for view, points in pictures:
@@ -209,27 +225,28 @@ def blended(
 def rims_seen(
     rays: ViewRays, pictures: Iterable[tuple[RecordedView, Float[np.ndarray, "n 3"]]]
 ) -> BlendedView:
-    """What pictures show where rays pass an actor or a crown of the twin, which is smaller than the
-    true one: `is_observed` where most pictures that look there see its rim.
+    """Return the observed rims of actors and crowns beside the twin's meshes, which are too small.
+
+    `is_observed` is true if the majority of the images, by weight, shows a rim on the ray.
 
     Args:
-        rays: `distance_m` to where they pass it.
-        pictures: each with those points, where they were when it was taken (NaN where they were
-            not there, or in another light).
+        rays: `distance_m` is the distance at which they pass the mesh.
+        pictures: each image with these points at its time; NaN if the surface was absent or lit
+            differently.
     """
     count = len(rays.distance_m)
-    rims, seen = _Mean.empty(count, 4), _Mean.empty(count, 1)
+    rims, fraction = _Mean.empty(count, 4), _Mean.empty(count, 1)
     for view, points in pictures:
         penalty, uv, away_m = rays.penalties(view.frame, view.camera, points)
         is_rim = _shows_rim(view, uv, away_m)
-        # A picture tells of a place that it sees, or sees past.
-        is_told = np.isfinite(penalty) & (is_rim | _sees_past(view, uv, away_m))
-        rows = np.flatnonzero(is_told)
-        seen.add(rows, penalty[rows], is_rim[rows, None].astype(np.float32))
-        rows = np.flatnonzero(is_told & is_rim)
+        # An image in which something nearer occludes the place is no evidence.
+        is_visible = np.isfinite(penalty) & (is_rim | _sees_past(view, uv, away_m))
+        rows = np.flatnonzero(is_visible)
+        fraction.add(rows, penalty[rows], is_rim[rows, None].astype(np.float32))
+        rows = np.flatnonzero(is_visible & is_rim)
         rims.add(rows, penalty[rows], _sampled(view, uv[rows]))
     found = rims.values
-    return BlendedView(found[:, :3], found[:, 3], seen.values[:, 0] > 0.5)
+    return BlendedView(found[:, :3], found[:, 3], fraction.values[:, 0] > 0.5)
 
 
 def disagreement(
@@ -238,14 +255,17 @@ def disagreement(
     *,
     of_rims: bool = False,
 ) -> Float32[np.ndarray, " n"]:
-    """How much what pictures show of a view differs from picture to picture: the standard deviation
-    of the root of luminance, inf where no two tell.
+    """Return the standard deviation between images of the square root of luminance, for each ray.
 
-    What is taken to stand elsewhere than it does changes with the place of the camera (Seitz and
-    Dyer 1999, doi:10.1023/A:1008176507526).
+    A surface that the twin has at a wrong distance changes its appearance from camera to camera
+    (photo-consistency; Seitz and Dyer 1999, doi:10.1023/A:1008176507526).
 
     Args:
-        of_rims: of `rims_seen`; else of `blended`.
+        pictures: see `blended`.
+        of_rims: compare the pixels of `rims_seen`; otherwise those of `blended`.
+
+    Returns:
+        Standard deviation; inf for rays with fewer than two images.
     """
     codes = _Mean.empty(len(rays.distance_m), 2, _COMPARED_RAD)
     shows = _shows_rim if of_rims else _shows
@@ -256,16 +276,19 @@ def disagreement(
         code = np.sqrt(np.maximum(luminance(_sampled(view, uv[rows])[:, :3]), 0.0))
         codes.add(rows, penalty[rows], np.column_stack([code, code * code]))
     mean, square = codes.values.T
-    # The best weighs 1.
-    is_compared = codes.weight > 1 + _LEAST_COMPARED
-    spread = np.sqrt(np.maximum(square - mean * mean, 0.0))
-    return np.where(is_compared, spread, np.float32(np.inf)).astype(np.float32)
+    # The best image has the weight 1; all others together need 0.2 for a comparison.
+    is_compared = codes.weight > 1 + 0.2
+    deviation = np.sqrt(np.maximum(square - mean * mean, 0.0))
+    return np.where(is_compared, deviation, np.float32(np.inf)).astype(np.float32)
 
 
 @dataclass(eq=False)
 class _Mean:
-    """Means of what pictures show, each with the weight exp(-penalty / width) relative to the
-    best so far."""
+    """Running weighted means over images.
+
+    The weight of an image is exp(-penalty / width) relative to the best image so far, so that no
+    exponential underflows.
+    """
 
     best: Float32[np.ndarray, " n"]
     total: Float32[np.ndarray, "n c"]
@@ -274,7 +297,7 @@ class _Mean:
 
     @staticmethod
     def empty(count: int, channels: int, width_rad: float = _BLENDED_RAD) -> _Mean:
-        """Of no picture."""
+        """Return means over no image."""
         nothing = np.zeros((count, channels), np.float32), np.zeros(count, np.float32)
         return _Mean(np.full(count, np.inf, dtype=np.float32), *nothing, width_rad)
 
@@ -284,7 +307,7 @@ class _Mean:
         penalty: Float32[np.ndarray, " k"],
         values: Float32[np.ndarray, "k c"],
     ) -> None:
-        """What one picture shows of some of the rays."""
+        """Add one image's values at some of the rays."""
         better = np.minimum(self.best[rows], penalty)
         fading = np.exp(-(self.best[rows] - better) / self.width_rad)
         weight = np.exp(-(penalty - better) / self.width_rad)
@@ -294,14 +317,14 @@ class _Mean:
 
     @property
     def values(self) -> Float32[np.ndarray, "n c"]:
-        """0 where no picture shows anything."""
+        """Means; 0 for rays without an image."""
         return np.asarray(self.total / np.maximum(self.weight, np.float32(1e-12))[:, None])
 
 
 def _shows(
     view: RecordedView, uv: Float[np.ndarray, "n 2"], away_m: Float[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Whether a picture shows at (u, v) what is this far away: nothing stands in front of it."""
+    """Return the rays whose surface, at this distance, is visible in an image at (u, v)."""
     columns, rows = uv.astype(np.int64).T
     near, far = (a[rows, columns].astype(np.float32) for a in (view.near_m, view.far_m))
     is_same = (away_m > near * (1 - _SAME_DISTANCE)) & (away_m < far * (1 + _SAME_DISTANCE))
@@ -311,7 +334,7 @@ def _shows(
 def _shows_rim(
     view: RecordedView, uv: Float[np.ndarray, "n 2"], away_m: Float[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Whether a picture shows at (u, v) a rim about this far away."""
+    """Return the rays at which an image shows a rim at about this distance."""
     columns, rows = uv.astype(np.int64).T
     near = view.near_m[rows, columns].astype(np.float32)
     return view.is_rim[rows, columns] & (np.abs(near - away_m) < _RIM_M)
@@ -320,13 +343,13 @@ def _shows_rim(
 def _sees_past(
     view: RecordedView, uv: Float[np.ndarray, "n 2"], away_m: Float[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Whether what a picture shows at (u, v) stands well behind."""
+    """Return the rays at which an image shows only surfaces well behind this distance."""
     columns, rows = uv.astype(np.int64).T
     return np.asarray(view.near_m[rows, columns].astype(np.float32) > away_m + _RIM_M)
 
 
 def _sampled(view: RecordedView, uv: Float[np.ndarray, "n 2"]) -> Float32[np.ndarray, "n 4"]:
-    """Radiance and sky matte at (u, v), bilinear."""
+    """Return radiance and sky matte at (u, v), interpolated bilinearly."""
     height, width = view.sky_matte.shape
     x = np.clip(uv[:, 0] - 0.5, 0, width - 1)
     y = np.clip(uv[:, 1] - 0.5, 0, height - 1)

@@ -1,8 +1,8 @@
 """Scenes for Mitsuba 3: meshes, emitters, sensor.
 
-Path tracer, ray caster, clear sky and the synthetic street's renderer all build on this. What a
-surface is made of stays with each of them: the street's truth must come from another material
-model than the method's own.
+Common to the path tracer, the ray caster, the clear sky and the synthetic street's renderer. Each
+of them has its own material model: the street's ground truth must not come from the material model
+of the evaluated method.
 """
 
 from __future__ import annotations
@@ -17,21 +17,16 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.dome import Sun
 from lightsim.core.frames import RigidTransform
 
-# The sun's direction then changes by 0.03 degrees over 100 m.
+# Distance of the sun's disc, in metres: its direction then changes by 0.03 degrees over 100 m.
 _SUN_DISTANCE_M = 2.0e5
-# Beyond every depth in use: Russian roulette would add noise, and no path here is long.
-_NO_ROULETTE = 10_000
-# No surface of a street stands nearer to a camera.
-_NEAR_CLIP_M = 0.05
-_FAR_CLIP_M = 10 * _SUN_DISTANCE_M
-# Mitsuba's environment map has its pole along y, ours along z.
+# Rotation from Mitsuba's environment map, whose pole is along y, to frame `world` (z up).
 _WORLD_FROM_MAP = [
     [0.0, 0.0, 1.0, 0.0],
     [1.0, 0.0, 0.0, 0.0],
     [0.0, 1.0, 0.0, 0.0],
     [0.0, 0.0, 0.0, 1.0],
 ]
-# Mitsuba's cameras have x to the left and y up.
+# Mitsuba's cameras have x to the left and y up; frame `camera` has x to the right and y down.
 _CAMERA_FROM_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
@@ -44,14 +39,14 @@ def make_mesh(
     *,
     is_faceted: bool = False,
 ) -> Any:
-    """A Mitsuba mesh.
+    """Return a Mitsuba mesh.
 
     Args:
         mi: from `mitsuba_with`.
         name: in the scene.
-        parameters: `vertex_positions` [n, 3], `faces` [m, 3], and `vertex_normals` [n, 3] or
-            `vertex_texcoords` [n, 2] where there are some.
-        bsdf: its material; None for a mesh that only stops rays.
+        parameters: `vertex_positions` [n, 3], `faces` [m, 3], and optionally `vertex_normals` [n,
+            3] or `vertex_texcoords` [n, 2].
+        bsdf: its material; None for a mesh that only blocks rays.
         attributes: `vertex_...` or `face_...`, [n] or [n, k], for the material to look up.
         is_faceted: shaded with the normals of its faces.
     """
@@ -67,20 +62,21 @@ def make_mesh(
         has_vertex_texcoords="vertex_texcoords" in parameters,
         props=properties,
     )
-    # Attributes come first: the last update of the parameters makes all of it known.
+    # Attributes come first: the update of the parameters below registers them too.
     for key, value in (attributes or {}).items():
         body.add_attribute(key, 1 if value.ndim == 1 else value.shape[1], value.ravel())
-    kept = mi.traverse(body)
+    scene_parameters = mi.traverse(body)
     for key, value in parameters.items():
-        kept[key] = type(kept[key])(np.ascontiguousarray(value).ravel())
-    kept.update()
+        kind = type(scene_parameters[key])
+        scene_parameters[key] = kind(np.ascontiguousarray(value).ravel())
+    scene_parameters.update()
     return body
 
 
 def bitmap(
     mi: Any, image: Float32[np.ndarray, "h w c"], wrap_mode: Literal["clamp", "repeat"]
 ) -> dict[str, Any]:
-    """A texture of linear values, looked up bilinearly."""
+    """Return a texture of linear values, looked up bilinearly."""
     return {
         "type": "bitmap",
         "bitmap": mi.Bitmap(np.ascontiguousarray(image)),
@@ -91,7 +87,8 @@ def bitmap(
 
 
 def environment_map(mi: Any, radiance: Float32[np.ndarray, "h w 3"]) -> dict[str, Any]:
-    """An emitter in frame `world`, its first and last row at the poles (`rows_at_poles`)."""
+    """Return an emitter in frame `world`, with its first and last row at the poles
+    (`rows_at_poles`)."""
     return {
         "type": "envmap",
         "bitmap": mi.Bitmap(np.ascontiguousarray(radiance)),
@@ -100,7 +97,7 @@ def environment_map(mi: Any, radiance: Float32[np.ndarray, "h w 3"]) -> dict[str
 
 
 def rows_at_poles(radiance: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "r w 3"]:
-    """2h + 1 rows, with which Mitsuba interpolates as `core.equirect.sample_bilinear` does."""
+    """Return 2h + 1 rows, for which Mitsuba interpolates like `core.equirect.sample_bilinear`."""
     height = len(radiance)
     rows = np.empty((2 * height + 1, *radiance.shape[1:]), dtype=np.float32)
     rows[1::2] = radiance
@@ -110,20 +107,26 @@ def rows_at_poles(radiance: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray,
 
 
 def sun_disc(mi: Any, sun: Sun, around_world: Float[np.ndarray, "3"]) -> dict[str, Any]:
-    """A glowing disc of the sun's angular size, seen from around a point.
+    """Return an emitting disc of the sun's angular size as observed from a point.
 
-    One light of its own is sampled far better than a few bright texels of the sky, and it shows
-    in pictures and reflections.
+    One light source is sampled with far less noise than a few bright texels of the sky, and it is
+    visible in images and reflections.
+
+    Args:
+        mi: from `mitsuba_with`.
+        sun: direction, irradiance and size.
+        around_world: the point, in metres.
     """
     radius = np.radians(sun.angular_radius_deg)
     towards = sun.direction_world / np.linalg.norm(sun.direction_world)
-    # Any direction that the sun's is far from.
+    # Any direction that is not nearly parallel to the sun's.
     up = [1.0, 0.0, 0.0] if abs(towards[0]) < 0.9 else [0.0, 1.0, 0.0]
     place = mi.ScalarTransform4f().look_at(
         origin=(around_world + _SUN_DISTANCE_M * towards).tolist(),
         target=around_world.tolist(),
         up=up,
     )
+    # Irradiance of a uniform disc of angular radius r is radiance x pi x sin(r)^2.
     radiance = sun.irradiance.astype(np.float64) / (np.pi * np.sin(radius) ** 2)
     return {
         "type": "disk",
@@ -133,15 +136,18 @@ def sun_disc(mi: Any, sun: Sun, around_world: Float[np.ndarray, "3"]) -> dict[st
 
 
 def path_traced(mi: Any, contents: Mapping[str, Any], bounces: int) -> Any:
-    """A scene for Mitsuba's `path` integrator (next-event estimation with multiple importance
-    sampling; Veach & Guibas 1995, DOI 10.1145/218380.218498).
+    """Return a scene for Mitsuba's `path` integrator.
+
+    Next-event estimation with multiple importance sampling (Veach & Guibas 1995,
+    doi:10.1145/218380.218498).
 
     Args:
         mi: from `mitsuba_with`.
         contents: meshes and emitters by name.
-        bounces: reflections from surface to surface before the light; 0 is direct light alone.
+        bounces: reflections from surface to surface before the light; 0 is direct light only.
     """
-    integrator = {"type": "path", "max_depth": bounces + 2, "rr_depth": _NO_ROULETTE}
+    # Russian roulette starts beyond every depth in use: it adds noise, and paths here are short.
+    integrator = {"type": "path", "max_depth": bounces + 2, "rr_depth": 10_000}
     return mi.load_dict({"type": "scene", "integrator": integrator, **contents})
 
 
@@ -151,13 +157,13 @@ def perspective_sensor(
     margin_px: tuple[int, int],
     world_from_camera: RigidTransform,
 ) -> Any:
-    """A camera with a box filter over each pixel.
+    """Return a camera with a box filter over each pixel.
 
     Args:
         mi: from `mitsuba_with`.
-        camera: of one focal length.
-        margin_px: (u, v) by which the principal point lies off the centre: the picture is a crop
-            of a larger, centred one.
+        camera: with equal focal lengths.
+        margin_px: offset (u, v) of the principal point from the centre: the image is a crop of a
+            larger, centred one.
         world_from_camera: its pose.
     """
     right, down = abs(margin_px[0]), abs(margin_px[1])
@@ -167,8 +173,9 @@ def perspective_sensor(
             "type": "perspective",
             "fov_axis": "x",
             "fov": float(np.degrees(2 * np.arctan(width / (2 * camera.fx)))),
-            "near_clip": _NEAR_CLIP_M,
-            "far_clip": _FAR_CLIP_M,
+            # No surface of a street is nearer to a camera; the sun's disc is within the far clip.
+            "near_clip": 0.05,
+            "far_clip": 10 * _SUN_DISTANCE_M,
             "to_world": mi.ScalarTransform4f(
                 (world_from_camera.matrix @ _CAMERA_FROM_MITSUBA).tolist()
             ),
@@ -190,10 +197,10 @@ def perspective_sensor(
 
 
 def columns(mi: Any, rows: Float[np.ndarray, "n 3"]) -> Any:
-    """Vectors as Mitsuba's compiled variants keep them: three arrays.
+    """Return vectors in the layout of Mitsuba's compiled variants: three arrays.
 
-    Read from memory, so never part of a kernel's text, which would be compiled anew for every
-    value.
+    The values are read from memory, so they never become literals of a kernel, which would be
+    compiled anew for every value.
     """
     values = np.ascontiguousarray(np.asarray(rows, dtype=np.float32).T)
     return mi.Vector3f(*(mi.Float(column) for column in values))

@@ -1,4 +1,4 @@
-"""The choice of a renderer, as a user gives it."""
+"""Command-line options that choose a renderer."""
 
 from __future__ import annotations
 
@@ -10,45 +10,43 @@ from lightsim.core.checks import check_choice, check_number
 
 RendererName = Literal["transport", "path", "cycles"]
 Backend = Literal["auto", "embree", "mitsuba-cuda", "mitsuba-llvm"]
-_MOST_BOUNCES = 64
-_MOST_RAYS = 1 << 20
-"""Minutes for each pixel; beyond it somebody has slipped a digit."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LightChoice:
-    """Who computes the light on surfaces."""
+    """Method that computes the light on surfaces."""
 
     renderer: RendererName = "transport"
     """transport: one light transport matrix for all skies; path: Mitsuba's path tracer; cycles:
-    Blender's, in a process of its own. The latter two start anew for every sky."""
+    Blender's path tracer, in a separate process. The latter two start anew for every sky."""
     rays: int | None = None
-    """Rays over the hemisphere of each traced pixel, or paths of each pixel; more are less
-    noisy. By default the renderer's own number."""
+    """Rays over the hemisphere of each traced pixel, or paths of each pixel; more rays give less
+    noise. By default the renderer's own number."""
     bounces: int | None = None
-    """Of light between surfaces, 1 to 64; by default 1 with the light transport matrix (4 where a
-    log is relit), 4 with the others."""
+    """Bounces of light between surfaces, 1 to 64; by default 1 with the light transport matrix (4
+    for relighting a log), 4 with the path tracers."""
     blender_python: Path | None = None
-    """Python 3.11 that has bpy 4.5, for --renderer cycles."""
+    """Python 3.11 interpreter that has bpy 4.5, for --renderer cycles."""
 
     def __post_init__(self) -> None:
+        # Options are checked at construction, before any data is read.
         check_choice("--renderer", self.renderer, get_args(RendererName))
         if self.rays is not None:
-            check_number("--rays", self.rays, 1, _MOST_RAYS)
+            # Such a number of rays takes minutes a pixel: a larger one is a typing error.
+            check_number("--rays", self.rays, 1, 1 << 20)
         if self.bounces is not None:
-            check_number("--bounces", self.bounces, 1, _MOST_BOUNCES)
+            check_number("--bounces", self.bounces, 1, 64)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RendererChoice(LightChoice):
-    """How light is computed, and images of it."""
+    """Method that computes light, and settings of its images."""
 
     backend: Backend = "auto"
-    """What casts the rays of the light transport matrix: auto takes CUDA where there is one, else
-    Embree."""
+    """Ray caster of the light transport matrix; auto: CUDA if available, else Embree."""
     pixel_samples: int = 4
-    """Points of each pixel at which the light transport matrix looks: 1, 4, 9, 16; more are
-    smoother edges."""
+    """Samples of each pixel in the light transport matrix: 1, 4, 9, 16; more samples give smoother
+    edges."""
     denoise: bool = False
     """Remove noise from `image` with Open Image Denoise (extra `denoise`)."""
 

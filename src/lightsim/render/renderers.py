@@ -1,4 +1,4 @@
-"""What `lightsim render` and relighting ask of a renderer, and the choice among them."""
+"""Interface between renderers and `lightsim render` or relighting, and the choice of a renderer."""
 
 from __future__ import annotations
 
@@ -21,9 +21,6 @@ from lightsim.render.roofs import UncertainRoofs
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.render.transport.matrix_torch import has_torch_cuda
 
-_PATHS = 64
-_PATH_BOUNCES = 4
-
 
 @runtime_checkable
 class TracedFrame(Protocol):
@@ -31,41 +28,43 @@ class TracedFrame(Protocol):
 
     @property
     def buffers(self) -> GBuffers:
-        """Geometry, with ambient occlusion."""
+        """Geometry buffers with ambient occlusion."""
         ...
 
     def light(self, sky: Any) -> ShadowBuffers:
-        """Light under a sky that `Renderer.prepare` made ready."""
+        """Return the light under a sky prepared by `Renderer.prepare`."""
         ...
 
     def image(self, sky: Any) -> Float32[np.ndarray, "h w 3"]:
-        """Radiance that the camera sees under it, the sky behind."""
+        """Return the radiance in the camera under such a sky, with the sky behind surfaces."""
         ...
 
 
 @runtime_checkable
 class Renderer(Protocol):
-    """Renders frames of one twin."""
+    """Renderer of frames of one twin."""
 
     def prepare(self, sky: SkyDome, behind: SkyDome | None = None) -> Any:
-        """A sky made ready once for many frames.
+        """Prepare a sky once for many frames.
 
         Args:
-            behind: what the camera sees of it; the reference renderers show the dome itself.
+            behind: the dome that cameras show behind surfaces, if another one; the reference
+                renderers always show `sky`.
         """
         ...
 
     def geometry(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> GBuffers:
-        """Geometry alone, ambient occlusion 1."""
+        """Return the geometry buffers, with ambient occlusion 1."""
         ...
 
     def trace(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> TracedFrame:
-        """All of a frame that does not depend on the sky."""
+        """Return the part of a frame that does not depend on the sky."""
         ...
 
 
 def renderer_settings(choice: RendererChoice) -> dict[str, Any]:
-    """What decides the pictures but for noise; the backend does not."""
+    """Return the settings that determine the images, apart from noise, without the backend."""
+    # The backend is left out, because the casters agree to rounding.
     more: dict[str, Any] = {"bounces": choice.bounces, "is_denoised": choice.denoise}
     if choice.renderer == "transport":
         pixels = TransportConfig(pixel_samples=choice.pixel_samples)
@@ -74,7 +73,7 @@ def renderer_settings(choice: RendererChoice) -> dict[str, Any]:
 
 
 def transport_as_chosen(choice: LightChoice, config: TransportConfig) -> TransportConfig:
-    """The light transport matrix with the rays and bounces that the user chose."""
+    """Return the light transport config with the user's numbers of rays and bounces."""
     if choice.bounces is not None:
         config = replace(config, bounces=choice.bounces)
     return config if choice.rays is None else replace(config, sky_rays=choice.rays)
@@ -90,19 +89,20 @@ def make_renderer(
     recorded_sun: Sun | None = None,
     roofs: UncertainRoofs | None = None,
 ) -> Renderer:
-    """The renderer that the user chose.
+    """Return the renderer that the user chose.
 
     Args:
-        has_images: whether images are asked for, which takes rays for reflections.
-        recorded_sun: where light transport renders this sun, its shadows fall as the twin found
-            them in the pictures; the reference renderers trace them.
-        roofs: how else what is inferred may be; the reference renderers take it as it is.
+        has_images: images are rendered too, which requires rays for reflections.
+        recorded_sun: for this sun light transport uses the visibility estimated from images; the
+            reference renderers trace its shadows.
+        roofs: uncertain shapes of `inferred`; the reference renderers use `inferred` as it is.
 
     Raises:
         InputError: its backend is not available here.
         MissingDependencyError: its package is not installed.
     """
     if choice.denoise and has_images:
+        # Imported only if chosen: the package is an optional extra.
         from lightsim.render import denoise
 
         denoise.check_installed()
@@ -116,8 +116,10 @@ def make_renderer(
         return make_reference(choice, background, inferred, seed)
     config = transport_as_chosen(choice, TransportConfig(pixel_samples=choice.pixel_samples))
     if not has_images:
+        # Light buffers have no reflections, so their rays would be wasted.
         config = replace(config, glossy_rays=0)
     backend = resolve_backend(choice.backend)
+    # The sums run on the device of the rays only if torch can use it as well.
     if backend == "mitsuba-cuda" and has_torch_cuda():
         config = replace(config, device="cuda")
     make_caster = choose_caster(backend)
@@ -133,7 +135,7 @@ def make_renderer(
 
 
 def check_installed(choice: LightChoice) -> None:
-    """That the chosen renderer can be used here; starts nothing.
+    """Check that the chosen renderer can be used here, without starting it.
 
     Raises:
         MissingDependencyError: its package is not installed.
@@ -152,7 +154,7 @@ def make_reference(
     *,
     inferred_is_visible: bool = False,
 ) -> Renderer:
-    """A renderer that traces light anew for every sky.
+    """Return a renderer that traces light anew for every sky.
 
     Raises:
         MissingDependencyError: its package is not installed.
@@ -167,13 +169,14 @@ def make_reference(
         from lightsim.render.reference.cycles import Cycles
 
         tracer = Cycles(choice.blender_python)
-    bounces = choice.bounces or _PATH_BOUNCES
+    # Defaults of 64 paths a pixel and 4 bounces: chosen as a compromise between noise and time;
+    # sensitivity not measured.
     return ReferenceRenderer(
         background,
         inferred,
         tracer,
-        choice.rays or _PATHS,
-        bounces=bounces,
+        choice.rays or 64,
+        bounces=choice.bounces or 4,
         seed=seed,
         inferred_is_visible=inferred_is_visible,
     )
@@ -181,20 +184,20 @@ def make_reference(
 
 @dataclass(frozen=True, eq=False)
 class _Denoised:
-    """A renderer whose images pass Open Image Denoise; buffers and light stay as they are."""
+    """Renderer whose images are denoised with Open Image Denoise; buffers and light are not."""
 
     renderer: Renderer
 
     def prepare(self, sky: SkyDome, behind: SkyDome | None = None) -> Any:
-        """As the renderer's."""
+        """Return the renderer's prepared sky."""
         return self.renderer.prepare(sky, behind)
 
     def geometry(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> GBuffers:
-        """As the renderer's."""
+        """Return the renderer's geometry buffers."""
         return self.renderer.geometry(scenario, frame, camera)
 
     def trace(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> TracedFrame:
-        """As the renderer's, with images denoised."""
+        """Return the renderer's frame, with denoised images."""
         return _DenoisedFrame(self.renderer.trace(scenario, frame, camera))
 
 
@@ -204,16 +207,17 @@ class _DenoisedFrame:
 
     @property
     def buffers(self) -> GBuffers:
-        """As traced."""
+        """Geometry buffers of the traced frame."""
         return self.traced.buffers
 
     def light(self, sky: Any) -> ShadowBuffers:
-        """As traced."""
+        """Return the light of the traced frame."""
         return self.traced.light(sky)
 
     def image(self, sky: Any) -> Float32[np.ndarray, "h w 3"]:
-        """Traced radiance, denoised with base colour and normals as guides."""
+        """Return denoised radiance, with base colour and normals as guides."""
         from lightsim.render.denoise import denoise
 
         buffers = self.buffers
+        # Guides without noise keep texture and edges sharp.
         return denoise(self.traced.image(sky), buffers.base_colour, buffers.normal_world)

@@ -1,4 +1,4 @@
-"""Roofs that no view reaches, as uncertain as they are: what lets the sun by."""
+"""Sun visibility behind unobserved roofs, as a mean over equally probable shapes."""
 
 from __future__ import annotations
 
@@ -13,21 +13,23 @@ from lightsim.core.casting import RayCaster
 from lightsim.core.dome import Sun
 from lightsim.core.solar import angle_between_deg
 
-_TOLD_DEG = 1.0
-"""Shadows of a sun this near to the recorded one lie where the pictures show them."""
+# Suns within this angle of the recorded one, in degrees, cast shadows where images show them.
+# Chosen; sensitivity not measured.
+_OBSERVED_DEG = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class UncertainRoofs:
-    """Equally probable guesses of what no view shows of buildings.
+    """Equally probable shapes of the unobserved parts of buildings.
 
-    A shadow is the mean over all of them: expected light. It is soft where nobody knows where it
-    ends, and a false edge costs less than a hard one would.
+    A shadow is the mean over all shapes, the expected light: it is soft where its edge is
+    uncertain, and a soft edge in a wrong place costs less than a hard one.
 
     Args:
-        make_guesses: a caster over the hidden parts of each guess, from the lowest roofs to the
-            highest; called when a sun first asks.
-        told_by: sun of the recording, whose shadows chose the one guess that is used for it.
+        make_guesses: returns a caster over the unobserved parts of each shape, from the lowest
+            roofs to the highest; called at the first sun.
+        told_by: sun of the recording, whose observed shadows selected one shape, which is used for
+            it.
     """
 
     make_guesses: Callable[[], Sequence[RayCaster]]
@@ -35,25 +37,27 @@ class UncertainRoofs:
 
     @cached_property
     def guesses(self) -> Sequence[RayCaster]:
-        """Made once; the recorded sun asks for none."""
+        """Casters of the shapes, made once; the recorded sun does not need them."""
         return self.make_guesses()
 
     def are_told(self, sun: Sun) -> bool:
-        """Whether the pictures show the shadows of this sun."""
+        """Return true if the images show the shadows of this sun."""
         if self.told_by is None:
             return False
         angle_deg = angle_between_deg(sun.direction_world, self.told_by.direction_world)
-        return bool(angle_deg < _TOLD_DEG)
+        return bool(angle_deg < _OBSERVED_DEG)
 
     def open_fraction(
         self, points_world: Float32[np.ndarray, "n 3"], sun: Sun
     ) -> Float32[np.ndarray, " n"]:
-        """Fraction of the guesses that let the centre of the sun's disc be seen from points."""
+        """Return the fraction of shapes that do not occlude the centre of the sun's disc at each
+        point."""
         direction = sun.direction_world / np.linalg.norm(sun.direction_world)
         towards = np.broadcast_to(direction.astype(np.float32), points_world.shape)
+        # From the highest shape downwards: each step traces only the rays that are still occluded.
         count = np.full(len(points_world), len(self.guesses), dtype=np.float32)
         rows = np.arange(len(points_world))
-        # What passes roofs passes all lower ones.
+        # A ray that passes over the roofs of one shape passes over all lower shapes.
         for number, caster in reversed(list(enumerate(self.guesses))):
             rows = rows[caster.is_occluded(points_world[rows], towards[rows])]
             count[rows] = number

@@ -1,4 +1,4 @@
-"""What is rendered: the static scene, built once per log, and the actors of one moment."""
+"""Scene to render: the static part, built once per log, and the actors at one time."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from lightsim.render.roofs import UncertainRoofs
 
 @dataclass(frozen=True, eq=False)
 class StaticScene:
-    """Everything that does not move. Make it with `make_static_scene`.
+    """Static part of the scene; made by `make_static_scene`.
 
     Args:
         background: reconstructed meshes, in frame `world`.
-        inferred: meshes that no sensor saw; they stop light and reflect it.
+        inferred: meshes of unobserved surfaces; they block light and reflect it.
         background_caster: over `background`.
-        caster: over `background`, then `inferred`: what light meets.
+        caster: over `background`, then `inferred`: the surfaces that light meets.
         normals: vertex normals of `background`, then of `inferred`.
-        roofs: how else `inferred` may be, for suns whose shadows no picture shows.
-        inferred_is_visible: cameras see `inferred`, too.
+        roofs: uncertain shapes of `inferred`, for suns whose shadows no image shows.
+        inferred_is_visible: cameras show `inferred` too.
     """
 
     background: tuple[TriMesh, ...]
@@ -42,33 +42,33 @@ class StaticScene:
 
     @property
     def meshes(self) -> tuple[TriMesh, ...]:
-        """Background, then inferred: what `caster` counts."""
+        """Background, then inferred meshes, in the order of `caster`."""
         return self.background + self.inferred
 
     @property
     def camera_meshes(self) -> tuple[TriMesh, ...]:
-        """What cameras see."""
+        """Meshes that are visible to cameras."""
         return self.meshes if self.inferred_is_visible else self.background
 
     @property
     def camera_caster(self) -> RayCaster:
-        """Over `camera_meshes`."""
+        """Ray caster over `camera_meshes`."""
         return self.caster if self.inferred_is_visible else self.background_caster
 
 
 @dataclass(frozen=True, eq=False)
 class FrameScene:
-    """The scene at one moment.
+    """Scene at one time.
 
     Args:
-        static: the part shared by all frames.
+        static: the part common to all frames.
         actors: meshes of the placed actors in frame `world`, in the order of
             `Scenario.placements_at`.
         actor_caster: over `actors`.
         actor_normals: vertex normals of `actors`.
-        actor_numbers: of `actors` in the scenario.
-        vacated: parked actors of the log that are not there: their shadows lie in the visibility
-            that was found in the pictures.
+        actor_numbers: numbers of `actors` in the scenario.
+        vacated: parked actors of the log that the scenario lacks; their shadows are contained in
+            the sun visibility that was estimated from images.
     """
 
     static: StaticScene
@@ -85,34 +85,37 @@ class FrameScene:
 
     @property
     def caster(self) -> CompositeCaster:
-        """What light meets; mesh_index counts `meshes`."""
+        """Ray caster over all surfaces that light meets; `mesh_index` counts `meshes`."""
         return CompositeCaster([self.static.caster, self.actor_caster])
 
     def before_sun(self, sun: Sun) -> tuple[RayCaster, UncertainRoofs | None]:
-        """What may stand before a sun: all that is certain, and roofs that are not."""
+        """Return a caster over the certain occluders of a sun, and the roofs if they are uncertain
+        for it."""
         roofs = self.static.roofs
         if roofs is None or roofs.are_told(sun):
             return self.caster, None
+        # Without `inferred`, which is only one of the possible shapes of the roofs.
         return CompositeCaster([self.static.background_caster, self.actor_caster]), roofs
 
     @property
     def camera_caster(self) -> CompositeCaster:
-        """What cameras see; mesh_index counts `camera_meshes`."""
+        """Ray caster over the surfaces visible to cameras; `mesh_index` counts `camera_meshes`."""
         return CompositeCaster([self.static.camera_caster, self.actor_caster])
 
     @property
     def camera_meshes(self) -> tuple[TriMesh, ...]:
-        """Static meshes that cameras see, then actors."""
+        """Static meshes visible to cameras, then actors."""
         return self.static.camera_meshes + self.actors
 
     @property
     def camera_normals(self) -> tuple[Float32[np.ndarray, "_ 3"], ...]:
         """Vertex normals of `camera_meshes`."""
+        # Normals of `inferred` come last, so the slice leaves them out if cameras do not show them.
         return self.static.normals[: len(self.static.camera_meshes)] + self.actor_normals
 
     @property
     def actor_index(self) -> Int32[np.ndarray, " m"]:
-        """For each of `camera_meshes`: BACKGROUND, or the actor's number in the scenario."""
+        """BACKGROUND, or the actor's number in the scenario, of each of `camera_meshes`."""
         background = np.full(len(self.static.camera_meshes), BACKGROUND, dtype=np.int32)
         return np.concatenate([background, np.array(self.actor_numbers, dtype=np.int32)])
 
@@ -124,14 +127,13 @@ def make_static_scene(
     inferred_is_visible: bool = False,
     make_caster: MakeCaster = make_embree_caster,
 ) -> StaticScene:
-    """Static meshes with their ray casting structures.
+    """Return static meshes with their ray casting structures.
 
     Args:
         background: reconstructed meshes in frame `world`.
-        inferred: meshes that no sensor saw (roofs, upper facades), known from their shadows.
-        inferred_is_visible: cameras see the inferred meshes too, which gives pixels beyond the
-            reach of the LiDAR a surface.
-        make_caster: which ray caster to use.
+        inferred: meshes of unobserved surfaces (roofs, upper facades), inferred from their shadows.
+        inferred_is_visible: cameras show the inferred meshes too, so that pixels beyond the reach
+            of the LiDAR have a surface.
     """
     background, inferred = tuple(background), tuple(inferred)
     background_caster = make_caster(background)
@@ -139,6 +141,7 @@ def make_static_scene(
         background,
         inferred,
         background_caster,
+        # A second structure over the same meshes costs memory, so it is built only if it differs.
         make_caster(background + inferred) if inferred else background_caster,
         tuple(mesh.vertex_normals() for mesh in background + inferred),
         inferred_is_visible=inferred_is_visible,
@@ -151,9 +154,10 @@ def place(
     time_ns: int,
     make_caster: MakeCaster = make_embree_caster,
 ) -> FrameScene:
-    """The static scene with the scenario's actors where they are at `time_ns`."""
+    """Return the static scene with the scenario's actors at their poses at `time_ns`."""
     placements = scenario.placements_at(time_ns)
     actors = placed_meshes(placements, time_ns)
+    # Parked actors are those with an estimated sun visibility on their own mesh.
     left = [p for p in scenario.vacated if p.track.is_present(time_ns)]
     return FrameScene(
         static,
@@ -166,13 +170,16 @@ def place(
 
 
 def placed_meshes(placements: Sequence[ActorPlacement], time_ns: int) -> tuple[TriMesh, ...]:
-    """Meshes of actors in frame `world` where they stand at a time."""
+    """Return the meshes of actors in frame `world` at a time."""
     return tuple(p.mesh_at(time_ns) for p in placements)
 
 
 def grown(meshes: Sequence[TriMesh], by_m: float) -> list[TriMesh]:
-    """Meshes, and the same with their surfaces moved outwards: together they cast all shadows that
-    something of about these shapes may cast (moved faces alone tear at sharp edges)."""
+    """Return the meshes, followed by copies whose surfaces are moved outwards by some metres.
+
+    Together they bound the shadows of objects of about these shapes; the moved copies alone tear at
+    sharp edges.
+    """
     moved = [
         replace(m, vertices=m.vertices + np.float32(by_m) * m.vertex_normals()) for m in meshes
     ]
@@ -180,5 +187,5 @@ def grown(meshes: Sequence[TriMesh], by_m: float) -> list[TriMesh]:
 
 
 def without_actors(static: StaticScene) -> FrameScene:
-    """The static scene alone."""
+    """Return the static scene without actors."""
     return FrameScene(static, (), make_embree_caster(()), (), ())

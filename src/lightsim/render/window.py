@@ -1,4 +1,4 @@
-"""A part of a picture as a picture of its own, so that nothing is traced beside it."""
+"""Window of an image as an image of its own, so that nothing is traced outside it."""
 
 from __future__ import annotations
 
@@ -14,8 +14,15 @@ from lightsim.core.window import Window
 
 @dataclass(frozen=True, eq=False)
 class WindowFrame(CameraFrame):
-    """A frame seen through a window of its picture: rays are those of the whole picture's pixels,
-    whose rows know their time where the shutter rolls."""
+    """Frame that is restricted to a window of its image.
+
+    Rays are those of the whole image's pixels, because the time of a row depends on its number
+    under a rolling shutter.
+
+    Args:
+        whole: camera of the whole image.
+        corner_px: column and row of the window's first pixel.
+    """
 
     whole: PinholeCamera = field(kw_only=True)
     corner_px: tuple[int, int] = field(kw_only=True)
@@ -23,18 +30,20 @@ class WindowFrame(CameraFrame):
     def pixel_rays(
         self, camera: PinholeCamera, uv: Float[np.ndarray, "n 2"]
     ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-        """Of the window's (u, v)."""
+        """Return ray origins and directions of the window's (u, v), frame `world`."""
         return super().pixel_rays(self.whole, uv + np.array(self.corner_px))
 
 
 def seen_through(
     frame: CameraFrame, camera: PinholeCamera, window: Window
 ) -> tuple[WindowFrame, PinholeCamera]:
-    """The frame and the camera of a window of its picture, which may be a window itself."""
+    """Return the frame and the camera of a window of an image, which may be a window itself."""
     rows, columns = window
+    # A window of a window refers to the whole image again.
     whole, (left, top) = camera, (0, 0)
     if isinstance(frame, WindowFrame):
         whole, (left, top) = frame.whole, frame.corner_px
+    # All fields of the frame are copied, because a rolling shutter needs them for the rays.
     values = {f.name: getattr(frame, f.name) for f in fields(CameraFrame)}
     part = replace(
         camera,

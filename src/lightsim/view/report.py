@@ -1,4 +1,4 @@
-"""Reports: one HTML file with its pictures inside, readable in light and dark, no scripts."""
+"""Reports: one HTML file with embedded images, for light and dark themes, without scripts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Cell = str | int | float | None
 
 @dataclass(frozen=True)
 class Card:
-    """One key number: what it is, its value with unit, and what it means."""
+    """One key figure: its name, its value with unit, and its meaning."""
 
     label: str
     value: str
@@ -30,7 +30,7 @@ class Card:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of cells under column names; numbers are set flush right, None as a dash."""
+    """Rows of cells under column names; numbers are aligned right, None is a dash."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[Cell]]
@@ -40,7 +40,7 @@ class Table:
         wrong = [len(row) for row in self.rows if len(row) != len(self.columns)]
         if wrong:
             raise InputError(
-                "a table row has another length than the header",
+                "a table row and the header differ in length",
                 where=f"table '{self.caption}'",
                 got=wrong[0],
                 expected=len(self.columns),
@@ -49,7 +49,7 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """A picture, 8-bit sRGB; `is_wide` lets it take the whole width of the page."""
+    """Image, 8-bit sRGB; `is_wide` extends it over the whole width of the page."""
 
     caption: str
     image: UInt8[np.ndarray, "h w 3"]
@@ -58,7 +58,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Video:
-    """A film beside the report; `source` is a path relative to the report."""
+    """Video file beside the report; `source` is a path relative to the report."""
 
     caption: str
     source: str
@@ -66,7 +66,7 @@ class Video:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the report; paragraphs of `text` are separated by an empty line."""
+    """Part of the report; paragraphs of `text` are separated by an empty line."""
 
     title: str
     text: str = ""
@@ -79,12 +79,13 @@ class Section:
 def render_report(
     title: str, sections: Sequence[Section], *, subtitle: str = "", cards: Sequence[Card] = ()
 ) -> str:
-    """The report as one HTML page; all text is escaped."""
+    """Return the report as one HTML page; all text is escaped."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent / "templates"),
         autoescape=True,
+        # A misspelt name in the template is an error, not an empty cell.
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -105,7 +106,7 @@ def write_report(
     subtitle: str = "",
     cards: Sequence[Card] = (),
 ) -> None:
-    """Write `render_report`'s page; the file appears whole or not at all.
+    """Write `render_report`'s page atomically: the file is complete or absent.
 
     Raises:
         InputError: the folder does not exist.
@@ -117,6 +118,7 @@ def write_report(
             remedy="Create the folder first.",
         )
     page = render_report(title, sections, subtitle=subtitle, cards=cards)
+    # In the same folder, since a rename is atomic only within one file system.
     temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         temporary.write_text(page, encoding="utf-8")
@@ -130,15 +132,17 @@ def _data_uri(image: UInt8[np.ndarray, "h w 3"]) -> str:
 
     stream = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(image)).save(stream, "JPEG", quality=88)
+    # Embedded, so that a report remains complete when its file is moved or sent.
     return "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
 
 
 def _is_number(value: Cell) -> bool:
+    # A bool is an int in Python, but not a number of a table.
     return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
 
 
 def _format_cell(value: Cell) -> str:
-    """Floats with four significant digits, thousands apart; None as a dash."""
+    """Format floats with four significant digits, thousands separated; None as a dash."""
     if value is None:
         return "–"
     if isinstance(value, float):

@@ -1,4 +1,4 @@
-"""Boxes of a written log: those of the recording, without who is gone, with who is new."""
+"""Boxes of a written log: recorded ones without removed actors, and those of new actors."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from lightsim.datasets.pandaset.tracks import id_text, label_of, owner_by_uuid
 from lightsim.datasets.safe_pickle import Table
 from lightsim.store.pandaset_tables import Columns, cuboid_table
 
+# Speed in m/s below which a vehicle that drives in the log has stopped: above the noise of tracks.
+# Chosen; sensitivity not measured.
 _MOVES_M_S = 0.3
-"""Slower, a vehicle that drives in the log has stopped."""
-_BESIDE_NS = 50_000_000
+
+# Kinds, besides vehicles, for which PandaSet's boxes have a motion attribute.
 _DRIVEN = frozenset({
     ActorKind.MOTORCYCLE, ActorKind.SCOOTER, ActorKind.BICYCLE, ActorKind.PERSONAL_MOBILITY,
 })  # fmt: skip
-"""What PandaSet tells of whether it moves, besides vehicles."""
-_ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class BoxEditor:
-    """Makes the boxes of a scenario.
+    """Editor of the boxes of a scenario.
 
     Args:
         scenario: in the world of the twin.
-        changed: tracks whose boxes are made; recorded ones of theirs go.
-        gone: uuids whose recorded boxes go.
-        timing: when the roof LiDAR looks where.
-        path: the correction that turned the recorded world into the twin's.
+        changed: tracks whose boxes are computed anew.
+        gone: uuids whose recorded boxes are removed.
+        timing: time at which the roof LiDAR scans each direction.
+        path: correction from the recorded world to the twin's.
     """
 
     scenario: Scenario
@@ -53,16 +53,18 @@ class BoxEditor:
         timing: ScanTiming,
         path: PathCorrection | None,
     ) -> BoxEditor:
-        """For a scenario that was made from the log as it was by edits.
+        """Return the editor for a scenario that edits made from a recorded log.
 
         Args:
             tables: the recorded boxes, sweep by sweep.
+            timing: time at which the roof LiDAR scans each direction.
+            path: correction from the recorded world to the twin's.
         """
         is_ego_moved = scenario.ego is not recorded.ego
         before = {id(track) for track in recorded.tracks}
-        there = [t for t in scenario.tracks if t.actor_id not in scenario.removed]
-        # From another path the LiDAR looks at a moving actor at another moment.
-        changed = [t for t in there if id(t) not in before or (is_ego_moved and t.is_moving)]
+        remaining = [t for t in scenario.tracks if t.actor_id not in scenario.removed]
+        # From another path the LiDAR scans a moving actor at another time.
+        changed = [t for t in remaining if id(t) not in before or (is_ego_moved and t.is_moving)]
         names = scenario.removed | {track.actor_id for track in changed}
         pairs = dict.fromkeys(
             pair
@@ -73,13 +75,14 @@ class BoxEditor:
                 strict=True,
             )
         )
+        # PandaSet labels an object in the overlap of two sensors twice, linked by sibling ids.
         owner = owner_by_uuid(pairs)
         owners = {owner.get(name, name) for name in names}
         gone = frozenset(uuid for uuid, own in owner.items() if own in owners)
         return cls(scenario, tuple(changed), gone, timing, path)
 
     def edited(self, table: Table | None, time_ns: int) -> Columns | None:
-        """The boxes of a sweep; None where they are the recorded ones."""
+        """Return the boxes of a sweep; None if they equal the recorded ones."""
         table = cuboid_table([]) if table is None else table
         uuids = [id_text(uuid) for uuid in table["uuid"].tolist()]
         rows = [
@@ -87,6 +90,7 @@ class BoxEditor:
             for i, uuid in enumerate(uuids)
             if uuid not in self.gone
         ]
+        # Recorded columns that the editor does not compute are copied from the actor's old box.
         was = {uuid: i for i, uuid in reversed(list(enumerate(uuids)))}
         made: list[dict[str, Any]] = []
         for track in self.changed:
@@ -100,20 +104,24 @@ class BoxEditor:
         return cuboid_table([*rows, *made], tuple(table))
 
     def _scanned_ns(self, track: ActorTrack, time_ns: int) -> int | None:
-        """When a sweep meets an actor: a box is where its actor was then. None: not there."""
+        """Return the time at which the LiDAR scans an actor, for which its box is valid; None if
+        absent."""
         assert self.scenario.ego is not None
         if not track.is_present(time_ns):
             return None
         ego_from_world = self.scenario.ego.held(time_ns).inverse()
         now_ns = time_ns
-        for _ in range(_ROUNDS):
+        # Fixed-point iteration: an actor moves little during one sweep, so few rounds suffice.
+        for _ in range(3):
             place = ego_from_world.apply(track.trajectory.held(now_ns).translation_m[None])
             now_ns = time_ns + int(self.timing.offsets_s(place)[0] * 1e9)
         return now_ns
 
     def _row(self, track: ActorTrack, time_ns: int) -> dict[str, Any]:
-        """PandaSet's box has its width along x and its length along y: yaw = heading - 90
-        degrees."""
+        """Return the columns of one box.
+
+        PandaSet's box has its width along x and its length along y: yaw = heading - 90 degrees.
+        """
         pose = track.trajectory.held(time_ns)
         if self.path is not None:
             pose = self.path.at(time_ns).inverse() @ pose
@@ -134,8 +142,10 @@ class BoxEditor:
 
 
 def _attributes(track: ActorTrack, time_ns: int) -> Mapping[str, str]:
-    ends = track.trajectory.held_at(np.array([time_ns - _BESIDE_NS, time_ns + _BESIDE_NS]))
-    speed = float(np.linalg.norm(ends[1, :3, 3] - ends[0, :3, 3])) / (2e-9 * _BESIDE_NS)
+    # Speed over one sweep of 0.1 s.
+    half_ns = 50_000_000
+    ends = track.trajectory.held_at(np.array([time_ns - half_ns, time_ns + half_ns]))
+    speed = float(np.linalg.norm(ends[1, :3, 3] - ends[0, :3, 3])) / (2e-9 * half_ns)
     is_moving = speed > _MOVES_M_S
     if track.kind.is_vehicle or track.kind in _DRIVEN:
         still = "Stopped" if track.is_moving else "Parked"

@@ -1,4 +1,4 @@
-"""Lenses, times, poses, GPS and calibration of a written log."""
+"""Intrinsics, times, poses, GPS and calibration of a written log."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from lightsim.store.artefact import write_text
 from lightsim.store.pandaset_tables import pose_entry
 
 T = TypeVar("T")
+# Step in degrees over which metres per degree count as constant, about 100 m.
 _DEGREE = 1e-3
-"""Over that far, metres a degree are constant."""
 
 
 @dataclass(frozen=True)
 class WrittenFrames:
-    """Which frames of a recording are written, and how their files are named.
+    """Frames of a recording that are written, and their file names.
 
     Args:
-        recorded_stems: by the recorded number, which is the place in the recording's lists.
+        recorded_stems: by the recorded number, which is the index in the recording's lists.
     """
 
     recorded_stems: dict[int, str]
 
     @classmethod
     def of(cls, scenario: Scenario, sweep_stems: Sequence[str]) -> WrittenFrames:
-        """Those that all cameras of a scenario have, and the LiDAR, where there are sweeps.
+        """Return the frames that all cameras of a scenario have, and the LiDAR if there are sweeps.
 
         Raises:
             InputError: there is none.
@@ -49,6 +49,7 @@ class WrittenFrames:
             for name in scenario.cameras
         ]
         sweeps = [{int(stem) for stem in sweep_stems}] if sweep_stems else []
+        # Readers of PandaSet expect the same number of files from every sensor.
         numbers = set.intersection(*of_camera, *sweeps)
         if not numbers:
             raise InputError(
@@ -62,27 +63,31 @@ class WrittenFrames:
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """Recorded numbers, in their order."""
+        """Recorded numbers, ascending."""
         return tuple(self.recorded_stems)
 
     @property
     def stems(self) -> dict[int, str]:
-        """New stems by the recorded number; they sort as numbers do."""
+        """New stems by the recorded number; they sort like numbers."""
+        # At least two digits, as in PandaSet.
         width = max(2, len(str(len(self.recorded_stems) - 1)))
         return {number: f"{place:0{width}d}" for place, number in enumerate(self.recorded_stems)}
 
     def entries(self, path: Path) -> list[Any]:
-        """Those of a recorded list that are written, as many as it has."""
+        """Return the entries of a recorded list for the written frames, as far as it has them."""
         return self.of_list(require_list(read_json(path), path))
 
     def of_list(self, values: Sequence[T]) -> list[T]:
-        """Those of values by recorded number that are written, as many as there are."""
+        """Return the values for the written frames, given by recorded number, as far as there are
+        any."""
         return [values[number] for number in self.numbers if number < len(values)]
 
 
 class ListWriter:
-    """Writes all lists of a simulated log: recorded entries, carried along where the ego vehicle
-    drives elsewhere."""
+    """Writer of all lists of a simulated log.
+
+    Entries are the recorded ones, transformed if the ego vehicle drives another path.
+    """
 
     def __init__(
         self, workspace: Workspace, recorded: Scenario, scenario: Scenario, frames: WrittenFrames
@@ -94,7 +99,7 @@ class ListWriter:
         self._is_ego_moved = scenario.ego is not recorded.ego
 
     def write(self, folder: Path) -> None:
-        """intrinsics.json, poses.json, timestamps.json, gps.json and the calibration."""
+        """Write intrinsics.json, poses.json, timestamps.json, gps.json and the calibration."""
         self._write_cameras(folder / "camera")
         for here in ("lidar", "meta"):
             path = self._source / here / "timestamps.json"
@@ -108,12 +113,14 @@ class ListWriter:
         calibration = calibration_path(self._source)
         if calibration is not None:
             text = calibration.read_text(encoding="utf-8")
+            # Edited as text, so that comments and order of the calibration are preserved.
             text = _without_readout(text, self._driven_cameras)
             write_text(folder / calibration.name, text)
 
     @property
     def _driven_cameras(self) -> set[str]:
-        """Cameras whose pictures are taken at once, which recorded ones need not be."""
+        """Cameras of a changed ego path, whose images have a global shutter even if recorded ones
+        roll."""
         if not self._is_ego_moved:
             return set()
         return {f.camera_name for f in self._scenario.frames if f.shutter is None}
@@ -124,14 +131,14 @@ class ListWriter:
             (folder / name).mkdir(parents=True, exist_ok=True)
             lens = read_json(own / "intrinsics.json")
             if (camera.fx, camera.fy) != (lens["fx"], lens["fy"]):
-                # The pictures' scale is another. PandaSet counts from the first pixel's centre.
+                # The images are scaled. PandaSet's origin is the first pixel's centre.
                 lens |= {"fx": camera.fx, "fy": camera.fy}
                 lens |= {"cx": camera.cx - 0.5, "cy": camera.cy - 0.5}
             _write(folder / name / "intrinsics.json", lens)
             times = self._frames.entries(own / "timestamps.json")
             poses = self._frames.entries(own / "poses.json")
             if name in self._driven_cameras:
-                # Without a readout, time and pose are those of the middle row.
+                # Images with a global shutter have the time and pose of the recorded middle row.
                 log = self._workspace.recorded_log
                 rows = {int(f.stem): f for f in log.frames_of(name)}
                 chosen = [rows[number] for number in self._frames.numbers]
@@ -147,18 +154,20 @@ class ListWriter:
             _write(folder / name / "poses.json", poses)
 
     def _motion(self, time_ns: int) -> RigidTransform:
-        """What carries the ego vehicle from its recorded path to the scenario's, in the world as
-        recorded."""
+        """Return the rigid motion from the recorded ego path to the scenario's, in the recorded
+        world."""
         assert self._recorded.ego is not None
         assert self._scenario.ego is not None
         times = np.array([time_ns], dtype=np.int64)
         matrix = motion_of(self._recorded.ego, self._scenario.ego, times)[0]
+        # The correction of the ego path is undone: files are in the recorded world.
         motion, path = RigidTransform("world", "world", matrix), self._workspace.alignment.path
         return motion if path is None else path.at(time_ns).inverse() @ motion @ path.at(time_ns)
 
     def _lidar_poses(self) -> list[Any]:
-        """The recorded ones; where there are none, those of the LiDAR on the ego's path."""
+        """Return the recorded poses, or the LiDAR's poses on the ego path if there are none."""
         path = self._source / "lidar" / "poses.json"
+        # Without a change the recorded text is copied, free of rounding.
         if path.is_file() and not self._is_ego_moved:
             return self._frames.entries(path)
         times_ns = [_ns(t) for t in self._frames.entries(path.with_name("timestamps.json"))]
@@ -173,7 +182,7 @@ class ListWriter:
         return [pose_entry(pose) for pose in poses]
 
     def _fixes(self) -> list[Any]:
-        """GPS of the scenario's path; velocities stay the recorded ones."""
+        """Return the GPS fixes of the scenario's path; velocities remain the recorded ones."""
         fixes = self._frames.entries(self._source / "meta" / "gps.json")
         log = self._workspace.recorded_log
         if not self._is_ego_moved or log.geo is None or log.geo.enu_from_world is None:
@@ -184,6 +193,7 @@ class ListWriter:
             step = (self._motion(_ns(time_s)) @ was).translation_m - was.translation_m
             east, north, up = log.geo.enu_from_world.rotate(step[None])[0].tolist()
             lat, long = fix["lat"], fix["long"]
+            # Degrees per metre at the fix, by differences of the reader's own projection.
             beside = np.array([lat, lat + _DEGREE]), np.array([long, long + _DEGREE])
             east_m, north_m = east_north_m(*beside)[1].tolist()
             fix["lat"] = lat + _DEGREE * north / north_m
@@ -194,17 +204,17 @@ class ListWriter:
 
 
 def _write(path: Path, value: Any) -> None:
-    """Recorded entries as they are, with the NaN that Python's readers take and JSON has not."""
+    """Write recorded entries unchanged, with NaN, which JSON lacks and Python's readers accept."""
     write_text(path, json.dumps(value, indent=1) + "\n")
 
 
 def _ns(time_s: float) -> int:
-    """Times are kept to the microsecond, as the reader does."""
+    """Return nanoseconds, rounded to the microsecond like in the reader."""
     return int(np.rint(time_s * 1e6)) * 1000
 
 
 def _without_readout(calibration: str, cameras: set[str]) -> str:
-    """A calibration in which some cameras take all rows at once."""
+    """Return a calibration in which some cameras have no rolling shutter."""
     lines: list[str] = []
     name = ""
     for line in calibration.splitlines(keepends=True):

@@ -1,8 +1,8 @@
-"""`--write-log`: the simulated log in PandaSet's own layout, as if it had been recorded.
+"""`--write-log`: the simulated log in PandaSet's layout, like a recorded log.
 
-What no edit touches is the recording itself: files are copied, rows and list entries taken over.
-Files are numbered from 00 without gaps, so that the k-th picture, sweep, pose and time belong
-together for readers that count files (PandaSet's devkit) as for those that read their names.
+Data that no edit changes is the recording's: files are copied, and rows and list entries are taken
+over. Files are numbered from 00 without gaps. Thus the k-th image, sweep, pose and time belong
+together, both for readers that count files (PandaSet's devkit) and for readers that use file names.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ from lightsim.store.images import read_srgb8, write_jpeg
 from lightsim.store.pandaset_tables import write_packed, write_table
 from lightsim.store.table_pickle import PORTABLE_NAMES
 
+# Quality of written JPEGs, with full chroma. Chosen; sensitivity not measured.
 _JPEG_QUALITY = 95
 _SUFFIX = ".pkl.gz"
 _JPEG_MAGIC = b"\xff\xd8\xff"
@@ -47,11 +48,13 @@ _JPEG_MAGIC = b"\xff\xd8\xff"
 
 @dataclass(frozen=True, eq=False)
 class LogWriter:
-    """Writes one simulated log.
+    """Writer of one simulated log.
 
     Args:
-        recorded: the log as it was, in the frames that are asked for.
-        scenario: made from it by edits; the same object where there are none.
+        workspace: of the recording.
+        recorded: the log without edits, in the requested frames.
+        scenario: made from it by edits; the same object if there are none.
+        progress: shows images and sweeps.
     """
 
     workspace: Workspace
@@ -60,14 +63,15 @@ class LogWriter:
     progress: Progress
 
     def write(self, folder: Path) -> None:
-        """Fill a new folder with all but pictures and mark."""
+        """Fill a new folder with everything except images and simulated.json."""
         ListWriter(self.workspace, self.recorded, self.scenario, self._frames).write(folder)
         self._write_sweeps(folder)
         self._write_boxes(folder)
 
     def write_mark(self, folder: Path, made_of: Mapping[str, Any]) -> None:
-        """simulated.json."""
+        """Write simulated.json."""
         scenario = self.scenario
+        # The recorded stem of each new one, for a comparison with the recording.
         stems = zip(self._frames.stems.values(), self._frames.recorded_stems.values(), strict=True)
         mark = {
             "simulated_by": f"LightSim {__version__}",
@@ -83,14 +87,19 @@ class LogWriter:
         write_json(folder / SIMULATED_NAME, mark)
 
     def write_pictures(self, folder: Path, frames: Path) -> None:
-        """camera/<name>/NN.jpg: the recorded bytes where the picture is the recorded JPEG, else of
-        JPEG quality 95 with full chroma."""
+        """Write camera/<name>/NN.jpg.
+
+        An unchanged recorded JPEG is copied; other images are JPEGs of quality 95 with full chroma.
+        """
         source = self._source / "camera"
         recorded = {name: numbered_files(source / name, PICTURES) for name in self._cameras}
-        kept = [f for f in self.scenario.frames if int(f.stem) in self._frames.stems]
-        for frame in self.progress.track(kept, "write pictures", len(kept)):
+        frames_to_write = [f for f in self.scenario.frames if int(f.stem) in self._frames.stems]
+        count = len(frames_to_write)
+        for frame in self.progress.track(frames_to_write, "write pictures", count):
             path = folder / "camera" / frame.camera_name / self._file(frame.stem, ".jpg")
             path.parent.mkdir(parents=True, exist_ok=True)
+            # Simulated frames are lossless PNG, so an unchanged frame is identical to its JPEG's
+            # pixels.
             made = read_srgb8(frames / "frames" / frame.camera_name / f"{frame.stem}.png")
             own = recorded[frame.camera_name].paths[int(frame.stem)]
             shown = read_srgb8(own)
@@ -105,7 +114,7 @@ class LogWriter:
         return {frame.camera_name for frame in self.scenario.frames}
 
     def _write_sweeps(self, folder: Path) -> None:
-        """lidar/NN.pkl.gz and annotations/semseg/NN.pkl.gz."""
+        """Write lidar/NN.pkl.gz and annotations/semseg/NN.pkl.gz."""
         editor = SweepEditor(self.workspace, self.recorded, self.scenario, self.progress)
         sweeps = [s for s in self.workspace.log.sweeps if int(s.stem) in self._frames.stems]
         recorded, classes = self._tables(SWEEPS), self._tables(CLASSES)
@@ -113,6 +122,7 @@ class LogWriter:
             number, name = int(lazy.stem), self._file(lazy.stem, _SUFFIX)
             made = editor.edited(lazy)
             if made is None:
+                # An unchanged sweep is copied with its point classes.
                 copy_table(recorded[number], folder / SWEEPS / name, "index")
                 if number in classes:
                     copy_table(classes[number], folder / CLASSES / name)
@@ -123,8 +133,8 @@ class LogWriter:
         _copy(self._source / CLASSES / "classes.json", folder / CLASSES / "classes.json")
 
     def _write_boxes(self, folder: Path) -> None:
-        """annotations/cuboids/NN.pkl.gz; boxes are of a sweep's time, so without times there are
-        none."""
+        """Write annotations/cuboids/NN.pkl.gz; nothing without sweep times, for which boxes are
+        valid."""
         clock = self._source / SWEEPS / "timestamps.json"
         if not clock.is_file():
             return
@@ -159,6 +169,7 @@ class LogWriter:
 
     @cached_property
     def _timing(self) -> ScanTiming:
+        # Scan times are estimated from one recorded sweep, since they are a property of the LiDAR.
         log = self.workspace.recorded_log
         if not log.sweeps:
             return ScanTiming.instantaneous()
@@ -175,29 +186,30 @@ def _written_frames(workspace: Workspace, scenario: Scenario) -> WrittenFrames:
 def log_folders(
     workspace: Workspace, recorded: Scenario, target: Path, skies: Sequence[str]
 ) -> dict[str, Path]:
-    """Where the simulated log of each sky goes: DIR, of several skies DIR/<sky>. Asked before
-    frames are made, which takes long.
+    """Return the folder of each sky's simulated log: DIR, or DIR/<sky> with several skies.
+
+    Called before frames are rendered, which takes long, so that errors come early.
 
     Raises:
         InputError: the recording is not in PandaSet's layout, no frame can be written, or DIR
-            cannot be taken.
-        ArtefactError: DIR's parent cannot be made.
+            cannot be used.
+        ArtefactError: DIR's parent cannot be created.
     """
     if check_layout(workspace.reading) != "pandaset":
         raise InputError(
-            "logs are written in PandaSet's layout only",
+            "the recording is not in PandaSet's layout, the only one in which logs are written",
             where="--write-log",
             expected="a recording in that layout",
-            remedy="Leave --write-log out.",
+            remedy="Omit --write-log.",
         )
     _written_frames(workspace, recorded)
-    # The folder itself is replaced, never a link to it.
+    # Links are resolved: the folder itself is replaced, never a link to it.
     target = Path(os.path.realpath(target))
     if len(skies) > 1 and (target / SIMULATED_NAME).exists():
         raise InputError(
-            "a folder holds one log, or a log of each sky",
+            "the folder contains a log, so it cannot contain a log of each sky",
             where=target,
-            got=f"one log there, {len(skies)} skies asked for",
+            got=f"one log in the folder, {len(skies)} requested skies",
             remedy="Choose another --write-log.",
         )
     logs = {sky: target if len(skies) == 1 else target / sky for sky in skies}
@@ -208,11 +220,12 @@ def log_folders(
 
 
 def _check_place(log: Path, taken: Sequence[Path]) -> None:
-    """A log stands in no folder whose files are counted: a recording's, an artefact's."""
+    """Check that a log is outside of folders whose files are counted: recordings and artefacts."""
+    # A log inside such a folder would change its hash.
     around = [p for p in (log, *log.parents) if p in taken or (p / RECORD_NAME).is_file()]
     if around:
         raise InputError(
-            "the log would stand among files that are not its own",
+            "the log would be written into a folder of a recording or an artefact",
             where=log,
             expected=f"a folder outside of {around[0]}",
             remedy="Choose another --write-log.",
@@ -227,34 +240,38 @@ def _check_place(log: Path, taken: Sequence[Path]) -> None:
 def write_logs(
     writer: LogWriter, logs: Mapping[str, Path], frames: Sequence[Path], *, is_overwriting: bool
 ) -> None:
-    """Write the simulated log of each sky; finished ones of the same frames are kept.
+    """Write the simulated log of each sky; complete logs of the same frames are skipped.
 
     Args:
         logs: from `log_folders`.
         frames: WORK/scenarios/NAME of each sky.
+        is_overwriting: replace logs of other scenarios.
 
     Raises:
-        InputError: a folder holds the log of another scenario.
+        InputError: a folder contains the log of another scenario.
     """
     first: Path | None = None
     for (sky, log), folder in zip(logs.items(), frames, strict=True):
         made_of = {"sky": sky, "frames_key": read_json(folder / RECORD_NAME)["key"]}
         if not _is_made(log, made_of, is_overwriting=is_overwriting):
             _write_log(writer, log, folder, made_of, first)
+        # The first log, new or already complete, is the source of the others.
         first = first or log
 
 
 def _write_log(
     writer: LogWriter, log: Path, frames: Path, made_of: Mapping[str, Any], other: Path | None
 ) -> None:
-    """A log that appears whole or not at all; only its pictures differ from that of another sky."""
+    """Write a log atomically; logs of further skies are copies of the first with other images."""
     partial = log.with_name(f".{log.name}.partial")
+    # Left by an interrupted run.
     if partial.exists():
         shutil.rmtree(partial)
     if other is None:
         partial.mkdir()
         writer.write(partial)
     else:
+        # Sweeps and boxes do not depend on the sky.
         shutil.copytree(other, partial, ignore=shutil.ignore_patterns("*.jpg", SIMULATED_NAME))
     writer.write_pictures(partial, frames)
     writer.write_mark(partial, made_of)
@@ -264,31 +281,31 @@ def _write_log(
 
 
 def _is_made(log: Path, made_of: Mapping[str, Any], *, is_overwriting: bool) -> bool:
-    """Whether a log is there already, as it would be written now."""
+    """Return true if the folder contains the log that would be written now."""
     mark = _mark_of(log)
     if mark is None:
         return False
     is_same = all(mark.get(key) == value for key, value in made_of.items())
     if not (is_same or is_overwriting):
         raise InputError(
-            "the folder holds the log of another scenario, or of other frames",
+            "the folder contains the log of another scenario, or of other frames",
             where=log,
             got=f"scenario {mark.get('scenario')}, sky {mark.get('sky')}",
-            remedy="Choose another --write-log, or give --overwrite.",
+            remedy="Choose another --write-log, or add --overwrite.",
         )
     return is_same and mark.get("code") == _code()
 
 
 def _code() -> str:
-    """Return the hash of the source code that writes logs; a log of other code is made anew."""
+    """Return the hash of the source code that writes logs; logs of other code are written anew."""
     return hash_names(simulation_sources(__name__))
 
 
 def _mark_of(log: Path) -> Mapping[str, Any] | None:
-    """simulated.json of a log that stands there; None where nothing does.
+    """Return simulated.json of an existing log; None if the folder is absent or empty.
 
     Raises:
-        InputError: something else stands there, which is never replaced.
+        InputError: the folder contains anything else, which is never replaced.
     """
     try:
         if not log.exists() or (log.is_dir() and not any(log.iterdir())):
@@ -296,9 +313,10 @@ def _mark_of(log: Path) -> Mapping[str, Any] | None:
         mark = read_json(log / SIMULATED_NAME)
     except (OSError, ArtefactError):
         mark = None
+    # Only folders that this module wrote may be replaced.
     if not isinstance(mark, dict) or "frames_key" not in mark:
         raise InputError(
-            "something else stands where the log is to be written",
+            "the folder for the log contains other files",
             where=log,
             expected="no folder, an empty one or a log that was written before",
             remedy="Choose another --write-log.",
@@ -307,14 +325,15 @@ def _mark_of(log: Path) -> Mapping[str, Any] | None:
 
 
 def copy_table(own: Path, target: Path, index_name: str | None = None) -> None:
-    """Write a recorded table as NN.pkl.gz: its own bytes where pandas 1.0 can load them, else anew.
+    """Write a recorded table as NN.pkl.gz; its bytes are copied if pandas 1.0 can load them.
 
     Args:
-        index_name: of the rows of a table that is written anew.
+        index_name: name of the index if the table is written anew.
 
     Raises:
         InputError: it cannot be read.
     """
+    # Old pandas cannot load pickles of newer versions: the names in the pickle show which it is.
     data = read_packed(own, MAX_BYTES)
     if not names_in(data, own) <= PORTABLE_NAMES:
         write_table(target, parse_table(data, own), index_name)

@@ -1,4 +1,4 @@
-"""Sweeps of a written log: recorded rows with simulated ones among them."""
+"""Sweeps of a written log: recorded rows and simulated ones."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from lightsim.store.pandaset_tables import Columns
 
 @dataclass(frozen=True, eq=False)
 class WrittenSweep:
-    """A sweep to write.
+    """Sweep to write.
 
     Args:
-        columns: x, y, z, i, t, d, as PandaSet has them.
+        columns: x, y, z, i, t, d, as in PandaSet.
         semantic_class: of each row; -1 unknown.
-        is_recorded: rows that are the recorded ones.
+        is_recorded: rows that equal recorded ones.
     """
 
     columns: Columns
@@ -44,7 +44,7 @@ class WrittenSweep:
 
 
 class SweepEditor:
-    """Makes the sweeps of a scenario; what the LiDARs answer is learnt when it is first needed."""
+    """Editor of the sweeps of a scenario; the LiDARs' response is learnt on first use."""
 
     def __init__(
         self, workspace: Workspace, recorded: Scenario, scenario: Scenario, progress: Progress
@@ -56,22 +56,25 @@ class SweepEditor:
         self._beams = RecordedBeams(workspace.log, paths)
 
     def edited(self, lazy: LazySweep) -> WrittenSweep | None:
-        """The sweep as it would have been recorded; None where it is as it was."""
+        """Return the sweep of the scenario; None if it equals the recorded one."""
         change = self.change.at(lazy.time_ns)
         if change.is_none:
             return None
         recorded = self._beams.of(lazy)
+        # Seeded by the sweep, so that the result does not depend on which sweeps are written.
         rng = np.random.default_rng([self._scenario.seed, lazy.time_ns])
         if change.is_ego_moved:
             assert self._recorded.ego is not None
             assert self._scenario.ego is not None
             times_ns = recorded.beams.times_ns
+            # From a changed path every beam meets other surfaces.
             motion = motion_of(self._recorded.ego, self._scenario.ego, times_ns)
             made = self._simulator.whole(
                 recorded.beams.moved(motion), self._scenario.placements, lazy.time_ns, rng
             )
         else:
             made = self._simulator.edited(recorded.beams, change, lazy.time_ns, rng)
+            # No beam changed, so the recorded file can be copied.
             is_all_kept = (made.is_kept == recorded.beams.is_returned).all()
             if is_all_kept and not made.answers.is_returned.any():
                 return None
@@ -99,23 +102,27 @@ class SweepEditor:
 def motion_of(
     recorded: Trajectory, driven: Trajectory, times_ns: Int64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 4 4"]:
-    """What carries all that is fixed to the ego vehicle from its recorded path to another."""
+    """Return the rigid motion of the world that moves the ego vehicle from its recorded path to
+    another."""
     return driven.held_at(times_ns) @ np.linalg.inv(recorded.held_at(times_ns))
 
 
 def written(
     recorded: RecordedSweep, made: SimulatedBeams, path: PathCorrection | None
 ) -> WrittenSweep:
-    """The rows of a simulated sweep, in the world as recorded. Kept rows are the recorded numbers;
-    a beam that came back before and does now keeps its row, others are put in by their time.
+    """Return the rows of a simulated sweep, in the recorded world.
+
+    Unchanged returns have the recorded values. A beam with returns both before and now keeps its
+    row; others are inserted by time.
 
     Args:
-        path: the correction that turned the recorded world into the twin's.
+        path: correction from the recorded world to the twin's.
     """
     rows, beams = recorded.rows, made.beams
     is_made = made.answers.is_returned & np.isfinite(made.range_m)
     taken = np.flatnonzero(made.is_kept | is_made)
     taken = taken[np.argsort(_positions(recorded, taken), kind="stable")]
+    # Recorded rows are copied as numbers; their points here are placeholders.
     is_recorded = made.is_kept[taken]
     points = beams.chosen(taken).at(np.where(is_recorded, 1.0, made.range_m[taken]))
     times_ns = beams.times_ns[taken]
@@ -124,7 +131,7 @@ def written(
     simulated: Columns = {
         **dict(zip("xyz", points.T, strict=True)),
         "i": made.answers.intensity[taken].astype(np.float64),
-        # To the microsecond, as recorded ones.
+        # Rounded to the microsecond, like recorded times.
         "t": np.round(times_ns * 1e-9, 6),
         "d": beams.device[taken],
     }
@@ -141,12 +148,16 @@ def written(
 def _positions(
     recorded: RecordedSweep, taken: Int64[np.ndarray, " k"]
 ) -> Float64[np.ndarray, " k"]:
-    """Where beams stand among the recorded rows: PandaSet has LiDAR after LiDAR, each in time."""
+    """Return the positions of beams among the recorded rows.
+
+    PandaSet orders rows by LiDAR, and by time for each LiDAR.
+    """
     beams = recorded.beams
     place = beams.row.astype(np.float64)
     for device in np.unique(beams.device).tolist():
         own = np.flatnonzero(beams.is_returned & (beams.device == device))
         new = np.flatnonzero(~beams.is_returned & (beams.device == device))
+        # Stored times may be out of order within a LiDAR; their running maximum is sorted.
         until = np.maximum.accumulate(beams.times_ns[own])
         after = np.searchsorted(until, beams.times_ns[new], side="right")
         place[new] = np.append(beams.row[own], beams.row[own].max() + 1)[after] - 0.5

@@ -1,4 +1,4 @@
-"""The ray casters there are, by name."""
+"""Choice of a ray caster by name."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from lightsim.render.options import Backend
 
 
 def resolve_backend(backend: Backend) -> Backend:
-    """What "auto" stands for here: CUDA where Mitsuba finds it, else Embree."""
+    """Return the backend; "auto" becomes CUDA if Mitsuba can use it here, else Embree."""
     if backend != "auto":
         return backend
+    # Mitsuba's LLVM backend is never chosen: it requires DRJIT_LIBLLVM_PATH to be set.
     return "mitsuba-cuda" if is_usable("cuda") else "embree"
 
 
 def choose_caster(backend: Backend) -> MakeCaster:
-    """The maker of ray casters of a name; see `resolve_backend`.
+    """Return the constructor of ray casters of a backend; see `resolve_backend`.
 
     Raises:
         InputError: this machine does not have it.

@@ -10,19 +10,20 @@ from jaxtyping import Bool, Float, Float32, Int32
 from lightsim.core.casting import MISS, RayHits, check_world
 from lightsim.core.mesh import TriMesh
 
+# Rays in one call of embreex, which bounds its temporary copies to about 20 MB. Not measured alone.
 _CHUNK_RAYS = 1 << 18
-# Less lets rays meet the surface that they leave, more leaks light under cars. Not measured alone.
+# Distance of ray origins from their surface, in metres. With less, rays meet the surface that they
+# leave; with more, light leaks under cars. Not measured alone.
 _OFFSET_M = 0.002
-_MIN_OFFSET_ULPS = 8.0
 
 
 class EmbreeCaster:
-    """A `core.casting.RayCaster` over a fixed list of meshes in frame `world`.
+    """`core.casting.RayCaster` over a fixed list of meshes in frame `world`.
 
-    Embree calculates in float32: at coordinates of 100 m distances are good to about 0.02 mm,
-    at 1 km to 0.2 mm. A ray that starts on a surface may meet that surface again; see
-    `offset_origins`. Both sides of a triangle are hit. The acceleration structure is released
-    with the object.
+    Embree computes in float32: distances are accurate to about 0.02 mm at coordinates of 100 m, to
+    0.2 mm at 1 km. A ray that starts on a surface may meet that surface again; see
+    `offset_origins`. Both sides of a triangle are hit. The acceleration structure is released with
+    the object.
     """
 
     def __init__(self, meshes: Sequence[TriMesh]) -> None:
@@ -45,13 +46,13 @@ class EmbreeCaster:
 
     @property
     def meshes(self) -> Sequence[TriMesh]:
-        """As given; `RayHits.mesh_index` counts them."""
+        """Meshes in the given order, which `RayHits.mesh_index` counts."""
         return self._meshes
 
     def intersect(
         self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
     ) -> RayHits:
-        """First hits along unit directions, from distance 0 on."""
+        """Return the first hits along unit directions, from distance 0 on."""
         count = len(origins_world)
         hits = RayHits.misses(count)
         if self._scene is None:
@@ -69,7 +70,7 @@ class EmbreeCaster:
     def is_occluded(
         self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
     ) -> Bool[np.ndarray, " n"]:
-        """Whether anything lies on a ray; cheaper than `intersect`."""
+        """Return the rays that meet any surface; faster than `intersect`."""
         occluded = np.zeros(len(origins_world), dtype=bool)
         if self._scene is None:
             return occluded
@@ -79,7 +80,7 @@ class EmbreeCaster:
 
 
 def make_embree_caster(meshes: Sequence[TriMesh]) -> EmbreeCaster:
-    """A caster over meshes in frame `world`; no meshes and meshes without faces are allowed.
+    """Return a caster over meshes in frame `world`; no meshes and meshes without faces are allowed.
 
     Raises:
         FrameMismatchError: a mesh lies in another frame.
@@ -91,20 +92,23 @@ def offset_origins(
     points_world: Float[np.ndarray, "n 3"],
     directions_world: Float[np.ndarray, "n 3"],
 ) -> Float32[np.ndarray, "n 3"]:
-    """Ray origins moved off a surface, along its normals or the rays, so that rays leaving it
-    do not meet it again.
+    """Return ray origins moved off a surface, so that rays that leave it do not meet it again.
 
-    The step is 2 mm, or eight float32 steps at the point's largest coordinate where that is more
-    (then 2 mm would be lost in rounding).
+    The step is 2 mm, or eight float32 steps at the point's largest coordinate if that is more.
+
+    Args:
+        points_world: on the surface.
+        directions_world: unit vectors of the step: the surface's normals, or the rays.
     """
     largest = np.abs(points_world).max(axis=1, initial=0.0)
     ulp = np.spacing(largest.astype(np.float32)).astype(np.float64)
-    step = np.maximum(_OFFSET_M, _MIN_OFFSET_ULPS * ulp)[:, None]
+    # Far from the origin (beyond 2 km) 2 mm would be lost in rounding.
+    step = np.maximum(_OFFSET_M, 8.0 * ulp)[:, None]
     return (points_world + step * directions_world).astype(np.float32)
 
 
 def _chunks(origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]):
-    """Contiguous float32 pieces, so that embreex's temporary copies stay small."""
+    """Yield contiguous float32 pieces, so that embreex's temporary copies stay small."""
     for start in range(0, len(origins), _CHUNK_RAYS):
         part = slice(start, start + _CHUNK_RAYS)
         yield (
@@ -117,7 +121,8 @@ def _chunks(origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 
 def _weights(
     u: Float32[np.ndarray, " n"], v: Float32[np.ndarray, " n"], face: Int32[np.ndarray, " n"]
 ) -> Float32[np.ndarray, "n 3"]:
-    """Vertex weights of Embree's (u, v); 0 where nothing was hit."""
+    """Return the vertex weights of Embree's (u, v); 0 without a hit."""
+    # Rounding can move hits at an edge slightly outside of their face.
     u, v = np.clip(u, 0.0, 1.0), np.clip(v, 0.0, 1.0)
     weights = np.stack([np.maximum(1 - u - v, 0), u, v], axis=1)
     return np.where((face != MISS)[:, None], weights, np.float32(0))

@@ -17,6 +17,7 @@ from lightsim.render.mitsuba_scene import columns, make_mesh
 
 MitsubaBackend = Literal["cuda", "llvm"]
 VARIANTS: dict[MitsubaBackend, Variant] = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb"}
+# Rays in one call of Mitsuba, some 0.5 GB with their hits. Not measured alone.
 _CHUNK_RAYS = 1 << 23
 _REMEDY: dict[MitsubaBackend, str] = {
     "cuda": "Use --backend embree, or a machine with an NVIDIA GPU and driver 535 or newer.",
@@ -26,16 +27,18 @@ _REMEDY: dict[MitsubaBackend, str] = {
 
 
 class MitsubaCaster:
-    """A `core.casting.RayCaster` over a fixed list of meshes in frame `world`.
+    """`core.casting.RayCaster` over a fixed list of meshes in frame `world`.
 
-    Single precision and both sides of a triangle are hit, as with `EmbreeCaster`. All meshes make
-    one shape, since what Mitsuba calls an instance or a shape index differs between its variants.
+    Single precision, and both sides of a triangle are hit, as with `EmbreeCaster`. All meshes form
+    one shape, because the meaning of an instance or a shape index differs between Mitsuba's
+    variants.
     """
 
     def __init__(self, meshes: Sequence[TriMesh], backend: MitsubaBackend) -> None:
         check_world(meshes)
         self._meshes = tuple(meshes)
         self._backend: MitsubaBackend = backend
+        # Mitsuba numbers the faces of the one shape; these bounds recover mesh and face.
         self._first_face = np.cumsum([0] + [len(mesh.faces) for mesh in meshes])
         self._scene: Any = None
         if self._first_face[-1]:
@@ -44,13 +47,13 @@ class MitsubaCaster:
 
     @property
     def meshes(self) -> Sequence[TriMesh]:
-        """As given; `RayHits.mesh_index` counts them."""
+        """Meshes in the given order, which `RayHits.mesh_index` counts."""
         return self._meshes
 
     def intersect(
         self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
     ) -> RayHits:
-        """First hits along unit directions, from distance 0 on."""
+        """Return the first hits along unit directions, from distance 0 on."""
         count = len(origins_world)
         hits = RayHits.misses(count)
         if self._scene is None:
@@ -63,7 +66,7 @@ class MitsubaCaster:
                 rays = _rays(mitsuba, origins_world[part], directions_world[part])
                 found = self._scene.ray_intersect_preliminary(rays, coherent=False)
                 arrays = (found.t, found.prim_index, *found.prim_uv)
-                # All at once: each array read alone would trace the rays again.
+                # Evaluated together: each array read alone would trace the rays again.
                 drjit.eval(*arrays)
                 t, face, u, v = (np.asarray(array) for array in arrays)
                 self._fill(hits, start + np.flatnonzero(np.isfinite(t)), start, (t, face, u, v))
@@ -81,13 +84,14 @@ class MitsubaCaster:
         hits.distance_m[rows] = t
         hits.mesh_index[rows] = mesh
         hits.face_index[rows] = face - self._first_face[mesh]
+        # Rounding can move hits at an edge slightly outside of their face.
         u, v = np.clip(u, 0.0, 1.0), np.clip(v, 0.0, 1.0)
         hits.barycentric[rows] = np.stack([np.maximum(1 - u - v, 0), u, v], axis=1)
 
     def is_occluded(
         self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
     ) -> Bool[np.ndarray, " n"]:
-        """Whether anything lies on a ray; cheaper than `intersect`."""
+        """Return the rays that meet any surface; faster than `intersect`."""
         occluded = np.zeros(len(origins_world), dtype=bool)
         if self._scene is None:
             return occluded
@@ -95,14 +99,14 @@ class MitsubaCaster:
             for start in range(0, len(origins_world), _CHUNK_RAYS):
                 part = slice(start, start + _CHUNK_RAYS)
                 rays = _rays(mitsuba, origins_world[part], directions_world[part])
-                # ray_test(rays, False) would bind `active` and trace nothing.
+                # By keyword: a positional False would be bound to `active` and trace nothing.
                 found = self._scene.ray_test(rays, coherent=False, active=True)
                 occluded[part] = np.asarray(found)
         return occluded
 
 
 def mitsuba_caster_maker(backend: MitsubaBackend) -> MakeCaster:
-    """A maker of casters on "cuda" (OptiX) or "llvm".
+    """Return a constructor of casters on "cuda" (OptiX) or "llvm".
 
     Raises:
         InputError: Mitsuba cannot use it on this machine.
@@ -122,10 +126,14 @@ def mitsuba_caster_maker(backend: MitsubaBackend) -> MakeCaster:
 
 @cache
 def is_usable(backend: MitsubaBackend) -> bool:
-    """Whether Mitsuba can trace a ray with it; LLVM only where DRJIT_LIBLLVM_PATH names one of
-    at least version 17, since older ones may end the process."""
+    """Return true if Mitsuba can trace a ray with the backend.
+
+    LLVM requires DRJIT_LIBLLVM_PATH to name a library of version 17 or newer, since older ones may
+    end the process.
+    """
     if not (has_cuda() if backend == "cuda" else has_llvm()):
         return False
+    # Only a traced ray proves that driver and libraries work together.
     triangle = TriMesh(
         "world",
         np.array([[0, 0, 1], [1, 0, 1], [0, 1, 1]], np.float32),
@@ -141,7 +149,10 @@ def is_usable(backend: MitsubaBackend) -> bool:
 
 
 def make_mitsuba_scene(mitsuba: Any, meshes: Sequence[TriMesh]) -> Any:
-    """One shape of all meshes, in Mitsuba's present variant; there must be faces."""
+    """Return a scene of one shape with all meshes, in Mitsuba's current variant.
+
+    At least one mesh must have faces.
+    """
     first_vertex = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
     vertices = np.concatenate([mesh.vertices for mesh in meshes]).astype(np.float32)
     faces = np.concatenate(

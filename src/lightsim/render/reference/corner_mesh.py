@@ -1,4 +1,5 @@
-"""Meshes as renderers want them, whose faces share no vertices, and their material in Mitsuba."""
+"""Meshes for reference renderers, with separate vertices of each face, and their Mitsuba
+material."""
 
 from __future__ import annotations
 
@@ -11,24 +12,23 @@ from jaxtyping import Float32
 from lightsim.core.mesh import TriMesh
 from lightsim.render.mitsuba_scene import bitmap, make_mesh
 
-_SPECULAR = 0.5
-"""Reflects 4 % at normal incidence, an index of 1.5."""
-_LOWEST_BASE_COLOUR = 0.01
-"""Diffuse radiance is divided by the base colour to get the light that arrives."""
+# Least cosine between a smooth normal and its face (32 degrees). At harder edges the face's own
+# normal is used: paths that leave on the wrong side of a face pass through open meshes and collect
+# light from behind. Chosen; sensitivity not measured.
 _LEAST_AGREEMENT = 0.85
-"""Smooth normals farther off their face (hard edges) give way to the face's own: paths that leave
-on the wrong side of a face pass through open meshes and bring light from behind."""
 
 
 @dataclass(frozen=True, eq=False)
 class CornerMesh:
-    """A mesh whose faces share no vertices, so that colour and normals may jump at edges.
+    """Mesh with separate vertices of each face, so that colour and normals may be discontinuous at
+    edges.
 
     Args:
         vertices: of the corners, three a face.
-        normals: shading normals; on the outer side of their face.
+        normals: shading normals, on the outer side of their face.
         uv: fractions of the texture's width and height from its first pixel; 0 without one.
         colour: of the vertices.
+        texture: base colour; None without one.
         roughness: of each face.
         metallic: of each face.
     """
@@ -43,7 +43,7 @@ class CornerMesh:
 
 
 def corner_mesh(mesh: TriMesh, vertex_normals: Float32[np.ndarray, "n 3"]) -> CornerMesh:
-    """Base colours are kept within [0.01, 1], as an energy-conserving renderer needs them."""
+    """Return a mesh with separate corners, and base colours clamped by `as_albedo`."""
     corners = mesh.faces.ravel()
     face_normals = np.repeat(mesh.face_normals(), 3, axis=0)
     smooth = vertex_normals[corners].astype(np.float64)
@@ -71,12 +71,16 @@ def corner_mesh(mesh: TriMesh, vertex_normals: Float32[np.ndarray, "n 3"]) -> Co
 
 
 def as_albedo(colour: Float32[np.ndarray, "*n 3"]) -> Float32[np.ndarray, "*n 3"]:
-    """Kept within [0.01, 1]."""
-    return np.clip(colour, _LOWEST_BASE_COLOUR, 1.0).astype(np.float32)
+    """Return the colour clamped to [0.01, 1].
+
+    The upper bound conserves energy. The lower bound allows dividing diffuse radiance by the base
+    colour to obtain the irradiance.
+    """
+    return np.clip(colour, 0.01, 1.0).astype(np.float32)
 
 
 def mitsuba_mesh(mi: Any, name: str, mesh: CornerMesh, is_principled: bool) -> Any:
-    """A Mitsuba mesh with its material, two-sided."""
+    """Return a Mitsuba mesh with its material, two-sided."""
     parameters = {
         "vertex_positions": mesh.vertices,
         "vertex_normals": mesh.normals,
@@ -97,13 +101,14 @@ def _bsdf(mi: Any, mesh: CornerMesh, is_principled: bool) -> Any:
         colour = bitmap(mi, mesh.texture, "clamp")
     inner: dict[str, Any] = {"type": "diffuse", "reflectance": colour}
     if is_principled:
-        # Its diffuse lobe brightens towards grazing angles (Burley 2012), on rough faces by some
-        # 10 %, where the light transport matrix has Lambert's.
+        # The Principled diffuse lobe brightens towards grazing angles (Burley 2012), on rough faces
+        # by some 10 %; the light transport matrix uses Lambert's. `specular` 0.5 reflects 4 % at
+        # normal incidence, a refractive index of 1.5.
         inner = {
             "type": "principled",
             "base_color": colour,
             "roughness": {"type": "mesh_attribute", "name": "face_roughness"},
             "metallic": {"type": "mesh_attribute", "name": "face_metallic"},
-            "specular": _SPECULAR,
+            "specular": 0.5,
         }
     return mi.load_dict({"type": "twosided", "material": inner})

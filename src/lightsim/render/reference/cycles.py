@@ -1,7 +1,7 @@
-"""Blender's Cycles as a reference renderer (paper, Sec. 4), in a process of its own.
+"""Blender's Cycles as a reference renderer (paper, Sec. 4), in a separate process.
 
-The module bpy needs one exact version of Python and a NumPy before 2.0, which LightSim cannot use:
-it lives in another interpreter, which `cycles_worker.py` is run with.
+The module bpy requires one exact version of Python and a NumPy before 2.0, which LightSim cannot
+use. `cycles_worker.py` therefore runs in another interpreter.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import LightSimError, MissingDependencyError
-from lightsim.render.reference.corner_mesh import CornerMesh, corner_mesh
-from lightsim.render.reference.path_tracer import camera_pose
-from lightsim.render.reference.renderer import Picture, Shot
+from lightsim.render.gbuffers import camera_pose
+from lightsim.render.reference.corner_mesh import corner_mesh
+from lightsim.render.reference.renderer import SEED_STEP, Picture, Shot
 from lightsim.render.scene import FrameScene, StaticScene
 
 PYTHON_VARIABLE = "LIGHTSIM_BLENDER_PYTHON"
 _REMEDY = (
-    "bpy and LightSim want different NumPys: make a virtual environment of Python 3.11 for "
-    "Blender alone, run `pip install 'bpy==4.5.*'` in it, and name its interpreter in "
+    "bpy and LightSim require different versions of NumPy: make a virtual environment of Python "
+    "3.11 for Blender, run `pip install 'bpy==4.5.*'` in it, and give its interpreter in "
     f"{PYTHON_VARIABLE} or --blender-python."
 )
 
 
 def find_bpy(python: str | Path | None = None) -> str:
-    """The interpreter that has bpy; importing bpy takes seconds, finding it does not.
+    """Return the interpreter that has bpy, without importing bpy, which takes seconds.
 
     Args:
         python: see `Cycles`.
@@ -61,11 +61,11 @@ def find_bpy(python: str | Path | None = None) -> str:
 
 
 class Cycles:
-    """Takes shots with Cycles on the CPU. A rolling shutter is rendered at its middle row.
+    """Reference renderer by Cycles on the CPU. A rolling shutter is rendered at its middle row.
 
     Args:
-        python: an interpreter that has bpy; None for the one that the environment variable
-            LIGHTSIM_BLENDER_PYTHON names, else the running one.
+        python: an interpreter that has bpy; None: the one in the environment variable
+            LIGHTSIM_BLENDER_PYTHON, else the running one.
 
     Raises:
         MissingDependencyError: that interpreter has no bpy.
@@ -73,12 +73,10 @@ class Cycles:
 
     def __init__(self, python: str | Path | None = None) -> None:
         self.python = find_bpy(python)
-        self.seconds: list[float] = []
-        """What Cycles took for each picture of the last call of `shoot`, its setup included."""
         self._folder = tempfile.TemporaryDirectory(prefix="lightsim-cycles-")
         self._noise: IO[bytes] = (Path(self._folder.name) / "blender.log").open("w+b")
         self._process = subprocess.Popen(
-            # -P: this folder's modules must not hide Blender's own `cycles`.
+            # -P: otherwise this folder's cycles.py would shadow Blender's module `cycles`.
             [self.python, "-P", str(Path(__file__).with_name("cycles_worker.py"))],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -86,25 +84,15 @@ class Cycles:
             env=_clean_environment(),
             text=True,
         )
+        # Blender ends with this object even if `close` is never called.
         self._end = weakref.finalize(self, _end, self._process, self._noise, self._folder)
         self._static: StaticScene | None = None
         self._scene: FrameScene | None = None
         self._ask({"do": "start"})
 
-    @property
-    def pid(self) -> int:
-        """Of Blender's process."""
-        return self._process.pid
-
     def close(self) -> None:
-        """End the process; done by itself when the object goes."""
+        """End the process; this also happens when the object is released."""
         self._end()
-
-    def __enter__(self) -> Cycles:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def shoot(
         self,
@@ -114,7 +102,7 @@ class Cycles:
         shots: Sequence[Shot],
         seed: int,
     ) -> list[Picture]:
-        """As `path_tracer.PathTracer.shoot`.
+        """Return linear radiance of each shot; see `renderer.ReferenceTracer.shoot`.
 
         Raises:
             FrameMismatchError: the pose does not map `camera` to `world`.
@@ -124,7 +112,6 @@ class Cycles:
         self._load(scene)
         out = Path(self._folder.name) / "picture.npy"
         images = []
-        self.seconds = []
         for number, shot in enumerate(shots):
             request = _camera_request(camera, pose) | self._light_request(shot)
             request |= {
@@ -134,15 +121,17 @@ class Cycles:
                 "bounces": shot.bounces,
                 "surfaces": shot.surfaces,
                 "is_antialiased": shot.is_antialiased,
-                "seed": (seed + 7919 * number) % (1 << 31),
+                "seed": (seed + SEED_STEP * number) % (1 << 31),
             }
-            self.seconds.append(self._ask(request)["seconds"])
+            self._ask(request)
+            # Files, because pictures through a pipe would have to be encoded in JSON.
             images.append(np.load(out))
         return images
 
     def _load(self, scene: FrameScene) -> None:
-        """Hand over what has changed since the last call."""
+        """Send the meshes that have changed since the last call."""
         static = scene.static
+        # By identity: the static scene is one object for all frames of a log.
         if static is not self._static:
             self._ask({"do": "remove", "prefix": ""})
             for k, (mesh, normals) in enumerate(zip(static.meshes, static.normals, strict=True)):
@@ -162,18 +151,25 @@ class Cycles:
         if len(mesh.faces) == 0:
             return
         path = Path(self._folder.name) / "mesh.npz"
-        np.savez(path, **_arrays(corner_mesh(mesh, normals)))
+        # A mesh without texture has no array for it.
+        arrays = vars(corner_mesh(mesh, normals)).items()
+        np.savez(path, **{key: array for key, array in arrays if array is not None})
         self._ask({"do": "mesh", "name": name, "path": str(path), "is_visible": is_visible})
 
     def _light_request(self, shot: Shot) -> dict[str, Any]:
+        # The sun is a lamp of its own: in the dome it would be a few bright texels, and noisy.
         rest, sun = split_sun(shot.dome)
         path = Path(self._folder.name) / "sky.npz"
         light = rest if shot.has_sky else np.zeros_like(rest)
         np.savez(path, light=light, seen=shot.dome.radiance)
         return {"sky": str(path), "sun": _sun_request(sun) if shot.has_sun else None}
 
-    def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
-        """One request, one reply."""
+    def _ask(self, request: dict[str, Any]) -> None:
+        """Send one request and wait until it is done.
+
+        Raises:
+            LightSimError: the request failed, or the process ended.
+        """
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         try:
@@ -181,6 +177,7 @@ class Cycles:
             self._process.stdin.flush()
             line = self._process.stdout.readline()
         except BrokenPipeError:
+            # A crash of Blender, often for lack of memory.
             line = ""
         reply = json.loads(line) if line else {"error": "the process ended", "trace": ""}
         if "error" in reply:
@@ -190,19 +187,19 @@ class Cycles:
                 got=" ".join(f"{reply['error']} {self._last_words()}".split()),
                 remedy="Check its bpy (4.5) and the free memory, or choose another --renderer.",
             )
-        return reply
 
     def _last_words(self) -> str:
-        """The end of what Blender printed."""
+        """Return the end of Blender's output."""
         self._noise.flush()
         self._noise.seek(0)
+        # The end has Blender's own error message.
         return self._noise.read().decode(errors="replace")[-800:]
 
 
 def _end(
     process: subprocess.Popen[str], noise: IO[bytes], folder: tempfile.TemporaryDirectory[str]
 ) -> None:
-    """Blender ends when nobody talks to it any more."""
+    """End Blender by closing its pipes, which ends its loop over requests."""
     for pipe in (process.stdin, process.stdout):
         if pipe is not None:
             pipe.close()
@@ -212,7 +209,9 @@ def _end(
 
 
 def _clean_environment() -> dict[str, str]:
-    """The other interpreter must not see this one's packages."""
+    """Return the environment without the variables that would expose this interpreter's
+    packages."""
+    # These variables would make Blender's Python import this environment's NumPy.
     hidden = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
     return {key: value for key, value in os.environ.items() if key not in hidden}
 
@@ -233,9 +232,3 @@ def _sun_request(sun: Sun | None) -> dict[str, Any] | None:
         "irradiance": sun.irradiance.tolist(),
         "angular_radius_deg": sun.angular_radius_deg,
     }
-
-
-def _arrays(mesh: CornerMesh) -> dict[str, Any]:
-    names = ("vertices", "normals", "uv", "colour", "texture", "roughness", "metallic")
-    arrays = {name: getattr(mesh, name) for name in names}
-    return {name: array for name, array in arrays.items() if array is not None}

@@ -1,7 +1,7 @@
-"""Runs inside Blender's Python (module bpy, alone): renders what `cycles.py` asks for.
+"""Worker in Blender's Python (module bpy) that renders the requests of `cycles.py`.
 
-Reads one JSON object a line from standard input and answers each with one line. Imports nothing
-of LightSim, since bpy wants a NumPy of its own.
+Reads one JSON object a line from standard input and replies to each with one line. Imports no
+module of LightSim, since bpy requires another version of NumPy.
 """
 
 from __future__ import annotations
@@ -11,20 +11,15 @@ import json
 import math
 import os
 import sys
-import time
 import traceback
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
-_FILTER_OF_A_POINT_PX = 0.01
-_FAR_M = 1.0e5
-_MOST_MAP_COLUMNS = 4096
-
 
 class Worker:
-    """One Blender scene, changed by requests."""
+    """One Blender scene, modified by requests."""
 
     def __init__(self) -> None:
         self.bpy: Any = importlib.import_module("bpy")
@@ -45,17 +40,15 @@ class Worker:
         self.scene.collection.objects.link(thing)
         return thing
 
-    def answer(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Run the method `do_X` for the X that `request["do"]` names; returns its seconds."""
-        start = time.perf_counter()
+    def answer(self, request: dict[str, Any]) -> None:
+        """Run the method `do_X` for X = `request["do"]`."""
         getattr(self, f"do_{request['do']}")(request)
-        return {"seconds": time.perf_counter() - start}
 
     def do_start(self, request: dict[str, Any]) -> None:
-        """Being asked this proves that bpy works."""
+        """Do nothing: the reply proves that bpy works."""
 
     def do_mesh(self, request: dict[str, Any]) -> None:
-        """Add a mesh from a .npz file of a `corner_mesh.CornerMesh`."""
+        """Add a mesh from the .npz file of a `corner_mesh.CornerMesh`."""
         name = request["name"]
         with np.load(request["path"]) as arrays:
             mesh = _mesh(self.bpy, name, arrays)
@@ -64,10 +57,11 @@ class Worker:
         mesh.materials.append(self.materials[name])
         thing = self._object(name, mesh)
         thing.visible_camera = request["is_visible"]
+        # Blender's offset would move shadow rays off the surface, unlike in the other renderers.
         thing.cycles.shadow_terminator_geometry_offset = 0.0
 
     def do_remove(self, request: dict[str, Any]) -> None:
-        """Remove the meshes whose name starts with a prefix, and all that they own."""
+        """Remove the meshes whose name starts with a prefix, with their materials and textures."""
         data = self.bpy.data
         for name in [n for n in self.materials if n.startswith(request["prefix"])]:
             data.meshes.remove(data.objects[name].data)
@@ -76,7 +70,7 @@ class Worker:
                 data.images.remove(data.images[name])
 
     def do_shot(self, request: dict[str, Any]) -> None:
-        """Render one picture into a .npy file, rows from the top."""
+        """Render one image into a .npy file, rows from the top."""
         for material in self.materials.values():
             _choose_surface(material, request["surfaces"])
         self._set_camera(request)
@@ -87,9 +81,9 @@ class Worker:
         for kind in ("max", "diffuse", "glossy"):
             setattr(cycles, f"{kind}_bounces", request["bounces"])
         is_wide = request["is_antialiased"]
-        # Cycles gives every box a width of 1.
+        # Cycles gives every box a width of 1; so narrow a Gaussian samples the pixel's centre.
         cycles.pixel_filter_type = "BOX" if is_wide else "GAUSSIAN"
-        cycles.filter_width = _FILTER_OF_A_POINT_PX
+        cycles.filter_width = 0.01
         out = Path(request["out"])
         self.scene.render.filepath = str(out.with_suffix(".exr"))
         self.bpy.ops.render.render(write_still=True)
@@ -101,6 +95,7 @@ class Worker:
         pixels = np.empty(width * height * 4, dtype=np.float32)
         image.pixels.foreach_get(pixels)
         self.bpy.data.images.remove(image)
+        # Blender's first row is the lowest.
         return pixels.reshape(height, width, 4)[::-1, :, :3].copy()
 
     def _set_camera(self, request: dict[str, Any]) -> None:
@@ -111,9 +106,11 @@ class Worker:
         render.pixel_aspect_x, render.pixel_aspect_y = max(1.0, fy / fx), max(1.0, fx / fy)
         lens.sensor_fit, lens.sensor_width = "HORIZONTAL", 36.0
         lens.lens = fx / width * 36.0
+        # Shifts are in units of the image's width, in both directions.
         lens.shift_x = (width / 2 - cx) / width
         lens.shift_y = (cy - height / 2) / width
-        lens.clip_start, lens.clip_end = 0.01, _FAR_M
+        lens.clip_start, lens.clip_end = 0.01, 1.0e5
+        # From OpenCV's camera axes to Blender's, which has y up and looks along -z.
         pose = np.array(request["world_from_camera"]) @ np.diag([1.0, -1.0, -1.0, 1.0])
         self.camera.matrix_world = pose.T.tolist()
 
@@ -124,6 +121,7 @@ class Worker:
             light.energy = 0.0
         else:
             level = max(sun["irradiance"])
+            # Blender separates the strength of a lamp from its colour.
             light.energy = level
             light.color = [value / level for value in sun["irradiance"]]
             light.angle = math.radians(2 * sun["angular_radius_deg"])
@@ -135,9 +133,10 @@ class Worker:
 
 
 def _settings(scene: Any) -> None:
-    """Unbiased: nothing clamped, blurred, denoised or stopped early."""
+    """Set unbiased rendering: nothing clamped, blurred, denoised or stopped early."""
     scene.render.engine = "CYCLES"
     scene.render.resolution_percentage = 100
+    # Blender's render data of unchanged meshes is reused between shots.
     scene.render.use_persistent_data = True
     scene.render.image_settings.file_format = "OPEN_EXR"
     scene.render.image_settings.color_depth = "32"
@@ -150,11 +149,12 @@ def _settings(scene: Any) -> None:
     cycles.blur_glossy = 0.0
     cycles.light_sampling_threshold = 0.0
     cycles.caustics_reflective = True
+    # No material of a twin is transparent.
     cycles.transmission_bounces = cycles.volume_bounces = cycles.transparent_max_bounces = 0
 
 
 def _mesh(bpy: Any, name: str, arrays: Any) -> Any:
-    """Faces that share no vertices."""
+    """Return a Blender mesh with separate vertices of each face."""
     corners = len(arrays["vertices"])
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(corners)
@@ -167,6 +167,7 @@ def _mesh(bpy: Any, name: str, arrays: Any) -> Any:
     mesh.polygons.foreach_set("use_smooth", np.ones(corners // 3, dtype=bool))
     normals = mesh.attributes.new("custom_normal", "FLOAT_VECTOR", "CORNER")
     normals.data.foreach_set("vector", arrays["normals"].ravel())
+    # Blender's v points up.
     uv = arrays["uv"].copy()
     uv[:, 1] = 1 - uv[:, 1]
     mesh.uv_layers.new(name="uv").data.foreach_set("uv", uv.ravel())
@@ -180,7 +181,7 @@ def _mesh(bpy: Any, name: str, arrays: Any) -> Any:
 
 
 def _image(bpy: Any, name: str, pixels: np.ndarray) -> Any:
-    """A linear picture; Blender's first row is the lowest."""
+    """Return a linear image; Blender's first row is the lowest."""
     height, width = pixels.shape[:2]
     image = bpy.data.images.new(name, width, height, float_buffer=True, is_data=True)
     full = np.concatenate([pixels[::-1], np.ones((height, width, 1), np.float32)], axis=2)
@@ -190,7 +191,7 @@ def _image(bpy: Any, name: str, pixels: np.ndarray) -> Any:
 
 
 def _material(bpy: Any, name: str, texture: np.ndarray | None) -> Any:
-    """Principled, diffuse and white-to-the-camera shaders side by side."""
+    """Return a material with Principled, diffuse and white-to-the-camera shaders side by side."""
     material = bpy.data.materials.new(name)
     material.use_nodes = True
     tree = material.node_tree
@@ -213,6 +214,7 @@ def _material(bpy: Any, name: str, texture: np.ndarray | None) -> Any:
     for key in ("diffuse", "white"):
         nodes.new("ShaderNodeBsdfDiffuse").name = key
     links.new(nodes["diffuse"].inputs["Color"], source)
+    # White for camera rays only: reflections between surfaces have their base colour.
     mixed = nodes.new("ShaderNodeMixRGB")
     links.new(mixed.inputs[0], nodes.new("ShaderNodeLightPath").outputs["Is Camera Ray"])
     links.new(mixed.inputs[1], source)
@@ -236,7 +238,7 @@ def _choose_surface(material: Any, surfaces: str) -> None:
 
 
 def _world_nodes(world: Any) -> None:
-    """The sky that gives light, and for camera rays the dome with its sun."""
+    """Build the sky that gives light, and for camera rays the dome with its sun."""
     world.use_nodes = True
     nodes, links = world.node_tree.nodes, world.node_tree.links
     nodes.clear()
@@ -256,7 +258,7 @@ def _world_nodes(world: Any) -> None:
 
 
 def _set_world(bpy: Any, world: Any, arrays: Any, prefix: str) -> None:
-    """Cycles keeps pictures by name, so each sky has a name of its own."""
+    """Load the sky's images; Cycles caches images by name, so each sky has a new name."""
     for key in ("light", "seen"):
         node = world.node_tree.nodes[key]
         old = node.image
@@ -264,12 +266,13 @@ def _set_world(bpy: Any, world: Any, arrays: Any, prefix: str) -> None:
         if old is not None:
             bpy.data.images.remove(old)
     columns = 2 * arrays["light"].shape[1]
-    world.cycles.sample_map_resolution = min(_MOST_MAP_COLUMNS, max(256, columns))
+    # Resolution of importance sampling, bounded for memory.
+    world.cycles.sample_map_resolution = min(4096, max(256, columns))
     world.update_tag()
 
 
 def _turned_towards(direction: np.ndarray) -> np.ndarray:
-    """A pose whose z axis has a direction: lamps shine along -z."""
+    """Return a pose whose z axis has the given direction, since lamps emit along -z."""
     z = direction / np.linalg.norm(direction)
     x = np.cross([1.0, 0.0, 0.0] if abs(z[0]) < 0.9 else [0.0, 1.0, 0.0], z)
     x /= np.linalg.norm(x)
@@ -279,23 +282,24 @@ def _turned_towards(direction: np.ndarray) -> np.ndarray:
 
 
 def serve(requests: IO[str], replies: IO[str]) -> None:
-    """Answer requests until their end, one line of JSON each; Blender starts with the first.
+    """Reply to requests until their end, one line of JSON each; Blender starts with the first.
 
-    A request that fails is answered with `error` and `trace`, and the next one is read.
+    The reply of a request that fails has `error` and `trace`, and the next request is read.
     """
     worker = None
     for line in requests:
         try:
             worker = worker or Worker()
-            reply = worker.answer(json.loads(line))
-        except Exception as error:  # noqa: BLE001 - every failure is told to the caller
+            worker.answer(json.loads(line))
+            reply: dict[str, str] = {}
+        except Exception as error:  # noqa: BLE001 - every failure is reported to the caller
             reply = {"error": f"{type(error).__name__}: {error}", "trace": traceback.format_exc()}
         replies.write(json.dumps(reply) + "\n")
         replies.flush()
 
 
 if __name__ == "__main__":
-    # Blender prints to standard output: replies get a descriptor of their own.
+    # Blender prints to standard output, so replies use a duplicate of its descriptor.
     own = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     serve(sys.stdin, own)

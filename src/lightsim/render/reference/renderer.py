@@ -1,4 +1,4 @@
-"""What the reference renderers (Mitsuba, Cycles) have in common: shots, and frames made of them."""
+"""Common part of the reference renderers (Mitsuba, Cycles): shots, and frames made from them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lightsim.core.mesh import TriMesh
 from lightsim.core.resample import resize_sphere
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
-from lightsim.render.gbuffers import render_gbuffers, with_ambient_occlusion
+from lightsim.render.gbuffers import render_gbuffers
 from lightsim.render.scene import FrameScene, make_static_scene, place
 from lightsim.render.transport.matrix import TransportConfig, trace_transport
 from lightsim.render.transport.sun import unshadowed_sun
@@ -26,23 +26,23 @@ from lightsim.render.transport.sun import unshadowed_sun
 Surfaces = Literal["principled", "diffuse", "white"]
 Picture = Float32[np.ndarray, "_ _ 3"]
 """Linear radiance of the pixels of a camera."""
-_IRRADIANCE_ROWS = 64
+# Step of the random seed from shot to shot: a prime, so that shots of close seeds differ.
+SEED_STEP = 7919
 
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One picture that a reference renderer is to take.
+    """One image for a reference renderer.
 
     Args:
-        dome: the sky. Its sun (`core.dome.split_sun`) shines as a disc of its own.
+        dome: the sky. Its sun (`core.dome.split_sun`) is rendered as a separate disc.
         samples: paths per pixel.
-        bounces: reflections from surface to surface before the light; 0 is direct light alone.
-        surfaces: "principled" with roughness and metallic; "diffuse": Lambert everywhere, or
-            "white": diffuse, and the surface that the camera sees is white, so that the picture is
-            irradiance / pi.
-        has_sky: whether the dome without its sun gives light.
-        has_sun: whether its sun does.
-        is_antialiased: averages over the pixel; otherwise all paths go through its centre.
+        bounces: reflections from surface to surface before the light; 0 is direct light only.
+        surfaces: "principled": with roughness and metallic; "diffuse": Lambert everywhere; "white":
+            diffuse, and surfaces are white for camera rays, so that the image is irradiance / pi.
+        has_sky: the dome without its sun gives light.
+        has_sun: its sun gives light.
+        is_antialiased: average over the pixel; otherwise all paths start at its centre.
     """
 
     dome: SkyDome
@@ -56,7 +56,7 @@ class Shot:
 
 @runtime_checkable
 class ReferenceTracer(Protocol):
-    """Takes shots of a scene: linear radiance, the sky behind surfaces included."""
+    """Renderer of shots of a scene: linear radiance, with the sky behind surfaces."""
 
     def shoot(
         self,
@@ -66,20 +66,20 @@ class ReferenceTracer(Protocol):
         shots: Sequence[Shot],
         seed: int,
     ) -> list[Picture]:
-        """One picture a shot, in their order; `seed` draws the paths.
+        """Return one image a shot, in their order.
 
         Args:
-            view: where the camera is; a transform is `world_from_camera` of one moment.
+            view: a recorded frame, or the pose world_from_camera of a static camera.
         """
         ...
 
 
 class ReferenceRenderer:
-    """As `scene_setup.FrameRenderer`, with the light path traced anew for every sky.
+    """Renderer like `frame_renderer.FrameRenderer` that traces light anew for every sky.
 
     Args:
         background: static mesh.
-        inferred: mesh that gives shadows and light, and is seen if `inferred_is_visible`.
+        inferred: mesh that blocks and reflects light; visible to cameras if `inferred_is_visible`.
         tracer: `render.reference.path_tracer.PathTracer` or `render.reference.cycles.Cycles`.
         samples: paths per pixel.
         bounces: as in `Shot`.
@@ -108,39 +108,42 @@ class ReferenceRenderer:
         self._seed = seed
 
     def prepare(self, sky: SkyDome, behind: SkyDome | None = None) -> SkyDome:
-        """A sky made ready once for many frames: as it is, behind the street too."""
+        """Return the sky itself; cameras show it behind surfaces too, instead of `behind`."""
         return sky
 
     def scene(self, scenario: Scenario, time_ns: int) -> FrameScene:
-        """The static meshes and the scenario's actors where they are at `time_ns`."""
+        """Return the static meshes and the scenario's actors at their poses at `time_ns`."""
         return place(self._static, scenario, time_ns)
 
     def geometry(self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera) -> GBuffers:
-        """Geometry buffers alone (ambient occlusion 1)."""
+        """Return the geometry buffers (ambient occlusion 1)."""
         return render_gbuffers(self.scene(scenario, frame.time_ns), camera, frame)
 
     def trace(
         self, scenario: Scenario, frame: CameraFrame, camera: PinholeCamera
     ) -> ReferenceFrame:
-        """The geometry of a frame, ready for any number of skies."""
+        """Return the geometry of a frame, ready for any number of skies."""
         scene = self.scene(scenario, frame.time_ns)
         buffers = render_gbuffers(scene, camera, frame)
+        # Ambient occlusion needs few rays and no bounce.
         occlusion = TransportConfig(sky_rays=16, face_rays=0)
         table = trace_transport(scene, buffers, occlusion, self._seed)
-        buffers = with_ambient_occlusion(buffers, table.ambient_occlusion)
+        buffers = replace(buffers, ambient_occlusion=table.ambient_occlusion)
         return ReferenceFrame(self, scene, frame, camera, buffers)
 
     def shoot(self, traced: ReferenceFrame, shots: Sequence[Shot]) -> list[Picture]:
-        """Pictures of a frame."""
+        """Return images of a frame."""
         return self._tracer.shoot(traced.scene, traced.camera, traced.frame, shots, self._seed)
 
     def shot_of_image(self, sky: SkyDome) -> Shot:
-        """Principled surfaces, anti-aliased."""
+        """Return the shot of radiance: Principled surfaces, anti-aliased."""
         return Shot(sky, self._samples, self._bounces)
 
     def shots_of_light(self, sky: SkyDome) -> list[Shot]:
-        """The direct sun, the direct sky, and all light, each on white pixels."""
+        """Return the shots of the direct sun, the direct sky, and all light, each on white
+        surfaces."""
         whole = Shot(sky, self._samples, self._bounces, "white", is_antialiased=False)
+        # The direct sun has less noise than the sky, so a quarter of the paths is used.
         sun = replace(whole, bounces=0, has_sky=False, samples=max(4, self._samples // 4))
         return [sun, replace(whole, bounces=0, has_sun=False), whole]
 
@@ -150,9 +153,9 @@ class ReferenceFrame:
     """One frame of a `ReferenceRenderer`, ready for any number of skies.
 
     Args:
-        renderer: that traced it.
+        renderer: its renderer.
         scene: at the frame's time.
-        frame: what is rendered.
+        frame: to render.
         camera: of the frame.
         buffers: its geometry, with ambient occlusion.
     """
@@ -164,20 +167,23 @@ class ReferenceFrame:
     buffers: GBuffers
 
     def light(self, sky: SkyDome) -> ShadowBuffers:
-        """Light under one sky at pixel centres. The bounce is a difference of independent
-        renderings: sampling noise can make it slightly negative, its mean is right."""
+        """Return the light of one sky at pixel centres.
+
+        The bounce is a difference of independent renderings: sampling noise can make it slightly
+        negative, but its mean is unbiased.
+        """
         pictures = self.renderer.shoot(self, self.renderer.shots_of_light(sky))
         return _shadow_buffers(self.buffers, sky, pictures)
 
     def image(self, sky: SkyDome) -> Picture:
-        """Radiance under one sky: Principled surfaces, anti-aliased, the sky behind them."""
+        """Return radiance under one sky: Principled surfaces, anti-aliased, the sky behind them."""
         return self.renderer.shoot(self, [self.renderer.shot_of_image(sky)])[0]
 
 
 def _shadow_buffers(buffers: GBuffers, sky: SkyDome, images: Sequence[Picture]) -> ShadowBuffers:
-    """The light of one sky from its three shots (`ReferenceRenderer.shots_of_light`)."""
-    seen = buffers.has_surface[..., None]
-    sun, open_sky, whole = (np.where(seen, image, np.float32(0)) for image in images)
+    """Return the light of one sky from its three shots (`ReferenceRenderer.shots_of_light`)."""
+    surface = buffers.has_surface[..., None]
+    sun, open_sky, whole = (np.where(surface, image, np.float32(0)) for image in images)
     normals = buffers.normal_world[buffers.has_surface]
     rest, disc = split_sun(sky)
     sun_alone = np.zeros_like(sun)
@@ -185,6 +191,7 @@ def _shadow_buffers(buffers: GBuffers, sky: SkyDome, images: Sequence[Picture]) 
         sun_alone[buffers.has_surface] = unshadowed_sun(normals, disc)
     open_alone = np.zeros_like(sun)
     open_alone[buffers.has_surface] = open_irradiance_over_pi(rest, normals)
+    # Visibility is the ratio of the rendered and the unoccluded sun, 0 on surfaces that face away.
     level = sun_alone.sum(axis=-1)
     fraction = sun.sum(axis=-1) / np.where(level > 0, level, 1)
     visibility = np.where(level > 0, np.clip(fraction, 0, 1), 0)
@@ -201,9 +208,11 @@ def _shadow_buffers(buffers: GBuffers, sky: SkyDome, images: Sequence[Picture]) 
 def open_irradiance_over_pi(
     radiance: Float32[np.ndarray, "a b 3"], normals_world: Float[np.ndarray, "n 3"]
 ) -> Float32[np.ndarray, "n 3"]:
-    """What a white Lambert surface shows under a dome that nothing hides, any normal."""
-    rows = _IRRADIANCE_ROWS
+    """Return irradiance / pi of an unoccluded dome on surfaces of any normal."""
+    # Irradiance varies slowly with the normal: a table of 2.8 degrees is fine enough.
+    rows = 64
     cells = resize_sphere(radiance, rows)
+    # The same directions serve as normals and as directions of light: one small matrix product.
     towards = pixel_directions(rows).reshape(-1, 3)
     solid = np.broadcast_to(solid_angles_sr(rows), (rows, 2 * rows)).reshape(-1, 1)
     cosine = np.maximum(towards @ towards.T, 0.0)

@@ -1,4 +1,4 @@
-"""Faces that rays meet: the sky each of them sees, traced once and kept."""
+"""Faces that pixel rays meet: the sky visible from each face, traced once and cached."""
 
 from __future__ import annotations
 
@@ -16,48 +16,48 @@ from lightsim.render.transport.sides import OPEN, SideFinder
 
 # Rays in memory at once. Not measured alone; peaks are in docs/benchmarks/memory.md.
 TILE_RAYS = 1 << 19
-
+# Texture samples whose mean is the base colour of a face. Chosen; sensitivity not measured.
 _TEXELS = 16
-"""Texels whose mean is the base colour of a face."""
-
-
-# Rows of the equirectangular grid of sky cells (2 degrees each at 90); at most 180.
+# Rows of the equirectangular grid of environment cells, 2 degrees each. At most 180, since cells
+# are numbered in 16 bits and 65535 is reserved.
 SKY_CELL_ROWS = 90
 
 
 @dataclass(frozen=True)
 class TransportConfig:
-    """The light transport matrix and the sun rays."""
+    """Settings of the light transport matrix and of sun rays."""
 
     sky_rays: int = 32
     """Rays per traced pixel over the hemisphere."""
     face_rays: int = 16
-    """Rays per face that a pixel ray met, for the bounce; 0 leaves the bounce out."""
+    """Rays per face that a pixel ray met, for the bounce; 0: no bounce."""
     sun_rays: int = 4
     """Rays per pixel over the solar disc."""
     face_sun_rays: int = 2
     """Sun rays per met face."""
     shading_step_px: int = 2
-    """One pixel in this many, along rows and columns, is traced; sun rays start from all."""
+    """One pixel in this many, along rows and columns, is traced; sun rays start from all pixels."""
     filter_radius: int = 1
-    """Traced neighbours over which sky and bounce light are smoothed along surfaces."""
+    """Radius, in traced pixels, over which sky and bounce light are smoothed along surfaces."""
     bounces: int = 1
-    """Of light between surfaces. 2 takes a second level of faces and rays; more cost sums only."""
+    """Bounces between surfaces. 2 needs a second level of faces and rays; more cost sums only."""
     pixel_samples: int = 1
-    """Points of every pixel that are looked at, a square number; 1 takes the centre."""
+    """Samples of every pixel, a square number; 1: the centre."""
     glossy_rays: int = 8
-    """Rays over the specular lobe of each traced pixel, or of each pixel smoother than
-    MATTE_ROUGHNESS where samples are looked at; 0 leaves reflections out."""
+    """Rays over the specular lobe of each traced pixel; with pixel samples, of each pixel smoother
+    than MATTE_ROUGHNESS too. 0: no reflections."""
     device: str = "cpu"
-    """Where the sums over pixel rays are taken: "cpu" (numba), or a device of torch."""
+    """Device of the sums over pixel rays: "cpu" (numba), or a device of torch."""
 
     def __post_init__(self) -> None:
         if self.bounces < 1:
-            raise InputError("light bounces at least once", got=self.bounces, expected="1 or more")
+            raise InputError(
+                "the number of bounces is too small", got=self.bounces, expected="1 or more"
+            )
         side = round(max(self.pixel_samples, 0) ** 0.5)
         if side < 1 or side * side != self.pixel_samples or self.pixel_samples > 225:
             raise InputError(
-                "the samples of a pixel form a square grid",
+                "the number of samples of a pixel is not a square number",
                 got=self.pixel_samples,
                 expected="1, 4, 9, 16 ... up to 225",
             )
@@ -65,16 +65,16 @@ class TransportConfig:
 
 @dataclass(frozen=True, eq=False)
 class FaceSamples:
-    """Faces that rays met, each seen from one side, and the sky that they see.
+    """Sides of faces that rays met, and the sky visible from each.
 
     Args:
-        sun_points_world: where its sun rays start.
-        normals_world: unit, on the side that was met.
+        sun_points_world: start points of the sun rays.
+        normals_world: unit vectors, on the side that was met.
         base_colour: mean over the face.
-        sky_cells: one for each face ray, `kernels.BLOCKED` where geometry is met.
+        sky_cells: environment cell of each face ray, `kernels.BLOCKED` if it meets geometry.
+        confidence: of the colour on the side that was met; 0 if no camera observed it.
         next_rows: rows of these samples that the face rays meet, -1 for none, for further bounces.
-        confidence: of the colour on the side that was met; 0 where no camera saw it.
-        bounces: of light, the one from these faces to what they were met from included.
+        bounces: number of bounces, including the one from these faces to the surfaces they light.
     """
 
     sun_points_world: Float32[np.ndarray, "f s 3"]
@@ -87,10 +87,11 @@ class FaceSamples:
 
 
 class FaceTable:
-    """Sky seen by faces of a fixed list of meshes, traced when first asked for and kept.
+    """Sky visible from the faces of a fixed list of meshes, traced on first use and cached.
 
-    Keep one over the static meshes for all frames of a log: what a wall sees of the sky does
-    not change (actors in front of it are left out there; they do cast sun shadows on it).
+    Use one table over the static meshes for all frames of a log, because the sky visible from a
+    wall does not change. Actors in front of the wall do not block its sky in this table, but they
+    cast sun shadows on it.
     """
 
     def __init__(
@@ -101,6 +102,7 @@ class FaceTable:
         self._caster = caster
         self._config = config
         self._seed = seed
+        # Row of each side's samples, -1 before it is traced.
         self._row_by_side = np.full(2 * self._first_face[-1], -1, dtype=np.int32)
         self._cells = np.zeros((0, config.face_rays), dtype=np.uint16)
         self._next = np.zeros((0, config.face_rays), dtype=np.int32)
@@ -108,15 +110,16 @@ class FaceTable:
 
     @property
     def face_count(self) -> int:
-        """Faces of all meshes together; each has two sides."""
+        """Number of faces of all meshes; each has two sides."""
         return int(self._first_face[-1])
 
     def samples(self, sides: Int64[np.ndarray, " f"]) -> FaceSamples:
-        """Samples of sides: 2 x (running face number) + (1 where seen from the back)."""
+        """Return the samples of sides, each 2 x (running face number) + (1 for the back)."""
         rows = self._rows(sides)
         corners, normals = self._geometry(sides)
         count = max(1, self._config.face_sun_rays)
         points = self._points(sides, corners, count).reshape(-1, 3)
+        # Sun rays start from several points of a face, since a shadow's edge may cross it.
         starts = offset_origins(points, np.repeat(normals, count, axis=0))
         return FaceSamples(
             starts.reshape(-1, count, 3),
@@ -127,13 +130,15 @@ class FaceTable:
         )
 
     def next_sides(self, sides: Int64[np.ndarray, " f"]) -> Int32[np.ndarray, "f m"]:
-        """Sides that the face rays meet, counted over the caster's meshes, or OPEN; known where
-        the config has several bounces."""
+        """Return the sides that the face rays meet, numbered over the caster's meshes, or OPEN.
+
+        Available only if the config has several bounces.
+        """
         rows = self._rows(sides)
         return self._next[rows]
 
     def _rows(self, sides: Int64[np.ndarray, " f"]) -> Int32[np.ndarray, " f"]:
-        """Rows of the sides, which are traced where they are new."""
+        """Return the rows of the sides; new sides are traced."""
         new = sides[self._row_by_side[sides] < 0]
         if len(new):
             self._row_by_side[new] = len(self._cells) + np.arange(len(new), dtype=np.int32)
@@ -146,21 +151,23 @@ class FaceTable:
     def _geometry(
         self, sides: Int64[np.ndarray, " f"]
     ) -> tuple[Float32[np.ndarray, "f 3 3"], Float32[np.ndarray, "f 3"]]:
-        """Corners and normals of the sides."""
+        """Return corners and normals of the sides."""
         faces = sides >> 1
         corners = np.zeros((len(sides), 3, 3), dtype=np.float32)
         for mesh, rows, own in self._by_mesh(faces):
             corners[rows] = mesh.vertices[mesh.faces[own]]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(normals, axis=1, keepdims=True)
-        turn = np.where(sides & 1, -1.0, 1.0)[:, None]
+        sign = np.where(sides & 1, -1.0, 1.0)[:, None]
+        # Degenerate faces have no normal; any unit vector keeps their rays finite.
         unit = np.where(length > 0, normals / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
-        return corners, (turn * unit).astype(np.float32)
+        return corners, (sign * unit).astype(np.float32)
 
     def _by_mesh(
         self, faces: Int64[np.ndarray, " f"]
     ) -> Iterator[tuple[TriMesh, Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]]:
-        """Each mesh, which of some faces are its own, and their numbers in it."""
+        """Yield each mesh with the rows of the given faces that belong to it, and their numbers in
+        it."""
         for k, mesh in enumerate(self._meshes):
             low, high = self._first_face[k], self._first_face[k + 1]
             rows = np.flatnonzero((faces >= low) & (faces < high))
@@ -168,8 +175,10 @@ class FaceTable:
                 yield mesh, rows, faces[rows] - low
 
     def _mean_colour(self, sides: Int64[np.ndarray, " f"]) -> Float32[np.ndarray, "f 3"]:
-        """Mean base colour of the sides' faces: of the texture, which has shades that its mean at
-        vertices has not, where there is one."""
+        """Return the mean base colour of the sides' faces, from the texture if there is one.
+
+        A texture has shades that the mean of the vertex colours lacks.
+        """
         from lightsim.render.transport.kernels import mean_texels
 
         colour = np.zeros((len(sides), 3), dtype=np.float32)
@@ -185,11 +194,13 @@ class FaceTable:
         return colour
 
     def _confidence(self, sides: Int64[np.ndarray, " f"]) -> Float32[np.ndarray, " f"]:
-        """Mean over the corners of fronts; colours of faces are those of their fronts."""
+        """Return the mean confidence over the corners; 0 for back sides, whose colour was not
+        observed."""
         confidence = np.ones(len(sides), dtype=np.float32)
         for mesh, rows, own in self._by_mesh(sides >> 1):
             if mesh.confidence is not None:
                 confidence[rows] = mesh.confidence[mesh.faces[own]].mean(axis=1)
+        # Cameras observe the front of a reconstructed face.
         return np.where(sides & 1, np.float32(0.0), confidence)
 
     def _points(
@@ -204,8 +215,10 @@ class FaceTable:
     def _trace(
         self, sides: Int64[np.ndarray, " f"]
     ) -> tuple[UInt16[np.ndarray, "f m"], Int32[np.ndarray, "_ m"]]:
-        """Sky cells of the rays, BLOCKED where geometry is met; and which side that is, where
-        the config has several bounces."""
+        """Return the environment cells of the rays, BLOCKED if geometry is met.
+
+        With several bounces, the second array has the side that each ray meets.
+        """
         from lightsim.render.transport.kernels import BLOCKED
 
         rays = self._config.face_rays
@@ -213,14 +226,18 @@ class FaceTable:
         met = np.full((len(sides) if self._config.bounces > 1 else 0, rays), OPEN, dtype=np.int32)
         finder = SideFinder(self._caster) if self._config.bounces > 1 else None
         tile = max(1, TILE_RAYS // max(1, rays))
+        # Each ray starts from its own point of the face, so that large faces are sampled over their
+        # area.
         for start in range(0, len(sides) if rays else 0, tile):
             part = slice(start, start + tile)
             corners, normals = self._geometry(sides[part])
             shifts = hashed_shifts(sides[part], self._seed)
-            directions, found = hemisphere_directions(normals, shifts, rays, SKY_CELL_ROWS)
+            directions, found = hemisphere_directions(normals, shifts, rays)
             points = self._points(sides[part], corners, rays).reshape(-1, 3)
             origins = offset_origins(points, np.repeat(normals, rays, axis=0))
             flat = directions.reshape(-1, 3)
+            # Further bounces need the side that is met; one bounce needs only whether the sky is
+            # hidden.
             if finder is not None:
                 met[part] = finder.met(origins, flat).reshape(-1, rays)
                 is_blocked = met[part] != OPEN
@@ -231,28 +248,32 @@ class FaceTable:
 
 
 def hemisphere_directions(
-    normals: Float32[np.ndarray, "n 3"], shifts: Float32[np.ndarray, "n 2"], rays: int, rows: int
+    normals: Float32[np.ndarray, "n 3"], shifts: Float32[np.ndarray, "n 2"], rays: int
 ) -> tuple[Float32[np.ndarray, "n k 3"], UInt16[np.ndarray, "n k"]]:
-    """Cosine-stratified unit directions about each normal, and the sky cell each points at.
+    """Return cosine-stratified unit directions about each normal, and the environment cell of each.
 
     Args:
-        normals: unit.
-        shifts: of each point's pattern, in [0, 1).
+        shifts: offsets of each point's pattern, in [0, 1).
         rays: directions for each normal.
-        rows: of the sky's cells, twice as many columns; cell = row * 2 rows + column.
+
+    Returns:
+        Directions, and cells as row * 2 * SKY_CELL_ROWS + column.
     """
     from lightsim.render.transport.kernels import hemisphere_rays
 
     directions = np.empty((len(normals), rays, 3), dtype=np.float32)
     cells = np.empty((len(normals), rays), dtype=np.uint16)
-    hemisphere_rays(normals, shifts, rays, rows, directions, cells)
+    hemisphere_rays(normals, shifts, rays, SKY_CELL_ROWS, directions, cells)
     return directions, cells
 
 
 def hashed_shifts(numbers: Int64[np.ndarray, " n"], seed: int) -> Float32[np.ndarray, "n 2"]:
-    """Two uniform numbers in [0, 1) for each integer (SplitMix64; Steele et al. 2014,
-    doi:10.1145/2660193.2660195)."""
+    """Return two uniform numbers in [0, 1) for each integer.
+
+    SplitMix64 (Steele et al. 2014, doi:10.1145/2660193.2660195).
+    """
     shifts = np.empty((len(numbers), 2), dtype=np.float32)
+    # Unsigned overflow is part of the hash.
     for axis in range(2):
         with np.errstate(over="ignore"):
             z = numbers.astype(np.uint64) * np.uint64(2) + np.uint64(2 * seed * 1000003 + axis)
@@ -266,9 +287,13 @@ def hashed_shifts(numbers: Int64[np.ndarray, " n"], seed: int) -> Float32[np.nda
 def pixel_shifts(
     rows: Int64[np.ndarray, " n"], columns: Int64[np.ndarray, " n"], step: int, seed: int
 ) -> Float32[np.ndarray, "n 2"]:
-    """One coordinate by interleaved gradient noise (Jimenez 2014), which covers [0, 1) evenly in
-    every 3x3 neighbourhood, as the smoothing afterwards wants; the other by hashing, since two
-    such patterns together show as stripes."""
+    """Return two numbers in [0, 1) for each pixel.
+
+    The first is interleaved gradient noise (Jimenez 2014), which covers [0, 1) evenly in every 3 x
+    3 neighbourhood, as the later smoothing requires. The second is hashed, since two such patterns
+    together would be visible as stripes.
+    """
+    # A random offset gives each seed another pattern.
     offset = np.random.default_rng(seed).random(2) * 64.0
     i, j = rows // step + offset[0], columns // step + offset[1]
     u = (52.9829189 * ((0.06711056 * j + 0.00583715 * i) % 1.0)) % 1.0

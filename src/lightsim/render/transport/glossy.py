@@ -1,7 +1,7 @@
-"""Reflections of smooth surfaces, sample by sample of each pixel; those of rough ones are found
-where diffuse light is, at the traced pixels.
+"""Reflections of smooth surfaces, traced for each sample of each pixel.
 
-What smooth surfaces reflect is missing from their diffuse reflection.
+Reflections of rough surfaces are traced with the diffuse light, at the traced pixels. Energy that a
+smooth surface reflects is subtracted from its diffuse reflection.
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ from lightsim.render.transport.samples import PixelSamples
 from lightsim.render.transport.sides import SideFinder
 from lightsim.render.transport.upsampling import BilateralUpsampling, TracedPixels
 
+# Surfaces smoother than this roughness show sharp reflections, which are not averaged over
+# neighbouring pixels. Chosen; sensitivity not measured.
 _SMOOTHED_ROUGHNESS = 0.2
-"""Surfaces smoother than this show sharp reflections, which must stay sharp."""
 
 
 def glossy_lobes(samples: PixelSamples) -> Lobes:
-    """Lobes of the samples on smooth surfaces."""
+    """Return the specular lobes of the samples on smooth surfaces."""
     points = samples.glossy
     return Lobes(
         samples.ray_starts_world[points.rows],
@@ -37,23 +38,25 @@ def glossy_lobes(samples: PixelSamples) -> Lobes:
 def trace_glossy(
     finder: SideFinder, samples: PixelSamples, config: TransportConfig, seed: int
 ) -> LobeTable:
-    """Trace `glossy_rays` per pixel; `face_rows` still holds sides (`render.transport.sides`)."""
+    """Trace `glossy_rays` rays per pixel; `face_rows` still has sides
+    (`render.transport.sides`)."""
     rows = samples.glossy.rows
     pixel = samples.pixel[rows].astype(np.int64)
     shifts = pixel_shifts(*np.divmod(pixel, samples.coverage.shape[1]), 1, seed + 3)
-    share = samples.number[rows].astype(np.int64), samples.per_pixel
+    part = samples.number[rows].astype(np.int64), samples.per_pixel
     count = max(1, config.glossy_rays // samples.per_pixel)
-    return trace_lobes(finder, glossy_lobes(samples), shifts, count, share)
+    return trace_lobes(finder, glossy_lobes(samples), shifts, count, part)
 
 
 @dataclass(frozen=True, eq=False)
 class ReflectionSmoothing:
-    """Reflections of rough pixels without edges are averaged over their neighbours on the same
-    surface: their lobes are wide, and a few rays a pixel are noisy.
+    """Average of the reflections of rough pixels over neighbours on the same surface.
+
+    Their lobes are wide, and the few rays of one pixel are noisy. Pixels at edges are excluded.
 
     Args:
         pixel: flat numbers of these pixels.
-        spread: weights among them.
+        upsampling: weights among them.
     """
 
     pixel: Int64[np.ndarray, " p"]
@@ -68,9 +71,9 @@ class ReflectionSmoothing:
 def reflection_smoothing(
     samples: PixelSamples, gbuffers: GBuffers, config: TransportConfig
 ) -> ReflectionSmoothing:
-    """Weights of the smoothing, made once for all skies; of no pixel where the config smooths
-    nothing (`filter_radius` 0)."""
+    """Return the smoothing of the rough reflecting pixels of a frame."""
     shape = samples.coverage.shape
+    # Pixels with rough reflections, without those that also have smooth ones or an edge.
     is_rough = np.zeros(samples.coverage.size, dtype=bool)
     is_rough[samples.pixel[samples.glossy.rows]] = config.filter_radius > 0
     is_smooth = samples.glossy.roughness < _SMOOTHED_ROUGHNESS
@@ -84,13 +87,16 @@ def reflection_smoothing(
     near = TracedPixels(
         index.reshape(shape), np.concatenate([position, normal], axis=1), int(shape[1])
     )
+    # Radius 2 in full resolution has the size of radius 1 in blocks of 2 x 2.
     wide = replace(config, shading_step_px=1, filter_radius=2)
-    depth = gbuffers.depth_z_m.reshape(-1)[pixel]
-    return ReflectionSmoothing(pixel, near.upsampling(pixel, position, normal, depth, wide))
+    return ReflectionSmoothing(pixel, near.upsampling_to_centres(pixel, gbuffers, wide))
 
 
 def diffuse_fraction(samples: PixelSamples, table: LobeTable) -> Float32[np.ndarray, "g 3"]:
-    """What diffuse reflection keeps of the base colour: no metal has any, and the energy that the
-    rays reflect is missing, so that a white surface in a white furnace shows 1."""
+    """Return the fraction of the base colour that remains for diffuse reflection.
+
+    It is 0 for metals, and reduced by the energy that the specular rays reflect, so that a white
+    surface in a white furnace has radiance 1.
+    """
     metallic = samples.glossy.metallic
     return ((1 - metallic)[:, None] * (1 - table.albedo)).astype(np.float32)

@@ -17,15 +17,16 @@ from typing import no_type_check
 import numpy as np
 from numba import njit, prange
 
-_GOLDEN = 0.5698402909980532
+from lightsim.render.transport.kernels import GOLDEN_2D
+
+# Least cosine of the viewing direction, a guard: shading normals may lean away from the camera.
 _GRAZING = 1e-3
-"""Least cosine of the viewing direction: shading normals may lean away from the camera."""
 
 
 @njit(cache=True)
 @no_type_check
 def _basis(n):
-    """Tangents of a normal (Duff et al. 2017, JCGT 6(1))."""
+    """Return the tangents of a normal (Duff et al. 2017, JCGT 6(1))."""
     x, y, z = np.float64(n[0]), np.float64(n[1]), np.float64(n[2])
     sign = 1.0 if z >= 0.0 else -1.0
     a = -1.0 / (sign + z)
@@ -36,7 +37,7 @@ def _basis(n):
 @njit(cache=True)
 @no_type_check
 def _local(v, n, t, s):
-    """A vector in the basis (t, s, n)."""
+    """Return a vector in the basis (t, s, n)."""
     x = v[0] * t[0] + v[1] * t[1] + v[2] * t[2]
     y = v[0] * s[0] + v[1] * s[1] + v[2] * s[2]
     return x, y, v[0] * n[0] + v[1] * n[1] + v[2] * n[2]
@@ -45,7 +46,7 @@ def _local(v, n, t, s):
 @njit(cache=True)
 @no_type_check
 def _smith(x, y, z, alpha):
-    """Smith's Lambda of GGX (Heitz 2014, JCGT 3(2))."""
+    """Return Smith's Lambda of GGX (Heitz 2014, JCGT 3(2))."""
     slope = alpha * alpha * (x * x + y * y) / (z * z)
     return 0.5 * (np.sqrt(1.0 + slope) - 1.0)
 
@@ -53,7 +54,8 @@ def _smith(x, y, z, alpha):
 @njit(cache=True)
 @no_type_check
 def _visible_normal(x, y, z, alpha, u, v):
-    """A microfacet normal, drawn in proportion to its area as seen from (x, y, z)."""
+    """Return a microfacet normal, drawn in proportion to its projected area towards (x, y, z)."""
+    # Stretch to the hemisphere of roughness 1 (Heitz 2018, section 3).
     sx, sy, sz = alpha * x, alpha * y, z
     length = np.sqrt(sx * sx + sy * sy + sz * sz)
     sx, sy, sz = sx / length, sy / length, sz / length
@@ -66,6 +68,7 @@ def _visible_normal(x, y, z, alpha, u, v):
     q = (1.0 - mix) * np.sqrt(max(0.0, 1.0 - p * p)) + mix * q
     r = np.sqrt(max(0.0, 1.0 - p * p - q * q))
     hx, hy, hz = p * ax + q * bx + r * sx, p * ay + q * by + r * sy, q * bz + r * sz
+    # Back to the ellipsoid.
     hx, hy, hz = alpha * hx, alpha * hy, max(1e-6, hz)
     length = np.sqrt(hx * hx + hy * hy + hz * hz)
     return hx / length, hy / length, hz / length
@@ -74,11 +77,11 @@ def _visible_normal(x, y, z, alpha, u, v):
 @njit(cache=True, parallel=True)
 @no_type_check
 def reflected_rays(normals, towards_camera, alphas, shifts, part, directions, weights):
-    """Reflected directions for each point: its part of a pattern that several points share.
+    """Write reflected directions of each point: its part of a pattern that several points complete.
 
-    `part` is (which part each point takes, number of parts, directions in each part).
-    `weights` holds two factors of each ray's radiance: the one of the reflectance at normal
-    incidence F0, and the one that is added to it (Schlick: F = F0 (1 - s) + s).
+    `part` is (part of each point, number of parts, directions in each part). `weights` has two
+    factors of each ray's radiance: that of the reflectance F0 at normal incidence, and an added
+    constant (Schlick: F = F0 (1 - s) + s).
     """
     which, parts, count = part
     total = parts * count
@@ -94,7 +97,8 @@ def reflected_rays(normals, towards_camera, alphas, shifts, part, directions, we
         for k in range(count):
             m = k * parts + which[p]
             u = (shifts[p, 0] + (m + 0.5) / total) % 1.0
-            v = (shifts[p, 1] + (m + 1) * _GOLDEN) % 1.0
+            v = (shifts[p, 1] + (m + 1) * GOLDEN_2D[1]) % 1.0
+            # Reflected directions below the surface lose their energy, as in single scattering.
             hx, hy, hz = _visible_normal(x, y, z, alpha, u, v)
             cosine = x * hx + y * hy + z * hz
             lx, ly, lz = 2 * cosine * hx - x, 2 * cosine * hy - y, 2 * cosine * hz - z
@@ -112,7 +116,8 @@ def reflected_rays(normals, towards_camera, alphas, shifts, part, directions, we
 @njit(cache=True, parallel=True)
 @no_type_check
 def reflectance(normals, towards_camera, towards_light, alphas, out):
-    """GGX without Fresnel, times the light's cosine, for one light direction; and Schlick's s.
+    """Write GGX without Fresnel, times the light's cosine, for one light direction; and Schlick's
+    s.
 
     `out[:, 0]` is D G / (4 cos_view), `out[:, 1]` is s.
     """
@@ -130,8 +135,8 @@ def reflectance(normals, towards_camera, towards_light, alphas, out):
         hx, hy, hz = hx / length, hy / length, hz / length
         squared = alphas[p] * alphas[p]
         # 1 - hz^2 from the tangential part: the plain difference loses all digits at hz = 1.
-        spread = hx * hx + hy * hy + squared * hz * hz
-        density = squared / (np.pi * spread * spread)
+        denominator = hx * hx + hy * hy + squared * hz * hz
+        density = squared / (np.pi * denominator * denominator)
         masked = 1.0 + _smith(x, y, z, alphas[p]) + _smith(lx, ly, lz, alphas[p])
         out[p, 0] = density / (4.0 * z * masked)
         out[p, 1] = (1.0 - min(max(lx * hx + ly * hy + lz * hz, 0.0), 1.0)) ** 5
@@ -140,7 +145,7 @@ def reflectance(normals, towards_camera, towards_light, alphas, out):
 @njit(cache=True)
 @no_type_check
 def _bilinear(image, u, v, channel):
-    """Look-up in an equirectangular image at fractions (u, v); wraps around in azimuth."""
+    """Look up an equirectangular image at fractions (u, v); wraps around in azimuth."""
     height, width = image.shape[0], image.shape[1]
     x = u * width - 0.5
     y = min(max(v * height - 0.5, 0.0), height - 1.0)
@@ -156,7 +161,8 @@ def _bilinear(image, u, v, channel):
 @njit(cache=True, parallel=True)
 @no_type_check
 def reflected_light(directions_uv, face_rows, weights, f0, sky, radiosity, out):
-    """Radiance that each point reflects: mean over its rays of what they see."""
+    """Write the radiance that each point reflects: the weighted mean over its rays of sky and
+    faces."""
     count = face_rows.shape[1]
     for p in prange(face_rows.shape[0]):
         total = np.zeros(3)

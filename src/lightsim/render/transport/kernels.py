@@ -1,4 +1,4 @@
-"""The inner loops of the light transport matrix, compiled by numba.
+"""Inner loops of the light transport matrix, compiled by numba.
 
 `no_type_check` keeps the tests' run-time type checker out of compiled code.
 """
@@ -13,21 +13,28 @@ from typing import no_type_check
 import numpy as np
 from numba import njit, prange
 
+# Environment cell of a face ray that meets geometry.
 BLOCKED = np.uint16(65535)
-"""Sky cell of a face ray that meets geometry."""
+# Row of a face that is met but not listed in the frame's table.
 UNLISTED = np.int32(-2)
-"""Row of a face that is met but not among those listed."""
+# Upper bound of the terminator offset, in metres. Chosen; sensitivity not measured.
 MAX_LIFT_M = 0.04
-"""Rays start off their face by no more than this for the sake of smooth normals."""
-_GOLDEN_2D = (0.7548776662466927, 0.5698402909980532)
-"""The R2 sequence (Roberts 2018): even cover of the unit square by any number of points."""
+# Steps of the R2 sequence (Roberts 2018), which covers the unit square evenly with any number of
+# points.
+GOLDEN_2D = (0.7548776662466927, 0.5698402909980532)
+# Distance from a surface's plane within which a point counts as on it, at depth 0, in metres.
+# Chosen; sensitivity not measured.
+SAME_SURFACE_M = 0.02
+# Its growth per metre of depth, since errors of the geometry grow with depth. Chosen likewise.
+SAME_SURFACE_PER_M = 0.004
 
 
 @njit(cache=True, inline="always", fastmath=True)
 @no_type_check
 def _cell_of(x, y, z, rows):
-    """Index of the equirectangular sky cell that a direction falls into."""
+    """Return the environment cell of a direction in the equirectangular grid."""
     row = min(int(np.arccos(min(max(z, -1.0), 1.0)) * (rows / np.pi)), rows - 1)
+    # Column 0 is at azimuth 180 degrees; the modulo below catches directions on that seam.
     columns = 2 * rows
     column = int((0.5 - np.arctan2(y, x) / (2.0 * np.pi)) * columns)
     return row * columns + column % columns
@@ -36,7 +43,7 @@ def _cell_of(x, y, z, rows):
 @njit(cache=True, inline="always", fastmath=True)
 @no_type_check
 def _cosine_direction(nx, ny, nz, u, v):
-    """Cosine-distributed direction about a normal (basis: Duff et al. 2017, JCGT 6(1))."""
+    """Return a cosine-distributed direction about a normal (basis: Duff et al. 2017, JCGT 6(1))."""
     sign = 1.0 if nz >= 0.0 else -1.0
     a = -1.0 / (sign + nz)
     b = nx * ny * a
@@ -51,15 +58,15 @@ def _cosine_direction(nx, ny, nz, u, v):
 @njit(cache=True, parallel=True, fastmath=True)
 @no_type_check
 def hemisphere_rays(normals, shifts, count, rows, directions, cells):
-    """`count` cosine-stratified directions for each normal, and the sky cell of each.
+    """Write `count` cosine-stratified directions of each normal, and the environment cell of each.
 
-    All points use one R2 pattern, turned on the unit torus by their own shift (Cranley and
-    Patterson 1976, doi:10.1137/0713071), so that neighbours make different errors.
+    All points use one R2 pattern, shifted on the unit torus by an offset of each point (Cranley and
+    Patterson 1976, doi:10.1137/0713071), so that neighbours have independent errors.
     """
     for p in prange(normals.shape[0]):
         for k in range(count):
             u = (shifts[p, 0] + (k + 0.5) / count) % 1.0
-            v = (shifts[p, 1] + (k + 1) * _GOLDEN_2D[1]) % 1.0
+            v = (shifts[p, 1] + (k + 1) * GOLDEN_2D[1]) % 1.0
             x, y, z = _cosine_direction(normals[p, 0], normals[p, 1], normals[p, 2], u, v)
             directions[p, k, 0], directions[p, k, 1], directions[p, k, 2] = x, y, z
             cells[p, k] = _cell_of(x, y, z, rows)
@@ -67,9 +74,11 @@ def hemisphere_rays(normals, shifts, count, rows, directions, cells):
 
 @njit(cache=True, inline="always")
 @no_type_check
-def _spread(u, v):
-    """Two barycentric coordinates of a point of a triangle, evenly spread where (u, v) are so
-    over the unit square (Heitz 2019)."""
+def _barycentric(u, v):
+    """Map the unit square to two barycentric coordinates of a triangle, with uniform density.
+
+    Heitz 2019, "A low-distortion map between triangle and square".
+    """
     if v > u:
         return 0.5 * u, v - 0.5 * u
     return u - 0.5 * v, 0.5 * v
@@ -78,12 +87,12 @@ def _spread(u, v):
 @njit(cache=True, parallel=True)
 @no_type_check
 def face_points(corners, shifts, count, points):
-    """`count` points spread evenly over each triangle."""
+    """Write `count` evenly distributed points of each triangle."""
     for f in prange(corners.shape[0]):
         for k in range(count):
-            u = (shifts[f, 0] + (k + 1) * _GOLDEN_2D[0]) % 1.0
-            v = (shifts[f, 1] + (k + 1) * _GOLDEN_2D[1]) % 1.0
-            b, c = _spread(u, v)
+            u = (shifts[f, 0] + (k + 1) * GOLDEN_2D[0]) % 1.0
+            v = (shifts[f, 1] + (k + 1) * GOLDEN_2D[1]) % 1.0
+            b, c = _barycentric(u, v)
             for i in range(3):
                 points[f, k, i] = (
                     (1.0 - b - c) * corners[f, 0, i] + b * corners[f, 1, i] + c * corners[f, 2, i]
@@ -93,15 +102,14 @@ def face_points(corners, shifts, count, points):
 @njit(cache=True)
 @no_type_check
 def mean_texels(image, corner_uv, shifts, count, out):
-    """Mean colour of each triangle of a texture, over `count` points spread evenly over it; of
-    many small meshes, as in `face_normals`."""
+    """Write the mean colour of each triangle of a texture, serially as in `face_normals`."""
     height, width = image.shape[0], image.shape[1]
     for f in range(corner_uv.shape[0]):
         total = np.zeros(3)
         for k in range(count):
-            u = (shifts[f, 0] + (k + 1) * _GOLDEN_2D[0]) % 1.0
-            v = (shifts[f, 1] + (k + 1) * _GOLDEN_2D[1]) % 1.0
-            b, c = _spread(u, v)
+            u = (shifts[f, 0] + (k + 1) * GOLDEN_2D[0]) % 1.0
+            v = (shifts[f, 1] + (k + 1) * GOLDEN_2D[1]) % 1.0
+            b, c = _barycentric(u, v)
             a = 1.0 - b - c
             x = a * corner_uv[f, 0, 0] + b * corner_uv[f, 1, 0] + c * corner_uv[f, 2, 0]
             y = a * corner_uv[f, 0, 1] + b * corner_uv[f, 1, 1] + c * corner_uv[f, 2, 1]
@@ -116,7 +124,7 @@ def mean_texels(image, corner_uv, shifts, count, out):
 @njit(cache=True, parallel=True)
 @no_type_check
 def face_light(cells, sky, out):
-    """Mean sky radiance over the rays of each face; blocked rays bring nothing."""
+    """Write the mean sky radiance over the rays of each face; blocked rays count as 0."""
     count = cells.shape[1]
     for f in prange(cells.shape[0]):
         r = g = b = 0.0
@@ -132,7 +140,7 @@ def face_light(cells, sky, out):
 @njit(cache=True, parallel=True)
 @no_type_check
 def face_bounce(next_rows, radiosity, out):
-    """Mean radiance of the faces that the rays of each face meet."""
+    """Write the mean radiance of the faces that the rays of each face meet."""
     count = next_rows.shape[1]
     for f in prange(next_rows.shape[0]):
         r = g = b = 0.0
@@ -148,8 +156,10 @@ def face_bounce(next_rows, radiosity, out):
 @njit(cache=True, parallel=True)
 @no_type_check
 def fill_unlisted(next_rows):
-    """Rays of a face that meet UNLISTED faces take in turn the rows that its other rays meet; no
-    row where none meets a listed one."""
+    """Replace UNLISTED rows of a face's rays by the rows of the face's other rays, in turn.
+
+    The row becomes -1 if no ray of the face meets a listed face.
+    """
     count = next_rows.shape[1]
     for f in prange(next_rows.shape[0]):
         last = np.int32(-1)
@@ -166,7 +176,7 @@ def fill_unlisted(next_rows):
 @njit(cache=True, parallel=True)
 @no_type_check
 def point_light(cells, face_rows, sky, radiosity, out):
-    """The embedding-bag sum: columns 0-2 open sky, 3-5 light of hit faces, 6-8 all sky."""
+    """Write mean radiance over rays: columns 0-2 open sky, 3-5 light of hit faces, 6-8 all sky."""
     count = cells.shape[1]
     for p in prange(cells.shape[0]):
         total = np.zeros(9)
@@ -185,7 +195,8 @@ def point_light(cells, face_rows, sky, radiosity, out):
 @njit(cache=True, inline="always")
 @no_type_check
 def _likeness(position, normal, other_position, other_normal, tolerance):
-    """How likely two points lie on one smooth surface: 1 same plane and normal, 0 unrelated."""
+    """Return how likely two points lie on one smooth surface: 1 for equal plane and normal, 0
+    unrelated."""
     gap = 0.0
     cosine = 0.0
     for i in range(3):
@@ -193,19 +204,21 @@ def _likeness(position, normal, other_position, other_normal, tolerance):
         cosine += normal[i] * other_normal[i]
     if cosine <= 0.0:
         return 0.0
+    # The eighth power halves the weight at 23 degrees between the normals.
     return cosine**8 * np.exp(-((gap / tolerance) ** 2))
 
 
 @njit(cache=True)
 @no_type_check
 def _neighbours(index, block, grid, offset, surface, traced, rows, weights):
-    """Rows and weights (sum 1) of the traced points that shade one pixel; returns how many.
+    """Write rows and weights (sum 1) of the traced points that light one pixel, and return their
+    number.
 
     `grid` is (step, radius), `offset` the pixel within its block, `surface` its position, normal
-    and depth. The ring outside the radius is searched for the likest point only.
+    and depth. The ring outside the radius is searched for the most likely point only.
     """
     step, radius = grid
-    tolerance = 0.004 * surface[6] + 0.02
+    tolerance = SAME_SURFACE_PER_M * surface[6] + SAME_SURFACE_M
     wide = radius + 1
     found, best_row, best, total = 0, -1, -1.0, 0.0
     for m in range((2 * wide + 1) ** 2):
@@ -216,6 +229,7 @@ def _neighbours(index, block, grid, offset, surface, traced, rows, weights):
         k = index[i, j]
         dr = di + 0.5 - (offset[0] + 0.5) / step
         dc = dj + 0.5 - (offset[1] + 0.5) / step
+        # Gaussian with a standard deviation of one block.
         near = np.exp(-0.5 * (dr * dr + dc * dc))
         likeness = _likeness(surface[:3], surface[3:6], traced[k, :3], traced[k, 3:], tolerance)
         if (likeness + 1e-9) * near > best:
@@ -226,6 +240,7 @@ def _neighbours(index, block, grid, offset, surface, traced, rows, weights):
             found += 1
     if found == 0 and best_row >= 0:
         weights[0], rows[0], total, found = 1.0, best_row, 1.0, 1
+
     weights[:found] /= total if total > 0.0 else 1.0
     return found
 
@@ -233,13 +248,13 @@ def _neighbours(index, block, grid, offset, surface, traced, rows, weights):
 @njit(cache=True, parallel=True)
 @no_type_check
 def spread_weights(traced_pixels, pixel, positions, normals, depths, out_rows, out_weights, count):
-    """Joint bilateral filter from the traced pixels to any points (Kopf et al. 2007,
-    doi:10.1145/1276377.1276497).
+    """Write the weights of joint bilateral upsampling from the traced pixels to any points.
 
-    `index[i, j]` is the row of the traced point of block (i, j), or -1. `traced` holds position
-    and normal of the traced points. Weights: distance in the image, and distance from the point's
-    tangent plane relative to its depth. Where no neighbour is alike, a wider search takes the
-    likest one: thin things must not turn black.
+    Kopf et al. 2007, doi:10.1145/1276377.1276497. `index[i, j]` is the row of the traced point of
+    block (i, j), or -1. `traced` has position and normal of the traced points. Weights fall with
+    the distance in the image, and with the distance from the point's tangent plane relative to its
+    depth. If no neighbour is on the same surface, a wider search takes the most likely one, since
+    thin objects must not become black.
     """
     index, traced, step, radius, width = traced_pixels
     size = (2 * radius + 1) ** 2
@@ -261,7 +276,7 @@ def spread_weights(traced_pixels, pixel, positions, normals, depths, out_rows, o
 @njit(cache=True, parallel=True)
 @no_type_check
 def weighted_rows(rows, weights, count, values, place, out):
-    """Weighted sums of rows of `values`, added to the rows `place` of `out`."""
+    """Add weighted sums of rows of `values` to the rows `place` of `out`."""
     for p in prange(len(rows)):
         for m in range(count[p]):
             for c in range(values.shape[1]):
@@ -271,7 +286,7 @@ def weighted_rows(rows, weights, count, values, place, out):
 @njit(cache=True)
 @no_type_check
 def add_to_pixels(pixel, fraction, values, out):
-    """Add the values of samples, times the fraction that a sample has in its pixel."""
+    """Add the values of samples, times the weight of a sample in its pixel."""
     for p in range(len(pixel)):
         for c in range(values.shape[1]):
             out[pixel[p], c] += fraction[pixel[p]] * values[p, c]
@@ -280,7 +295,7 @@ def add_to_pixels(pixel, fraction, values, out):
 @njit(cache=True)
 @no_type_check
 def mark_rows(numbers, is_met):
-    """Mark the numbers that occur; negative ones are left out."""
+    """Mark the numbers that occur; negative ones are ignored."""
     for i in range(numbers.shape[0]):
         for k in range(numbers.shape[1]):
             if numbers[i, k] >= 0:
@@ -290,7 +305,7 @@ def mark_rows(numbers, is_met):
 @njit(cache=True, parallel=True)
 @no_type_check
 def renumber(numbers, new):
-    """Put new numbers in place of old ones; negative ones stay."""
+    """Replace numbers by new ones, in place; negative ones stay."""
     for i in prange(numbers.shape[0]):
         for k in range(numbers.shape[1]):
             if numbers[i, k] >= 0:
@@ -300,8 +315,10 @@ def renumber(numbers, new):
 @njit(cache=True)
 @no_type_check
 def face_normals(vertices, faces, out):
-    """Normals of faces, not of unit length. Meshes are many and small: waking threads for each
-    costs more than the work."""
+    """Write the normals of faces, not of unit length.
+
+    Serial: meshes are many and small, and starting threads for each would cost more than the work.
+    """
     for f in range(len(faces)):
         a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
         out[f, 0] = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
@@ -312,7 +329,7 @@ def face_normals(vertices, faces, out):
 @njit(cache=True, parallel=True)
 @no_type_check
 def sides_of_hits(first_face, normals, mesh_index, face_index, directions, out):
-    """2 x (running number of the face) + (1 if its clockwise side is met); -1 for misses."""
+    """Write 2 x (running number of the face) + (1 if its clockwise side is met); -1 for misses."""
     for r in prange(len(mesh_index)):
         out[r] = -1
         if face_index[r] >= 0:
@@ -325,12 +342,13 @@ def sides_of_hits(first_face, normals, mesh_index, face_index, directions, out):
 @njit(cache=True, parallel=True)
 @no_type_check
 def shading_normals(mesh, smooth, face_index, barycentric, directions, out, lift):
-    """Unit normals between the vertices' on the side that rays meet; the face's own where the
-    smooth one is (nearly) perpendicular to it or absent. `mesh` is (vertices, faces).
+    """Write unit normals interpolated between vertices, on the side that rays meet, and offsets.
 
-    `lift` becomes the way from the flat face to the bulging surface that the smooth normals tell
-    of (Hanika 2021, Ray Tracing Gems II, ch. 4: the shadow terminator), MAX_LIFT_M at most: faces
-    that turn away from the sun while their smooth normals do not would else shadow themselves.
+    The face's own normal is used if the interpolated one is (nearly) perpendicular to it or absent.
+    `mesh` is (vertices, faces). `lift` becomes the terminator offset: from the flat face to the
+    curved surface with these smooth normals (Hanika 2021, Ray Tracing Gems II, ch. 4), MAX_LIFT_M
+    at most. Without it, faces that turn away from the sun while their smooth normals do not would
+    shadow themselves.
     """
     vertices, faces = mesh
     for r in prange(len(face_index)):
@@ -349,11 +367,13 @@ def shading_normals(mesh, smooth, face_index, barycentric, directions, out, lift
         n /= max(np.sqrt((n * n).sum()), 1e-30)
         agreement = (n * flat).sum()
         side = 1.0
+        # Within 6 degrees of perpendicular, the side of the smooth normal is uncertain.
         if abs(agreement) < 0.1:
             n[:] = flat
         elif agreement < 0:
             n[:] = -n
             side = -1.0
+        # Normals face the ray, so both sides of open meshes can be lit.
         away = flat[0] * directions[r, 0] + flat[1] * directions[r, 1] + flat[2] * directions[r, 2]
         if away > 0:
             n[:] = -n

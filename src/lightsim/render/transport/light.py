@@ -1,8 +1,8 @@
-"""One sky's light on a traced frame: table sums for the sky and the bounce, rays for the sun."""
+"""Light of one sky on a traced frame: matrix sums for sky and bounce, rays for the sun."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float32
@@ -19,17 +19,6 @@ from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
 from lightsim.render.transport.sun import sun_in_scene, unshadowed_sun
 
 
-@dataclass(frozen=True, eq=False)
-class PointLight:
-    """Light on n points, irradiance / pi (see `core.buffers.ShadowBuffers`)."""
-
-    sun_visibility: Float32[np.ndarray, " n"]
-    direct_sun: Float32[np.ndarray, "n 3"]
-    sky: Float32[np.ndarray, "n 3"]
-    bounce: Float32[np.ndarray, "n 3"]
-    sky_unshadowed: Float32[np.ndarray, "n 3"]
-
-
 def light(
     table: TransportMatrix,
     scene: FrameScene,
@@ -37,12 +26,12 @@ def light(
     sky: SkyDome | EnvironmentCells,
     config: TransportConfig,
 ) -> ShadowBuffers:
-    """Shaded and unshadowed images of one frame under one sky (paper, Sec. 4).
+    """Return the shaded and unshadowed images of one frame under one sky (paper, Sec. 4).
 
-    The sky part and the bounce are linear in the dome. `unshadowed` sums the same rays as
-    `sky` without their visibility, so that S <= 1, and S = 1 where nothing occludes, hold
-    for every pixel and not just on average. Below the horizon the dome's own radiance is used
-    where no geometry is met.
+    The sky part and the bounce are linear in the dome. `unshadowed` sums the same rays as `sky`
+    without their visibility. Therefore the shadow ratio S <= 1, and S = 1 without occlusion, hold
+    for every pixel and not only on average. Rays below the horizon that meet no geometry have the
+    dome's own radiance.
 
     Args:
         table: from `trace_transport` with the same scene, buffers and config; with samples, the
@@ -50,6 +39,7 @@ def light(
         sky: a dome, or the result of `prepare_sky`, which saves time for many frames.
     """
     cells = prepare_sky(sky) if isinstance(sky, SkyDome) else sky
+    # The light of the faces comes first, since it is the bounce of the traced points.
     radiosity = face_radiosity(table.points.faces, scene, cells)
     sums = table_sums(table.points, cells, radiosity)
     images = np.zeros((gbuffers.depth_z_m.size, 9), dtype=np.float32)
@@ -69,8 +59,11 @@ def _reflected(
     radiosity: Float32[np.ndarray, "f 3"],
     gbuffers: GBuffers,
 ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]] | None:
-    """Radiance that wide lobes reflect at pixel centres: of sky and surfaces, and of the sun where
-    nothing stands before it. None where no lobe was traced."""
+    """Return the radiance that wide lobes reflect at pixel centres: of sky and surfaces, and of the
+    sun.
+
+    The sun's part is without visibility. None if no lobe was traced.
+    """
     if table.points.reflections is None:
         return None
     shape = gbuffers.depth_z_m.shape
@@ -78,8 +71,8 @@ def _reflected(
     table.upsampling.add(table.points.reflections.light(cells, radiosity), rest, table.pixel)
     sun = np.zeros_like(rest)
     if cells.sun is not None:
-        # The highlight of a smooth surface covers few pixels; on a measured body, whose normals err
-        # by degrees, it would cover many. Where samples are looked at, it is theirs.
+        # The highlight of a smooth surface covers few pixels. On a reconstructed body, whose
+        # normals have errors of degrees, it would cover many. Samples add it in `resolve`.
         lobes = pixel_lobes(gbuffers, table.pixel, is_matte_alone=True)
         assert lobes is not None
         sun[table.pixel] = sun_in_lobes(lobes, cells.sun)
@@ -100,13 +93,14 @@ def _at_centres(
     cells: EnvironmentCells,
     config: TransportConfig,
 ) -> ShadowBuffers:
-    """Light at pixel centres: sky, bounce and unshadowed sky, and the sun."""
+    """Return the light at pixel centres: sky, bounce, unshadowed sky, and the sun."""
     open_sky, bounce, sky_unshadowed = (images[..., i : i + 3] for i in (0, 3, 6))
     visibility = np.zeros(gbuffers.depth_z_m.shape, dtype=np.float32)
     sun_image = np.zeros((*visibility.shape, 3), dtype=np.float32)
     if cells.sun is not None:
         has_surface = gbuffers.has_surface
         normals = gbuffers.normal_world[has_surface]
+        # The light in shade decides how uncertain shadows of roofs are averaged.
         shade = luminance((open_sky + bounce)[has_surface])
         visibility[has_surface] = sun_in_scene(
             scene, gbuffers.ray_starts_world[has_surface], normals, cells.sun, config, shade
@@ -123,29 +117,11 @@ def _at_centres(
     )
 
 
-def light_points(
-    table: PointTransport,
-    radiosity: Float32[np.ndarray, "f 3"],
-    scene: FrameScene,
-    points_world: Float32[np.ndarray, "n 3"],
-    normals_world: Float32[np.ndarray, "n 3"],
-    cells: EnvironmentCells,
-    config: TransportConfig,
-) -> PointLight:
-    """Light of one sky on traced points, with what their surroundings send."""
-    sums = table_sums(table, cells, radiosity)
-    visibility = np.zeros(len(points_world), dtype=np.float32)
-    sun = np.zeros((len(points_world), 3), dtype=np.float32)
-    if cells.sun is not None:
-        visibility = sun_in_scene(scene, points_world, normals_world, cells.sun, config)
-        sun = unshadowed_sun(normals_world, cells.sun) * visibility[:, None]
-    return PointLight(visibility, sun, sums[:, :3], sums[:, 3:6], sums[:, 6:])
-
-
 def table_sums(
     table: PointTransport, cells: EnvironmentCells, radiosity: Float32[np.ndarray, "f 3"]
 ) -> Float32[np.ndarray, "n 9"]:
-    """Open sky, bounce and unshadowed sky of each point, irradiance / pi."""
+    """Return open sky, bounce and unshadowed sky of each point, irradiance / pi, in three columns
+    each."""
     from lightsim.render.transport.kernels import point_light
 
     if table.on_device is not None:
@@ -158,11 +134,12 @@ def table_sums(
 def face_radiosity(
     faces: FaceSamples, scene: FrameScene, cells: EnvironmentCells
 ) -> Float32[np.ndarray, "f 3"]:
-    """Radiance that each face sends out: base colour x (sky + sun + other faces) irradiance / pi.
+    """Return the radiance of each face: base colour times irradiance / pi of sky, sun and other
+    faces.
 
     With further bounces the radiosity equation F = rho (E + K F) is iterated (Jacobi; Cohen &
-    Wallace 1993, ch. 5), one iteration a bounce: K is the mean over each face's own rays, so no
-    ray is traced.
+    Wallace 1993, ch. 5), one iteration a bounce. K is the mean over each face's own rays, so no ray
+    is traced.
     """
     from lightsim.render.transport.kernels import face_bounce, face_light
 
@@ -184,16 +161,18 @@ def face_radiosity(
 
 
 def _sun_on_faces(faces: FaceSamples, scene: FrameScene, sun: Sun) -> Float32[np.ndarray, "f 3"]:
-    """Irradiance / pi of the sun's centre, mean over each face's sun points."""
+    """Return irradiance / pi of the sun's centre, as the mean over each face's sun points."""
     arriving = unshadowed_sun(faces.normals_world, sun)
+    # Only faces that face the sun need rays.
     lit = np.flatnonzero(arriving.any(axis=1))
     count = faces.sun_points_world.shape[1]
     origins = faces.sun_points_world[lit].reshape(-1, 3)
     towards = np.broadcast_to(sun.direction_world.astype(np.float32), origins.shape)
+    # One ray to the disc's centre: penumbrae on faces average out in the bounce.
     caster, roofs = scene.before_sun(sun)
-    seen = (~caster.is_occluded(origins, towards)).astype(np.float32)
+    visible = (~caster.is_occluded(origins, towards)).astype(np.float32)
     if roofs is not None:
-        rows = np.flatnonzero(seen)
-        seen[rows] *= roofs.open_fraction(origins[rows], sun)
-    arriving[lit] *= seen.reshape(-1, count).mean(axis=1)[:, None]
+        rows = np.flatnonzero(visible)
+        visible[rows] *= roofs.open_fraction(origins[rows], sun)
+    arriving[lit] *= visible.reshape(-1, count).mean(axis=1)[:, None]
     return arriving

@@ -1,8 +1,8 @@
-"""Specular lobes of surface points: rays traced once for all skies, and the sun by the BRDF itself.
+"""Specular lobes of surface points: rays traced once for all skies, and the sun by its BRDF.
 
-Roughness and metallic are the Principled model's (Burley 2012). Dielectrics reflect 4 % at normal
-incidence, metals their base colour. Even asphalt and plaster do: at grazing angles, as cameras of
-cars see the road, a third and more of what they send is reflected and not diffuse.
+Roughness and metallic are those of the Principled model (Burley 2012). Dielectrics reflect 4 % at
+normal incidence, metals their base colour. Even asphalt and plaster reflect: at the grazing angles
+at which cameras of cars view the road, a third or more of their radiance is specular.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from lightsim.core.buffers import GBuffers
 from lightsim.core.dome import Sun
 from lightsim.core.equirect import uv_from_directions
 from lightsim.core.mesh import MATTE_ROUGHNESS
+from lightsim.core.rows import Rows
 from lightsim.render.casters.embree import offset_origins
 from lightsim.render.transport.faces import TILE_RAYS
 from lightsim.render.transport.sides import SideFinder
 from lightsim.render.transport.sky import EnvironmentCells
 
-_DIELECTRIC_F0 = 0.04
-_LEAST_ALPHA = 1e-3
+# Least roughness at pixel centres: normals of reconstructed meshes have errors of degrees, with
+# which a sharper highlight would sparkle. Chosen; sensitivity not measured.
 _LEAST_AT_CENTRES = 0.3
-"""Normals of measured meshes err by degrees: a sharper highlight would sparkle."""
 
 
 @dataclass(frozen=True, eq=False)
-class Lobes:
-    """Points and their lobes.
+class Lobes(Rows):
+    """Surface points and their specular lobes.
 
     Args:
-        ray_starts_world: where rays leave the surface.
-        normal_world, towards_camera: unit.
+        ray_starts_world: start points of rays.
+        normal_world, towards_camera: unit vectors.
         roughness: see `core.mesh.Material`.
-        f0: reflectance at normal incidence; 0 where nothing reflects.
+        f0: reflectance at normal incidence; 0 for points that do not reflect.
     """
 
     ray_starts_world: Float32[np.ndarray, "g 3"]
@@ -48,24 +48,15 @@ class Lobes:
     def none_on(
         points_world: Float[np.ndarray, "n 3"], normals_world: Float[np.ndarray, "n 3"]
     ) -> Lobes:
-        """Points that reflect diffusely alone."""
+        """Return points with diffuse reflection only."""
         nothing = np.zeros((len(points_world), 3), np.float32)
         normals = normals_world.astype(np.float32)
+        # Any roughness serves, because F0 = 0 disables the lobe.
         rough = np.ones(len(nothing), np.float32)
         return Lobes(points_world.astype(np.float32), normals, normals, rough, nothing)
 
     def __len__(self) -> int:
         return len(self.f0)
-
-    def at(self, rows: slice) -> Lobes:
-        """Some of the points."""
-        return Lobes(
-            self.ray_starts_world[rows],
-            self.normal_world[rows],
-            self.towards_camera[rows],
-            self.roughness[rows],
-            self.f0[rows],
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +66,7 @@ class LobeTable:
     Args:
         directions_uv: of each ray, in 65536ths of the dome's width and height.
         face_rows: row in the frame's faces that the ray meets, -1 for the sky.
-        weights: factors of F0 and of 1 in the fraction of the ray's radiance that is reflected.
+        weights: reflected fraction of the ray's radiance, as a factor of F0 and an added constant.
         f0: reflectance at normal incidence.
     """
 
@@ -93,7 +84,8 @@ class LobeTable:
     def light(
         self, cells: EnvironmentCells, radiosity: Float32[np.ndarray, "f 3"]
     ) -> Float32[np.ndarray, "g 3"]:
-        """Radiance that the points reflect of the sky without its sun, and of other surfaces."""
+        """Return the radiance that the points reflect of the sky without its sun, and of other
+        surfaces."""
         from lightsim.render.transport.glossy_kernels import reflected_light
 
         assert cells.smooth is not None
@@ -115,24 +107,25 @@ def trace_lobes(
     lobes: Lobes,
     shifts: Float32[np.ndarray, "g 2"],
     count: int,
-    share: tuple[Int64[np.ndarray, " g"], int] | None = None,
+    pattern_part: tuple[Int64[np.ndarray, " g"], int] | None = None,
 ) -> LobeTable:
-    """Trace `count` rays of each point; `face_rows` still holds sides (`render.transport.sides`).
+    """Trace `count` rays of each point; `face_rows` still has sides (`render.transport.sides`).
 
     Args:
-        shifts: in [0, 1), turn each point's pattern of rays.
-        share: which part of the pattern each point takes, and the number of parts.
+        shifts: in [0, 1), offsets of each point's pattern of rays.
+        pattern_part: part of the pattern that each point uses, and the number of parts; None: all.
     """
     from lightsim.render.transport.glossy_kernels import reflected_rays
 
     total = len(lobes)
-    which, parts = (np.zeros(total, np.int64), 1) if share is None else share
+    which, parts = pattern_part or (np.zeros(total, np.int64), 1)
     table = LobeTable(
         np.empty((total, count, 2), dtype=np.uint16),
         np.empty((total, count), dtype=np.int32),
         np.empty((total, count, 2), dtype=np.float32),
         lobes.f0,
     )
+    # Alpha is the GGX width: roughness squared, as in the Principled model.
     alphas = _alphas(lobes.roughness)
     tile = max(1, TILE_RAYS // count)
     for start in range(0, total, tile):
@@ -149,11 +142,12 @@ def trace_lobes(
             table.weights[part],
         )
         uv = uv_from_directions(directions)
+        # 16 bits resolve 0.005 degrees, at a third of the memory of float32 vectors.
         table.directions_uv[part] = np.minimum(uv * 65536.0, 65535.0).astype(np.uint16)
         origins = offset_origins(lobes.ray_starts_world[part], normals)
         sides = finder.met(np.repeat(origins, count, axis=0), directions.reshape(-1, 3))
         table.face_rows[part] = sides.reshape(-1, count)
-    # Where nothing reflects, Schlick's term would.
+    # Points with F0 = 0 do not reflect; Schlick's term alone would.
     table.weights[(lobes.f0 <= 0).all(axis=1)] = 0.0
     return table
 
@@ -161,17 +155,18 @@ def trace_lobes(
 def normal_reflectance(
     base_colour: Float32[np.ndarray, "g 3"], metallic: Float32[np.ndarray, " g"]
 ) -> Float32[np.ndarray, "g 3"]:
-    """F0: 4 % for dielectrics, the base colour for metals."""
+    """Return F0: 4 % for dielectrics (refractive index 1.5), the base colour for metals."""
     part = metallic[:, None]
-    return ((1 - part) * _DIELECTRIC_F0 + part * base_colour).astype(np.float32)
+    return ((1 - part) * 0.04 + part * base_colour).astype(np.float32)
 
 
 def sun_in_lobes(lobes: Lobes, sun: Sun) -> Float32[np.ndarray, "g 3"]:
-    """Radiance of the sun's reflection where nothing stands before it.
+    """Return the radiance of the sun's reflection without occlusion.
 
     The lobe is widened by the disc, whose radius is halved on half vectors (compare Karis 2013,
     sphere lights), so that a mirror shows a highlight of finite radiance.
     """
+    # The variances of lobe and disc add.
     alphas = np.hypot(_alphas(lobes.roughness), np.radians(sun.angular_radius_deg) / 2)
     direction = sun.direction_world / np.linalg.norm(sun.direction_world)
     out = np.empty_like(lobes.f0)
@@ -193,7 +188,8 @@ def specular_lobe(
     towards_light: Float32[np.ndarray, "n 3"],
     alphas: Float32[np.ndarray, " n"],
 ) -> Float32[np.ndarray, "n 2"]:
-    """BRDF without Fresnel times the light's cosine (1/sr), and Schlick's fraction of white."""
+    """Return the BRDF without Fresnel times the light's cosine (1/sr), and Schlick's fraction of
+    white."""
     from lightsim.render.transport.glossy_kernels import reflectance
 
     out = np.empty((len(normals), 2), dtype=np.float32)
@@ -202,23 +198,26 @@ def specular_lobe(
 
 
 def _alphas(roughness: Float[np.ndarray, " n"]) -> Float32[np.ndarray, " n"]:
-    return np.maximum(np.square(roughness), _LEAST_ALPHA).astype(np.float32)
+    # The lower bound is a guard against division by 0 for mirrors.
+    return np.maximum(np.square(roughness), 1e-3).astype(np.float32)
 
 
 def pixel_lobes(
     gbuffers: GBuffers, pixel: Int64[np.ndarray, " n"], *, is_matte_alone: bool
 ) -> Lobes | None:
-    """Lobes at the centres of pixels (flat numbers); None where the buffers tell no material.
+    """Return lobes at the centres of pixels (flat numbers); None if the buffers have no material.
 
     Args:
-        is_matte_alone: smooth surfaces are looked at sample by sample (`render.transport.glossy`);
-            otherwise their lobes are widened to what single points of a mesh can show.
+        is_matte_alone: leave out smooth surfaces, which are traced by samples
+            (`render.transport.glossy`); otherwise their lobes are widened to what single points of
+            a mesh can resolve.
     """
     if gbuffers.material is None or gbuffers.towards_camera_world is None:
         return None
     roughness, metallic = gbuffers.material.reshape(-1, 2)[pixel].T
     f0 = normal_reflectance(gbuffers.base_colour.reshape(-1, 3)[pixel], metallic)
     if is_matte_alone:
+        # Their rays are traced by samples, so they must not be counted twice.
         f0[roughness < MATTE_ROUGHNESS] = 0.0
     return Lobes(
         gbuffers.ray_starts_world.reshape(-1, 3)[pixel],

@@ -1,10 +1,11 @@
-"""The light transport matrix: light is linear in the sky, so rays are traced once for all skies.
+"""Light transport matrix: light is linear in the sky, so rays are traced once for all skies.
 
-For every traced pixel N cosine-distributed rays are stored as the sky cell they point at and the
-surface face they meet, if any; for every face met, M rays of its own. A sky then costs sums of
-table look-ups and a few sun rays (`render.transport.light`). One bounce between surfaces, or more;
-further rays over the points' specular lobes (`render.transport.lobes`). This is precomputed
-radiance transfer (Sloan et al. 2002, doi:10.1145/566654.566612) with cells of the sky as its basis.
+For every traced pixel, N cosine-distributed rays are stored as the environment cell they point at
+and the face they meet, if any. For every face met, M rays are stored likewise. A sky then costs
+sums of table look-ups and a few sun rays (`render.transport.light`). One bounce between surfaces or
+more; further rays over the points' specular lobes (`render.transport.lobes`). This is precomputed
+radiance transfer (Sloan et al. 2002, doi:10.1145/566654.566612) with environment cells as its
+basis.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ from lightsim.render.transport.upsampling import BilateralUpsampling, TracedPixe
 
 
 def exact() -> TransportConfig:
-    """Every pixel traced and nothing smoothed: for tests and comparisons."""
+    """Return a config that traces every pixel and smooths nothing, for tests and comparisons."""
     return TransportConfig(sky_rays=64, shading_step_px=1, filter_radius=0)
 
 
@@ -50,10 +51,10 @@ class PointTransport:
     """Rays of n points.
 
     Args:
-        sky_cells: the cell that each ray points at.
-        face_rows: row in `faces` of the face it meets, or OPEN.
-        faces: what the rays meet.
-        on_device: the rays on another device, where that is to sum them.
+        sky_cells: environment cell that each ray points at.
+        face_rows: row in `faces` of the face that each ray meets, or OPEN.
+        faces: all faces that the rays meet.
+        on_device: the rays on another device, if it computes their sums.
         reflections: further rays of the same points, over their specular lobes.
     """
 
@@ -65,21 +66,21 @@ class PointTransport:
 
     @property
     def sky_view_factor(self) -> Float32[np.ndarray, " n"]:
-        """Cosine-weighted fraction of the hemisphere that is open."""
+        """Cosine-weighted open fraction of the hemisphere."""
         return (self.face_rows == OPEN).mean(axis=1, dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class SampleTable:
-    """How light reaches the samples of pixels; see `render.transport.samples`.
+    """Light transport to the samples of pixels; see `render.transport.samples`.
 
     Args:
         samples: of the frame.
-        edge_spread: how the light of the traced pixels reaches samples at edges.
+        edge_upsampling: from the traced pixels to samples at edges.
         base_colour: of diffuse reflection, mean over each pixel's samples.
-        edge_colour: the same of each sample at edges.
-        glossy: rays of reflecting samples, and how their noise is smoothed; none where
-            reflections are left out.
+        edge_colour: base colour of diffuse reflection of each sample at edges.
+        glossy: rays of reflecting samples and the smoothing of their noise; None without
+            reflections.
     """
 
     samples: PixelSamples
@@ -91,14 +92,14 @@ class SampleTable:
 
 @dataclass(frozen=True, eq=False)
 class TransportMatrix:
-    """The light transport matrix of one frame.
+    """Light transport matrix of one frame.
 
     Args:
         points: rays of the traced pixels.
-        pixel: flat numbers of the pixels whose centre shows a surface.
-        spread: how the light of the traced pixels reaches them.
+        pixel: flat numbers of the pixels with a surface at their centre.
+        upsampling: from the traced pixels to these pixels.
         ambient_occlusion: open fraction of the hemisphere of every pixel; sky 1.
-        detail: what anti-aliased images and reflections need, where asked for.
+        detail: transport to pixel samples, for anti-aliased images and reflections.
     """
 
     points: PointTransport
@@ -109,12 +110,12 @@ class TransportMatrix:
 
 
 def static_face_table(scene: FrameScene, config: TransportConfig, seed: int = 0) -> FaceTable:
-    """The face table to keep for all frames that share a static scene."""
+    """Return a new face table for all frames of a static scene."""
     return FaceTable(scene.static.meshes, scene.static.caster, config, seed)
 
 
 def actor_face_table(scene: FrameScene, config: TransportConfig) -> FaceTable:
-    """The face table of a scene's actors, which see all of it."""
+    """Return a new face table of a scene's actors, whose rays meet the whole scene."""
     return FaceTable(scene.actors, scene.caster, config, seed=1)
 
 
@@ -131,12 +132,12 @@ def trace_transport(
     """Trace the light transport matrix of one frame.
 
     Args:
-        face_table: from `static_face_table` with the same config, shared by the frames of a
-            log; without one it is made for this frame.
+        face_table: from `static_face_table` with the same config, common to the frames of a log;
+            None: a new one.
         samples: from `render.transport.samples`, for anti-aliased images and reflections.
-        corner_px: column and row of the first pixel in the whole picture, whose pattern of rays
-            holds for its parts.
-        actor_faces: from `actor_face_table`, shared by all that is traced of one scene.
+        corner_px: column and row of the first pixel in the whole image, so that a window has the
+            ray pattern of the whole.
+        actor_faces: from `actor_face_table`, common to all frames of one scene; None: a new one.
     """
     rows, columns, index = _traced_pixels(gbuffers.has_surface, config.shading_step_px)
     positions = gbuffers.ray_starts_world[rows, columns]
@@ -153,9 +154,11 @@ def trace_transport(
     if lobes is not None and config.glossy_rays:
         reflections = trace_lobes(finder, lobes, shifts, config.glossy_rays)
     static = face_table or static_face_table(scene, config)
+    # All kinds of rays refer to one list of faces, whose light is computed once per sky.
     met = [sides, *(table.face_rows for table in (glossy, reflections) if table is not None)]
     tables = static, actor_faces or actor_face_table(scene, config)
     faces = _compact(met, scene, tables, config)
+    # Only the sums over pixel rays run on the device; the light of faces is summed on the CPU.
     on_device = None
     if config.device != "cpu":
         cell_count = 2 * SKY_CELL_ROWS**2
@@ -166,26 +169,11 @@ def trace_transport(
         index, np.concatenate([positions, normals], axis=1), int(has_surface.shape[1])
     )
     pixel = np.flatnonzero(has_surface)
-    upsampling = _upsampling_to_centres(traced, pixel, gbuffers, config)
+    upsampling = traced.upsampling_to_centres(pixel, gbuffers, config)
     occlusion = np.ones(has_surface.shape, dtype=np.float32)
     occlusion[has_surface] = upsampling(points.sky_view_factor[:, None])[:, 0]
     detail = None if samples is None else _detail(samples, gbuffers, traced, glossy, config)
     return TransportMatrix(points, pixel, upsampling, occlusion, detail)
-
-
-def _upsampling_to_centres(
-    traced: TracedPixels,
-    pixel: Int64[np.ndarray, " p"],
-    gbuffers: GBuffers,
-    config: TransportConfig,
-) -> BilateralUpsampling:
-    return traced.upsampling(
-        pixel,
-        gbuffers.ray_starts_world.reshape(-1, 3)[pixel],
-        gbuffers.normal_world.reshape(-1, 3)[pixel],
-        gbuffers.depth_z_m.reshape(-1)[pixel],
-        config,
-    )
 
 
 def _detail(
@@ -205,15 +193,17 @@ def _detail(
     )
     if glossy is None:
         return SampleTable(samples, upsampling, samples.base_colour, edge.base_colour, None)
-    kept = samples.glossy.base_colour * diffuse_fraction(samples, glossy)
-    lost = kept - samples.glossy.base_colour
+    # Smooth samples lose the energy of their reflections from their diffuse base colour.
+    diffuse = samples.glossy.base_colour * diffuse_fraction(samples, glossy)
+    lost = diffuse - samples.glossy.base_colour
+    # Means over pixels are corrected by the difference, without another sum over all samples.
     colour = samples.add_means(
         samples.base_colour.copy(), samples.glossy.rows, lost, samples.fraction
     )
     by_sample = np.full(len(samples.pixel), OPEN, dtype=np.int32)
-    by_sample[samples.glossy.rows] = np.arange(len(kept), dtype=np.int32)
+    by_sample[samples.glossy.rows] = np.arange(len(diffuse), dtype=np.int32)
     row = by_sample[edge.rows]
-    edge_colour = np.where((row >= 0)[:, None], kept[row], edge.base_colour)
+    edge_colour = np.where((row >= 0)[:, None], diffuse[row], edge.base_colour)
     smoothing = reflection_smoothing(samples, gbuffers, config)
     return SampleTable(samples, upsampling, np.maximum(colour, 0), edge_colour, (glossy, smoothing))
 
@@ -225,14 +215,17 @@ def trace_points(
     config: TransportConfig,
     face_table: FaceTable | None = None,
 ) -> PointTransport:
-    """Trace the rays of surface points, and those over their specular lobes where any reflects;
-    `shifts` in [0, 1) turn each point's ray pattern."""
+    """Trace the rays of surface points, and those over the specular lobes of reflecting points.
+
+    `shifts` in [0, 1) offset each point's ray pattern.
+    """
     finder = SideFinder(scene.caster)
     cells, sides = _trace(finder, surface.ray_starts_world, surface.normal_world, shifts, config)
     met, reflections = [sides], None
     if config.glossy_rays and surface.f0.any():
         reflections = trace_lobes(finder, surface, shifts, config.glossy_rays)
         met.append(reflections.face_rows)
+    # Actors move, so their faces are traced for each scene.
     tables = face_table or static_face_table(scene, config), actor_face_table(scene, config)
     faces = _compact(met, scene, tables, config)
     return PointTransport(cells, sides, faces, None, reflections)
@@ -245,16 +238,14 @@ def _trace(
     shifts: Float32[np.ndarray, "n 2"],
     config: TransportConfig,
 ) -> tuple[UInt16[np.ndarray, "n k"], Int32[np.ndarray, "n k"]]:
-    """Sky cell of each ray, and the side that it meets or OPEN."""
+    """Return the environment cell of each ray, and the side that it meets or OPEN."""
     rays = config.sky_rays
     cells = np.empty((len(points_world), rays), dtype=np.uint16)
     sides = np.full((len(points_world), rays), OPEN, dtype=np.int32)
     tile = max(1, TILE_RAYS // rays)
     for start in range(0, len(points_world), tile):
         part = slice(start, start + tile)
-        directions, cells[part] = hemisphere_directions(
-            normals_world[part], shifts[part], rays, SKY_CELL_ROWS
-        )
+        directions, cells[part] = hemisphere_directions(normals_world[part], shifts[part], rays)
         origins = offset_origins(points_world[part], normals_world[part])
         found = finder.met(np.repeat(origins, rays, axis=0), directions.reshape(-1, 3))
         sides[part] = found.reshape(-1, rays)
@@ -267,25 +258,30 @@ def _compact(
     tables: tuple[FaceTable, FaceTable],
     config: TransportConfig,
 ) -> FaceSamples:
-    """Samples of the sides that occur in this frame; `sides` become rows of them, in place."""
+    """Return samples of the sides that occur in this frame; `sides` become rows of them, in
+    place."""
     from lightsim.render.transport.kernels import UNLISTED, fill_unlisted, mark_rows, renumber
 
     static, actors = tables
+    # A mask over all sides is faster than sorting the sides of all rays.
     is_met = np.zeros(2 * sum(len(mesh.faces) for mesh in scene.meshes), dtype=np.bool_)
     for array in sides:
         mark_rows(array, is_met)
     met = np.flatnonzero(is_met)
     next_rows = None
     if config.bounces > 1:
+        # The second level: faces that the rays of met faces meet.
         mark_rows(_next_sides(met, static, actors), is_met)
         met = np.flatnonzero(is_met)
         next_rows = _next_sides(met, static, actors)
+    # Sides of a third level of faces are not listed; `fill_unlisted` replaces them.
     number = np.full(len(is_met), UNLISTED, dtype=np.int32)
     number[met] = np.arange(len(met), dtype=np.int32)
     for array in sides if next_rows is None else [*sides, next_rows]:
         renumber(array, number)
     if next_rows is not None:
         fill_unlisted(next_rows)
+    # Sides of actors follow those of the static meshes.
     split = int(np.searchsorted(met, 2 * static.face_count))
     parts = [static.samples(met[:split]), actors.samples(met[split:] - 2 * static.face_count)]
     return FaceSamples(
@@ -302,7 +298,7 @@ def _compact(
 def _next_sides(
     met: Int64[np.ndarray, " f"], static: FaceTable, actors: FaceTable
 ) -> Int32[np.ndarray, "f m"]:
-    """Sides that the rays of met sides meet, numbered over all meshes of the scene."""
+    """Return the sides that the rays of met sides meet, numbered over all meshes of the scene."""
     first_actor = 2 * static.face_count
     split = int(np.searchsorted(met, first_actor))
     return np.concatenate(
@@ -313,12 +309,16 @@ def _next_sides(
 def _traced_pixels(
     has_surface: Bool[np.ndarray, "h w"], step: int
 ) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"], Int32[np.ndarray, "hb wb"]]:
-    """One pixel with a surface in every block of step x step: the first in reading order from
-    the middle. Returns rows, columns, and the number of each block's pixel or -1."""
+    """Return one pixel with a surface of every block of step x step.
+
+    It is the first in reading order from the middle. Returns rows, columns, and the number of each
+    block's pixel or -1.
+    """
     height, width = has_surface.shape
     blocks = (-(-height // step), -(-width // step))
     row = np.full(blocks, -1, dtype=np.int64)
     column = np.full(blocks, -1, dtype=np.int64)
+    # The middle pixel represents its block best; others serve blocks at the border of a surface.
     shifts = [(step // 2 + k) % step for k in range(step)]
     base_row, base_column = np.meshgrid(*[np.arange(b) * step for b in blocks], indexing="ij")
     for dr in shifts:

@@ -1,6 +1,6 @@
-"""The embedding-bag sums of the light transport matrix in torch, for CUDA.
+"""Sums of the light transport matrix in torch, for CUDA.
 
-The same numbers as `transport_kernels.point_light`, which is faster on a CPU.
+They have the same values as `kernels.point_light`, which is faster on a CPU.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from jaxtyping import Float32, Int32, UInt16
 
 
 def has_torch_cuda() -> bool:
-    """Whether torch finds a CUDA device (a torch for CPUs alone finds none)."""
+    """Return true if torch finds a CUDA device; a torch built for CPUs finds none."""
     import torch
 
     return torch.cuda.is_available()
 
 
 class TorchTransport:
-    """The rays of n points on a device, kept there for any number of skies.
+    """Rays of n points, stored on a device for any number of skies.
 
-    Every ray is one row number of a table in which open cells stand before faces, so that one
+    Every ray is one row number of a table in which environment cells precede faces, so that one
     look-up serves both; 8 bytes a ray.
     """
 
@@ -44,8 +44,8 @@ class TorchTransport:
     def point_light(
         self, sky: Float32[np.ndarray, "c 3"], radiosity: Float32[np.ndarray, "f 3"]
     ) -> Float32[np.ndarray, "n 9"]:
-        """Columns 0-2 open sky, 3-5 light of met faces, 6-8 all sky: means over each point's
-        rays."""
+        """Return means over each point's rays: columns 0-2 open sky, 3-5 light of met faces, 6-8
+        all sky."""
         import torch
         from torch.nn.functional import embedding_bag
 
@@ -53,6 +53,7 @@ class TorchTransport:
         table = torch.zeros((self._cell_count + len(radiosity), 6), device=self._device)
         table[: self._cell_count, :3] = cells
         table[self._cell_count :, 3:] = torch.from_numpy(radiosity).to(self._device)
+        # No training: gradients would only cost memory.
         with torch.no_grad():
             met = embedding_bag(self._met, table, mode="mean")
             whole = embedding_bag(self._cells, cells, mode="mean")

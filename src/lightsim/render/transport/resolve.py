@@ -10,17 +10,17 @@ from lightsim.core.colour import luminance
 from lightsim.core.dome import Sun
 from lightsim.render.casters.embree import offset_origins
 from lightsim.render.scene import FrameScene
-from lightsim.render.transport.faces import TransportConfig, hashed_shifts
+from lightsim.render.transport.faces import TransportConfig
 from lightsim.render.transport.glossy import glossy_lobes
 from lightsim.render.transport.lobes import sun_in_lobes
 from lightsim.render.transport.matrix import SampleTable
 from lightsim.render.transport.samples import PixelSamples
 from lightsim.render.transport.sky import EnvironmentCells
 from lightsim.render.transport.sun import (
-    PATTERNS,
     TILE_RAYS,
     as_seen,
     disc_patterns,
+    pattern_numbers,
     unshadowed_sun,
 )
 
@@ -37,21 +37,24 @@ def resolve(
     ],
     config: TransportConfig,
 ) -> ShadowBuffers:
-    """Means over the samples of each pixel.
+    """Return means over the samples of each pixel.
 
-    Sky and bounce light at pixel centres hold for all samples of a pixel, except at edges, where
-    every sample gets its own. Sun rays start from every sample.
+    Sky and bounce light at pixel centres are used for all samples of a pixel, except at edges,
+    where each sample has its own. Sun rays start from every sample.
 
     Args:
-        arrived: the sky; light of the faces met, of the traced points, and at pixel centres.
+        arrived: the sky; radiance of the faces met; sums of the traced points, and at pixel
+            centres.
     """
     cells, radiosity, sums, images = arrived
     samples = detail.samples
     fraction = samples.fraction
     edge_light = detail.edge_upsampling(sums)
+    # Pixels at edges are replaced by the mean of their samples.
     images.reshape(-1, 9)[samples.pixel[samples.edge.rows]] = 0
     samples.add_means(images, samples.edge.rows, edge_light, fraction)
     open_sky, bounce, sky_unshadowed = (images[..., i : i + 3].copy() for i in (0, 3, 6))
+    # Released before the sun's arrays are allocated: images of 9 channels are large.
     del images
     visible = np.zeros(len(samples.pixel), dtype=np.float32)
     sun = samples.black
@@ -61,7 +64,8 @@ def resolve(
         sunlight = (cells.sun.irradiance / np.pi).astype(np.float32)
         shade = luminance(open_sky + bounce).reshape(-1)
         visible = _add_sun(sun, fraction, (samples, scene, gbuffers), (cells.sun, shade), config)
-        edge_shaded += _sun_at_edges(samples, visible, cells.sun)
+        edge_sun = unshadowed_sun(samples.edge.normal_world, cells.sun)
+        edge_shaded += edge_sun * visible[samples.edge.rows, None]
     direct_sun = sun[..., 1:2] * sunlight
     shaded = direct_sun + open_sky + bounce
     return ShadowBuffers(
@@ -77,21 +81,16 @@ def resolve(
     )
 
 
-def _sun_at_edges(
-    samples: PixelSamples, visible: Float32[np.ndarray, " n"], sun: Sun
-) -> Float32[np.ndarray, "e 3"]:
-    """Irradiance / pi of the sun on the samples at edges."""
-    return unshadowed_sun(samples.edge.normal_world, sun) * visible[samples.edge.rows, None]
-
-
 def _diffuse(
     detail: SampleTable,
     shaded: Float32[np.ndarray, "h w 3"],
     edge_shaded: Float32[np.ndarray, "e 3"],
     fraction: Float32[np.ndarray, " p"],
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Mean radiance by diffuse reflection: colours differ within a pixel, light at edges only."""
+    """Return mean radiance of diffuse reflection: colours differ within a pixel, light only at
+    edges."""
     samples = detail.samples
+    # Within a surface the mean of colour times light is the product of the means; not at edges.
     image = detail.base_colour * shaded
     image.reshape(-1, 3)[samples.pixel[samples.edge.rows]] = 0
     return samples.add_means(image, samples.edge.rows, detail.edge_colour * edge_shaded, fraction)
@@ -104,16 +103,20 @@ def _add_sun(
     arriving: tuple[Sun, Float32[np.ndarray, " p"]],
     config: TransportConfig,
 ) -> Float32[np.ndarray, " n"]:
-    """Fraction of the solar disc that each sample sees, 0 where the sun stands behind it; adds to
-    `image` the means of that, of it times the sun's cosine, and of the cosine.
+    """Return the visible fraction of the solar disc of each sample, 0 if it faces away from the
+    sun.
 
-    The samples of a pixel share `sun_rays` points on the disc, at least one each.
+    Three channels of `image` receive the means of that fraction, of it times the sun's cosine, and
+    of the cosine. The samples of a pixel divide `sun_rays` points on the disc among them, at least
+    one each.
 
     Args:
+        fraction: weight of a sample in the mean of its pixel.
         arriving: the sun, and the luminance of other light at each pixel.
     """
     samples, scene, gbuffers = frame
     sun, shade = arriving
+    # The rays are divided among the samples, so that a pixel costs the same with and without them.
     rays = max(1, config.sun_rays // samples.per_pixel)
     patterns = disc_patterns(sun, rays * samples.per_pixel)
     direction = (sun.direction_world / np.linalg.norm(sun.direction_world)).astype(np.float32)
@@ -124,6 +127,7 @@ def _add_sun(
     tile = max(1, TILE_RAYS // rays)
     for start in range(0, len(visible), tile):
         part = slice(start, start + tile)
+        # Samples of inner pixels have the normal of the pixel's centre; those at edges their own.
         normals = centre_normals[samples.pixel[part]]
         edges = slice(*np.searchsorted(edge_rows, (start, start + tile)))
         normals[edge_rows[edges] - start] = samples.edge.normal_world[edges]
@@ -131,7 +135,8 @@ def _add_sun(
         facing = np.flatnonzero(cosine > 0)
         pixel = samples.pixel[part][facing]
         origins = offset_origins(samples.ray_starts_world[part][facing], normals[facing])
-        chosen = (hashed_shifts(pixel.astype(np.int64), 7)[:, 0] * PATTERNS).astype(np.int64)
+        chosen = pattern_numbers(pixel.astype(np.int64))
+        # Each sample takes other points of its pixel's pattern.
         which = samples.number[part][facing, None] + samples.per_pixel * np.arange(rays)
         directions = patterns[chosen[:, None], which].reshape(-1, 3)
         occluded = caster.is_occluded(np.repeat(origins, rays, axis=0), directions)
@@ -140,8 +145,8 @@ def _add_sun(
             sunlight = float(luminance(sun.irradiance / np.pi)) * cosine[facing] * open_rays
             open_rays *= as_seen(roofs.open_fraction(origins, sun), shade[pixel], sunlight)
         visible[start + facing] = open_rays
-        seen = visible[part]
-        samples.add_means(image, part, np.stack([seen, cosine * seen, cosine], axis=1), fraction)
+        disc = visible[part]
+        samples.add_means(image, part, np.stack([disc, cosine * disc, cosine], axis=1), fraction)
     return visible
 
 
@@ -152,13 +157,14 @@ def _glossy(
     visible: Float32[np.ndarray, " n"],
     fraction: Float32[np.ndarray, " p"],
 ) -> Float32[np.ndarray, "h w 3"] | None:
-    """Mean radiance that smooth samples reflect; None where there are none."""
+    """Return the mean radiance that smooth samples reflect; None without such samples."""
     if detail.glossy is None:
         return None
     table, smoothing = detail.glossy
     samples = detail.samples
     points = samples.glossy
     rays = table.light(cells, radiosity)
+    # The sun's highlight is added after the smoothing, because it has no noise.
     image = smoothing(samples.add_means(samples.black, points.rows, rays, fraction))
     if cells.sun is not None:
         sun = sun_in_lobes(glossy_lobes(samples), cells.sun) * visible[points.rows, None]

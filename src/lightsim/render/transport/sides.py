@@ -1,4 +1,4 @@
-"""Which side of which face rays meet.
+"""Face sides that rays meet.
 
 A side is 2 x (running number of the face over the caster's meshes) + (1 if met from the back).
 """
@@ -10,12 +10,12 @@ from jaxtyping import Float32, Int32
 
 from lightsim.core.casting import RayCaster
 
+# Side of a ray that meets no surface.
 OPEN = -1
-"""Side of a ray that meets nothing."""
 
 
 class SideFinder:
-    """Tells the sides that rays meet; make it once for many calls."""
+    """Finder of the face sides that rays meet; make it once for many calls."""
 
     def __init__(self, caster: RayCaster) -> None:
         from lightsim.render.transport.kernels import face_normals
@@ -23,6 +23,7 @@ class SideFinder:
         self._caster = caster
         counts = [len(mesh.faces) for mesh in caster.meshes]
         self._first_face = np.cumsum([0, *counts])
+        # Normals decide front or back; they are not normalised, since only the sign matters.
         self._normals = np.empty((int(self._first_face[-1]), 3), dtype=np.float32)
         for first, mesh in zip(self._first_face[:-1], caster.meshes, strict=True):
             face_normals(mesh.vertices, mesh.faces, self._normals[first : first + len(mesh.faces)])
@@ -30,7 +31,7 @@ class SideFinder:
     def met(
         self, origins: Float32[np.ndarray, "r 3"], directions: Float32[np.ndarray, "r 3"]
     ) -> Int32[np.ndarray, " r"]:
-        """Side that each ray meets first, or OPEN."""
+        """Return the side that each ray meets first, or OPEN."""
         from lightsim.render.transport.kernels import sides_of_hits
 
         hits = self._caster.intersect(origins, directions)

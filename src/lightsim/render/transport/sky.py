@@ -1,4 +1,4 @@
-"""A dome ready for light-transport sums: means of environment-map cells, and the sun."""
+"""Sky dome prepared for the light transport matrix: means of environment cells, and the sun."""
 
 from __future__ import annotations
 
@@ -12,18 +12,17 @@ from lightsim.core.equirect import solid_angles_sr
 from lightsim.core.resample import resize_area
 from lightsim.render.transport.faces import SKY_CELL_ROWS
 
-_REFLECTED_ROWS = 512
-
 
 @dataclass(frozen=True, eq=False)
 class EnvironmentCells:
-    """A dome ready for the light transport matrix; make it once for all frames with `prepare_sky`.
+    """Sky dome prepared for the light transport matrix; make it once for all frames with
+    `prepare_sky`.
 
     Args:
-        radiance: mean radiance of every sky cell, the sun left out.
+        radiance: mean radiance of every environment cell, without the sun.
         sun: the sun, if the dome has one.
-        smooth: the sky without its sun at its own resolution (at most 512 rows), for reflections.
-        behind: what a camera sees of the sky without its sun, at its own resolution.
+        smooth: the sky without its sun, at most 512 rows, for reflections.
+        behind: the sky without its sun behind surfaces, at its own resolution.
     """
 
     radiance: Float32[np.ndarray, "c 3"]
@@ -33,19 +32,22 @@ class EnvironmentCells:
 
 
 def prepare_sky(dome: SkyDome, behind: SkyDome | None = None) -> EnvironmentCells:
-    """Mean radiance of each sky cell by solid angle, and the sun; energy is kept.
+    """Return the mean radiance of each environment cell by solid angle, and the sun; energy is
+    conserved.
 
     Args:
-        behind: what a camera sees where it is not the dome itself; it gives no light.
+        behind: the sky that cameras show, if another one; it gives no light.
     """
     rest, sun = split_sun(dome)
     rows = SKY_CELL_ROWS
     solid = np.broadcast_to(
         solid_angles_sr(dome.height_px).astype(np.float32)[..., None], (*rest.shape[:2], 1)
     )
+    # Weighted by solid angle, so that rows near the zenith do not count too much.
     mean = resize_area(rest * solid, rows, 2 * rows) / resize_area(solid.copy(), rows, 2 * rows)
     smooth = rest
-    if len(rest) > _REFLECTED_ROWS:
-        smooth = resize_area(rest, _REFLECTED_ROWS, 2 * _REFLECTED_ROWS)
-    seen = rest if behind is None else split_sun(behind)[0]
-    return EnvironmentCells(mean.astype(np.float32).reshape(-1, 3), sun, smooth, seen)
+    if len(rest) > 512:
+        # Rows of 0.35 degrees, to bound memory and time. Sensitivity not measured.
+        smooth = resize_area(rest, 512, 1024)
+    visible = rest if behind is None else split_sun(behind)[0]
+    return EnvironmentCells(mean.astype(np.float32).reshape(-1, 3), sun, smooth, visible)

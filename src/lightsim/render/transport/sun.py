@@ -1,9 +1,9 @@
-"""The sun on points: its irradiance by the cosine law, and how much of its disc they see."""
+"""Sun on surface points: irradiance by the cosine law, and the visible fraction of its disc."""
 
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, Int64
 
 from lightsim.core.casting import RayCaster
 from lightsim.core.colour import luminance
@@ -12,13 +12,15 @@ from lightsim.render.casters.embree import offset_origins
 from lightsim.render.scene import FrameScene
 from lightsim.render.transport.faces import TILE_RAYS, TransportConfig, hashed_shifts
 
+# Rotations of the sample pattern on the disc, one of which each pixel uses; more than needed to
+# avoid visible repetition. Sensitivity not measured.
 PATTERNS = 64
+# Approximate exponent from light to 8-bit pixel values (sRGB curve, IEC 61966-2-1).
 _CODE_POWER = 1 / 2.2
-"""Codes of pictures grow with this power of light, about (IEC 61966-2-1)."""
 
 
 def unshadowed_sun(normals_world: Float[np.ndarray, "n 3"], sun: Sun) -> Float32[np.ndarray, "n 3"]:
-    """Irradiance / pi of the sun by the cosine law."""
+    """Return irradiance / pi of the sun by the cosine law, without visibility."""
     direction = sun.direction_world / np.linalg.norm(sun.direction_world)
     cosine = np.maximum(normals_world @ direction.astype(np.float32), 0.0)
     return (cosine[:, None] * (sun.irradiance / np.pi)).astype(np.float32)
@@ -31,19 +33,20 @@ def sun_visibility(
     sun: Sun,
     config: TransportConfig,
 ) -> Float32[np.ndarray, " n"]:
-    """Fraction of the solar disc that each point sees; 0 where the sun stands behind the surface.
+    """Return the visible fraction of the solar disc of each point; 0 if it faces away from the sun.
 
-    The disc is sampled at `sun_rays` points, turned by a fixed pseudo-random angle per point:
-    neighbouring pixels differ, frames of a sequence do not flicker.
+    The disc is sampled at `sun_rays` points, rotated by a fixed pseudo-random angle per point:
+    neighbouring pixels differ, and frames of a sequence do not flicker.
     """
     direction = (sun.direction_world / np.linalg.norm(sun.direction_world)).astype(np.float32)
+    # Points that face away from the sun's centre are in their own shadow and need no rays.
     facing = np.flatnonzero(normals_world @ direction > 0)
     patterns = disc_patterns(sun, config.sun_rays)
     visible = np.zeros(len(points_world), dtype=np.float32)
     tile = max(1, TILE_RAYS // config.sun_rays)
     for start in range(0, len(facing), tile):
         rows = facing[start : start + tile]
-        chosen = (hashed_shifts(rows, 7)[:, 0] * PATTERNS).astype(np.int64)
+        chosen = pattern_numbers(rows)
         origins = offset_origins(points_world[rows], normals_world[rows])
         occluded = caster.is_occluded(
             np.repeat(origins, config.sun_rays, axis=0), patterns[chosen].reshape(-1, 3)
@@ -60,21 +63,22 @@ def sun_in_scene(
     config: TransportConfig,
     shade: Float32[np.ndarray, " n"] | None = None,
 ) -> Float32[np.ndarray, " n"]:
-    """`sun_visibility` in a scene whose roofs may be uncertain.
+    """Return `sun_visibility` in a scene whose roofs may be uncertain.
 
     Args:
-        shade: luminance of all other light on the points, for `as_seen`; None: the mean of light.
+        shade: luminance of all other light on the points, for `as_seen`; None: the mean light is
+            returned.
     """
     caster, roofs = scene.before_sun(sun)
-    seen = sun_visibility(caster, points_world, normals_world, sun, config)
+    visible = sun_visibility(caster, points_world, normals_world, sun, config)
     if roofs is not None:
-        rows = np.flatnonzero(seen > 0)
+        rows = np.flatnonzero(visible > 0)
         chance = roofs.open_fraction(offset_origins(points_world[rows], normals_world[rows]), sun)
         if shade is not None:
-            sunlight = luminance(unshadowed_sun(normals_world[rows], sun)) * seen[rows]
+            sunlight = luminance(unshadowed_sun(normals_world[rows], sun)) * visible[rows]
             chance = as_seen(chance, shade[rows], sunlight)
-        seen[rows] *= chance
-    return seen
+        visible[rows] *= chance
+    return visible
 
 
 def as_seen(
@@ -82,25 +86,34 @@ def as_seen(
     shade: Float32[np.ndarray, " n"],
     sunlight: Float32[np.ndarray, " n"],
 ) -> Float32[np.ndarray, " n"]:
-    """Part of the sunlight that shows the mean of what pictures would show.
+    """Return the visibility of the sun at which a pixel has its expected 8-bit value.
 
-    Pictures are judged by codes, which are steep in the dark: a tenth of a low sun's light makes
-    shade more than twice as bright, and the mean of light would be far from what is likely.
+    Images are evaluated by 8-bit values, which are steep in the dark: a tenth of a low sun's light
+    more than doubles the brightness of shade. The mean of the light would therefore be far from
+    both of its possible values.
 
     Args:
-        chance: that the sun is seen.
+        chance: probability that the sun is visible.
         shade, sunlight: luminances of other light, and of the sun's.
     """
+    # Pixel values relative to full light, averaged with the probability, and converted back to
+    # light.
     total = np.maximum(shade + sunlight, 1e-12)
     dark = (shade / total) ** _CODE_POWER
     mean = (dark + (1 - dark) * chance) ** (1 / _CODE_POWER)
     return np.clip((mean * total - shade) / np.maximum(sunlight, 1e-12), 0, 1).astype(np.float32)
 
 
+def pattern_numbers(numbers: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+    """Return the pattern of `disc_patterns` that each pixel uses, by a hash of its number."""
+    return (hashed_shifts(numbers, 7)[:, 0] * PATTERNS).astype(np.int64)
+
+
 def disc_patterns(sun: Sun, count: int) -> Float32[np.ndarray, "p k 3"]:
-    """Sample directions on the solar disc, turned about its centre by PATTERNS angles."""
+    """Return sample directions on the solar disc, rotated about its centre by PATTERNS angles."""
     axis = sun.direction_world / np.linalg.norm(sun.direction_world)
     disc = disc_directions(axis, sun.angular_radius_deg, count)
+    # Rodrigues' rotation about the sun's axis.
     along = (disc @ axis)[:, None] * axis
     across = disc - along
     angle = (np.arange(PATTERNS) / PATTERNS * 2 * np.pi)[:, None, None]
