@@ -67,7 +67,7 @@ class LoopConfig:
     warm_up_steps: int = 50
     """Steps in which the learning rate grows linearly to its highest."""
     final_fraction: float = 0.02
-    """Last learning rate as a fraction of the highest; half a cosine lies between, 1 is constant."""
+    """Last learning rate as a fraction of the highest, reached by half a cosine; 1 is constant."""
     largest_gradient: float | None = 1.0
     """Norm to which a learner's gradients are clipped; None: not clipped."""
     average_decay: float = 0.995
