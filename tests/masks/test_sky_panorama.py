@@ -10,7 +10,8 @@ import pytest
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.core.sensors import CameraFrame
-from lightsim.masks.sky import _gather, _judge, estimate_sky_matte
+from lightsim.masks.certain_sky import CertainSky, log_ratios
+from lightsim.masks.sky import _classified, _gather, estimate_sky_matte
 from lightsim.masks.sky_panorama import (
     SAME,
     UNKNOWN,
@@ -21,7 +22,6 @@ from lightsim.masks.sky_panorama import (
     panoramas,
 )
 from lightsim.masks.sky_regions import ImageEvidence, region_graph
-from lightsim.masks.sure_sky import SureSky, log_ratios
 
 CAMERA = PinholeCamera("front", 480, 270, 240.0, 240.0, 240.0, 135.0)
 PLACES_M = np.arange(0.0, 12.0, 2.0)
@@ -88,7 +88,7 @@ def learnt(rng: np.random.Generator, astray_at: float | None) -> SkyPanorama:
     for x in PLACES_M:
         points = returns(with_wires=x == astray_at)
         evidence = _gather(draw(x, rng)[0], CAMERA, pose(x), points, None)
-        labels, odds = _judge(evidence, None, None)
+        labels, odds = _classified(evidence, None, None)
         views.append(SkyView(evidence, odds[labels]))
     return panoramas({"front": CameraSky.of(views)})["front"]
 
@@ -143,7 +143,7 @@ def gable_beside(gap_deg: float, deepest_deg: float, sky_lab: np.ndarray) -> np.
     colours from the gable's edge to the left, by degrees; and returns of a house of its colour."""
     azimuth = np.radians(np.arange(len(sky_lab)) * 1.5)
     flat = np.zeros_like(azimuth)
-    sky = SureSky.of(np.stack([np.cos(azimuth), np.sin(azimuth), flat], axis=1), sky_lab)
+    sky = CertainSky.of(np.stack([np.cos(azimuth), np.sin(azimuth), flat], axis=1), sky_lab)
     beside = np.radians(np.linspace(-gap_deg, -deepest_deg, 200))
     nothing = np.zeros_like(beside)
     directions = np.stack([np.cos(beside), np.sin(beside), nothing], axis=1)
@@ -223,11 +223,11 @@ def test_an_edge_of_the_sky_itself_is_none() -> None:
     lab = np.zeros((20, 20, 3), np.float32)
     lab[:, 10:] = [60.0, 5.0, 10.0]
     labels = (np.arange(20) >= 10).astype(np.int64)[None].repeat(20, axis=0)
-    even = region_graph(labels, np.zeros_like(lab), 4.0)
-    assert region_graph(labels, lab, 4.0, lab).agreement_px == pytest.approx(even.agreement_px)
-    assert region_graph(labels, lab, 4.0).agreement_px[0] < 1e-6
+    even = region_graph(labels, np.zeros_like(lab))
+    assert region_graph(labels, lab, lab).agreement_px == pytest.approx(even.agreement_px)
+    assert region_graph(labels, lab).agreement_px[0] < 1e-6
     unknown = np.full_like(lab, np.nan)
-    assert region_graph(labels, lab, 4.0, unknown).agreement_px[0] < 1e-6
+    assert region_graph(labels, lab, unknown).agreement_px[0] < 1e-6
 
 
 def test_a_camera_that_stands_still_tells_nothing() -> None:
