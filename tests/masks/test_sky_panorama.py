@@ -13,9 +13,8 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.masks.certain_sky import CertainSky, log_ratios
 from lightsim.masks.sky import _classified, _gather, estimate_sky_matte
 from lightsim.masks.sky_panorama import (
-    SAME,
-    UNKNOWN,
     CameraSky,
+    Kind,
     SkyPanorama,
     SkyView,
     frames_apart,
@@ -187,8 +186,8 @@ def test_the_same_thing_seen_again_gains_nothing(rng: np.random.Generator) -> No
     panorama = replace(panoramas({"front": sky})["front"], log_ratio=ratio)
     agreement = panorama.compare(views[0].evidence)
     is_up = views[0].evidence.directions_world[..., 2] > 0
-    assert (agreement.kind[is_up] == SAME).all()
-    assert (agreement.kind[~is_up] == UNKNOWN).all()
+    assert (agreement.kind[is_up] == Kind.SAME).all()
+    assert (agreement.kind[~is_up] == Kind.UNKNOWN).all()
     labels = agreement.split(np.zeros((270, 480), np.int64))
     own = agreement.applied_to(labels, np.full(2, 0.7))
     assert own == pytest.approx([0.7, 0.7], abs=1e-6)
@@ -214,7 +213,7 @@ def test_directions_are_those_of_the_world(rng: np.random.Generator) -> None:
     inner = np.zeros((270, 480), bool)
     inner[20:130, 60:420] = True
     error = np.linalg.norm(agreement.expected_lab - view.evidence.lab, axis=-1)
-    assert (agreement.kind[inner] == SAME).all()
+    assert (agreement.kind[inner] == Kind.SAME).all()
     assert error[inner].max() < 0.5
     assert agreement.log_odds[inner] == pytest.approx(6.0, abs=1e-4)
 

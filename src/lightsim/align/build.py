@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lightsim.align.cameras import CameraFit, align_cameras, chosen_frames
 from lightsim.align.config import AlignConfig
@@ -76,7 +77,9 @@ def align_log(
     correction = path.correction if path is not None and path.is_kept else None
     tracks = _settled_tracks(log, correction, config, notes)
     tracks += _moved_tracks(log, found, correction, config, rng, notes)
-    fits = _aligned_cameras(log, frames, found, config, rng, progress)
+    fits = align_cameras(
+        frames, log.cameras, found.edges_by_stem, log.ego, config, rng=rng, progress=progress
+    )
     notes += [_camera_note(fit) for fit in fits]
     notes += large_notes(path, fits)
     for fit in fits:
@@ -114,17 +117,16 @@ def _aligned_path(
     if not config.lidar_poses:
         return None
     fit = align_path(found.static, log.ego, config, rng)
-    shifts_cm, turns = 100 * fit.shifts_m, fit.turns_deg
+    shifts_m, turns_deg = fit.shifts_m, fit.turns_deg
     numbers["path residual before, m"] = fit.residual_before_m
     numbers["path residual after, m"] = fit.residual_after_m
-    numbers["path shift rms, m"] = float(np.sqrt(np.mean(fit.shifts_m**2)))
-    numbers["path turn rms, deg"] = float(np.sqrt(np.mean(turns**2)))
+    numbers["path shift rms, m"] = _rms(shifts_m)
+    numbers["path turn rms, deg"] = _rms(turns_deg)
     notes.append(
         f"path {_verdict(fit.is_kept)}: median distance of held-back sweeps from the other sweeps' "
         f"planes {1000 * fit.residual_before_m:.1f} -> {1000 * fit.residual_after_m:.1f} mm; "
-        f"correction {np.sqrt(np.mean(shifts_cm**2)):.1f} cm, "
-        f"{np.sqrt(np.mean(turns**2)):.3f} deg rms, "
-        f"at most {shifts_cm.max():.1f} cm, {turns.max():.3f} deg"
+        f"correction {100 * _rms(shifts_m):.1f} cm, {_rms(turns_deg):.3f} deg rms, "
+        f"at most {100 * shifts_m.max():.1f} cm, {turns_deg.max():.3f} deg"
     )
     return fit
 
@@ -134,12 +136,9 @@ def _settled_tracks(
 ) -> list[TrackFit]:
     fits = settle_parked(log.actors, path) if config.actor_tracks else []
     if fits:
-        shift = np.array([fit.shift_rms_m for fit in fits])
-        yaw = np.array([fit.yaw_rms_deg for fit in fits])
         notes.append(
             f"{len(fits)} parked boxes have one pose each; their labels jittered by "
-            f"{100 * float(np.sqrt(np.mean(shift**2))):.1f} cm, "
-            f"{float(np.sqrt(np.mean(yaw**2))):.2f} deg rms"
+            + _track_rms(fits)
         )
     return fits
 
@@ -157,29 +156,20 @@ def _moved_tracks(
     fits = settle_moving(log.actors, found.moving, path, config, rng)
     moving = sum(actor.is_moving and actor.kind.is_rigid_body for actor in log.actors)
     if moving:
-        shift = np.array([fit.shift_rms_m for fit in fits] or [0.0])
-        yaw = np.array([fit.yaw_rms_deg for fit in fits] or [0.0])
         notes.append(
             f"{len(fits)} of {moving} moving boxes corrected: their returns agree better than with "
-            f"the labels; correction {100 * float(np.sqrt(np.mean(shift**2))):.1f} cm, "
-            f"{float(np.sqrt(np.mean(yaw**2))):.2f} deg rms"
+            f"the labels; correction {_track_rms(fits)}"
         )
     return fits
 
 
-def _aligned_cameras(
-    log: DrivingLog,
-    frames: Mapping[str, Sequence[CameraFrame]],
-    found: Gathered,
-    config: AlignConfig,
-    rng: np.random.Generator,
-    progress: Progress,
-) -> list[CameraFit]:
-    if not frames:
-        return []
-    return align_cameras(
-        frames, log.cameras, found.edges_by_stem, log.ego, config, rng=rng, progress=progress
-    )
+def _track_rms(fits: Sequence[TrackFit]) -> str:
+    shift_cm = 100 * _rms([fit.shift_rms_m for fit in fits] or [0.0])
+    return f"{shift_cm:.1f} cm, {_rms([fit.yaw_rms_deg for fit in fits] or [0.0]):.2f} deg rms"
+
+
+def _rms(values: ArrayLike) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _camera_note(fit: CameraFit) -> str:

@@ -33,8 +33,6 @@ _PRIOR_WEIGHT = 0.002
 _STEPS = np.array([1e-4] * 3 + [1e-3] * 3 + [1e-3])
 # Gaussian blur of the edge strength from coarse to fine, in reduced pixels.
 _LEVELS_PX = (4.0, 2.0, 1.0)
-# Linearisations at each level.
-_ROUNDS = 2
 # Depth edges this far outside the image are included: a correction may move them inside.
 _BORDER_PX = 30.0
 # Depth edges drawn in each frame; bounds the time.
@@ -95,7 +93,7 @@ def align_camera(
     for first_level in (0, 1):
         found = np.zeros(7)
         for level in range(first_level, len(_LEVELS_PX)):
-            for _ in range(_ROUNDS):
+            for _ in range(2):  # the second linearisation corrects the first
                 found = _improved(found, fitted, level, small, ego)
         away = found / _DEVIATION
         score = _score(found, fitted, small, ego) - 0.5 * _PRIOR_WEIGHT * float(away @ away)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,19 +15,16 @@ from lightsim.geometry.mesh_scene import no_surface, simplified
 from lightsim.geometry.surface import background_levels, extract_surface
 from lightsim.progress import Progress
 
-# The paper gives no values. Background: roughness of the class `geometry.materials.UNKNOWN`.
-_BACKGROUND = Material(0.8, 0.0, "background")
-# Actors: the default of Blender's Principled BSDF.
-_ACTOR = Material(0.5, 0.0, "actor")
-
 
 @dataclass(frozen=True)
 class BaseMaterials:
     """Material of the background and material of all actors (appendix: "we set materials for
-    dynamic assets and background separately")."""
+    dynamic assets and background separately"). The paper gives no values."""
 
-    background: Material = _BACKGROUND
-    actor: Material = _ACTOR
+    background: Material = field(default=Material(0.8, 0.0, "background"))
+    """Roughness of the class `geometry.materials.UNKNOWN`."""
+    actor: Material = field(default=Material(0.5, 0.0, "actor"))
+    """Default of Blender's Principled BSDF."""
 
 
 def mesh_plainly(

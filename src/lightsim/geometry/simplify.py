@@ -17,18 +17,8 @@ from lightsim.geometry.simplify_kernels import (
     vertex_quadrics,
 )
 
-# Most rounds of collapses; the loop usually ends by `_LEAST_PROGRESS`.
-_MAX_ROUNDS = 40
 # Fraction of the vertices that a round must remove for another one to follow.
 _LEAST_PROGRESS = 1e-2
-# Rounds of the bilateral filter of normals; sensitivity not measured.
-_NORMAL_ROUNDS = 4
-# Rounds of the fit of vertices to the filtered normals; sensitivity not measured.
-_VERTEX_ROUNDS = 12
-# Difference of unit normals at which a neighbour's weight falls to 1/sqrt(e): 23 degrees.
-_NORMAL_DEVIATION = 0.4
-# Error bound for surfaces that are planar by construction.
-_PLANAR_ERROR_M = 0.01
 
 
 def simplify(
@@ -60,7 +50,7 @@ def simplify(
     quadrics, weight = vertex_quadrics(points, faces, groups, start, members)
     error, edge = max_error_m.astype(np.float64), max_edge_m.astype(np.float64)
     remaining = len(points)
-    for _ in range(_MAX_ROUNDS):
+    for _ in range(40):  # usually ends earlier, by lack of progress
         start, members = faces_by_vertex(faces, len(points))
         edges, uses, kind = list_edges(faces, groups, start, members)
         cost, place = edge_costs(points, edges, uses, kind, quadrics, weight, error, edge)
@@ -94,7 +84,7 @@ def simplify_planar(mesh: TriMesh, edge_m: float | Float[np.ndarray, " n"] = 0.7
     if len(mesh.faces) == 0:
         return mesh
     count = len(mesh.vertices)
-    return simplify(mesh, np.full(count, _PLANAR_ERROR_M), np.full(count, edge_m, dtype=np.float64))
+    return simplify(mesh, np.full(count, 0.01), np.full(count, edge_m, dtype=np.float64))
 
 
 def _groups(mesh: TriMesh) -> Int32[np.ndarray, " m"]:
@@ -123,8 +113,10 @@ def denoise(mesh: TriMesh, max_move_m: float) -> TriMesh:
     faces = mesh.faces.astype(np.int64)
     start, members = faces_by_vertex(faces, len(points))
     near = neighbour_faces(faces, start, members)
-    normals = filter_normals(points, faces, *near, _NORMAL_ROUNDS, _NORMAL_DEVIATION)
-    moved = fit_vertices(points, faces, start, members, normals, _VERTEX_ROUNDS)
+    # The weight of a neighbour falls to 1/sqrt(e) at a difference of unit normals of 0.4 (23
+    # degrees). The sensitivity to this value and to the rounds (4 and 12) is not measured.
+    normals = filter_normals(points, faces, *near, 4, 0.4)
+    moved = fit_vertices(points, faces, start, members, normals, 12)
     way = moved - points
     length = np.linalg.norm(way, axis=1, keepdims=True)
     way *= np.minimum(1.0, max_move_m / np.maximum(length, 1e-9))

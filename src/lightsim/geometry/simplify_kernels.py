@@ -11,9 +11,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit, prange
 
-# Kind of a vertex inside a surface.
-_FREE = 0
-# Kind of a vertex on a border, or on a line between materials or provenances.
+# Kind of a vertex on a border, or on a line between materials or provenances; 0: inside a surface.
 _BORDER = 1
 # Kind of a vertex at an edge of more than two faces; it does not move.
 _FIXED = 2

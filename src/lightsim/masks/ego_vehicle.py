@@ -50,8 +50,6 @@ _ROAD_BELOW_M = np.geomspace(0.8, 4.0, 24)
 # road; noise alone gives 1. Shaded roads gave 0.10 to 0.32, the bonnet of log 002 gave 23
 # (docs/reference/datasets.md).
 _ROAD_RATIO = 0.7
-# Mean square of the difference of two rounded grey levels.
-_ROUNDING = 1 / 6
 
 
 def find_ego_vehicle(images: Float32[np.ndarray, "n h w"]) -> Bool[np.ndarray, "h w"]:
@@ -107,6 +105,7 @@ def moves_as_road(
     v, u = np.nonzero(inner)
     full_from_small = np.array([camera.width_px / width, camera.height_px / height])
     pixels_uv = np.stack([u + 0.5, v + 0.5], axis=1) * full_from_small
+    rounding = 1 / 6  # mean square of the difference of two rounded grey levels
     ratios = []
     for first, second in _pairs(frames):
         before, after = _small_grey(first), _small_grey(second)
@@ -123,7 +122,7 @@ def moves_as_road(
             if is_valid.any():
                 moved = _at(after, found_uv[is_valid] / full_from_small)
                 along = np.square(values[is_valid] - moved)
-                ratio[k] = (along.mean() + _ROUNDING) / (in_place[is_valid].mean() + _ROUNDING)
+                ratio[k] = (along.mean() + rounding) / (in_place[is_valid].mean() + rounding)
         ratios.append(ratio)
     # The height is the same in all pairs: average first, then take the best height.
     return bool(ratios) and float(np.mean(ratios, axis=0).min()) < _ROAD_RATIO

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
@@ -39,12 +40,14 @@ _LEAST_STEP_M = 1.0
 _MOST_FRAMES = 16
 # Fewest frames in which a direction must be sky: two frames can have the same error.
 _LEAST_FRAMES = 3
-# Kind of a pixel in whose direction no frame observed sky.
-UNKNOWN = 0
-# Kind of a pixel with the sky colour of its direction.
-SAME = 1
-# Kind of a pixel with another colour than the sky of its direction.
-OTHER = 2
+
+
+class Kind(IntEnum):
+    """Kind of a pixel: no observed sky in its direction; the sky's colour; another colour."""
+
+    UNKNOWN = 0
+    SAME = 1
+    OTHER = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +63,7 @@ class Agreement:
     """Comparison of an image with the observed sky in the directions of its pixels.
 
     Args:
-        kind: UNKNOWN, SAME or OTHER.
+        kind: the `Kind` of each pixel.
         expected_lab: sky colour of the direction; NaN unless SAME.
         is_same: probability that the pixel shows the same object as the panorama.
         log_odds: log-odds of sky of that object, mean over all positions; 0 if UNKNOWN.
@@ -83,7 +86,7 @@ class Agreement:
         """
         from skimage.measure import label
 
-        parts = label(labels * 3 + self.kind, background=-1, connectivity=2)
+        parts = label(labels * len(Kind) + self.kind, background=-1, connectivity=2)
         return np.asarray(parts, np.int64) - 1
 
     def applied_to(
@@ -91,7 +94,7 @@ class Agreement:
     ) -> Float[np.ndarray, " n"]:
         """Return log-odds of regions of `split`, averaged with the panorama's where it is SAME."""
         mean = RegionMean(labels)
-        weight = mean(self.is_same * (self.kind == SAME))
+        weight = mean(self.is_same * (self.kind == Kind.SAME))
         return (1.0 - weight) * own + weight * mean(self.log_odds) + mean(self.against)
 
 
@@ -119,7 +122,7 @@ class SkyPanorama:
         residual, expected = _nearest(self.lab, evidence)
         is_known = np.isfinite(residual)
         ratio = np.where(is_known, ratio_at(self.log_ratio, residual), 0.0)
-        kind = np.where(is_known, np.where(ratio > 0, SAME, OTHER), UNKNOWN)
+        kind = np.where(is_known, np.where(ratio > 0, Kind.SAME, Kind.OTHER), Kind.UNKNOWN)
         odds = np.where(is_known, self.log_odds[_cells(evidence)], 0.0)
         # The pixel deviates from the cell's object, which is sky with log-odds `odds`: marginalise
         # the ratio over both cases.
@@ -130,10 +133,10 @@ class SkyPanorama:
         )
         return Agreement(
             kind,
-            np.where((kind == SAME)[..., None], expected, np.float32(np.nan)),
+            np.where((kind == Kind.SAME)[..., None], expected, np.float32(np.nan)),
             1.0 / (1.0 + np.exp(-ratio)),
             odds,
-            np.where(kind == OTHER, hiding, 0.0),
+            np.where(kind == Kind.OTHER, hiding, 0.0),
             beside,
         )
 

@@ -18,22 +18,14 @@ from lightsim.geometry.actors.profile_kernels import polygon_distance
 # Shape that all bodies have in common. Typical of passenger cars, chosen by hand; the sensitivity
 # to each value is not measured.
 
-# Radius of the edges between the sides and the profile.
-_ROUNDING_M = 0.07
 # Fraction of the length over which the plan narrows, at either end.
 _TAPERED = 0.18
-# Fraction by which the bottom is narrower than the belt line.
-_TUCK = 0.05
 # Setback of the ends above and below the bumpers, as a fraction of the length.
 _NOSE = 0.02
 # Width of a tyre.
 _WHEEL_WIDTH_M = 0.22
-# Tolerance of the tyre surface in measurements, along its normal.
-_TYRE_M = 0.04
 # Width of the painted frame around a pane.
 _PILLAR_M = 0.08
-# Lower edge of side windows as a fraction of the height, unless the belt line is higher.
-_SILL = 0.6
 
 
 class Proportions(NamedTuple):
@@ -125,12 +117,13 @@ class Body:
         x, y, z = np.moveaxis(points_actor, -1, 0)
         side = self._profile_distance_m(x, z)
         across = np.abs(y) - self._half_width_m(x, z)
-        hull = rounded_intersection(side, across, _ROUNDING_M)
+        hull = rounded_intersection(side, across, 0.07)  # radius of the edges, in metres
         return np.minimum(hull, self._wheel_distance_m(x, y, z))
 
     def is_tyre(self, points_actor: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Return True for points of the surface that belong to a wheel."""
-        return self._wheel_distance_m(*points_actor.T) < _TYRE_M
+        # Measured details move the surface of a tyre by up to 4 cm.
+        return self._wheel_distance_m(*points_actor.T) < 0.04
 
     def is_pane(
         self, points_actor: Float64[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
@@ -144,7 +137,8 @@ class Body:
         p, (x, y, z) = self.proportions, points_actor.T
         _, _, hood_end, cowl, roof_front, _, roof_rear, deck = self._profile()[:8]
         is_above_hood = (x < cowl[0]) & (x > deck[0]) & (x > self._ahead_m(self.panes_to))
-        is_side = is_above_hood & (z > self._height_m(max(p.belt_height, _SILL)))
+        # Side windows begin at 0.6 of the height, or at a higher belt line.
+        is_side = is_above_hood & (z > self._height_m(max(p.belt_height, 0.6)))
         is_side &= self._profile_distance_m(x, z) < -_PILLAR_M
         # The windshield is the slope from the cowl to the roof, the rear window that to the deck.
         is_screen = (z > cowl[1]) & (x > roof_front[0]) & (x < hood_end[0])
@@ -194,6 +188,7 @@ class Body:
     def _half_width_m(
         self, x: Float64[np.ndarray, "*n"], z: Float64[np.ndarray, "*n"]
     ) -> Float64[np.ndarray, "*n"]:
+        """Return half of the body's width: its plan times its cross section."""
         p = self.proportions
         u = 0.5 - x / self.size_lwh_m[0]
         v = 0.5 + z / self.size_lwh_m[2]
@@ -202,7 +197,8 @@ class Body:
         plan = 1 - (1 - p.front_width) * ahead - (1 - p.rear_width) * behind
         rise = np.clip((v - p.belt_height) / max(p.roof_height - p.belt_height, 0.05), 0, 1.2)
         drop = np.clip((p.belt_height - v) / p.belt_height, 0, 1)
-        section = 1 - (1 - p.roof_width) * rise - _TUCK * drop**2
+        # The bottom is 5 % narrower than the belt line.
+        section = 1 - (1 - p.roof_width) * rise - 0.05 * drop**2
         return 0.5 * self.size_lwh_m[1] * p.width * plan * section
 
     def _wheel_distance_m(
