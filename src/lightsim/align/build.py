@@ -48,28 +48,37 @@ def align_log(
     Returns:
         Corrections in frame `world`; parts that held-back data reject stay as recorded.
     """
-    notes: list[str] = []
-    numbers: dict[str, float] = {}
     switched = Alignment(
         has_rolling_shutter=config.rolling_shutter,
         has_point_times=config.point_times,
         has_ego_vehicle_masks=config.ego_vehicle_masks,
     )
     log = switched.applied_to(log)
-    frames = _frames_to_compare(log, config)
     needs_sweeps = config.lidar_poses or config.camera_poses or config.actor_tracks
-    if len(log.sweeps) < _LEAST_SWEEPS or not needs_sweeps:
-        if needs_sweeps:
-            notes.append(
-                f"too few sweeps for the alignment: {len(log.sweeps)}, at least {_LEAST_SWEEPS} "
-                "are needed"
-            )
-        tracks = _settled_tracks(log, None, config, notes)
-        return replace(
-            switched,
-            actors={fit.actor_id: fit.matrices for fit in tracks},
-            notes=tuple(notes),
+    if needs_sweeps and len(log.sweeps) >= _LEAST_SWEEPS:
+        return _aligned_by_sweeps(log, switched, config, rng, progress)
+    notes: list[str] = []
+    if needs_sweeps:
+        notes.append(
+            f"too few sweeps for the alignment: {len(log.sweeps)}, at least {_LEAST_SWEEPS} "
+            "are required"
         )
+    tracks = _settled_tracks(log, None, config, notes)
+    actors = {fit.actor_id: fit.matrices for fit in tracks}
+    return replace(switched, actors=actors, notes=tuple(notes))
+
+
+def _aligned_by_sweeps(
+    log: DrivingLog,
+    switched: Alignment,
+    config: AlignConfig,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> Alignment:
+    """Return `switched` with all corrections that sweeps support."""
+    notes: list[str] = []
+    numbers: dict[str, float] = {}
+    frames = _frames_to_compare(log, config)
     # Boxes are corrected relative to the corrected path, so the path comes first.
     stems = {frame.stem for some in frames.values() for frame in some}
     found = gather(log, stems, rng=rng, progress=progress)
