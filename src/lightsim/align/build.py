@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from lightsim.align.cameras import CameraFit, align_cameras, chosen_frames
 from lightsim.align.config import AlignConfig
@@ -177,7 +176,7 @@ def _track_rms(fits: Sequence[TrackFit]) -> str:
     return f"{shift_cm:.1f} cm, {_rms([fit.yaw_rms_deg for fit in fits] or [0.0]):.2f} deg rms"
 
 
-def _rms(values: ArrayLike) -> float:
+def _rms(values: np.ndarray | list[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
