@@ -136,7 +136,8 @@ def _splatted(
     voxel_m: float,
     shape: tuple[int, ...],
 ) -> tuple[Float64[np.ndarray, "x y z"], Float64[np.ndarray, "x y z"]]:
-    """Return the number of points around each sample, weighted by a Gaussian, and their sum."""
+    """Return the number of points around each sample, weighted by a Gaussian, and the sum of
+    their values."""
     index = np.round((points_actor - low_m) / voxel_m).astype(np.int64)
     index = np.clip(index, 0, np.array(shape) - 1)
     flat = np.ravel_multi_index(tuple(index.T), shape)
