@@ -81,7 +81,7 @@ def is_in_box(
 ) -> Bool[np.ndarray, " n"]:
     """Return True for points inside an actor's box grown by `margin_m` on every side."""
     local = actor.world_from_actor(time_ns, SWEEP_HOLD_S).inverse().apply(points_world)
-    return (np.abs(local) <= actor.size_lwh_m / 2 + margin_m).all(axis=1)
+    return np.all(np.abs(local) <= actor.size_lwh_m / 2 + margin_m, axis=1)
 
 
 def reduced_grey(

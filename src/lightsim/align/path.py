@@ -89,7 +89,8 @@ def align_path(
     # total information on n knots has sqrt(n) times these values at each knot.
     whole = float(np.sqrt(len(zero.times_ns)))
     turn_deg, shift_m = 0.1 * whole, 0.05 * whole
-    prior = MotionPrior((turn_deg,) * 3, (shift_m,) * 3, 0.01, 0.01, 0.05)
+    turns_deg, shifts_m = (turn_deg, turn_deg, turn_deg), (shift_m, shift_m, shift_m)
+    prior = MotionPrior(turns_deg, shifts_m, 0.01, 0.01, 0.05)
     return align_returns(cloud, is_held_back, zero, prior, config, rng)
 
 

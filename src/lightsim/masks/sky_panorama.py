@@ -200,9 +200,11 @@ class CameraSky:
             np.concatenate([view.evidence.directions_world[hit] for view, hit in pairs]),
             np.concatenate([view.evidence.lab[hit] for view, hit in pairs]),
         )
+        of_sky, of_other = counts
         return CameraSky(
-            lab, known, frames_lab, frames_odds, *counts, certain, certain.sky_count(), beside
-        )
+            lab, known, frames_lab, frames_odds, of_sky, of_other,
+            certain, certain.sky_count(), beside,
+        )  # fmt: skip
 
 
 def frames_apart(frames: Sequence[CameraFrame]) -> tuple[CameraFrame, ...]:
