@@ -1,23 +1,23 @@
-"""The exceptions that LightSim raises on purpose: one clear line each, with the remedy."""
+"""Exceptions of LightSim, each with a message of one line that includes the remedy."""
 
 from __future__ import annotations
 
 import importlib
 from types import ModuleType
 
+# Most characters of each part of a message: enough for a long path and a sentence.
 _MAX_SHOWN = 500
-"""Characters of each part of a message: a path and a sentence."""
 
 
 class LightSimError(Exception):
-    """Base of every error a user can cause or mend.
+    """Base class of all errors that a user can cause or correct.
 
     Args:
         what: what is wrong, as a short sentence without a full stop.
         where: the file, camera, stage or option concerned.
         got: what was found.
-        expected: what would have been right, or the available choices.
-        remedy: what the user can do about it.
+        expected: the valid values or available choices.
+        remedy: what the user can do, as a sentence.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class LightSimError(Exception):
         super().__init__(self._message())
 
     def at(self, where: object) -> LightSimError:
-        """The same error, which names `where` unless it named a place already."""
+        """Return a copy of the error that names `where` if it names no place yet."""
         return type(self)(
             self.what,
             where=where if self.where is None else self.where,
@@ -57,37 +57,39 @@ class LightSimError(Exception):
 
 
 def _shown(text: str) -> str:
-    """One line of bounded length: files and options may hold line ends, or what steers a
-    terminal."""
+    """Return the text in one line of bounded length.
+
+    Files and options may contain line ends or control characters, which a terminal would execute.
+    """
     line = "".join(c if c.isprintable() else " " for c in text[: _MAX_SHOWN + 1])
     return line if len(line) <= _MAX_SHOWN else line[:_MAX_SHOWN] + "..."
 
 
 class InputError(LightSimError):
-    """A file or value given by the user is missing, broken or out of range."""
+    """A file or value from the user is missing, broken or out of range."""
 
 
 class FrameMismatchError(LightSimError):
-    """Transforms of unequal inner frames were composed, or a value is in the wrong frame."""
+    """Composed transforms have different inner frames, or a value is in the wrong frame."""
 
 
 class OutOfRangeError(LightSimError):
-    """A time or index lies outside what was recorded; nothing is extrapolated."""
+    """A time or index is outside the recorded range; values are not extrapolated."""
 
 
 class ArtefactError(LightSimError):
-    """An artefact folder is missing, incomplete or made in another format."""
+    """An artefact folder is missing, incomplete or in another format."""
 
 
 class MissingDependencyError(LightSimError):
-    """An optional package is needed and not installed."""
+    """A required optional package is not installed."""
 
 
 def need(module: str, *, extra: str) -> ModuleType:
-    """Import `module`, or say which extra brings it.
+    """Import and return `module`.
 
     Raises:
-        MissingDependencyError: the module is not installed.
+        MissingDependencyError: the module is not installed; the error names the extra.
     """
     try:
         return importlib.import_module(module)

@@ -1,4 +1,4 @@
-"""Progress of long work: a bar on a terminal, plain lines elsewhere, nothing in tests."""
+"""Progress reports of long loops: a bar on a terminal, plain lines elsewhere, none in tests."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ T = TypeVar("T")
 
 @runtime_checkable
 class Progress(Protocol):
-    """What a stage needs to report: wrap the loop in `track`."""
+    """Reporter of a stage's progress; a stage iterates over `track(items, ...)`."""
 
     def track(self, items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
-        """Yield the items unchanged while reporting; `total` where they have no length."""
+        """Yield the items and report; `total` is the number of items that have no length."""
         ...
 
 
 class SilentProgress:
-    """Reports nothing (library use, tests)."""
+    """Reporter without output, for use as a library and in tests."""
 
     def track(self, items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
         """Yield the items."""
@@ -28,13 +28,13 @@ class SilentProgress:
 
 
 class LineProgress:
-    """One line at the start, then at most one every `every_s` seconds, one at the end."""
+    """Reporter that prints at most one line every `every_s` seconds, and one at the end."""
 
     def __init__(self, every_s: float = 10.0) -> None:
         self._every_s = every_s
 
     def track(self, items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
-        """Yield the items; lines tell the count done and the seconds since the start."""
+        """Yield the items; each line has the number of items and the seconds since the start."""
         total = _length(items) if total is None else total
         start = last = time.monotonic()
         done = 0
@@ -57,7 +57,7 @@ class LineProgress:
 
 
 class BarProgress:
-    """A rich progress bar with the estimated time left."""
+    """Reporter with a progress bar (rich) and the estimated time left."""
 
     def track(self, items: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
         """Yield the items under a bar on standard error."""
@@ -74,7 +74,7 @@ class BarProgress:
 
 
 def terminal_progress() -> Progress:
-    """The reporter that fits standard error: a bar on a terminal, lines elsewhere."""
+    """Return the reporter for standard error: a bar on a terminal, lines elsewhere."""
     return BarProgress() if sys.stderr.isatty() else LineProgress()
 
 

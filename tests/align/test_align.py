@@ -52,8 +52,8 @@ def test_a_wandering_path_is_straightened() -> None:
     ("turn_deg", "shift_m", "is_kept", "words"),
     [
         (0.29, 0.09, True, ""),
-        (0.31, 0.0, True, "front_camera was turned by 0.31 degrees and moved by 0.0 cm"),
-        (0.0, 0.11, True, "front_camera was turned by 0.00 degrees and moved by 11.0 cm"),
+        (0.31, 0.0, True, "front_camera was rotated by up to 0.31 degrees and moved by up to 0.0"),
+        (0.0, 0.11, True, "front_camera was rotated by up to 0.00 degrees and moved by up to 11.0"),
         (0.4, 0.2, False, ""),
     ],
 )

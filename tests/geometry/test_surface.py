@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lightsim.core.adjacency import adjacency
 from lightsim.core.fields import TsdfGrid
 from lightsim.core.mesh import concatenate_meshes
 from lightsim.geometry.surface import (
@@ -13,7 +12,6 @@ from lightsim.geometry.surface import (
     extract_surface,
     make_mesh,
     quad_mesh,
-    smooth,
 )
 
 RADIUS_M = 3.9
@@ -66,18 +64,6 @@ def test_floaters_go_and_large_pieces_stay() -> None:
     crumb = make_mesh("world", big.vertices[:3] + 9.0, np.array([[0, 1, 2]]))
     both = concatenate_meshes([big, crumb])
     assert len(drop_floaters(both, 0.25).faces) == len(big.faces)
-
-
-def test_smoothing_removes_noise_and_keeps_size(rng: np.random.Generator) -> None:
-    mesh = extract_surface(_sphere())
-    centre = np.array([0.3, 0.2, 0.1])
-    noise = rng.normal(0, 0.01, mesh.vertices.shape)
-    rough = make_mesh("world", mesh.vertices + noise, mesh.faces.astype(np.int64))
-    after = np.linalg.norm(smooth(rough, 5).vertices - centre, axis=1)
-    before = np.linalg.norm(rough.vertices - centre, axis=1)
-    assert after.std() < 0.5 * before.std()
-    assert abs(float(after.mean()) - RADIUS_M) < 0.005
-    assert adjacency(mesh.faces, len(mesh.vertices)).diagonal().sum() == 0
 
 
 def test_quads_face_where_their_corners_turn_counter_clockwise() -> None:

@@ -50,7 +50,7 @@ def test_a_dark_cloud_before_a_bright_one_is_sky_beside_a_roof(rng: np.random.Ge
     nothing = np.zeros((*is_sky.shape, 3), np.float32)
     evidence = ImageEvidence(nothing, nothing, nothing[..., 0], no, no, no, no)
     probability = np.where(is_sky, 0.99, 0.0).astype(np.float32)
-    matte = refine_matte(np.clip(srgb8, 0, 255).astype(np.uint8), probability, evidence, 3)
+    matte = refine_matte(np.clip(srgb8, 0, 255).astype(np.uint8), probability, evidence)
     assert matte.expected[cloud].min() > 0.95
     assert matte.likeliest[:70].min() > 0.99
     assert matte.likeliest[70:].max() < 0.01

@@ -10,18 +10,17 @@ import pytest
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.core.sensors import CameraFrame
-from lightsim.masks.sky import _gather, _judge, estimate_sky_matte
+from lightsim.masks.certain_sky import CertainSky, log_ratios
+from lightsim.masks.sky import _classified, _gather, estimate_sky_matte
 from lightsim.masks.sky_panorama import (
-    SAME,
-    UNKNOWN,
     CameraSky,
+    Kind,
     SkyPanorama,
     SkyView,
     frames_apart,
     panoramas,
 )
 from lightsim.masks.sky_regions import ImageEvidence, region_graph
-from lightsim.masks.sure_sky import SureSky, log_ratios
 
 CAMERA = PinholeCamera("front", 480, 270, 240.0, 240.0, 240.0, 135.0)
 PLACES_M = np.arange(0.0, 12.0, 2.0)
@@ -88,7 +87,7 @@ def learnt(rng: np.random.Generator, astray_at: float | None) -> SkyPanorama:
     for x in PLACES_M:
         points = returns(with_wires=x == astray_at)
         evidence = _gather(draw(x, rng)[0], CAMERA, pose(x), points, None)
-        labels, odds = _judge(evidence, None, None)
+        labels, odds = _classified(evidence, None, None)
         views.append(SkyView(evidence, odds[labels]))
     return panoramas({"front": CameraSky.of(views)})["front"]
 
@@ -143,7 +142,7 @@ def gable_beside(gap_deg: float, deepest_deg: float, sky_lab: np.ndarray) -> np.
     colours from the gable's edge to the left, by degrees; and returns of a house of its colour."""
     azimuth = np.radians(np.arange(len(sky_lab)) * 1.5)
     flat = np.zeros_like(azimuth)
-    sky = SureSky.of(np.stack([np.cos(azimuth), np.sin(azimuth), flat], axis=1), sky_lab)
+    sky = CertainSky.of(np.stack([np.cos(azimuth), np.sin(azimuth), flat], axis=1), sky_lab)
     beside = np.radians(np.linspace(-gap_deg, -deepest_deg, 200))
     nothing = np.zeros_like(beside)
     directions = np.stack([np.cos(beside), np.sin(beside), nothing], axis=1)
@@ -187,8 +186,8 @@ def test_the_same_thing_seen_again_gains_nothing(rng: np.random.Generator) -> No
     panorama = replace(panoramas({"front": sky})["front"], log_ratio=ratio)
     agreement = panorama.compare(views[0].evidence)
     is_up = views[0].evidence.directions_world[..., 2] > 0
-    assert (agreement.kind[is_up] == SAME).all()
-    assert (agreement.kind[~is_up] == UNKNOWN).all()
+    assert (agreement.kind[is_up] == Kind.SAME).all()
+    assert (agreement.kind[~is_up] == Kind.UNKNOWN).all()
     labels = agreement.split(np.zeros((270, 480), np.int64))
     own = agreement.applied_to(labels, np.full(2, 0.7))
     assert own == pytest.approx([0.7, 0.7], abs=1e-6)
@@ -214,7 +213,7 @@ def test_directions_are_those_of_the_world(rng: np.random.Generator) -> None:
     inner = np.zeros((270, 480), bool)
     inner[20:130, 60:420] = True
     error = np.linalg.norm(agreement.expected_lab - view.evidence.lab, axis=-1)
-    assert (agreement.kind[inner] == SAME).all()
+    assert (agreement.kind[inner] == Kind.SAME).all()
     assert error[inner].max() < 0.5
     assert agreement.log_odds[inner] == pytest.approx(6.0, abs=1e-4)
 
@@ -223,11 +222,11 @@ def test_an_edge_of_the_sky_itself_is_none() -> None:
     lab = np.zeros((20, 20, 3), np.float32)
     lab[:, 10:] = [60.0, 5.0, 10.0]
     labels = (np.arange(20) >= 10).astype(np.int64)[None].repeat(20, axis=0)
-    even = region_graph(labels, np.zeros_like(lab), 4.0)
-    assert region_graph(labels, lab, 4.0, lab).agreement_px == pytest.approx(even.agreement_px)
-    assert region_graph(labels, lab, 4.0).agreement_px[0] < 1e-6
+    even = region_graph(labels, np.zeros_like(lab))
+    assert region_graph(labels, lab, lab).agreement_px == pytest.approx(even.agreement_px)
+    assert region_graph(labels, lab).agreement_px[0] < 1e-6
     unknown = np.full_like(lab, np.nan)
-    assert region_graph(labels, lab, 4.0, unknown).agreement_px[0] < 1e-6
+    assert region_graph(labels, lab, unknown).agreement_px[0] < 1e-6
 
 
 def test_a_camera_that_stands_still_tells_nothing() -> None:

@@ -1,1 +1,1 @@
-"""Sensors, path and boxes of a log brought into agreement before anything is built from it."""
+"""Alignment of a log's cameras, ego path and actor boxes before the twin is built from it."""

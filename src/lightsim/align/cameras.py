@@ -1,4 +1,4 @@
-"""Mounting and time offset of each camera, by LiDAR depth edges on edges of its pictures."""
+"""Mounting and time offset of each camera, from LiDAR depth edges and image edges."""
 
 from __future__ import annotations
 
@@ -17,38 +17,38 @@ from lightsim.core.frames import Trajectory
 from lightsim.core.sensors import CameraFrame
 from lightsim.progress import Progress
 
-_LEVELS_PX = (4.0, 2.0, 1.0)
-_ROUNDS = 2
-_BORDER_PX = 30.0
-_LEAST_EDGES = 1000
-_PRIOR_WEIGHT = 0.002
-_LIMIT = 3.0
-"""Largest correction in units of its expected size."""
-_STEPS = np.array([1e-4] * 3 + [1e-3] * 3 + [1e-3])
-
 Edges = Mapping[str, Float64[np.ndarray, "_ 3"]]
+"""Depth edges by frame stem, frame `world`."""
 
+# Camera alignment is measured as a whole (docs/decisions/0004-alignment-stage.md), not by constant.
 
-# Each part as a whole is measured (docs/decisions/0004-alignment-stage.md), none of these alone.
-
-# Depth edges used in each of them.
+# Standard deviation of each correction: rotation in radians (0.15 degrees), shift in metres, time
+# offset in seconds.
+_DEVIATION = np.array([np.radians(0.15)] * 3 + [0.015] * 3 + [0.01])
+# Largest correction, in standard deviations.
+_LIMIT = 3.0
+# Weight of the prior against the mean edge strength, which is between 0 and 1.
+_PRIOR_WEIGHT = 0.002
+# Steps of the numerical derivatives of pixel positions, in the units of `_DEVIATION`.
+_STEPS = np.array([1e-4] * 3 + [1e-3] * 3 + [1e-3])
+# Gaussian blur of the edge strength from coarse to fine, in reduced pixels.
+_LEVELS_PX = (4.0, 2.0, 1.0)
+# Depth edges this far outside the image are included: a correction may move them inside.
+_BORDER_PX = 30.0
+# Depth edges drawn in each frame; bounds the time.
 _EDGES_PER_FRAME = 1200
-# Expected size of a correction of a mounting (one standard deviation).
-_CAMERA_SHIFT_M = 0.015
-# The same for its rotation.
-_CAMERA_ROTATION_DEG = 0.15
-# The same for a camera's time offset.
-_CAMERA_TIME_S = 0.01
-# Pictures wider than this are reduced before they are compared.
-_PICTURE_WIDTH_PX = 960
+# Fewest depth edges in all frames of a camera for a fit of seven parameters.
+_LEAST_EDGES = 1000
+# Images wider than this are reduced before the comparison; bounds the time.
+_IMAGE_WIDTH_PX = 960
 
 
 @dataclass(frozen=True)
 class CameraFit:
-    """One camera's correction, and the mean edge strength under held-back depth edges.
+    """Correction of one camera and its mean edge strength (0 to 1) under held-back depth edges.
 
     Args:
-        is_kept: whether the held-back score rose enough.
+        is_kept: True if the held-back score rose by `AlignConfig.least_gain`.
     """
 
     camera_name: str
@@ -60,6 +60,8 @@ class CameraFit:
 
 @dataclass(frozen=True, eq=False)
 class _View:
+    """Frame with its sampled depth edges and the edge strength of its image at each level."""
+
     frame: CameraFrame
     points_world: Float64[np.ndarray, "n 3"]
     strength: tuple[Float32[np.ndarray, "h w"], ...]
@@ -73,34 +75,32 @@ def align_camera(
     config: AlignConfig,
     rng: np.random.Generator,
 ) -> CameraFit | None:
-    """The correction of one camera; None where too few depth edges lie in its pictures.
+    """Estimate the correction of one camera; None if its images contain too few depth edges.
 
-    Maximises the picture's edge strength under projected depth edges, from coarse to fine, with
-    Gaussian priors on the seven parameters. In each round pixel positions are linear in them. The
-    coarsest level can lead to a wrong maximum, so a search without it competes.
+    Maximises the image's edge strength under projected depth edges, from coarse to fine, with
+    Gaussian priors on the seven parameters. Each round linearises pixel positions in them. The
+    coarsest level can lead to a wrong maximum, so a second search starts one level below, and the
+    better result of the two is used.
     """
-    scale = min(1.0, _PICTURE_WIDTH_PX / camera.width_px)
+    scale = min(1.0, _IMAGE_WIDTH_PX / camera.width_px)
     small = camera.scaled(scale)
     views = [_view(frame, small, edges_by_stem[frame.stem], rng) for frame in frames]
     if sum(len(view.points_world) for view in views) < _LEAST_EDGES:
         return None
     fitted = [v for i, v in enumerate(views) if i % HELD_BACK != 0]
-    judging = [v for i, v in enumerate(views) if i % HELD_BACK == 0]
-    spread = np.array(
-        [np.radians(_CAMERA_ROTATION_DEG)] * 3 + [_CAMERA_SHIFT_M] * 3 + [_CAMERA_TIME_S]
-    )
+    held_back = [v for i, v in enumerate(views) if i % HELD_BACK == 0]
     x, best = np.zeros(7), _score(np.zeros(7), fitted, small, ego)
     for first_level in (0, 1):
         found = np.zeros(7)
         for level in range(first_level, len(_LEVELS_PX)):
-            for _ in range(_ROUNDS):
-                found = _improved(found, spread, fitted, level, small, ego)
-        away = found / spread
+            for _ in range(2):  # the second linearisation corrects the first
+                found = _improved(found, fitted, level, small, ego)
+        away = found / _DEVIATION
         score = _score(found, fitted, small, ego) - 0.5 * _PRIOR_WEIGHT * float(away @ away)
         if score > best:
             x, best = found, score
-    before = _score(np.zeros(7), judging, small, ego)
-    after = _score(x, judging, small, ego)
+    before = _score(np.zeros(7), held_back, small, ego)
+    after = _score(x, held_back, small, ego)
     is_kept = after > before * (1.0 + config.least_gain)
     return CameraFit(camera.name, _correction(x), before, after, is_kept)
 
@@ -108,7 +108,7 @@ def align_camera(
 def chosen_frames(
     frames: Sequence[CameraFrame], stems: Collection[str], count: int
 ) -> list[CameraFrame]:
-    """Frames spread evenly over those whose sweep is there."""
+    """Return at most `count` frames, evenly distributed over the frames that have a sweep."""
     usable = [frame for frame in frames if frame.stem in stems]
     if len(usable) <= count:
         return usable
@@ -125,7 +125,7 @@ def align_cameras(
     rng: np.random.Generator,
     progress: Progress,
 ) -> list[CameraFit]:
-    """Fits of all cameras that see enough depth edges."""
+    """Estimate the corrections of all cameras whose images contain enough depth edges."""
     fits: list[CameraFit] = []
     for name, frames in progress.track(
         frames_by_camera.items(), "camera mountings", len(frames_by_camera)
@@ -142,7 +142,7 @@ def _view(
     points_world: Float64[np.ndarray, "n 3"],
     rng: np.random.Generator,
 ) -> _View:
-    """The depth edges in or near the picture, and its edge strength at every level."""
+    """Return the depth edges in or near the image, and its edge strength at every level."""
     uv, _ = frame.project(camera, points_world)
     size = np.array([camera.width_px, camera.height_px])
     known = np.where(np.isfinite(uv), uv, -np.inf)
@@ -177,13 +177,12 @@ def _score(
 
 def _improved(
     x: Float64[np.ndarray, "7"],
-    spread: Float64[np.ndarray, "7"],
     views: Sequence[_View],
     level: int,
     camera: PinholeCamera,
     ego: Trajectory,
 ) -> Float64[np.ndarray, "7"]:
-    """One round: linear pixel positions, then a quasi-Newton search in units of `spread`."""
+    """Return `x` after one round: pixel positions linearised, then a quasi-Newton search."""
     base = _projected(x, views, camera, ego)
     slopes = [np.zeros((len(uv), 2, 7)) for uv in base]
     for k in range(7):
@@ -192,7 +191,8 @@ def _improved(
         for slope, uv, start in zip(
             slopes, _projected(moved, views, camera, ego), base, strict=True
         ):
-            slope[:, :, k] = np.nan_to_num((uv - start) / _STEPS[k]) * spread[k]
+            # In pixels per standard deviation; NaN behind the camera becomes 0.
+            slope[:, :, k] = np.nan_to_num((uv - start) / _STEPS[k]) * _DEVIATION[k]
     count = max(1, sum(len(uv) for uv in base))
 
     def cost(z: Float64[np.ndarray, "7"]) -> tuple[float, Float64[np.ndarray, "7"]]:
@@ -203,12 +203,12 @@ def _improved(
             du = sample(image, uv + [0.5, 0.0]) - sample(image, uv - [0.5, 0.0])
             dv = sample(image, uv + [0.0, 0.5]) - sample(image, uv - [0.0, 0.5])
             gradient -= slope[:, 0].T @ du + slope[:, 1].T @ dv
-        away = x / spread + z
+        away = x / _DEVIATION + z
         prior = 0.5 * _PRIOR_WEIGHT * float(away @ away)
         return total / count + prior, gradient / count + _PRIOR_WEIGHT * away
 
-    limits = [(-_LIMIT - start, _LIMIT - start) for start in x / spread]
+    limits = [(-_LIMIT - start, _LIMIT - start) for start in x / _DEVIATION]
     found = minimize(
         cost, np.zeros(7), jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 15}
     )
-    return x + found.x * spread
+    return x + found.x * _DEVIATION

@@ -1,4 +1,4 @@
-"""What is aligned, and how far it may move."""
+"""Settings of the alignment: the parts of a log to refine and the acceptance of corrections."""
 
 from __future__ import annotations
 
@@ -15,41 +15,41 @@ PARTS = (
     "camera_poses",
 )
 OTHER_PARTS = ("camera_gains",)
-"""Physics of the log that other stages take care of and the same option switches."""
+"""Parts that `--no-refine` also switches off but that another stage estimates."""
 
-
-# Each part as a whole is measured (docs/decisions/0004-alignment-stage.md), none of these alone.
-
-# Every n-th sweep or frame judges a correction instead of shaping it.
+# Every n-th sweep or frame is held back from the fit; a correction is accepted if it improves
+# them. A quarter leaves most data for the fit; other values are not measured.
 HELD_BACK = 4
 
 
 @dataclass(frozen=True)
 class AlignConfig:
-    """Which parts of a log are refined. A correction is kept only where returns or pictures that
-    it was not fitted to agree better with it."""
+    """Parts of a log that are refined, and the settings of the fit.
+
+    A correction is accepted only if held-back returns or images agree better with it.
+    """
 
     rolling_shutter: bool = True
-    """Keep the shutters that the log's reader gave the frames."""
+    """Retain the rolling shutter that the log's reader assigned to the frames."""
     point_times: bool = True
-    """Each return has its own time and origin; else those of its sweep's middle."""
+    """Use the time and origin of each return; otherwise those of the middle of its sweep."""
     ego_vehicle_masks: bool = True
-    """Leave the ego vehicle out of its pictures."""
+    """Exclude pixels of the ego vehicle."""
     lidar_poses: bool = True
-    """Refine the ego's path by the agreement of the sweeps."""
+    """Refine the ego path by point-to-plane distances between sweeps."""
     actor_tracks: bool = True
-    """Give parked vehicles one constant box, and place moving ones by their returns."""
+    """Assign parked vehicles one constant box, and move boxes of moving vehicles by returns."""
     camera_poses: bool = True
     """Refine the mounting and the time offset of each camera by depth edges."""
     least_gain: float = 0.005
-    """By which fraction the held-back score must improve for a correction to be kept."""
+    """Least relative improvement of the held-back score for a correction to be accepted."""
     plane_voxel_m: float = 0.2
     """Edge of the voxels to which all sweeps together are thinned for the map."""
     points_per_sweep: int = 4000
     """Returns of each sweep that are compared with the map."""
 
     def without(self, parts: tuple[str, ...]) -> AlignConfig:
-        """The same with some parts switched off.
+        """Return a copy with some parts switched off.
 
         Raises:
             InputError: a name is not one of PARTS or OTHER_PARTS.

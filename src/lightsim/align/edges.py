@@ -1,4 +1,4 @@
-"""Depth edges: returns beside which the next surface lies farther, and edges of pictures."""
+"""Depth edges of LiDAR sweeps, and edge strength of images."""
 
 from __future__ import annotations
 
@@ -11,29 +11,38 @@ from lightsim.core.actors import ActorTrack
 from lightsim.core.resample import resize_area
 from lightsim.core.sensors import SWEEP_HOLD_S, LidarSweep
 
+# Sensitivity of the alignment to these constants is not measured.
+
+# Neighbours of a return that are examined, nearest in angle.
 _NEIGHBOURS = 8
+# Largest angle between neighbours, 0.7 degrees.
 _NEIGHBOUR_RAD = 0.012
-_LEAST_JUMP_M, _LEAST_JUMP = 0.5, 0.05
+# Least depth jump of an edge: this constant in metres
+_LEAST_JUMP_M = 0.5
+# plus this fraction of the distance.
+_LEAST_JUMP = 0.05
+# Least ratio of the jump behind a return to the largest step in front of it. On a slanted surface,
+# neighbours are as far in front of a return as others are behind it (ratio 1).
 _LEAST_CONTRAST = 4.0
-"""On a slanted surface neighbours lie before a return as far as others behind it."""
+# Largest distance between the sensor origins of two neighbours on one silhouette.
 _SENSOR_M = 0.3
-"""Returns whose sensors stood farther apart are not neighbours on one silhouette."""
+# Nearest and farthest distance of a depth edge.
 _RANGE_M = (3.0, 60.0)
+# Returns of one sweep that are examined; bounds the time.
 _QUERIES = 40_000
+# Margin around the boxes of moving actors, since labelled boxes fit loosely.
 _MARGIN_M = 0.4
-"""Around boxes, which fit loosely; not measured."""
-_STRONG = 3.0
 
 
 def depth_edges(
     sweep: LidarSweep, actors: tuple[ActorTrack, ...], rng: np.random.Generator
 ) -> Float64[np.ndarray, "n 3"]:
-    """Points between the near and the far side of jumps in distance, frame `world`; none of
-    moving actors.
+    """Return points on silhouettes of static surfaces, frame `world` (Levinson and Thrun 2013,
+    doi:10.15607/RSS.2013.IX.029).
 
-    Seen from the LiDAR they lie on silhouettes, and nearly so from the cameras beside it
-    (Levinson and Thrun 2013, doi:10.15607/RSS.2013.IX.029). A silhouette passes, on average,
-    midway between two beams: the last return itself would lie inside it.
+    Each point is at the distance of the near return, midway between the directions of the near and
+    the far return: on average, a silhouette passes midway between two beams. Points on moving
+    actors are excluded.
     """
     rays = sweep.points_world.astype(np.float64) - sweep.origins_world
     distance = np.linalg.norm(rays, axis=1)
@@ -42,45 +51,43 @@ def depth_edges(
         return np.empty((0, 3))
     rays, distance = rays[in_range], distance[in_range]
     directions = rays / distance[:, None]
-    asked = np.flatnonzero(distance < _RANGE_M[1])
-    asked = rng.permutation(asked)[:_QUERIES]
-    apart, near = KDTree(directions).query(directions[asked], k=_NEIGHBOURS + 1, workers=2)
+    # Twice the range above: the far side of an edge may lie beyond the farthest edge.
+    queried = np.flatnonzero(distance < _RANGE_M[1])
+    queried = rng.permutation(queried)[:_QUERIES]
+    apart, near = KDTree(directions).query(directions[queried], k=_NEIGHBOURS + 1, workers=2)
     origins = sweep.origins_world[in_range].astype(np.float64)
-    same_sensor = np.linalg.norm(origins[near] - origins[asked][:, None], axis=2) < _SENSOR_M
-    own = distance[asked][:, None]
+    same_sensor = np.linalg.norm(origins[near] - origins[queried][:, None], axis=2) < _SENSOR_M
+    own = distance[queried][:, None]
     beside = np.where(same_sensor & (apart < _NEIGHBOUR_RAD), distance[near], own) - own
     is_behind = beside > np.maximum(
         _LEAST_JUMP * own + _LEAST_JUMP_M, -_LEAST_CONTRAST * beside.min(axis=1, keepdims=True)
     )
     is_edge = is_behind.any(axis=1)
-    rows = asked[is_edge]
+    rows = queried[is_edge]
     first = is_behind[is_edge].argmax(axis=1)
     other = np.take_along_axis(np.asarray(near)[is_edge], first[:, None], axis=1)[:, 0]
     middle = directions[rows] + directions[other]
     middle *= (distance[rows] / np.linalg.norm(middle, axis=1))[:, None]
     points = origins[rows] + middle
-    return points[~is_on_moving_actor(points, actors, sweep.time_ns)]
-
-
-def is_on_moving_actor(
-    points_world: Float64[np.ndarray, "n 3"],
-    actors: tuple[ActorTrack, ...],
-    time_ns: int,
-) -> Bool[np.ndarray, " n"]:
-    """Which points lie in the grown box of an actor that moves."""
-    found = np.zeros(len(points_world), dtype=bool)
+    is_moving = np.zeros(len(points), dtype=bool)
     for actor in actors:
-        if actor.is_moving and actor.is_present(time_ns, SWEEP_HOLD_S):
-            actor_from_world = actor.world_from_actor(time_ns, SWEEP_HOLD_S).inverse()
-            local = np.abs(actor_from_world.apply(points_world))
-            found |= (local <= actor.size_lwh_m / 2 + _MARGIN_M).all(axis=1)
-    return found
+        if actor.is_moving and actor.is_present(sweep.time_ns, SWEEP_HOLD_S):
+            is_moving |= is_in_box(actor, points, sweep.time_ns, _MARGIN_M)
+    return points[~is_moving]
+
+
+def is_in_box(
+    actor: ActorTrack, points_world: Float64[np.ndarray, "n 3"], time_ns: int, margin_m: float
+) -> Bool[np.ndarray, " n"]:
+    """Return True for points inside an actor's box grown by `margin_m` on every side."""
+    local = actor.world_from_actor(time_ns, SWEEP_HOLD_S).inverse().apply(points_world)
+    return np.all(np.abs(local) <= actor.size_lwh_m / 2 + margin_m, axis=1)
 
 
 def reduced_grey(
     srgb8: UInt8[np.ndarray, "h w 3"], height_px: int, width_px: int
 ) -> Float32[np.ndarray, "h2 w2"]:
-    """The green channel at another size."""
+    """Return the green channel, from 0 to 255, at another size."""
     grey = srgb8[..., 1:2].astype(np.float32)
     if grey.shape[:2] == (height_px, width_px):
         return grey[..., 0]
@@ -88,19 +95,23 @@ def reduced_grey(
 
 
 def edge_strength(grey: Float32[np.ndarray, "h w"], sigma_px: float) -> Float32[np.ndarray, "h w"]:
-    """Gradient of log intensity, from 0 to 1: half where it is several times the picture's mean
-    and a good part of its strongest, so that the middle of an edge stays its maximum."""
+    """Return the gradient g of log intensity, compressed to g / (g + scale) between 0 and 1.
+
+    The scale depends on the image's mean and its strongest gradient, so that compression does not
+    flatten the maximum in the middle of an edge.
+    """
+    # The offset of 8 grey levels limits the noise of dark pixels.
     smooth = gaussian_filter(np.log(grey + 8.0), sigma_px)
     gradient = np.hypot(sobel(smooth, 0), sobel(smooth, 1))
     strongest = float(np.percentile(gradient[::2, ::2], 99.5))
-    scale = max(_STRONG * float(gradient.mean()), 0.5 * strongest, 1e-6)
+    scale = max(3.0 * float(gradient.mean()), 0.5 * strongest, 1e-6)
     return (gradient / (gradient + scale)).astype(np.float32)
 
 
 def sample(
     image: Float32[np.ndarray, "h w"], uv: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, " n"]:
-    """Bilinear values at (u, v); the border's value outside, 0 at NaN."""
+    """Return bilinear values at (u, v); the border's value outside the image, 0 at NaN."""
     height, width = image.shape
     is_known = np.isfinite(uv).all(axis=1)
     x = np.clip(np.where(is_known, uv[:, 0], 0.5) - 0.5, 0.0, width - 1.001)

@@ -1,4 +1,4 @@
-"""One pass over the sweeps: what the path, the boxes and the cameras are aligned by."""
+"""One pass over the sweeps that collects the input of every correction."""
 
 from __future__ import annotations
 
@@ -6,28 +6,32 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Float64, Int64
 
-from lightsim.align.edges import depth_edges
+from lightsim.align.edges import depth_edges, is_in_box
 from lightsim.align.planes import Cloud, first_of_voxels
 from lightsim.core.actors import ActorTrack
 from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import SWEEP_HOLD_S, LidarSweep
 from lightsim.progress import Progress
 
+# Edge of the voxels to which each sweep is thinned: less than `AlignConfig.plane_voxel_m`, by which
+# all sweeps together are thinned.
 _VOXEL_M = 0.15
+# Largest distance of static returns; farther ones are too sparse for local planes.
 _RANGE_M = 80.0
+# Margin around labelled boxes, which fit loosely. Sensitivity not measured.
 _MARGIN_M = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """Returns of all sweeps.
+    """Returns and depth edges of all sweeps, frame `world`.
 
     Args:
         static: thinned returns outside every box.
-        moving: returns inside the boxes of actors that move, by actor id.
-        edges_by_stem: depth edges of the sweeps that were asked for.
+        moving: returns inside the boxes of moving actors, by actor id.
+        edges_by_stem: depth edges of the requested sweeps.
     """
 
     static: Cloud
@@ -42,7 +46,7 @@ def gather(
     rng: np.random.Generator,
     progress: Progress,
 ) -> Gathered:
-    """Read every sweep once."""
+    """Read every sweep once; depth edges only for the sweeps with a stem in `edge_stems`."""
     static: list[Cloud] = []
     moving: dict[str, list[Cloud]] = {}
     edges: dict[str, Float64[np.ndarray, "_ 3"]] = {}
@@ -57,14 +61,13 @@ def gather(
             is_static[inside] = False
             if actor.is_moving and len(inside):
                 moving.setdefault(actor.actor_id, []).append(cloud.rows(inside))
-        kept = cloud.rows(is_static)
-        static.append(kept.rows(first_of_voxels(kept.points_world, _VOXEL_M)))
-    joined = {actor_id: joined_clouds(clouds) for actor_id, clouds in moving.items()}
-    return Gathered(joined_clouds(static), joined, edges)
+        remaining = cloud.rows(is_static)
+        static.append(remaining.rows(first_of_voxels(remaining.points_world, _VOXEL_M)))
+    joined = {actor_id: _joined(clouds) for actor_id, clouds in moving.items()}
+    return Gathered(_joined(static), joined, edges)
 
 
-def joined_clouds(clouds: list[Cloud]) -> Cloud:
-    """One cloud of all returns, in the order of the clouds."""
+def _joined(clouds: list[Cloud]) -> Cloud:
     return Cloud(
         np.concatenate([c.points_world for c in clouds]),
         np.concatenate([c.times_ns for c in clouds]),
@@ -79,10 +82,11 @@ def _cloud(sweep: LidarSweep, index: int) -> Cloud:
 
 
 def rows_near_box(cloud: Cloud, actor: ActorTrack, time_ns: int) -> Int64[np.ndarray, " n"]:
-    """Rows of one sweep inside the grown box of an actor at the time it was scanned."""
+    """Return the rows of one sweep inside the grown box of an actor when it was scanned."""
     if not actor.is_present(time_ns, SWEEP_HOLD_S):
         return np.empty(0, dtype=np.int64)
     centre = actor.world_from_actor(time_ns, SWEEP_HOLD_S).translation_m
+    # Within a sweep an actor moves: 3 m in 0.1 s is 108 km/h.
     reach = float(np.linalg.norm(actor.size_lwh_m)) / 2 + 3.0
     near = np.flatnonzero((np.abs(cloud.points_world[:, :2] - centre[:2]) < reach).all(axis=1))
     if len(near) == 0:
@@ -90,13 +94,4 @@ def rows_near_box(cloud: Cloud, actor: ActorTrack, time_ns: int) -> Int64[np.nda
     scanned_ns = int(np.median(cloud.times_ns[near]))
     if not actor.is_present(scanned_ns, SWEEP_HOLD_S):
         scanned_ns = time_ns
-    inside = actor_contains(actor, cloud.points_world[near], scanned_ns)
-    return near[inside]
-
-
-def actor_contains(
-    actor: ActorTrack, points_world: Float64[np.ndarray, "n 3"], time_ns: int
-) -> Bool[np.ndarray, " n"]:
-    """Inside the box grown sideways and upwards."""
-    local = actor.world_from_actor(time_ns, SWEEP_HOLD_S).inverse().apply(points_world)
-    return np.all(np.abs(local) <= actor.size_lwh_m / 2 + _MARGIN_M, axis=1)
+    return near[is_in_box(actor, cloud.points_world[near], scanned_ns, _MARGIN_M)]

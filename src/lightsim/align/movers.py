@@ -1,5 +1,4 @@
-"""Boxes of moving vehicles: on a path that a vehicle can drive, and placed so that the returns of
-all sweeps agree on one shape."""
+"""Boxes of moving vehicles: smooth tracks, corrected so that the returns of all sweeps agree."""
 
 from __future__ import annotations
 
@@ -12,33 +11,34 @@ from scipy.interpolate import make_smoothing_spline
 from scipy.spatial import KDTree
 
 from lightsim.align.config import HELD_BACK, AlignConfig
-from lightsim.align.path import PathFit, Wander, align_returns, still_correction
+from lightsim.align.path import MotionPrior, PathFit, align_returns, zero_correction
 from lightsim.align.planes import Cloud, is_sampled
 from lightsim.align.tracks import TrackFit
 from lightsim.core.actors import ActorTrack
 from lightsim.core.alignment import PathCorrection
 from lightsim.core.frames import Trajectory
 
-# Labels of log 002 slide along a vehicle by up to half a metre in a sawtooth of four or five
-# sweeps: as labelled, four of its cars brake and speed up by 18 to 51 m/s2 (rms), others by less
-# than 6.
+# Standard deviation of a label's position, in metres. Labels of log 002 slide along a vehicle by up
+# to half a metre in a sawtooth of four or five sweeps: as labelled, four of its cars accelerate by
+# 18 to 51 m/s2 (rms), others by less than 6.
 _LABEL_SLIDE_M = 0.2
-# Vehicles in traffic: 1.5 m/s2, for about a second.
-_ACCELERATION_M_S2, _ACCELERATING_S = 1.5, 1.0
+# Spectral density of acceleration, m2/s3: 1.5 m/s2 for about one second, as in ordinary traffic.
+_ACCELERATION_DENSITY = 2 * 1.5**2
+# Fewest poses for a smoothing spline.
 _LEAST_POSES = 5
-"""That a smoothing spline needs."""
+# Returns of each sweep in the test of the smooth track; bounds the time.
 _COMPARED_PER_SWEEP = 200
+# Distance at which the nearest return of another sweep is clipped: it is on another part.
 _FAR_M = 0.5
-"""Farther returns of other sweeps are of another part of the vehicle."""
+# Fewest returns of an actor for a fit. Sensitivity not measured.
 _LEAST_RETURNS = 400
+# Fewest sweeps with returns of an actor for a fit. Sensitivity not measured.
 _LEAST_SWEEPS = 4
-_RETURNS_PER_SWEEP = 1500
-_VOXEL_M = 0.15
-_LEAST_GAIN = 0.15
+# Returns within half a millisecond have one pose: 1 cm of motion at 20 m/s.
 _TICK_NS = 500_000
-"""Returns of half a millisecond share a pose: half a centimetre at 20 m/s."""
-_JITTER = Wander((0.2, 0.2, 1.5), (0.15, 0.1, 0.05), 3.0, 0.2, 0.12)
-"""Labels slide along a vehicle more than across; errors of neighbouring labels differ freely."""
+# Prior on label errors. They slide along a vehicle (x) more than across, and the errors of
+# neighbouring labels are nearly independent, hence the large differences between knots.
+_LABEL_PRIOR = MotionPrior((0.2, 0.2, 1.5), (0.15, 0.1, 0.05), 3.0, 0.2, 0.12)
 
 
 def settle_moving(
@@ -48,15 +48,15 @@ def settle_moving(
     config: AlignConfig,
     rng: np.random.Generator,
 ) -> list[TrackFit]:
-    """Corrected poses of every moving vehicle whose held-back returns agree better with them.
+    """Return corrected poses of every moving vehicle whose returns agree better with them.
 
-    First a path that a vehicle can drive along the labels takes their place, if the sweeps lie
-    nearer to each other with it. Of what is then fitted to returns, a random quarter of them
-    judges. Where one side alone was seen, the slide along it stays as it is.
+    A smooth track replaces the labels if it reduces the distances between the sweeps' returns.
+    Point-to-plane matching then corrects the track and is accepted by a random quarter of the
+    returns. If only one side of a vehicle was observed, an error along that side remains.
 
     Args:
-        returns: of each actor, frame `world` as recorded.
-        path: the ego's correction, which moves boxes and returns alike.
+        returns: returns inside each actor's box by actor id, frame `world`, as recorded.
+        path: correction of the ego path, which moves boxes and returns alike.
     """
     fits: list[TrackFit] = []
     for actor in actors:
@@ -85,8 +85,11 @@ def settle_moving(
 
 
 def _apart_m(cloud: Cloud) -> float:
-    """Mean distance of returns to the nearest one of another sweep. Unlike distances from planes it
-    tells how far sweeps slid along a surface, by its edges and ends."""
+    """Return the mean distance of returns to the nearest return of another sweep, in metres.
+
+    Unlike the distance from planes it grows if a sweep slides along a surface, at the surface's
+    edges and ends.
+    """
     apart = []
     for number in np.unique(cloud.sweep):
         is_own = cloud.sweep == number
@@ -96,36 +99,33 @@ def _apart_m(cloud: Cloud) -> float:
 
 
 def drivable(trajectory: Trajectory) -> Trajectory:
-    """The positions of a track as a vehicle can have driven them; its rotations are kept.
+    """Smooth the positions of a track; its rotations are unchanged.
 
-    The most likely path where labels err by white noise and acceleration is white noise: a cubic
-    smoothing spline (Wahba 1978, doi:10.1111/j.2517-6161.1978.tb01050.x).
+    A cubic smoothing spline is the most likely path if label errors and acceleration are white
+    noise (Wahba 1978, doi:10.1111/j.2517-6161.1978.tb01050.x).
     """
     seconds = (trajectory.times_ns - trajectory.start_ns) / 1e9
-    density = 2 * _ACCELERATION_M_S2**2 * _ACCELERATING_S
     matrices = trajectory.matrices.copy()
     for axis in range(3):
         spline = make_smoothing_spline(
-            seconds, matrices[:, axis, 3], lam=_LABEL_SLIDE_M**2 / density
+            seconds, matrices[:, axis, 3], lam=_LABEL_SLIDE_M**2 / _ACCELERATION_DENSITY
         )
         matrices[:, axis, 3] = spline(seconds)
     return replace(trajectory, matrices=matrices)
 
 
 def _fitted(cloud: Cloud, config: AlignConfig, rng: np.random.Generator) -> PathFit:
-    is_judge = rng.random(len(cloud.sweep)) < 1.0 / HELD_BACK
-    fine = replace(
-        config,
-        plane_voxel_m=_VOXEL_M,
-        points_per_sweep=_RETURNS_PER_SWEEP,
-        least_gain=_LEAST_GAIN,
-    )
-    still = still_correction(cloud, np.zeros(3))
-    return align_returns(cloud, is_judge, still, _JITTER, fine, rng)
+    """Fit the correction of one box, with a random quarter of its returns held back."""
+    is_held_back = rng.random(len(cloud.sweep)) < 1.0 / HELD_BACK
+    # Finer than the static map, since vehicles are small. The least gain is higher, since held-back
+    # returns are of the fitted sweeps and so improve by overfitting, too.
+    fine = replace(config, plane_voxel_m=0.15, points_per_sweep=1500, least_gain=0.15)
+    zero = zero_correction(cloud, np.zeros(3))
+    return align_returns(cloud, is_held_back, zero, _LABEL_PRIOR, fine, rng)
 
 
 def _in_box(cloud: Cloud, actor: ActorTrack) -> Cloud:
-    """Returns in the actor's frame, each by the pose of the moment it was measured."""
+    """Return the cloud in frame `actor`, each return by the pose at its own time."""
     trajectory = actor.trajectory
     is_labelled = (cloud.times_ns >= trajectory.start_ns) & (cloud.times_ns <= trajectory.end_ns)
     cloud = cloud.rows(is_labelled)
@@ -139,13 +139,14 @@ def _in_box(cloud: Cloud, actor: ActorTrack) -> Cloud:
 
 
 def _moved(actor: ActorTrack, path: PathCorrection) -> ActorTrack:
+    """Return the actor after the correction of the ego path."""
     trajectory = actor.trajectory
     moves = np.stack([path.at(int(t)).matrix for t in trajectory.times_ns])
     return replace(actor, trajectory=replace(trajectory, matrices=moves @ trajectory.matrices))
 
 
 def _corrected(labelled: ActorTrack, rolled: ActorTrack, fit: PathFit | None) -> TrackFit:
-    """world_from_actor x (recorded from true actor) at every label."""
+    """Return the corrected pose at every label, world_from_rolled @ inv(true_from_labelled)."""
     times, was = labelled.trajectory.times_ns, labelled.trajectory.matrices
     matrices: Float64[np.ndarray, "n 4 4"] = rolled.trajectory.matrices
     if fit is not None:

@@ -1,8 +1,8 @@
-"""How what was located sweep by sweep wanders, by the agreement of all sweeps.
+"""Correction of a path by the agreement of all sweeps, by point-to-plane distances.
 
-For the ego's path the sweeps of the whole street are compared in frame `world`; for a moving actor
-the returns inside its box, in its own frame (movers.py). The distance is that of point to plane
-(Chen & Medioni 1992, doi:10.1016/0262-8856(92)90066-C).
+For the ego path, static returns are compared in frame `world`; for a moving actor, the returns
+inside its box in frame `actor` (movers.py). Method: Chen & Medioni 1992,
+doi:10.1016/0262-8856(92)90066-C.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 
 from lightsim.align.config import HELD_BACK, AlignConfig
 from lightsim.align.planes import (
+    BATCH,
     Cloud,
     Matches,
     first_of_voxels,
@@ -25,34 +26,30 @@ from lightsim.align.planes import (
 from lightsim.core.alignment import PathCorrection
 from lightsim.core.frames import Trajectory
 
+# The correction of the path is measured as a whole (docs/decisions/0004-alignment-stage.md), these
+# constants are not.
+
+# Time between knots of the correction, in seconds: one sweep at 10 Hz.
 _KNOT_S = 0.1
+# Scale of the Cauchy loss, in metres.
 _SCALE_M = 0.03
-_NOISE_M = 0.02
-_CORRELATED = 50.0
-"""So many neighbouring returns are worth one independent measurement."""
-_BATCH = 20_000
-
-
-# Each part as a whole is measured (docs/decisions/0004-alignment-stage.md), none of these alone.
-
-# Rounds of matching and solving for the path.
+# Variance of a residual, m2: noise of 2 cm, times 50 neighbouring returns whose errors are
+# correlated and count as one measurement.
+_VARIANCE_M2 = 0.02**2 * 50.0
+# Rounds of matching and solving.
 _PATH_ROUNDS = 3
-# Expected size of a correction of the path (one standard deviation).
-_PATH_SHIFT_M = 0.05
-# The same for its rotation.
-_PATH_ROTATION_DEG = 0.1
 
 
 @dataclass(frozen=True)
-class Wander:
-    """What is expected of a correction, one standard deviation for each axis of its frame.
+class MotionPrior:
+    """Standard deviations of a correction, and the flatness of the planes it is estimated from.
 
     Args:
-        turns_deg: rotation at a knot.
-        shifts_m: shift at a knot.
+        turns_deg: rotation at a knot, about each axis of the frame.
+        shifts_m: shift at a knot, along each axis.
         turn_changes_deg: second differences of the rotation between knots.
         shift_changes_m: second differences of the shift.
-        flat_m: deviation of returns from a plane before they are corrected.
+        flat_m: largest deviation of uncorrected returns from a plane.
     """
 
     turns_deg: tuple[float, float, float]
@@ -64,7 +61,7 @@ class Wander:
 
 @dataclass(frozen=True, eq=False)
 class PathFit:
-    """The correction and the held-back returns' median distance from the map's planes."""
+    """Correction of a path, and the median distance of held-back returns from the map's planes."""
 
     correction: PathCorrection
     residual_before_m: float
@@ -73,71 +70,73 @@ class PathFit:
 
     @property
     def shifts_m(self) -> Float64[np.ndarray, " n"]:
-        """How far the correction moves the path at each of its knots."""
+        """Length of the correction's shift at each knot, in metres."""
         return np.linalg.norm(self.correction.shifts_m, axis=1)
 
     @property
     def turns_deg(self) -> Float64[np.ndarray, " n"]:
-        """By what angle the correction turns the path at each of its knots."""
+        """Angle of the correction's rotation at each knot, in degrees."""
         return np.degrees(np.linalg.norm(self.correction.rotations_rad, axis=1))
 
 
 def align_path(
     cloud: Cloud, ego: Trajectory, config: AlignConfig, rng: np.random.Generator
 ) -> PathFit:
-    """Correct the path by the sweeps; every `config.held_back`-th sweep only judges."""
-    is_judge = cloud.sweep % HELD_BACK == HELD_BACK // 2
-    still = still_correction(cloud, ego.positions_m.mean(axis=0))
-    # The size is expected of the path as a whole, not of each knot.
-    whole = float(np.sqrt(len(still.times_ns)))
-    turn_deg, shift_m = _PATH_ROTATION_DEG * whole, _PATH_SHIFT_M * whole
-    wander = Wander((turn_deg, turn_deg, turn_deg), (shift_m, shift_m, shift_m), 0.01, 0.01, 0.05)
-    return align_returns(cloud, is_judge, still, wander, config, rng)
+    """Estimate the correction of the ego path; every `HELD_BACK`-th sweep only tests it."""
+    is_held_back = cloud.sweep % HELD_BACK == HELD_BACK // 2
+    zero = zero_correction(cloud, ego.positions_m.mean(axis=0))
+    # Standard deviations of 0.1 degrees and 5 cm are those of the path as a whole. A prior of equal
+    # total information on n knots has sqrt(n) times these values at each knot.
+    whole = float(np.sqrt(len(zero.times_ns)))
+    turn_deg, shift_m = 0.1 * whole, 0.05 * whole
+    turns_deg, shifts_m = (turn_deg, turn_deg, turn_deg), (shift_m, shift_m, shift_m)
+    prior = MotionPrior(turns_deg, shifts_m, 0.01, 0.01, 0.05)
+    return align_returns(cloud, is_held_back, zero, prior, config, rng)
 
 
 def align_returns(
     cloud: Cloud,
-    is_judge: Bool[np.ndarray, " n"],
-    still: PathCorrection,
-    wander: Wander,
+    is_held_back: Bool[np.ndarray, " n"],
+    zero: PathCorrection,
+    prior: MotionPrior,
     config: AlignConfig,
     rng: np.random.Generator,
 ) -> PathFit:
-    """Correct what wanders by the agreement of the sweeps.
+    """Estimate a correction that makes the returns of all sweeps agree.
 
-    All knots are solved for at once, both ends of each match moving: a sweep may not simply
-    follow a map that is as wrong as itself.
+    All knots are solved for at once, and both ends of each match move: a sweep must not be fitted
+    to a map with the same errors as its own.
 
     Args:
-        cloud: returns in a frame in which the scene should stand still.
-        is_judge: returns that shape nothing; the correction is kept if they agree better with it.
-        still: knots and pivot of the correction, all zero.
-        wander: how large corrections may be.
+        cloud: returns in a frame in which the surface is static.
+        is_held_back: returns that only test the correction.
+        zero: knots and pivot of the correction, all zero.
+        prior: expected size and smoothness of the correction.
     """
-    fitted, judging = cloud.rows(~is_judge), cloud.rows(is_judge)
-    asked = fitted.rows(is_sampled(fitted.sweep, config.points_per_sweep, rng))
+    fitted, held_back = cloud.rows(~is_held_back), cloud.rows(is_held_back)
+    compared = fitted.rows(is_sampled(fitted.sweep, config.points_per_sweep, rng))
     reference = _thinned(fitted, config.plane_voxel_m, rng)
-    judging = judging.rows(is_sampled(judging.sweep, config.points_per_sweep, rng))
-    correction = still
-    before = held_back_residual_m(judging, reference, correction, wander.flat_m)
+    held_back = held_back.rows(is_sampled(held_back.sweep, config.points_per_sweep, rng))
+    correction = zero
+    before = _residual_m(held_back, reference, correction, prior.flat_m)
     for _ in range(_PATH_ROUNDS):
-        correction = _solved(correction, asked, reference, wander)
-    after = held_back_residual_m(judging, reference, correction, wander.flat_m)
+        correction = _solved(correction, compared, reference, prior)
+    after = _residual_m(held_back, reference, correction, prior.flat_m)
     return PathFit(correction, before, after, after < before * (1.0 - config.least_gain))
 
 
-def held_back_residual_m(
-    judging: Cloud, reference: Cloud, correction: PathCorrection, flat_m: float
+def _residual_m(
+    held_back: Cloud, reference: Cloud, correction: PathCorrection, flat_m: float
 ) -> float:
-    """Median distance of returns from the planes of a map of other sweeps."""
+    """Return the median distance of returns from the planes of a map of other sweeps."""
     reference = _moved(reference, correction)
     tree = KDTree(reference.points_world)
-    matches = match_planes(_moved(judging, correction), reference, tree, flat_m)
+    matches = match_planes(_moved(held_back, correction), reference, tree, flat_m)
     return float(np.median(np.abs(matches.residuals_m))) if len(matches.rows) else float("nan")
 
 
-def still_correction(cloud: Cloud, pivot: Float64[np.ndarray, "3"]) -> PathCorrection:
-    """Knots over the time of the returns, with no correction yet."""
+def zero_correction(cloud: Cloud, pivot: Float64[np.ndarray, "3"]) -> PathCorrection:
+    """Return knots over the time of the returns, without rotation or shift."""
     start, end = int(cloud.times_ns.min()), int(cloud.times_ns.max())
     count = max(2, int(np.ceil((end - start) * 1e-9 / _KNOT_S)) + 1)
     times = np.linspace(start, end, count).astype(np.int64)
@@ -146,7 +145,7 @@ def still_correction(cloud: Cloud, pivot: Float64[np.ndarray, "3"]) -> PathCorre
 
 
 def _thinned(cloud: Cloud, voxel_m: float, rng: np.random.Generator) -> Cloud:
-    """One return in each voxel, of whichever sweep: neighbours then span a stretch of surface."""
+    """Return one random return of each voxel, so that neighbours extend over some surface."""
     order = rng.permutation(len(cloud.sweep))
     return cloud.rows(order[first_of_voxels(cloud.points_world[order], voxel_m)])
 
@@ -157,22 +156,22 @@ def _moved(cloud: Cloud, correction: PathCorrection) -> Cloud:
 
 
 def _solved(
-    correction: PathCorrection, asked: Cloud, reference: Cloud, wander: Wander
+    correction: PathCorrection, compared: Cloud, reference: Cloud, motion: MotionPrior
 ) -> PathCorrection:
-    """One Gauss-Newton step with the priors; information of dense returns is discounted."""
-    asked, reference = _moved(asked, correction), _moved(reference, correction)
-    matches = match_planes(asked, reference, KDTree(reference.points_world), wander.flat_m)
+    """Return the correction after one Gauss-Newton step with the prior."""
+    compared, reference = _moved(compared, correction), _moved(reference, correction)
+    matches = match_planes(compared, reference, KDTree(reference.points_world), motion.flat_m)
     count = len(correction.times_ns)
-    weights = robust_weights(matches.residuals_m, _SCALE_M) / (_NOISE_M**2 * _CORRELATED)
+    weights = robust_weights(matches.residuals_m, _SCALE_M) / _VARIANCE_M2
     hessian, gradient = np.zeros((count * 6, count * 6)), np.zeros(count * 6)
-    for start in range(0, len(matches.rows), _BATCH):
-        part = slice(start, start + _BATCH)
-        rows = _jacobian(correction, asked, reference, matches, part)
+    for start in range(0, len(matches.rows), BATCH):
+        part = slice(start, start + BATCH)
+        rows = _jacobian(correction, compared, reference, matches, part)
         weighted = rows * weights[part, None].astype(np.float32)
         hessian += weighted.T @ rows
         gradient += weighted.T @ matches.residuals_m[part].astype(np.float32)
     state = np.concatenate([correction.rotations_rad, correction.shifts_m], axis=1).ravel()
-    prior = _prior(count, wander)
+    prior = _prior(count, motion)
     step = np.linalg.solve(hessian + prior, -(gradient + prior @ state))
     found = (state + step).reshape(count, 6)
     return PathCorrection(
@@ -181,13 +180,16 @@ def _solved(
 
 
 def _jacobian(
-    correction: PathCorrection, asked: Cloud, reference: Cloud, matches: Matches, part: slice
+    correction: PathCorrection, compared: Cloud, reference: Cloud, matches: Matches, part: slice
 ) -> np.ndarray:
-    """Change of each residual with the knots: its return's minus the mean of its neighbours'."""
+    """Return the derivative of each residual with respect to the knots, (n, 6 x knots).
+
+    It is the motion of the return minus the mean motion of its neighbours, along the normal.
+    """
     normals, near = matches.normals[part], matches.neighbours[part]
     rows = np.zeros((len(normals), len(correction.times_ns), 6), dtype=np.float32)
     weight = (near >= 0) / (near >= 0).sum(axis=1, keepdims=True)
-    own = asked.rows(matches.rows[part])
+    own = compared.rows(matches.rows[part])
     _add_motion(rows, correction, own, normals, np.ones(len(normals)))
     for k in range(near.shape[1]):
         _add_motion(rows, correction, reference.rows(near[:, k]), normals, -weight[:, k])
@@ -201,7 +203,10 @@ def _add_motion(
     normals: Float64[np.ndarray, "n 3"],
     weight: Float64[np.ndarray, " n"],
 ) -> None:
-    """Add how `weight` of points moves along the normals with the two knots around their time."""
+    """Add `weight` times the points' motion along the normals, for the two knots around each time.
+
+    Columns are rotation about the pivot, then shift; a point's knots are interpolated linearly.
+    """
     spacing = float(correction.times_ns[1] - correction.times_ns[0])
     place = (points.times_ns - correction.times_ns[0]) / spacing
     last = len(correction.times_ns) - 2
@@ -214,10 +219,10 @@ def _add_motion(
     rows[index, knot + 1] += motion * fraction[:, None]
 
 
-def _prior(count: int, wander: Wander) -> Float64[np.ndarray, "m m"]:
-    """Information of the expected size and smoothness, for knots of (rotation, shift)."""
-    size = np.concatenate([np.radians(wander.turns_deg), wander.shifts_m])
-    changes = [np.radians(wander.turn_changes_deg)] * 3 + [wander.shift_changes_m] * 3
+def _prior(count: int, motion: MotionPrior) -> Float64[np.ndarray, "m m"]:
+    """Return the information matrix of size and smoothness, for knots of (rotation, shift)."""
+    size = np.concatenate([np.radians(motion.turns_deg), motion.shifts_m])
+    changes = [np.radians(motion.turn_changes_deg)] * 3 + [motion.shift_changes_m] * 3
     second = np.zeros((max(count - 2, 0), count))
     for i in range(len(second)):
         second[i, i : i + 3] = (1.0, -2.0, 1.0)

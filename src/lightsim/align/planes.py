@@ -1,4 +1,4 @@
-"""Local planes of a point map, and how far returns lie from them."""
+"""Local planes of a point map, and the distances of returns from them."""
 
 from __future__ import annotations
 
@@ -8,13 +8,20 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import KDTree
 
+# Sensitivity of the alignment to these constants is not measured.
+
+# Nearest returns that are searched; those of other sweeps define a plane.
 _NEIGHBOURS = 24
+# Fewest neighbours of other sweeps for a plane.
 _LEAST_NEIGHBOURS = 8
+# Largest distance of a neighbour: three voxels of the map.
 _RADIUS_M = 0.6
+# Least standard deviation of the neighbours along the plane's narrower axis; excludes lines.
 _LEAST_WIDTH_M = 0.1
+# Largest distance of a return from its plane; a farther return is on another surface.
 _LARGEST_RESIDUAL_M = 0.4
-_AT_ONCE = 20_000
-"""Returns whose neighbours are in memory: 12 MB for each array of them, however long the log."""
+# Returns that are processed at once: 12 MB for each array of their neighbours, for any log.
+BATCH = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,9 +29,9 @@ class Cloud:
     """Thinned returns of many sweeps.
 
     Args:
-        points_world: metres.
-        times_ns: when each was measured.
-        sweep: index of its sweep.
+        points_world: positions in metres; in frame `actor` for returns of a moving actor.
+        times_ns: time of each measurement.
+        sweep: index of each return's sweep.
     """
 
     points_world: Float64[np.ndarray, "n 3"]
@@ -32,7 +39,7 @@ class Cloud:
     sweep: Int64[np.ndarray, " n"]
 
     def rows(self, which: np.ndarray) -> Cloud:
-        """The returns that `which` names, by index or by mask."""
+        """Return the returns that `which` selects, an index array or a mask."""
         return Cloud(self.points_world[which], self.times_ns[which], self.sweep[which])
 
 
@@ -41,10 +48,10 @@ class Matches:
     """Returns and the planes through their neighbours of other sweeps.
 
     Args:
-        rows: of the compared cloud.
-        neighbours: rows of the map, -1 where fewer were found.
-        normals: of the planes, unit.
-        residuals_m: signed distance of the return from its plane.
+        rows: rows of the returns in the compared cloud.
+        neighbours: rows of the map, padded with -1.
+        normals: unit normals of the planes.
+        residuals_m: signed distance of each return from its plane.
     """
 
     rows: Int64[np.ndarray, " m"]
@@ -54,14 +61,14 @@ class Matches:
 
 
 def match_planes(cloud: Cloud, reference: Cloud, tree: KDTree, flat_m: float) -> Matches:
-    """Planes of `reference` (whose search tree is `tree`) at the points of `cloud`.
+    """Return planes of `reference` (with search tree `tree`) at the points of `cloud`.
 
-    Only neighbours of other sweeps count, and only where they are flat (a deviation below
-    `flat_m`) and no line.
+    A plane is the fit to neighbours of other sweeps, if their standard deviation across it is below
+    `flat_m` and they do not form a line.
     """
     parts = [
-        _match_some(cloud, slice(start, start + _AT_ONCE), reference, tree, flat_m)
-        for start in range(0, max(len(cloud.sweep), 1), _AT_ONCE)
+        _match_some(cloud, slice(start, start + BATCH), reference, tree, flat_m)
+        for start in range(0, max(len(cloud.sweep), 1), BATCH)
     ]
     return Matches(*[np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Matches)])
 
@@ -80,6 +87,7 @@ def _match_some(
     mean = (weights[..., None] * reference.points_world[near]).sum(axis=1)
     local = reference.points_world[near] - mean[:, None]
     covariance = np.einsum("nk,nki,nkj->nij", weights, local, local)
+    # Eigenvalues ascend: the first eigenvector is the normal.
     values, vectors = np.linalg.eigh(covariance)
     deviation = np.sqrt(np.maximum(values, 0.0))
     normals = vectors[:, :, 0]
@@ -95,7 +103,7 @@ def _match_some(
 
 
 def first_of_voxels(points: Float64[np.ndarray, "n 3"], voxel_m: float) -> Int64[np.ndarray, " m"]:
-    """Rows of the first point in each occupied voxel, in order."""
+    """Return the row of the first point in each occupied voxel, in ascending order."""
     cells = np.floor(points / voxel_m).astype(np.int64)
     cells -= cells.min(axis=0, initial=0)
     size = cells.max(axis=0, initial=0) + 1
@@ -106,9 +114,9 @@ def first_of_voxels(points: Float64[np.ndarray, "n 3"], voxel_m: float) -> Int64
 def robust_weights(
     residuals_m: Float64[np.ndarray, " n"], scale_m: float
 ) -> Float64[np.ndarray, " n"]:
-    """Weights of iteratively reweighted least squares; the loss is Cauchy's.
+    """Return weights of iteratively reweighted least squares for Cauchy's loss.
 
-    It is scale^2 / 2 log(1 + (r / scale)^2); the weight is its slope over r.
+    The loss is scale^2 / 2 log(1 + (r / scale)^2); the weight is its derivative divided by r.
     """
     return 1.0 / (1.0 + np.square(residuals_m / scale_m))
 
@@ -116,7 +124,7 @@ def robust_weights(
 def is_sampled(
     sweep: Int64[np.ndarray, " n"], count: int, rng: np.random.Generator
 ) -> Bool[np.ndarray, " n"]:
-    """At most `count` random rows of every sweep."""
+    """Select at most `count` random rows of every sweep."""
     chosen = np.zeros(len(sweep), dtype=bool)
     for index in np.unique(sweep):
         members = np.flatnonzero(sweep == index)

@@ -1,4 +1,4 @@
-"""Boxes of parked actors: labels drawn sweep by sweep jitter, a parked car does not."""
+"""Boxes of parked actors: one constant pose replaces labels that jitter from sweep to sweep."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ from jaxtyping import Float64
 from lightsim.core.actors import ActorTrack
 from lightsim.core.alignment import PathCorrection
 
+# Largest distance of a label from the median position; an actor that moves farther is not parked.
+# Labels of log 002 jitter by 2.7 cm rms (docs/decisions/0004-alignment-stage.md).
 _LARGEST_MOVE_M = 0.3
+# Fewest labels of an actor. Sensitivity not measured.
 _LEAST_POSES = 3
 
 
 @dataclass(frozen=True, eq=False)
 class TrackFit:
-    """The corrected poses of one actor, `world_from_actor`, and how far its box moved."""
+    """Corrected poses `world_from_actor` of one actor, and the RMS correction of its box."""
 
     actor_id: str
     matrices: Float64[np.ndarray, "n 4 4"]
@@ -25,17 +28,17 @@ class TrackFit:
 
 
 def settle_parked(actors: tuple[ActorTrack, ...], path: PathCorrection | None) -> list[TrackFit]:
-    """One constant pose, after the path's correction, for every rigid body that stands still.
+    """Return one constant pose, after the path's correction, for every parked rigid actor.
 
-    What lives or moves, and a box that wanders by more than labels jitter, stays as labelled.
+    Persons, animals, moving actors and boxes that move by more than 0.3 m stay as labelled.
     """
     fits: list[TrackFit] = []
     for actor in actors:
         poses = actor.trajectory.matrices
         positions = actor.trajectory.positions_m
-        spread = float(np.linalg.norm(positions - np.median(positions, axis=0), axis=1).max())
+        move_m = float(np.linalg.norm(positions - np.median(positions, axis=0), axis=1).max())
         is_parked = actor.kind.is_rigid_body and not actor.is_moving
-        if not is_parked or len(poses) < _LEAST_POSES or spread > _LARGEST_MOVE_M:
+        if not is_parked or len(poses) < _LEAST_POSES or move_m > _LARGEST_MOVE_M:
             continue
         if path is not None:
             moves = [path.at(int(t)).matrix for t in actor.trajectory.times_ns]
@@ -45,8 +48,9 @@ def settle_parked(actors: tuple[ActorTrack, ...], path: PathCorrection | None) -
 
 
 def _settled(actor_id: str, poses: Float64[np.ndarray, "n 4 4"]) -> TrackFit:
-    """Median position and mean rotation of all poses, at each of their times."""
+    """Return the median position and mean rotation of all poses, at each of their times."""
     centre = np.median(poses[:, :3, 3], axis=0)
+    # The rotation nearest to the mean matrix; the determinant excludes reflections.
     u, _, vt = np.linalg.svd(poses[:, :3, :3].mean(axis=0))
     pose = np.eye(4)
     pose[:3, :3] = u @ np.diag([1.0, 1.0, float(np.linalg.det(u @ vt))]) @ vt

@@ -1,4 +1,4 @@
-"""Compiled loops of mesh denoising: bilateral filtering of normals, vertices that follow.
+"""Compiled loops of mesh denoising: bilateral filtering of normals and the fit of vertices to them.
 
 `no_type_check` keeps the tests' run-time type checker out of compiled code.
 """
@@ -11,13 +11,15 @@ from typing import no_type_check
 import numpy as np
 from numba import njit, prange
 
+# Most neighbours of a face: a marching-cubes mesh has 12 on average.
 _MAX_NEAR = 24
 
 
 @njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def neighbour_faces(faces, start, members):
-    """Up to 24 faces that share a vertex with each face, and how many."""
+    """Return up to 24 faces that have a vertex in common with each face, padded with -1, and their
+    number."""
     near = np.full((faces.shape[0], _MAX_NEAR), -1, np.int32)
     count = np.zeros(faces.shape[0], np.int32)
     for f in prange(faces.shape[0]):
@@ -38,9 +40,9 @@ def neighbour_faces(faces, start, members):
 
 @njit(cache=True, nogil=True, parallel=True)
 @no_type_check
-def filter_normals(points, faces, near, count, rounds, spread):
-    """Unit normals, each the weighted mean of its neighbours' that differ little from it
-    (Zheng et al. 2011, doi:10.1109/TVCG.2010.264)."""
+def filter_normals(points, faces, near, count, rounds, deviation):
+    """Return unit normals of faces after a bilateral filter (Zheng et al. 2011,
+    doi:10.1109/TVCG.2010.264); `deviation` is the Gaussian's width in normal differences."""
     m = faces.shape[0]
     normals = np.zeros((m, 3))
     centres = np.zeros((m, 3))
@@ -53,6 +55,7 @@ def filter_normals(points, faces, near, count, rounds, spread):
         centres[f] = (a + b + c) / 3.0
         if length > 0.0:
             normals[f] = n / length
+    # Spatial variance: about the square of an edge.
     reach = 2.0 * area.mean()
     for _ in range(rounds):
         new = np.empty_like(normals)
@@ -62,8 +65,8 @@ def filter_normals(points, faces, near, count, rounds, spread):
                 g = near[f, q]
                 far = ((centres[f] - centres[g]) ** 2).sum()
                 other = ((normals[f] - normals[g]) ** 2).sum()
-                fraction = math.exp(-0.5 * far / reach - 0.5 * other / (spread * spread))
-                total = total + area[g] * fraction * normals[g]
+                weight = math.exp(-0.5 * far / reach - 0.5 * other / (deviation * deviation))
+                total = total + area[g] * weight * normals[g]
             length = math.sqrt((total * total).sum())
             if length > 0.0:
                 new[f] = total / length
@@ -76,7 +79,7 @@ def filter_normals(points, faces, near, count, rounds, spread):
 @njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def fit_vertices(points, faces, start, members, normals, rounds):
-    """Vertices moved along the normals around them until each face is square to its normal
+    """Return vertices, moved iteratively until each face is perpendicular to its normal
     (Sun et al. 2007, doi:10.1109/TVCG.2007.1065)."""
     moved = points.copy()
     for _ in range(rounds):

@@ -1,9 +1,4 @@
-"""Material classes of surfaces: by the LiDAR's labels where a log has them, else by shape.
-
-Roughness and metallic are the Principled model's (Burley 2012) and typical of the class; nothing
-here measures them. Asphalt has the specular factor of road class R III (CIE 144:2001), as tested,
-until pictures show its sheen (`appearance.intrinsic.sheen`).
-"""
+"""Material classes of surfaces, from LiDAR labels where a log has them, else from shape."""
 
 from __future__ import annotations
 
@@ -19,17 +14,20 @@ from lightsim.core.mesh import Material, TriMesh
 from lightsim.geometry.denoise_kernels import neighbour_faces
 from lightsim.geometry.simplify_kernels import faces_by_vertex
 
-UNKNOWN = Material(0.8, 0.0, "matte")
-ASPHALT = Material(0.75, 0.0, "asphalt")
-PAVEMENT = Material(0.8, 0.0, "pavement")
-FACADE = Material(0.8, 0.0, "facade")
-VEGETATION = Material(0.7, 0.0, "vegetation")
-CAR_PAINT = Material(0.35, 0.0, "car paint")
-METAL = Material(0.5, 0.6, "metal")
-GLASS = Material(0.05, 0.0, "glass")
-TYRE = Material(0.9, 0.0, "tyre")
-CLOTH = Material(0.95, 0.0, "cloth")
-GROUND = Material(0.9, 0.0, "ground")
+# Roughness and metallic of the Principled model (Burley 2012). Values are typical of each class and
+# not measured. Asphalt has the specular factor of road class R III (CIE 144:2001) until
+# `appearance.intrinsic.sheen` estimates it.
+UNKNOWN = Material(0.8, 0.0, "matte")  # no class found
+ASPHALT = Material(0.75, 0.0, "asphalt")  # roads and their markings
+PAVEMENT = Material(0.8, 0.0, "pavement")  # sidewalks, kerbs, concrete
+FACADE = Material(0.8, 0.0, "facade")  # walls of buildings
+VEGETATION = Material(0.7, 0.0, "vegetation")  # leaves, bark and grass
+CAR_PAINT = Material(0.35, 0.0, "car paint")  # all of a vehicle but panes and tyres
+METAL = Material(0.5, 0.6, "metal")  # poles, signs, lamps, fences
+GLASS = Material(0.05, 0.0, "glass")  # panes of vehicles
+TYRE = Material(0.9, 0.0, "tyre")  # rubber
+CLOTH = Material(0.95, 0.0, "cloth")  # persons
+GROUND = Material(0.9, 0.0, "ground")  # soil
 _CLASSES = (
     UNKNOWN, ASPHALT, PAVEMENT, FACADE, VEGETATION, CAR_PAINT, METAL, GLASS, TYRE, CLOTH, GROUND,
 )  # fmt: skip
@@ -46,19 +44,30 @@ _WORDS = (
     (CLOTH, ("pedestrian", "person", "walker")),
     (GROUND, ("ground", "soil", "terrain")),
 )
-"""Checked in this order: "road barriers" are no road, see `_NOT`."""
+"""Parts of label names by class, tested in this order."""
 _NOT = ("barrier", "cart", "carton")
+"""Parts of label names that exclude a class: "road barriers" are no road."""
+
+# Sensitivity of the classes to these constants is not measured.
+
+# Edge of the cells in which labelled returns are counted.
 _CELL_M = 0.25
+# Largest distance from a face to a labelled cell.
 _REACH_M = 0.6
+# Sweeps whose labels are read, evenly distributed over the log; bounds the time.
 _MAX_SWEEPS = 12
+# Least upward component of a ground face's normal: slopes up to 37 degrees.
 _LEVEL = 0.8
+# Largest height of a ground face above or below the ground map.
 _GROUND_BAND_M = 0.35
+# Least height of a facade face above the ground map; above kerbs.
 _WALL_HEIGHT_M = 0.6
+# Least length of the mean unit normal of a face and its neighbours on a wall; foliage has less.
 _COHERENT = 0.85
 
 
 def material_of(name: str) -> Material:
-    """The material class that a label of LiDAR returns speaks of; matte if none."""
+    """Return the material class of a LiDAR label; matte if none of the words is in its name."""
     low = name.lower()
     if any(word in low for word in _NOT):
         return UNKNOWN
@@ -69,7 +78,7 @@ def material_of(name: str) -> Material:
 
 
 def material_of_actor(kind: ActorKind) -> Material:
-    """The material class of most of an actor's surface; matte where kinds have none."""
+    """Return the material class of most of an actor's surface; matte for kinds without a class."""
     if kind.is_vehicle or kind is ActorKind.MOTORCYCLE:
         return CAR_PAINT
     if kind.is_person:
@@ -78,11 +87,12 @@ def material_of_actor(kind: ActorKind) -> Material:
 
 
 def classify_background(mesh: TriMesh, log: DrivingLog, ground: GroundMap) -> TriMesh:
-    """A mesh (frame world) whose faces know their material.
+    """Assign a material to each face of a mesh in frame `world`.
 
-    A face takes the label of the nearest labelled returns within 0.6 m. Elsewhere level faces
-    near the ground map are asphalt, for logs are driven on roads: as rough as soil, a road would
-    not shine before a low sun. Smooth upright ones are facade; the rest stays matte.
+    A face takes the class of the nearest cell of labelled returns within 0.6 m. Without one, level
+    faces near the ground map are asphalt, since logs are recorded on roads and the roughness of
+    soil would suppress a road's specular reflection of a low sun. Vertical faces with uniform
+    normals are facade; all others are matte.
     """
     if len(mesh.faces) == 0:
         return mesh
@@ -117,7 +127,7 @@ def _by_shape(
 
 
 def _is_coherent(mesh: TriMesh) -> Bool[np.ndarray, " m"]:
-    """Faces whose neighbours look the same way: walls, not foliage."""
+    """Return True for faces whose neighbours have similar normals: walls, not foliage."""
     near, count = _near(mesh)
     normals = mesh.face_normals()
     total = normals.copy()
@@ -133,23 +143,23 @@ def _near(mesh: TriMesh) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _without_islands(mesh: TriMesh, index: Int64[np.ndarray, " m"]) -> Int64[np.ndarray, " m"]:
-    """The most frequent class among each face and its neighbours."""
+    """Return the most frequent class among each face, which counts twice, and its neighbours."""
     near, count = _near(mesh)
-    votes = np.zeros((len(index), len(_CLASSES)), dtype=np.int16)
+    frequency = np.zeros((len(index), len(_CLASSES)), dtype=np.int16)
     rows = np.arange(len(index))
-    votes[rows, index] += 2
+    frequency[rows, index] += 2
     for k in range(near.shape[1]):
         has = rows[count > k]
-        votes[has, index[near[has, k]]] += 1
-    return votes.argmax(axis=1)
+        frequency[has, index[near[has, k]]] += 1
+    return frequency.argmax(axis=1)
 
 
 def _labelled_cells(
     log: DrivingLog,
 ) -> tuple[Float[np.ndarray, "n 3"], UInt8[np.ndarray, " n"]]:
-    """Centres of 25 cm cells with labelled returns, and the class most returns there have.
+    """Return centres of 25 cm cells with labelled returns, and the most frequent class of each.
 
-    Returns within the boxes of moving actors are left out.
+    Returns within the boxes of moving actors are excluded.
     """
     empty = np.zeros((0, 3)), np.zeros(0, dtype=np.uint8)
     if not log.semantic_names:
@@ -170,6 +180,6 @@ def _labelled_cells(
         classes.append(table[sweep.semantic_class[is_used]])
     cells, row = np.unique(np.concatenate(keys), axis=0, return_inverse=True)
     flat = row.reshape(-1) * len(_CLASSES) + np.concatenate(classes)
-    votes = np.bincount(flat, minlength=len(cells) * len(_CLASSES))
-    best = votes.reshape(len(cells), len(_CLASSES)).argmax(axis=1).astype(np.uint8)
+    frequency = np.bincount(flat, minlength=len(cells) * len(_CLASSES))
+    best = frequency.reshape(len(cells), len(_CLASSES)).argmax(axis=1).astype(np.uint8)
     return (cells + 0.5) * _CELL_M, best

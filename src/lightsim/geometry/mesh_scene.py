@@ -1,4 +1,4 @@
-"""Fields to meshes without colour: the static scene and every actor."""
+"""Meshes without colour of the static scene and of every actor, from signed-distance fields."""
 
 from __future__ import annotations
 
@@ -26,26 +26,30 @@ from lightsim.geometry.surface import background_levels, drop_floaters
 from lightsim.progress import Progress
 
 SmoothPlanes = Callable[[TriMesh, float], TriMesh]
-"""Takes the noise off a level of the background that lies on known shapes, such as walls; the
-number is the distance between the level's samples, in metres."""
+"""Removes noise of a background level on known shapes such as walls.
 
+Arguments: the mesh, and the distance between the level's samples in metres.
+"""
 
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
-# (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
+# Chosen on log 002 and synthetic street 0; only the combination is measured
+# (docs/benchmarks/reconstruction.md, with street 1 as the test).
 
-# Grid samples with less evidence than this count as unknown.
+# Weight below which a grid sample is unknown.
 _MIN_WEIGHT = 0.03
-# Connected pieces of the background smaller than this are dropped.
+# Area below which a connected piece of the background is dropped as noise.
 _MIN_PIECE_M2 = 0.25
-# Filtering moves no vertex further than this many samples of its level.
+# Largest motion of a vertex by denoising, in samples of its level.
 _MAX_MOVE_VOXELS = 0.2
-# Simplification may deviate by this many samples of a level (RMS).
+# Largest RMS error of the simplification, in samples of a level.
 _ERROR_VOXELS = 0.1
-# Simplification makes no edge longer than this many samples of a level.
+# Longest edge of the simplified mesh, in samples of a level.
 _EDGE_VOXELS = 6.0
-# The same along the outlines of panes and tyres.
+# Longest edge along the outlines of panes and tyres, in samples; longer ones would blur them.
 _PANE_EDGE_VOXELS = 1.5
-_PANE, _TYRE = 1, 2
+# Index of glass among the materials of a vehicle; 0 is paint.
+_PANE = 1
+# Index of rubber among the materials of a vehicle.
+_TYRE = 2
 
 
 def mesh_scene(
@@ -54,9 +58,9 @@ def mesh_scene(
     *,
     make_caster: MakeCaster,
     progress: Progress,
-    smooth_planes: SmoothPlanes | None = None,
+    smooth_planes: SmoothPlanes,
 ) -> SceneAssets:
-    """Background and actors as black meshes; no gains yet (assets.build.build_assets)."""
+    """Mesh the background and the actors in black; `assets.build` adds colours and gains."""
     background = mesh_background(fields, make_caster, smooth_planes)
     background = classify_background(background, log, fields.ground)
     actors: dict[str, ActorAsset] = {}
@@ -75,14 +79,14 @@ def mesh_scene(
 def _actor_mesh(
     track: ActorTrack, grid: TsdfGrid | None, returns: Float32[np.ndarray, "n 3"] | None
 ) -> TriMesh:
-    """An actor's surface; faces know their provenance and material: paint, panes and tyres."""
+    """Return an actor's surface with provenance and, for vehicles, paint, panes and tyres."""
     surface, evidence = actor_surface(track, grid, returns)
     paint, body, voxel_m = material_of_actor(track.kind), evidence.body, evidence.voxel_m
     if body is None:
         mesh = _refined(surface, voxel_m)
         provenance = evidence.provenance(_centres(mesh), np.zeros(len(mesh.faces), dtype=bool))
         return replace(mesh, face_provenance=provenance, materials=(paint,))
-    # Short edges keep the outline of the panes.
+    # Short edges preserve the outlines of panes and tyres.
     edges = np.full(len(surface.vertices), _EDGE_VOXELS * voxel_m)
     edges[_is_between_parts(surface, _part(surface, body))] = _PANE_EDGE_VOXELS * voxel_m
     mesh = simplify(surface, np.full(len(edges), _ERROR_VOXELS * voxel_m), edges)
@@ -96,14 +100,14 @@ def _actor_mesh(
 
 
 def _part(mesh: TriMesh, body: Body) -> UInt8[np.ndarray, " m"]:
-    """0 for paint, `_PANE` or `_TYRE`, face by face."""
+    """Return the part of each face: 0 for paint, `_PANE` or `_TYRE`."""
     centres = _centres(mesh)
     is_tyre, is_pane = body.is_tyre(centres), body.is_pane(centres, mesh.face_normals())
     return np.select([is_tyre, is_pane], [_TYRE, _PANE], 0).astype(np.uint8)
 
 
 def _is_between_parts(mesh: TriMesh, part: UInt8[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:
-    """Vertices whose faces belong to different parts."""
+    """Return True for vertices whose faces belong to different parts."""
     low = np.full(len(mesh.vertices), 255, dtype=np.uint8)
     high = np.zeros(len(mesh.vertices), dtype=np.uint8)
     for corner in mesh.faces.T:
@@ -119,7 +123,11 @@ def _centres(mesh: TriMesh) -> Float64[np.ndarray, "m 3"]:
 def mesh_background(
     fields: SceneFields, make_caster: MakeCaster, smooth_planes: SmoothPlanes | None = None
 ) -> TriMesh:
-    """All levels of the static scene in one mesh, ground closed; black."""
+    """Return all levels of the static scene in one black mesh, with holes of the ground closed.
+
+    Raises:
+        InputError: the field has no surface.
+    """
     levels = []
     for level, grid in zip(background_levels(fields, _MIN_WEIGHT), fields.background, strict=True):
         mesh = drop_floaters(level, _MIN_PIECE_M2)
@@ -136,20 +144,20 @@ def mesh_background(
 
 
 def no_surface() -> InputError:
-    """Of a field whose zero level is empty."""
+    """Return the error of a background field whose zero level set is empty."""
     return InputError(
-        "the reconstructed field has no surface",
+        "the reconstructed background has no surface",
         remedy="Train longer (--neural-steps), or start from fused LiDAR (--preset standard).",
     )
 
 
 def _refined(mesh: TriMesh, voxel_m: float) -> TriMesh:
-    """Without noise of marching cubes, and with no more faces than the shape needs."""
+    """Return the mesh without the noise of marching cubes and with fewer faces."""
     return simplified(denoise(mesh, _MAX_MOVE_VOXELS * voxel_m), voxel_m)
 
 
 def simplified(mesh: TriMesh, voxel_m: float) -> TriMesh:
-    """With no more faces than the shape needs that samples of this distance have given."""
+    """Return the mesh with fewer faces, with error bounds proportional to the sample distance."""
     count = len(mesh.vertices)
     return simplify(
         mesh,

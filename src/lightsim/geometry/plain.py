@@ -1,8 +1,8 @@
-"""Meshes of the paper: the field's zero level, decimated, and nothing else (Sec. 3.1, A.1)."""
+"""Meshes of the paper: the field's zero level set, decimated (Sec. 3.1, A.1)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,25 +15,25 @@ from lightsim.geometry.mesh_scene import no_surface, simplified
 from lightsim.geometry.surface import background_levels, extract_surface
 from lightsim.progress import Progress
 
-_BACKGROUND, _ACTOR = Material(0.8, 0.0, "background"), Material(0.5, 0.0, "actor")
-
 
 @dataclass(frozen=True)
 class BaseMaterials:
-    """One material for all that stands still and one for all actors (appendix: "we set materials
-    for dynamic assets and background separately"). The paper gives no values."""
+    """Material of the background and material of all actors (appendix: "we set materials for
+    dynamic assets and background separately"). The paper gives no values."""
 
-    background: Material = _BACKGROUND
-    """As rough as our own matte class."""
-    actor: Material = _ACTOR
-    """Blender's Principled BSDF as it starts."""
+    background: Material = field(default=Material(0.8, 0.0, "background"))
+    """Roughness of the class `geometry.materials.UNKNOWN`."""
+    actor: Material = field(default=Material(0.5, 0.0, "actor"))
+    """Default of Blender's Principled BSDF."""
 
 
 def mesh_plainly(
     log: DrivingLog, fields: SceneFields, materials: BaseMaterials, *, progress: Progress
 ) -> SceneAssets:
-    """Background and actors as black meshes by marching cubes and quadric decimation. Nothing is
-    smoothed, closed, classified or guessed; actors without a surface in the field are missing.
+    """Mesh the background and the actors in black by marching cubes and quadric decimation.
+
+    No surface is smoothed, closed, classified or inferred; actors whose field has no surface are
+    missing.
 
     Raises:
         InputError: the background has no surface.
@@ -59,7 +59,7 @@ def mesh_plainly(
 
 
 def _of(mesh: TriMesh, material: Material) -> TriMesh:
-    """The mesh of one material, all of it measured."""
+    """Return the mesh with one material and the provenance `MEASURED`."""
     black = np.zeros_like(mesh.vertices)
     plain = TriMesh(mesh.frame, mesh.vertices, mesh.faces, black, (material,))
     return plain.with_provenance(Provenance.MEASURED)

@@ -11,18 +11,26 @@ from typing import no_type_check
 import numpy as np
 from numba import njit, prange
 
-FREE, BORDER, FIXED = 0, 1, 2
-"""Kinds of vertices: inside a surface, on a border, where more than two faces meet."""
+# Kind of a vertex on a border, or on a line between materials or provenances; 0: inside a surface.
+_BORDER = 1
+# Kind of a vertex at an edge of more than two faces; it does not move.
+_FIXED = 2
+# Added to the number of faces at an edge whose faces differ in material or provenance.
+_MIXED = 100
+# Most neighbours of a vertex; one with more does not move.
+_MAX_NEIGHBOURS = 64
+# Weight of the planes across borders relative to the planes of faces; sensitivity not measured.
 _BORDER_WEIGHT = 4.0
+# Least cosine between the normals of a face before and after a collapse: 60 degrees.
 _MIN_COSINE = 0.5
+# Least ratio of a face's area to the square of its longest edge; 0.43 for an equilateral triangle.
 _MIN_QUALITY = 0.03
-"""Area over the square of the longest edge; 0.43 for an equilateral triangle."""
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
 def faces_by_vertex(faces, count):
-    """Start of each vertex's list of faces, and the lists, one after another."""
+    """Return the start of each vertex's list of faces (n + 1,), and the concatenated lists."""
     start = np.zeros(count + 1, np.int64)
     for f in range(faces.shape[0]):
         for k in range(3):
@@ -42,7 +50,11 @@ def faces_by_vertex(faces, count):
 @njit(cache=True, nogil=True)
 @no_type_check
 def _neighbours(v, faces, start, members, found, uses, groups, group):
-    """Neighbours of a vertex, how many faces share each edge (100 where their groups differ)."""
+    """Write the neighbours of a vertex to `found` and the number of faces at each edge to `uses`.
+
+    Returns the number of neighbours, -1 if `found` is too short. `uses` is above `_MIXED` for edges
+    between faces of different groups.
+    """
     n = 0
     for s in range(start[v], start[v + 1]):
         f = members[s]
@@ -64,35 +76,36 @@ def _neighbours(v, faces, start, members, found, uses, groups, group):
                 n += 1
             uses[at] += 1
             if group[at] != groups[f]:
-                uses[at] += 100
+                uses[at] += _MIXED
     return n
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
 def list_edges(faces, groups, start, members):
-    """Every edge once (first < second), the faces that share it, and the kind of each vertex."""
+    """Return every edge once (first < second), the number of its faces (above `_MIXED` between
+    groups), and the kind of each vertex."""
     count = start.shape[0] - 1
     edges = np.empty((members.shape[0], 2), np.int64)
-    fractions = np.empty(members.shape[0], np.int64)
+    edge_uses = np.empty(members.shape[0], np.int64)
     kind = np.zeros(count, np.int8)
-    found, uses = np.empty(64, np.int64), np.empty(64, np.int64)
-    group = np.empty(64, np.int64)
+    found, uses = np.empty(_MAX_NEIGHBOURS, np.int64), np.empty(_MAX_NEIGHBOURS, np.int64)
+    group = np.empty(_MAX_NEIGHBOURS, np.int64)
     n = 0
     for v in range(count):
         k = _neighbours(v, faces, start, members, found, uses, groups, group)
         if k < 0:
-            kind[v] = FIXED
+            kind[v] = _FIXED
             continue
         for q in range(k):
-            if uses[q] > 2 and uses[q] < 100:
-                kind[v] = FIXED
+            if uses[q] > 2 and uses[q] < _MIXED:
+                kind[v] = _FIXED
             elif uses[q] != 2:
-                kind[v] = max(kind[v], BORDER)
+                kind[v] = max(kind[v], _BORDER)
             if v < found[q]:
-                edges[n, 0], edges[n, 1], fractions[n] = v, found[q], uses[q]
+                edges[n, 0], edges[n, 1], edge_uses[n] = v, found[q], uses[q]
                 n += 1
-    return edges[:n].copy(), fractions[:n].copy(), kind
+    return edges[:n].copy(), edge_uses[:n].copy(), kind
 
 
 @njit(cache=True, nogil=True)
@@ -113,12 +126,15 @@ def _add_plane(quadric, nx, ny, nz, d, weight):
 @njit(cache=True, nogil=True)
 @no_type_check
 def vertex_quadrics(points, faces, groups, start, members):
-    """Area-weighted plane quadrics and the total weight of each vertex (Garland & Heckbert 1997,
-    doi:10.1145/258734.258849); borders add planes across them, which keep their course."""
+    """Return area-weighted plane quadrics (n, 10) and the total weight of each vertex (Garland &
+    Heckbert 1997, doi:10.1145/258734.258849).
+
+    Planes through borders, perpendicular to the faces, penalise motion across the border.
+    """
     quadrics = np.zeros((points.shape[0], 10))
     weight = np.zeros(points.shape[0])
-    found, uses = np.empty(64, np.int64), np.empty(64, np.int64)
-    group = np.empty(64, np.int64)
+    found, uses = np.empty(_MAX_NEIGHBOURS, np.int64), np.empty(_MAX_NEIGHBOURS, np.int64)
+    group = np.empty(_MAX_NEIGHBOURS, np.int64)
     for f in range(faces.shape[0]):
         a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
         n = np.cross(b - a, c - a)
@@ -146,14 +162,8 @@ def vertex_quadrics(points, faces, groups, start, members):
             across /= size_m
             e = -(across * points[v]).sum()
             for u in (v, w):
-                _add_plane(
-                    quadrics[u],
-                    across[0],
-                    across[1],
-                    across[2],
-                    e,
-                    _BORDER_WEIGHT * size_m * size_m,
-                )
+                border = _BORDER_WEIGHT * size_m * size_m
+                _add_plane(quadrics[u], across[0], across[1], across[2], e, border)
     return quadrics, weight
 
 
@@ -169,8 +179,11 @@ def _error(q, p):
 @njit(cache=True, nogil=True)
 @no_type_check
 def _best_place(quadrics, points, v, w, q, out):
-    """The point of least error near the edge: regularised towards the middle of the edge, so
-    that flat and straight surroundings leave it there. `q` receives the sum of the quadrics."""
+    """Write the point of least error to `out` and the sum of the two quadrics to `q`.
+
+    The point is regularised towards the middle of the edge, which is the solution on planes and
+    along straight lines, where the error does not determine it.
+    """
     for k in range(10):
         q[k] = quadrics[v, k] + quadrics[w, k]
     x = 0.5 * (points[v, 0] + points[w, 0])
@@ -194,7 +207,7 @@ def _best_place(quadrics, points, v, w, q, out):
 @njit(cache=True, nogil=True)
 @no_type_check
 def _square(points, v, w):
-    """Squared distance between two vertices."""
+    """Return the squared distance between two vertices."""
     x, y = points[v, 0] - points[w, 0], points[v, 1] - points[w, 1]
     z = points[v, 2] - points[w, 2]
     return x * x + y * y + z * z
@@ -202,29 +215,32 @@ def _square(points, v, w):
 
 @njit(cache=True, nogil=True, parallel=True)
 @no_type_check
-def edge_costs(points, edges, fractions, kind, quadrics, weight, max_error, max_edge):
-    """Where each edge would collapse to and the RMS distance from the planes around; inf where
-    it must stay."""
+def edge_costs(points, edges, uses, kind, quadrics, weight, max_error, max_edge):
+    """Return the cost of each edge's collapse, inf if it is not allowed, and the resulting point.
+
+    The cost is the RMS distance from the surrounding planes, plus a little for long edges.
+    """
     cost = np.full(edges.shape[0], np.inf)
     place = np.empty((edges.shape[0], 3))
     sums = np.empty((edges.shape[0], 10))
     for e in prange(edges.shape[0]):
         v, w = edges[e, 0], edges[e, 1]
-        is_border_pair = kind[v] == BORDER and kind[w] == BORDER
-        if kind[v] == FIXED or kind[w] == FIXED or (is_border_pair and fractions[e] == 2):
+        # An interior edge between two border vertices would join two borders.
+        is_border_pair = kind[v] == _BORDER and kind[w] == _BORDER
+        if kind[v] == _FIXED or kind[w] == _FIXED or (is_border_pair and uses[e] == 2):
             continue
         square = _square(points, v, w)
         if square > min(max_edge[v], max_edge[w]) ** 2:
             continue
         _best_place(quadrics, points, v, w, sums[e], place[e])
         if kind[v] != kind[w]:
-            kept = v if kind[v] == BORDER else w
+            fixed = v if kind[v] == _BORDER else w
             for k in range(3):
-                place[e, k] = points[kept, k]
+                place[e, k] = points[fixed, k]
         error = max(_error(sums[e], place[e]), 0.0)
         rms = math.sqrt(error / max(weight[v] + weight[w], 1e-12))
         if rms <= min(max_error[v], max_error[w]):
-            # Short edges first where all is flat: triangles stay round.
+            # On planes all errors are 0: short edges first avoid thin triangles.
             cost[e] = rms + 1e-3 * math.sqrt(square)
     return cost, place
 
@@ -232,7 +248,7 @@ def edge_costs(points, edges, fractions, kind, quadrics, weight, max_error, max_
 @njit(cache=True, nogil=True, inline="always")
 @no_type_check
 def _cross(ax, ay, az, bx, by, bz, cx, cy, cz):  # noqa: PLR0913 - scalars of one triangle
-    """Twice the area vector of a triangle, in scalars: arrays here would be allocated."""
+    """Return twice the area vector of a triangle, as scalars to avoid array allocations."""
     ux, uy, uz = bx - ax, by - ay, bz - az
     vx, vy, vz = cx - ax, cy - ay, cz - az
     return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -241,8 +257,10 @@ def _cross(ax, ay, az, bx, by, bz, cx, cy, cz):  # noqa: PLR0913 - scalars of on
 @njit(cache=True, nogil=True)
 @no_type_check
 def _is_sound(v, other, p, points, faces, start, members, limit):
-    """Whether the faces around v (without those at `other`) keep their side, a decent shape and
-    short edges when v moves to p."""
+    """Return True if v may move to p: its faces do not flip or degenerate or exceed `limit`.
+
+    Faces that contain `other` are not tested, since the collapse removes them.
+    """
     for s in range(start[v], start[v + 1]):
         f = members[s]
         if faces[f, 0] < 0:
@@ -274,16 +292,17 @@ def _is_sound(v, other, p, points, faces, start, members, limit):
 @njit(cache=True, nogil=True)
 @no_type_check
 def collapse_round(  # noqa: C901, PLR0913 - one compiled loop over flat arrays
-    points, faces, groups, start, members, edges, fractions, cost, place, order,
+    points, faces, groups, start, members, edges, edge_uses, cost, place, order,
     quadrics, weight, max_error, max_edge,
 ):  # fmt: skip
-    """Collapse edges in order of cost, each vertex ring at most once. Dead faces get index -1.
+    """Collapse edges in order of cost and return the number of collapses.
 
-    Returns the number of collapses.
+    Each vertex and its neighbours take part in at most one collapse of a round, because costs and
+    lists of faces are not updated. Removed faces get index -1.
     """
     is_touched = np.zeros(points.shape[0], np.bool_)
-    near_v, near_w = np.empty(64, np.int64), np.empty(64, np.int64)
-    uses, group = np.empty(64, np.int64), np.empty(64, np.int64)
+    near_v, near_w = np.empty(_MAX_NEIGHBOURS, np.int64), np.empty(_MAX_NEIGHBOURS, np.int64)
+    uses, group = np.empty(_MAX_NEIGHBOURS, np.int64), np.empty(_MAX_NEIGHBOURS, np.int64)
     done = 0
     for at in range(order.shape[0]):
         e = order[at]
@@ -299,8 +318,9 @@ def collapse_round(  # noqa: C901, PLR0913 - one compiled loop over flat arrays
                 common += near_v[i] == near_w[j]
         for j in range(n_w):
             blocked = blocked or is_touched[near_w[j]]
-        # The link condition: two faces share the edge and nothing else joins its ends.
-        if blocked or common != fractions[e] % 100:
+        # Link condition: the ends have only those neighbours in common that lie on the edge's own
+        # faces, so the collapse does not change the topology.
+        if blocked or common != edge_uses[e] % _MIXED:
             continue
         limit = min(max_edge[v], max_edge[w])
         if not _is_sound(v, w, place[e], points, faces, start, members, limit):

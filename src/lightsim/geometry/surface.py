@@ -1,4 +1,4 @@
-"""Meshes of signed-distance grids: marching cubes in blocks, welded, cleaned and smoothed."""
+"""Meshes of signed-distance grids by marching cubes, and basic operations on meshes."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64
-from scipy.sparse import diags
 from scipy.sparse.csgraph import connected_components
 
 from lightsim.core.adjacency import adjacency
 from lightsim.core.fields import BLOCK, SceneFields, TsdfGrid
 from lightsim.core.mesh import Material, Texture, TriMesh
 
-_REGION_BLOCKS = 8
 MATTE = Material()
+# Edge of the cubes that are meshed at once, in blocks: dense copies of 64 samples a side.
+_REGION_BLOCKS = 8
+# Distance within which vertices are merged, in samples: regions compute common vertices twice.
 _WELD_FRACTION = 1e-3
-_SHRINK, _SWELL = 0.5, -0.53
 
 
 def extract_surface(grid: TsdfGrid, min_weight: float = 0.0) -> TriMesh:
-    """The zero level set, normals towards positive distance; black.
+    """Return the zero level set as a black mesh, normals towards positive distance (Lorensen &
+    Cline 1987, doi:10.1145/37402.37422).
 
-    Cells with any corner of weight <= `min_weight` are left open: nothing is invented where no
-    ray has been (Lorensen & Cline 1987, doi:10.1145/37402.37422).
+    Cells with a corner of weight <= `min_weight` are unobserved and have no surface.
     """
     from skimage.measure import marching_cubes
 
@@ -35,7 +35,7 @@ def extract_surface(grid: TsdfGrid, min_weight: float = 0.0) -> TriMesh:
         signs = np.where(is_known, np.sign(sdf), 0)
         if not cells.any() or (signs >= 0).all() or (signs <= 0).all():
             continue
-        # scikit-image names a cell by its last corner.
+        # The mask of scikit-image refers to a cell by its last corner.
         mask = np.zeros(sdf.shape, dtype=bool)
         mask[1:, 1:, 1:] = cells
         try:
@@ -54,7 +54,7 @@ def extract_surface(grid: TsdfGrid, min_weight: float = 0.0) -> TriMesh:
 def make_mesh(
     frame: str, vertices: Float[np.ndarray, "n 3"], faces: Int64[np.ndarray, "m 3"]
 ) -> TriMesh:
-    """A black mesh."""
+    """Return a black mesh without materials."""
     black = np.zeros((len(vertices), 3), dtype=np.float32)
     return TriMesh(frame, vertices.astype(np.float32), faces.astype(np.int32), black)
 
@@ -64,10 +64,12 @@ def quad_mesh(
     quads: Int64[np.ndarray, "m 4"],
     material: Material = MATTE,
 ) -> TriMesh:
-    """A black mesh in frame world: two triangles a quad, without corners that none uses.
+    """Return a black mesh in frame `world` of two triangles per quad, without unused corners.
 
     Args:
-        quads: their corners, counter-clockwise seen from outside.
+        corners: positions in metres.
+        quads: indices of the corners, counter-clockwise when viewed from outside.
+        material: material of all faces.
     """
     used, index = np.unique(quads, return_inverse=True)
     index = index.reshape(-1, 4).astype(np.int64)
@@ -82,8 +84,10 @@ def parallelogram(
     edge_m: float,
     material: Material,
 ) -> TriMesh:
-    """A black parallelogram in frame world, of cells whose edges are at most `edge_m` long; seen
-    from where the cross product of its edges points to."""
+    """Return a black parallelogram in frame `world`, of cells with edges of at most `edge_m`.
+
+    Its normal is along the cross product of `first` and `second`.
+    """
     count = [max(1, int(np.ceil(np.linalg.norm(edge) / edge_m))) for edge in (first, second)]
     i, j = (k.reshape(-1, 1) for k in np.indices((count[0] + 1, count[1] + 1)))
     points = corner + i / count[0] * first + j / count[1] * second
@@ -91,8 +95,10 @@ def parallelogram(
 
 
 def grid_mesh(corners: Float64[np.ndarray, "a b 3"], material: Material) -> TriMesh:
-    """A black mesh in frame world of the quads between rows and columns of corners; seen from where
-    the cross product of the ways along the first and the second axis points to."""
+    """Return a black mesh in frame `world` of the quads between rows and columns of corners.
+
+    Normals are along the cross product of the steps along the first and the second axis.
+    """
     rows, across = corners.shape[:2]
     start = (np.arange(rows - 1)[:, None] * across + np.arange(across - 1)).reshape(-1, 1)
     return quad_mesh(corners.reshape(-1, 3), start + [0, across, across + 1, 1], material)
@@ -109,7 +115,10 @@ def _regions(
 ) -> Iterator[
     tuple[Int64[np.ndarray, "3"], Float32[np.ndarray, "s s s"], Float32[np.ndarray, "s s s"]]
 ]:
-    """65-sample cubes that share one layer with the next, so that their surfaces meet."""
+    """Yield start, distances and weights of cubes of 65 samples a side.
+
+    Adjacent cubes have one layer of samples in common, so that their surfaces meet.
+    """
     if len(grid.block_coords) == 0:
         return
     low = grid.block_coords.min(axis=0)
@@ -137,7 +146,7 @@ def _regions(
 def weld(
     vertices: Float64[np.ndarray, "n 3"], faces: Int64[np.ndarray, "m 3"]
 ) -> tuple[Float64[np.ndarray, "p 3"], Int64[np.ndarray, "q 3"]]:
-    """Join vertices closer than a thousandth of a sample; faces that collapse disappear."""
+    """Merge vertices closer than a thousandth of a sample, and remove degenerate faces."""
     key = np.rint(vertices / _WELD_FRACTION).astype(np.int64)
     _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
     faces = inverse.reshape(-1)[faces]
@@ -147,7 +156,7 @@ def weld(
 
 
 def keep_faces(mesh: TriMesh, is_kept: Bool[np.ndarray, " m"]) -> TriMesh:
-    """Some faces of a mesh, without the vertices that nothing uses any more."""
+    """Return a mesh of the selected faces, without unused vertices."""
     faces = mesh.faces[is_kept]
     used, inverse = np.unique(faces, return_inverse=True)
     return replace(
@@ -167,10 +176,12 @@ def keep_faces(mesh: TriMesh, is_kept: Bool[np.ndarray, " m"]) -> TriMesh:
 def drop_floaters(
     mesh: TriMesh, min_area_m2: float, is_suspect: Bool[np.ndarray, " m"] | None = None
 ) -> TriMesh:
-    """Without connected pieces smaller than an area: noise that would cast random shadows.
+    """Remove connected pieces smaller than an area: noise that would cast random shadows.
 
     Args:
-        is_suspect: pieces without such a face stay; None: all faces are.
+        mesh: any mesh.
+        min_area_m2: least area of a piece.
+        is_suspect: faces that may be noise; pieces without one are not removed. None: all faces.
     """
     if len(mesh.faces) == 0:
         return mesh
@@ -184,28 +195,14 @@ def drop_floaters(
 
 
 def border_vertices(faces: Int32[np.ndarray, "m 3"]) -> Int64[np.ndarray, " b"]:
-    """Vertices at edges that belong to one face alone."""
+    """Return the vertices at edges that belong to one face only."""
     ends = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
     edges, count = np.unique(ends, axis=0, return_counts=True)
     return np.unique(edges[count == 1])
 
 
-def smooth(mesh: TriMesh, rounds: int) -> TriMesh:
-    """Taubin's fair smoothing (1995, doi:10.1145/218380.218473): less noise, no shrinking."""
-    if rounds == 0 or len(mesh.faces) == 0:
-        return mesh
-    neighbours = adjacency(mesh.faces, len(mesh.vertices))
-    degree = np.asarray(neighbours.sum(axis=1)).ravel()
-    mean = diags(1.0 / np.maximum(degree, 1.0)) @ neighbours
-    vertices = mesh.vertices.astype(np.float64)
-    for _ in range(rounds):
-        for step in (_SHRINK, _SWELL):
-            vertices = vertices + step * (mean @ vertices - vertices)
-    return replace(mesh, vertices=vertices.astype(np.float32))
-
-
 def background_levels(fields: SceneFields, min_weight: float) -> list[TriMesh]:
-    """One mesh per background level, each within its own ring around the path."""
+    """Return one mesh per background level, each within its own ring around the path."""
     meshes, inner = [], 0.0
     for grid, outer in zip(fields.background, fields.background_radius_m, strict=True):
         mesh = extract_surface(grid, min_weight)
@@ -220,7 +217,7 @@ def background_levels(fields: SceneFields, min_weight: float) -> list[TriMesh]:
 def path_distance_m(
     points_world: Float32[np.ndarray, "n 3"], path_m: Float[np.ndarray, "k 3"]
 ) -> Float[np.ndarray, " n"]:
-    """Horizontal distance from the nearest point of the path."""
+    """Return the horizontal distance of points from the nearest point of the path, in metres."""
     from scipy.spatial import KDTree
 
     if len(points_world) == 0:

@@ -1,9 +1,9 @@
-"""Sky mattes without learned weights: which part of each pixel is sky.
+"""Sky mattes without learned weights: the fraction of each pixel that is sky.
 
-The image is cut into small regions of even colour. Each region gets log-odds of being sky from
-LiDAR returns and their absence, ray elevation, colour and texture; the odds spread between
-regions that meet without an edge; what other frames saw of the sky at the same directions corrects
-them; a matting step at full resolution gives soft borders.
+The image is divided into small regions of even colour. Each region has log-odds of being sky from
+LiDAR returns and their absence, ray elevation, colour and texture. The log-odds are smoothed over
+neighbouring regions without an edge between them, and corrected by the sky that other frames
+observed in the same directions. Matting at full resolution gives soft borders.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from lightsim.core.log import DrivingLog
 from lightsim.core.resample import resize_area
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
+from lightsim.masks.certain_sky import CERTAIN_LOG_ODDS
 from lightsim.masks.sky_matting import SkyMatte, refine_matte
 from lightsim.masks.sky_panorama import (
     CameraSky,
@@ -37,45 +38,30 @@ from lightsim.masks.sky_regions import (
     keep_open_sky,
     region_graph,
     region_log_odds,
-    spread_log_odds,
+    smoothed_log_odds,
     with_colours,
 )
-from lightsim.masks.sure_sky import SURELY_SKY
 from lightsim.progress import Progress
 
+# Sensitivity to each constant is not measured; tests/masks has synthetic streets with the cases
+# that must not fail.
+
+# Frames that are processed in parallel.
 _WORKERS = 2
-"""Frames worked on at once."""
-
-
-# None was measured alone; tests/masks hold what the matte must get right on drawn streets.
-
 # Width at which regions are found; borders are refined at full width.
 _WORKING_WIDTH_PX = 480
-# Felzenszwalb's scale: larger regions for larger values.
-_REGION_SCALE = 30.0
-# Smallest region at working width.
-_MIN_REGION_PX = 24
-# No sky is expected below this elevation.
-_HORIZON_DEG = 0.0
-# Elevations in which a solid surface within range surely gives LiDAR returns.
+# Elevations at which every surface within range certainly gives LiDAR returns.
 _LIDAR_BAND_DEG = (2.0, 9.0)
 # Largest angle between neighbouring beams in that band.
 _LIDAR_BEAM_GAP_DEG = 3.2
-# CIE Lab step over two pixels at which two regions stop agreeing.
-_EDGE_CONTRAST = 4.0
-# Weight of agreement between neighbours against a region's own evidence.
-_SMOOTHING = 1.5
-# Half width of the soft border, working pixels.
-_BORDER_PX = 3
-# Image fraction of the smallest sky that does not touch the top of the image.
+# Area of the smallest sky that does not touch the top of the image, as a fraction of the image.
 _MIN_SKY_FRACTION = 0.0015
-# Log-odds up to which colours of anything else are learnt from one image; a log's are those of
-# returns. Sky's are learnt from what is surely sky: what is less sure would speak for itself, as a
-# pale blue front did on street 1.
-_LIKELY_NONE = -1.5
-# Frames of each camera from which colours are learnt.
+# Largest log-odds of regions whose colours are samples of surfaces. Samples of sky need
+# `CERTAIN_LOG_ODDS`: a lower limit would confirm wrong regions, as a pale blue front on street 1.
+_SURFACE_LOG_ODDS = -1.5
+# Frames of each camera that contribute to the colours of the log.
 _COLOUR_FRAMES = 4
-# `sky_mattes` gathers the high returns of every n-th sweep: older viewpoints see higher.
+# Step between the sweeps whose high returns are gathered; bounds the time.
 _SWEEP_STEP = 6
 
 
@@ -88,20 +74,20 @@ def estimate_sky_matte(
     log_colours: ColourCounts | None = None,
     panorama: SkyPanorama | None = None,
 ) -> SkyMatte:
-    """Fraction of each pixel that is sky.
+    """Estimate the fraction of each pixel that is sky; 0 everywhere in an image without sky.
 
-    An image without sky gives zeros. Without LiDAR points, colour, texture and elevation decide
-    alone, and a bright plain wall that fills the top of the image can pass for sky.
+    Without LiDAR points, a bright plain wall that fills the top of the image can be mistaken for
+    sky.
 
     Args:
         srgb8: the image.
-        camera: its intrinsics, for exactly this image size.
-        world_from_camera: the camera's pose; world z is up.
+        camera: intrinsics for this image size.
+        world_from_camera: pose of the camera; world z is up.
         lidar_points_world: returns around the time of the image; may be empty.
-        ego_vehicle_mask: True where the camera sees the ego vehicle.
-        log_colours: of sky and anything else, learnt from a whole log; None learns from the
-            image, which cannot tell a pale gable in its corner from a cloud.
-        panorama: the sky as this camera saw it from other places; None where it did not move.
+        ego_vehicle_mask: True for pixels of the ego vehicle.
+        log_colours: colours of sky and surfaces in the whole log. None: colours of the image only,
+            which do not distinguish a pale gable in its corner from a cloud.
+        panorama: sky that this camera observed at other positions; None if it did not move.
 
     Raises:
         InputError: image and camera differ in size.
@@ -115,19 +101,21 @@ def estimate_sky_matte(
             expected=f"{camera.width_px}x{camera.height_px} px",
         )
     evidence = _gather(srgb8, camera, world_from_camera, lidar_points_world, ego_vehicle_mask)
-    if not (evidence.elevation_deg > _HORIZON_DEG).any():
+    if not _sees_above_horizon(evidence):
         return SkyMatte(*np.zeros((2, height, width), np.float32))
-    labels, sky = _judge(evidence, log_colours, panorama)
+    labels, sky = _classified(evidence, log_colours, panorama)
     min_px = int(_MIN_SKY_FRACTION * labels.size)
     probability = keep_open_sky(labels, sky, evidence, max(min_px, 1))
-    return refine_matte(srgb8, probability, evidence, _BORDER_PX)
+    return refine_matte(srgb8, probability, evidence)
 
 
 def sky_mattes(
     log: DrivingLog, frames: Sequence[CameraFrame], progress: Progress
 ) -> Iterator[tuple[CameraFrame, SkyMatte]]:
-    """Some frames with their mattes, few in memory at a time; what they know of colours and of the
-    sky's directions is all of the log's, of which they need not be frames."""
+    """Yield frames with their mattes, few in memory at a time.
+
+    Colours and panoramas are those of the whole log; the frames need not be frames of the log.
+    """
     if not frames:
         return
     points_world = gather_high_points(log)
@@ -145,7 +133,7 @@ def sky_mattes(
             panorama_by_camera.get(frame.camera_name),
         )
 
-    # Array operations leave Python's lock, so threads do share the work.
+    # Array operations release Python's global lock, so threads run in parallel.
     with ThreadPoolExecutor(_WORKERS) as pool:
         ahead: deque[Future[SkyMatte]] = deque()
         coming = iter(frames)
@@ -157,17 +145,19 @@ def sky_mattes(
 
 
 def learn_colours(log: DrivingLog, points_world: Float[np.ndarray, "n 3"]) -> ColourCounts | None:
-    """Colours of what is surely sky, and of what is surely none (what returned a beam: regions
-    alone would count bright clouds to it), in some frames of each camera; None where a log shows
-    too little of either."""
+    """Collect colours of certain sky and of surfaces in some frames of each camera.
+
+    Surfaces are pixels with LiDAR returns, since regions without sky can include bright clouds.
+    None if the log has too few pixels of either.
+    """
     total: ColourCounts | None = None
     for name in log.cameras:
         frames = log.frames_of(name)
         for frame in frames[:: max(1, len(frames) // _COLOUR_FRAMES)]:
             evidence = _gather_frame(log, frame, points_world)
-            if (evidence.elevation_deg > _HORIZON_DEG).any():
+            if _sees_above_horizon(evidence):
                 labels, _, _, first = _before_colours(evidence)
-                is_sky = first[labels] > SURELY_SKY
+                is_sky = first[labels] > CERTAIN_LOG_ODDS
                 counts = ColourCounts.of(evidence, is_sky, evidence.has_hit)
                 total = counts if total is None else total + counts
     return total if total is not None and total.are_enough else None
@@ -176,58 +166,66 @@ def learn_colours(log: DrivingLog, points_world: Float[np.ndarray, "n 3"]) -> Co
 def learn_panoramas(
     log: DrivingLog, points_world: Float[np.ndarray, "n 3"], log_colours: ColourCounts | None
 ) -> dict[str, SkyPanorama]:
-    """The sky that each camera saw, by direction; of cameras that moved."""
+    """Return the observed sky by direction, by name of each camera that moved."""
     skies: dict[str, CameraSky] = {}
     for name in log.cameras:
         views = []
         for frame in frames_apart(log.frames_of(name)):
             evidence = _gather_frame(log, frame, points_world)
-            if (evidence.elevation_deg > _HORIZON_DEG).any():
-                labels, sky = _judge(evidence, log_colours, None)
+            if _sees_above_horizon(evidence):
+                labels, sky = _classified(evidence, log_colours, None)
                 views.append(SkyView(evidence, sky[labels]))
         if views:
             skies[name] = CameraSky.of(views)
     return panoramas(skies)
 
 
-def _judge(
+def _classified(
     evidence: ImageEvidence, log_colours: ColourCounts | None, panorama: SkyPanorama | None
 ) -> tuple[Int[np.ndarray, "h w"], Float[np.ndarray, " n"]]:
-    """Regions and their log-odds of being sky, by all that is known."""
+    """Return regions and their log-odds of being sky, from all evidence."""
     labels, graph, own, first = _before_colours(evidence)
     odds = first[labels]
-    colours = ColourCounts.of(evidence, odds > SURELY_SKY, odds < _LIKELY_NONE)
+    colours = ColourCounts.of(evidence, odds > CERTAIN_LOG_ODDS, odds < _SURFACE_LOG_ODDS)
     if panorama is None:
         own = with_colours(labels, evidence, own, colours, log_colours)
     else:
         agreement = panorama.compare(evidence)
+        # Regions are divided by kind of agreement before their log-odds are computed anew.
         labels = agreement.split(labels)
-        graph = region_graph(labels, evidence.lab, _EDGE_CONTRAST, agreement.expected_lab)
+        graph = region_graph(labels, evidence.lab, agreement.expected_lab)
         own = region_log_odds(labels, evidence)
         own = with_colours(labels, evidence, own, colours, log_colours, agreement.beside)
         own = agreement.applied_to(labels, own)
-    return labels, spread_log_odds(graph, own, _SMOOTHING)
+    return labels, smoothed_log_odds(graph, own)
 
 
 def _before_colours(
     evidence: ImageEvidence,
 ) -> tuple[Int[np.ndarray, "h w"], RegionGraph, Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Regions, how they agree, and their log-odds: their own, and after neighbours agreed."""
+    """Return regions, their graph, and their log-odds before and after smoothing over neighbours.
+
+    Colour statistics of the image and the log are not used yet, since they need these log-odds.
+    """
     labels = _segment(evidence.lab)
-    graph = region_graph(labels, evidence.lab, _EDGE_CONTRAST)
+    graph = region_graph(labels, evidence.lab)
     own = region_log_odds(labels, evidence)
-    return labels, graph, own, spread_log_odds(graph, own, _SMOOTHING)
+    return labels, graph, own, smoothed_log_odds(graph, own)
+
+
+def _sees_above_horizon(evidence: ImageEvidence) -> bool:
+    return bool((evidence.elevation_deg > 0.0).any())
 
 
 def gather_high_points(log: DrivingLog) -> Float32[np.ndarray, "n 3"]:
-    """Static returns of every n-th sweep above the ego's ground, thinned to 0.15 m, in `world`.
+    """Return static returns of the whole log above the ego's ground, thinned to 0.15 m, in `world`.
 
-    A wall that towers over the LiDAR's field of view nearby was often measured from afar.
+    A high wall that exceeds the LiDAR's field of view nearby was often measured from farther away.
     """
-    chosen = list(log.sweeps[:: max(1, _SWEEP_STEP)])
+    chosen = list(log.sweeps[::_SWEEP_STEP])
     if log.sweeps and chosen[-1] is not log.sweeps[-1]:
         chosen.append(log.sweeps[-1])
-    kept = [np.zeros((0, 3), np.float32)]
+    static = [np.zeros((0, 3), np.float32)]
     for lazy in chosen:
         sweep = lazy.load()
         points = sweep.points_world[sweep.points_world[:, 2] > sweep.origins_world[:, 2] - 0.5]
@@ -235,9 +233,10 @@ def gather_high_points(log: DrivingLog) -> Float32[np.ndarray, "n 3"]:
         for actor in log.actors_at(lazy.time_ns):
             if actor.is_moving:
                 is_moving |= actor.contains(points, lazy.time_ns, 0.3)
-        kept.append(points[~is_moving])
-    points_world = np.concatenate(kept)
+        static.append(points[~is_moving])
+    points_world = np.concatenate(static)
     cells = np.floor(points_world / 0.15).astype(np.int64)
+    # The sum identifies a cell for coordinates within 2^19 cells, 78 km.
     _, first = np.unique(cells @ np.array([1, 1 << 20, 1 << 40]), return_index=True)
     return points_world[first]
 
@@ -257,7 +256,7 @@ def _gather(
     lidar_points_world: Float[np.ndarray, "n 3"],
     ego_vehicle_mask: Bool[np.ndarray, "h w"] | None,
 ) -> ImageEvidence:
-    """Per-pixel evidence at working width."""
+    """Compute the evidence of each pixel at working width."""
     from skimage.color import rgb2lab
 
     small = camera.scaled(min(1.0, _WORKING_WIDTH_PX / camera.width_px))
@@ -274,7 +273,7 @@ def _gather(
     in_band = (elevation_deg > low) & (elevation_deg < high)
     is_silent = np.zeros((rows, columns), bool)
     if hits.any():
-        is_silent = in_band & ~_near_hits(hits, small, _LIDAR_BEAM_GAP_DEG)
+        is_silent = in_band & ~_near_hits(hits, small)
     return ImageEvidence(
         lab=rgb2lab(rgb).astype(np.float32),
         directions_world=directions.astype(np.float32),
@@ -282,20 +281,17 @@ def _gather(
         has_hit=hits,
         is_scanned=elevation_deg < high,
         is_silent=is_silent,
-        is_excluded=is_ego_vehicle | (elevation_deg < _HORIZON_DEG),
+        is_excluded=is_ego_vehicle | (elevation_deg < 0.0),
     )
 
 
 def _segment(lab: Float32[np.ndarray, "h w 3"]) -> np.ndarray:
+    """Return small regions of even colour (Felzenszwalb and Huttenlocher 2004,
+    doi:10.1023/B:VISI.0000022288.19776.77)."""
     from skimage.segmentation import felzenszwalb
 
-    return felzenszwalb(
-        lab.astype(np.float64) / 100.0,
-        scale=_REGION_SCALE,
-        sigma=0.7,
-        min_size=_MIN_REGION_PX,
-        channel_axis=-1,
-    )
+    colours = lab.astype(np.float64) / 100.0
+    return felzenszwalb(colours, scale=30.0, sigma=0.7, min_size=24, channel_axis=-1)
 
 
 def _project_hits(
@@ -303,7 +299,7 @@ def _project_hits(
     camera: PinholeCamera,
     world_from_camera: RigidTransform,
 ) -> Bool[np.ndarray, "h w"]:
-    """Pixels that a return falls into; returns nearer than 1 m are the car's own."""
+    """Return True for pixels with a LiDAR return farther than 1 m, that is, not of the ego."""
     hits = np.zeros((camera.height_px, camera.width_px), bool)
     points_camera = world_from_camera.inverse().apply(points_world.astype(np.float64))
     uv, inside = camera.project(points_camera)
@@ -313,11 +309,9 @@ def _project_hits(
     return hits
 
 
-def _near_hits(
-    hits: Bool[np.ndarray, "h w"], camera: PinholeCamera, beam_gap_deg: float
-) -> Bool[np.ndarray, "h w"]:
-    """Pixels with a return within half a beam gap above or below and 1 pixel beside."""
+def _near_hits(hits: Bool[np.ndarray, "h w"], camera: PinholeCamera) -> Bool[np.ndarray, "h w"]:
+    """Return True for pixels with a return within half a beam gap vertically, 1 pixel sideways."""
     from scipy.ndimage import maximum_filter
 
-    reach_px = int(np.ceil(np.tan(np.radians(beam_gap_deg / 2)) * camera.fy))
+    reach_px = int(np.ceil(np.tan(np.radians(_LIDAR_BEAM_GAP_DEG / 2)) * camera.fy))
     return maximum_filter(hits, size=(2 * reach_px + 1, 3))

@@ -10,28 +10,47 @@ from jaxtyping import Bool, Float, Float32, Int, UInt8
 from lightsim.core.colour import linear_from_srgb8
 from lightsim.masks.sky_regions import ImageEvidence
 
+# Sensitivity of the matte to these constants is not measured; tests/masks has the cases that must
+# not fail.
+
+# Neighbourhood of eight pixels for connected parts.
 _SQUARE = np.ones((3, 3), dtype=bool)
-# Of the way from what is not sky to the sky: below the foot nothing shows sky; from so many of the
-# sky's own standard deviations before its mean on, at least the foot and at most so much, all does.
-_FOOT, _SPREADS, _WIDEST_SPREAD = 0.2, 2.0, 0.6
-# Thin lines: linear light of the ground below which none is told, drop that is noise, and a line's
-# own light over its ground's at most: one narrower than a pixel is paler wherever it is seen.
-_DARK_GROUND, _NOISE, _PALEST_LINE = 0.02, 0.12, 0.35
-# Half of the widest line, and the shortest one that ends in the open sky (dashes of a faint wire
-# count as one), by the picture's width; and how broad that one may be for its length (wires .03 to
-# .1, textures of clouds .3 to .5). What is shorter or wider is texture of clouds.
-_WIDEST_LINE, _SHORTEST_LINE, _BROADEST_LINE = 1 / 320, 1 / 50, 0.2
+# Half width of the soft border, in working pixels.
+_BORDER_PX = 3
+# Position on the line from the mean other colour (0) to the mean sky colour (1) below which a pixel
+# has no sky.
+_FOOT = 0.2
+# Distance from the mean sky colour within which a pixel is all sky, in standard deviations of the
+# sky; on the same line it is at least `_FOOT` and at most the limit below.
+_SHOULDER_DEVIATIONS = 2.0
+# Largest distance from the mean sky colour within which a pixel is all sky.
+_WIDEST_SHOULDER = 0.6
+# Linear light of the surroundings of a thin line below which it cannot be detected.
+_DARK_SURROUNDINGS = 0.02
+# Relative drop of light that is noise.
+_NOISE = 0.12
+# Largest light of a line relative to its surroundings. A line narrower than a pixel is paler than
+# this in every pixel, and its fraction is measured relative to this value.
+_PALEST_LINE = 0.35
+# Half of the largest width of a line, as a fraction of the image's width.
+_WIDEST_LINE = 1 / 320
+# Least length of a line that ends in the open sky (dashes of a faint wire count as one line), as a
+# fraction of the image's width; shorter ones are texture of clouds.
+_SHORTEST_LINE = 1 / 50
+# Largest ratio of width to length of such a line: wires have 0.03 to 0.1, texture of clouds has 0.3
+# to 0.5.
+_BROADEST_LINE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class SkyMatte:
-    """How much of each pixel is sky: 1 sky, 0 anything else.
+    """Fraction of each pixel that is sky, from 0 to 1.
 
     Args:
-        expected: the mean over what may be: a cloud that is sky with a probability of .8 has .8.
-            What is built from pictures goes by it, for half-sure sky is no free space.
-        likeliest: as if what is likelier sky than not were sky. Pictures are put together by it:
-            .8 of another sky before a cloud of the recorded one is what nobody would see.
+        expected: expected fraction: 0.8 for a cloud that is sky with probability 0.8. Used for
+            reconstruction, because uncertain sky does not prove free space.
+        likeliest: maximum a posteriori matte, with the alpha of each region thresholded at 0.5.
+            Used for compositing, because 0.8 would leave a fifth of the recorded sky.
     """
 
     expected: Float32[np.ndarray, "h w"]
@@ -42,20 +61,19 @@ def refine_matte(
     srgb8: UInt8[np.ndarray, "h w 3"],
     probability: Float32[np.ndarray, "a b"],
     evidence: ImageEvidence,
-    border_px: int,
 ) -> SkyMatte:
-    """The matte of every full-size pixel.
+    """Compute the matte at full size from the probability of sky at working width.
 
-    Along borders a pixel is a mix of the mean sky colour and the mean other colour nearby
-    (colour-line matting, Chuang et al. 2001, doi:10.1109/CVPR.2001.990970, with one Gaussian a
-    side); inside the sky, thin dark lines (wires, twigs) take their share away.
+    A pixel at a border is a mix of the mean sky colour and the mean other colour nearby (Bayesian
+    matting, Chuang et al. 2001, doi:10.1109/CVPR.2001.990970, with one Gaussian per side). Inside
+    the sky, the fraction that thin dark lines (wires, twigs) cover is subtracted.
     """
     height, width = srgb8.shape[:2]
     is_sky = probability > 0.5
     if not is_sky.any():
         return SkyMatte(*np.zeros((2, height, width), np.float32))
-    is_border = _resize(_border(is_sky, border_px).astype(np.float32), height, width) > 0.5
-    sky, other, spread, reliable = _local_colours(srgb8, is_sky, border_px)
+    is_border = _resize(_border(is_sky).astype(np.float32), height, width) > 0.5
+    sky, other, covariance, reliable = _local_colours(srgb8, is_sky)
     rows, columns = np.nonzero(is_border)
     pixels = srgb8[rows, columns].astype(np.float32) / np.float32(255.0)
     r = np.minimum(rows * is_sky.shape[0] // height, is_sky.shape[0] - 1)
@@ -63,55 +81,55 @@ def refine_matte(
     line = sky[r, c] - other[r, c]
     length2 = np.sum(line**2, axis=1)
     fraction = np.sum((pixels - other[r, c]) * line, axis=1) / np.maximum(length2, 1e-4)
-    # Pull the foot and shoulder to 0 and 1: both sides vary around their mean, a sky with clouds
-    # before the sun by as much as they differ.
-    variance = np.einsum("na,nab,nb->n", line, spread[r, c], line)
-    varies = np.sqrt(np.maximum(variance, 0.0)) / np.maximum(length2, 1e-4)
-    shoulder = 1 - np.clip(_SPREADS * varies, _FOOT, _WIDEST_SPREAD)
+    # Both sides vary around their means, a sky with clouds in front of the sun by as much as the
+    # means differ. The foot and the shoulder of this variation are mapped to 0 and 1.
+    variance = np.einsum("na,nab,nb->n", line, covariance[r, c], line)
+    deviation = np.sqrt(np.maximum(variance, 0.0)) / np.maximum(length2, 1e-4)
+    shoulder = 1 - np.clip(_SHOULDER_DEVIATIONS * deviation, _FOOT, _WIDEST_SHOULDER)
     fraction = np.clip((fraction - _FOOT) / (shoulder - _FOOT), 0.0, 1.0)
     trust = np.clip(length2 / 0.01, 0.0, 1.0) * reliable[r, c]
     likely = _resize(is_sky.astype(np.float32), height, width)
-    # No twig begins at a speck: a lone return in the open sky.
+    # Twigs begin at a part of some length, not at a single return in the open sky.
     number, length_px, _ = _parts(~is_sky)
     is_matter = (length_px >= _SHORTEST_LINE * is_sky.shape[1])[number]
     is_matter = _resize(is_matter.astype(np.float32), height, width) > 0.0
-    share = 1.0 - _long(_thin_lines(srgb8), is_matter)
-    share[_resize(evidence.is_excluded.astype(np.float32), height, width) > 0.5] = 0.0
+    open_fraction = 1.0 - _long(_thin_lines(srgb8), is_matter)
+    open_fraction[_resize(evidence.is_excluded.astype(np.float32), height, width) > 0.5] = 0.0
 
     def refined(alpha: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
         alpha[rows, columns] = trust * fraction + (1 - trust) * alpha[rows, columns]
-        return np.clip(alpha * share, 0.0, 1.0).astype(np.float32)
+        return np.clip(alpha * open_fraction, 0.0, 1.0).astype(np.float32)
 
     return SkyMatte(refined(_resize(probability, height, width)), refined(likely))
 
 
-def _border(is_sky: Bool[np.ndarray, "a b"], border_px: int) -> Bool[np.ndarray, "a b"]:
+def _border(is_sky: Bool[np.ndarray, "a b"]) -> Bool[np.ndarray, "a b"]:
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    size = 2 * border_px + 1
+    size = 2 * _BORDER_PX + 1
     grown, shrunk = maximum_filter(is_sky, size), minimum_filter(is_sky, size)
     return np.asarray(grown, bool) & ~np.asarray(shrunk, bool)
 
 
 def _local_colours(
-    srgb8: UInt8[np.ndarray, "h w 3"], is_sky: Bool[np.ndarray, "a b"], border_px: int
+    srgb8: UInt8[np.ndarray, "h w 3"], is_sky: Bool[np.ndarray, "a b"]
 ) -> tuple[
     Float[np.ndarray, "a b 3"],
     Float[np.ndarray, "a b 3"],
     Float[np.ndarray, "a b 3 3"],
     Float[np.ndarray, "a b"],
 ]:
-    """Mean sRGB of the sky and of the rest nearby, away from the border, the sky's covariance, and
-    whether sky exists.
+    """Return the mean sRGB of nearby sky and other pixels away from the border, the covariance of
+    the sky, and 1 where there is sky nearby.
 
-    A wire in the open sky has nothing else nearby: a dark grey then stands for it.
+    Without other pixels nearby, as beside a wire in the open sky, the other colour is a dark grey.
     """
     from scipy.ndimage import minimum_filter, uniform_filter
 
     from lightsim.core.resample import resize_area
 
     rgb = resize_area(srgb8.astype(np.float32) / np.float32(255.0), *is_sky.shape)
-    window = 8 * border_px + 1
+    window = 8 * _BORDER_PX + 1
     pairs = np.triu_indices(3)
     values = np.concatenate([rgb, rgb[..., pairs[0]] * rgb[..., pairs[1]]], axis=-1)
 
@@ -125,21 +143,24 @@ def _local_colours(
     other_mass, other = nearby(~is_sky, 3)
     sky = moments[..., :3]
     other = np.where((other_mass > 0.01)[..., None], other, 0.3 * sky)
-    spread = np.zeros((*is_sky.shape, 3, 3))
-    spread[..., pairs[0], pairs[1]] = moments[..., 3:] - sky[..., pairs[0]] * sky[..., pairs[1]]
-    spread[..., pairs[1], pairs[0]] = spread[..., pairs[0], pairs[1]]
-    return sky, other, spread, (sky_mass > 0.01).astype(np.float32)
+    covariance = np.zeros((*is_sky.shape, 3, 3))
+    covariance[..., pairs[0], pairs[1]] = moments[..., 3:] - sky[..., pairs[0]] * sky[..., pairs[1]]
+    covariance[..., pairs[1], pairs[0]] = covariance[..., pairs[0], pairs[1]]
+    return sky, other, covariance, (sky_mass > 0.01).astype(np.float32)
 
 
 def _thin_lines(srgb8: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
-    """Fraction of each pixel that a thin dark line covers: black top-hat of linear light over the
-    bright ground, of which the line's own darkest pixels nearby have all, or nearly so."""
+    """Return the fraction of each pixel that thin dark lines cover.
+
+    It is the black top-hat of linear light relative to the bright surroundings, divided by that of
+    the darkest pixels nearby, which the line covers completely.
+    """
     from scipy.ndimage import grey_closing, grey_erosion
 
     width = srgb8.shape[1]
     green = linear_from_srgb8(srgb8[..., 1])
     size = max(3, 2 * round(width * _WIDEST_LINE) + 1)
-    closed = np.maximum(grey_closing(green, size=(size, size)), _DARK_GROUND)
+    closed = np.maximum(grey_closing(green, size=(size, size)), _DARK_SURROUNDINGS)
     drop = 1 - green / closed
     whole = 1 - np.minimum(grey_erosion(1 - drop, size=(3, 3)), _PALEST_LINE)
     return np.clip((drop - _NOISE) / (whole - _NOISE), 0.0, 1.0).astype(np.float32)
@@ -148,7 +169,7 @@ def _thin_lines(srgb8: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]
 def _long(
     lines: Float32[np.ndarray, "h w"], is_matter: Bool[np.ndarray, "h w"]
 ) -> Float32[np.ndarray, "h w"]:
-    """Without what is short or broad, but for what begins at matter (twigs, lamps)."""
+    """Return the lines without short or broad parts, unless they begin at a surface (twigs)."""
     from scipy.ndimage import binary_dilation
 
     number, length_px, width_px = _parts(binary_dilation(lines > 0.0, _SQUARE))
@@ -161,8 +182,8 @@ def _long(
 def _parts(
     is_in: Bool[np.ndarray, "h w"],
 ) -> tuple[Int[np.ndarray, "h w"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Connected parts by number (0: none), and how long and broad each is: of a rectangle with the
-    same second moments."""
+    """Return the number of each pixel's connected part (0: none), and length and width of each part
+    in pixels, those of a rectangle with the same second moments."""
     from scipy.ndimage import label
 
     number = np.zeros(is_in.shape, dtype=np.int32)
@@ -181,7 +202,7 @@ def _parts(
 
 
 def _resize(image: Float32[np.ndarray, "a b"], height: int, width: int) -> np.ndarray:
-    """Bilinear enlargement."""
+    """Return the image, enlarged bilinearly."""
     from PIL import Image
 
     resized = Image.fromarray(image).resize((width, height), Image.Resampling.BILINEAR)

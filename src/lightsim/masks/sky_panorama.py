@@ -1,44 +1,58 @@
-"""The sky by world direction, as one camera saw it from several places of a log.
+"""Sky colour by world direction, from frames of one camera at several positions of a log.
 
-The sky has no parallax: what is sky shows the same colour at the same direction wherever the ego
-stands, and what hides it from one place does not from another. What agrees with the sky seen at its
-direction is the same thing, whose log-odds are averaged over all places (they are of the same
-colours, so a sum would count them twice); what differs from it hides it. How much an agreement or
-a difference is worth, the log itself shows: by sure sky, and by pixels that returned a beam. Beside
-the directions at which sky was seen it can be told apart, too (`sure_sky`).
+The sky has no parallax: it has the same colour in the same direction from every position, whereas
+a surface hides it from some positions only. A pixel that agrees with the sky colour of its
+direction is the same object; its log-odds are averaged over all positions (not added, because they
+depend on the same colours). A pixel that deviates from it is an occluder. The likelihood ratios of
+agreement and deviation are estimated from each log, from certain sky and from pixels with LiDAR
+returns. Directions without observed sky are compared with the nearest certain sky (`certain_sky`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from lightsim.core.sensors import CameraFrame
-from lightsim.masks.sky_regions import ImageEvidence, RegionMean
-from lightsim.masks.sure_sky import RESIDUALS_LAB, SURELY_SKY, SureSky, log_ratios, ratio_at
+from lightsim.masks.certain_sky import (
+    CERTAIN_LOG_ODDS,
+    RESIDUALS_LAB,
+    CertainSky,
+    log_ratios,
+    ratio_at,
+)
+from lightsim.masks.sky_regions import LOG_ODDS_LIMIT, ImageEvidence, RegionMean
 
+# Edge of a cell of directions: about a pixel at working width, because clouds have sharp edges.
 _CELL_DEG = 0.25
-"""About a pixel at working width: clouds have sharp edges."""
-_ROWS, _COLUMNS = round(90 / _CELL_DEG), round(360 / _CELL_DEG)
+# Rows of cells, from the horizon to the zenith.
+_ROWS = round(90 / _CELL_DEG)
+# Columns of cells, over all azimuths.
+_COLUMNS = 4 * _ROWS
+# Least distance between two frames: the direction of a point 30 m away then changes by 2 degrees.
 _LEAST_STEP_M = 1.0
-"""Between two of its frames: what is 30 m away then moves by two degrees."""
+# Most frames of a camera. Gaps between houses are visible in few of them: with 8 frames, wires in
+# such a gap of log 002 excluded the clouds between them.
 _MOST_FRAMES = 16
-"""Gaps between houses are seen from few of them: with 8, wires in such a gap of log 002 took the
-clouds between them along."""
+# Fewest frames in which a direction must be sky: two frames can have the same error.
 _LEAST_FRAMES = 3
-"""In which a direction was sky: one and the picture in question could be mistaken together."""
-_MOST_LOG_ODDS = 8.0
-"""That no place may exceed in the mean, as in regions."""
-UNKNOWN, SAME, OTHER = 0, 1, 2
-"""Kinds of pixels: direction never sky; the sky's colour there; another colour."""
+
+
+class Kind(IntEnum):
+    """Kind of a pixel: no observed sky in its direction; the sky's colour; another colour."""
+
+    UNKNOWN = 0
+    SAME = 1
+    OTHER = 2
 
 
 @dataclass(frozen=True, eq=False)
 class SkyView:
-    """What one picture alone makes of itself: log-odds of being sky of each pixel."""
+    """Evidence of one image, and the log-odds of sky that result from this image alone."""
 
     evidence: ImageEvidence
     log_odds: Float[np.ndarray, "h w"]
@@ -46,15 +60,15 @@ class SkyView:
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """How a picture compares with the sky that was seen at the directions of its pixels.
+    """Comparison of an image with the observed sky in the directions of its pixels.
 
     Args:
-        kind: UNKNOWN, SAME or OTHER.
-        expected_lab: the sky's colour there; NaN but where SAME.
-        is_same: probability that it is the same thing.
-        log_odds: of the thing seen there, mean over the places that saw it; 0 where UNKNOWN.
-        against: log-likelihood ratio (at most 0) of what differs from what was sky.
-        beside: where UNKNOWN, the same of what differs from the sky that was seen beside it.
+        kind: the `Kind` of each pixel.
+        expected_lab: sky colour of the direction; NaN unless SAME.
+        is_same: probability that the pixel shows the same object as the panorama.
+        log_odds: log-odds of sky of that object, mean over all positions; 0 if UNKNOWN.
+        against: log-likelihood ratio of sky of OTHER pixels, at most 0.
+        beside: log-likelihood ratio of sky of UNKNOWN pixels from nearby certain sky, at most 0.
     """
 
     kind: Int[np.ndarray, "h w"]
@@ -65,81 +79,97 @@ class Agreement:
     beside: Float[np.ndarray, "h w"]
 
     def split(self, labels: Int[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
-        """Regions cut where the kind changes: a thin cloud between wires is not a wire. Each part
-        holds together: specks of glare, too, look like another thing than the sky."""
+        """Return connected regions, divided where the kind changes.
+
+        The division separates a thin cloud from the wires beside it. Parts are connected, so that
+        specks of glare, which deviate from the sky, too, are classified separately.
+        """
         from skimage.measure import label
 
-        parts = label(labels * 3 + self.kind, background=-1, connectivity=2)
+        parts = label(labels * len(Kind) + self.kind, background=-1, connectivity=2)
         return np.asarray(parts, np.int64) - 1
 
     def applied_to(
         self, labels: Int[np.ndarray, "h w"], own: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, " n"]:
-        """Log-odds of `split` regions, averaged with those of the same thing elsewhere."""
+        """Return log-odds of regions of `split`, averaged with the panorama's where it is SAME."""
         mean = RegionMean(labels)
-        weight = mean(self.is_same * (self.kind == SAME))
+        weight = mean(self.is_same * (self.kind == Kind.SAME))
         return (1.0 - weight) * own + weight * mean(self.log_odds) + mean(self.against)
 
 
 @dataclass(frozen=True, eq=False)
 class SkyPanorama:
-    """Colour of the sky by direction, and what the thing seen there was thought to be.
+    """Colour and log-odds of the sky in each cell of directions, and likelihood ratios.
 
     Args:
-        lab: median over the frames in which the cell was sky; NaN where they were too few.
-        log_odds: of being sky, mean over all frames that saw this colour there.
-        log_ratio: of sky against anything else, by class of the residual.
-        sure: where it was surely sky.
-        beside_log_ratio: the same as `log_ratio` of residuals to the sky beside, by class of angle.
+        lab: median colour over the frames in which the cell is sky; NaN if they are too few.
+        log_odds: mean log-odds of sky over all frames with this colour in the cell.
+        log_ratio: log-likelihood ratio of sky, by class of the residual from `lab`.
+        certain: directions and colours of certain sky.
+        beside_log_ratio: log-likelihood ratio of sky, by class of the angle to certain sky and of
+            the residual from its colour.
     """
 
     lab: Float32[np.ndarray, "c 3"]
     log_odds: Float[np.ndarray, " c"]
     log_ratio: Float[np.ndarray, " r"]
-    sure: SureSky
+    certain: CertainSky
     beside_log_ratio: Float[np.ndarray, "a r"]
 
     def compare(self, evidence: ImageEvidence) -> Agreement:
-        """A picture of this camera with what it saw elsewhere."""
+        """Compare an image of this camera with the sky that it observed at other positions."""
         residual, expected = _nearest(self.lab, evidence)
         is_known = np.isfinite(residual)
         ratio = np.where(is_known, ratio_at(self.log_ratio, residual), 0.0)
-        kind = np.where(is_known, np.where(ratio > 0, SAME, OTHER), UNKNOWN)
+        kind = np.where(is_known, np.where(ratio > 0, Kind.SAME, Kind.OTHER), Kind.UNKNOWN)
         odds = np.where(is_known, self.log_odds[_cells(evidence)], 0.0)
-        # Marginal of what hides the cell's thing, which is sky itself only so far as `odds` tell.
+        # The pixel deviates from the cell's object, which is sky with log-odds `odds`: marginalise
+        # the ratio over both cases.
         hiding = np.logaddexp(odds + ratio, 0.0) - np.logaddexp(odds, 0.0)
-        beside, asked = np.zeros(kind.shape), ~is_known & ~evidence.is_excluded
-        beside[asked] = self.sure.against(
-            evidence.directions_world[asked], evidence.lab[asked], self.beside_log_ratio
+        beside, chosen = np.zeros(kind.shape), ~is_known & ~evidence.is_excluded
+        beside[chosen] = self.certain.against(
+            evidence.directions_world[chosen], evidence.lab[chosen], self.beside_log_ratio
         )
         return Agreement(
             kind,
-            np.where((kind == SAME)[..., None], expected, np.float32(np.nan)),
+            np.where((kind == Kind.SAME)[..., None], expected, np.float32(np.nan)),
             1.0 / (1.0 + np.exp(-ratio)),
             odds,
-            np.where(kind == OTHER, hiding, 0.0),
+            np.where(kind == Kind.OTHER, hiding, 0.0),
             beside,
         )
 
 
 @dataclass(frozen=True, eq=False)
 class CameraSky:
-    """What a panorama is made of: the frames of one camera, by cell, and counts of residuals at the
-    same direction and beside sure sky."""
+    """Input of one camera's panorama: colours and log-odds by cell, and histograms of residuals.
+
+    Args:
+        lab: median sky colour of every cell; NaN if unknown.
+        known: indices of the cells with a sky colour.
+        frames_lab: mean colour of each frame in the known cells.
+        frames_log_odds: mean log-odds of each frame in the known cells.
+        sky_count: histogram of residuals of certain sky from its cell's colour.
+        other_count: histogram of residuals of pixels with LiDAR returns.
+        certain: directions and colours of certain sky.
+        beside_sky_count: histogram of residuals between directions of certain sky.
+        beside_other_count: histogram of residuals of returns from the nearest certain sky.
+    """
 
     lab: Float32[np.ndarray, "c 3"]
-    seen: Int[np.ndarray, " s"]
+    known: Int[np.ndarray, " s"]
     frames_lab: Float32[np.ndarray, "f s 3"]
     frames_log_odds: Float32[np.ndarray, "f s"]
     sky_count: Float[np.ndarray, " r"]
     other_count: Float[np.ndarray, " r"]
-    sure: SureSky
+    certain: CertainSky
     beside_sky_count: Float[np.ndarray, "a r"]
     beside_other_count: Float[np.ndarray, "a r"]
 
     @staticmethod
     def of(views: Sequence[SkyView]) -> CameraSky:
-        """Of one camera's views, from different places."""
+        """Collect one camera's views from different positions."""
         skies, everything, odds = [], [], []
         for view in views:
             evidence, is_up = view.evidence, ~view.evidence.is_excluded
@@ -148,37 +178,40 @@ class CameraSky:
             everything.append(_cell_means(evidence, evidence.lab, is_up))
             odds.append(_cell_means(evidence, view.log_odds[..., None], is_up)[:, 0])
         count = np.sum([np.isfinite(sky[:, 0]) for sky in skies], axis=0)
-        seen = np.flatnonzero(count >= _LEAST_FRAMES)
+        known = np.flatnonzero(count >= _LEAST_FRAMES)
         lab = np.full((_ROWS * _COLUMNS, 3), np.nan, np.float32)
-        if len(seen):
-            lab[seen] = np.nanmedian(np.stack([sky[seen] for sky in skies]), axis=0)
+        if len(known):
+            lab[known] = np.nanmedian(np.stack([sky[known] for sky in skies]), axis=0)
         counts = np.zeros((2, len(RESIDUALS_LAB) + 1))
         for view in views:
             residual, _ = _nearest(lab, view.evidence)
             hit, is_known = view.evidence.has_hit, np.isfinite(residual)
-            is_sky = is_known & (view.log_odds > SURELY_SKY) & ~hit
+            is_sky = is_known & (view.log_odds > CERTAIN_LOG_ODDS) & ~hit
             for row, chosen in enumerate((is_sky, is_known & hit)):
                 classes = np.digitize(residual[chosen], RESIDUALS_LAB)
                 counts[row] += np.bincount(classes, minlength=counts.shape[1])
-        frames_lab = np.stack([frame[seen] for frame in everything])
-        frames_odds = np.stack([o[seen] for o in odds])
-        surely = seen[np.nanmean(frames_odds, axis=0) > SURELY_SKY]
-        sure = SureSky.of(_directions(surely), lab[surely])
+        frames_lab = np.stack([frame[known] for frame in everything])
+        frames_odds = np.stack([o[known] for o in odds])
+        cells = known[np.nanmean(frames_odds, axis=0) > CERTAIN_LOG_ODDS]
+        certain = CertainSky.of(_directions(cells), lab[cells])
         hits = [v.evidence.has_hit & ~v.evidence.is_excluded for v in views]
-        seen_in = list(zip(views, hits, strict=True))
-        beside = sure.other_count(
-            np.concatenate([view.evidence.directions_world[hit] for view, hit in seen_in]),
-            np.concatenate([view.evidence.lab[hit] for view, hit in seen_in]),
+        pairs = list(zip(views, hits, strict=True))
+        beside = certain.other_count(
+            np.concatenate([view.evidence.directions_world[hit] for view, hit in pairs]),
+            np.concatenate([view.evidence.lab[hit] for view, hit in pairs]),
         )
         of_sky, of_other = counts
         return CameraSky(
-            lab, seen, frames_lab, frames_odds, of_sky, of_other, sure, sure.sky_count(), beside
-        )
+            lab, known, frames_lab, frames_odds, of_sky, of_other,
+            certain, certain.sky_count(), beside,
+        )  # fmt: skip
 
 
 def frames_apart(frames: Sequence[CameraFrame]) -> tuple[CameraFrame, ...]:
-    """Frames of one camera taken at different places, spread over its path; none where it hardly
-    moves: near things then stay before the same sky."""
+    """Return frames of one camera at different positions, evenly distributed over its path.
+
+    Empty if the camera hardly moves, since near surfaces then hide the same sky in all frames.
+    """
     apart: list[CameraFrame] = []
     for frame in frames:
         place_m = frame.world_from_camera.translation_m
@@ -191,7 +224,7 @@ def frames_apart(frames: Sequence[CameraFrame]) -> tuple[CameraFrame, ...]:
 
 
 def panoramas(sky_by_camera: Mapping[str, CameraSky]) -> dict[str, SkyPanorama]:
-    """Panoramas of a log's cameras; what a residual is worth is all of the log's."""
+    """Return panoramas by camera name, with likelihood ratios of the whole log."""
     if not sky_by_camera:
         return {}
     skies = sky_by_camera.values()
@@ -208,17 +241,17 @@ def panoramas(sky_by_camera: Mapping[str, CameraSky]) -> dict[str, SkyPanorama]:
 def _panorama(
     sky: CameraSky, log_ratio: Float[np.ndarray, " r"], beside: Float[np.ndarray, "a r"]
 ) -> SkyPanorama:
-    residual = np.linalg.norm(sky.frames_lab - sky.lab[sky.seen], axis=2)
+    residual = np.linalg.norm(sky.frames_lab - sky.lab[sky.known], axis=2)
     is_same = 1.0 / (1.0 + np.exp(-ratio_at(log_ratio, residual)))
     weight = np.where(np.isfinite(residual), is_same, 0.0)
-    odds = np.clip(np.nan_to_num(sky.frames_log_odds), -_MOST_LOG_ODDS, _MOST_LOG_ODDS)
+    odds = np.clip(np.nan_to_num(sky.frames_log_odds), -LOG_ODDS_LIMIT, LOG_ODDS_LIMIT)
     log_odds = np.zeros(len(sky.lab))
-    log_odds[sky.seen] = (weight * odds).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-6)
-    return SkyPanorama(sky.lab, log_odds, log_ratio, sky.sure, beside)
+    log_odds[sky.known] = (weight * odds).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-6)
+    return SkyPanorama(sky.lab, log_odds, log_ratio, sky.certain, beside)
 
 
 def _cells(evidence: ImageEvidence) -> Int[np.ndarray, "h w"]:
-    """Flat index of each pixel's cell, row by row upwards from the horizon."""
+    """Return the flat index of each pixel's cell; rows are counted upwards from the horizon."""
     x, y, z = np.moveaxis(evidence.directions_world, -1, 0)
     row = np.degrees(np.arcsin(np.clip(z, 0.0, 1.0))) / _CELL_DEG
     column = np.degrees(np.arctan2(y, x)) / _CELL_DEG
@@ -227,7 +260,7 @@ def _cells(evidence: ImageEvidence) -> Int[np.ndarray, "h w"]:
 
 
 def _directions(cells: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
-    """Middles of cells, frame world."""
+    """Return unit vectors to the middles of cells, frame `world`."""
     row, column = np.divmod(cells, _COLUMNS)
     up, right = np.radians((row + 0.5) * _CELL_DEG), np.radians((column + 0.5) * _CELL_DEG)
     flat = np.stack([np.cos(right), np.sin(right)], axis=1) * np.cos(up)[:, None]
@@ -237,7 +270,7 @@ def _directions(cells: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
 def _cell_means(
     evidence: ImageEvidence, values: Float[np.ndarray, "h w k"], chosen: Bool[np.ndarray, "h w"]
 ) -> Float32[np.ndarray, "c k"]:
-    """Means over the chosen pixels of each cell, NaN where there are none."""
+    """Return means over the chosen pixels of each cell, NaN for cells without any."""
     cells, size = _cells(evidence)[chosen], _ROWS * _COLUMNS
     count = np.bincount(cells, minlength=size).astype(np.float64)
     count[count == 0] = np.nan
@@ -246,7 +279,7 @@ def _cell_means(
 
 
 def _neighbours(cells: Int[np.ndarray, "h w"]) -> Iterator[Int[np.ndarray, "h w"]]:
-    """The cells and those around them: poses err by a fraction of a degree."""
+    """Yield the cells and their eight neighbours: poses err by a fraction of a degree."""
     row, column = np.divmod(cells, _COLUMNS)
     for up in (0, -1, 1):
         for right in (0, -1, 1):
@@ -257,8 +290,8 @@ def _neighbours(cells: Int[np.ndarray, "h w"]) -> Iterator[Int[np.ndarray, "h w"
 def _nearest(
     lab: Float32[np.ndarray, "c 3"], evidence: ImageEvidence
 ) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w 3"]]:
-    """Distance of each pixel's colour to the nearest one of the cells around its direction, and
-    that colour; NaN where its own cell has none."""
+    """Return the distance of each pixel's colour to the nearest colour of the cells around its
+    direction, and that colour; NaN if its own cell has none."""
     cells = _cells(evidence)
     expected = lab[cells]
     residual = np.linalg.norm(evidence.lab - expected, axis=-1)

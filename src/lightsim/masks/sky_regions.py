@@ -1,4 +1,4 @@
-"""Region evidence of the sky matte: log-odds of small regions and how they agree."""
+"""Evidence of the sky matte per region: log-odds of small regions, and agreement of neighbours."""
 
 from __future__ import annotations
 
@@ -7,28 +7,35 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
-_CERTAIN = 8.0
-"""Log-odds that no neighbour can turn."""
+# Numbers of this module were chosen on synthetic streets with known sky; tests/masks has the cases
+# that must not fail. Sensitivity to each number is not measured.
+
+# Largest log-odds of a region; neighbours cannot change the sign of a region at this limit.
+LOG_ODDS_LIMIT = 8.0
+# CIE Lab step over two pixels at which the agreement of two regions falls to 1/e.
+_EDGE_CONTRAST = 4.0
+# Weight of the agreement between neighbours against a region's own evidence.
+_SMOOTHING = 1.5
+# Cells of the colour histogram along L*, a* and b*, 5 units wide.
 _HISTOGRAM_SHAPE = (20, 24, 24)
-"""Cells of the colour histogram along L*, a* and b*."""
+# Least elevation of pixels for the colours of surfaces: lower ones are not confused with sky.
 _LOWEST_DEG = -10.0
-"""Elevation below which nothing can be taken for sky."""
+# Fewest pixels of sky, and of surfaces, for statistics of their colours.
 _LEAST_COLOURS = 200
-"""Pixels of sky, and of anything else, from which colours are learnt."""
 
 
 @dataclass(frozen=True, eq=False)
 class ImageEvidence:
-    """What is known of each pixel at working width.
+    """Evidence of each pixel at working width.
 
     Args:
-        lab: CIE L*a*b* (D65).
-        directions_world: of the pixel's ray, unit length.
-        elevation_deg: the ray's angle above the horizontal.
-        has_hit: a LiDAR return falls into the pixel.
-        is_scanned: below the top of the LiDAR's field of view, as far as that is certain.
-        is_silent: inside the LiDAR's field of view, without a return nearby.
-        is_excluded: ego vehicle, or below the horizon.
+        lab: colour, CIE L*a*b* (D65).
+        directions_world: unit vector of the pixel's ray.
+        elevation_deg: angle of the ray above the horizontal.
+        has_hit: True if a LiDAR return lies in the pixel.
+        is_scanned: True below the certain upper limit of the LiDAR's field of view.
+        is_silent: True inside the LiDAR's field of view without a return nearby.
+        is_excluded: True for the ego vehicle, and below the horizon.
     """
 
     lab: Float32[np.ndarray, "h w 3"]
@@ -42,7 +49,7 @@ class ImageEvidence:
 
 @dataclass(frozen=True, eq=False)
 class RegionGraph:
-    """Neighbouring regions (i < j) with the length of border they share without an edge."""
+    """Neighbouring regions (i < j), and the length of their common border without an edge."""
 
     area_px: Float[np.ndarray, " n"]
     i: Int[np.ndarray, " e"]
@@ -53,21 +60,25 @@ class RegionGraph:
 def region_graph(
     labels: Int[np.ndarray, "h w"],
     lab: Float32[np.ndarray, "h w 3"],
-    edge_contrast: float,
     expected_lab: Float32[np.ndarray, "h w 3"] | None = None,
 ) -> RegionGraph:
-    """Adjacency of the regions; each border pixel counts exp(-(step / edge_contrast)^2), times
-    the mean of that along the border, so that a few gaps in an edge do not open it, and
-    falls with the difference of the regions' mean colours.
+    """Return the adjacency of the regions, weighted by their agreement.
 
-    Steps that `expected_lab` (the sky's own colours; NaN where unknown) has as well are no edges:
-    clouds have outlines. Regions must not mix known and unknown.
+    Each border pixel counts exp(-(step / `_EDGE_CONTRAST`)^2) for a colour step across the border.
+    The sum is multiplied by its mean along the border, so that a few gaps in an edge do not connect
+    two regions, and decreases with the difference of the regions' mean colours.
+
+    Args:
+        labels: region of each pixel.
+        lab: colour of each pixel.
+        expected_lab: sky colour of each pixel's direction, NaN if unknown. Steps of the sky itself
+            (outlines of clouds) are subtracted. A region must not contain known and unknown pixels.
     """
     known = np.full_like(lab, np.nan) if expected_lab is None else expected_lab
     count = int(labels.max()) + 1
     pairs, weights = [], []
     for axis in (0, 1):
-        # Two pixels apart: the lens spreads an edge over more than one.
+        # Pixels at a distance of two, because the lens blurs an edge over more than one.
         a, b = _shifted(labels, axis)
         is_border = a != b
         before, after = _shifted(lab, axis)
@@ -75,17 +86,18 @@ def region_graph(
         expected = np.nan_to_num(known_before[is_border] - known_after[is_border])
         step = np.linalg.norm(before[is_border] - after[is_border] - expected, axis=-1)
         pairs.append(np.stack([a[is_border], b[is_border]], axis=1))
-        weights.append(0.5 * np.exp(-((step / edge_contrast) ** 2)))
+        # Both pixels next to a border are found, hence the half.
+        weights.append(0.5 * np.exp(-((step / _EDGE_CONTRAST) ** 2)))
     ordered = np.sort(np.concatenate(pairs), axis=1)
     keys, inverse = np.unique(ordered[:, 0] * count + ordered[:, 1], return_inverse=True)
-    # Counts of nothing, where a picture is one region, would be whole numbers.
+    # Without any border, np.bincount would return integers.
     agreement = np.bincount(inverse, np.concatenate(weights), len(keys)).astype(np.float64)
     agreement *= agreement / (0.5 * np.bincount(inverse, minlength=len(keys)))
     i, j = keys // count, keys % count
     mean = RegionMean(labels)
     colour, own = (np.stack([mean(x[..., k]) for k in range(3)], axis=1) for x in (lab, known))
     difference = np.linalg.norm(colour[i] - colour[j] - np.nan_to_num(own[i] - own[j]), axis=1)
-    agreement *= np.exp(-((difference / (4.0 * edge_contrast)) ** 2))
+    agreement *= np.exp(-((difference / (4.0 * _EDGE_CONTRAST)) ** 2))
     area = np.bincount(labels.ravel(), minlength=count).astype(np.float64)
     return RegionGraph(area, i, j, agreement)
 
@@ -97,7 +109,7 @@ def _shifted(array: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
 def region_log_odds(
     labels: Int[np.ndarray, "h w"], evidence: ImageEvidence
 ) -> Float[np.ndarray, " n"]:
-    """Log-odds that each region is sky, from its own pixels only."""
+    """Return the log-odds of sky of each region, from its own pixels only."""
     mean = RegionMean(labels)
     has_lidar = bool(evidence.has_hit.any())
     odds = np.clip(mean(_colour_log_odds(evidence)), -3.0, 4.0)
@@ -105,21 +117,21 @@ def region_log_odds(
     elevation = mean(evidence.elevation_deg)
     odds += np.clip((elevation - 8.0) / 8.0, -1.0, 1.5)
     if has_lidar:
-        odds -= np.minimum(_CERTAIN, _hit_density(labels, evidence) / 0.01)
+        odds -= np.minimum(LOG_ODDS_LIMIT, _hit_density(labels, evidence) / 0.01)
         odds += 3.5 * mean(evidence.is_silent)
         odds -= 2.5 * mean(_under_hits(evidence.has_hit))
-    odds[mean(evidence.is_excluded) > 0.5] = -_CERTAIN
-    return np.clip(odds, -_CERTAIN, _CERTAIN)
+    odds[mean(evidence.is_excluded) > 0.5] = -LOG_ODDS_LIMIT
+    return np.clip(odds, -LOG_ODDS_LIMIT, LOG_ODDS_LIMIT)
 
 
 def _hit_density(
     labels: Int[np.ndarray, "h w"], evidence: ImageEvidence
 ) -> Float[np.ndarray, " n"]:
-    """Returns a scanned pixel of each region, about 0.06 on a wall under a 64-beam sweep.
+    """Return the LiDAR returns per scanned pixel of each region.
 
-    Walls reach above the field of view, so scanned pixels count rather than all; and hits
-    beside a border may belong to the wire or roof next to it, so a region with an inside is
-    judged by its inside.
+    The density is about 0.06 on a wall with a 64-beam LiDAR. It is relative to the scanned pixels,
+    because walls extend above the LiDAR's field of view. Returns at a region's border may belong to
+    a wire or roof beside it, so only the interior of a region counts if it is large enough.
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 
@@ -137,7 +149,7 @@ def _hit_density(
 
 
 def _colour_log_odds(evidence: ImageEvidence) -> Float[np.ndarray, "h w"]:
-    """Sky is brighter than what lies on the ground, or blue; it is never green or brown."""
+    """Return log-odds of sky by colour: brighter than the ground or blue, not green or brown."""
     lightness, green_red, blue_yellow = np.moveaxis(evidence.lab, -1, 0)
     is_ground = evidence.has_hit | (evidence.elevation_deg < 0.0)
     ground = lightness[is_ground]
@@ -146,13 +158,13 @@ def _colour_log_odds(evidence: ImageEvidence) -> Float[np.ndarray, "h w"]:
     blueness = np.clip((-blue_yellow - 3.0) / 5.0, -0.5, 3.5)
     foliage = np.clip((np.maximum(blue_yellow, 0) - green_red - 12.0) / 6.0, 0.0, 3.0)
     chroma = np.hypot(green_red, np.maximum(blue_yellow, 0.0))
-    # A low sun turns clouds yellow, but only bright ones.
+    # Colours of paint and soil count against sky, unless bright: a low sun turns clouds yellow.
     paint = np.clip((chroma - 15.0) / 6.0, 0.0, 3.0) * np.clip((92.0 - lightness) / 20.0, 0.0, 1.0)
     return brightness + blueness - np.maximum(foliage, paint)
 
 
 def _texture(lab: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
-    """Mean absolute lightness step of the neighbourhood, L* a pixel."""
+    """Return the mean absolute lightness step of the neighbourhood, in L* per pixel."""
     from scipy.ndimage import uniform_filter
 
     rows = np.abs(np.diff(lab[..., 0], axis=0, append=lab[-1:, :, 0]))
@@ -161,9 +173,9 @@ def _texture(lab: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
 
 
 def _under_hits(has_hit: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Pixels below something solid that gave returns: windows rather than sky.
+    """Return True for pixels below a surface with LiDAR returns: windows rather than sky.
 
-    Wires and poles do not count: four rows within a tenth of the height must be hit.
+    Four rows within a tenth of the image's height must have returns, which excludes wires.
     """
     from scipy.ndimage import maximum_filter1d
 
@@ -176,7 +188,7 @@ def _under_hits(has_hit: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 @dataclass(frozen=True, eq=False)
 class ColourCounts:
-    """How often a colour was seen in what is surely sky, and in what is surely none."""
+    """Colour histograms of pixels that are certainly sky, and of pixels that certainly are not."""
 
     sky: Float[np.ndarray, " c"]
     ground: Float[np.ndarray, " c"]
@@ -185,8 +197,8 @@ class ColourCounts:
     def of(
         evidence: ImageEvidence, is_sky: Bool[np.ndarray, "h w"], is_ground: Bool[np.ndarray, "h w"]
     ) -> ColourCounts:
-        """Of some pixels of one image: of the sky those without a return, and of the rest those
-        that are not far below the horizon."""
+        """Count colours of one image: of sky pixels without a LiDAR return, and of ground pixels
+        above `_LOWEST_DEG`."""
         bins = colour_bins(evidence.lab)
         is_sky = is_sky & ~evidence.has_hit
         is_ground = is_ground & (evidence.elevation_deg > _LOWEST_DEG)
@@ -202,11 +214,11 @@ class ColourCounts:
 
     @property
     def are_enough(self) -> bool:
-        """Whether both kinds were seen."""
+        """True if both histograms have enough pixels."""
         return bool(min(self.sky.sum(), self.ground.sum()) >= _LEAST_COLOURS)
 
     def log_ratio(self) -> Float[np.ndarray, " c"]:
-        """Of sky against anything else, by colour."""
+        """Return the log-likelihood ratio of sky against other surfaces, by colour."""
         sky, ground = (_density(counts) for counts in (self.sky, self.ground))
         return np.clip(np.log(sky / ground), -2.5, 2.5)
 
@@ -219,10 +231,18 @@ def with_colours(
     of_log: ColourCounts | None,
     beside: Float[np.ndarray, "h w"] | float = 0.0,
 ) -> Float[np.ndarray, " n"]:
-    """`own` plus what the colours of sky and ground say.
+    """Return the log-odds `own` plus the evidence of the colours of sky and ground.
 
-    The image's own sky speaks for a colour, the whole log's against it (panes mirror the colours of
-    a sky that is elsewhere), and so does the sky `beside` it.
+    Only the image's own sky is evidence for sky, since panes mirror the colours of the sky in other
+    directions. Colours of the whole log, and of the certain sky nearby, are evidence against it.
+
+    Args:
+        labels: region of each pixel.
+        evidence: evidence of each pixel.
+        own: log-odds of each region without colour statistics.
+        of_image: colours of this image.
+        of_log: colours of the whole log.
+        beside: log-likelihood ratio of each pixel from nearby certain sky, at most 0.
     """
     bins = colour_bins(evidence.lab)
     ratio = of_image.log_ratio()[bins] if of_image.are_enough else np.zeros(bins.shape)
@@ -231,12 +251,12 @@ def with_colours(
         ratio = np.where(against < 0, np.minimum(against, ratio), ratio)
     ratio = np.where(beside < 0, np.minimum(beside, ratio), ratio)
     odds = own + RegionMean(labels)(ratio)
-    is_certain = own <= -_CERTAIN + 1e-6
-    return np.clip(np.where(is_certain, -_CERTAIN, odds), -_CERTAIN, _CERTAIN)
+    is_certain = own <= -LOG_ODDS_LIMIT + 1e-6
+    return np.clip(np.where(is_certain, -LOG_ODDS_LIMIT, odds), -LOG_ODDS_LIMIT, LOG_ODDS_LIMIT)
 
 
 def colour_bins(lab: Float32[np.ndarray, "h w 3"]) -> Int[np.ndarray, "h w"]:
-    """Flat index of each pixel's cell in the colour histogram, 5 units wide per axis."""
+    """Return the flat index of each pixel's cell in the colour histogram, 5 Lab units wide."""
     lightness = np.clip(lab[..., 0] / 5.0, 0, _HISTOGRAM_SHAPE[0] - 1).astype(np.int64)
     green_red = np.clip(lab[..., 1] / 5.0 + 12.0, 0, _HISTOGRAM_SHAPE[1] - 1).astype(np.int64)
     blue_yellow = np.clip(lab[..., 2] / 5.0 + 12.0, 0, _HISTOGRAM_SHAPE[2] - 1).astype(np.int64)
@@ -244,7 +264,7 @@ def colour_bins(lab: Float32[np.ndarray, "h w 3"]) -> Int[np.ndarray, "h w"]:
 
 
 def _density(counts: Float[np.ndarray, " c"]) -> Float[np.ndarray, " c"]:
-    """Smoothed, with a floor for unseen colours."""
+    """Return a smoothed density of colours, with a least value for unobserved ones."""
     from scipy.ndimage import gaussian_filter
 
     density = counts.reshape(_HISTOGRAM_SHAPE) / max(float(counts.sum()), 1.0)
@@ -252,22 +272,22 @@ def _density(counts: Float[np.ndarray, " c"]) -> Float[np.ndarray, " c"]:
     return smooth.ravel() + 1e-4
 
 
-def spread_log_odds(
-    graph: RegionGraph, own: Float[np.ndarray, " n"], smoothing: float
-) -> Float[np.ndarray, " n"]:
-    """Log-odds after neighbours agreed: the minimum of
-    sum_i a_i (x_i - own_i)^2 + smoothing sum_ij b_ij (x_i - x_j)^2 (Grady 2006,
-    doi:10.1109/TPAMI.2006.233, on regions, with priors)."""
+def smoothed_log_odds(graph: RegionGraph, own: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Return log-odds smoothed over regions that agree (random walker with priors on regions,
+    Grady 2006, doi:10.1109/TPAMI.2006.233).
+
+    They minimise sum_i a_i (x_i - own_i)^2 + `_SMOOTHING` sum_ij b_ij (x_i - x_j)^2.
+    """
     from scipy.sparse import coo_matrix, diags
     from scipy.sparse.linalg import spsolve
 
     count = len(own)
-    # Less than area: confident small regions (LiDAR on a wall) must be able to persuade large
-    # unsure ones.
-    weight = graph.area_px**0.75 * (0.2 + np.abs(own) / _CERTAIN) ** 2
+    # The weight grows more slowly than the area, so that small regions with strong evidence (LiDAR
+    # returns on a wall) can change large ones with weak evidence.
+    weight = graph.area_px**0.75 * (0.2 + np.abs(own) / LOG_ODDS_LIMIT) ** 2
     rows = np.concatenate([graph.i, graph.j])
     columns = np.concatenate([graph.j, graph.i])
-    agreement = np.tile(smoothing * graph.agreement_px, 2)
+    agreement = np.tile(_SMOOTHING * graph.agreement_px, 2)
     links = coo_matrix((agreement, (rows, columns)), shape=(count, count))
     degree = np.asarray(links.sum(axis=1)).ravel()
     system = (diags(weight + degree) - links).tocsc()
@@ -280,10 +300,10 @@ def keep_open_sky(
     evidence: ImageEvidence,
     min_px: int,
 ) -> Float32[np.ndarray, "h w"]:
-    """Probability of sky of each pixel; patches that no open sky explains are dropped.
+    """Return the probability of sky of each pixel; 0 in patches that are not open sky.
 
-    A patch stays when it holds confident sky and touches the top of the image, or has at least
-    `min_px` pixels; small bright panes in walls have neither.
+    A patch is open sky if 30 % of it has high log-odds and it touches the top of the image or has
+    at least `min_px` pixels (a quarter of that at the top). This excludes small bright panes.
     """
     from skimage.measure import label
 
@@ -297,12 +317,12 @@ def keep_open_sky(
     is_kept = (confident > 0.3 * size) & ((at_top & (size >= min_px // 4)) | (size >= min_px))
     is_kept[0] = False
     probability = 1.0 / (1.0 + np.exp(-2.0 * odds))
-    kept = is_kept[patches] & ~evidence.is_excluded
-    return np.where(kept, probability, 0.0).astype(np.float32)
+    is_open = is_kept[patches] & ~evidence.is_excluded
+    return np.where(is_open, probability, 0.0).astype(np.float32)
 
 
 class RegionMean:
-    """Averages of pixel values over the regions of one labelling."""
+    """Function from pixel values to their means over the regions of one labelling."""
 
     def __init__(self, labels: Int[np.ndarray, "h w"]) -> None:
         self._flat = labels.ravel()

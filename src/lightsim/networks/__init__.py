@@ -1,1 +1,1 @@
-"""Building blocks of networks (torch) that several stages share. Like core, it imports no stage."""
+"""Building blocks of networks (torch) for several stages. Like core, it imports no stage."""

@@ -1,4 +1,4 @@
-"""Where networks run: the device of a name, and the processes that train together."""
+"""Devices of networks, and processes that train one network together."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ T = TypeVar("T")
 
 
 def choose_device(name: str) -> torch.device:
-    """The device of "auto", "cpu" or "cuda"; "auto" is CUDA where there is one.
+    """Return the device of "auto", "cpu" or "cuda"; "auto" is CUDA if a CUDA device is available.
 
     Raises:
-        InputError: CUDA was asked for and is not there.
+        InputError: "cuda" without a CUDA device.
     """
     has_cuda = torch.cuda.is_available()
     if name == "cuda" and not has_cuda:
@@ -34,7 +34,7 @@ def choose_device(name: str) -> torch.device:
 
 
 def device_of(network: torch.nn.Module) -> torch.device:
-    """Where a network's numbers lie."""
+    """Return the device of a network's parameters."""
     return next(network.parameters()).device
 
 
@@ -47,18 +47,18 @@ class Processes:
 
     @property
     def is_first(self) -> bool:
-        """The one that reads and writes files, and reports."""
+        """True for the process that reads and writes files, and reports progress."""
         return self.rank == 0
 
     def from_first(self, make: Callable[[], T]) -> T:
-        """What `make` gives in the first process, in all of them."""
+        """Call `make` in the first process and return its result in all of them."""
         found = [make() if self.is_first else None]
         if self.count > 1:
             distributed.broadcast_object_list(found)
         return found[0]  # type: ignore[return-value]
 
     def any(self, value: bool) -> bool:
-        """Whether it holds in one of them: all decide alike."""
+        """Return True in all processes if `value` is True in one, so that all decide alike."""
         if self.count == 1:
             return value
         found: list[bool] = [False] * self.count
@@ -66,10 +66,11 @@ class Processes:
         return any(found)
 
     def average(self, gradients: Sequence[Tensor]) -> None:
-        """Replace each by its mean over the processes, which all bring the same ones.
+        """Replace each gradient by its mean over the processes.
 
-        Instead of `DistributedDataParallel`, which sees a network's `forward` alone: losses here
-        call several methods of a network. The mean is the same.
+        All processes must pass gradients of the same parameters. `DistributedDataParallel` computes
+        the same mean but requires that losses call only a network's `forward`; losses here call
+        several of its methods.
         """
         if self.count == 1 or not gradients:
             return
@@ -85,7 +86,7 @@ ALONE = Processes()
 
 @contextmanager
 def joined_processes(device: torch.device) -> Generator[Processes]:
-    """The processes that torchrun started (it sets WORLD_SIZE), else this one alone."""
+    """Join the processes that torchrun started (it sets WORLD_SIZE); otherwise yield `ALONE`."""
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
         yield ALONE
         return
@@ -94,7 +95,7 @@ def joined_processes(device: torch.device) -> Generator[Processes]:
     distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
     try:
         yield Processes(distributed.get_rank(), distributed.get_world_size())
-        # One that leaves while the other still writes takes its connection away, and aborts.
+        # A process that exits early would close its connection and abort those still at work.
         distributed.barrier()
     finally:
         distributed.destroy_process_group()

@@ -1,4 +1,4 @@
-"""The one training loop: resumable to the bit, on one device or by several processes."""
+"""Training loop of all networks: resumable bit for bit, on one device or in several processes."""
 
 from __future__ import annotations
 
@@ -16,20 +16,22 @@ from lightsim.errors import ArtefactError
 from lightsim.networks.devices import ALONE, Processes, device_of
 from lightsim.progress import Progress, SilentProgress
 
+# Steps between two lines of metrics.
 _RECORD_EVERY = 25
+# Seconds between two checkpoints: at most this much work is lost by an interruption.
 _SAVE_EVERY_S = 60.0
 
 
 @runtime_checkable
 class Checkpointer(Protocol):
-    """Where training keeps what must survive an interruption; store/checkpoint.py writes files."""
+    """Storage of a training's state and metrics; store/checkpoint.py implements it with files."""
 
     def load(self) -> dict[str, Any] | None:
-        """The state last saved, its tensors on the CPU; None before the first."""
+        """Return the last saved state, its tensors on the CPU; None before the first."""
         ...
 
     def save(self, state: dict[str, Any]) -> None:
-        """Replace the saved state, whole or not at all."""
+        """Replace the saved state atomically."""
         ...
 
     def record(self, metrics: dict[str, float]) -> None:
@@ -39,7 +41,7 @@ class Checkpointer(Protocol):
 
 @runtime_checkable
 class Optimiser(Protocol):
-    """What the loop asks of an optimiser, torch's or the sparse one of the hash grids."""
+    """Interface of optimisers: torch's, and the sparse optimiser of the hash grids."""
 
     param_groups: list[dict[str, Any]]
 
@@ -48,7 +50,7 @@ class Optimiser(Protocol):
         ...
 
     def state_dict(self) -> dict[str, Any]:
-        """What a resumed training needs besides the parameters."""
+        """Return the state that a resumed training needs besides the parameters."""
         ...
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
@@ -58,35 +60,35 @@ class Optimiser(Protocol):
 
 @dataclass(frozen=True)
 class LoopConfig:
-    """How long networks learn, and what tames their steps."""
+    """Duration of a training, learning rates, and precision."""
 
     steps: int = 3000
     """Optimiser steps."""
     warm_up_steps: int = 50
-    """Steps in which the learning rate grows to its highest."""
+    """Steps in which the learning rate grows linearly to its highest."""
     final_fraction: float = 0.02
-    """Of the highest learning rate, reached at the last step by half a cosine; 1 keeps it."""
+    """Last learning rate as a fraction of the highest, reached by half a cosine; 1 is constant."""
     largest_gradient: float | None = 1.0
-    """Norm to which a learner's gradients are clipped, None leaves them."""
+    """Norm to which a learner's gradients are clipped; None: not clipped."""
     average_decay: float = 0.995
-    """Of the running average of the weights of averaged learners."""
+    """Decay of the running average of the weights of averaged learners."""
     mixed_precision: bool = False
-    """Losses in bfloat16 where that is safe (torch.autocast), on CUDA alone."""
+    """Compute losses in bfloat16 where that is safe (torch.autocast), on CUDA only."""
     is_mixed_on_cpu: bool = False
-    """On a CPU, too: one with bfloat16 instructions (AVX512-BF16) takes two thirds of the time,
-    others take longer."""
+    """Compute losses in bfloat16 on a CPU: two thirds of the time with bfloat16 instructions
+    (AVX512-BF16), slower without."""
     is_compiled: bool = False
-    """Compile the networks (torch.compile; it needs a C compiler)."""
+    """Compile the networks (torch.compile; requires a C compiler)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Learner:
-    """A network and what moves its weights; the optimisers' first learning rates are the highest.
+    """Network and its optimisers, whose initial learning rates are the highest of the training.
 
     Args:
-        network: trained in place.
-        optimisers: each for some of the parameters.
-        is_averaged: at the end it holds the running average of its weights.
+        network: network that is trained in place.
+        optimisers: one for each group of parameters.
+        is_averaged: replace the weights by their running average at the end.
     """
 
     network: nn.Module
@@ -95,32 +97,32 @@ class Learner:
 
     @property
     def groups(self) -> list[dict[str, Any]]:
-        """The parameter groups of all optimisers: `params` and learning rate `lr`."""
+        """Parameter groups of all optimisers: `params` and learning rate `lr`."""
         return [group for optimiser in self.optimisers for group in optimiser.param_groups]
 
 
 Loss = tuple[str, Tensor, Mapping[str, Tensor]]
-"""Name of the learner that the loss moves, the loss, and terms for the metrics."""
+"""Name of the learner that the loss trains, the loss, and terms for the metrics."""
 
 Losses = Callable[[int, int], Iterator[Loss]]
-"""(number of the step, number of its draw) -> losses, each minimised before the next is asked for.
+"""(index of the step, index of the draw) -> losses; each is minimised before the next is computed.
 
-Random draws must depend on the number of the draw alone. It is the step's number, or with several
-processes one that no other process has.
+Random draws must depend on the index of the draw only. It equals the index of the step, or with
+several processes it is unique to step and process.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """Where and how long a training runs; what is learned depends on `processes` alone.
+    """Device, duration and storage of one run of a training; only `processes` affects the result.
 
     Args:
-        checkpointer: keeps checkpoints and metrics.
-        progress: shows the steps.
-        minutes: stop then, to go on later.
+        checkpointer: stores checkpoints and metrics.
+        progress: reports the steps.
+        minutes: time after which the run stops; a later run continues it.
         device: "auto", "cpu" or "cuda".
-        processes: that train together. Their gradients are averaged: each draws its own batch, and
-            together they learn from one as many times as large. All start with equal weights.
+        processes: processes that train together, from equal weights. Each draws its own batch and
+            their gradients are averaged, which multiplies the batch size.
     """
 
     checkpointer: Checkpointer
@@ -137,9 +139,9 @@ def run_training(
     session: Session,
     label: str = "train",
 ) -> int:
-    """Train in place from the checkpointer's last state; the number of steps done when it stops.
+    """Train in place from the checkpointer's last state and return the number of completed steps.
 
-    An interrupted run that goes on gives the very same networks on the CPU.
+    On the CPU, a run that was interrupted and continued results in identical networks.
 
     Raises:
         ArtefactError: the checkpointer's state belongs to other networks.
@@ -171,7 +173,7 @@ def run_training(
 
 
 class _Loop:
-    """The learners' steps, learning rates, averages and state."""
+    """Updates, learning rates, averages and state of the learners."""
 
     def __init__(
         self, learners: Mapping[str, Learner], config: LoopConfig, processes: Processes
@@ -189,12 +191,12 @@ class _Loop:
         for learner in learners.values():
             learner.network.train()
             if config.is_compiled:
-                # In place, parts too: losses call more of a network than its forward.
+                # In place and with its parts: losses call more of a network than its forward.
                 for module in (learner.network, *learner.network.children()):
                     module.compile()
 
     def step(self, losses: Losses, step: int) -> dict[str, Tensor]:
-        """All updates of one step; the last loss and all terms."""
+        """Apply all updates of one step and return the last loss and all terms."""
         metrics: dict[str, Tensor] = {}
         draw = step * self._processes.count + self._processes.rank
         coming = losses(step, draw)
@@ -202,7 +204,7 @@ class _Loop:
             name, loss, terms = found
             self._update(name, loss, step)
             metrics.update(terms, loss=loss)
-        # A young average forgets faster, or the first weights would stay in it.
+        # The decay is smaller at first, else the initial weights would remain in the average.
         decay = min(self._config.average_decay, (step + 1) / (step + 10))
         with torch.no_grad():
             for name, average in self._averages.items():
@@ -231,14 +233,14 @@ class _Loop:
             optimiser.step()
 
     def finish(self) -> None:
-        """Loads the averaged weights and leaves every network in evaluation mode."""
+        """Load the averaged weights and set every network to evaluation mode."""
         for name, average in self._averages.items():
             self._learners[name].network.load_state_dict(average)
         for learner in self._learners.values():
             learner.network.eval()
 
     def state(self, step: int, seconds: float) -> dict[str, Any]:
-        """What `restore` takes to resume exactly: weights, optimisers, averages, steps, seconds."""
+        """Return the state for `restore`: weights, optimisers, averages, steps and seconds."""
         learners = self._learners.items()
         return {
             "step": step,
@@ -251,7 +253,8 @@ class _Loop:
         }
 
     def restore(self, state: dict[str, Any] | None) -> tuple[int, float]:
-        """The steps done and the seconds they took."""
+        """Load a state of `state` and return the completed steps and their seconds; (0, 0) for
+        None."""
         if state is None:
             return 0, 0.0
         try:
@@ -268,12 +271,14 @@ class _Loop:
             raise ArtefactError(
                 "the checkpoint belongs to another training",
                 got=f"{type(error).__name__}: {error}"[:200],
-                remedy="Train with the settings that it was made with, or delete checkpoint.pt.",
+                expected="networks and optimisers of this training",
+                remedy="Train with the settings of the checkpoint, or delete checkpoint.pt.",
             ) from error
 
 
 def _rate_fraction(step: int, config: LoopConfig) -> float:
-    """Of the highest learning rate: warm-up, then half a cosine (arXiv:1608.03983, no restarts)."""
+    """Return the fraction of the highest learning rate: linear warm-up times half a cosine
+    (arXiv:1608.03983, without restarts)."""
     warm = min(1.0, (step + 1) / config.warm_up_steps)
     cosine = 0.5 * (1 + math.cos(math.pi * (step / max(config.steps - 1, 1))))
     return warm * (config.final_fraction + (1 - config.final_fraction) * cosine)

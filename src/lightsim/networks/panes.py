@@ -1,5 +1,5 @@
-"""Tells glass in the cells of facades: a small network without down-sampling, whose dilated
-convolutions see 4 m of wall around each cell (Yu and Koltun 2016, arXiv:1511.07122)."""
+"""Classifier of glass in facade cells: dilated convolutions without down-sampling, with a receptive
+field of 4 m of wall around each cell (Yu and Koltun 2016, arXiv:1511.07122)."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ KIND = "panes"
 
 @dataclass(frozen=True)
 class PaneNetworkConfig:
-    """The network's size."""
+    """Size of the network."""
 
     planes: int = 8
-    """Of each cell (`geometry.completion.facade_cells.PLANES`)."""
+    """Features of each cell (`geometry.completion.facade_cells.PLANES`)."""
     channels: int = 16
-    """Of each layer."""
+    """Channels of each hidden layer."""
     dilations: tuple[int, ...] = (1, 2, 4, 8, 1)
-    """Of the 3 x 3 convolutions."""
+    """Dilation of each 3 x 3 convolution, in cells."""
 
 
 class PaneNetwork(nn.Module):
-    """Log-odds of glass."""
+    """Network from the features of facade cells to log-odds of glass."""
 
     def __init__(self, config: PaneNetworkConfig) -> None:
         super().__init__()
@@ -42,12 +42,12 @@ class PaneNetwork(nn.Module):
         self.layers = nn.Sequential(*layers, nn.Conv2d(width, 1, 1))
 
     def forward(self, planes: Float[Tensor, "b p s z"]) -> Float[Tensor, "b s z"]:
-        """Of each cell."""
+        """Return the log-odds of glass of each cell."""
         return self.layers(planes)[:, 0]
 
     @classmethod
     def stored(cls, tensors: Mapping[str, Tensor]) -> PaneNetwork:
-        """The network of `networks.stored.stored_tensors`."""
+        """Return the network stored by `networks.stored.stored_tensors`."""
         kind, values = stored_config(tensors)
         assert kind == KIND
         network = cls(PaneNetworkConfig(**values))
@@ -56,5 +56,5 @@ class PaneNetwork(nn.Module):
 
     @torch.no_grad()
     def odds(self, planes: Float32[np.ndarray, "p s z"]) -> Float32[np.ndarray, "s z"]:
-        """Log-odds of the cells of one wall, on the CPU."""
+        """Return the log-odds of glass of the cells of one wall, on the CPU."""
         return self(torch.from_numpy(planes)[None])[0].numpy()

@@ -1,4 +1,4 @@
-"""Networks as tensors that carry their kind and their config: what a weights file needs."""
+"""Storage of networks as named tensors that include the network's kind and config."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ import torch
 from torch import Tensor, nn
 
 _CONFIG = "config_json"
-"""A tensor of bytes: half precision holds whole numbers up to 2048."""
+"""Name of the tensor of UTF-8 bytes; half precision represents integers up to 2048 exactly."""
 
 
 def stored_tensors(network: nn.Module, config: Any, kind: str) -> dict[str, Tensor]:
-    """All weights and, as bytes, kind and config (a dataclass of numbers and tuples)."""
+    """Return all weights, and kind and config (a dataclass of numbers and tuples) as bytes."""
     text = json.dumps({"kind": kind, **asdict(config)}).encode()
     return {**network.state_dict(), _CONFIG: torch.tensor(list(text), dtype=torch.float32)}
 
 
 def stored_config(tensors: Mapping[str, Tensor]) -> tuple[str, dict[str, Any]]:
-    """Kind and config of `stored_tensors`."""
+    """Return the kind and the config from the result of `stored_tensors`."""
     values = json.loads(bytes(int(code) for code in tensors[_CONFIG].tolist()))
     kind = values.pop("kind")
     return kind, _with_tuples(values)
 
 
 def _with_tuples(value: Any) -> Any:
-    """Lists of JSON as tuples, at every depth."""
+    """Replace JSON's lists by tuples, at every depth."""
     if isinstance(value, dict):
         return {name: _with_tuples(one) for name, one in value.items()}
     return tuple(map(_with_tuples, value)) if isinstance(value, list) else value
 
 
 def is_stored(tensors: Mapping[str, Tensor]) -> bool:
-    """Whether these are `stored_tensors`."""
+    """Return True if the tensors are a result of `stored_tensors`."""
     return _CONFIG in tensors
 
 
 def load_stored(network: nn.Module, tensors: Mapping[str, Tensor]) -> None:
-    """The weights, of any precision, into a network of their config; it is set to be used."""
+    """Load weights of any precision into a network of their config, in evaluation mode."""
     weights = {k: v.to(torch.float32) for k, v in tensors.items() if k != _CONFIG}
     network.load_state_dict(weights)
     network.eval()

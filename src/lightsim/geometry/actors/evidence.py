@@ -1,4 +1,4 @@
-"""What the parts of an actor's surface rest on: returns, the other half, its default shape."""
+"""Evidence of an actor's surface: returns, returns on the mirrored half, the default shape."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from lightsim.geometry.actors.body import Body
 
 @dataclass(frozen=True, eq=False)
 class ActorEvidence:
-    """The sources of an actor's signed distances, sample by sample.
+    """Weights of the sources of an actor's signed distances, on a grid.
 
     Args:
         low_m: position of sample (0, 0, 0), frame `actor`.
         voxel_m: distance between samples.
-        measured: weight of what rays found.
-        mirrored: weight of what rays found on the other half.
-        default: weight of the kind's default shape, the same everywhere.
-        body: of a vehicle, which knows its panes and tyres.
+        measured: weight of measurements.
+        mirrored: weight of measurements on the other half, mirrored.
+        default: weight of the kind's default shape, equal everywhere.
+        body: body of a vehicle, with its panes and tyres.
     """
 
     low_m: Float[np.ndarray, "3"]
@@ -35,8 +35,10 @@ class ActorEvidence:
     def provenance(
         self, points_actor: Float[np.ndarray, "n 3"], is_pane: Bool[np.ndarray, " n"]
     ) -> UInt8[np.ndarray, " n"]:
-        """The `Provenance` of points of the surface: the source that weighs most there; panes of
-        a cabin that was seen are interpolated, for beams pass through them."""
+        """Return the `Provenance` of points of the surface: the source of the largest weight.
+
+        Panes of a measured cabin are interpolated, because beams pass through them.
+        """
         measured = self._look_up(self.measured, points_actor)
         mirrored = self._look_up(self.mirrored, points_actor)
         found = np.select(
@@ -49,6 +51,6 @@ class ActorEvidence:
     def _look_up(
         self, values: Float[np.ndarray, "x y z"], points_actor: Float[np.ndarray, "n 3"]
     ) -> Float[np.ndarray, " n"]:
-        """Trilinear between the samples."""
+        """Return values at points by trilinear interpolation."""
         index = ((points_actor - self.low_m) / self.voxel_m).T
         return np.asarray(ndimage.map_coordinates(values, index, order=1, mode="nearest"))

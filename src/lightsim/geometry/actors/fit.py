@@ -1,7 +1,7 @@
-"""A vehicle's proportions from what was measured of it (robust maximum a posteriori).
+"""Robust maximum a posteriori fit of a vehicle's proportions to LiDAR measurements.
 
-Priors are typical proportions of kinds of bodies and their spread; the type that explains the
-measurements best is taken, so that a van is no sedan with a very high trunk.
+The prior is Gaussian around the typical proportions of a body type. Several types are fitted, and
+the most probable one is used.
 """
 
 from __future__ import annotations
@@ -32,28 +32,32 @@ _TYPES: dict[ActorKind, tuple[Proportions, ...]] = {
     ActorKind.BUS: (BOX,),
 }
 HAS_BODY = frozenset(_TYPES)
-"""Kinds whose vehicles have such a body."""
-_HATCHBACK_BELOW_M, _VAN_FROM_M, _TALL_FROM_M = 4.3, 1.85, 1.6
+"""Kinds of actors that have a parametric body."""
+
+# Sensitivity of the fit to these constants is not measured.
+
+# Standard deviation of measured distances; the loss is linear far beyond it.
 _NOISE_M = 0.04
-"""Of measured distances, beam by beam; residuals far beyond it count less and less."""
-_CAB = 0.3
-"""Lorries have side windows on this part of their length."""
-_OTHER_TYPE = 8.0
-"""What the evidence for another type than the box's shape suggests must exceed, twice the log."""
-_STARTS = 2
-_ROUNDS = 12
+# Number of neighbouring samples that count as one, since their errors are correlated.
 _CORRELATED = 8.0
-"""Neighbouring samples tell the same: so many count as one."""
+# Fraction of a lorry's length, from the front, that has side windows.
+_CAB = 0.3
+# Penalty on types other than the typical one of the box, as twice the negative log-likelihood.
+_OTHER_TYPE = 8.0
+# Types that are fitted, best starting cost first; bounds the time.
+_STARTS = 2
+# Most evaluations of the residuals of one fit, without those for derivatives; bounds the time.
+_ROUNDS = 12
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What was measured of a vehicle, frame `actor`.
+    """Measurements of a vehicle, frame `actor`.
 
     Args:
         surface_actor: points of its surface.
-        free_actor: points that beams passed.
-        free_weight: trust in each of them, at most 1.
+        free_actor: points in free space.
+        free_weight: weight of each free point, at most 1.
     """
 
     surface_actor: Float[np.ndarray, "n 3"]
@@ -62,25 +66,26 @@ class Measured:
 
 
 def typical_body(kind: ActorKind, size_lwh_m: Float[np.ndarray, "3"]) -> Body:
-    """The body of a kind of vehicle of which nothing is known but its box."""
+    """Return the most likely body of a vehicle by its kind and its box alone."""
     types = _TYPES[kind]
     if types[0] is not SEDAN:
         return _body(kind, types[0], size_lwh_m)
     length, _, height = (float(v) for v in size_lwh_m)
-    if height >= _VAN_FROM_M:
+    # Usual sizes of passenger cars, in metres; sensitivity not measured.
+    if height >= 1.85:
         return Body(VAN, size_lwh_m)
-    is_sedan = length > _HATCHBACK_BELOW_M and height < _TALL_FROM_M
+    is_sedan = length > 4.3 and height < 1.6
     return Body(SEDAN if is_sedan else HATCHBACK, size_lwh_m)
 
 
-def fit_body(kind: ActorKind, size_lwh_m: Float[np.ndarray, "3"], seen: Measured) -> Body:
-    """The body that explains the measurements best; the typical one where there are none.
+def fit_body(kind: ActorKind, size_lwh_m: Float[np.ndarray, "3"], measured: Measured) -> Body:
+    """Return the most probable body given the measurements; the typical one without any.
 
     Raises:
-        KeyError: a kind that has no body (`HAS_BODY`).
+        KeyError: the kind has no body (see `HAS_BODY`).
     """
     typical = typical_body(kind, size_lwh_m)
-    if len(seen.surface_actor) == 0:
+    if len(measured.surface_actor) == 0:
         return typical
     deviation = np.array(DEVIATION)
 
@@ -89,11 +94,11 @@ def fit_body(kind: ActorKind, size_lwh_m: Float[np.ndarray, "3"], seen: Measured
 
     ranked = sorted(
         _TYPES[kind],
-        key=lambda prior: _cost(prior, prior, deviation, size_lwh_m, seen) + penalty(prior),
+        key=lambda prior: _cost(prior, prior, deviation, size_lwh_m, measured) + penalty(prior),
     )
     fits = []
     for prior in ranked[:_STARTS]:
-        cost, found = _refined(prior, deviation, size_lwh_m, seen)
+        cost, found = _refined(prior, deviation, size_lwh_m, measured)
         fits.append((cost + penalty(prior), found))
     return _body(kind, min(fits, key=lambda fit: fit[0])[1], size_lwh_m)
 
@@ -107,19 +112,20 @@ def _residuals(
     prior: Proportions,
     deviation: Float64[np.ndarray, " p"],
     size_lwh_m: Float[np.ndarray, "3"],
-    seen: Measured,
+    measured: Measured,
 ) -> Float64[np.ndarray, " r"]:
-    """Of measurements and proportions, in standard deviations."""
+    """Return the residuals of measurements and proportions, in standard deviations."""
     body = Body(Proportions(*found.tolist()), size_lwh_m)
     unit = np.float64(1 / (_NOISE_M * np.sqrt(_CORRELATED)))
-    surface = unit * body.distance_m(seen.surface_actor.astype(np.float64))
-    inside = np.maximum(-body.distance_m(seen.free_actor.astype(np.float64)), 0.0)
-    free = unit * inside * np.sqrt(seen.free_weight)
+    surface = unit * body.distance_m(measured.surface_actor.astype(np.float64))
+    # Free points are an error only inside the body.
+    inside = np.maximum(-body.distance_m(measured.free_actor.astype(np.float64)), 0.0)
+    free = unit * inside * np.sqrt(measured.free_weight)
     return np.concatenate([_robust(surface), _robust(free), (found - np.array(prior)) / deviation])
 
 
 def _robust(residual: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-    """Square roots of Charbonnier's loss, with the residual's sign."""
+    """Return square roots of Charbonnier's loss, with the sign of the residual."""
     return np.sign(residual) * np.sqrt(2 * (np.sqrt(1 + residual**2) - 1))
 
 
@@ -128,9 +134,9 @@ def _cost(
     prior: Proportions,
     deviation: Float64[np.ndarray, " p"],
     size_lwh_m: Float[np.ndarray, "3"],
-    seen: Measured,
+    measured: Measured,
 ) -> float:
-    residuals = _residuals(np.array(found), prior, deviation, size_lwh_m, seen)
+    residuals = _residuals(np.array(found), prior, deviation, size_lwh_m, measured)
     return float(residuals @ residuals)
 
 
@@ -138,19 +144,20 @@ def _refined(
     prior: Proportions,
     deviation: Float64[np.ndarray, " p"],
     size_lwh_m: Float[np.ndarray, "3"],
-    seen: Measured,
+    measured: Measured,
 ) -> tuple[float, Proportions]:
-    """Cost and proportions after a bounded least-squares fit from the prior on."""
+    """Return cost and proportions of a bounded least-squares fit that starts at the prior."""
     from scipy.optimize import least_squares
 
     start = np.array(prior)
     fit = least_squares(
         _residuals,
         start,
-        args=(prior, deviation, size_lwh_m, seen),
+        args=(prior, deviation, size_lwh_m, measured),
         bounds=(start - 4 * deviation, start + 4 * deviation),
         x_scale=deviation,
         diff_step=1e-3,
         max_nfev=_ROUNDS,
     )
+    # SciPy's cost is half the sum of squares, `_cost` the whole sum.
     return 2 * float(fit.cost), Proportions(*fit.x.tolist())

@@ -1,4 +1,4 @@
-"""Default shapes of actors, fitted to their boxes: the prior where no ray has been."""
+"""Default shapes of actors without a body, fitted to their boxes: the prior of unobserved parts."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from jaxtyping import Float, Float64
 
 from lightsim.core.actors import ActorKind
 
+# Ground clearance of trailers and machines, typical; at most a fifth of half the height.
 _CLEARANCE_M = 0.18
 _UPRIGHT = (ActorKind.CONE, ActorKind.SIGN, ActorKind.ANIMAL)
 
@@ -14,10 +15,11 @@ _UPRIGHT = (ActorKind.CONE, ActorKind.SIGN, ActorKind.ANIMAL)
 def proxy_distance_m(
     kind: ActorKind, size_lwh_m: Float[np.ndarray, "3"], points_actor: Float64[np.ndarray, "*n 3"]
 ) -> Float64[np.ndarray, "*n"]:
-    """Signed distance (approximate away from the surface) from the default shape of a kind.
+    """Return the signed distance from a kind's default shape, approximate away from the surface.
 
-    Persons and cones are an upright capsule, trailers and machines a rounded box above the ground,
-    everything else a rounded box. Vehicles with a cabin have a body (`fit_body`).
+    Persons, cones, signs and animals are upright capsules, trailers and machines rounded boxes
+    above the ground, all other actors rounded boxes. Vehicles with a cabin have a body instead
+    (`fit_body`).
     """
     half = np.asarray(size_lwh_m, dtype=np.float64) / 2
     if kind.is_person or kind in _UPRIGHT:
@@ -41,7 +43,7 @@ def _rounded_box(
 def _capsule(
     points: Float64[np.ndarray, "*n 3"], half: Float64[np.ndarray, "3"]
 ) -> Float64[np.ndarray, "*n"]:
-    """An upright capsule, elliptic in plan, that touches the box."""
+    """Return the signed distance from an upright capsule, elliptic in plan, that fills the box."""
     narrow = float(half[:2].min())
     stretch = np.array([narrow / half[0], narrow / half[1], 1.0])
     scaled = points * stretch

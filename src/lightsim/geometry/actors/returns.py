@@ -1,4 +1,4 @@
-"""What LiDAR saw of each actor: its returns, gathered over the log in the actor's own frame."""
+"""LiDAR returns of each actor, gathered over the log in frame `actor`."""
 
 from __future__ import annotations
 
@@ -11,20 +11,18 @@ from lightsim.core.actors import ActorTrack
 from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import SWEEP_HOLD_S, LidarSweep
 
+# Margin around labelled boxes, which fit loosely. Sensitivity not measured.
 _MARGIN_M = 0.1
-"""Labelled boxes are grown by this."""
+# Height above the box's underside below which returns may be of the ground.
 _FLOOR_M = 0.12
-"""Returns lower than this above a box's underside may be the ground's."""
+# Most sweeps that are read, evenly distributed over the log; bounds the time.
 _MOST_SWEEPS = 40
+# Most returns of one actor, drawn at random; bounds the time of the fit.
 _MOST_RETURNS = 4000
-"""Of one actor."""
 
 
 def returns_of_actors(log: DrivingLog) -> dict[str, Float32[np.ndarray, "_ 3"]]:
-    """Returns by actor, frame `actor`; actors without any are left out.
-
-    At most 40 sweeps are looked at, and 4,000 returns of each actor kept, evenly drawn.
-    """
+    """Return the returns of vehicles by actor id, frame `actor`; absent for actors without any."""
     found: dict[str, list[Float32[np.ndarray, "_ 3"]]] = defaultdict(list)
     for lazy in log.sweeps[:: max(1, len(log.sweeps) // _MOST_SWEEPS)]:
         sweep = lazy.load()
@@ -44,7 +42,7 @@ def returns_of_actors(log: DrivingLog) -> dict[str, Float32[np.ndarray, "_ 3"]]:
 
 
 def _within(track: ActorTrack, sweep: LidarSweep) -> Float32[np.ndarray, "_ 3"]:
-    """A sweep's returns inside an actor's box, where it stood when the beam met it."""
+    """Return a sweep's returns inside an actor's box, posed at the time of each return."""
     _, points = track.returns_beside(sweep)
     half = track.size_lwh_m / 2
     is_inside = (np.abs(points) <= half + _MARGIN_M).all(axis=1)

@@ -1,4 +1,4 @@
-"""The closed surface of an actor: what was seen of it, and the shape of its kind elsewhere."""
+"""Closed surface of an actor: measured where observed, the shape of its kind elsewhere."""
 
 from __future__ import annotations
 
@@ -14,33 +14,34 @@ from lightsim.geometry.actors.fit import HAS_BODY, Measured, fit_body
 from lightsim.geometry.actors.proxy import proxy_distance_m
 from lightsim.geometry.surface import extract_surface
 
-_PADDING_M = 0.2
-_PROXY_VOXEL_M = 0.12
-_BODY_VOXEL_M = 0.06
-_MOST_SAMPLES = 400_000
-"""Of a body's grid; larger vehicles get a coarser one."""
-
-
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
+# Chosen on log 002 and synthetic street 0; only the combination is measured
 # (docs/benchmarks/reconstruction.md).
 
-# Evidence from a vehicle's mirrored half counts this much.
+# Margin of the grid around the box.
+_PADDING_M = 0.2
+# Distance between samples of default shapes.
+_PROXY_VOXEL_M = 0.12
+# Distance between samples of bodies, for vehicles up to the number of samples below.
+_BODY_VOXEL_M = 0.06
+# Most samples of a body's grid; the grids of larger vehicles are coarser.
+_MOST_SAMPLES = 400_000
+# Weight of measurements on the mirrored half, relative to measurements of the half itself.
 _MIRROR_WEIGHT = 0.2
-# Evidence of the default shape, decisive only where no ray has been.
+# Weight of the default shape: so small that it decides only where no beam measured.
 _PRIOR_WEIGHT = 0.03
-# A fitted body moves half-way to what this many returns say.
+# Number of returns at which the body moves half of the measured offset.
 _BODY_RETURNS = 4.0
-# So many returns around a place: it was seen.
+# Number of returns around a point from which it counts as measured.
 _SEEN_RETURNS = 1.0
-# Details of a body are smooth over this distance,
+# Standard deviation of the Gaussian that smooths offsets from the body.
 _DETAIL_M = 0.08
-# and no larger than this.
+# Largest offset from the body; farther returns are not of its surface.
 _DETAIL_REACH_M = 0.2
-# Returns further inside a cabin were let in by a pane.
+# Depth inside the body from which returns of the cabin's height have passed a pane.
 _THROUGH_GLASS_M = 0.06
-# Returns that tell a body's proportions.
+# Returns drawn for the fit of the proportions; bounds the time.
 _FIT_SAMPLES = 800
-# From this part of the box's height on beams may pass through panes.
+# Fraction of the box's height above which beams may pass through panes.
 _GLASS_FROM = 0.55
 
 
@@ -49,15 +50,16 @@ def actor_surface(
     grid: TsdfGrid | None,
     returns: Float32[np.ndarray, "n 3"] | None = None,
 ) -> tuple[TriMesh, ActorEvidence]:
-    """A closed mesh in frame `actor`, and what each part of it rests on.
+    """Return a closed mesh in frame `actor`, and the evidence of each part of it.
 
-    Vehicles have the body that fits what was seen of them (`fit_body`), with the details that were
-    measured; both halves tell of each other. Of all others the default shape of the kind decides
-    where nothing was seen.
+    Vehicles with a cabin have a fitted body (`fit_body`) that measured details deform; each half
+    also uses the mirrored measurements of the other. All other actors have the fused surface, and
+    the default shape of their kind where it was not observed.
 
     Args:
-        grid: of the fused beams; None where there were too few.
-        returns: of LiDAR in frame `actor`, if there are any.
+        track: the actor with its kind and box.
+        grid: signed distances of the fused beams; None if there were too few.
+        returns: LiDAR returns in frame `actor`.
     """
     if track.kind in HAS_BODY:
         none = np.zeros((0, 3), dtype=np.float32)
@@ -80,37 +82,37 @@ def actor_surface(
 def _vehicle(
     track: ActorTrack, grid: TsdfGrid | None, returns: Float32[np.ndarray, "n 3"]
 ) -> tuple[TriMesh, ActorEvidence]:
-    """The fitted body, moved to the returns by smooth details."""
+    """Return the fitted body, deformed towards the returns by smooth offsets."""
     extent = track.size_lwh_m + 2 * _PADDING_M
     voxel = max(_BODY_VOXEL_M, float(np.prod(extent) / _MOST_SAMPLES) ** (1 / 3))
     fine = _empty_grid(track, voxel)
     low, points = _lattice(fine, _dense(fine)[0].shape)
     body = fit_body(track.kind, track.size_lwh_m, _measured(track, grid, returns))
     shape = body.distance_m(points)
-    # Beams that pass a pane meet what is inside.
+    # Beams that pass a pane end inside the cabin and do not measure the body.
     outside = body.distance_m(returns.astype(np.float64))
     is_body = np.abs(outside) < _DETAIL_REACH_M
     is_body &= (outside > -_THROUGH_GLASS_M) | (returns[:, 2] < _sill_m(track))
-    kept, offset = returns[is_body], outside[is_body]
-    seen, moved = _spread(kept, offset, low, voxel, shape.shape)
-    seen_across, moved_across = seen[:, ::-1], moved[:, ::-1]
-    total = seen + _MIRROR_WEIGHT * seen_across
+    count, moved = _splatted(returns[is_body], outside[is_body], low, voxel, shape.shape)
+    # The grid is symmetric about y = 0, so reversal of axis 1 mirrors it.
+    count_across, moved_across = count[:, ::-1], moved[:, ::-1]
+    total = count + _MIRROR_WEIGHT * count_across
     detail = (moved + _MIRROR_WEIGHT * moved_across) / (total + _BODY_RETURNS)
     closed = (shape - detail).astype(np.float32)
     mesh = extract_surface(_from_dense(fine, closed, np.ones_like(closed)))
-    evidence = ActorEvidence(low, voxel, seen, 0.5 * seen_across, _SEEN_RETURNS, body)
+    evidence = ActorEvidence(low, voxel, count, 0.5 * count_across, _SEEN_RETURNS, body)
     return mesh, evidence
 
 
 def _sill_m(track: ActorTrack) -> float:
-    """From this height on beams may pass through panes, frame `actor`."""
+    """Return the height z in frame `actor` above which beams may pass through panes."""
     return (_GLASS_FROM - 0.5) * float(track.size_lwh_m[2])
 
 
 def _measured(
     track: ActorTrack, grid: TsdfGrid | None, returns: Float32[np.ndarray, "n 3"]
 ) -> Measured:
-    """Returns, and half as many points in free space within the box."""
+    """Return a sample of the returns, and half as many points in free space within the box."""
     rng = np.random.default_rng(0)
     surface = returns[rng.choice(len(returns), min(_FIT_SAMPLES, len(returns)), replace=False)]
     if grid is None:
@@ -123,17 +125,19 @@ def _measured(
     rows = rng.choice(rows, min(_FIT_SAMPLES // 2, len(rows)), replace=False)
     free = points.reshape(-1, 3)[rows]
     trust = np.minimum(weight.ravel()[rows], 1.0)
+    # Free space behind panes is inside the body: such points have less weight.
     return Measured(surface, free, np.where(free[:, 2] > _sill_m(track), 0.3 * trust, trust))
 
 
-def _spread(
+def _splatted(
     points_actor: Float32[np.ndarray, "n 3"],
     values: Float64[np.ndarray, " n"],
     low_m: Float64[np.ndarray, "3"],
     voxel_m: float,
     shape: tuple[int, ...],
 ) -> tuple[Float64[np.ndarray, "x y z"], Float64[np.ndarray, "x y z"]]:
-    """How many points lie around each sample, by a Gaussian, and the sum of their values."""
+    """Return the number of points around each sample, weighted by a Gaussian, and the sum of
+    their values."""
     index = np.round((points_actor - low_m) / voxel_m).astype(np.int64)
     index = np.clip(index, 0, np.array(shape) - 1)
     flat = np.ravel_multi_index(tuple(index.T), shape)
@@ -152,7 +156,10 @@ def _spread(
 def mirrored(
     sdf: Float32[np.ndarray, "x y z"], weight: Float32[np.ndarray, "x y z"], fraction: float
 ) -> tuple[Float32[np.ndarray, "x y z"], Float32[np.ndarray, "x y z"]]:
-    """A field and its mirror image about the middle of axis 1, the image weighing `fraction`."""
+    """Return the weighted mean of a field and its mirror image about the middle of axis 1.
+
+    The weights of the image are multiplied by `fraction`; the second array is the sum of weights.
+    """
     other_weight = fraction * weight[:, ::-1]
     total = weight + other_weight
     mixed = sdf * weight + sdf[:, ::-1] * other_weight
@@ -172,7 +179,7 @@ def _empty_grid(track: ActorTrack, voxel_m: float) -> TsdfGrid:
 def _lattice(
     grid: TsdfGrid, shape: tuple[int, ...]
 ) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "x y z 3"]]:
-    """The dense field's first sample, and all of them."""
+    """Return the positions of the dense field's first sample and of all samples."""
     low = grid.origin_m + grid.voxel_m * BLOCK * grid.block_coords.min(axis=0)
     steps = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), axis=-1)
     return low, low + grid.voxel_m * steps
