@@ -14,12 +14,6 @@ from lightsim.core.equirect import solid_angles_sr, uv_from_directions
 from lightsim.lighting.sample import LightingBatch, PanoramaBatch
 from lightsim_lab.training import grids
 from lightsim_lab.training.camera_look import add_glare, exposure, pictures
-from lightsim_lab.training.composites import (
-    CloudLayer,
-    cloud_layer,
-    composite_heaven,
-    exchanged_heaven,
-)
 from lightsim_lab.training.hdr_skies import HdrSky, Side
 from lightsim_lab.training.lighting_cache import LightingCache, read_cache
 from lightsim_lab.training.procedural_skies import (
@@ -36,8 +30,6 @@ from lightsim_lab.training.rigs import MaskConfig, front_view, rig_mask
 from lightsim_lab.training.street_panoramas import HORIZON_AZIMUTHS, light_view
 
 _TRIES = 60
-_LOWEST_EXCHANGED = 0.05
-"""Sine of the elevation from which the clear skies reach down to a sun."""
 _MAX_PEAK = 1e9
 
 
@@ -47,10 +39,6 @@ _MAX_PEAK = 1e9
 _OWN_SCENE = 0.4
 # Fraction of measured skies among those over streets; the rest is procedural.
 _MEASURED = 0.5
-# With composites: their fraction among the skies over streets, and that of sunny places whose sky
-# is exchanged.
-_COMPOSITE = 0.3
-_EXCHANGED = 0.5
 # Fraction of closed covers among procedural skies.
 _OVERCAST = 0.25
 # Fraction of clear procedural skies that get clouds.
@@ -100,7 +88,6 @@ class LightingSet:
     their own place or over held-out streets. Safe to use from several threads.
 
     Args:
-        composites: train on clouds of the skies over analytic clear ones, too.
         ldr_fraction: of `panoramas` that show LDR panoramas, where this side has any.
     """
 
@@ -109,13 +96,11 @@ class LightingSet:
         cache: LightingCache,
         split: Side = "train",
         *,
-        composites: bool = False,
         ldr_fraction: float = 0.5,
     ) -> None:
         self._cache = cache
         self._ldr = [picture for picture in cache.ldr if picture.side == split]
         self._ldr_fraction = ldr_fraction if self._ldr else 0.0
-        self._has_composites = composites
         self.height_px: int = cache.height_px
         self.split: Side = split
         self._skies = [sky for sky in cache.skies if sky.entry.split == split]
@@ -211,19 +196,10 @@ class LightingSet:
     def _open_skies(self) -> list[HdrSky]:
         return [sky for sky in self._skies if sky.entry.scene != "canopy"] or self._skies
 
-    @cached_property
-    def _layers(self) -> list[CloudLayer]:
-        return [cloud_layer(sky) for sky in self._open_skies]
-
-    def _layer(self, rng: np.random.Generator) -> CloudLayer:
-        return self._layers[int(rng.integers(len(self._layers)))]
-
     def _training_heaven(self, rng: np.random.Generator) -> Heaven:
         """A sky to put over a street, the sun anywhere around it."""
         cache = self._cache
-        if self._has_composites and rng.random() < _COMPOSITE:
-            heaven = composite_heaven(self._layer(rng), cache.clear, rng)
-        elif rng.random() < _MEASURED:
+        if rng.random() < _MEASURED:
             open_skies = self._open_skies
             heaven = heaven_of(open_skies[int(rng.integers(len(open_skies)))])
             heaven = _varied(heaven, rng)
@@ -254,7 +230,7 @@ class LightingSet:
     def _own(self, sky: HdrSky, rng: np.random.Generator) -> _Sample:
         """The HDR panorama as it is, turned; in training mirrored half of the time."""
         flip = self.split == "train" and rng.random() < 0.5
-        heaven = self._own_heaven(sky, rng)
+        heaven = heaven_of(sky)
         linear = np.concatenate([heaven.rest, sky.rest[len(heaven.rest) :]])
         seen = sky.sky_seen
         columns = int(rng.integers(heaven.rest.shape[1]))
@@ -271,21 +247,6 @@ class LightingSet:
             linear = (linear * gains).astype(np.float32)
         linear, seen = np.roll(linear, columns, axis=1), np.roll(seen, columns, axis=1)
         return self._finish(linear, heaven, seen, rng)
-
-    def _own_heaven(self, sky: HdrSky, rng: np.random.Generator) -> Heaven:
-        """The sky above its own place; in training often another one with the same clear sun."""
-        heaven = heaven_of(sky)
-        is_exchanged = (
-            self.split == "train"
-            and self._has_composites
-            and sky.entry.scene == "ground"
-            and is_sunny(heaven)
-            and heaven.sun_direction[2] > _LOWEST_EXCHANGED
-            and rng.random() < _EXCHANGED
-        )
-        if not is_exchanged:
-            return heaven
-        return exchanged_heaven(sky, self._layers, self._cache.clear, rng)
 
     def _finish(
         self,

@@ -86,8 +86,6 @@ class TrainingOptions(RunOptions):
 
     data: Path
     """File that lightsim train prepare lighting wrote."""
-    composites: bool = False
-    """Train on measured clouds over analytic clear skies, too."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,13 +101,6 @@ class RelightTrainingOptions(RunOptions):
     """Ablations: sim-real, identity, truth (pairs), buffers, shadow-maps, physical, confidence."""
     edge_weight: float | None = None
     """Weight of the edges' loss; by default the network's."""
-    edge_pixels_px: tuple[int, ...] = ()
-    """Sizes of pixels at which edges are compared (1 alone by default): what is left of a shadow is
-    a soft step, which fine gradients hardly see. Of paper and network."""
-    knee: float | None = None
-    """Of network: colour errors above it count by their logarithm, as decibels do (try .03)."""
-    zooms: tuple[float, ...] = ()
-    """Crops of a step are magnified by one of these (1 alone by default), as by other lenses."""
     crops: int | None = None
     """Crops of a step; by default the preset's. Fewer and smaller ones let a CPU go on with the
     full network."""

@@ -107,7 +107,7 @@ def train_inpaint(command: TrainingOptions, ldr_fraction: float) -> None:
     config = kind.small() if command.preset == "small" else kind.full()
     config = replace(config, seed=command.seed, loop=loop_of(config.loop, command))
     check_number("--ldr-fraction", ldr_fraction, 0.0, 1.0)
-    data = LightingSet(cache, composites=command.composites, ldr_fraction=ldr_fraction)
+    data = LightingSet(cache, ldr_fraction=ldr_fraction)
     with session_of(command) as session:
         weights, steps = inpaint_train.train_inpaint(data, config, session)
     if session.processes.is_first:
@@ -154,7 +154,7 @@ def train_sky_network(
             remedy="Leave --inpaint out.",
         )
     cache = read_cache(command.data)
-    data = LightingSet(cache, composites=command.composites)
+    data = LightingSet(cache)
     complete = None if inpaint is None else completion_of(inpaint)
     recipe = sky_recipe(kind, command.preset, command.seed, part)
     if start is not None:

@@ -41,7 +41,6 @@ _DESCRIPTION = {
 }
 _BASELINES = {"self-osr": SelfOsrConfig(), "epe": EpeConfig()}
 _MOST_EDGES = 1e4
-_MOST_PIXEL_PX, _MOST_ZOOM = 32, 4.0
 _MOST_CROPS, _LEAST_CROP_PX, _MOST_CROP_PX = 4096, 32, 4096
 _RATE_GOING_ON = 0.3
 """Learning rate from weights that know something, over that from random ones."""
@@ -108,9 +107,6 @@ def _baseline(command: RelightTrainingOptions) -> BaselineTrainConfig:
     given = {
         "--without": command.without,
         "--start": command.start,
-        "--edge-pixels-px": command.edge_pixels_px,
-        "--knee": command.knee,
-        "--zooms": command.zooms,
         "--crops": command.crops,
         "--crop-px": command.crop_px,
     }
@@ -122,7 +118,7 @@ def _baseline(command: RelightTrainingOptions) -> BaselineTrainConfig:
             got=f"--network {command.network}",
             expected="--network network or paper",
         )
-    config = BaselineTrainConfig(_BASELINES[command.network])
+    config = BaselineTrainConfig(network=_BASELINES[command.network])
     return config if command.preset == "small" else full_baseline(config)
 
 
@@ -146,19 +142,6 @@ def _own(command: RelightTrainingOptions) -> RelightTrainConfig:
 
 def _varied(config: RelightTrainConfig, command: RelightTrainingOptions) -> RelightTrainConfig:
     """With other losses, lenses and batches, where they are asked for."""
-    if command.edge_pixels_px:
-        for px in command.edge_pixels_px:
-            check_number("--edge-pixels-px", px, 1, _MOST_PIXEL_PX)
-        config = replace(config, edge_pixels_px=command.edge_pixels_px)
-    if command.knee is not None:
-        if command.network == "paper":
-            raise InputError("the paper's loss has no knee", where="--knee", remedy="Leave it out.")
-        check_number("--knee", command.knee, 1e-3, 1.0)
-        config = replace(config, knee=command.knee)
-    if command.zooms:
-        for zoom in command.zooms:
-            check_number("--zooms", zoom, 1 / _MOST_ZOOM, _MOST_ZOOM)
-        config = replace(config, data=replace(config.data, zooms=command.zooms))
     if command.crops is not None:
         check_number("--crops", command.crops, 1, _MOST_CROPS)
         config = replace(config, data=replace(config.data, batch=command.crops))
