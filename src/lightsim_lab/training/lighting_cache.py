@@ -97,6 +97,7 @@ def prepare_cache(
     pictures = () if ldr is None else read_ldr_pool(ldr, entries, height, progress)
     rng = np.random.default_rng([config.seed, 1])
     clear = make_clear_skies(config.clear_count, height, rng, progress)
+    # Rounded as in the file, so that a new and a stored cache give the same batches.
     noise = unpack_noise(pack_noise(make_noise(np.random.default_rng([config.seed, 2]))))
     views, sides = trace_streets(config.streets, height, config.seed, progress)
     return LightingCache(height, skies, clear, noise, tuple(views), tuple(sides), pictures)
