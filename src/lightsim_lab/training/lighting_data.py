@@ -29,8 +29,7 @@ from lightsim_lab.training.procedural_skies import (
 from lightsim_lab.training.rigs import MaskConfig, front_view, rig_mask
 from lightsim_lab.training.street_panoramas import HORIZON_AZIMUTHS, light_view
 
-# Draws of a procedural sky until one has a clear sun; more than a third of them have one, so that
-# failure is practically impossible.
+# Largest number of draws until a training sky has a clear sun; then the last draw is used as it is.
 _TRIES = 60
 # Largest radiance of a target sky, so that sums remain finite in single precision.
 _MAX_PEAK = 1e9

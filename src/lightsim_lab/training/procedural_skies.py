@@ -227,7 +227,7 @@ def _cloud_field(
     offset = rng.random(2) * NOISE_SIZE
     turn = float(rng.uniform(0, 2 * np.pi))
     all_directions = np.concatenate([directions.reshape(-1, 3), towards[None]])
-    # `bend` imitates the curvature of the earth: the layer ends at a finite distance.
+    # `bend` limits the distance of the layer at the horizon, as the curvature of the earth does.
     plane = all_directions[:, :2] / (np.maximum(all_directions[:, 2:], 0.0) + bend)
     c, s = np.cos(turn), np.sin(turn)
     stretch = float(rng.uniform(0.5, 1.0))

@@ -169,7 +169,7 @@ def _rotation(yaw: float, pitch: float, roll: float) -> Float[np.ndarray, "3 3"]
 
 
 def _border_noise(height_px: int, rng: np.random.Generator) -> Float32[np.ndarray, " p"]:
-    """Return border noise by azimuth, equal in all rows: a few waves, and steps at camera seams."""
+    """Return border noise by azimuth, equal in all rows: waves, in half of the masks also jags."""
     width = 2 * height_px
     azimuth = np.arange(width) * (2 * np.pi / width)
     waves = sum(

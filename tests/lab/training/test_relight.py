@@ -231,7 +231,7 @@ def test_training_goes_on_from_weights_of_its_own_network_alone(
         train(command)
     # Before anything is trained.
     seen = replace(command, network="network", streets=("2",), validation=("1",))
-    with pytest.raises(InputError, match="learned from streets for validation"):
+    with pytest.raises(InputError, match="trained on validation streets"):
         train(seen)
     assert not list((tmp_path / "c").glob("*.safetensors"))
 
