@@ -1,4 +1,4 @@
-"""The true pictures, buffers and sweeps of an edited street (`truth/edits`)."""
+"""True images, buffers and LiDAR sweeps of edited streets (`truth/edits`)."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _BUFFERS = ("depth_z_m", "actor_index", "sun_visibility")
 
 @dataclass(frozen=True, eq=False)
 class _Staged:
-    """One edit's street, and where its files go."""
+    """Street of one edit, and the folder of its files."""
 
     edit: TrueEdit
     street: Street
@@ -57,11 +57,11 @@ def synthesize_edits(
     is_denoised: bool = False,
     device: TracingDevice = "cpu",
 ) -> None:
-    """Write OUT/truth/edits beside what `synthesize` wrote; finished files are kept.
+    """Write OUT/truth/edits to an output folder of `synthesize`; existing files are not replaced.
 
     Raises:
-        InputError: the seed is negative, OUT cannot be written to, or there is no CUDA device.
-        MissingDependencyError: denoising needs the extra `denoise`.
+        InputError: the seed is negative, OUT is not writable, or there is no CUDA device.
+        MissingDependencyError: denoising requires the extra `denoise`.
     """
     if is_denoised:
         check_installed()
@@ -96,7 +96,7 @@ def _staged(root: Path, street: Street, config: StreetConfig, edit: TrueEdit) ->
 
 
 def _write_scenario(staged: _Staged) -> None:
-    """SCENARIO.json, and the model that it inserts."""
+    """Write SCENARIO.json, and the model if it inserts one."""
     if not staged.edit.entries:
         return
     edits = list(staged.edit.entries)
@@ -107,8 +107,10 @@ def _write_scenario(staged: _Staged) -> None:
 
 
 def model_of(street: Street) -> TriMesh:
-    """The last participant as a model: faceted, as it is rendered, with the base colour, roughness
-    and metallic of its finishes; clear coat and specular level have no place in it."""
+    """Convert the last participant to a mesh with flat faces and the materials of its finishes.
+
+    Base colour, roughness and metallic are retained; clear coat and specular level are not.
+    """
     actor: Participant = street.participants[-1]
     offsets = np.cumsum([0] + [len(part.vertices) for part in actor.parts[:-1]])
     faces = [p.faces + np.int32(o) for p, o in zip(actor.parts, offsets, strict=True)]
@@ -130,7 +132,7 @@ def _material(name: str, finishes: Mapping[str, Finish]) -> Material:
 
 
 def _write_sweeps(staged: _Staged) -> None:
-    """As the LiDAR would have recorded them, noise included; without edits the log has them."""
+    """Write the LiDAR sweeps of an edit, with noise; those without edits are in the log."""
     street, config = staged.street, staged.config
     if not staged.edit.entries:
         return
@@ -139,6 +141,7 @@ def _write_sweeps(staged: _Staged) -> None:
         if not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
             time_s = SWEEP_S * k
+            # The same random stream as in the log: the noise of unchanged rays is the same.
             rng = np.random.default_rng([street.plan.seed, 8, k])
             returns = scan(street, config, time_s, rng)
             write_sweep(path, returns, Clock(street.plan.start_ns).utc_s(time_s))
@@ -160,8 +163,11 @@ def _write_buffers(staged: _Staged, view: View, sky: Sky) -> None:
 
 
 def _picture(tracer: PathTracer, staged: _Staged, view: View, *, is_denoised: bool) -> np.ndarray:
-    """Without noise. A view has the same light paths in all edits, so that what no edit touches
-    looks the same."""
+    """Render a view without sensor noise.
+
+    The seed of the light paths depends on the frame alone, so that unedited parts are equal in all
+    edits.
+    """
     street, config, mounted = staged.street, staged.config, view.mounted
     tracer.place(actor_poses_at(street, view.time_s))
     radiance = tracer.render(
