@@ -81,6 +81,7 @@ class _Plane:
 
 def build_house(house: Building) -> tuple[Part, ...]:
     """Build all parts of a building, frame `street`."""
+    # Each building has its own random stream: a change of one does not change the others.
     rng = np.random.default_rng(house.seed)
     x0, x1 = house.start_m, house.start_m + house.width_m
     front, back = house.side * house.front_m, house.side * (house.front_m + house.depth_m)
@@ -105,6 +106,7 @@ def _front(house: Building, plane: _Plane, rng: np.random.Generator) -> list[Par
     bays = max(1, int((width - 0.8) / house.bay_m))
     bay = width / bays
     centres = (np.arange(bays) + 0.5) * bay
+    # Dimensions relative to the bay, so that windows fit buildings of any width.
     parts: list[Part] = []
     window_half = float(rng.uniform(0.21, 0.29)) * bay
     has_shop = rng.random() < 0.6
@@ -140,6 +142,7 @@ def _storey(
     """
     z0, sill, head, z1 = levels_m
     s0, s1 = centres - half_m, centres + half_m
+    # Piers are the full-height parts of the wall between the windows.
     edges = np.concatenate([[0.0], np.stack([s0, s1], axis=1).ravel(), [house.width_m]])
     piers = np.stack([edges[::2], edges[1::2]], axis=1)
     full = np.ones(len(piers))
@@ -168,6 +171,7 @@ def _reveal(trim: str, plane: _Plane, pane: tuple[float, float, float, float]) -
         ]
     )
     parts = [quads(trim, plane.place(corners), corners[..., [0, 1]] + corners[..., [2, 2]])]
+    # Frame and mullion are 5 cm wide and 2 cm in front of the pane.
     middle, w = (s0 + s1) / 2, 0.05
     bars = [
         [s0, t0, s0 + w, t1],

@@ -28,6 +28,7 @@ from lightsim_lab.synthetic.participants import Participant
 from lightsim_lab.synthetic.plan import Size, StreetConfig, config_of, plan_street
 from lightsim_lab.synthetic.rig import SWEEP_S, mount_cameras
 from lightsim_lab.synthetic.sensor import camera_isp
+from lightsim_lab.synthetic.shapes import joined
 from lightsim_lab.synthetic.skies import Sky, build_sky, sky_specs
 from lightsim_lab.synthetic.street import Street, build_street
 from lightsim_lab.synthetic.textures import Finish
@@ -72,6 +73,7 @@ def synthesize_edits(
     assert sky.sun is not None
     edits = choose_edits(street, config, cameras, sky.sun.direction_world)
     staged = [_staged(out / "truth" / "edits", street, config, edit) for edit in edits]
+    # Light paths come last: they take most of the time, and all else is complete if they stop.
     for one in staged:
         _write_scenario(one)
         _write_sweeps(one)
@@ -112,14 +114,11 @@ def model_of(street: Street) -> TriMesh:
     Base colour, roughness and metallic are retained; clear coat and specular level are not.
     """
     actor: Participant = street.participants[-1]
-    offsets = np.cumsum([0] + [len(part.vertices) for part in actor.parts[:-1]])
-    faces = [p.faces + np.int32(o) for p, o in zip(actor.parts, offsets, strict=True)]
     counts = [len(part.faces) for part in actor.parts]
     colours = [street.finishes[p.material].look_up(p.uv_m.astype(float)) for p in actor.parts]
     return TriMesh(
         "actor",
-        np.concatenate([part.vertices for part in actor.parts]),
-        np.concatenate(faces).astype(np.int32),
+        *joined(actor.parts),
         np.concatenate(colours).astype(np.float32),
         tuple(_material(part.material, street.finishes) for part in actor.parts),
         np.repeat(np.arange(len(actor.parts), dtype=np.uint8), counts),
@@ -159,6 +158,7 @@ def _write_buffers(staged: _Staged, view: View, sky: Sky) -> None:
     buffers = compute_buffers(snapshot, camera, pose, sky)
     for name, path in paths.items():
         path.parent.mkdir(parents=True, exist_ok=True)
+        # Depth needs single precision; the other buffers are exact enough in half precision.
         write_exr(path, buffers[name], half=name != "depth_z_m")
 
 

@@ -123,6 +123,7 @@ def choose_edits(
     ego = {"do": "ego", "offset_m": list(EGO_OFFSET_M)}
     edits.append(TrueEdit("ego-shift", (ego,), street.participants, first, EGO_OFFSET_M))
     edits = [edit for edit in edits if edit.views]
+    # Views are compared by identity, as they hold arrays; the dictionary removes duplicates.
     shown = {id(view): view for edit in edits for view in edit.views}
     recorded = TrueEdit(NO_EDIT, (), street.participants, tuple(shown.values()))
     return (recorded, *edits)
@@ -137,6 +138,7 @@ class _Chooser:
         sun_direction_world: Float[np.ndarray, "3"],
     ) -> None:
         self._street, self._views, self._sun = street, views, sun_direction_world
+        # Collisions are tested at 12 times over the log; vehicles move at most 5 m between them.
         self._times_s = np.linspace(-SWEEP_S, SWEEP_S * (config.frame_count - 1), 12).tolist()
         ego = [street_from_ego(time_s, config.ego_speed_m_s) for time_s in self._times_s]
         ways = [self._way(actor) for actor in street.participants]
@@ -154,6 +156,7 @@ class _Chooser:
             and (actor.speed_m_s > 0) == is_moving
             and actor.start_m[2] != _ABSENT_M
         ]
+        # First by visible pixels alone, then the best ones by actor and shadow.
         shown = self._shown(cars)
         candidates = sorted(cars, key=lambda i: -shown[i])[:_CANDIDATES]
         found = {i: self._scored(self._without(i), [cast[i]])[0] for i in candidates}
@@ -178,6 +181,7 @@ class _Chooser:
         """Return the edit that inserts the staged car at the best visible free position."""
         cast = self._street.participants
         number = len(cast) - 1
+        # Parking rows and lanes on both sides, each with its direction of travel.
         rows = ((-PARKED_Y_M, 0.0), (PARKED_Y_M, np.pi), (-LANE_M / 2, 0.0), (LANE_M / 2, np.pi))
         places = [
             replace(cast[number], start_m=(x, y, 0.0), heading_rad=float(heading))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -102,7 +101,8 @@ def synthesize(
     command += further.words
     command += " --device cuda" if device == "cuda" else ""
     write_truth_json(truth / "truth.json", street, config, cameras, command)
-    _missing(truth / "scene.npz", lambda path: write_geometry(path, street))
+    if not (truth / "scene.npz").exists():
+        write_geometry(truth / "scene.npz", street)
     _write_sweeps(log, street, config, progress)
     skies = [build_sky(spec, plan) for spec in sky_specs(plan)] + further.of(plan)
     for sky in skies:
@@ -112,12 +112,6 @@ def synthesize(
     for number, sky in enumerate(skies):
         shots = _shots(out, sky, number, config, cameras)
         _render(street, config, sky, shots, guide, progress, device)
-
-
-def _missing(path: Path, write: Callable[[Path], None]) -> None:
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write(path)
 
 
 def _write_sweeps(log: Path, street: Street, config: StreetConfig, progress: Progress) -> None:
@@ -174,6 +168,7 @@ def _shots(
                 mounted,
                 k,
                 config.samples if is_source else config.truth_samples,
+                # Distinct for every image, so that their noise is independent.
                 (number * 1000 + k) * len(cameras) + i,
                 is_source,
             )

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Float32, Int32
 
 from lightsim.core.buffers import BACKGROUND
 from lightsim.core.frames import RigidTransform
-from lightsim_lab.synthetic.shapes import Part
+from lightsim_lab.synthetic.shapes import Part, joined
 from lightsim_lab.synthetic.street import Street
 from lightsim_lab.synthetic.textures import Finish
 
@@ -46,14 +46,8 @@ class Snapshot:
             placed += [(i, part.transformed(pose)) for part in actor.parts]
         self.names = tuple(street.finishes)
         self.finishes: Mapping[str, Finish] = street.finishes
-        offsets = np.cumsum([0] + [len(part.vertices) for _, part in placed[:-1]])
-        self.vertices: Float32[np.ndarray, "n 3"] = np.concatenate(
-            [part.vertices for _, part in placed]
-        )
+        self.vertices, self.faces = joined([part for _, part in placed])
         self.uv_m = np.concatenate([part.uv_m for _, part in placed])
-        self.faces = np.concatenate(
-            [part.faces + np.int32(o) for (_, part), o in zip(placed, offsets, strict=True)]
-        ).astype(np.int32)
         counts = [len(part.faces) for _, part in placed]
         self.actor = np.repeat([i for i, _ in placed], counts).astype(np.int32)
         self.material = np.repeat([self.names.index(p.material) for _, p in placed], counts)

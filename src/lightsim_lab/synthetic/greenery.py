@@ -19,6 +19,7 @@ def build_tree(
     fork = foot + np.array([0.0, 0.0, 0.42 * height_m])
     parts = [tube("bark", foot.tolist(), fork.tolist(), (0.16, 0.11), 12)]
     clusters = []
+    # Six boughs around the trunk, and one that continues it upwards.
     for k in range(7):
         angle = 2 * np.pi * k / 7 + float(rng.uniform(-0.3, 0.3))
         reach = float(rng.uniform(0.45, 1.25)) if k else 0.1

@@ -63,6 +63,8 @@ def actor_poses(
 
     PandaSet's labels are valid at these times.
     """
+    # The azimuth in the middle of the sweep determines the time of the scan; the change of azimuth
+    # within a sweep is neglected.
     ego_from_street = street_from_ego(time_s - SWEEP_S / 2, speed_m_s).inverse()
     poses = []
     for actor in street.participants:
@@ -83,6 +85,8 @@ def scan(street: Street, config: StreetConfig, time_s: float, rng: np.random.Gen
     # Infrared reflectance, approximated by a mean that favours red; weights chosen, not measured.
     albedo = snapshot.base_colour(hits) @ np.array([0.5, 0.35, 0.15])
     cosine = np.abs((hits.normal_world * directions).sum(axis=1))
+    # Diffuse return with an ambient term, so that grazing surfaces remain visible; chosen, not
+    # fitted.
     gain = np.where(hits.is_hit, snapshot.lidar_gain(hits), 0.0)
     strength = gain * albedo * (0.25 + 0.75 * cosine)
     strength *= np.exp(rng.normal(0.0, 0.08, len(strength)))

@@ -126,10 +126,12 @@ def plan_street(seed: int) -> StreetPlan:
     latitude += float(rng.uniform(-0.02, 0.02))
     longitude += float(rng.uniform(-0.02, 0.02))
     start_ns, sun = _daytime(rng, latitude, longitude)
+    # Yaw of the street in the frame `enu` is counter-clockwise from east; azimuths are from north.
     across = float(rng.uniform(30.0, 60.0)) * float(rng.choice([-1.0, 1.0]))
     turn = float(rng.choice([0.0, 180.0]))
     street_azimuth_deg = sun.azimuth_deg + across + turn
     street_yaw = np.radians(90.0 - street_azimuth_deg)
+    # The frame `world` has a random yaw to north, as PandaSet's.
     world_yaw = float(rng.uniform(-np.pi, np.pi))
     zero = np.zeros(3)
     return StreetPlan(

@@ -55,6 +55,7 @@ class MountedCamera:
 def mount_cameras(plan: StreetPlan, config: StreetConfig) -> tuple[MountedCamera, ...]:
     """Return the six cameras; their gains vary by about 10 %, with geometric mean 1 per channel."""
     rng = np.random.default_rng([plan.seed, 7])
+    # A factor common to the channels of each camera, and one per channel.
     logs = rng.normal(0.0, 0.08, (len(_MOUNTINGS), 1)) + rng.normal(0.0, 0.05, (len(_MOUNTINGS), 3))
     gains = np.exp(logs - logs.mean(axis=0))
     cameras = []

@@ -33,22 +33,22 @@ class Part:
         return replace(self, vertices=vertices)
 
 
+def joined(
+    parts: Sequence[Part],
+) -> tuple[Float32[np.ndarray, "n 3"], Int32[np.ndarray, "m 3"]]:
+    """Concatenate vertices and faces of parts, with the vertex indices of one common list."""
+    offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+    faces = [part.faces + np.int32(o) for part, o in zip(parts, offsets, strict=True)]
+    return np.concatenate([part.vertices for part in parts]), np.concatenate(faces)
+
+
 def merge_parts(parts: Sequence[Part]) -> tuple[Part, ...]:
     """Merge parts to one per material, in the order of first appearance."""
     merged = []
     for material in dict.fromkeys(part.material for part in parts):
         same = [part for part in parts if part.material == material]
-        offsets = np.cumsum([0] + [len(part.vertices) for part in same[:-1]])
-        merged.append(
-            Part(
-                material,
-                np.concatenate([part.vertices for part in same]),
-                np.concatenate(
-                    [part.faces + np.int32(o) for part, o in zip(same, offsets, strict=True)]
-                ).astype(np.int32),
-                np.concatenate([part.uv_m for part in same]),
-            )
-        )
+        uv_m = np.concatenate([part.uv_m for part in same])
+        merged.append(Part(material, *joined(same), uv_m))
     return tuple(merged)
 
 

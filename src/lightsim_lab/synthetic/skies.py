@@ -237,6 +237,7 @@ def _clear(
     angle = np.arccos(cosine)
     indicatrix = 1 + c * (np.exp(d * angle) - np.exp(d * np.pi / 2)) + e * cosine**2
     luminous = _gradation(directions[..., 2], a, b) * indicatrix
+    # Fraction of white in the colour; fitted by eye.
     haze = np.exp(-4.5 * np.clip(directions[..., 2], 0, 1)) + 0.6 * np.exp(-((angle / 0.35) ** 2))
     haze = np.clip(haze, 0, 1)[..., None]
     blue, white = np.array([0.42, 0.80, 1.75]), np.array([0.92, 1.0, 1.12])
@@ -264,6 +265,7 @@ def _with_clouds(
     if spec.sun is None:
         return radiance * (1 + 0.08 * value)[..., None]
     cover = np.clip(value - 1.6 + 1.9 * spec.cloud_amount, 0, 1) * np.clip(6 * z - 0.6, 0, 1)
+    # Clouds are as bright as 1.9 times the median of the sky, or as the sky behind them.
     white = 1.9 * np.median(radiance[directions[..., 2] > 0.05]) * np.array([1.0, 1.0, 1.02])
     cover = cover[..., None] * 0.75
     return radiance * (1 - cover) + np.maximum(white, radiance) * cover

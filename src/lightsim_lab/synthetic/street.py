@@ -197,6 +197,7 @@ def build_participants(plan: StreetPlan, ego_speed_m_s: float) -> tuple[Particip
                 place = (x, y, float(heading + rng.normal(0, 0.02)))
                 people.append(_car(rng, place, 0.0))
             x += float(rng.uniform(5.9, 8.5))
+    # One car ahead of the ego vehicle and one behind it, at similar speeds.
     people.append(_car(rng, (14.0, -LANE_M / 2, 0.0), ego_speed_m_s * 0.92))
     people.append(_car(rng, (-13.0, -LANE_M / 2, 0.0), ego_speed_m_s * 1.02))
     for x in (22.0, 44.0, 88.0):

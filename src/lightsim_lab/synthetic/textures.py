@@ -45,6 +45,7 @@ def noise(
     rng: np.random.Generator, height: int, width: int, slope: float = 1.2
 ) -> Float[np.ndarray, "{height} {width}"]:
     """Return periodic noise, amplitude ~ 1 / frequency^slope, mean 0, standard deviation 1."""
+    # The spectrum is filtered white noise: its inverse transform is periodic by construction.
     fy, fx = np.fft.fftfreq(height) * height, np.fft.rfftfreq(width) * width
     frequency = np.hypot(fy[:, None] * width / height, fx[None, :])
     frequency[0, 0] = np.inf
@@ -80,6 +81,7 @@ def brick(rng: np.random.Generator, rgb: tuple[float, float, float]) -> Finish:
     is_mortar = np.zeros_like(albedo, dtype=bool)
     is_mortar[::high] = True
     is_mortar[:, ::wide] = True
+    # Every second row is shifted by half a brick.
     for row in range(1, rows, 2):
         band = slice(row * high, (row + 1) * high)
         albedo[band] = np.roll(albedo[band], wide // 2, axis=1)

@@ -82,6 +82,7 @@ class PathTracer:
         """Set the poses of the named actors."""
         changed = False
         for key, pose in world_from_actors.items():
+            # Updating the geometry rebuilds its ray acceleration structure: only if it moved.
             if self._last.get(key) == pose.matrix.tobytes():
                 continue
             self._last[key] = pose.matrix.tobytes()
@@ -119,6 +120,7 @@ class PathTracer:
     def _radiance(
         self, mi: Any, sensor: Any, samples: int, seed: int
     ) -> Float32[np.ndarray, "h w 3"]:
+        # With fewer than 4 paths per pass, the median of the passes is no reference.
         if samples < 4 * _PASSES:
             return self._pass(mi, sensor, samples, seed)
         seeds = range(seed * _PASSES, (seed + 1) * _PASSES)

@@ -19,6 +19,7 @@ from lightsim_lab.synthetic.geometry import Snapshot
 from lightsim_lab.synthetic.lidar import STEP_M
 from lightsim_lab.synthetic.plan import StreetConfig
 from lightsim_lab.synthetic.rig import MountedCamera
+from lightsim_lab.synthetic.shapes import joined
 from lightsim_lab.synthetic.skies import Sky
 from lightsim_lab.synthetic.street import Street
 from lightsim_lab.synthetic.writer import write_json
@@ -66,6 +67,7 @@ def compute_buffers(
     directions = world_from_camera.rotate(camera.directions(centres))
     origins = np.broadcast_to(origin, directions.shape).copy()
     hits = snapshot.intersect(origins, directions)
+    # Third column of the rotation: the optical axis in frame `world`.
     axis = world_from_camera.rotation[:, 2]
     depth = np.where(hits.is_hit, hits.distance_m * (directions @ axis), np.inf)
     colour = np.zeros((h * w, 3))
@@ -79,6 +81,7 @@ def compute_buffers(
         disc = disc_directions(sky.sun.direction_world, SOLAR_RADIUS_DEG, _SUN_RAYS)
         visibility[seen] = snapshot.sun_visibility(points, hits.normal_world[seen], disc)
     actor = np.where(seen, snapshot.actor[hits.face], NO_SURFACE)
+    # Rounding to steps makes the files compress better than at full precision.
     flat = {
         "depth_z_m": np.round(depth / STEP_M) * STEP_M,
         "normal_world": hits.normal_world,
@@ -130,14 +133,12 @@ def write_geometry(path: Path, street: Street) -> None:
     groups = [("background", [part.transformed(world_from_street) for part in street.background])]
     groups += [(actor.actor_id, list(actor.parts)) for actor in street.participants]
     for name, parts in groups:
-        offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
-        vertices = np.concatenate([part.vertices for part in parts])
-        faces = [part.faces + o for part, o in zip(parts, offsets, strict=True)]
+        vertices, faces = joined(parts)
         steps = np.round(vertices / STEP_M).astype(np.int32)
         # Vertices that coincide after rounding are merged.
         unique, index = np.unique(steps, axis=0, return_inverse=True)
         arrays[f"{name}/vertices"] = (unique * STEP_M).astype(np.float32)
-        arrays[f"{name}/faces"] = index.ravel()[np.concatenate(faces)].astype(np.int32)
+        arrays[f"{name}/faces"] = index.ravel()[faces].astype(np.int32)
     with whole_file(path) as temporary:
         np.savez_compressed(temporary, allow_pickle=False, **arrays)
 

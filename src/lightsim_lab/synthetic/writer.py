@@ -144,6 +144,7 @@ def _gps(
     """Return the GPS fixes of the ego origin, from the WGS 84 radii of curvature at the start."""
     eccentricity_2 = _FLATTENING * (2 - _FLATTENING)
     latitude = np.radians(plan.latitude_deg)
+    # Radii of curvature along the meridian and the parallel.
     w = np.sqrt(1 - eccentricity_2 * np.sin(latitude) ** 2)
     meridian_m = _EQUATOR_M * (1 - eccentricity_2) / w**3
     parallel_m = _EQUATOR_M / w * np.cos(latitude)
@@ -169,6 +170,7 @@ def _enu(plan: StreetPlan, config: StreetConfig, time_s: float) -> Float[np.ndar
 
 
 def _write_calibration(path: Path, cameras: Sequence[MountedCamera]) -> None:
+    # PandaSet's calibration maps LiDAR to camera coordinates.
     lines = []
     for mounted in cameras:
         camera = mounted.camera

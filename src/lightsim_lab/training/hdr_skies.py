@@ -33,7 +33,7 @@ _MAX_SPLIT_BYTES = 16 << 20
 _SUFFIXES = (".hdr", ".exr")
 # World z axis: normal of level ground.
 _UP = np.array([0.0, 0.0, 1.0])
-# Radius of the spot about the brightest pixel that is searched for a clipped sun, in degrees.
+# Radius of the spot about the brightest pixel whose centre is the sun's direction, in degrees.
 # Sensitivity not measured.
 _SPOT_DEG = 6.0
 # Turbidity of the model sky that replaces a clipped sun: a clear, slightly hazy day. Not fitted.
@@ -278,13 +278,25 @@ def _tier_of(radiance: Float32[np.ndarray, "h w 3"]) -> Tier:
 
 
 def _brightest(radiance: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3"]:
-    """Return the direction of the luminance-weighted centre of the upper half's brightest spot."""
-    height = radiance.shape[0]
-    value = luminance(radiance[: height // 2]).astype(np.float64)
-    directions = pixel_directions(height)[: height // 2]
+    """Return the direction of the brightest spot of a panorama's upper half."""
+    half = radiance.shape[0] // 2
+    value = luminance(radiance[:half]).astype(np.float64)
+    return spot_centre(value, pixel_directions(2 * half)[:half], 0.5)
+
+
+def spot_centre(
+    value: Float[np.ndarray, "h w"], directions: Float[np.ndarray, "h w 3"], level: float
+) -> Float[np.ndarray, "3"]:
+    """Return the direction of the luminance-weighted centre of an upper half's brightest spot.
+
+    Args:
+        value: luminance.
+        directions: unit directions of the pixels.
+        level: smallest luminance of the spot, relative to its peak.
+    """
     peak = directions.reshape(-1, 3)[int(value.argmax())]
-    near = (directions @ peak > np.cos(np.radians(_SPOT_DEG))) & (value > 0.5 * value.max())
-    weight = np.where(near, value, 0.0) * solid_angles_sr(height)[: height // 2]
+    near = (directions @ peak > np.cos(np.radians(_SPOT_DEG))) & (value > level * value.max())
+    weight = np.where(near, value, 0.0) * solid_angles_sr(2 * len(value))[: len(value)]
     centre = np.einsum("hw,hwc->c", weight, directions)
     return centre / np.linalg.norm(centre)
 

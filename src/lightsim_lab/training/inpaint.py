@@ -45,8 +45,6 @@ class InpaintConfig:
     """Channels of the generator at the full resolution (DeepFill v2: 48 at 256 x 256)."""
     dilations: tuple[int, ...] = (1, 2, 4, 8)
     """Dilations of the layers at a quarter of the size; at most a quarter of the rows."""
-    propagates: bool = False
-    """Propagate attention scores to neighbouring patches."""
     is_residual: bool = True
     """Both stages add to a smooth continuation of the known pixels; False: they predict all values,
     as published."""
@@ -154,7 +152,6 @@ class _Pair:
                 config.width,
                 height_px,
                 config.dilations,
-                propagates=config.propagates,
                 is_residual=config.is_residual,
             )
             discriminator = PatchDiscriminator(

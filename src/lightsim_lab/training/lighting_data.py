@@ -14,7 +14,7 @@ from lightsim.core.equirect import solid_angles_sr, uv_from_directions
 from lightsim.lighting.sample import LightingBatch, PanoramaBatch
 from lightsim_lab.training import grids
 from lightsim_lab.training.camera_look import add_glare, exposure, pictures
-from lightsim_lab.training.hdr_skies import HdrSky, Side
+from lightsim_lab.training.hdr_skies import HdrSky, Side, spot_centre
 from lightsim_lab.training.lighting_cache import LightingCache, read_cache
 from lightsim_lab.training.procedural_skies import (
     Heaven,
@@ -26,7 +26,7 @@ from lightsim_lab.training.procedural_skies import (
     turned_heaven,
     with_clouds,
 )
-from lightsim_lab.training.rigs import MaskConfig, front_view, rig_mask
+from lightsim_lab.training.rigs import front_view, rig_mask
 from lightsim_lab.training.street_panoramas import HORIZON_AZIMUTHS, light_view
 
 # Largest number of draws until a training sky has a clear sun; then the last draw is used as it is.
@@ -162,7 +162,7 @@ class LightingSet:
         if self.split == "train" and ldr_rng.random() < 0.5:
             srgb8 = srgb8[:, ::-1]
         turned = np.roll(srgb8, int(ldr_rng.integers(srgb8.shape[1])), axis=1)
-        mask = rig_mask(self.height_px, ldr_rng, MaskConfig())
+        mask = rig_mask(self.height_px, ldr_rng)
         return (turned / np.float32(255)).astype(np.float32), mask
 
     def fixed_views(self, per_sky: int = 8, seed: int = 0) -> FixedViews:
@@ -274,7 +274,7 @@ class LightingSet:
         has_sun = bool(heaven.sun_irradiance.any()) and heaven.sun_direction[2] > 0
         if has_sun and sky_seen[min(row, len(sky_seen) - 1), column]:
             linear = add_glare(linear, heaven.sun_direction, heaven.sun_irradiance, rng)
-        visibility = rig_mask(self.height_px, rng, MaskConfig())
+        visibility = rig_mask(self.height_px, rng)
         # Auto-exposure acts on the observed pixels alone; the target sky has the same units.
         gains = exposure(linear, visibility, rng)
         exposed = (linear * gains).astype(np.float32)
@@ -309,12 +309,7 @@ def dome_of(heaven: Heaven) -> tuple[Float32[np.ndarray, "h w 3"], Float[np.ndar
         if luminance(sky[row, column]) >= luminance(heaven.rest).max():
             return sky, heaven.sun_direction
     value = luminance(sky).astype(np.float64)
-    directions = grids.directions(height)[: height // 2]
-    peak = directions.reshape(-1, 3)[int(value.argmax())]
-    near = (directions @ peak > np.cos(np.radians(6.0))) & (value > 0.7 * value.max())
-    weight = np.where(near, value, 0.0) * solid_angles_sr(height)[: height // 2]
-    centre = np.einsum("hw,hwc->c", weight, directions)
-    return sky, centre / np.linalg.norm(centre)
+    return sky, spot_centre(value, grids.directions(height)[: height // 2], 0.7)
 
 
 def _pixel_of(direction: Float[np.ndarray, "3"], height: int) -> tuple[int, int]:

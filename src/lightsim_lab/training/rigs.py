@@ -121,13 +121,11 @@ class MaskConfig:
     """Mean number of holes: moving actors, leaves, gaps of the stitching."""
 
 
-def rig_mask(
-    height_px: int, rng: np.random.Generator, config: MaskConfig
-) -> Bool[np.ndarray, "h w"]:
+def rig_mask(height_px: int, rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:
     """Return the visibility mask of a random rig, with tilt, scale, ragged border, holes and ego
     vehicle."""
     rig = RIGS[int(rng.choice(len(RIGS), p=_WEIGHTS))]
-    return mask_of(rig, height_px, rng, config)
+    return mask_of(rig, height_px, rng, MaskConfig())
 
 
 def mask_of(
