@@ -36,7 +36,7 @@ def street_checksum(seed: int) -> str:
     for spec in (*sky_specs(plan), *more_sky_specs(plan)):
         sky = build_sky(spec, plan, 16 * _SKY_ROWS)
         sun = np.zeros(3) if sky.sun is None else sky.sun.irradiance
-        # Radiance is rounded on a log scale: relative differences below 1 % are not detected.
+        # Radiance is rounded on a log scale: relative differences below 0.7 % are not detected.
         values = np.concatenate([sky.dome(_SKY_ROWS).radiance.ravel(), sun])
         digest.update(np.round(np.log2(np.maximum(values, 1e-3)) * 100).astype(np.int32).tobytes())
     return digest.hexdigest()[:16]

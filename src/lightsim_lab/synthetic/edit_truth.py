@@ -34,7 +34,7 @@ from lightsim_lab.synthetic.street import Street, build_street
 from lightsim_lab.synthetic.textures import Finish
 from lightsim_lab.synthetic.tracer import PathTracer
 from lightsim_lab.synthetic.truth import compute_buffers, stem_of
-from lightsim_lab.synthetic.writer import Clock, camera_pose, write_json, write_sweep
+from lightsim_lab.synthetic.writer import camera_pose, utc_s, write_json, write_sweep
 
 _BUFFERS = ("depth_z_m", "actor_index", "sun_visibility")
 
@@ -143,7 +143,7 @@ def _write_sweeps(staged: _Staged) -> None:
             # The same random stream as in the log: the noise of unchanged rays is the same.
             rng = np.random.default_rng([street.plan.seed, 8, k])
             returns = scan(street, config, time_s, rng)
-            write_sweep(path, returns, Clock(street.plan.start_ns).utc_s(time_s))
+            write_sweep(path, returns, utc_s(street.plan, time_s))
 
 
 def _write_buffers(staged: _Staged, view: View, sky: Sky) -> None:

@@ -138,7 +138,7 @@ class _Chooser:
         sun_direction_world: Float[np.ndarray, "3"],
     ) -> None:
         self._street, self._views, self._sun = street, views, sun_direction_world
-        # Collisions are tested at 12 times over the log; vehicles move at most 5 m between them.
+        # Collisions are tested at 12 times over the log.
         self._times_s = np.linspace(-SWEEP_S, SWEEP_S * (config.frame_count - 1), 12).tolist()
         ego = [street_from_ego(time_s, config.ego_speed_m_s) for time_s in self._times_s]
         ways = [self._way(actor) for actor in street.participants]

@@ -45,6 +45,7 @@ def make_finishes(
     rng: np.random.Generator, road_length_m: float, road_width_m: float, lane_m: float
 ) -> dict[str, Finish]:
     """Return all finishes of a street by name."""
+    # The order of this table is that of the random draws: reordering it changes every street.
     finishes: dict[str, Finish] = {
         "road": road(rng, road_length_m, road_width_m, lane_m),
         "sidewalk": slabs(rng, (0.36, 0.35, 0.33)),

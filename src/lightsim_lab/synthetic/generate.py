@@ -33,8 +33,8 @@ from lightsim_lab.synthetic.truth import (
     write_truth_json,
 )
 from lightsim_lab.synthetic.writer import (
-    Clock,
     camera_pose,
+    utc_s,
     write_cuboids,
     write_rig,
     write_sweep,
@@ -115,14 +115,13 @@ def synthesize(
 
 
 def _write_sweeps(log: Path, street: Street, config: StreetConfig, progress: Progress) -> None:
-    clock = Clock(street.plan.start_ns)
     for k in progress.track(range(config.frame_count), "LiDAR sweeps and labels"):
         time_s = SWEEP_S * k
         name = f"{stem_of(k)}.pkl.gz"
         sweep, cuboids = log / "lidar" / name, log / "annotations" / "cuboids" / name
         if not sweep.exists():
             rng = np.random.default_rng([street.plan.seed, 8, k])
-            write_sweep(sweep, scan(street, config, time_s, rng), clock.utc_s(time_s))
+            write_sweep(sweep, scan(street, config, time_s, rng), utc_s(street.plan, time_s))
         if not cuboids.exists():
             write_cuboids(cuboids, street, config, time_s)
 
@@ -188,6 +187,7 @@ def _render(
 ) -> None:
     if not shots:
         return
+    # Checked before the first image is rendered, not after.
     if guide is not None:
         check_installed()
     tracer = street_tracer(street, config, sky, device)
@@ -256,6 +256,7 @@ def street_tracer(
 def _write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"]) -> None:
     """Write a JPEG image with 4:2:0 chroma subsampling, as PandaSet's."""
     with whole_file(path) as temporary:
+        # Quality 92 is typical of camera logs; that of PandaSet's images was not measured.
         Image.fromarray(srgb8).save(temporary, quality=92, subsampling="4:2:0")
 
 

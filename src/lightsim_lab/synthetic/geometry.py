@@ -122,6 +122,7 @@ class Snapshot:
 
 
 def _embree(vertices: Float32[np.ndarray, "n 3"], faces: Int32[np.ndarray, "m 3"]) -> Any:
+    # Imported here, as Embree is needed for rays alone.
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
 

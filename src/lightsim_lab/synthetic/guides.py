@@ -33,6 +33,7 @@ def render_guides(
     centres = camera.pixel_centres().reshape(-1, 2)
     origins = np.broadcast_to(world_from_camera.translation_m, (h * w, 3)).copy()
     colour, normal = np.zeros((h * w, 3)), np.zeros((h * w, 3))
+    # Hits without a surface contribute 0 to the means.
     offsets = _offsets_px()
     for offset in offsets:
         directions = world_from_camera.rotate(camera.directions(centres + offset))

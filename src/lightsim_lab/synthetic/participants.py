@@ -106,6 +106,7 @@ def _body(shape: CarShape, paint: str) -> Part:
         * np.array([0.8, 0.88, 0.93, 0.97, 0.99, 1.0, 1.0, 0.99, 0.96, 0.9, 0.84, 0.75])
     )
     low = np.array([0.42, 0.36, 0.3, 0.26, 0.22, 0.22, 0.22, 0.22, 0.24, 0.28, 0.32, 0.4])
+    # A saloon's boot is lower than its bonnet.
     rise = 0.93 if shape.boot_m > 0.4 else 1.0
     high = top * np.array([0.85, 0.93, 0.97, rise, 1, 1, 1, 0.97, 0.9, 0.83, 0.76, 0.62])
     # Superellipse of exponent 2 / 0.42: a rounded rectangle.
@@ -126,6 +127,7 @@ def _body(shape: CarShape, paint: str) -> Part:
 
 def _cabin(shape: CarShape, paint: str) -> list[Part]:
     """Build the cabin: windows on all sides, painted pillars and roof."""
+    # The cabin narrows towards the roof; windows span the whole trapezoid, pillars cover its edges.
     half, z0 = shape.length_m / 2, 0.54 * shape.height_m if shape.height_m < 1.9 else 1.0
     z1 = shape.height_m - 0.05
     rear, front = -half + shape.boot_m + 0.1, half - shape.bonnet_m
@@ -162,6 +164,7 @@ def _cabin(shape: CarShape, paint: str) -> list[Part]:
 def _wheels(shape: CarShape) -> list[Part]:
     parts = []
     y = shape.width_m / 2
+    # Positions of the axles relative to the length.
     for x in (-0.31 * shape.length_m, 0.30 * shape.length_m):
         for side in (-1.0, 1.0):
             inner, outer = (x, side * (y - 0.24), 0.33), (x, side * (y - 0.005), 0.33)

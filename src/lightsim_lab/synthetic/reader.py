@@ -21,6 +21,7 @@ def read_true_meshes(path: Path) -> dict[str, TriMesh]:
     arrays = load_arrays(path)
     meshes = {}
     for name in dict.fromkeys(key.split("/")[0] for key in arrays):
+        # Base colours are not part of the file; 0.5 is a placeholder.
         corners = arrays[f"{name}/vertices"].astype(np.float32)[arrays[f"{name}/faces"]]
         vertices = corners.reshape(-1, 3)
         frame = "world" if name == "background" else "actor"

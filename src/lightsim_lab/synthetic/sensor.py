@@ -24,6 +24,7 @@ def camera_isp(
     """
     linear = radiance.astype(np.float64) * gain
     if rng is not None:
+        # The shot noise of a clipped pixel is that of the full well.
         sigma = np.sqrt(5e-5 * np.clip(linear, 0.0, 1.0) + 1e-3**2)
         linear = linear + rng.standard_normal(linear.shape) * sigma
     return srgb8_from_linear(linear)

@@ -116,6 +116,7 @@ def tube(
     angle = np.linspace(0.0, 2 * np.pi, sides + 1)
     ring = np.cos(angle)[:, None] * x + np.sin(angle)[:, None] * y
     low, high = a + radii_m[0] * ring, b + radii_m[1] * ring
+    # Texture coordinates: arc length of the thicker end, and height.
     around = angle * max(radii_m)
     corners = np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
     uv = np.stack(

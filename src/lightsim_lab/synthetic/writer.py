@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,15 +32,9 @@ _EQUATOR_M = 6378137.0
 _FLATTENING = 1 / 298.257223563
 
 
-@dataclass(frozen=True)
-class Clock:
-    """Times of a log: sweep k ends `k` x 0.1 s after the start."""
-
-    start_ns: int
-
-    def utc_s(self, offset_s: float) -> float:
-        """Return seconds since 1970, rounded to microseconds as in PandaSet."""
-        return round(self.start_ns * 1e-9 + offset_s, 6)
+def utc_s(plan: StreetPlan, offset_s: float) -> float:
+    """Return a time relative to the first sweep in seconds since 1970, to the microsecond."""
+    return round(plan.start_ns * 1e-9 + offset_s, 6)
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -55,7 +48,6 @@ def write_rig(
     folder: Path, plan: StreetPlan, config: StreetConfig, cameras: Sequence[MountedCamera]
 ) -> None:
     """Write intrinsics, poses and times of cameras and LiDAR, GPS, and the calibration."""
-    clock = Clock(plan.start_ns)
     count = config.frame_count
     for mounted in cameras:
         camera = mounted.camera
@@ -68,13 +60,13 @@ def write_rig(
         )
         poses = [camera_pose(plan, config, mounted, t) for t in times]
         write_json(target / "poses.json", [pose_entry(pose) for pose in poses])
-        write_json(target / "timestamps.json", [clock.utc_s(t) for t in times])
+        write_json(target / "timestamps.json", [utc_s(plan, t) for t in times])
     times = [SWEEP_S * k for k in range(count)]
     egos = [world_from_ego(plan, config, t) for t in times]
     lidar = _ego_from_pandar64()
     write_json(folder / "lidar" / "poses.json", [pose_entry(ego @ lidar) for ego in egos])
     for name in ("lidar", "meta"):
-        write_json(folder / name / "timestamps.json", [clock.utc_s(t) for t in times])
+        write_json(folder / name / "timestamps.json", [utc_s(plan, t) for t in times])
     write_json(folder / "meta" / "gps.json", _gps(plan, config, times))
     _write_calibration(folder / "static_extrinsic_calibration.yaml", cameras)
 

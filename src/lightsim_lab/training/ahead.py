@@ -30,6 +30,7 @@ class Ahead(Generic[T]):
         """Return the item of a number, once, and start the computation of the following items."""
         if self._pool is None:
             return self._make(number)
+        # Each worker has one item in progress, so that memory does not grow with the wait.
         for later in range(number, min(number + self._reach, self._stop), self._stride):
             if later not in self._coming:
                 self._coming[later] = self._pool.submit(self._make, later)
@@ -39,5 +40,6 @@ class Ahead(Generic[T]):
         return self
 
     def __exit__(self, *error: object) -> None:
+        # Items that are not yet started are of no use after an error or an early end.
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)

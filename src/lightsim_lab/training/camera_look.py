@@ -55,6 +55,7 @@ def exposure(
             factor *= aim / max(float(np.minimum(seen * factor, 1.0).mean()), 1e-6)
             aim = min(aim, 0.7)
     gains = np.exp(rng.normal(0.0, _VARIATION.balance, 3))
+    # White balance acts relative to green, which carries most of the luminance.
     gains[1] = 1.0
     return factor * gains
 
@@ -78,6 +79,7 @@ def _shown(
 ) -> Float32[np.ndarray, "h w 3"]:
     code = srgb_from_linear(linear) ** np.float32(bend)
     code = code + rng.standard_normal(code.shape, dtype=np.float32) * np.float32(noise)
+    # The networks' input has 8-bit values, as camera images.
     return np.round(np.clip(code, 0, 1) * 255).astype(np.float32) / np.float32(255)
 
 
@@ -106,5 +108,6 @@ def add_glare(
     pixel_deg = 180.0 / height
     veil = k / np.maximum(angle_deg, 0.3 * pixel_deg) ** 2
     veil = np.where(angle_deg < _GLARE_REACH_DEG, veil, 0.0)
+    # The sun is smaller than a pixel: its irradiance is distributed over about one pixel's area.
     disc = np.where(angle_deg < 0.75 * pixel_deg, 1.0 / np.radians(pixel_deg) ** 2, 0.0)
     return (linear + (veil + disc)[..., None] * sun_irradiance).astype(np.float32)

@@ -14,6 +14,7 @@ from lightsim.core.equirect import pixel_directions, solid_angles_sr
 def directions(height_px: int) -> Float32[np.ndarray, "h w 3"]:
     """Return the read-only unit directions of the pixels of a panorama."""
     grid = pixel_directions(height_px).astype(np.float32)
+    # The cached array is common to all callers: writing to it must fail.
     grid.setflags(write=False)
     return grid
 

@@ -190,6 +190,8 @@ def measured_sky(
     if entry is None:
         entry = SplitEntry(name, "train", name, _tier_of(radiance), "ground")
     sun = find_sun(radiance)
+    # A clipped disc may be too weak for `find_sun`; its direction is still that of the brightest
+    # spot.
     if entry.tier == "C" and sun is None:
         sun = Sun(_brightest(radiance), np.zeros(3, np.float32))
     if sun is None:
@@ -197,6 +199,7 @@ def measured_sky(
     else:
         rest, parted = split_sun(SkyDome(radiance, sun))
         sun = parted or sun
+    # Under a canopy the skylight is blocked, and gives no estimate of the sun's irradiance.
     if sun is not None and entry.tier == "C" and entry.scene != "canopy":
         sun = _raised(rest, sun)
     small = shrunk(rest, height_px)
@@ -262,6 +265,7 @@ def _otsu(value: Float[np.ndarray, "h w"], weight: Float[np.ndarray, "h w"]) -> 
     first = np.cumsum(mass * centre)
     low = first[:-1] / np.maximum(below, 1e-12)
     high = (first[-1] - first[:-1]) / np.maximum(above, 1e-12)
+    # Otsu's criterion: variance between the classes, up to a constant factor.
     best = int(np.argmax(below * above * (high - low) ** 2))
     is_one_class = high[best] - low[best] < np.log(_CLASS_RATIO)
     return -np.inf if is_one_class else float(edges[best + 1])
@@ -304,6 +308,7 @@ def spot_centre(
 def _raised(rest: Float32[np.ndarray, "h w 3"], sun: Sun) -> Sun:
     """Return the sun, at least as strong as the model's clear sun for the same skylight."""
     direction = sun.direction_world
+    # The model has no clear sun at the horizon (elevations below about 1 degree).
     if direction[2] <= 0.02:
         return sun
     height = rest.shape[0]

@@ -146,6 +146,7 @@ class _Pair:
 
     def __init__(self, config: InpaintConfig, height_px: int, device: torch.device) -> None:
         self._config = config
+        # The initial weights depend on the seed alone, and the global random state is unchanged.
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             generator = InpaintGenerator(
@@ -162,6 +163,7 @@ class _Pair:
 
     def learners(self) -> dict[str, Learner]:
         """Return the generator, whose weights are averaged, and the discriminator, with Adam."""
+        # Momentum 0.5 instead of 0.9 is usual in adversarial training.
         betas, config = (0.5, 0.99), self._config
         adam = torch.optim.Adam(self.generator.parameters(), config.rate, betas)
         adam_d = torch.optim.Adam(self.discriminator.parameters(), config.discriminator_rate, betas)
@@ -202,6 +204,7 @@ class _Pair:
         self, batch: InpaintTensors, composite: Float[Tensor, "n 3 h w"]
     ) -> Float[Tensor, ""]:
         self.discriminator.requires_grad_(True)
+        # One pass for truth and result, which have the same masks.
         both = torch.cat([batch.truth, composite])
         scores = self.discriminator(both, torch.cat([batch.hole, batch.hole]))
         of_truth, of_result = scores.float().chunk(2)

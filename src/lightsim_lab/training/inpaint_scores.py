@@ -65,6 +65,7 @@ def hole_errors(
     is_up = (np.arange(truth.shape[0]) < truth.shape[0] // 2)[:, None]
     errors: dict[str, float] = {}
     for prefix, part in (("", weight), ("sky_", weight * is_up)):
+        # Without holes above the horizon, the errors are 0 and the PSNR has its limit of 60 dB.
         total = max(float(part.sum()), 1e-9)
         mse = float((np.square(difference).mean(-1) * part).sum()) / total
         errors[f"{prefix}psnr_db"] = -10 * float(np.log10(max(mse, 1e-6)))
@@ -76,6 +77,7 @@ def _fill(
     batch: PanoramaBatch, weights: Mapping[str, torch.Tensor]
 ) -> dict[str, Float32[np.ndarray, "n h w 3"]]:
     """Return the panoramas filled by each method."""
+    # Unobserved pixels are 0, so that no method has access to the truth.
     known = (batch.panorama * batch.visibility[..., None]).astype(np.float32)
     pairs = list(zip(known, batch.visibility, strict=True))
     filled = {

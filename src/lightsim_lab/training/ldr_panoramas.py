@@ -65,4 +65,5 @@ def _read(path: Path, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
             got=f"{width}x{height} px",
             expected=f"{2 * height}x{height} px",
         )
+    # Resized in linear light, so that mean radiances are preserved.
     return srgb8_from_linear(resize_area(linear_from_srgb8(picture), height_px, 2 * height_px))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,7 +19,6 @@ from lightsim_lab.training.ldr_panoramas import LdrPanorama, read_ldr_pool
 from lightsim_lab.training.near_duplicates import check_split
 from lightsim_lab.training.procedural_skies import (
     ClearSkies,
-    clear_arrays,
     make_clear_skies,
     make_noise,
     pack_noise,
@@ -58,15 +57,6 @@ class LightingCache:
     views: tuple[StreetView, ...]
     view_sides: tuple[Side, ...]
     ldr: tuple[LdrPanorama, ...] = ()
-
-    def check(self, skies: Sequence[HdrSky], views: Sequence[StreetView], split: str) -> None:
-        """Raise InputError if a side of the split has no skies or no streets."""
-        if not skies or not views:
-            raise InputError(
-                f"the cache contains no skies or no streets of the side '{split}'",
-                got=f"{len(skies)} skies and {len(views)} street positions",
-                remedy="Make the cache with a split file that has skies of this side.",
-            )
 
 
 def prepare_cache(
@@ -131,7 +121,9 @@ def write_cache(path: Path, cache: LightingCache) -> None:
             [np.zeros((cache.height_px, 2 * cache.height_px, 3), np.uint8)]
             + [picture.srgb8 for picture in cache.ldr]
         )[1:],
-        **clear_arrays(cache.clear),
+        "clear_elevation_deg": cache.clear.elevation_deg,
+        "clear_rest": cache.clear.rest,
+        "clear_sun_irradiance": cache.clear.sun_irradiance,
     }
     for name in _VIEW_FIELDS:
         axis = -1 if name in ("met", "horizon") else 0
@@ -186,6 +178,7 @@ def _unpacked(arrays: Mapping[str, Shaped[np.ndarray, "..."]], height: int) -> L
     ends = np.cumsum(arrays["view_count"])
     views = []
     for end, count, fraction in zip(ends, arrays["view_count"], arrays["view_share"], strict=True):
+        # Views have different numbers of surface pixels, and are stored end to end.
         part = slice(int(end - count), int(end))
         views.append(
             StreetView(

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Float32
 
 from lightsim.core.colour import luminance
 from lightsim.core.equirect import solid_angles_sr, uv_from_directions
+from lightsim.errors import InputError
 from lightsim.lighting.sample import LightingBatch, PanoramaBatch
 from lightsim_lab.training import grids
 from lightsim_lab.training.camera_look import add_glare, exposure, pictures
@@ -117,7 +118,12 @@ class LightingSet:
         self._views = [
             view for view, side in zip(cache.views, cache.view_sides, strict=True) if side == split
         ]
-        cache.check(self._skies, self._views, split)
+        if not self._skies or not self._views:
+            raise InputError(
+                f"the cache contains no skies or no streets of the side '{split}'",
+                got=f"{len(self._skies)} skies and {len(self._views)} street positions",
+                remedy="Make the cache with a split file that has skies of this side.",
+            )
 
     @classmethod
     def load(
@@ -180,6 +186,7 @@ class LightingSet:
         return FixedViews(_stacked(samples), tuple(names), tuple(tiers), np.array(own))
 
     def _draw(self, rng: np.random.Generator, only_sunny: bool) -> _Sample:
+        # Validation and test sides have measured skies alone, without augmentation.
         if self.split != "train":
             pool = self._sunny_skies if only_sunny else self._skies
             sky = pool[int(rng.integers(len(pool)))]
@@ -207,6 +214,7 @@ class LightingSet:
 
     @cached_property
     def _open_skies(self) -> list[HdrSky]:
+        # Trees or roofs of a canopy would be part of the sky over another place.
         return [sky for sky in self._skies if sky.entry.scene != "canopy"] or self._skies
 
     def _training_heaven(self, rng: np.random.Generator) -> Heaven:
@@ -270,6 +278,7 @@ class LightingSet:
         rng: np.random.Generator,
     ) -> _Sample:
         """Add glare, mask, exposure and camera response to a linear panorama (centre: forward)."""
+        # Glare only where the sun is neither occluded nor below the horizon.
         row, column = _pixel_of(heaven.sun_direction, self.height_px)
         has_sun = bool(heaven.sun_irradiance.any()) and heaven.sun_direction[2] > 0
         if has_sun and sky_seen[min(row, len(sky_seen) - 1), column]:

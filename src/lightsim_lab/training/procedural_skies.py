@@ -6,7 +6,6 @@ This module has no model and no parameter in common with the skies of the synthe
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,7 +48,8 @@ class Heaven:
 
     def level_irradiance(self) -> Float[np.ndarray, "3"]:
         """Return the RGB irradiance of level ground from the sky without its sun."""
-        return level_irradiance(self.rest)
+        weights = level_weights(2 * self.rest.shape[0])
+        return weights @ self.rest.sum(axis=1, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +78,6 @@ def is_sunny(heaven: Heaven) -> bool:
     """Return True if the sun casts shadows (SUNNY_RATIO)."""
     direct = float(luminance(heaven.sun_irradiance.astype(np.float32)))
     return direct >= SUNNY_RATIO * float(luminance(heaven.level_irradiance().astype(np.float32)))
-
-
-def level_irradiance(upper: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3"]:
-    """Return the RGB irradiance of level ground under the upper half of a sky."""
-    return level_weights(2 * upper.shape[0]) @ upper.sum(axis=1, dtype=np.float64)
 
 
 def make_clear_skies(
@@ -156,6 +151,7 @@ def clear_heaven(
     rest = skies.rest[k].astype(np.float32)
     haze = float(rng.beta(1.0, 3.0))
     grey = luminance(rest)[..., None]
+    # Haze mixes the blue of the model with a nearly neutral colour of the same luminance.
     rest = rest * (1 - haze) + haze * grey * np.array([0.97, 1.0, 1.06], np.float32)
     return Heaven(rest.astype(np.float32), direction, skies.sun_irradiance[k].astype(np.float64))
 
@@ -168,6 +164,7 @@ def overcast_heaven(
     directions = grids.directions(height_px)[: height_px // 2]
     elevation = np.radians(float(rng.uniform(5.0, 75.0)))
     towards = np.array([np.cos(elevation), 0.0, np.sin(elevation)])
+    # Moon-Spencer form of the overcast sky, with a random ratio of zenith to horizon.
     steepness = float(rng.uniform(0.3, 2.6))
     shape = (1 + steepness * directions[..., 2]) / (1 + steepness)
     angle = np.arccos(np.clip(directions @ towards, -1, 1))
@@ -175,6 +172,7 @@ def overcast_heaven(
     shape = shape * (1 + bright * np.exp(-angle / np.radians(float(rng.uniform(15, 45)))))
     field, _ = _cloud_field(noise, directions, towards, rng)
     shape = shape * np.exp(float(rng.uniform(0.02, 0.35)) * np.clip(field, -2.5, 2.5))
+    # Overcast skies are slightly bluish on average.
     tint = np.exp(rng.normal([-0.03, 0.0, 0.05], 0.04))
     rest = (shape / np.median(shape))[..., None] * tint
     return Heaven(rest.astype(np.float32), towards, np.zeros(3))
@@ -283,12 +281,3 @@ def raised_heaven(heaven: Heaven, elevation_deg: float) -> Heaven:
 def _air_mass(elevation_deg: float) -> float:
     e = max(elevation_deg, 0.0)
     return float(1.0 / (np.sin(np.radians(e)) + 0.50572 * (e + 6.07995) ** -1.6364))
-
-
-def clear_arrays(skies: ClearSkies) -> Mapping[str, Shaped[np.ndarray, "..."]]:
-    """Return the arrays of clear skies by their names in the cache."""
-    return {
-        "clear_elevation_deg": skies.elevation_deg,
-        "clear_rest": skies.rest,
-        "clear_sun_irradiance": skies.sun_irradiance,
-    }

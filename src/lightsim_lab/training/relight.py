@@ -176,6 +176,7 @@ def _loss(
     # The shift depends on the draw number alone, so that a resumed run repeats it.
     shift_px = (1 + draw % _LARGEST_SHIFT_PX, 1 + draw // _LARGEST_SHIFT_PX % _LARGEST_SHIFT_PX)
     found = network(_with_moved(batch.planes, few, shift_px) if config.stability else batch.planes)
+    # PaperNet returns sRGB, RelitNet linear radiance with the log of its expected error.
     is_paper = isinstance(found, Tensor)
     pictures = found if is_paper else shown(srgb_of(found.picture))
     made, moved = pictures[:count], pictures[count:]

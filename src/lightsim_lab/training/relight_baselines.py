@@ -109,6 +109,7 @@ def self_osr_loss(
     seen = network.decompose(both, matte)
     source, target = seen.part(slice(count)), seen.part(slice(count, None))
     relit = network.relit(planes, source)
+    # Clipped pixels have no known radiance and are not explained.
     known = own * (both.amax(1, keepdim=True) < CLIPPED)
     thin = seen.part(slice(None), _EXPLAINED_PX)
     explained = shown(srgb_of(thin.under(thin.light, thin.shadow)))
@@ -143,6 +144,7 @@ def _epe_losses(
     of_truth, of_made = discriminator(torch.cat([batch.truth, filled.detach()])).float().chunk(2)
     judged = discriminator_loss(of_truth, of_made)
     yield "discriminator", judged, {"discriminator": judged}
+    # The network's loss must not add gradients to the discriminator.
     discriminator.requires_grad_(False)
     total, terms = _picture_loss(made, batch, perceptual, config)
     terms["adversarial"] = generator_loss(discriminator(filled).float())

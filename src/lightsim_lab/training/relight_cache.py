@@ -65,6 +65,7 @@ def read_sample(path: Path) -> RelightSample:
         InputError: the file is missing or damaged.
     """
     arrays = load_arrays(path, is_mapped=True)
+    # Names are "scene/PLANE" or "SKY/PLANE".
     groups: dict[str, dict[str, np.ndarray]] = {}
     for name, value in arrays.items():
         group, _, plane = name.partition("/")

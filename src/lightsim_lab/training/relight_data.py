@@ -121,6 +121,7 @@ class RelightData:
         if device.type != "cuda":
             return self
         size = sum(file.stat().st_size for file in self.files)
+        # File size is a close estimate, as the samples are not compressed.
         is_small = size < _MOST_OF_DEVICE * torch.cuda.mem_get_info(device)[0]
         return RelightData(self._folders, self._config, device) if is_small else self
 
@@ -218,6 +219,7 @@ class RelightData:
             return torch.from_numpy(values.reshape(-1, 1, 1, 1)).to(batch.truth)
 
         is_mirrored = of_each(rng.random(count)) < 0.5
+        # All random numbers are drawn in a fixed order, whether or not a plane uses them.
         error_ev = rng.normal(size=count) * config.light_error_ev
         lighter, tint = config.paint_ev
         paint_ev = lighter * rng.normal(size=(count, 1)) + tint * rng.normal(size=(count, 3))

@@ -76,6 +76,7 @@ def error_loss(
     """
     # Detached: the loss trains the predicted error and leaves the picture unchanged.
     error = (weight * (made - truth).abs().mean(1, keepdim=True)).detach() + _NOISE
+    # The error is averaged to the resolution of the prediction.
     size = log_error.shape[-2:]
     error, part = (functional.interpolate(x, size, mode="area") for x in (error, weight))
     loss = log_error + error * torch.exp(-log_error)
@@ -111,6 +112,7 @@ class Perceptual(nn.Module):
         super().__init__()
         self._names = tuple(lpips_weights())
         for name, value in lpips_weights().items():
+            # Not persistent: the weights are part of the package, not of a checkpoint.
             self.register_buffer(name.replace(".", "_"), value, persistent=False)
 
     def forward(

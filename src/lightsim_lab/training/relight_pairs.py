@@ -165,6 +165,7 @@ def misjudged(one: RelightBatch, factor: float | Float[Tensor, "n 1 1 1"]) -> Re
     planes = dict(one.planes)
     for name in ("target_shaded", "target_reflected", f"target{LEVEL}"):
         planes[name] = planes[name] * factor
+    # Sky pixels are radiance of the known sky, without error.
     surface = 1 - planes["matte"]
     planes["target_physical"] = planes["target_physical"] * (1 + surface * (factor - 1))
     return RelightBatch(planes, one.truth, one.weight)
@@ -192,6 +193,7 @@ def exposed(
         if name.endswith(_RADIANT):
             planes[name] = planes[name] * (of_pixel if name.endswith(_PAINTED) else factor)
     planes["base_colour"] = planes["base_colour"] * coat
+    # Pixels can become clipped by the exposure, but clipped ones stay so.
     source = linear_of(planes["source"]) * of_pixel
     planes["clipped"] = torch.maximum(
         planes["clipped"], (source.amax(1, keepdim=True) >= 1).to(source)

@@ -40,6 +40,7 @@ def score_relight(network: nn.Module, data: RelightData, progress: Progress) -> 
             made, log_error = made_by(network, batch)
             is_valid = is_judged(batch)
             truth = picture_of(batch.truth)
+            # `physical` and `copy` are the references: the uncorrected estimate, and no relighting.
             methods = {"network": made}
             if sky is not None:
                 methods["physical"] = picture_of(srgb_of(batch.planes["target_physical"]))
@@ -99,6 +100,7 @@ def scores_of(
     """
     if features is None:
         return psnr(picture, truth, is_valid), float("nan")
+    # LPIPS needs whole images: the truth replaces invalid pixels.
     filled = np.where(is_valid[..., None], picture, truth)
     distance = lpips_of_features(lpips_features(filled), features, is_valid)
     return psnr(picture, truth, is_valid), distance

@@ -154,6 +154,7 @@ def _sees(
 ) -> Bool[np.ndarray, " p"]:
     to_axes = _rotation(np.radians(camera.yaw_deg), np.radians(camera.pitch_deg), 0.0)
     forward, left, up = (directions @ to_axes.astype(np.float32)).T
+    # A larger scale (focal length) narrows the field of view.
     safe = np.maximum(forward, 1e-3) / scale
     beside, above = left / safe, up / safe
     inside = (np.abs(beside) < camera.half_width) & (above < camera.up + wobble)
@@ -209,6 +210,7 @@ def front_view(
     rows, columns = size_px
     half = float(np.tan(np.radians(rng.uniform(58.0, 68.0) / 2)))
     pitch, roll, yaw = np.radians(rng.normal(0.0, 1.5, 3))
+    # Tangents at the pixel centres; left and up are positive.
     left = -((np.arange(columns) + 0.5) / columns * 2 - 1) * half
     up = -((np.arange(rows) + 0.5) / rows * 2 - 1) * half * rows / columns
     grid = np.stack(

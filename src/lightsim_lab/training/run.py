@@ -183,6 +183,7 @@ def _sky_scores(
 
     train, held_out = sides
     views = parts_of(held_out.fixed_views().batch, _SCORED_AT_ONCE)
+    # Four batches suffice for the mean sun and median peak of the baseline `constant`.
     known = [train.batch(_SCORED_AT_ONCE, 0, k, only_sunny=False) for k in range(4)]
     rows = evaluate_sky_networks(views, {kind: network}, known, complete)  # type: ignore[dict-item]
     return {row.name: _known(asdict(row)) for row in rows}
@@ -254,6 +255,7 @@ def command_line(what: str, command: RunOptions, processes: int) -> str:
     words = [*(torchrun if processes > 1 else []), "lightsim", "train", what]
     for option in fields(command):
         value = getattr(command, option.name)
+        # `verbose` does not change the weights.
         if value != option.default and option.name != "verbose":
             words.append("--" + option.name.replace("_", "-"))
             many = value if isinstance(value, tuple) else (value,)

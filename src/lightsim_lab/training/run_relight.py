@@ -124,6 +124,7 @@ def _baseline(command: RelightTrainingOptions) -> BaselineTrainConfig:
 def _own(command: RelightTrainingOptions) -> RelightTrainConfig:
     for part in command.without:
         check_choice("--without", part, (*get_args(Pairs), *get_args(Unseen)))
+    # The physical estimate exists for true pairs alone, and RelitNet corrects it.
     has_estimate = command.network == "network" and "physical" not in command.without
     if has_estimate and "truth" in command.without:
         raise InputError(
@@ -155,6 +156,7 @@ def _varied(config: RelightTrainConfig, command: RelightTrainingOptions) -> Reli
 
 def _streets(command: RelightTrainingOptions) -> tuple[str, ...]:
     """Return the training streets; check that all streets exist and are on one side."""
+    # By default all folders with samples, except those for validation.
     names = command.streets or tuple(
         path.name
         for path in sorted(command.data.glob("*"))

@@ -65,6 +65,7 @@ def sky_recipe(kind: SkyKind, preset: Preset, seed: int = 0, part: SkyPart = "al
             expected="--network lightsim",
         )
     is_small = preset == "small"
+    # All networks have the channel counts of the paper's form.
     sizes = PaperSkyConfig() if is_small else PaperSkyConfig.full()
     options: dict[str, Any] = {"widths": sizes.widths, "decoder_widths": sizes.decoder_widths}
     if kind.startswith("nlfe"):
@@ -98,6 +99,7 @@ def started_from(recipe: SkyRecipe, tensors: Mapping[str, Tensor]) -> SkyRecipe:
             got=f"{getattr(network, 'config', None)}",
             expected=f"{expected}",
         )
+    # A quarter of the rate, as the weights are already trained. Sensitivity not measured.
     config = replace(recipe.config, rate=recipe.config.rate / 4)
     return replace(recipe, network=network, config=config)
 

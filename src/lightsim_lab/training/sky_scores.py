@@ -151,6 +151,7 @@ def answer_of(model: SkyModel, batch: LightingBatch, complete: Completion | None
     with torch.no_grad():
         predicted = model.encode(tensors)
         dome = model.dome(tensors, predicted, predicted.direction, predicted.log_peak)
+    # NaN marks the quantities that a network does not estimate.
     silent = np.full(count, np.nan)
     kappa, scale, sunny = (
         predicted.log_concentration,
@@ -265,6 +266,7 @@ def _sun_is_seen(batch: LightingBatch) -> Bool[np.ndarray, " n"]:
     """Return True where the pixel at the sun shows sky and was observed by a camera."""
     height, width = batch.visibility.shape[1:]
     uv = uv_from_directions(batch.sun_direction)
+    # The sun is above the horizon, hence the limit of half the rows.
     row = np.minimum((uv[:, 1] * height).astype(np.int64), height // 2 - 1)
     column = np.minimum((uv[:, 0] * width).astype(np.int64), width - 1)
     index = np.arange(len(row))
@@ -289,6 +291,7 @@ def brightest_pixel(batch: LightingBatch) -> Answers:
     rows = batch.panorama.shape[1] // 2
     directions = pixel_directions(2 * rows)[:rows]
     value = luminance(batch.panorama[:, :rows]) * batch.visibility[:, :rows]
+    # Pixels within 1e-4 of the maximum: all clipped ones, in practice.
     brightest = value >= value.max(axis=(1, 2), keepdims=True) - 1e-4
     centre = np.einsum("nrw,rwc,rk->nc", brightest, directions, solid_angles_sr(2 * rows)[:rows])
     centre /= np.linalg.norm(centre, axis=1, keepdims=True)
