@@ -76,9 +76,9 @@ class TrueEdit:
     ego_offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
+# Pixels that an actor covers, and that it shadows, in each view; 0 where the image border crosses
+# its box.
 _Visibility = Float[np.ndarray, "v 2"]
-"""Pixels that an actor covers, and that it shadows, in each view; 0 where the image border crosses
-its box."""
 
 
 def staged_street(street: Street) -> Street:

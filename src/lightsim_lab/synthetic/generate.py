@@ -256,7 +256,7 @@ def street_tracer(
 def _write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"]) -> None:
     """Write a JPEG image with 4:2:0 chroma subsampling, as PandaSet's."""
     with whole_file(path) as temporary:
-        # Quality 92 is typical of camera logs; that of PandaSet's images was not measured.
+        # Quality 92: chosen, not measured on PandaSet.
         Image.fromarray(srgb8).save(temporary, quality=92, subsampling="4:2:0")
 
 

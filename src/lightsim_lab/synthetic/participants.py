@@ -106,7 +106,7 @@ def _body(shape: CarShape, paint: str) -> Part:
         * np.array([0.8, 0.88, 0.93, 0.97, 0.99, 1.0, 1.0, 0.99, 0.96, 0.9, 0.84, 0.75])
     )
     low = np.array([0.42, 0.36, 0.3, 0.26, 0.22, 0.22, 0.22, 0.22, 0.24, 0.28, 0.32, 0.4])
-    # A saloon's boot is lower than its bonnet.
+    # The boot of a saloon is slightly lower than its waist.
     rise = 0.93 if shape.boot_m > 0.4 else 1.0
     high = top * np.array([0.85, 0.93, 0.97, rise, 1, 1, 1, 0.97, 0.9, 0.83, 0.76, 0.62])
     # Superellipse of exponent 2 / 0.42: a rounded rectangle.

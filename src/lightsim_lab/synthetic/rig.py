@@ -22,6 +22,8 @@ _TELE_FOCAL = 1970.0 / 1920.0
 # Focal length over image width of PandaSet's five other cameras (930 px at 1920 px).
 _WIDE_FOCAL = 930.0 / 1920.0
 
+# Yaw in frame ego, position in frame ego, focal length over image width, and the offset of the
+# principal point from the image's centre in half pixels of a 960 px wide image.
 _MOUNTINGS = {
     "front_camera": (0.0, (0.04, 0.0, 2.16), _TELE_FOCAL, (5, -4)),
     "front_left_camera": (47.0, (-0.06, 0.42, 1.94), _WIDE_FOCAL, (6, -16)),
@@ -30,8 +32,6 @@ _MOUNTINGS = {
     "right_camera": (-95.0, (-0.2, -0.5, 1.91), _WIDE_FOCAL, (-8, -11)),
     "back_camera": (180.0, (-0.62, 0.0, 1.98), _WIDE_FOCAL, (-32, -16)),
 }
-"""Yaw in frame ego, position in frame ego, focal length over image width, and the offset of the
-principal point from the image's centre in half pixels of a 960 px wide image."""
 
 
 @dataclass(frozen=True, eq=False)

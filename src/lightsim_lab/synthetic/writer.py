@@ -24,8 +24,8 @@ from lightsim_lab.synthetic.rig import (
 )
 from lightsim_lab.synthetic.street import Street
 
+# PandaSet's labels.
 _LABEL_BY_KIND = {ActorKind.CAR: "Car", ActorKind.PEDESTRIAN: "Pedestrian"}
-"""PandaSet's labels."""
 # Equatorial radius of the WGS 84 ellipsoid, in metres.
 _EQUATOR_M = 6378137.0
 # Flattening of the WGS 84 ellipsoid.

@@ -96,8 +96,8 @@ def paper(config: RelightTrainConfig) -> RelightTrainConfig:
     )
 
 
+# Kinds of training pairs that an ablation can leave out.
 Pairs = Literal["sim-real", "identity", "truth"]
-"""Kinds of training pairs that an ablation can leave out."""
 
 
 def ablated(config: RelightTrainConfig, parts: Collection[Pairs | Unseen]) -> RelightTrainConfig:

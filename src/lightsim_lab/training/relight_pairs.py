@@ -13,15 +13,15 @@ from torch import Tensor
 from lightsim.relighting.network.channels import OF_SKIES
 from lightsim.relighting.network.features import linear_of, rendered, srgb_of
 
+# Suffix of the planes with the brightness of the whole frame that a crop is from
+# (`features.level`).
 LEVEL = "_level"
-"""Suffix of the planes with the brightness of the whole frame that a crop is from
-(`features.level`)."""
 TRUTH = "truth"
 _VECTORS = ("normal", "position")
 _RADIANT = ("shaded", "reflected", "physical", "sky", OF_SKIES, LEVEL)
+# Planes proportional to the base colour. Mirror reflections are scaled too, so that the picture
+# remains the sum of its planes.
 _PAINTED = ("reflected", "physical")
-"""Planes proportional to the base colour. Mirror reflections are scaled too, so that the picture
-remains the sum of its planes."""
 # sRGB value in [0, 1] from which a channel counts as clipped: one 8-bit code below white, as a
 # tolerance for compression. Sensitivity not measured.
 CLIPPED = 254 / 255
@@ -67,10 +67,8 @@ class Views:
 
 
 def joined(parts: list[RelightBatch]) -> RelightBatch:
-    """Concatenate batches; only the planes that all of them have remain.
-
-    Only true pairs and exact-estimate pairs have a physical estimate.
-    """
+    """Concatenate batches; only the planes that all of them have remain."""
+    # Pairs of renderings have no physical estimate: the paper's network trains without one.
     names = [name for name in parts[0].planes if all(name in one.planes for one in parts)]
     return RelightBatch(
         {name: torch.cat([one.planes[name] for one in parts]) for name in names},

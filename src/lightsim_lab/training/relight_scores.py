@@ -20,8 +20,8 @@ from lightsim_lab.training.relight_data import RelightData
 from lightsim_lab.training.relight_pairs import RelightBatch
 
 Picture = Float32[np.ndarray, "h w 3"]
+# Row of the scores for frames relit under their own sky.
 IDENTITY = "identity"
-"""Row of the scores for frames relit under their own sky."""
 
 
 def score_relight(network: nn.Module, data: RelightData, progress: Progress) -> dict[str, Any]:

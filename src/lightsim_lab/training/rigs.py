@@ -57,6 +57,7 @@ def _pixels(
 
 # Width and height of the images of PandaSet, in pixels.
 _FULL_HD = (1920, 1080)
+# PandaSet: intrinsics as published with the data set, mounting as in its sequence 002.
 PANDASET = Rig(
     "pandaset",
     (
@@ -68,7 +69,7 @@ PANDASET = Rig(
         _pixels(-178.6, _FULL_HD, 933.0, 508.0, 0.3),
     ),
 )
-"""PandaSet: intrinsics as published with the data set, mounting as in its sequence 002."""
+# Synthetic street: the same cameras as in `synthetic.rig`, without the principal point offsets.
 SYNTHETIC = Rig(
     "synthetic",
     (
@@ -76,7 +77,7 @@ SYNTHETIC = Rig(
         *(_pixels(y, _FULL_HD, 930.0) for y in (47.0, -47.0, 95.0, -95.0, 180.0)),
     ),
 )
-"""Synthetic street: the same cameras as in `synthetic.rig`, without the principal point offsets."""
+# Six cameras of 70 degrees, the rear one 110 (Caesar et al., CVPR 2020).
 NUSCENES = Rig(
     "nuscenes",
     (
@@ -84,7 +85,7 @@ NUSCENES = Rig(
         _pixels(180.0, (1600, 900), 800.0),
     ),
 )
-"""Six cameras of 70 degrees, the rear one 110 (Caesar et al., CVPR 2020)."""
+# Five cameras of 50.4 degrees, none to the rear (Sun et al., CVPR 2020).
 WAYMO = Rig(
     "waymo",
     (
@@ -92,7 +93,7 @@ WAYMO = Rig(
         *(_pixels(y, (1920, 886), 2050.0) for y in (90.0, -90.0)),
     ),
 )
-"""Five cameras of 50.4 degrees, none to the rear (Sun et al., CVPR 2020)."""
+# Seven ring cameras, the front one upright (Wilson et al. 2021, arXiv:2301.00493).
 ARGOVERSE2 = Rig(
     "argoverse2",
     (
@@ -100,7 +101,6 @@ ARGOVERSE2 = Rig(
         *(_pixels(y, (2048, 1550), 1690.0) for y in (45.0, -45.0, 99.0, -99.0, 153.0, -153.0)),
     ),
 )
-"""Seven ring cameras, the front one upright (Wilson et al. 2021, arXiv:2301.00493)."""
 RIGS = (PANDASET, SYNTHETIC, NUSCENES, WAYMO, ARGOVERSE2)
 # Probabilities of the RIGS. PandaSet and the synthetic street, on which the networks are evaluated,
 # are the most frequent. Chosen, not measured.

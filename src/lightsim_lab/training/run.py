@@ -45,12 +45,12 @@ SCORES_NAME = "scores.json"
 _SCORED_AT_ONCE = 32
 _INPAINT = "completion of panoramas (docs/models/inpaint.md)"
 _SKY = "sky dome estimator (docs/models/sky.md)"
+# Command, row of the scores and description by network; all other networks are baselines.
 _COMMANDS = {
     "inpaint": ("inpaint", "network", _INPAINT),
     "lightsim": ("sky", "lightsim", _SKY),
     "lightsim_paper": ("sky", "lightsim_paper", f"{_SKY}, in the paper's form"),
 }
-"""Command, row of the scores and description by network; all other networks are baselines."""
 
 
 def prepare(command: PrepareOptions) -> None:

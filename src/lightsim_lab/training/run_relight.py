@@ -124,7 +124,7 @@ def _baseline(command: RelightTrainingOptions) -> BaselineTrainConfig:
 def _own(command: RelightTrainingOptions) -> RelightTrainConfig:
     for part in command.without:
         check_choice("--without", part, (*get_args(Pairs), *get_args(Unseen)))
-    # The physical estimate exists for true pairs alone, and RelitNet corrects it.
+    # RelitNet corrects the physical estimate, which pairs of renderings do not have.
     has_estimate = command.network == "network" and "physical" not in command.without
     if has_estimate and "truth" in command.without:
         raise InputError(

@@ -22,14 +22,14 @@ from lightsim_lab.training.ahead import Ahead
 # Prime that separates the random streams of different seeds; larger than any number of steps.
 _STEP_SEED = 1_000_003
 
+# Function from panoramas and visibility masks to inpainted panoramas.
 Completion = Callable[
     [Float32[np.ndarray, "n h w 3"], Bool[np.ndarray, "n h w"]], Float32[np.ndarray, "n h w 3"]
 ]
-"""Function from panoramas and visibility masks to inpainted panoramas."""
 
 
+# Function from network, batches and random generator to the loss and its terms.
 LossFunction = Callable[[Any, Draw, torch.Generator], tuple[Tensor, dict[str, Tensor]]]
-"""Function from network, batches and random generator to the loss and its terms."""
 
 
 # Fraction of the panoramas without a mask: the networks are also applied to complete panoramas.

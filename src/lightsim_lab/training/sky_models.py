@@ -21,9 +21,9 @@ from lightsim_lab.training.sky_losses import direction_loss, paper_sky_loss, sky
 Preset = Literal["small", "full"]
 SkyKind = Literal["lightsim", "lightsim_paper", "nlfe", "nlfe_panorama", "sold_net"]
 SkyPart = Literal["all", "direction"]
+# Networks whose input is the inpainted panorama; that of the others is the front image, or a
+# panorama with smooth fills.
 USES_INPAINTING: tuple[SkyKind, ...] = ("lightsim_paper", "nlfe_panorama")
-"""Networks whose input is the inpainted panorama; that of the others is the front image, or a
-panorama with smooth fills."""
 
 
 @dataclass(frozen=True)
