@@ -98,9 +98,10 @@ def picture_terms(
     # Edges and LPIPS see the truth where the weight is 0, so that no border is an edge.
     filled, few = weight * made + (1 - weight) * truth, slice(perception_crops)
     ones = torch.ones_like(weight)
+    edges = edge_loss(filled, truth, ones)
     return {
         "colour": colour_loss(made, truth, weight),
-        "edges": edge_loss(filled, truth, ones),
+        "edges": edges,
         "lpips": perceptual(filled[few], truth[few]),
     }
 
