@@ -218,8 +218,7 @@ class _Chooser:
     def _scored(
         self, cast: tuple[Participant, ...], actors: Sequence[Participant]
     ) -> list[_Visibility]:
-        """Return the visibility of each actor, if it alone were added to a street with this
-        cast."""
+        """Return the visibility of each actor if it alone were added to a cast."""
         pixels = np.zeros((len(actors), len(self._sights), 2))
         for j, sight in enumerate(self._sights):
             whole = [i for i, actor in enumerate(actors) if sight.shows_all_of(actor)]

@@ -47,8 +47,7 @@ _SENSOR = _Sensor()
 
 @dataclass(frozen=True, eq=False)
 class Returns:
-    """One sweep: points in frame `world`, intensity 0 to 255, times in s relative to the
-    sweep's."""
+    """Points (frame `world`), intensities (0 to 255) and relative times (s) of one sweep."""
 
     points_world: Float[np.ndarray, "n 3"]
     intensity: Float[np.ndarray, " n"]
@@ -58,8 +57,7 @@ class Returns:
 def actor_poses(
     street: Street, time_s: float, speed_m_s: float
 ) -> list[tuple[RigidTransform, float]]:
-    """Return `world_from_actor` of every actor when it is scanned, and that time relative to the
-    sweep.
+    """Return the pose `world_from_actor` of every actor when it is scanned, and that time (s).
 
     PandaSet's labels are valid at these times.
     """

@@ -61,6 +61,7 @@ def sky_specs(plan: StreetPlan) -> tuple[SkySpec, ...]:
     """Return the source sky, then the three target skies."""
     rng = np.random.default_rng([plan.seed, 5])
     azimuth = plan.sun.azimuth_deg
+    # Low and high sun are on opposite sides of the source's azimuth.
     turn = float(rng.choice([-1.0, 1.0]))
     low = SolarPosition((azimuth + turn * float(rng.uniform(95, 150))) % 360.0, 24.0)
     high = SolarPosition((azimuth - turn * float(rng.uniform(60, 110))) % 360.0, 62.0)

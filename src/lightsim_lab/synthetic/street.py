@@ -109,6 +109,7 @@ def _ground() -> list[Part]:
 def _row_of_houses(rng: np.random.Generator, side: int) -> list[Building]:
     """Draw one row of buildings of various widths and heights, some with gaps between them."""
     houses = []
+    # Widths are clipped at the end of the street.
     x = STREET_START_M
     while x < STREET_END_M - 8.0:
         width = float(rng.uniform(8.0, 17.0))

@@ -29,8 +29,7 @@ _SUN_RAYS = 16
 
 
 def write_sky(folder: Path, sky: Sky, height_px: int, enu_from_world: RigidTransform) -> None:
-    """Write NAME.exr (frame `world`, scene units, with the sun, true north in the header) and
-    NAME.json with the exact sun."""
+    """Write NAME.exr (frame `world`, scene units, with the sun) and NAME.json (exact sun)."""
     folder.mkdir(parents=True, exist_ok=True)
     name = sky.spec.name
     heading_deg = azimuth_elevation(enu_from_world.matrix[:3, 0]).azimuth_deg

@@ -188,13 +188,13 @@ class _Pair:
             # The generator's loss must not add gradients to the discriminator.
             self.discriminator.requires_grad_(False)
             scores = self.discriminator(composite, batch.hole)
+            # The adversarial loss is in single precision, also in mixed precision training.
             terms["adversarial"] = generator_loss(scores.float())
             loss = loss + weight * terms["adversarial"]
         yield "generator", loss, {**terms, "psnr_db": _psnr_db(composite, batch)}
 
     def _adversarial_weight(self, step: int) -> float | None:
-        """Return the weight of the adversarial loss, or None before the discriminator takes
-        part."""
+        """Return the weight of the adversarial loss; None while the discriminator is unused."""
         since = step / self._config.loop.steps - self._config.adversarial_from
         if since < 0 or self._config.adversarial_weight == 0:
             return None

@@ -159,8 +159,7 @@ class LightingSet:
     def _picture(
         self, rng: np.random.Generator, ldr_rng: np.random.Generator
     ) -> tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
-        """Return a panorama and its visibility mask; LDR ones are rotated and, in training,
-        mirrored."""
+        """Return a panorama and its visibility mask; LDR panoramas are rotated and mirrored."""
         if ldr_rng.random() >= self._ldr_fraction:
             sample = self._draw(rng, only_sunny=False)
             return sample.panorama, sample.visibility

@@ -78,6 +78,7 @@ def _spectrum(panorama: Float32[np.ndarray, "h w 3"]) -> Complex[np.ndarray, "r 
     """
     small = shrunk(panorama, 2 * _ROWS)[:_ROWS]
     value = np.log(np.maximum(small, 1e-6)).astype(np.float64)
+    # Without the median, the comparison is independent of exposure.
     value = np.clip(value - np.median(value), -_RANGE, _RANGE)
     weight = np.broadcast_to(solid_angles_sr(2 * _ROWS)[:_ROWS, :, None], value.shape)
     weight = weight / weight.sum()

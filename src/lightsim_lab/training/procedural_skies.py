@@ -159,8 +159,7 @@ def clear_heaven(
 def overcast_heaven(
     noise: Float32[np.ndarray, "k s s"], height_px: int, rng: np.random.Generator
 ) -> Heaven:
-    """Draw an overcast sky: darker at the horizon, brighter about the hidden sun, with
-    structure."""
+    """Draw an overcast sky with structure, dark at the horizon, bright about the hidden sun."""
     directions = grids.directions(height_px)[: height_px // 2]
     elevation = np.radians(float(rng.uniform(5.0, 75.0)))
     towards = np.array([np.cos(elevation), 0.0, np.sin(elevation)])
@@ -240,8 +239,7 @@ def _cloud_field(
 
 
 def turned_heaven(heaven: Heaven, columns: int, *, flip: bool) -> Heaven:
-    """Mirror a sky (`flip`) at the plane of azimuth 0, then rotate it clockwise by whole
-    columns."""
+    """Mirror a sky (`flip`) at the plane of azimuth 0, then rotate it clockwise by columns."""
     rest, direction = heaven.rest, heaven.sun_direction
     if flip:
         rest, direction = rest[:, ::-1], direction * np.array([1.0, -1.0, 1.0])

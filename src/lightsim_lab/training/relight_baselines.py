@@ -114,6 +114,7 @@ def self_osr_loss(
     thin = seen.part(slice(None), _EXPLAINED_PX)
     explained = shown(srgb_of(thin.under(thin.light, thin.shadow)))
     thinned = (..., slice(None, None, _EXPLAINED_PX), slice(None, None, _EXPLAINED_PX))
+    # Cosine between the estimated and the twin's normal.
     closeness = (source.normal * planes["normal"]).sum(1, keepdim=True)
     solid = land * planes["surface"]
     lambert = shown(srgb_of(relit.lambert))

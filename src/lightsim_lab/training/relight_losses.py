@@ -30,8 +30,7 @@ def colour_loss(
     truth: Float[Tensor, "n c h w"],
     weight: Float[Tensor, "n 1 h w"],
 ) -> Float[Tensor, ""]:
-    """Return the root mean square difference of sRGB values, mean over pictures (paper,
-    L_color)."""
+    """Return the RMS difference of sRGB values, mean over pictures (paper, L_color)."""
     return _errors(made, truth, weight).mean()
 
 

@@ -122,8 +122,7 @@ class MaskConfig:
 
 
 def rig_mask(height_px: int, rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:
-    """Return the visibility mask of a random rig, with tilt, scale, ragged border, holes and ego
-    vehicle."""
+    """Return the visibility mask of a randomly chosen rig; see `mask_of`."""
     rig = RIGS[int(rng.choice(len(RIGS), p=_WEIGHTS))]
     return mask_of(rig, height_px, rng, MaskConfig())
 
@@ -131,7 +130,7 @@ def rig_mask(height_px: int, rng: np.random.Generator) -> Bool[np.ndarray, "h w"
 def mask_of(
     rig: Rig, height_px: int, rng: np.random.Generator, config: MaskConfig
 ) -> Bool[np.ndarray, "h w"]:
-    """Return a random visibility mask of one rig; see `rig_mask`."""
+    """Return a visibility mask of one rig with random tilt, scale, border, holes and vehicle."""
     directions = grids.directions(height_px).reshape(-1, 3)
     pitch, roll = np.radians(rng.normal(0.0, max(config.tilt_deg, 1e-9), 2))
     yaw = np.radians(rng.normal(0.0, 2.0 * config.tilt_deg + 1e-9))

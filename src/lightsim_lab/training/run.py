@@ -72,6 +72,7 @@ def prepare(command: PrepareOptions) -> None:
             where=command.out.parent,
             remedy="Create the folder first.",
         )
+    # A sixth of the streets for validation, and a sixth for tests.
     streets = StreetConfig(
         street_count=command.streets,
         held_out=max(1, command.streets // 6),

@@ -26,8 +26,7 @@ TEACHER_FORCING = 0.5
 def sky_loss(
     network: SkyNetwork, draw: Draw, generator: torch.Generator
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Return the estimator's loss: angle (L1), peak (L1), log HDR (L2), and calibrating
-    likelihoods.
+    """Return the estimator's loss: angle and peak (L1), log HDR (L2), and likelihoods.
 
     Intensity, latent and decoder train on all skies, the direction on clear suns alone.
 

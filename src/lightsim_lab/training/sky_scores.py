@@ -32,8 +32,7 @@ class SkyModel(Protocol):
 
     @property
     def composes_sun(self) -> bool:
-        """True if the sun is composed into the dome, with no decoding error beyond the pixel
-        grid."""
+        """True if the sun is composed into the dome: no decoding error beyond the pixel grid."""
         ...
 
     def encode(self, batch: SkyTensors) -> SkyEncoding:
@@ -258,6 +257,7 @@ def _log_sky_rmse(pairs: Sequence[tuple[LightingBatch, Answers]]) -> float:
         weight = solid_angles_sr(2 * rows)[:rows, :, None]
         # The offset limits the influence of dark pixels; the median luminance of a sky is near 1.
         error = (np.log(answers.dome + 0.02) - np.log(batch.sky + 0.02)) ** 2
+        # Weights of mean 1 are proportional to the solid angle.
         squares.append((error * weight / weight.mean()).mean(axis=(1, 2, 3)))
     return float(np.sqrt(np.concatenate(squares).mean()))
 

@@ -368,6 +368,7 @@ def light_view(
     fraction = view.surface_fraction.astype(np.float32)[..., None] * np.float32(1 / 255)
     behind = np.empty_like(picture)
     behind[: height // 2] = heaven.rest
+    # Below the horizon, gaps between surfaces show the mean colour of near-level ground.
     ground = values[view.pixel[view.normal[:, 2] > 100], :3]
     behind[height // 2 :] = ground.mean(axis=0) if len(ground) else 0.0
     return picture * fraction + behind * (1 - fraction), view.surface_fraction[: height // 2] < 128
@@ -383,8 +384,7 @@ def _means(
 
 
 def _sunlight(view: StreetView, heaven: Heaven) -> Float32[np.ndarray, "n 3"]:
-    """Return the sun's irradiance / pi; the visible part of its disc varies linearly at the
-    horizon."""
+    """Return the sun's irradiance / pi, with a linear penumbra at the horizon."""
     direction = heaven.sun_direction
     elevation = np.degrees(np.arcsin(np.clip(direction[2], -1, 1)))
     turn = np.arctan2(direction[1], direction[0]) / (2 * np.pi) * HORIZON_AZIMUTHS
